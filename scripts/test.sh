@@ -1,0 +1,23 @@
+#!/usr/bin/env bash
+# Style, types, import layers and tests, in an environment of the repository's own. Arguments go to pytest:
+#   bash scripts/test.sh -k unscented
+# Exit code 0 only when everything passes; pytest's summary is the last line.
+set -uo pipefail
+source "$(dirname "${BASH_SOURCE[0]}")/environment.sh"
+cd "$repository" || exit 1
+make_environment dev || exit 1
+
+failed=0
+check() {
+    echo "== $1"
+    shift
+    "$@" || failed=1
+}
+check "ruff check" "$python" -m ruff check .
+check "ruff format" "$python" -m ruff format --check .
+check "pyright" "$python" -m pyright --pythonpath "$python"
+check "import layers" "$environment/bin/lint-imports"
+[ "$failed" = 0 ] || echo "One of the checks above failed; the tests run all the same."
+echo "== pytest"
+"$python" -m pytest "$@" || failed=1
+exit "$failed"

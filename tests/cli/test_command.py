@@ -1,0 +1,125 @@
+"""Exit codes and single lines: what every command does with success, mistakes, Ctrl-C and closed pipes."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from tyro.conf import Positional
+
+from torchhand.cli.command import command, parse
+from torchhand.errors import InputError
+
+NAME = f"torchhand {__name__.rpartition('.')[2]}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """What it does.
+
+    Example:
+        torchhand thing 3
+    """
+
+    number: Positional[int]
+    """How many."""
+    share: float = 0.5
+    """Between 0 and 1."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.share <= 1.0:
+            raise ValueError(f"share: expected 0 to 1, got {self.share}")
+
+
+@command
+def thing(argv: Sequence[str] | None = None) -> int:
+    print(parse(Arguments, argv, name="thing").number)
+    return 0
+
+
+def test_success_is_zero(capsys: pytest.CaptureFixture[str]) -> None:
+    assert thing(["3"]) == 0
+    assert capsys.readouterr() == ("3\n", "")
+
+
+def test_help_shows_the_example(capsys: pytest.CaptureFixture[str]) -> None:
+    assert thing(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert "usage: torchhand thing" in text
+    assert "Example:\n    torchhand thing 3\n" in text
+    assert "Between 0 and 1." in text
+
+
+@pytest.mark.parametrize(
+    ("argv", "expected"),
+    [
+        ([], ["Missing", "INT"]),
+        (["3", "--shore", "1"], ["Unrecognized options: --shore", "--share"]),
+        (["three"], ["three", "int"]),
+        (["3", "--share", "2"], ["share: expected 0 to 1, got 2.0"]),
+    ],
+)
+def test_usage_errors_are_one_line_and_two(
+    argv: list[str], expected: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert thing(argv) == 2
+    output, errors = capsys.readouterr()
+    assert output == ""
+    assert errors.startswith(f"{NAME}: error: ")
+    assert errors.count("\n") == 1
+    assert not set("│╭╰─") & set(errors)
+    for part in expected:
+        assert part in errors
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "line"),
+    [
+        (InputError("config.yaml: unknown key\n'gain'"), 2, "error: config.yaml: unknown key 'gain'"),
+        (PermissionError(13, "Permission denied", "/out/track.npz"), 2, "error: /out/track.npz: Permission denied"),
+        (OSError(28, "No space left on device"), 2, "error: [Errno 28] No space left on device"),
+        (KeyboardInterrupt(), 130, "stopped by Ctrl-C"),
+    ],
+)
+def test_errors_become_one_line(error: BaseException, code: int, line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    @command
+    def broken(argv: Sequence[str] | None = None) -> int:
+        raise error
+
+    assert broken([]) == code
+    assert capsys.readouterr() == ("", f"{NAME}: {line}\n")
+
+
+def test_our_own_mistakes_keep_their_traceback() -> None:
+    @command
+    def broken(argv: Sequence[str] | None = None) -> int:
+        raise ValueError("shape mismatch")
+
+    with pytest.raises(ValueError, match="shape mismatch"):
+        broken([])
+
+
+def test_a_closed_pipe_is_quiet(tmp_path: Path) -> None:
+    program = tmp_path / "endless.py"
+    program.write_text(
+        "import sys\n"
+        "from torchhand.cli.command import command\n"
+        "@command\n"
+        "def main(argv=None):\n"
+        "    while True:\n"
+        "        print('line')\n"
+        "sys.exit(main())\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    with subprocess.Popen(
+        [sys.executable, str(program)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline() == b"line\n"
+        process.stdout.close()
+        assert process.stderr.read() == b""
+        assert process.wait(timeout=30) == 141

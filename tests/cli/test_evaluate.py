@@ -1,0 +1,182 @@
+"""`torchhand evaluate` on result folders made from a truth, and on folders that are wrong."""
+
+import json
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from torchhand.cli.evaluate import main
+from torchhand.files.track_record import Track
+from torchhand.study import flexion_deg
+
+FRAMES = 5
+
+
+@pytest.fixture
+def truth_dir(tmp_path: Path) -> Path:
+    folder = tmp_path / "truth"
+    folder.mkdir()
+    points = np.random.default_rng(0).normal(scale=0.05, size=(21, 3)) + [0.0, 0.0, 0.5]
+    sequence = points + 0.01 * np.arange(FRAMES)[:, None, None] * np.array([1.0, 0.5, 0.0])
+    np.savez(
+        folder / "truth.npz",
+        keypoints3d=sequence,
+        keypoints2d=400.0 * sequence[..., :2] / 0.5,
+        flexion_deg=flexion_deg(sequence),
+    )
+    return folder
+
+
+@pytest.fixture
+def result_dir(tmp_path: Path, truth_dir: Path) -> Path:
+    """A result 6 mm and (3, 4) px off in every frame but 0, with frame 3 lost."""
+    folder = tmp_path / "result"
+    folder.mkdir()
+    with np.load(truth_dir / "truth.npz") as truth:
+        points, points_px = truth["keypoints3d"], truth["keypoints2d"]
+    points[1:] += [0.0, 0.006, 0.0]
+    points_px[1:] += [3.0, 4.0]
+    points[3], points_px[3] = np.nan, np.nan
+    track = Track(
+        frame=np.arange(FRAMES),
+        status=np.array(["tracked", "tracked", "tracked", "lost", "recovered"], dtype="<U16"),
+        pose=np.where(np.arange(FRAMES)[:, None] == 3, np.nan, np.zeros((FRAMES, 36))),
+        pose_std=np.where(np.arange(FRAMES)[:, None] == 3, np.nan, np.ones((FRAMES, 36))),
+        keypoints3d=points,
+        keypoints2d=points_px,
+        keypoints3d_cov=np.where(np.isnan(points)[..., None], np.nan, 36e-6 * np.eye(3)),
+        seconds=np.full(FRAMES, 0.012),
+        dof_names=tuple(f"dof{number}" for number in range(36)),
+        units="metres",
+        convention="OpenCV",
+        header={},
+    )
+    np.savez(folder / "track.npz", **track.arrays())  # type: ignore[arg-type]
+    return folder
+
+
+def test_the_errors_are_printed_and_saved(
+    result_dir: Path, truth_dir: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([str(result_dir), str(truth_dir)]) == 0
+    text, errors = capsys.readouterr()
+    assert errors == ""
+    figures = json.loads((result_dir / "evaluation.json").read_text())
+    assert figures["tracking"]["followed"] == 4
+    assert figures["tracking"]["frames_until_first_loss"] == 3
+    assert figures["tracking"]["frames_to_recover"] == [1]
+    assert figures["position_mm"]["frame"]["mean"] == pytest.approx(6.0 * 3 / 4, rel=1e-9)
+    assert figures["position_mm"]["aligned"]["largest"] == pytest.approx(0.0, abs=1e-9)
+    assert figures["planar_motion"]["displacement_rms_px"] == pytest.approx(5.0, rel=1e-9)
+    assert figures["planar_motion"]["rotation_rms_deg"] == pytest.approx(0.0, abs=1e-9)
+    assert figures["flexion_deg"]["raw_mean"] == pytest.approx(0.0, abs=1e-9)
+    # 6 mm at a standard deviation of 6 mm: NEES 1 in three frames of four, 0 in the other, 3 degrees of freedom each.
+    assert figures["uncertainty"]["mean_per_dof"] == pytest.approx(0.25, rel=1e-9)
+    assert figures["uncertainty"]["share_inside"] == pytest.approx(0.75)
+    assert figures["speed"]["median_ms_per_frame"] == pytest.approx(12.0)
+    for pattern in (
+        r"frames followed +4 of 5 \(the truth has 5\)",
+        r"frames until first loss +3\n",
+        r"losses, frames to recover +1: 1\n",
+        r"joint position \(camera or world frame\) +mean 4\.50, median 6\.00, largest 6\.00 mm",
+        r"planar displacement since frame 0 +RMS 5\.000 px, largest 5\.000 px",
+        r"compute time per frame +median 12\.00 ms",
+    ):
+        assert re.search(pattern, text), pattern
+
+
+def test_the_file_may_go_elsewhere(result_dir: Path, truth_dir: Path, tmp_path: Path) -> None:
+    out = tmp_path / "figures.json"
+    assert main([str(result_dir), str(truth_dir / "truth.npz"), "--out", str(out)]) == 0
+    assert json.loads(out.read_text())["tracking"]["frames"] == FRAMES
+    assert not (result_dir / "evaluation.json").exists()
+
+
+def test_silhouettes_are_judged_where_both_have_masks(result_dir: Path, truth_dir: Path) -> None:
+    square = np.zeros((40, 40), dtype=np.uint8)
+    square[10:30, 10:30] = 255
+    with np.load(truth_dir / "truth.npz") as truth:
+        arrays = dict(truth)
+    arrays["keypoints2d"][:, 0], arrays["keypoints2d"][:, 9] = [20.0, 35.0], [20.0, 20.0]
+    np.savez(truth_dir / "truth.npz", **arrays)
+    for folder, mask in ((truth_dir, square), (result_dir, square[:, ::-1] * (np.arange(40) < 20).astype(np.uint8))):
+        (folder / "masks").mkdir()
+        cv2.imwrite(str(folder / "masks" / "0002.png"), mask)
+    assert main([str(result_dir), str(truth_dir)]) == 0
+    figures = json.loads((result_dir / "evaluation.json").read_text())
+    assert figures["silhouette"]["frames"] == 1
+    assert figures["silhouette"]["median_iou"] == pytest.approx(0.5)
+
+
+def test_what_is_unknown_is_null_in_the_file(result_dir: Path, truth_dir: Path) -> None:
+    with np.load(truth_dir / "truth.npz") as truth:
+        np.savez(truth_dir / "truth.npz", keypoints3d=np.full_like(truth["keypoints3d"], np.nan))
+    assert main([str(result_dir), str(truth_dir)]) == 0
+    assert json.loads((result_dir / "evaluation.json").read_text())["position_mm"]["frame"]["mean"] is None
+
+
+def test_a_shorter_truth_is_another_sequences(
+    result_dir: Path, truth_dir: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    np.savez(truth_dir / "truth.npz", keypoints3d=np.zeros((3, 21, 3)))
+    assert main([str(result_dir), str(truth_dir)]) == 2
+    assert "holds frames 0 to 2 and the result has frame 4" in capsys.readouterr().err
+    assert not (result_dir / "evaluation.json").exists()
+
+
+@pytest.mark.parametrize("broken", ["no_result", "no_track", "no_truth", "no_key", "bad_track"])
+def test_wrong_input_is_one_line_and_two(
+    broken: str, result_dir: Path, truth_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if broken == "no_result":
+        result_dir, culprit = tmp_path / "gone", "gone"
+    elif broken == "no_track":
+        (result_dir / "track.npz").unlink()
+        culprit = "result"
+    elif broken == "no_truth":
+        (truth_dir / "truth.npz").unlink()
+        culprit = "truth"
+    elif broken == "no_key":
+        np.savez(truth_dir / "truth.npz", pose=np.zeros(3))
+        culprit = "truth.npz"
+    else:
+        (result_dir / "track.npz").write_bytes(b"PK\x03\x04 cut off")
+        culprit = "track.npz"
+    assert main([str(result_dir), str(truth_dir)]) == 2
+    output, errors = capsys.readouterr()
+    assert output == ""
+    assert errors.startswith("torchhand evaluate: error: ")
+    assert culprit in errors
+    assert errors.count("\n") == 1
+
+
+def test_the_truth_as_its_own_result_has_no_error(data_dir: Path, result_dir: Path) -> None:
+    """A real truth file: read as a result it must come out perfect."""
+    folder = data_dir / "synthetic" / "free"
+    with np.load(folder / "truth.npz") as truth:
+        frames = len(truth["keypoints3d"])
+        track = Track(
+            frame=np.arange(frames),
+            status=np.full(frames, "tracked", dtype="<U16"),
+            pose=np.zeros((frames, 36)),
+            pose_std=np.ones((frames, 36)),
+            keypoints3d=truth["keypoints3d"],
+            keypoints2d=truth["keypoints2d"],
+            keypoints3d_cov=np.tile(1e-6 * np.eye(3), (frames, 21, 1, 1)),
+            seconds=np.full(frames, 0.012),
+            dof_names=tuple(f"dof{number}" for number in range(36)),
+            units="",
+            convention="",
+            header={},
+        )
+    np.savez(result_dir / "track.npz", **track.arrays())  # type: ignore[arg-type]
+    assert main([str(result_dir), str(folder)]) == 0
+    figures = json.loads((result_dir / "evaluation.json").read_text())
+    for kind in ("frame", "root_relative", "aligned"):
+        assert figures["position_mm"][kind]["largest"] == pytest.approx(0.0, abs=1e-9)
+    assert figures["planar_motion"]["displacement_largest_px"] == pytest.approx(0.0, abs=1e-9)
+    assert figures["flexion_deg"]["raw_mean"] == pytest.approx(0.0, abs=1e-9)
+    assert figures["tracking"]["share_largest_error_below_20mm"] == 1.0

@@ -1,0 +1,24 @@
+"""What all tests share: the place of the development data, and a seeded generator."""
+
+import os
+from pathlib import Path
+
+import pytest
+import torch
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """The development data: where TORCHHAND_DATA points, or ../shared/data; the test is skipped where it is missing."""
+    folder = Path(os.environ.get("TORCHHAND_DATA") or REPOSITORY.parent / "shared" / "data")
+    if not folder.is_dir():
+        pytest.skip(f"needs the development data, which is not at {folder} (set TORCHHAND_DATA)")
+    return folder
+
+
+@pytest.fixture
+def generator() -> torch.Generator:
+    """A CPU random generator that starts the same for every test."""
+    return torch.Generator().manual_seed(0)

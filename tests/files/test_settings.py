@@ -1,0 +1,167 @@
+"""Settings: differences from YAML and from the command line, and every way to get them wrong."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+import yaml
+
+from torchhand import __version__
+from torchhand.errors import InputError
+from torchhand.files import configs_dir, find_config, load_settings, locations, models_dir, save_settings
+
+
+@dataclass(frozen=True, kw_only=True)
+class Filter:
+    order: Literal[0, 1, 2] = 2
+    noise_px: float = 1.5
+    is_robust: bool = False
+    gate: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.noise_px <= 0:
+            raise ValueError(f"noise_px: expected more than 0, got {self.noise_px}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    space: str = "planar"
+    steps: int = 3
+    range_deg: tuple[float, float] = (-10.0, 10.0)
+    fingers: tuple[str, ...] = ()
+    background: Path | None = None
+    weights: dict[str, float] = field(default_factory=dict)
+    filter: Filter = field(default_factory=Filter)
+
+
+def _write(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+def test_a_file_holds_differences_only(tmp_path: Path):
+    text = """
+space: full
+steps: 5
+range_deg: [-20, 2.5e+1]
+fingers: [index, ring]
+background: plate.png
+weights: {edge: 2}
+filter:
+  order: 1
+  noise_px: 1e-3
+"""
+    settings = load_settings(Options(), _write(tmp_path / "a.yaml", text))
+    assert settings == Options(
+        space="full",
+        steps=5,
+        range_deg=(-20.0, 25.0),
+        fingers=("index", "ring"),
+        background=Path("plate.png"),
+        weights={"edge": 2.0},
+        filter=Filter(order=1, noise_px=0.001),
+    )
+    assert isinstance(settings.range_deg[0], float)
+
+
+def test_defaults_without_file_and_with_an_empty_one(tmp_path: Path):
+    assert load_settings(Options()) == Options()
+    assert load_settings(Options(steps=9), _write(tmp_path / "a.yaml", "# nothing\n")) == Options(steps=9)
+
+
+def test_the_command_line_wins_over_the_file(tmp_path: Path):
+    path = _write(tmp_path / "a.yaml", "steps: 5\nfilter: {order: 1, gate: 3}\n")
+    settings = load_settings(Options(), path, {"filter.order": 0, "filter": {"is_robust": True}, "steps": 6})
+    assert settings == Options(steps=6, filter=Filter(order=0, gate=3.0, is_robust=True))
+    assert load_settings(settings, None, {"filter.gate": None}).filter.gate is None
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("stepz: 5", r"a.yaml: unknown key stepz \(did you mean steps\?\); allowed: space, steps, range_deg"),
+        ("filter: {ordr: 1}", r"a.yaml: unknown key filter.ordr \(did you mean order\?\); allowed: order, noise_px"),
+        ("steps: 1.5", "a.yaml: steps: expected a whole number, got 1.5"),
+        ("steps: true", "a.yaml: steps: expected a whole number, got True"),
+        ("filter: {is_robust: 1}", "a.yaml: filter.is_robust: expected true or false, got 1"),
+        ("filter: {order: 7}", "a.yaml: filter.order: expected one of 0, 1, 2, got 7"),
+        ("filter: {order: true}", "a.yaml: filter.order: expected one of 0, 1, 2, got True"),
+        ("filter: {noise_px: -1}", "a.yaml: filter.noise_px: expected more than 0, got -1"),
+        ("filter: {noise_px: much}", "a.yaml: filter.noise_px: expected a number, got 'much'"),
+        ("filter: {gate: [1]}", "a.yaml: filter.gate: expected a number, got"),
+        ("filter: 3", "a.yaml: filter: expected keys among order, noise_px, is_robust, gate, got 3"),
+        ("filter:", "a.yaml: filter: expected keys among order"),
+        ("range_deg: [1, 2, 3]", "a.yaml: range_deg: expected 2 values, got 3"),
+        ("range_deg: [1, x]", r"a.yaml: range_deg\[1\]: expected a number, got 'x'"),
+        ("range_deg: 4", "a.yaml: range_deg: expected a list, got 4"),
+        ("weights: {edge: x}", "a.yaml: weights.edge: expected a number, got 'x'"),
+        ("space: 5", "a.yaml: space: expected a text, got 5"),
+        ("- 1", r"a.yaml: expected keys with values, got \[1\]"),
+        ("steps: 5\nfilter: {order: 1", "a.yaml, line [23]: is no valid YAML"),
+        ("steps: 5\nspace: a\nsteps: 6", "a.yaml, line 3: is no valid YAML .key 'steps' is given twice"),
+    ],
+)
+def test_mistakes_name_the_file_and_the_key(tmp_path: Path, text: str, message: str):
+    with pytest.raises(InputError, match=message) as caught:
+        load_settings(Options(), _write(tmp_path / "a.yaml", text))
+    assert "\n" not in str(caught.value)
+
+
+def test_mistakes_on_the_command_line():
+    with pytest.raises(InputError, match=r"command line: filter.noise_px: expected more than 0, got 0"):
+        load_settings(Options(), None, {"filter.noise_px": 0})
+    with pytest.raises(InputError, match=r"command line: unknown key filter.x"):
+        load_settings(Options(), None, {"filter.x": 0})
+
+
+def test_files_that_cannot_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    with pytest.raises(InputError, match=r"gone.yaml: no such file"):
+        load_settings(Options(), tmp_path / "gone.yaml")
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00\x80")
+    with pytest.raises(InputError, match="expected a YAML text file in UTF-8"):
+        load_settings(Options(), tmp_path / "binary.yaml")
+
+    def refuse(*_: Any, **__: Any) -> str:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "read_text", refuse)
+    with pytest.raises(InputError, match=r"secret.yaml: cannot be read \(Permission denied\)"):
+        load_settings(Options(), tmp_path / "secret.yaml")
+
+
+def test_saved_settings_are_complete_and_load_again(tmp_path: Path):
+    settings = Options(background=Path("a.png"), weights={"edge": 0.5}, filter=Filter(order=0, noise_px=1e-7))
+    save_settings(settings, tmp_path / "config.yaml", {"seed": 3, "input": Path("wave.mov"), "start_points": (1, 2.5)})
+    stored = yaml.safe_load((tmp_path / "config.yaml").read_text())
+    assert stored.pop("run") == {"torchhand": __version__, "seed": 3, "input": "wave.mov", "start_points": [1, 2.5]}
+    assert list(stored) == ["space", "steps", "range_deg", "fingers", "background", "weights", "filter"]
+    assert stored["filter"] == {"order": 0, "noise_px": 1e-7, "is_robust": False, "gate": None}
+    assert load_settings(Options(), tmp_path / "config.yaml") == settings
+
+
+def test_named_configurations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    shipped = tmp_path / "shipped"
+    shipped.mkdir()
+    for name in ("contour_planar", "contour_full"):
+        (shipped / f"{name}.yaml").write_text("")
+    monkeypatch.setattr(locations, "configs_dir", lambda: shipped)
+    monkeypatch.chdir(tmp_path)
+    for name in ("contour_planar", "contour_planar.yaml", "configs/contour_planar.yaml"):
+        assert find_config(name) == shipped / "contour_planar.yaml"
+    own = _write(tmp_path / "contour_planar.yaml", "steps: 1")
+    assert find_config("contour_planar.yaml").resolve() == own
+    for name in ("contour_planer", "elsewhere/contour_planar.yaml"):
+        with pytest.raises(
+            InputError, match="no such configuration; expected a YAML file or one of contour_full, contour_planar"
+        ):
+            find_config(name)
+
+
+def test_shipped_folders_are_found_in_the_package_before_the_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    package = tmp_path / "torchhand"
+    package.mkdir()
+    monkeypatch.setattr(locations, "_PACKAGE", package)
+    assert (models_dir(), configs_dir()) == (tmp_path / "models", tmp_path / "configs")
+    (package / "models").mkdir()
+    assert (models_dir(), configs_dir()) == (package / "models", tmp_path / "configs")

@@ -1,0 +1,55 @@
+"""Joint colour histograms."""
+
+import pytest
+import torch
+
+from torchhand.image import foreground_probability, learn_colours
+from torchhand.image.colours import foreground_probability_torch
+
+
+def clutter(generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
+    """Random patches of every colour, and a block of one colour of varying brightness."""
+    patches = torch.randint(0, 256, (12, 16, 3), generator=generator, dtype=torch.uint8)
+    image = patches.repeat_interleave(8, 0).repeat_interleave(8, 1)
+    mask = torch.zeros(96, 128, dtype=torch.bool)
+    mask[20:80, 40:90] = True
+    shade = torch.rand(96, 128, 1, generator=generator) * 0.2 + 0.8
+    image = torch.where(mask[..., None], (torch.tensor([210.0, 150.0, 120.0]) * shade).to(torch.uint8), image)
+    return image, mask
+
+
+def test_inside_stands_out_of_clutter(generator: torch.Generator) -> None:
+    image, mask = clutter(generator)
+    inside, outside = mask.clone(), ~mask
+    inside[:, :60] = False  # only half of it is known, and nothing of the right part of the surroundings
+    outside[:, 100:] = False
+    probability = foreground_probability(image, learn_colours(image, inside, outside))
+    assert float((probability[mask] > 0.5).float().mean()) > 0.98
+    assert float((probability[~mask] > 0.5).float().mean()) < 0.1
+
+
+def test_fast_and_plain_look_up_agree(generator: torch.Generator) -> None:
+    image, mask = clutter(generator)
+    noise = torch.randint(0, 256, (50, 60, 3), generator=generator, dtype=torch.uint8)
+    for bins in (16, 32):
+        model = learn_colours(image, mask, ~mask, bins=bins)
+        for picture in (image, noise):
+            assert torch.equal(foreground_probability(picture, model), foreground_probability_torch(picture, model))
+
+
+def test_class_areas_do_not_matter() -> None:
+    image = torch.zeros(20, 100, 3, dtype=torch.uint8)
+    mask = torch.zeros(20, 100, dtype=torch.bool)
+    mask[:, :10] = True
+    image[:, 5:55] = 200  # half of each class
+    probability = foreground_probability(image, learn_colours(image, mask, ~mask, smoothing_bins=0.0))
+    assert probability.tolist()[0][0] == pytest.approx(0.5, abs=0.01)
+    assert probability.tolist()[0][99] == pytest.approx(0.5, abs=0.01)
+
+
+def test_empty_sets_are_refused(generator: torch.Generator) -> None:
+    image, mask = clutter(generator)
+    with pytest.raises(ValueError, match="at least one inside pixel"):
+        learn_colours(image, torch.zeros_like(mask), mask)
+    with pytest.raises(ValueError, match="at least one outside pixel"):
+        learn_colours(image, mask, torch.zeros_like(mask))

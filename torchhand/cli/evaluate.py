@@ -1,0 +1,127 @@
+"""Measure a tracked sequence against its truth, print the errors and save them as evaluation.json."""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from tyro.conf import Positional, arg
+
+from torchhand.cli.command import DONE, command, parse
+from torchhand.errors import InputError
+from torchhand.files.results import load_track
+from torchhand.files.safe_write import write_text
+from torchhand.study import evaluate, load_mask, load_truth, numbered_pictures
+
+TABLE = (
+    ("position_mm", "frame", "joint position (camera or world frame)", "mm"),
+    ("position_mm", "root_relative", "joint position (relative to the wrist)", "mm"),
+    ("position_mm", "aligned", "joint position (similarity-aligned, PA)", "mm"),
+)
+"""Rows that have a mean, a median and a largest value."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Measure a tracked sequence against its truth, print the errors and save them.
+
+    Example:
+        torchhand evaluate out/planar_open data/synthetic/planar_open
+    """
+
+    directory: Annotated[Positional[Path], arg(metavar="DIR")]
+    """Result folder of `torchhand track`; silhouettes are judged if it has masks/, one picture per frame number."""
+    truth: Annotated[Positional[Path], arg(metavar="TRUTH")]
+    """Folder with truth.npz (keypoints3d, keypoints2d, flexion_deg; any may be missing) and masks/, or the file."""
+    out: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Where the figures go; DIR/evaluation.json if not given."""
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> int:
+    """Judge one result folder."""
+    arguments = parse(Arguments, argv, name="evaluate")
+    if not arguments.directory.is_dir():
+        raise InputError(f"{arguments.directory}: expected the result folder of `torchhand track`; there is none")
+    truth = load_truth(arguments.truth)
+    track = load_track(arguments.directory)
+    masks = numbered_pictures(arguments.directory / "masks")
+    figures = evaluate(track, truth, lambda number: load_mask(masks[number]) if number in masks else None)
+    print(table(figures))
+    out = arguments.out or arguments.directory / "evaluation.json"
+    write_text(out, json.dumps(_without_nan(figures), indent=2) + "\n")
+    print(f"saved {out}")
+    return DONE
+
+
+def table(figures: dict[str, Any]) -> str:
+    """The figures as text, one line each; what could not be judged is missing."""
+    lines: list[tuple[str, str]] = []
+    tracking = figures["tracking"]
+    of_truth = "" if tracking["frames_of_truth"] is None else f" (the truth has {tracking['frames_of_truth']})"
+    lines.append(("frames followed", f"{tracking['followed']} of {tracking['frames']}{of_truth}"))
+    until_loss = tracking["frames_until_first_loss"]
+    lines.append(("frames until first loss", "never lost" if until_loss is None else f"{until_loss}"))
+    if tracking["losses"]:
+        recovered = tracking["frames_to_recover"]
+        lengths = ", ".join(str(length) for length in recovered) or "none recovered"
+        lines.append(("losses, frames to recover", f"{tracking['losses']}: {lengths}"))
+    if "share_largest_error_below_20mm" in tracking:
+        lines.append(("frames with every joint within 20 mm", f"{tracking['share_largest_error_below_20mm']:.1%}"))
+        share = tracking["share_largest_root_relative_error_below_20mm"]
+        lines.append(("the same, relative to the wrist", f"{share:.1%}"))
+    for section, key, label, unit in TABLE:
+        if section in figures:
+            lines.append((label, _three(figures[section][key], unit)))
+    if "position_2d_px" in figures:
+        lines.append(("joint position in the picture", _three(figures["position_2d_px"], "px")))
+    if "planar_motion" in figures:
+        lines += _planar_lines(figures["planar_motion"])
+    if "flexion_deg" in figures:
+        angles = figures["flexion_deg"]
+        lines.append(
+            ("flexion, each joint's offset removed", f"mean {angles['mean']:.2f}°, raw {angles['raw_mean']:.2f}°")
+        )
+    if "silhouette" in figures:
+        overlap = figures["silhouette"]
+        text = f"median {overlap['median_iou']:.3f}, smallest {overlap['smallest_iou']:.3f}"
+        lines.append((f"silhouette IoU in {overlap['frames']} frames", text))
+    if "uncertainty" in figures:
+        honesty = figures["uncertainty"]
+        text = f"{honesty['share_inside']:.1%}, mean per dof {honesty['mean_per_dof']:.2f} (honest: 95 % and 1)"
+        lines.append(("NEES inside its 95 % band", text))
+    if "speed" in figures:
+        lines.append(("compute time per frame", f"median {figures['speed']['median_ms_per_frame']:.2f} ms"))
+    width = max(len(label) for label, _ in lines)
+    return "\n".join(f"{label:<{width}}  {text}" for label, text in lines)
+
+
+def _planar_lines(motion: dict[str, Any]) -> list[tuple[str, str]]:
+    since = f"since frame {motion['reference_frame']}"
+    rotation = f"RMS {motion['rotation_rms_deg']:.3f}°, largest {motion['rotation_largest_deg']:.3f}°"
+    displacement = f"RMS {motion['displacement_rms_px']:.3f} px, largest {motion['displacement_largest_px']:.3f} px"
+    with_scale = (
+        f"displacement RMS {motion['displacement_with_scale_rms_px']:.3f} px, "
+        f"scale RMS {motion['scale_rms_percent']:.2f} % "
+        f"(the truth scales by up to {motion['true_scale_largest_change_percent']:.1f} %)"
+    )
+    return [
+        (f"planar rotation {since}", rotation),
+        (f"planar displacement {since}", displacement),
+        ("the same as a similarity", with_scale),
+    ]
+
+
+def _three(summary: dict[str, float], unit: str) -> str:
+    return f"mean {summary['mean']:.2f}, median {summary['median']:.2f}, largest {summary['largest']:.2f} {unit}"
+
+
+def _without_nan(value: Any) -> Any:
+    """JSON has no NaN: null."""
+    if isinstance(value, dict):
+        return {key: _without_nan(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

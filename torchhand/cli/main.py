@@ -1,0 +1,76 @@
+"""`torchhand NAME ...`: find the command NAME and run it.
+
+A command is a file of this package with a function `main(argv: list[str] | None = None) -> int`; the first line of the
+file's docstring is its line in `torchhand --help`. The files are only read for that, never imported, so that the list
+appears without loading torch.
+"""
+
+import ast
+import difflib
+import importlib
+import pkgutil
+import sys
+from collections.abc import Sequence
+from importlib.util import find_spec
+
+import torchhand
+from torchhand import cli
+
+USAGE = """usage: torchhand COMMAND [ARGUMENTS]
+
+{description}
+
+commands:
+{commands}
+
+`torchhand COMMAND --help` explains one command, with an example."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code: 0 done, 2 the user's input is wrong, 130 stopped by Ctrl-C."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
+        print(_usage(), file=sys.stdout if arguments else sys.stderr)
+        return 0 if arguments else 2
+    if arguments[0] == "--version":
+        print(f"torchhand {torchhand.__version__}")
+        return 0
+    commands = command_descriptions()
+    name = arguments[0].replace("-", "_")
+    if name not in commands:
+        near = difflib.get_close_matches(name, commands, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"allowed: {', '.join(commands)}"
+        print(f"torchhand: error: unknown command {arguments[0]!r}; {hint}", file=sys.stderr)
+        return 2
+    try:
+        module = importlib.import_module(f"{cli.__name__}.{name}")
+    except KeyboardInterrupt:  # loading torch takes seconds: long enough to change one's mind
+        print(f"torchhand {name}: stopped by Ctrl-C", file=sys.stderr)
+        return 130
+    return module.main(arguments[1:])
+
+
+def command_descriptions() -> dict[str, str]:
+    """Names of the commands, sorted, with one line on each, without importing any of them."""
+    descriptions = {}
+    for module in pkgutil.iter_modules(cli.__path__):
+        if module.name in ("main", "__main__"):
+            continue
+        tree = ast.parse(_source(f"{cli.__name__}.{module.name}"))
+        if any(isinstance(node, ast.FunctionDef) and node.name == "main" for node in tree.body):
+            docstring = ast.get_docstring(tree) or ""
+            descriptions[module.name] = docstring.partition("\n")[0].strip()
+    return dict(sorted(descriptions.items()))
+
+
+def _source(module_name: str) -> str:
+    loader = getattr(find_spec(module_name), "loader", None)
+    return (loader.get_source(module_name) if loader else None) or ""
+
+
+def _usage() -> str:
+    commands = command_descriptions()
+    width = max((len(name) for name in commands), default=0)
+    lines = [f"  {name:<{width}}  {description}" for name, description in commands.items()]
+    description = (torchhand.__doc__ or "").partition("\n")[0]
+    return USAGE.format(description=description, commands="\n".join(lines))

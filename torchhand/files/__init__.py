@@ -1,0 +1,44 @@
+"""Everything that touches a disk or a camera device: pictures in, calibrations, settings, results, hand models."""
+
+from torchhand.files.cameras import camera_entry, camera_for, load_cameras, save_cameras
+from torchhand.files.frames import Frame, FrameSource, open_source, sequences_of
+from torchhand.files.hand_file import FittedHand, load_hand, save_hand
+from torchhand.files.hand_model import HandModel, load_hand_model
+from torchhand.files.locations import configs_dir, find_config, models_dir
+from torchhand.files.pictures import read_picture
+from torchhand.files.results import ResumePoint, TrackWriter, check_output_folder
+from torchhand.files.settings import load_settings, save_settings
+from torchhand.files.track_file import load_track
+from torchhand.files.track_record import FrameRecord, Track, TrackHeader
+from torchhand.files.video_writer import VideoWriter, write_video
+
+__all__ = [
+    "FittedHand",
+    "Frame",
+    "FrameRecord",
+    "FrameSource",
+    "HandModel",
+    "ResumePoint",
+    "Track",
+    "TrackHeader",
+    "TrackWriter",
+    "VideoWriter",
+    "camera_entry",
+    "camera_for",
+    "check_output_folder",
+    "configs_dir",
+    "find_config",
+    "load_cameras",
+    "load_hand",
+    "load_hand_model",
+    "load_settings",
+    "load_track",
+    "models_dir",
+    "open_source",
+    "read_picture",
+    "save_cameras",
+    "save_hand",
+    "save_settings",
+    "sequences_of",
+    "write_video",
+]

@@ -1,0 +1,61 @@
+"""A model folder (models/generic_hand) parsed once into records."""
+
+import json
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import torch
+
+from torchhand.errors import InputError
+from torchhand.files.locations import models_dir
+from torchhand.files.urdf import read_skeleton
+from torchhand.hand import HandKinematics, ShapeSpace, Side, Skeleton
+
+_FIELDS = ("default", "lower", "upper", "std")
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandModel:
+    """What a model folder holds."""
+
+    name: str
+    skeleton: Skeleton
+    shape_space: ShapeSpace
+
+    def kinematics(self, side: Side = "right", *, dtype: torch.dtype = torch.float32) -> HandKinematics:
+        """A kinematics module of this hand in the given precision."""
+        space = self.shape_space.to(dtype=dtype)
+        return HandKinematics(self.skeleton, space, side).to(dtype)
+
+
+@lru_cache(maxsize=8)
+def load_hand_model(name: str = "generic_hand") -> HandModel:
+    """The model of that name among those shipped, or of a folder given by path; float64 records.
+
+    Raises InputError naming the file and what it lacks.
+    """
+    folder = Path(name) if Path(name).is_dir() else models_dir() / name
+    if not folder.is_dir():
+        known = ", ".join(sorted(entry.name for entry in models_dir().iterdir() if entry.is_dir()))
+        raise InputError(f"hand model: expected a folder or one of {known}, got {name!r}")
+    return HandModel(
+        name=folder.name, skeleton=read_skeleton(folder / "hand.urdf"), shape_space=read_shape_space(folder / "shape.json")
+    )
+
+
+def read_shape_space(path: Path) -> ShapeSpace:
+    """The shape parameters of a model folder, float64."""
+    try:
+        table = json.loads(path.read_text(encoding="utf-8"))["parameters"]
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: expected JSON with a list 'parameters' ({error})") from error
+    columns = {}
+    for field in _FIELDS:
+        missing = [row.get("name", "?") for row in table if not isinstance(row.get(field), int | float)]
+        if missing:
+            raise InputError(f"{path}: parameter {missing[0]!r} lacks a number {field!r}")
+        columns[field] = torch.tensor([row[field] for row in table], dtype=torch.float64)
+    return ShapeSpace(names=tuple(row["name"] for row in table), units=tuple(row["unit"] for row in table), **columns)

@@ -1,0 +1,203 @@
+"""Settings: dataclasses with defaults in Python, differences in YAML, single fields on the command line."""
+
+import dataclasses
+import types
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+
+from torchhand import __version__
+from torchhand.errors import InputError
+from torchhand.files.json_checks import short, suggestion
+from torchhand.files.safe_write import write_text
+
+Settings = TypeVar("Settings")
+
+RUN_KEY = "run"
+"""Top-level key of a saved file that tells how it was made; skipped when such a file is loaded again."""
+COMMAND_LINE = "command line"
+
+
+def load_settings(
+    defaults: Settings, path: str | Path | None = None, overrides: Mapping[str, Any] | None = None
+) -> Settings:
+    """The defaults with the differences of a YAML file, and then of `overrides`.
+
+    `defaults` is an instance of a dataclass, which may hold others. Overrides are nested mappings or dotted names, such
+    as {"filter.order": 2}. A file that `save_settings` wrote loads as well.
+
+    Raises InputError naming the file (or the command line) and the key: syntax, unknown key, wrong type, impossible
+    value.
+    """
+    settings = defaults
+    if path is not None:
+        differences = _read_yaml(Path(path))
+        differences.pop(RUN_KEY, None)
+        settings = _changed(settings, differences, str(path), "")
+    if overrides:
+        settings = _changed(settings, _nested(overrides), COMMAND_LINE, "")
+    return settings
+
+
+def save_settings(settings: Any, path: str | Path, extra: Mapping[str, Any] | None = None) -> None:
+    """Write every field, resolved, and under `run` the version and what else the caller knows (seed, input ...)."""
+    content = _plain(settings)
+    if RUN_KEY in content:
+        raise ValueError(f"settings: the field name {RUN_KEY!r} is reserved")
+    content[RUN_KEY] = {"torchhand": __version__, **_plain(dict(extra or {}))}
+    write_text(Path(path), yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML that refuses a key given twice."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key_node, _ in node.value:
+            key = str(getattr(key_node, "value", ""))
+            if key in seen:
+                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} is given twice", key_node.start_mark)
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected a YAML text file in UTF-8, got something else") from error
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f", line {mark.line + 1}" if mark else ""
+        raise InputError(f"{path}{line}: is no valid YAML ({getattr(error, 'problem', None) or error})") from error
+    if content is None:
+        return {}
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: expected keys with values, got {short(content)}")
+    return content
+
+
+def _nested(overrides: Mapping[str, Any]) -> dict[str, Any]:
+    nested: dict[str, Any] = {}
+    for key, value in overrides.items():
+        *parents, last = key.split(".")
+        level = nested
+        for parent in parents:
+            level = level.setdefault(parent, {})
+        if isinstance(value, Mapping) and isinstance(level.get(last), dict):
+            level[last].update(_nested(value))
+        else:
+            level[last] = _nested(value) if isinstance(value, Mapping) else value
+    return nested
+
+
+def _changed(settings: Any, differences: Any, source: str, prefix: str) -> Any:
+    """A copy of a dataclass instance with some fields changed; `prefix` is the dotted path to it, for messages."""
+    if not isinstance(differences, dict):
+        fields = ", ".join(field.name for field in dataclasses.fields(settings))
+        raise InputError(f"{source}: {prefix[:-1]}: expected keys among {fields}, got {short(differences)}")
+    hints = typing.get_type_hints(type(settings))
+    allowed = [field.name for field in dataclasses.fields(settings) if field.init]
+    changes = {}
+    for key, value in differences.items():
+        if key not in allowed:
+            hint = suggestion(str(key), allowed)
+            raise InputError(f"{source}: unknown key {prefix}{key}{hint}; allowed: {', '.join(allowed)}")
+        current = getattr(settings, key)
+        may_be_none = type(None) in typing.get_args(hints[key])
+        if dataclasses.is_dataclass(current) and not (value is None and may_be_none):
+            changes[key] = _changed(current, value, source, f"{prefix}{key}.")
+        else:
+            changes[key] = _converted(f"{source}: {prefix}{key}", value, hints[key])
+    try:
+        return dataclasses.replace(settings, **changes)
+    except ValueError as error:
+        raise InputError(f"{source}: {prefix}{error}") from error
+
+
+def _converted(where: str, value: Any, hint: Any) -> Any:
+    """`value`, as YAML gives it, as the annotated type; InputError where it does not fit."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if hint is Any:
+        return value
+    if origin is typing.Literal:
+        if not any(value == choice and type(value) is type(choice) for choice in arguments):
+            raise InputError(f"{where}: expected one of {', '.join(map(str, arguments))}, got {short(value)}")
+        return value
+    if origin in (typing.Union, types.UnionType):
+        return _converted_union(where, value, arguments)
+    if origin in (tuple, list) and isinstance(value, list | tuple):
+        is_fixed = origin is tuple and arguments[-1:] != (...,)
+        if is_fixed and len(value) != len(arguments):
+            raise InputError(f"{where}: expected {len(arguments)} values, got {len(value)}")
+        kinds = arguments if is_fixed else [arguments[0]] * len(value)
+        pairs = enumerate(zip(value, kinds, strict=True))
+        return origin(_converted(f"{where}[{i}]", item, kind) for i, (item, kind) in pairs)
+    if origin in (dict, Mapping) and isinstance(value, dict):
+        return {str(key): _converted(f"{where}.{key}", item, arguments[1]) for key, item in value.items()}
+    return _converted_plain(where, value, hint)
+
+
+def _converted_union(where: str, value: Any, kinds: tuple[Any, ...]) -> Any:
+    if value is None and type(None) in kinds:
+        return None
+    complaints = []
+    for kind in kinds:
+        if kind is type(None):
+            continue
+        try:
+            return _converted(where, value, kind)
+        except InputError as complaint:
+            complaints.append(str(complaint))
+    raise InputError(complaints[0] if len(complaints) == 1 else _mismatch(where, value, kinds))
+
+
+def _converted_plain(where: str, value: Any, hint: Any) -> Any:
+    if hint is float and isinstance(value, int | float | str) and not isinstance(value, bool):
+        try:
+            return float(value)  # YAML reads 1e-3 as text
+        except (ValueError, OverflowError):
+            pass
+    elif hint is Path and isinstance(value, str):
+        return Path(value)
+    elif isinstance(hint, type) and type(value) is hint:
+        return value
+    raise InputError(_mismatch(where, value, (hint,)))
+
+
+_WORDS = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "a text",
+    Path: "a path",
+    tuple: "a list",
+    list: "a list",
+    dict: "keys with values",
+    type(None): "nothing (null)",
+}
+
+
+def _mismatch(where: str, value: Any, kinds: tuple[Any, ...]) -> str:
+    words = [_WORDS.get(typing.get_origin(kind) or kind, str(kind)) for kind in kinds]
+    return f"{where}: expected {' or '.join(words)}, got {short(value)}"
+
+
+def _plain(value: Any) -> Any:
+    """The value as YAML's safe types."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return str(value)

@@ -1,0 +1,170 @@
+"""What tracking found: one `FrameRecord` per frame while it runs, one `Track` of arrays afterwards."""
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float, Float64, Int, Shaped
+
+STATUSES = ("tracked", "lost", "recovered", "no_hand")
+EMPTY_STATUSES = ("lost", "no_hand")
+"""Frames of these hold NaN."""
+Status = Literal["tracked", "lost", "recovered", "no_hand"]
+
+TRACK_FORMAT = "torchhand track 1"
+ARRAY_FIELDS = ("pose", "pose_std", "keypoints3d", "keypoints2d", "keypoints3d_cov")
+UNITS = "metres, radians, seconds; keypoints2d px"
+CONVENTION = (
+    "camera frame of OpenCV: x right, y down, z forward; the centre of the first pixel is (0, 0); root rotation is a"
+    " rotation vector; flexion is positive; keypoints: wrist, then thumb, index, middle, ring, little from base to tip"
+)
+_KEYPOINTS = 21
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackHeader:
+    """What holds for all frames of a track; a run is resumed only with an equal header."""
+
+    dof_names: tuple[str, ...]
+    source: str
+    """The input as the user named it."""
+    side: str
+    """left or right"""
+    camera: Mapping[str, Any]
+    """What identifies the camera: name, size, numbers, whether it was assumed. Values that JSON knows."""
+    units: str = UNITS
+    convention: str = CONVENTION
+    made_with: Mapping[str, Any] = field(default_factory=dict)
+    """Version, seed, settings, start: whatever changes the result. Values that JSON knows."""
+
+    def as_json(self) -> dict[str, Any]:
+        """The first line of track.jsonl, as it reads back."""
+        return json.loads(json.dumps({"format": TRACK_FORMAT, **vars(self)}, default=str))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameRecord:
+    """The estimate of one frame."""
+
+    frame: int
+    """Index in the source, from 0."""
+    status: Status
+    pose: Float[np.ndarray, "dofs"]
+    """DOFs in the order of the header's dof_names, metres and radians."""
+    pose_std: Float[np.ndarray, "dofs"]
+    """Standard deviation of each DOF."""
+    keypoints3d: Float[np.ndarray, "21 3"]
+    """Metres, camera frame (world frame for several cameras)."""
+    keypoints2d: Float[np.ndarray, "21 2"] | None
+    """px; None for several cameras."""
+    keypoints3d_cov: Float[np.ndarray, "21 3 3"]
+    """m²"""
+    seconds: float
+    """Compute time of the frame."""
+
+    def __post_init__(self) -> None:
+        if self.status not in STATUSES:
+            raise ValueError(f"status: expected one of {', '.join(STATUSES)}, got {self.status!r}")
+        if self.status in EMPTY_STATUSES:
+            arrays = {name: getattr(self, name) for name in ARRAY_FIELDS}
+            stale = [name for name, array in arrays.items() if array is not None and np.isfinite(array).any()]
+            if stale:
+                raise ValueError(f"{', '.join(stale)}: expected NaN in a frame that is {self.status}, got numbers")
+
+    @classmethod
+    def empty(
+        cls, frame: int, status: Status, *, dofs: int, seconds: float, has_keypoints2d: bool = True
+    ) -> "FrameRecord":
+        """The record of a frame without an estimate: all NaN."""
+        nan = math.nan
+        return cls(
+            frame=frame,
+            status=status,
+            pose=np.full(dofs, nan),
+            pose_std=np.full(dofs, nan),
+            keypoints3d=np.full((_KEYPOINTS, 3), nan),
+            keypoints2d=np.full((_KEYPOINTS, 2), nan) if has_keypoints2d else None,
+            keypoints3d_cov=np.full((_KEYPOINTS, 3, 3), nan),
+            seconds=seconds,
+        )
+
+    def as_json(self) -> str:
+        """One line of strict JSON without its end: numbers exact to the last bit, whatever is not finite as null."""
+        content: dict[str, Any] = {"frame": self.frame, "status": self.status, "seconds": self.seconds}
+        for name in ARRAY_FIELDS:
+            content[name] = _nested(getattr(self, name))
+        return json.dumps(content, allow_nan=False, separators=(",", ":"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Track:
+    """A tracked sequence, frame by frame along the first axis; also what track.npz holds under the same names."""
+
+    frame: Int[np.ndarray, " t"]
+    status: Shaped[np.ndarray, " t"]
+    """tracked, lost, recovered or no_hand"""
+    pose: Float64[np.ndarray, "t dofs"]
+    pose_std: Float64[np.ndarray, "t dofs"]
+    keypoints3d: Float64[np.ndarray, "t 21 3"]
+    keypoints2d: Float64[np.ndarray, "t 21 2"] | None
+    keypoints3d_cov: Float64[np.ndarray, "t 21 3 3"]
+    seconds: Float64[np.ndarray, " t"]
+    dof_names: tuple[str, ...]
+    units: str
+    convention: str
+    header: Mapping[str, Any]
+    """The first line of track.jsonl."""
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """What track.npz holds."""
+        arrays = {name: getattr(self, name) for name in ("frame", "status", *ARRAY_FIELDS, "seconds")}
+        arrays |= {"dof_names": np.array(self.dof_names), "units": np.array(self.units)}
+        arrays |= {"convention": np.array(self.convention), "header": np.array(json.dumps(self.header))}
+        return {name: array for name, array in arrays.items() if array is not None}
+
+
+def track_of(header: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> Track:
+    """The track of a header and of frames as they stand in track.jsonl.
+
+    Raises ValueError, KeyError or TypeError where they do not have that form.
+    """
+    dof_names = tuple(header["dof_names"])
+    shapes = {"pose": (len(dof_names),), "pose_std": (len(dof_names),), "keypoints3d": (_KEYPOINTS, 3)}
+    shapes |= {"keypoints2d": (_KEYPOINTS, 2), "keypoints3d_cov": (_KEYPOINTS, 3, 3)}
+    columns: dict[str, list[Any]] = {name: [] for name in ("frame", "status", "seconds", *ARRAY_FIELDS)}
+    for row in rows:
+        for name, column in columns.items():
+            # np.float64 of None is NaN; arrays are made row by row because they are far smaller than lists of numbers.
+            is_array = name in ARRAY_FIELDS and row[name] is not None
+            column.append(np.asarray(row[name], dtype=np.float64).reshape(shapes[name]) if is_array else row[name])
+    has_keypoints2d = not any(array is None for array in columns["keypoints2d"])
+    arrays: dict[str, Any] = {
+        name: np.stack(columns[name]) if columns[name] else np.empty((0, *shape))
+        for name, shape in shapes.items()
+        if name != "keypoints2d" or has_keypoints2d
+    }
+    return Track(
+        frame=np.array(columns["frame"], dtype=np.int64),
+        status=np.array(columns["status"], dtype="<U16"),
+        seconds=np.array(columns["seconds"], dtype=np.float64),
+        dof_names=dof_names,
+        units=header["units"],
+        convention=header["convention"],
+        header=header,
+        **{"keypoints2d": None, **arrays},
+    )
+
+
+def _nested(array: np.ndarray | None) -> Any:
+    """Nested lists with None for what is not finite."""
+    if array is None:
+        return None
+    boxed = array.astype(object)
+    boxed[~np.isfinite(array)] = None
+    return boxed.tolist()

@@ -1,0 +1,117 @@
+"""The hand's skeleton as a URDF file, written by `build_hand` and read through pytorch-kinematics."""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytorch_kinematics
+import torch
+from torch import Tensor
+
+from torchhand.errors import InputError
+from torchhand.hand import BONES, FINGERS, JOINT_DOFS, PARENTS, Skeleton
+
+_DIGITS = 12
+
+
+def skeleton_to_urdf(skeleton: Skeleton, name: str) -> str:
+    """The skeleton as URDF text: one revolute joint per angle named as its DOF, links named as the bones.
+
+    The bone's offset and resting rotation stand in the origin of its outermost joint; links between the joints of one bone
+    are called BONE_DOF. Fingertip keypoints are fixed joints.
+    """
+    lines = ['<?xml version="1.0"?>', f'<robot name="{name}">', f'  <link name="{BONES[0]}"/>']
+    for i in range(1, len(BONES)):
+        angles = sorted((j for j in range(len(JOINT_DOFS)) if skeleton.bone[j] == i), key=lambda j: skeleton.order[j])
+        parent = BONES[PARENTS[i]]
+        for place, j in enumerate(angles):
+            child = BONES[i] if place == len(angles) - 1 else f"{BONES[i]}_{JOINT_DOFS[j]}"
+            origin = _origin(skeleton.rest_offset[i], skeleton.rest_rotation[i]) if place == 0 else ""
+            limit = f'lower="{skeleton.lower[j]:.{_DIGITS}f}" upper="{skeleton.upper[j]:.{_DIGITS}f}" effort="0" velocity="0"'
+            lines += [
+                f'  <link name="{child}"/>',
+                f'  <joint name="{JOINT_DOFS[j]}" type="revolute">',
+                f'    <parent link="{parent}"/><child link="{child}"/>{origin}',
+                f'    <axis xyz="{_numbers(skeleton.axis[j])}"/><limit {limit}/>',
+                "  </joint>",
+            ]
+            parent = child
+    for finger, bone, offset in zip(FINGERS, _tip_bones(), skeleton.tip_offset, strict=True):
+        lines += [
+            f'  <link name="{finger}_tip"/>',
+            f'  <joint name="{finger}_tip_fixed" type="fixed">',
+            f'    <parent link="{bone}"/><child link="{finger}_tip"/>{_origin(offset, torch.eye(3, dtype=offset.dtype))}',
+            "  </joint>",
+        ]
+    return "\n".join([*lines, "</robot>", ""])
+
+
+def read_skeleton(path: Path) -> Skeleton:
+    """The skeleton of a URDF file with our bone and joint names, float64. Raises InputError for any other robot."""
+    try:
+        # As bytes: the parser refuses text with an encoding declaration.
+        chain = pytorch_kinematics.build_chain_from_urdf(path.read_bytes())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    except Exception as error:  # the parser raises whatever it stumbles over
+        raise InputError(f"{path}: is no URDF file ({error})") from error
+    frames = {frame.link.name: frame for frame in _walk(chain._root)}
+    joints = {frame.joint.name: frame for frame in frames.values()}
+    missing = [name for name in BONES if name not in frames] + [name for name in JOINT_DOFS if name not in joints]
+    missing += [f"{finger}_tip" for finger in FINGERS if f"{finger}_tip" not in frames]
+    if missing:
+        raise InputError(f"{path}: expected the links and joints of a torchhand hand, lacks {', '.join(missing)}")
+    parents = {child.link.name: frame for frame in frames.values() for child in frame.children}
+    rest_rotation, rest_offset = torch.eye(3, dtype=torch.float64).repeat(len(BONES), 1, 1), torch.zeros(len(BONES), 3, dtype=torch.float64)
+    bone_of, order_of = {}, {}
+    for i in range(1, len(BONES)):
+        own: list[Any] = [frames[BONES[i]]]
+        while parents[own[0].link.name].link.name not in BONES:
+            own.insert(0, parents[own[0].link.name])
+        matrix = own[0].joint.offset.get_matrix()[0].double()
+        rest_rotation[i], rest_offset[i] = _orthonormal(matrix[:3, :3]), matrix[:3, 3]
+        roles = {"aa": 0, "fe": 1, "tw": 2}
+        for frame in own:
+            bone_of[frame.joint.name], order_of[frame.joint.name] = i, roles[frame.joint.name.rsplit("_", 1)[1]]
+    tips = torch.stack([frames[f"{finger}_tip"].joint.offset.get_matrix()[0, :3, 3].double() for finger in FINGERS])
+    limits = torch.tensor([joints[dof].joint.limits for dof in JOINT_DOFS], dtype=torch.float64)
+    return Skeleton(
+        rest_rotation=rest_rotation,
+        rest_offset=rest_offset,
+        tip_offset=tips,
+        axis=torch.stack([joints[dof].joint.axis.double() for dof in JOINT_DOFS]),
+        bone=tuple(bone_of[dof] for dof in JOINT_DOFS),
+        order=tuple(order_of[dof] for dof in JOINT_DOFS),
+        lower=limits[:, 0],
+        upper=limits[:, 1],
+    )
+
+
+def _walk(frame: Any) -> Iterator[Any]:
+    yield frame
+    for child in frame.children:
+        yield from _walk(child)
+
+
+def _tip_bones() -> list[str]:
+    return [f"{finger}_distal" for finger in FINGERS]
+
+
+def _numbers(vector: Tensor) -> str:
+    return " ".join(f"{float(value) + 0.0:.{_DIGITS}f}" for value in vector)
+
+
+def _origin(offset: Tensor, rotation: Tensor) -> str:
+    """URDF's origin element; rpy are rotations about the fixed x, y, z axes in turn."""
+    roll = math.atan2(float(rotation[2, 1]), float(rotation[2, 2]))
+    pitch = math.asin(max(-1.0, min(1.0, -float(rotation[2, 0]))))
+    yaw = math.atan2(float(rotation[1, 0]), float(rotation[0, 0]))
+    rpy = torch.tensor((roll, pitch, yaw), dtype=torch.float64)
+    return f'\n    <origin xyz="{_numbers(offset)}" rpy="{_numbers(rpy)}"/>'
+
+
+def _orthonormal(matrix: Tensor) -> Tensor:
+    """The nearest rotation: the parser rounds to float32."""
+    u, _, vh = torch.linalg.svd(matrix)
+    return u @ vh

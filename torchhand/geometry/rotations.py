@@ -1,0 +1,78 @@
+"""Rotation vectors and matrices: exponential, logarithm, left Jacobian; exact and smooth at zero."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+_SMALL_ANGLE_SQUARED = 1e-8  # below it the series is exact to float64 rounding in its first two terms
+
+
+def skew(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """Matrix of the cross product: skew(a) @ b = a x b."""
+    x, y, z = vector.unbind(-1)
+    zero = torch.zeros_like(x)
+    return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).unflatten(-1, (3, 3))
+
+
+def exponential_coefficients(
+    angle_squared: Float[Tensor, "*batch"],
+) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
+    """sin(a)/a, (1 - cos a)/a², (a - sin a)/a³ of a = sqrt(angle_squared), with finite derivatives at zero.
+
+    exp(v) = I + first [v] + second [v]²; its left Jacobian is I + second [v] + third [v]².
+    """
+    is_small = angle_squared < _SMALL_ANGLE_SQUARED
+    safe = torch.where(is_small, torch.ones_like(angle_squared), angle_squared)
+    angle = safe.sqrt()
+    sine = angle.sin()
+    half_sine = (0.5 * angle).sin()  # 1 - cos a = 2 sin²(a/2) keeps its digits at small angles
+    first = torch.where(is_small, 1 - angle_squared / 6 * (1 - angle_squared / 20), sine / angle)
+    second = torch.where(is_small, 0.5 - angle_squared / 24 * (1 - angle_squared / 30), 2 * half_sine**2 / safe)
+    third = torch.where(is_small, 1 / 6 - angle_squared / 120 * (1 - angle_squared / 42), (angle - sine) / (safe * angle))
+    return first, second, third
+
+
+def rotation_from_vector(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """Rotation by |vector| radians about vector (Rodrigues); smooth everywhere, zero included."""
+    first, second, _ = exponential_coefficients((vector * vector).sum(-1))
+    cross = skew(vector)
+    identity = torch.eye(3, dtype=vector.dtype, device=vector.device)
+    return identity + first[..., None, None] * cross + second[..., None, None] * (cross @ cross)
+
+
+def vector_from_rotation(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
+    """Rotation vector of a rotation matrix, length in [0, π].
+
+    Goes through the unit quaternion of largest component, so it is accurate near π as well; at exactly π the sign of the
+    vector is arbitrary, and the derivative does not exist.
+    """
+    m = rotation
+    trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
+    # Four times the outer product of the quaternion (w, x, y, z) with itself; its rows are multiples of the quaternion.
+    rows = torch.stack(
+        (
+            torch.stack((1 + trace, m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]), -1),
+            torch.stack((m[..., 2, 1] - m[..., 1, 2], 1 + 2 * m[..., 0, 0] - trace, m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0]), -1),
+            torch.stack((m[..., 0, 2] - m[..., 2, 0], m[..., 0, 1] + m[..., 1, 0], 1 + 2 * m[..., 1, 1] - trace, m[..., 1, 2] + m[..., 2, 1]), -1),
+            torch.stack((m[..., 1, 0] - m[..., 0, 1], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1], 1 + 2 * m[..., 2, 2] - trace), -1),
+        ),
+        -2,
+    )
+    best = torch.diagonal(rows, dim1=-2, dim2=-1).argmax(-1)
+    row = torch.take_along_dim(rows, best[..., None, None].expand(*best.shape, 1, 4), -2).squeeze(-2)
+    quaternion = row / row.norm(dim=-1, keepdim=True)
+    quaternion = torch.where(quaternion[..., :1] < 0, -quaternion, quaternion)
+    scalar, vector = quaternion[..., 0], quaternion[..., 1:]
+    sine_squared = (vector * vector).sum(-1)
+    is_small = sine_squared < _SMALL_ANGLE_SQUARED
+    sine = torch.where(is_small, torch.ones_like(sine_squared), sine_squared).sqrt()
+    factor = torch.where(is_small, 2 + sine_squared / 3, 2 * torch.atan2(sine, scalar) / sine)
+    return factor[..., None] * vector
+
+
+def left_jacobian(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """J with exp(v + dv) = exp(J dv) exp(v) to first order."""
+    _, second, third = exponential_coefficients((vector * vector).sum(-1))
+    cross = skew(vector)
+    identity = torch.eye(3, dtype=vector.dtype, device=vector.device)
+    return identity + second[..., None, None] * cross + third[..., None, None] * (cross @ cross)

@@ -1,0 +1,270 @@
+"""The chain of bones as one differentiable step with a closed-form derivative.
+
+Rotations are composed level by level over the five digits, with the batch as the last, contiguous axis. The derivative is the
+geometric one: an angle feels the moment, about its axis, of everything further out, so nothing but the result has to be
+kept. Reverse mode of any order, forward mode and vmap are supported. The specification is a plain loop, in the tests.
+"""
+
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.geometry import exponential_coefficients
+from torchhand.hand.chain_constants import HINGES, ChainConstants
+
+_LEVELS = ((0, 1, 1, 6), (1, 6, 6, 11), (6, 11, 11, 16), (12, 16, 16, 20))
+"""First and last-but-one of the parents, then of the bones of each level; the thumb ends one level early."""
+_THUMB_TIP_LEVER = 15
+_HINGES = len(HINGES)  # hinges are the bones 2 to 5 and 11 to 19, free bones 1 and 6 to 10
+
+
+def place_chain(
+    pose: Float[Tensor, "36 n"],
+    reference: Float[Tensor, "3 3 #n"] | None,
+    levers: Float[Tensor, "24 3 #n"],
+    constants: ChainConstants,
+) -> tuple[Float[Tensor, "20 3 3 n"], Float[Tensor, "20 3 n"], Float[Tensor, "21 3 n"]]:
+    """world_from_bone, origins of the bones and keypoints; the batch stands last.
+
+    reference: world_from_hand = exp(pose[3:6]) · reference. Its gradient is the tangent one: right for a reference that stays
+    a rotation. levers: the offset at the end of every bone in that bone's frame, in the order of LEVER_ENDS.
+    """
+    return _Chain.apply(pose, reference, levers, constants)
+
+
+class _Chain(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        pose: Tensor, reference: Tensor | None, levers: Tensor, constants: ChainConstants
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        # No derivative is recorded in here: results are written where they belong.
+        count = pose.shape[-1]
+        rotation, position = pose.new_empty(20, 3, 3, count), pose.new_empty(20, 3, count)
+        root = _exponential(pose[3:6], constants)
+        rotation[0] = root if reference is None else _compose(root, reference)
+        local = _local_rotations(pose, constants)
+        for first, last, start, stop in _LEVELS:
+            out = rotation[start:stop]
+            columns, rows = rotation[first:last].split(1, 2), local[start - 1 : stop - 1].split(1, 1)
+            torch.mul(columns[0], rows[0], out=out)
+            out.addcmul_(columns[1], rows[1]).addcmul_(columns[2], rows[2])
+        spans = torch.cat((_turn(rotation[:1], levers[:5]), _turn(rotation[1:], levers[5:])))
+        position[0] = pose[:3]
+        for (first, last, start, stop), span in zip(_LEVELS, _by_level(spans), strict=True):
+            torch.add(position[first:last], span, out=position[start:stop])
+        thumb_tip = position[11:12] + spans[_THUMB_TIP_LEVER : _THUMB_TIP_LEVER + 1]
+        points = torch.cat((position, thumb_tip, position[16:] + spans[20:]))
+        return rotation, position, points.index_select(0, constants.keypoint_points)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: tuple) -> None:
+        pose, reference, levers, constants = inputs
+        rotation, position, keypoints = output
+        saved = (pose, reference, levers, rotation, position, keypoints)
+        ctx.save_for_backward(*saved)
+        ctx.save_for_forward(*saved)
+        ctx.constants = constants
+        ctx.set_materialize_grads(False)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, Tensor | None, Tensor | None, None]:
+        """Virtual work: forces on the points and moments on the bones, gathered from the tips to the root."""
+        pose, reference, levers, rotation, position, keypoints = ctx.saved_tensors
+        constants: ChainConstants = ctx.constants
+        of_rotation, of_position, of_keypoints = gradients
+        points = torch.cat((position, keypoints[4:5], keypoints[8::4]))
+        force = _forces(points, of_position, of_keypoints, constants)
+        moment = _cross(points, force)  # about the world's origin
+        if of_rotation is not None:
+            spin = _spin(rotation, of_rotation)
+            moment = torch.cat((moment[:20] + spin, moment[20:]))
+        wrench = torch.cat((force, moment), 1)
+        tips = wrench[20:]
+        fourth = wrench[16:20] + tips[1:]
+        third = wrench[11:16] + torch.cat((tips[:1], fourth))
+        second = wrench[6:11] + third
+        first = wrench[1:6] + second
+        whole = wrench[0] + first.sum(0)
+        borne = torch.cat((first, second, third, fourth))  # by the joint at the origin of each bone
+        of_pose = None
+        if ctx.needs_input_grad[0] or ctx.needs_input_grad[1]:
+            about = borne[:, 3:] - _cross(position[1:], borne[:, :3])
+            of_angles = _angle_work(_turn_back(rotation[1:], about), pose, constants)
+            of_root = whole[3:] - _cross(position[:1], whole[None, :3])[0]
+            vector = pose[3:6]
+            along, second_order, third_order = exponential_coefficients((vector * vector).sum(0))
+            once = _cross(vector[None], of_root[None])[0]
+            twice = _cross(vector[None], once[None])[0]
+            of_vector = of_root - second_order * once + third_order * twice
+            of_pose = torch.cat((whole[:3], of_vector, of_angles))
+        of_reference = None
+        if reference is not None and ctx.needs_input_grad[1]:
+            before = of_root - along * once + second_order * twice  # expᵀ · moment
+            of_reference = 0.5 * torch.stack([_cross(before[None], reference[None, :, j])[0] for j in range(3)], 1)
+            of_reference = _shrunk(of_reference, reference)
+        of_levers = None
+        if ctx.needs_input_grad[2]:
+            pulled = torch.cat((borne[:, :3], tips[:, :3])).index_select(0, constants.lever_ends - 1)
+            of_levers = torch.cat((_turn_back(rotation[:1], pulled[:5]), _turn_back(rotation[1:], pulled[5:])))
+            of_levers = _shrunk(of_levers, levers)
+        return of_pose, of_reference, of_levers, None
+
+    @staticmethod
+    def jvp(ctx: Any, *tangents: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
+        """Velocities gathered from the root to the tips."""
+        pose, reference, levers, rotation, position, keypoints = ctx.saved_tensors
+        constants: ChainConstants = ctx.constants
+        along_pose, along_reference, along_levers = tangents[:3]
+        along_pose = torch.zeros_like(pose) if along_pose is None else along_pose
+        vector, rate = pose[3:6], along_pose[3:6]
+        first_order, second_order, third_order = exponential_coefficients((vector * vector).sum(0))
+        once = _cross(vector[None], rate[None])[0]
+        root_spin = rate + second_order * once + third_order * _cross(vector[None], once[None])[0]
+        if reference is not None and along_reference is not None:
+            own = 0.5 * _spin(reference[None], along_reference[None])[0]
+            turned = _cross(vector[None], own[None])[0]
+            root_spin = root_spin + own + first_order * turned + second_order * _cross(vector[None], turned[None])[0]
+        relative = _turn(rotation[1:], _angle_rates(along_pose, pose, constants))
+        spin = _accumulated(root_spin[None], relative, _LEVELS)
+        spans = torch.cat((_turn(rotation[:1], levers[:5]), _turn(rotation[1:], levers[5:])))
+        velocity = _cross(torch.cat((spin[:1].expand(5, *spin.shape[1:]), spin[1:])), spans)
+        if along_levers is not None:
+            velocity = velocity + torch.cat((_turn(rotation[:1], along_levers[:5]), _turn(rotation[1:], along_levers[5:])))
+        moves = _accumulated(along_pose[None, :3], torch.cat(_by_level(velocity)), _LEVELS)
+        thumb_tip = moves[11:12] + velocity[_THUMB_TIP_LEVER : _THUMB_TIP_LEVER + 1]
+        of_keypoints = torch.cat((moves, thumb_tip, moves[16:] + velocity[20:])).index_select(0, constants.keypoint_points)
+        turning = torch.stack([_cross(spin, rotation[:, :, j]) for j in range(3)], 2)
+        return turning, moves, of_keypoints
+
+    @staticmethod
+    def vmap(
+        info: Any, in_dims: tuple, pose: Tensor, reference: Tensor | None, levers: Tensor, constants: ChainConstants
+    ) -> tuple[tuple[Tensor, Tensor, Tensor], tuple[int, int, int]]:
+        """The mapped dimension joins the batch."""
+        size, count = info.batch_size, pose.shape[-1] if in_dims[0] is None else pose.movedim(in_dims[0], 0).shape[-1]
+
+        def joined(tensor: Tensor, dim: int | None, *, keep_shared: bool) -> Tensor:
+            if dim is None and keep_shared and tensor.shape[-1] == 1:
+                return tensor
+            mapped = tensor[..., None, :] if dim is None else tensor.movedim(dim, -2)
+            return mapped.expand(*mapped.shape[:-2], size, count).flatten(-2)
+
+        flat_pose = joined(pose, in_dims[0], keep_shared=False)
+        flat_reference = None if reference is None else joined(reference, in_dims[1], keep_shared=True)
+        outputs = _Chain.apply(flat_pose, flat_reference, joined(levers, in_dims[2], keep_shared=True), constants)
+        rotation, position, keypoints = (x.unflatten(-1, (size, count)) for x in outputs)
+        return (rotation, position, keypoints), (3, 2, 2)
+
+
+def _by_level(spans: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """The levers that lead to the bones of each level."""
+    return spans[:5], spans[5:10], spans[10:15], spans[16:20]
+
+
+def _accumulated(root: Tensor, steps: Tensor, levels: tuple[tuple[int, int, int, int], ...]) -> Tensor:
+    """Sums of the steps from the root to every bone."""
+    sums = [root]
+    for first, last, start, stop in levels:
+        parents = sums[-1] if last - first == sums[-1].shape[0] else sums[-1][1:]
+        sums.append(parents + steps[start - 1 : stop - 1])
+    return torch.cat(sums)
+
+
+def _exponential(vector: Tensor, constants: ChainConstants) -> Tensor:
+    """rotation_from_vector with the batch last; not differentiable at zero."""
+    turns = (vector * vector).sum(0).sqrt() / torch.pi
+    first, second = torch.sinc(turns), 0.5 * torch.sinc(0.5 * turns).square()
+    products = (second * vector)[:, None] * vector[None]
+    basis = torch.cat((first * vector, products.flatten(0, 1)))
+    return torch.addmm(constants.identity, constants.root_rotation, basis).unflatten(0, (3, 3))
+
+
+def _local_rotations(pose: Tensor, constants: ChainConstants) -> Tensor:
+    """parent_from_bone of every bone but the root: (19, 3, 3, n)."""
+    angles = pose.index_select(0, constants.angles)
+    cosine, sine = angles.cos(), angles.sin()
+    constant, of_cosine, of_sine = constants.hinge_rotation.unbind()
+    hinge = torch.addcmul(constant, of_cosine, cosine[:_HINGES, None])
+    hinge = torch.addcmul(hinge, of_sine, sine[:_HINGES, None])
+    first, second, third = _free_basis(cosine, sine).unbind(1)
+    products = _products(_products(first, second), third)
+    free = torch.bmm(constants.free_rotation, products)
+    return torch.cat((free[:1], hinge[:4], free[1:], hinge[4:])).unflatten(1, (3, 3))
+
+
+def _free_basis(cosine: Tensor, sine: Tensor) -> Tensor:
+    """(1, cos, sin) of the three angles of the free bones: (6, 3, 3, n)."""
+    cosine, sine = cosine[_HINGES:], sine[_HINGES:]
+    return torch.stack((torch.ones_like(cosine), cosine, sine), 1).unflatten(0, (-1, 3))
+
+
+def _products(left: Tensor, right: Tensor) -> Tensor:
+    return (left[:, :, None] * right[:, None]).flatten(1, 2)
+
+
+def _free_axes(pose: Tensor, constants: ChainConstants) -> Tensor:
+    """Axes of the free bones' angles in the bone's frame: (6, 3 angles, 3, n)."""
+    angles = pose.index_select(0, constants.angles)
+    basis = _free_basis(angles.cos(), angles.sin())
+    return torch.bmm(constants.free_axes, _products(basis[:, 1], basis[:, 2])).unflatten(1, (3, 3))
+
+
+def _angle_work(moment: Tensor, pose: Tensor, constants: ChainConstants) -> Tensor:
+    """Components of the moments (19, 3, n), in the bones' frames, about the axes of the thirty angles."""
+    of_hinges = (constants.hinge_axis * torch.cat((moment[1:5], moment[10:]))).sum(1)
+    of_free = (_free_axes(pose, constants) * torch.cat((moment[:1], moment[5:10]))[:, None]).sum(2)
+    return torch.cat((of_hinges, of_free.flatten(0, 1))).index_select(0, constants.angle_rows)
+
+
+def _angle_rates(along_pose: Tensor, pose: Tensor, constants: ChainConstants) -> Tensor:
+    """Angular velocity of every bone relative to its parent, in the bone's frame: (19, 3, n)."""
+    rates = along_pose.index_select(0, constants.angles)
+    hinge = constants.hinge_axis * rates[:_HINGES, None]
+    free = (_free_axes(pose, constants) * rates[_HINGES:].unflatten(0, (-1, 3))[:, :, None]).sum(1)
+    return torch.cat((free[:1], hinge[:4], free[1:], hinge[4:]))
+
+
+def _forces(points: Tensor, of_position: Tensor | None, of_keypoints: Tensor | None, constants: ChainConstants) -> Tensor:
+    if of_keypoints is None:
+        force = torch.zeros_like(points)
+    else:
+        padded = torch.cat((of_keypoints, torch.zeros_like(of_keypoints[:1])))
+        force = padded.index_select(0, constants.point_keypoints)
+    if of_position is None:
+        return force
+    return torch.cat((force[:20] + of_position, force[20:]))
+
+
+def _cross(left: Tensor, right: Tensor) -> Tensor:
+    """Cross product along dimension 1."""
+    (ax, ay, az), (bx, by, bz) = left.unbind(1), right.unbind(1)
+    return torch.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), 1)
+
+
+def _spin(rotation: Tensor, change: Tensor) -> Tensor:
+    """Sum of the cross products of the columns of two matrices (bones, 3, 3, n)."""
+    (x, y, z), (dx, dy, dz) = rotation.unbind(1), change.unbind(1)
+    return torch.stack(((y * dz - z * dy).sum(1), (z * dx - x * dz).sum(1), (x * dy - y * dx).sum(1)), 1)
+
+
+def _compose(left: Tensor, right: Tensor) -> Tensor:
+    """Matrix product of (3, 3, n) with (3, 3, n or 1)."""
+    return (left[:, :, None] * right[None]).sum(1)
+
+
+def _turn(rotation: Tensor, vector: Tensor) -> Tensor:
+    """Matrices (bones, 3, 3, n) times vectors (bones, 3, n or 1)."""
+    columns, parts = rotation.unbind(2), vector.split(1, 1)
+    product = torch.addcmul(columns[0] * parts[0], columns[1], parts[1])
+    return torch.addcmul(product, columns[2], parts[2])
+
+
+def _turn_back(rotation: Tensor, vector: Tensor) -> Tensor:
+    """Transposed matrices times vectors."""
+    return _turn(rotation.transpose(1, 2), vector)
+
+
+def _shrunk(gradient: Tensor, like: Tensor) -> Tensor:
+    return gradient.sum(-1, keepdim=True) if like.shape[-1] == 1 and gradient.shape[-1] != 1 else gradient

@@ -1,0 +1,44 @@
+"""A Cholesky factor that rounding cannot break."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+RELATIVE_JITTERS = (1e-10, 1e-8, 1e-6)  # times the mean absolute diagonal
+RELATIVE_EIGENVALUE_FLOOR = 1e-12  # times the largest eigenvalue
+
+
+def robust_cholesky(matrix: Float[Tensor, "*batch n n"]) -> Float[Tensor, "*batch n n"]:
+    """Lower triangular L with L Lᵀ = matrix, or nearly so where the matrix is not positive definite.
+
+    The symmetric part is factored as it is. Only those matrices of the batch that fail are tried again, with a growing
+    multiple of the identity added and at last with their eigenvalues clipped from below (FACTS section 5.3), so one
+    bad matrix changes no other. A matrix of zeros gives zeros. A matrix with a NaN or an infinity gives NaN: one lost
+    filter of a batch does not stop the others. Differentiable; at a clipped matrix only in directions that keep it so.
+    """
+    symmetric = 0.5 * (matrix + matrix.mT)
+    factor, info = torch.linalg.cholesky_ex(symmetric)
+    if not bool(info.any()):
+        return factor
+    size = matrix.shape[-1]
+    flat = symmetric.reshape(-1, size, size)
+    failed = info.reshape(-1).nonzero().squeeze(-1)
+    repaired = torch.stack([_factor_one(one) for one in flat[failed]])
+    return factor.reshape(-1, size, size).index_copy(0, failed, repaired).reshape(matrix.shape)
+
+
+def _factor_one(symmetric: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
+    """Factor of one matrix that plain Cholesky refused."""
+    if not bool(symmetric.isfinite().all()):
+        return torch.full_like(symmetric, torch.nan)
+    identity = torch.eye(symmetric.shape[-1], dtype=symmetric.dtype, device=symmetric.device)
+    scale = symmetric.diagonal().abs().mean()
+    for jitter in RELATIVE_JITTERS:
+        factor, info = torch.linalg.cholesky_ex(symmetric + jitter * scale * identity)
+        if not bool(info):
+            return factor
+    values, vectors = torch.linalg.eigh(symmetric)
+    largest = values[-1].clamp_min(0.0)
+    root = vectors * torch.maximum(values, RELATIVE_EIGENVALUE_FLOOR * largest).sqrt()
+    upper = torch.linalg.qr(root.mT).R
+    return (upper * torch.where(upper.diagonal() < 0, -1.0, 1.0).unsqueeze(-1)).mT.tril()

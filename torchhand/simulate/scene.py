@@ -1,0 +1,191 @@
+"""Pictures of a moving hand with exact truth: ray-cast, antialiased, blurred and noisy as a camera's are."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import cv2
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from torchhand.geometry import Camera
+from torchhand.hand import HandFrames, HandKinematics, place_primitives
+from torchhand.simulate.backgrounds import BACKGROUNDS, BackgroundKind, background_picture
+from torchhand.simulate.forearm import LENGTH, cast_forearm
+from torchhand.simulate.motion import Motion
+from torchhand.view import HandProjector, Raycast, raycast, shade
+
+SkinTone = Literal["light", "medium", "brown", "dark"]
+SKIN_TONES: dict[SkinTone, tuple[float, float, float]] = {
+    "light": (0.92, 0.71, 0.60),
+    "medium": (0.82, 0.59, 0.46),
+    "brown": (0.61, 0.41, 0.30),
+    "dark": (0.40, 0.26, 0.19),
+}
+"""RGB reflectances."""
+
+_REACH = 0.25  # no point of the hand is further from the box of the keypoints, share of hand length
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneSettings:
+    """How the pictures look."""
+
+    background: BackgroundKind = "plain"
+    """plain, dark, wall or clutter"""
+    skin: SkinTone = "light"
+    """light, medium, brown or dark"""
+    noise: float = 2.0
+    """Standard deviation of the sensor's noise, grey levels of 255."""
+    blur_px: float = 0.0
+    """Standard deviation of the lens's blur, px."""
+    shutter: float = 0.0
+    """Share of the time between two frames in which the shutter is open: motion blur."""
+    shutter_samples: int = 5
+    """Moments averaged while the shutter is open."""
+    supersampling: int = 3
+    """Rays per pixel along each axis."""
+    light: tuple[float, float, float] = (-0.4, -0.6, -0.7)
+    """Direction towards the light, camera axes."""
+    ambient: float = 0.45
+    """Share of the light that comes from everywhere."""
+    forearm: bool = False
+    """A bare forearm of the same colour goes on from the wrist."""
+
+    def __post_init__(self) -> None:
+        for name, allowed in (("background", tuple(BACKGROUNDS)), ("skin", tuple(SKIN_TONES))):
+            if getattr(self, name) not in allowed:
+                raise ValueError(f"{name}: expected one of {', '.join(allowed)}, got {getattr(self, name)!r}")
+        ranges = {"noise": (0, 100), "blur_px": (0, 50), "shutter": (0, 1), "ambient": (0, 1)}
+        ranges |= {"shutter_samples": (2, 64), "supersampling": (1, 8)}
+        for name, (low, high) in ranges.items():
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name}: expected {low} to {high}, got {getattr(self, name)}")
+        if not (all(map(math.isfinite, self.light)) and any(self.light)):
+            raise ValueError(f"light: expected a direction, got {self.light}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderedFrame:
+    """One picture and its truth."""
+
+    index: int
+    image: UInt8[Tensor, "height width 3"]
+    """RGB."""
+    mask: Bool[Tensor, "height width"]
+    """Pixels whose centre sees the hand; not its forearm."""
+    keypoints_cam: Float[Tensor, "21 3"]
+    """Metres, camera frame."""
+    keypoints_px: Float[Tensor, "21 2"]
+
+
+def render_sequence(
+    kinematics: HandKinematics,
+    motion: Motion,
+    camera: Camera,
+    look: SceneSettings,
+    generator: torch.Generator,
+    *,
+    shape: Float[Tensor, "shape"] | None = None,
+) -> Iterator[RenderedFrame]:
+    """The frames of a motion, one after the other; computed in the dtype of the kinematics (float64 for an exact mask).
+
+    The picture integrates light over each pixel's area (supersampling), then over the shutter's time, then comes the lens's
+    blur and the sensor's noise. Mask and keypoints belong to the middle of the exposure. The frame's noise depends on the
+    generator, and so on the frames before it: the same seed gives the same sequence bit for bit.
+    """
+    dtype = kinematics.default_shape.dtype
+    camera = camera.to(dtype=dtype)
+    behind = background_picture(look.background, camera.width, camera.height, generator)
+    projector = HandProjector(kinematics, camera, None if shape is None else shape.to(dtype))
+    reference = motion.root_reference.to(dtype)
+    for index in range(len(motion.poses)):
+        moments = [projector.frames(pose.to(dtype), reference) for pose in _poses_while_open(motion.poses, index, look)]
+        image = torch.stack([_exposed(projector, frames, behind, look) for frames in moments]).mean(0)
+        frames = projector.frames(motion.poses[index].to(dtype), reference)
+        yield RenderedFrame(
+            index=index,
+            image=_developed(image, look, generator),
+            mask=_cast(projector, frames, camera, look).part >= 0,
+            keypoints_cam=camera.cam_from_world(frames.keypoints),
+            keypoints_px=camera.project(frames.keypoints),
+        )
+
+
+def _poses_while_open(poses: Float[Tensor, "frames 36"], index: int, look: SceneSettings) -> list[Float[Tensor, "36"]]:
+    """Poses at evenly spread moments around the frame's own, between the neighbouring frames' poses."""
+    if look.shutter == 0 or len(poses) < 2:
+        return [poses[index]]
+    moments = look.shutter * ((torch.arange(look.shutter_samples) + 0.5) / look.shutter_samples - 0.5)
+    before, after = poses[max(index - 1, 0)], poses[min(index + 1, len(poses) - 1)]
+    backward, forward = poses[index] - before, after - poses[index]
+    return [poses[index] + float(moment) * (forward if moment > 0 else backward) for moment in moments]
+
+
+_FOREARM = -2  # in the part labels, where nothing is -1
+
+
+def _cast(projector: HandProjector, frames: HandFrames, camera: Camera, look: SceneSettings) -> Raycast:
+    """The hand, with its forearm where it has one."""
+    is_left = projector.kinematics.side == "left"
+    hand = raycast(place_primitives(frames, projector.sizes, is_left=is_left), camera)
+    if not look.forearm:
+        return hand
+    arm = cast_forearm(frames, projector.kinematics.shape_space, projector.shape, camera)
+    in_front = arm.depth < hand.depth
+    return Raycast(
+        depth=torch.where(in_front, arm.depth, hand.depth),
+        part=torch.where(in_front, torch.full_like(hand.part, _FOREARM), hand.part),
+        normal=torch.where(in_front[..., None], arm.normal, hand.normal),
+    )
+
+
+def _exposed(
+    projector: HandProjector, frames: HandFrames, behind: UInt8[Tensor, "height width 3"], look: SceneSettings
+) -> Float[Tensor, "height width 3"]:
+    """One moment's light, averaged over every pixel's area; grey levels. Only the window with the hand is cast and shaded."""
+    image = behind.double()
+    left, top, right, bottom = _window(projector, frames, look)
+    if right <= left or bottom <= top:
+        return image
+    shift = torch.tensor((left, top), dtype=projector.camera.intrinsics.dtype)
+    intrinsics = projector.camera.intrinsics.clone()
+    intrinsics[:2, 2] -= shift
+    camera = replace(projector.camera, intrinsics=intrinsics, width=right - left, height=bottom - top)
+    side = look.supersampling
+    cast = _cast(projector, frames, camera.resized(side), look)
+    around = behind[top:bottom, left:right].repeat_interleave(side, 0).repeat_interleave(side, 1)
+    lit = replace(cast, part=torch.where(cast.part == _FOREARM, 0, cast.part))
+    picture = shade(lit, skin=SKIN_TONES[look.skin], background=around, light=look.light, ambient=look.ambient)
+    averaged = torch.nn.functional.avg_pool2d(picture.permute(2, 0, 1).float(), side)
+    image[top:bottom, left:right] = averaged.permute(1, 2, 0).double()
+    return image
+
+
+def _window(projector: HandProjector, frames: HandFrames, look: SceneSettings) -> tuple[int, int, int, int]:
+    """Pixels x0, y0, x1, y1 (exclusive) that hold all of the hand and its forearm; the whole picture where in doubt."""
+    camera = projector.camera
+    space = projector.kinematics.shape_space
+    reach = _REACH * space.metric(projector.shape)["hand_length"]
+    points = camera.cam_from_world(frames.keypoints)
+    offsets = torch.tensor([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=points.dtype)
+    corners = (points[:, None] + reach * offsets).reshape(-1, 3)
+    if look.forearm:
+        elbow = frames.position[0] - (LENGTH + reach) * frames.rotation[0][:, 1]
+        corners = torch.cat((corners, camera.cam_from_world(elbow) + 1.5 * reach * offsets))
+    if camera.kind == "pinhole" and bool((corners[:, 2] < 0.02).any()):
+        return 0, 0, camera.width, camera.height
+    pixels = camera.pixels_from_plane(camera.plane_from_cam(corners)).clamp(-1e6, 1e6)
+    low, high = pixels.amin(0).floor().long().tolist(), pixels.amax(0).ceil().long().tolist()
+    return max(0, low[0]), max(0, low[1]), min(camera.width, high[0] + 1), min(camera.height, high[1] + 1)
+
+
+def _developed(image: Tensor, look: SceneSettings, generator: torch.Generator) -> UInt8[Tensor, "height width 3"]:
+    """Lens blur, sensor noise and rounding."""
+    if look.blur_px > 0:
+        image = torch.from_numpy(cv2.GaussianBlur(image.contiguous().numpy(), (0, 0), look.blur_px))
+    if look.noise > 0:
+        image = image + look.noise * torch.randn(image.shape, generator=generator, dtype=image.dtype)
+    return image.round().clamp(0, 255).to(torch.uint8)

@@ -1,0 +1,80 @@
+"""What the hand looks like in this video: a colour model learned from one frame, and the planes that edges are searched in."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from torchhand.image import ColourModel, foreground_probability, learn_colours
+
+
+@dataclass(frozen=True, kw_only=True)
+class Appearance:
+    """Colours of the hand (and a bare forearm) against those of the rest."""
+
+    colours: ColourModel
+
+    def probability(self, image: UInt8[Tensor, "height width 3"]) -> Float[Tensor, "height width"]:
+        """Probability that a pixel shows the hand, lightly smoothed."""
+        return _smoothed(foreground_probability(image, self.colours))
+
+
+def _smoothed(plane: Float[Tensor, "height width"]) -> Float[Tensor, "height width"]:
+    return torch.from_numpy(cv2.GaussianBlur(plane.numpy(), (3, 3), 0))
+
+
+def grey(image: UInt8[Tensor, "height width 3"]) -> Float[Tensor, "height width"]:
+    """Luminance, 0..1."""
+    return torch.from_numpy(cv2.cvtColor(image.numpy(), cv2.COLOR_RGB2GRAY).astype(np.float32) * np.float32(1 / 255))
+
+
+def mask_plane(mask: Bool[Tensor, "height width"]) -> Float[Tensor, "height width"]:
+    """A mask as a picture to search edges in."""
+    return torch.from_numpy(cv2.GaussianBlur(mask.numpy().astype(np.float32), (0, 0), 1.0))
+
+
+def learn_appearance(
+    image: UInt8[Tensor, "height width 3"],
+    hand: Bool[Tensor, "height width"],
+    other: Bool[Tensor, "height width"],
+    margin_px: int,
+) -> Appearance | None:
+    """Colour model of `hand` against `other`, both shrunk by a margin; None where one of them is nearly empty."""
+    size = 2 * max(1, margin_px) + 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    inside = cv2.erode(hand.numpy().astype(np.uint8), kernel)
+    outside = cv2.erode(other.numpy().astype(np.uint8), kernel)
+    if inside.sum() < 50 or outside.sum() < 50:
+        return None
+    return Appearance(colours=learn_colours(image, torch.from_numpy(inside > 0), torch.from_numpy(outside > 0)))
+
+
+def hand_region(
+    shape: tuple[int, int], wrist_px: Float[Tensor, "2"], knuckle_px: Float[Tensor, "2"], reach_px: float
+) -> Bool[Tensor, "height width"]:
+    """Pixels on the fingers' side of the wrist, within `reach_px` of it: where hand and picture can be compared.
+
+    The line through the wrist, perpendicular to the palm's axis, cuts off the forearm.
+    """
+    along = (knuckle_px - wrist_px).numpy()
+    along = along / max(float(np.hypot(*along)), 1e-9)
+    x = np.arange(shape[1])[None] - float(wrist_px[0])
+    y = np.arange(shape[0])[:, None] - float(wrist_px[1])
+    return torch.from_numpy((x * along[0] + y * along[1] > 0) & (x * x + y * y < reach_px**2))
+
+
+def disc(shape: tuple[int, int], centre_px: Float[Tensor, "2"], radius_px: float) -> Bool[Tensor, "height width"]:
+    """Pixels within a radius of a point."""
+    x = torch.arange(shape[1], dtype=centre_px.dtype) - centre_px[0]
+    y = torch.arange(shape[0], dtype=centre_px.dtype)[:, None] - centre_px[1]
+    return x * x + y * y < radius_px**2
+
+
+def overlap(model: Bool[Tensor, "height width"], picture: Bool[Tensor, "height width"], region: Bool[Tensor, "height width"]) -> float:
+    """Intersection over union of two masks within a region; 0 where both are empty."""
+    model, picture = model & region, picture & region
+    union = int((model | picture).sum())
+    return int((model & picture).sum()) / union if union else 0.0

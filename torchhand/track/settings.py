@@ -1,0 +1,124 @@
+"""Settings of the contour tracker; configs/*.yaml hold differences from these."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from torchhand.hand import POSE_SPACES, POSTURES
+from torchhand.image import EdgeSettings
+from torchhand.numerics import MotionModel, UnscentedSettings
+from torchhand.track.fit import FitSettings
+
+
+def _require(condition: bool, name: str, expected: str, got: object) -> None:
+    if not condition:
+        raise ValueError(f"{name}: expected {expected}, got {got!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseSettings:
+    """How freely the hand moves: square roots of the spectral densities that drive the motion model, one per kind of DOF.
+
+    In (unit) / s^(order + 1/2): with order 2, m s⁻²·⁵ and rad s⁻²·⁵; with order 0, m s⁻⁰·⁵ and rad s⁻⁰·⁵.
+    """
+
+    translation: float = 30.0
+    """Translations of the root; 0 or more."""
+    rotation: float = 150.0
+    """Rotations of the root; 0 or more."""
+    angle: float = 300.0
+    """Joint angles; 0 or more."""
+
+    def __post_init__(self) -> None:
+        for name in ("translation", "rotation", "angle"):
+            _require(getattr(self, name) >= 0, f"noise.{name}", "0 or more", getattr(self, name))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PriorSettings:
+    """Weak beliefs about posture, used as measurements at every frame where fingers are free."""
+
+    rest_std_rad: float = 1.0
+    """Joint angles about those of the start; above 0."""
+    side_std_rad: float = 0.12
+    """Abductions and twists about those of the start; above 0."""
+    tie_std_rad: float = 0.25
+    """Flexion of the end joint about two thirds of that of the middle joint (paper 000, equation 1); above 0."""
+    tilt_std_rad: float = 0.6
+    """Rotation out of the picture's plane since the start; above 0."""
+
+    def __post_init__(self) -> None:
+        for name in ("rest_std_rad", "side_std_rad", "tie_std_rad", "tilt_std_rad"):
+            _require(getattr(self, name) > 0, f"prior.{name}", "above 0", getattr(self, name))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LossSettings:
+    """When a track is given up."""
+
+    min_overlap: float = 0.60
+    """Least intersection over union of the model's and the picture's silhouette; 0 to 1, 0 switches the test off."""
+    min_found: float = 0.40
+    """Least share of the outer contour's points with an accepted edge; 0 to 1."""
+    min_inside: float = 0.35
+    """Least share of the contour's points inside the picture; 0 to 1."""
+    patience: int = 3
+    """Frames in a row that may fail before the track is lost; 1 or more."""
+    start_overlap: float = 0.75
+    """Least overlap with which a hand is taken as found; 0 to 1."""
+
+    def __post_init__(self) -> None:
+        for name in ("min_overlap", "min_found", "min_inside", "start_overlap"):
+            _require(0 <= getattr(self, name) <= 1, f"loss.{name}", "0 to 1", getattr(self, name))
+        _require(self.patience >= 1, "loss.patience", "1 or more", self.patience)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContourTrackerSettings:
+    """Paper 003's tracker."""
+
+    method: Literal["contour"] = "contour"
+    """Which tracker; contour is the one there is."""
+    pose_space: str = "planar"
+    """Free DOFs: a name of torchhand.hand.POSE_SPACES."""
+    posture: str = "open"
+    """Posture at the start: a name of torchhand.hand.POSTURES."""
+    edges_in: Literal["colour", "grey"] = "colour"
+    """Picture in which the outer contour is searched: probability of the hand's colours, or grey levels (the paper)."""
+    motion: MotionModel = field(default_factory=lambda: MotionModel(order=2, acceleration_decay_s=0.3))
+    noise: NoiseSettings = field(default_factory=NoiseSettings)
+    unscented: UnscentedSettings = field(default_factory=UnscentedSettings)
+    outer_edges: EdgeSettings = field(
+        default_factory=lambda: EdgeSettings(polarity="inside_bright", min_strength=0.2, choose="nearest")
+    )
+    """Search on the silhouette."""
+    inner_edges: EdgeSettings = field(default_factory=lambda: EdgeSettings(min_strength=0.04, choose="nearest"))
+    """Search where a part of the hand lies before another, in grey levels."""
+    inner_weight: float = 0.15
+    """Weight of an inner edge relative to an outer one; 0 or more, 0 leaves them out."""
+    edge_std_px: float = 2.5
+    """Standard deviation of one edge, neighbours being correlated; above 0."""
+    gate: float = 9.0
+    """Edges whose squared innovation exceeds this many times its variance are refused; above 0."""
+    search_share: float = 0.06
+    """Half length of the edge search as a share of the hand's length in the picture; above 0."""
+    passes: int = 1
+    """Measurement updates per frame with fresh edges, each with its share of the weight; 1 or more."""
+    points_per_generator: int = 10
+    """Outline points on each side of a cone; 2 or more."""
+    points_per_arc: int = 12
+    """Outline points on each ellipsoid; 4 or more."""
+    prior: PriorSettings = field(default_factory=PriorSettings)
+    loss: LossSettings = field(default_factory=LossSettings)
+    fit: FitSettings = field(default_factory=FitSettings)
+    check_side_px: int = 320
+    """Longer side of the reduced picture in which silhouettes are compared; 64 or more."""
+
+    def __post_init__(self) -> None:
+        _require(self.pose_space in POSE_SPACES, "pose_space", f"one of {', '.join(POSE_SPACES)}", self.pose_space)
+        _require(self.posture in POSTURES, "posture", f"one of {', '.join(POSTURES)}", self.posture)
+        _require(self.edges_in in ("colour", "grey"), "edges_in", "colour or grey", self.edges_in)
+        for name in ("edge_std_px", "gate", "search_share"):
+            _require(getattr(self, name) > 0, name, "above 0", getattr(self, name))
+        for name, least in (("passes", 1), ("points_per_generator", 2), ("points_per_arc", 4), ("check_side_px", 64)):
+            _require(getattr(self, name) >= least, name, f"{least} or more", getattr(self, name))
+        _require(self.inner_weight >= 0, "inner_weight", "0 or more", self.inner_weight)
