@@ -40,7 +40,9 @@ def load_hand_model(name: str = "generic_hand") -> HandModel:
         known = ", ".join(sorted(entry.name for entry in models_dir().iterdir() if entry.is_dir()))
         raise InputError(f"hand model: expected a folder or one of {known}, got {name!r}")
     return HandModel(
-        name=folder.name, skeleton=read_skeleton(folder / "hand.urdf"), shape_space=read_shape_space(folder / "shape.json")
+        name=folder.name,
+        skeleton=read_skeleton(folder / "hand.urdf"),
+        shape_space=read_shape_space(folder / "shape.json"),
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from torchhand.errors import InputError
 from torchhand.files.safe_write import explained_errors, replacing
-from torchhand.files.track_record import ARRAY_FIELDS, TRACK_FORMAT, Track, track_of
+from torchhand.files.track_record import ARRAY_FIELDS, RESERVED_NAMES, TRACK_FORMAT, Track, track_of
 
 JSONL_NAME = "track.jsonl"
 NPZ_NAME = "track.npz"
@@ -130,8 +130,10 @@ def _read_npz(path: Path) -> Track:
         fields: dict[str, Any] = {name: arrays[name] for name in ("frame", "status", "seconds")}
         fields |= {name: arrays.get(name) if name == "keypoints2d" else arrays[name] for name in ARRAY_FIELDS}
         fields |= {name: str(arrays[name]) for name in ("units", "convention")}
+        fields["measures"] = {name: array for name, array in arrays.items() if name not in RESERVED_NAMES}
         return Track(
             dof_names=tuple(arrays["dof_names"].tolist()),
+            reason=arrays.get("reason"),
             header=json.loads(str(arrays["header"])) if "header" in arrays else {},
             **fields,
         )

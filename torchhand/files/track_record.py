@@ -12,10 +12,12 @@ from jaxtyping import Float, Float64, Int, Shaped
 STATUSES = ("tracked", "lost", "recovered", "no_hand")
 EMPTY_STATUSES = ("lost", "no_hand")
 """Frames of these hold NaN."""
+ARRAY_FIELDS = ("pose", "pose_std", "keypoints3d", "keypoints2d", "keypoints3d_cov")
+RESERVED_NAMES = ("frame", "status", "seconds", "reason", *ARRAY_FIELDS, "dof_names", "units", "convention", "header")
+"""In a line of track.jsonl and in track.npz, every other name is that of a measure."""
 Status = Literal["tracked", "lost", "recovered", "no_hand"]
 
 TRACK_FORMAT = "torchhand track 1"
-ARRAY_FIELDS = ("pose", "pose_std", "keypoints3d", "keypoints2d", "keypoints3d_cov")
 UNITS = "metres, radians, seconds; keypoints2d px"
 CONVENTION = (
     "camera frame of OpenCV: x right, y down, z forward; the centre of the first pixel is (0, 0); root rotation is a"
@@ -64,8 +66,14 @@ class FrameRecord:
     """m²"""
     seconds: float
     """Compute time of the frame."""
+    measures: Mapping[str, float] = field(default_factory=dict)
+    """Further numbers by name, such as how well the model fits; NaN where unknown. The same names in every frame."""
+    reason: str | None = None
+    """Why a frame is lost or without a hand, empty otherwise; None in all frames where nobody gives reasons."""
 
     def __post_init__(self) -> None:
+        if taken := [name for name in self.measures if name in RESERVED_NAMES]:
+            raise ValueError(f"measures: expected names that are not those of the record, got {taken[0]!r}")
         if self.status not in STATUSES:
             raise ValueError(f"status: expected one of {', '.join(STATUSES)}, got {self.status!r}")
         if self.status in EMPTY_STATUSES:
@@ -76,7 +84,15 @@ class FrameRecord:
 
     @classmethod
     def empty(
-        cls, frame: int, status: Status, *, dofs: int, seconds: float, has_keypoints2d: bool = True
+        cls,
+        frame: int,
+        status: Status,
+        *,
+        dofs: int,
+        seconds: float,
+        has_keypoints2d: bool = True,
+        measures: Mapping[str, float] | None = None,
+        reason: str | None = None,
     ) -> "FrameRecord":
         """The record of a frame without an estimate: all NaN."""
         nan = math.nan
@@ -89,11 +105,16 @@ class FrameRecord:
             keypoints2d=np.full((_KEYPOINTS, 2), nan) if has_keypoints2d else None,
             keypoints3d_cov=np.full((_KEYPOINTS, 3, 3), nan),
             seconds=seconds,
+            measures=measures or {},
+            reason=reason,
         )
 
     def as_json(self) -> str:
         """One line of strict JSON without its end: numbers exact to the last bit, whatever is not finite as null."""
         content: dict[str, Any] = {"frame": self.frame, "status": self.status, "seconds": self.seconds}
+        content |= {name: float(value) if math.isfinite(value) else None for name, value in self.measures.items()}
+        if self.reason is not None:
+            content["reason"] = self.reason
         for name in ARRAY_FIELDS:
             content[name] = _nested(getattr(self, name))
         return json.dumps(content, allow_nan=False, separators=(",", ":"))
@@ -117,13 +138,18 @@ class Track:
     convention: str
     header: Mapping[str, Any]
     """The first line of track.jsonl."""
+    measures: Mapping[str, Float64[np.ndarray, " t"]] = field(default_factory=dict)
+    """The records' measures by name; NaN where a record has none of that name."""
+    reason: Shaped[np.ndarray, " t"] | None = None
+    """The records' reasons; None in tracks that hold none."""
 
     def __len__(self) -> int:
         return len(self.frame)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What track.npz holds."""
-        arrays = {name: getattr(self, name) for name in ("frame", "status", *ARRAY_FIELDS, "seconds")}
+        arrays = {name: getattr(self, name) for name in ("frame", "status", *ARRAY_FIELDS, "seconds", "reason")}
+        arrays |= self.measures
         arrays |= {"dof_names": np.array(self.dof_names), "units": np.array(self.units)}
         arrays |= {"convention": np.array(self.convention), "header": np.array(json.dumps(self.header))}
         return {name: array for name, array in arrays.items() if array is not None}
@@ -138,7 +164,16 @@ def track_of(header: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> Tr
     shapes = {"pose": (len(dof_names),), "pose_std": (len(dof_names),), "keypoints3d": (_KEYPOINTS, 3)}
     shapes |= {"keypoints2d": (_KEYPOINTS, 2), "keypoints3d_cov": (_KEYPOINTS, 3, 3)}
     columns: dict[str, list[Any]] = {name: [] for name in ("frame", "status", "seconds", *ARRAY_FIELDS)}
+    reasons: list[str | None] = []
+    measures: dict[str, list[float]] = {}
     for row in rows:
+        for name in row:
+            if name not in RESERVED_NAMES and name not in measures:
+                measures[name] = [math.nan] * len(reasons)
+        for name, values in measures.items():
+            value = row.get(name)
+            values.append(math.nan if value is None else float(value))
+        reasons.append(row.get("reason"))
         for name, column in columns.items():
             # np.float64 of None is NaN; arrays are made row by row because they are far smaller than lists of numbers.
             is_array = name in ARRAY_FIELDS and row[name] is not None
@@ -157,6 +192,8 @@ def track_of(header: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> Tr
         units=header["units"],
         convention=header["convention"],
         header=header,
+        measures={name: np.array(values, dtype=np.float64) for name, values in measures.items()},
+        reason=np.array([reason or "" for reason in reasons], np.str_) if any(r is not None for r in reasons) else None,
         **{"keypoints2d": None, **arrays},
     )
 

@@ -18,8 +18,8 @@ _DIGITS = 12
 def skeleton_to_urdf(skeleton: Skeleton, name: str) -> str:
     """The skeleton as URDF text: one revolute joint per angle named as its DOF, links named as the bones.
 
-    The bone's offset and resting rotation stand in the origin of its outermost joint; links between the joints of one bone
-    are called BONE_DOF. Fingertip keypoints are fixed joints.
+    The bone's offset and resting rotation stand in the origin of its outermost joint; links between the joints of one
+    bone are called BONE_DOF. Fingertip keypoints are fixed joints.
     """
     lines = ['<?xml version="1.0"?>', f'<robot name="{name}">', f'  <link name="{BONES[0]}"/>']
     for i in range(1, len(BONES)):
@@ -28,7 +28,8 @@ def skeleton_to_urdf(skeleton: Skeleton, name: str) -> str:
         for place, j in enumerate(angles):
             child = BONES[i] if place == len(angles) - 1 else f"{BONES[i]}_{JOINT_DOFS[j]}"
             origin = _origin(skeleton.rest_offset[i], skeleton.rest_rotation[i]) if place == 0 else ""
-            limit = f'lower="{skeleton.lower[j]:.{_DIGITS}f}" upper="{skeleton.upper[j]:.{_DIGITS}f}" effort="0" velocity="0"'
+            lower, upper = f"{skeleton.lower[j]:.{_DIGITS}f}", f"{skeleton.upper[j]:.{_DIGITS}f}"
+            limit = f'lower="{lower}" upper="{upper}" effort="0" velocity="0"'
             lines += [
                 f'  <link name="{child}"/>',
                 f'  <joint name="{JOINT_DOFS[j]}" type="revolute">',
@@ -37,11 +38,12 @@ def skeleton_to_urdf(skeleton: Skeleton, name: str) -> str:
                 "  </joint>",
             ]
             parent = child
+    straight = torch.eye(3, dtype=skeleton.tip_offset.dtype)
     for finger, bone, offset in zip(FINGERS, _tip_bones(), skeleton.tip_offset, strict=True):
         lines += [
             f'  <link name="{finger}_tip"/>',
             f'  <joint name="{finger}_tip_fixed" type="fixed">',
-            f'    <parent link="{bone}"/><child link="{finger}_tip"/>{_origin(offset, torch.eye(3, dtype=offset.dtype))}',
+            f'    <parent link="{bone}"/><child link="{finger}_tip"/>{_origin(offset, straight)}',
             "  </joint>",
         ]
     return "\n".join([*lines, "</robot>", ""])
@@ -63,7 +65,8 @@ def read_skeleton(path: Path) -> Skeleton:
     if missing:
         raise InputError(f"{path}: expected the links and joints of a torchhand hand, lacks {', '.join(missing)}")
     parents = {child.link.name: frame for frame in frames.values() for child in frame.children}
-    rest_rotation, rest_offset = torch.eye(3, dtype=torch.float64).repeat(len(BONES), 1, 1), torch.zeros(len(BONES), 3, dtype=torch.float64)
+    rest_rotation = torch.eye(3, dtype=torch.float64).repeat(len(BONES), 1, 1)
+    rest_offset = torch.zeros(len(BONES), 3, dtype=torch.float64)
     bone_of, order_of = {}, {}
     for i in range(1, len(BONES)):
         own: list[Any] = [frames[BONES[i]]]
@@ -71,9 +74,8 @@ def read_skeleton(path: Path) -> Skeleton:
             own.insert(0, parents[own[0].link.name])
         matrix = own[0].joint.offset.get_matrix()[0].double()
         rest_rotation[i], rest_offset[i] = _orthonormal(matrix[:3, :3]), matrix[:3, 3]
-        roles = {"aa": 0, "fe": 1, "tw": 2}
-        for frame in own:
-            bone_of[frame.joint.name], order_of[frame.joint.name] = i, roles[frame.joint.name.rsplit("_", 1)[1]]
+        for place, frame in enumerate(own):
+            bone_of[frame.joint.name], order_of[frame.joint.name] = i, place
     tips = torch.stack([frames[f"{finger}_tip"].joint.offset.get_matrix()[0, :3, 3].double() for finger in FINGERS])
     limits = torch.tensor([joints[dof].joint.limits for dof in JOINT_DOFS], dtype=torch.float64)
     return Skeleton(

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import torch
@@ -39,9 +40,13 @@ class Camera:
         if self.kind == "orthographic" and self.has_distortion:
             raise ValueError("distortion: an orthographic camera has none")
 
-    @property
+    @cached_property
     def has_distortion(self) -> bool:
         return self.distortion.shape[-1] > 0 and bool((self.distortion != 0).any())
+
+    @cached_property
+    def has_skew(self) -> bool:
+        return bool((self.intrinsics[..., 0, 1] != 0).any() or (self.intrinsics[..., 1, 0] != 0).any())
 
     def to(self, *, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> "Camera":
         """The same camera with its tensors moved."""
@@ -65,21 +70,42 @@ class Camera:
 
     def cam_from_world(self, points_world: Float[Tensor, "*points 3"]) -> Float[Tensor, "*points 3"]:
         """Points in the camera frame, metres; camera batches broadcast against the leading dimensions of the points."""
+        if self.rotation.ndim == 2:
+            return points_world @ self.rotation.T + self.translation
         rotation, translation = _match(self.rotation, 2, points_world), _match(self.translation, 1, points_world)
-        return (rotation @ points_world[..., None]).squeeze(-1) + translation
+        return (rotation * points_world[..., None, :]).sum(-1) + translation
 
     def pixels_from_plane(self, plane: Float[Tensor, "*points 2"]) -> Float[Tensor, "*points 2"]:
         """Pixels of points of the normalised image plane (x/z, y/z; orthographic: x, y in metres), distorted."""
         distorted = distort(plane, _match(self.distortion, 1, plane)) if self.has_distortion else plane
-        intrinsics = _match(self.intrinsics, 2, plane)
-        return (intrinsics[..., :2, :2] @ distorted[..., None]).squeeze(-1) + intrinsics[..., :2, 2]
+        (a, b, u), (c, d, v) = self._image_map(plane)
+        x, y = distorted.unbind(-1)
+        if not self.has_skew:
+            return torch.stack((a * x + u, d * y + v), -1)
+        return torch.stack((a * x + b * y + u, c * x + d * y + v), -1)
 
     def plane_from_pixels(self, points_px: Float[Tensor, "*points 2"]) -> Float[Tensor, "*points 2"]:
         """Points of the normalised image plane that appear at the given pixels; inverse of `pixels_from_plane`."""
-        intrinsics = _match(self.intrinsics, 2, points_px)
-        centred = points_px - intrinsics[..., :2, 2]
-        plane = torch.linalg.solve(intrinsics[..., :2, :2], centred[..., None]).squeeze(-1)
+        (a, b, u), (c, d, v) = self._image_map(points_px)
+        x, y = points_px[..., 0] - u, points_px[..., 1] - v
+        if self.has_skew:
+            determinant = a * d - b * c
+            plane = torch.stack(((d * x - b * y) / determinant, (a * y - c * x) / determinant), -1)
+        else:
+            plane = torch.stack((x / a, y / d), -1)
         return undistort(plane, _match(self.distortion, 1, plane)) if self.has_distortion else plane
+
+    def pixel_jacobian(self, plane: Float[Tensor, "*points 2"]) -> Float[Tensor, "*points 2 2"]:
+        """Derivative of `pixels_from_plane`: change of (x, y) in pixels, row by row, with the point of the plane."""
+        linear = _match(self.intrinsics, 2, plane)[..., :2, :2]
+        if not self.has_distortion:
+            return linear.expand(*plane.shape[:-1], 2, 2)
+        return linear @ distortion_jacobian(plane, _match(self.distortion, 1, plane))
+
+    def _image_map(self, points: Tensor) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
+        """First two rows of K, entry by entry."""
+        top, bottom, _ = _match(self.intrinsics, 2, points).unbind(-2)
+        return top.unbind(-1), bottom.unbind(-1)
 
     def plane_from_cam(self, points_cam: Float[Tensor, "*points 3"]) -> Float[Tensor, "*points 2"]:
         """Normalised image plane; depths at or behind the camera give non-finite or mirrored points."""
@@ -89,7 +115,9 @@ class Camera:
         """Pixels of points given in the world frame, metres."""
         return self.pixels_from_plane(self.plane_from_cam(self.cam_from_world(points_world)))
 
-    def rays(self, points_px: Float[Tensor, "*points 2"]) -> tuple[Float[Tensor, "*points 3"], Float[Tensor, "*points 3"]]:
+    def rays(
+        self, points_px: Float[Tensor, "*points 2"]
+    ) -> tuple[Float[Tensor, "*points 3"], Float[Tensor, "*points 3"]]:
         """Origin and direction in the camera frame of the ray through each pixel; directions have z = 1."""
         plane = self.plane_from_pixels(points_px)
         one, zero = torch.ones_like(plane[..., :1]), torch.zeros_like(plane)
@@ -102,11 +130,19 @@ def _match(parameter: Tensor, own: int, points: Tensor) -> Tensor:
     """`parameter` of shape (*batch, own dims) with as many leading dimensions as `points` has, for broadcasting."""
     batch = parameter.shape[: parameter.ndim - own]
     missing = points.ndim - 1 - len(batch)
-    return parameter.reshape(*batch, *(1,) * missing, *parameter.shape[len(batch) :]) if missing > 0 and batch else parameter
+    return (
+        parameter.reshape(*batch, *(1,) * missing, *parameter.shape[len(batch) :])
+        if missing > 0 and batch
+        else parameter
+    )
 
 
 def assumed_camera(
-    width: int, height: int, *, horizontal_fov_deg: float = ASSUMED_HORIZONTAL_FOV_DEG, dtype: torch.dtype = torch.float64
+    width: int,
+    height: int,
+    *,
+    horizontal_fov_deg: float = ASSUMED_HORIZONTAL_FOV_DEG,
+    dtype: torch.dtype = torch.float64,
 ) -> Camera:
     """An ideal pinhole camera at the world's origin for pictures without calibration; marked as assumed."""
     if not 1.0 <= horizontal_fov_deg <= 170.0:
@@ -126,15 +162,45 @@ def assumed_camera(
 
 def distort(plane: Float[Tensor, "*points 2"], coefficients: Float[Tensor, "*batch k"]) -> Float[Tensor, "*points 2"]:
     """OpenCV's lens model (rational, tangential, thin prism, tilted sensor) on the normalised image plane."""
-    k = [coefficients[..., i] for i in range(coefficients.shape[-1])]
-    k += [torch.zeros_like(k[0])] * (14 - len(k))
+    k = _padded(coefficients)
     x, y = plane.unbind(-1)
     r2 = x * x + y * y
     radial = (1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
-    xd = x * radial + 2 * k[2] * x * y + k[3] * (r2 + 2 * x * x) + k[8] * r2 + k[9] * r2 * r2
-    yd = y * radial + k[2] * (r2 + 2 * y * y) + 2 * k[3] * x * y + k[10] * r2 + k[11] * r2 * r2
+    xd = x * radial + 2 * k[2] * x * y + k[3] * (r2 + 2 * x * x) + r2 * (k[8] + r2 * k[9])
+    yd = y * radial + k[2] * (r2 + 2 * y * y) + 2 * k[3] * x * y + r2 * (k[10] + r2 * k[11])
     distorted = torch.stack((xd, yd), -1)
-    return _tilt(distorted, k[12], k[13]) if coefficients.shape[-1] == 14 else distorted
+    if coefficients.shape[-1] < 14:
+        return distorted
+    tilted = _seen_on_tilted_sensor(distorted, k[12], k[13])
+    return tilted[..., :2] / tilted[..., 2:]
+
+
+def distortion_jacobian(
+    plane: Float[Tensor, "*points 2"], coefficients: Float[Tensor, "*batch k"]
+) -> Float[Tensor, "*points 2 2"]:
+    """Derivative of `distort` with the point of the plane."""
+    k = _padded(coefficients)
+    x, y = plane.unbind(-1)
+    r2 = x * x + y * y
+    above, below = 1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4])), 1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
+    above_r2, below_r2 = k[0] + r2 * (2 * k[1] + 3 * r2 * k[4]), k[5] + r2 * (2 * k[6] + 3 * r2 * k[7])
+    radial = above / below
+    radial_r2 = (above_r2 - radial * below_r2) / below
+    # With r2: x radial + prism; its own derivatives with x and y are 2x and 2y.
+    x_r2, y_r2 = x * radial_r2 + k[8] + 2 * k[9] * r2, y * radial_r2 + k[10] + 2 * k[11] * r2
+    across = 2 * (k[2] * x + k[3] * y)
+    xx = radial + 2 * x * x_r2 + 2 * k[2] * y + 6 * k[3] * x
+    yy = radial + 2 * y * y_r2 + 6 * k[2] * y + 2 * k[3] * x
+    jacobian = torch.stack((xx, 2 * y * x_r2 + across, 2 * x * y_r2 + across, yy), -1).unflatten(-1, (2, 2))
+    if coefficients.shape[-1] < 14:
+        return jacobian
+    flat = coefficients.clone()
+    flat[..., 12:] = 0
+    tilted = _seen_on_tilted_sensor(distort(plane, flat), k[12], k[13])
+    homography = _tilt(k[12], k[13])
+    seen = tilted[..., :2, None] / tilted[..., 2:, None]
+    perspective = (homography[..., :2, :2] - seen * homography[..., 2:, :2]) / tilted[..., 2:, None]
+    return perspective @ jacobian
 
 
 def undistort(
@@ -143,17 +209,25 @@ def undistort(
     """Inverse of `distort` by Newton's method; differentiable, accurate where the lens model is one to one."""
     plane = distorted
     for _ in range(steps):
-        error = distort(plane, coefficients) - distorted
-        step = 1e-6
-        shift = torch.tensor(((step, 0.0), (0.0, step)), dtype=plane.dtype, device=plane.device)
-        columns = [(distort(plane + d, coefficients) - distort(plane - d, coefficients)) / (2 * step) for d in shift]
-        jacobian = torch.stack(columns, -1)
-        plane = plane - torch.linalg.solve(jacobian, error[..., None]).squeeze(-1)
+        x, y = (distort(plane, coefficients) - distorted).unbind(-1)
+        (a, b), (c, d) = (row.unbind(-1) for row in distortion_jacobian(plane, coefficients).unbind(-2))
+        plane = plane - torch.stack((d * x - b * y, a * y - c * x), -1) / (a * d - b * c)[..., None]
     return plane
 
 
-def _tilt(plane: Tensor, tau_x: Tensor, tau_y: Tensor) -> Tensor:
-    """Tilted image sensor of OpenCV's fourteen-coefficient model."""
+def _padded(coefficients: Tensor) -> list[Tensor]:
+    k = list(coefficients.unbind(-1))
+    return k + [torch.zeros_like(coefficients[..., 0])] * (14 - len(k))
+
+
+def _seen_on_tilted_sensor(plane: Tensor, tau_x: Tensor, tau_y: Tensor) -> Tensor:
+    """Homogeneous points on the tilted sensor of OpenCV's fourteen-coefficient model."""
+    homogeneous = torch.cat((plane, torch.ones_like(plane[..., :1])), -1)
+    return (_tilt(tau_x, tau_y) @ homogeneous[..., None]).squeeze(-1)
+
+
+def _tilt(tau_x: Tensor, tau_y: Tensor) -> Tensor:
+    """Homography of the tilted sensor."""
     zero, one = torch.zeros_like(tau_x), torch.ones_like(tau_x)
     cx, sx, cy, sy = tau_x.cos(), tau_x.sin(), tau_y.cos(), tau_y.sin()
     about_x = torch.stack((one, zero, zero, zero, cx, sx, zero, -sx, cx), -1).unflatten(-1, (3, 3))
@@ -161,6 +235,4 @@ def _tilt(plane: Tensor, tau_x: Tensor, tau_y: Tensor) -> Tensor:
     rotation = about_y @ about_x
     r22, r02, r12 = rotation[..., 2, 2], rotation[..., 0, 2], rotation[..., 1, 2]
     shear = torch.stack((r22, zero, -r02, zero, r22, -r12, zero, zero, one), -1).unflatten(-1, (3, 3))
-    homogeneous = torch.cat((plane, torch.ones_like(plane[..., :1])), -1)
-    tilted = (shear @ rotation @ homogeneous[..., None]).squeeze(-1)
-    return tilted[..., :2] / tilted[..., 2:]
+    return shear @ rotation

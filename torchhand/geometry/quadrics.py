@@ -1,7 +1,7 @@
 """Quadric surfaces, their clipping planes, their images and their meeting with rays (paper 003, sections 3.1 and 4.2).
 
-A quadric is a symmetric 4 x 4 matrix Q; a point X is inside where Xᵀ Q X < 0. A truncated quadric also has a matrix Π of a
-pair of planes and keeps the points with Xᵀ Π X >= 0.
+A quadric is a symmetric 4 x 4 matrix Q; a point X is inside where Xᵀ Q X < 0. A truncated quadric also has a matrix Π
+of a pair of planes and keeps the points with Xᵀ Π X >= 0.
 """
 
 from dataclasses import dataclass
@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
+
 
 def ellipsoid(semi_axes: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 4 4"]:
     """Ellipsoid about the origin with the given semi-axes along x, y, z (metres)."""
@@ -75,8 +76,8 @@ def conic_of_quadric(quadric: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*ba
     """Outline of a quadric seen by the normalised camera [I | 0].
 
     C = c A - b bᵀ for Q = [[A, b], [bᵀ, c]] (paper 003, section 3.1). A ray x meets the quadric where xᵀ C x <= 0. With
-    c < 0 the camera is inside and there is no outline; c near 0 is unstable. Holds for cones and cylinders too, which the
-    dual form does not.
+    c < 0 the camera is inside and there is no outline; c near 0 is unstable. Holds for cones and cylinders too, which
+    the dual form does not.
     """
     edge = quadric[..., :3, 3]
     return quadric[..., 3:, 3:] * quadric[..., :3, :3] - edge[..., :, None] * edge[..., None, :]
@@ -90,8 +91,8 @@ def orthographic_conic_of_quadric(quadric: Float[Tensor, "*batch 4 4"]) -> Float
     return quadric[..., 2, 2, None, None] * rest - edge[..., :, None] * edge[..., None, :]
 
 
-def evaluate(quadric: Float[Tensor, "*batch 4 4"], points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"]:
-    """Xᵀ Q X of the homogeneous points (x, y, z, 1)."""
+def evaluate(quadric: Float[Tensor, "*#batch 4 4"], points: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*_"]:
+    """Xᵀ Q X of the homogeneous points (x, y, z, 1); both arguments broadcast."""
     linear = (quadric[..., :3, :3] @ points[..., None]).squeeze(-1) + 2 * quadric[..., :3, 3]
     return (linear * points).sum(-1) + quadric[..., 3, 3]
 
@@ -108,8 +109,8 @@ class RayHits:
 
 
 def ray_coefficients(
-    quadric: Float[Tensor, "*batch 4 4"], origin: Float[Tensor, "*batch 3"], direction: Float[Tensor, "*batch 3"]
-) -> Float[Tensor, "3 *batch"]:
+    quadric: Float[Tensor, "*#batch 4 4"], origin: Float[Tensor, "*#batch 3"], direction: Float[Tensor, "*#batch 3"]
+) -> Float[Tensor, "3 *_"]:
     """a, b, c of a s² + 2 b s + c, the value of the quadric along origin + s · direction; all arguments broadcast."""
     upper, edge = quadric[..., :3, :3], quadric[..., :3, 3]
     along = (upper @ direction[..., None]).squeeze(-1)
@@ -134,13 +135,13 @@ def ray_table(
 def meet_rays(along: Float[Tensor, "3 *batch"], clip: Float[Tensor, "3 *batch"]) -> RayHits:
     """Both meeting points of rays with truncated quadrics (paper 003, equation 9; FACTS 4.4, points 1, 2 and 5).
 
-    `along` and `clip` are the coefficients of Q and of Π along the rays. The paper solves for the inverse depth s; depth is
-    used here because orthographic rays have no other. Points behind the origin and points that fail Xᵀ Π X >= 0 are
-    discarded; a vanishing leading coefficient leaves the linear equation.
+    `along` and `clip` are the coefficients of Q and of Π along the rays. The paper solves for the inverse depth s;
+    depth is used here because orthographic rays have no other. Points behind the origin and points that fail Xᵀ Π X >=
+    0 are discarded; a vanishing leading coefficient leaves the linear equation.
     """
     infinity = torch.full_like(along[0], torch.inf)
     kept = []
-    for depth in _roots(*along):
+    for depth in quadratic_roots(*along):
         finite = torch.where(depth.isfinite(), depth, torch.zeros_like(depth))
         keeps = (clip[0] * finite + 2 * clip[1]) * finite + clip[2] >= 0
         kept.append(torch.where(depth.isfinite() & (depth > 0) & keeps, depth, infinity))
@@ -149,11 +150,13 @@ def meet_rays(along: Float[Tensor, "3 *batch"], clip: Float[Tensor, "3 *batch"])
     return RayHits(near=near, far=far, is_hit=near.isfinite())
 
 
-def _roots(quadratic: Tensor, linear: Tensor, constant: Tensor) -> tuple[Tensor, Tensor]:
+def quadratic_roots(
+    quadratic: Float[Tensor, "*batch"], linear: Float[Tensor, "*batch"], constant: Float[Tensor, "*batch"]
+) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
     """Real roots of a s² + 2 b s + c, infinite where there are none.
 
-    The root of larger magnitude is found without cancellation and gives the other by their product c / a, so a -> 0 passes
-    smoothly into the linear equation: the first root goes to infinity, the second to -c / 2b.
+    The root of larger magnitude is found without cancellation and gives the other by their product c / a, so a -> 0
+    passes smoothly into the linear equation: the first root goes to infinity, the second to -c / 2b.
     """
     discriminant = linear * linear - quadratic * constant
     root = discriminant.clamp_min(0).sqrt()

@@ -28,7 +28,9 @@ def exponential_coefficients(
     half_sine = (0.5 * angle).sin()  # 1 - cos a = 2 sin²(a/2) keeps its digits at small angles
     first = torch.where(is_small, 1 - angle_squared / 6 * (1 - angle_squared / 20), sine / angle)
     second = torch.where(is_small, 0.5 - angle_squared / 24 * (1 - angle_squared / 30), 2 * half_sine**2 / safe)
-    third = torch.where(is_small, 1 / 6 - angle_squared / 120 * (1 - angle_squared / 42), (angle - sine) / (safe * angle))
+    third = torch.where(
+        is_small, 1 / 6 - angle_squared / 120 * (1 - angle_squared / 42), (angle - sine) / (safe * angle)
+    )
     return first, second, third
 
 
@@ -43,18 +45,44 @@ def rotation_from_vector(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*b
 def vector_from_rotation(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
     """Rotation vector of a rotation matrix, length in [0, π].
 
-    Goes through the unit quaternion of largest component, so it is accurate near π as well; at exactly π the sign of the
-    vector is arbitrary, and the derivative does not exist.
+    Goes through the unit quaternion of largest component, so it is accurate near π as well; at exactly π the sign of
+    the vector is arbitrary, and the derivative does not exist.
     """
     m = rotation
     trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
     # Four times the outer product of the quaternion (w, x, y, z) with itself; its rows are multiples of the quaternion.
     rows = torch.stack(
         (
-            torch.stack((1 + trace, m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]), -1),
-            torch.stack((m[..., 2, 1] - m[..., 1, 2], 1 + 2 * m[..., 0, 0] - trace, m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0]), -1),
-            torch.stack((m[..., 0, 2] - m[..., 2, 0], m[..., 0, 1] + m[..., 1, 0], 1 + 2 * m[..., 1, 1] - trace, m[..., 1, 2] + m[..., 2, 1]), -1),
-            torch.stack((m[..., 1, 0] - m[..., 0, 1], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1], 1 + 2 * m[..., 2, 2] - trace), -1),
+            torch.stack(
+                (1 + trace, m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]), -1
+            ),
+            torch.stack(
+                (
+                    m[..., 2, 1] - m[..., 1, 2],
+                    1 + 2 * m[..., 0, 0] - trace,
+                    m[..., 0, 1] + m[..., 1, 0],
+                    m[..., 0, 2] + m[..., 2, 0],
+                ),
+                -1,
+            ),
+            torch.stack(
+                (
+                    m[..., 0, 2] - m[..., 2, 0],
+                    m[..., 0, 1] + m[..., 1, 0],
+                    1 + 2 * m[..., 1, 1] - trace,
+                    m[..., 1, 2] + m[..., 2, 1],
+                ),
+                -1,
+            ),
+            torch.stack(
+                (
+                    m[..., 1, 0] - m[..., 0, 1],
+                    m[..., 0, 2] + m[..., 2, 0],
+                    m[..., 1, 2] + m[..., 2, 1],
+                    1 + 2 * m[..., 2, 2] - trace,
+                ),
+                -1,
+            ),
         ),
         -2,
     )

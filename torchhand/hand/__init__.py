@@ -6,12 +6,13 @@ from torchhand.hand.primitives import (
     CONE_NAMES,
     ELLIPSOID_NAMES,
     PRIMITIVE_NAMES,
+    Implicit,
     Primitives,
     PrimitiveSizes,
     place_primitives,
-    primitive_sizes,
 )
 from torchhand.hand.shape import ShapeSpace, bone_offsets
+from torchhand.hand.sizing import primitive_sizes
 from torchhand.hand.skeleton import BONES, DOFS, FINGERS, JOINT_DOFS, KEYPOINTS, PARENTS, ROOT_DOFS, Skeleton
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "ROOT_DOFS",
     "HandFrames",
     "HandKinematics",
+    "Implicit",
     "PoseSpace",
     "PrimitiveSizes",
     "Primitives",

@@ -1,4 +1,4 @@
-"""The anatomy that `scripts/build_hand.py` writes into hand.urdf: resting directions, joint axes, limits (FACTS 1 to 3)."""
+"""The anatomy that `torchhand build_hand` writes into hand.urdf: resting directions, joint axes, limits (FACTS 1–3)."""
 
 import math
 
@@ -88,7 +88,7 @@ def _axis(dof: str) -> tuple[float, float, float]:
     return (-1.0, 0.0, 0.0) if dof.startswith(("ring", "little")) else _X
 
 
-def _limit_deg(dof: str) -> tuple[float, float]:
+def _limit_deg(dof: str) -> tuple[int, int]:
     return _LIMITS_DEG[dof] if dof in _LIMITS_DEG else _LIMITS_DEG[dof.split("_", 1)[1]]
 
 

@@ -1,8 +1,9 @@
 """The chain of bones as one differentiable step with a closed-form derivative.
 
-Rotations are composed level by level over the five digits, with the batch as the last, contiguous axis. The derivative is the
-geometric one: an angle feels the moment, about its axis, of everything further out, so nothing but the result has to be
-kept. Reverse mode of any order, forward mode and vmap are supported. The specification is a plain loop, in the tests.
+Rotations are composed level by level over the five digits, with the batch as the last, contiguous axis. The derivative
+is the geometric one: an angle feels the moment, about its axis, of everything further out, so nothing but the result
+has to be kept. Reverse mode of any order, forward mode and vmap are supported. The specification is a plain loop, in
+the tests.
 """
 
 from typing import Any
@@ -12,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.geometry import exponential_coefficients
+from torchhand.geometry.batch_last import compose, cross, turn, turn_back
 from torchhand.hand.chain_constants import HINGES, ChainConstants
 
 _LEVELS = ((0, 1, 1, 6), (1, 6, 6, 11), (6, 11, 11, 16), (12, 16, 16, 20))
@@ -28,8 +30,8 @@ def place_chain(
 ) -> tuple[Float[Tensor, "20 3 3 n"], Float[Tensor, "20 3 n"], Float[Tensor, "21 3 n"]]:
     """world_from_bone, origins of the bones and keypoints; the batch stands last.
 
-    reference: world_from_hand = exp(pose[3:6]) · reference. Its gradient is the tangent one: right for a reference that stays
-    a rotation. levers: the offset at the end of every bone in that bone's frame, in the order of LEVER_ENDS.
+    reference: world_from_hand = exp(pose[3:6]) · reference. Its gradient is the tangent one: right for a reference
+    that stays a rotation. levers: the offset at the end of every bone in that bone's frame, in the order of LEVER_ENDS.
     """
     return _Chain.apply(pose, reference, levers, constants)
 
@@ -43,14 +45,14 @@ class _Chain(torch.autograd.Function):
         count = pose.shape[-1]
         rotation, position = pose.new_empty(20, 3, 3, count), pose.new_empty(20, 3, count)
         root = _exponential(pose[3:6], constants)
-        rotation[0] = root if reference is None else _compose(root, reference)
+        rotation[0] = root if reference is None else compose(root[None], reference[None])[0]
         local = _local_rotations(pose, constants)
         for first, last, start, stop in _LEVELS:
             out = rotation[start:stop]
-            columns, rows = rotation[first:last].split(1, 2), local[start - 1 : stop - 1].split(1, 1)
+            columns, rows = rotation[first:last].chunk(3, 2), local[start - 1 : stop - 1].chunk(3, 1)
             torch.mul(columns[0], rows[0], out=out)
             out.addcmul_(columns[1], rows[1]).addcmul_(columns[2], rows[2])
-        spans = torch.cat((_turn(rotation[:1], levers[:5]), _turn(rotation[1:], levers[5:])))
+        spans = torch.cat((turn(rotation[:1], levers[:5]), turn(rotation[1:], levers[5:])))
         position[0] = pose[:3]
         for (first, last, start, stop), span in zip(_LEVELS, _by_level(spans), strict=True):
             torch.add(position[first:last], span, out=position[start:stop])
@@ -76,7 +78,7 @@ class _Chain(torch.autograd.Function):
         of_rotation, of_position, of_keypoints = gradients
         points = torch.cat((position, keypoints[4:5], keypoints[8::4]))
         force = _forces(points, of_position, of_keypoints, constants)
-        moment = _cross(points, force)  # about the world's origin
+        moment = cross(points, force)  # about the world's origin
         if of_rotation is not None:
             spin = _spin(rotation, of_rotation)
             moment = torch.cat((moment[:20] + spin, moment[20:]))
@@ -88,54 +90,56 @@ class _Chain(torch.autograd.Function):
         first = wrench[1:6] + second
         whole = wrench[0] + first.sum(0)
         borne = torch.cat((first, second, third, fourth))  # by the joint at the origin of each bone
-        of_pose = None
-        if ctx.needs_input_grad[0] or ctx.needs_input_grad[1]:
-            about = borne[:, 3:] - _cross(position[1:], borne[:, :3])
-            of_angles = _angle_work(_turn_back(rotation[1:], about), pose, constants)
-            of_root = whole[3:] - _cross(position[:1], whole[None, :3])[0]
-            vector = pose[3:6]
-            along, second_order, third_order = exponential_coefficients((vector * vector).sum(0))
-            once = _cross(vector[None], of_root[None])[0]
-            twice = _cross(vector[None], once[None])[0]
-            of_vector = of_root - second_order * once + third_order * twice
-            of_pose = torch.cat((whole[:3], of_vector, of_angles))
+        about = borne[:, 3:] - cross(position[1:], borne[:, :3])
+        of_angles = _angle_work(turn_back(rotation[1:], about), pose, constants)
+        of_root = whole[3:] - cross(position[:1], whole[None, :3])[0]
+        vector = pose[3:6]
+        along, second_order, third_order = exponential_coefficients((vector * vector).sum(0))
+        once = cross(vector[None], of_root[None])[0]
+        twice = cross(vector[None], once[None])[0]
+        of_vector = of_root - second_order * once + third_order * twice
+        of_pose = torch.cat((whole[:3], of_vector, of_angles))
         of_reference = None
         if reference is not None and ctx.needs_input_grad[1]:
             before = of_root - along * once + second_order * twice  # expᵀ · moment
-            of_reference = 0.5 * torch.stack([_cross(before[None], reference[None, :, j])[0] for j in range(3)], 1)
+            of_reference = 0.5 * torch.stack([cross(before[None], reference[None, :, j])[0] for j in range(3)], 1)
             of_reference = _shrunk(of_reference, reference)
         of_levers = None
         if ctx.needs_input_grad[2]:
             pulled = torch.cat((borne[:, :3], tips[:, :3])).index_select(0, constants.lever_ends - 1)
-            of_levers = torch.cat((_turn_back(rotation[:1], pulled[:5]), _turn_back(rotation[1:], pulled[5:])))
+            of_levers = torch.cat((turn_back(rotation[:1], pulled[:5]), turn_back(rotation[1:], pulled[5:])))
             of_levers = _shrunk(of_levers, levers)
         return of_pose, of_reference, of_levers, None
 
     @staticmethod
     def jvp(ctx: Any, *tangents: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
         """Velocities gathered from the root to the tips."""
-        pose, reference, levers, rotation, position, keypoints = ctx.saved_tensors
+        pose, reference, levers, rotation, _, _ = ctx.saved_tensors
         constants: ChainConstants = ctx.constants
         along_pose, along_reference, along_levers = tangents[:3]
         along_pose = torch.zeros_like(pose) if along_pose is None else along_pose
         vector, rate = pose[3:6], along_pose[3:6]
         first_order, second_order, third_order = exponential_coefficients((vector * vector).sum(0))
-        once = _cross(vector[None], rate[None])[0]
-        root_spin = rate + second_order * once + third_order * _cross(vector[None], once[None])[0]
+        once = cross(vector[None], rate[None])[0]
+        root_spin = rate + second_order * once + third_order * cross(vector[None], once[None])[0]
         if reference is not None and along_reference is not None:
             own = 0.5 * _spin(reference[None], along_reference[None])[0]
-            turned = _cross(vector[None], own[None])[0]
-            root_spin = root_spin + own + first_order * turned + second_order * _cross(vector[None], turned[None])[0]
-        relative = _turn(rotation[1:], _angle_rates(along_pose, pose, constants))
+            turned = cross(vector[None], own[None])[0]
+            root_spin = root_spin + own + first_order * turned + second_order * cross(vector[None], turned[None])[0]
+        relative = turn(rotation[1:], _angle_rates(along_pose, pose, constants))
         spin = _accumulated(root_spin[None], relative, _LEVELS)
-        spans = torch.cat((_turn(rotation[:1], levers[:5]), _turn(rotation[1:], levers[5:])))
-        velocity = _cross(torch.cat((spin[:1].expand(5, *spin.shape[1:]), spin[1:])), spans)
+        spans = torch.cat((turn(rotation[:1], levers[:5]), turn(rotation[1:], levers[5:])))
+        velocity = cross(torch.cat((spin[:1].expand(5, *spin.shape[1:]), spin[1:])), spans)
         if along_levers is not None:
-            velocity = velocity + torch.cat((_turn(rotation[:1], along_levers[:5]), _turn(rotation[1:], along_levers[5:])))
+            velocity = velocity + torch.cat(
+                (turn(rotation[:1], along_levers[:5]), turn(rotation[1:], along_levers[5:]))
+            )
         moves = _accumulated(along_pose[None, :3], torch.cat(_by_level(velocity)), _LEVELS)
         thumb_tip = moves[11:12] + velocity[_THUMB_TIP_LEVER : _THUMB_TIP_LEVER + 1]
-        of_keypoints = torch.cat((moves, thumb_tip, moves[16:] + velocity[20:])).index_select(0, constants.keypoint_points)
-        turning = torch.stack([_cross(spin, rotation[:, :, j]) for j in range(3)], 2)
+        of_keypoints = torch.cat((moves, thumb_tip, moves[16:] + velocity[20:])).index_select(
+            0, constants.keypoint_points
+        )
+        turning = torch.stack([cross(spin, rotation[:, :, j]) for j in range(3)], 2)
         return turning, moves, of_keypoints
 
     @staticmethod
@@ -226,7 +230,9 @@ def _angle_rates(along_pose: Tensor, pose: Tensor, constants: ChainConstants) ->
     return torch.cat((free[:1], hinge[:4], free[1:], hinge[4:]))
 
 
-def _forces(points: Tensor, of_position: Tensor | None, of_keypoints: Tensor | None, constants: ChainConstants) -> Tensor:
+def _forces(
+    points: Tensor, of_position: Tensor | None, of_keypoints: Tensor | None, constants: ChainConstants
+) -> Tensor:
     if of_keypoints is None:
         force = torch.zeros_like(points)
     else:
@@ -237,33 +243,10 @@ def _forces(points: Tensor, of_position: Tensor | None, of_keypoints: Tensor | N
     return torch.cat((force[:20] + of_position, force[20:]))
 
 
-def _cross(left: Tensor, right: Tensor) -> Tensor:
-    """Cross product along dimension 1."""
-    (ax, ay, az), (bx, by, bz) = left.unbind(1), right.unbind(1)
-    return torch.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), 1)
-
-
 def _spin(rotation: Tensor, change: Tensor) -> Tensor:
     """Sum of the cross products of the columns of two matrices (bones, 3, 3, n)."""
     (x, y, z), (dx, dy, dz) = rotation.unbind(1), change.unbind(1)
     return torch.stack(((y * dz - z * dy).sum(1), (z * dx - x * dz).sum(1), (x * dy - y * dx).sum(1)), 1)
-
-
-def _compose(left: Tensor, right: Tensor) -> Tensor:
-    """Matrix product of (3, 3, n) with (3, 3, n or 1)."""
-    return (left[:, :, None] * right[None]).sum(1)
-
-
-def _turn(rotation: Tensor, vector: Tensor) -> Tensor:
-    """Matrices (bones, 3, 3, n) times vectors (bones, 3, n or 1)."""
-    columns, parts = rotation.unbind(2), vector.split(1, 1)
-    product = torch.addcmul(columns[0] * parts[0], columns[1], parts[1])
-    return torch.addcmul(product, columns[2], parts[2])
-
-
-def _turn_back(rotation: Tensor, vector: Tensor) -> Tensor:
-    """Transposed matrices times vectors."""
-    return _turn(rotation.transpose(1, 2), vector)
 
 
 def _shrunk(gradient: Tensor, like: Tensor) -> Tensor:

@@ -13,8 +13,8 @@ from torchhand.hand.skeleton import BONES, JOINT_DOFS, KEYPOINTS, ROOT_DOFS, Ske
 FREE_BONES = (1, 6, 7, 8, 9, 10)  # thumb metacarpal and all proximal phalanges: up to three angles each
 HINGES = tuple(bone for bone in range(1, len(BONES)) if bone not in FREE_BONES)
 
-# Points are the origins of the twenty bones, then five fingertips. Every bone but the wrist has exactly one point at its
-# end; levers stand in the order of the bones that carry them: five of the wrist, then those of the bones 1 to 19.
+# Points are the origins of the twenty bones, then five fingertips. Every bone but the wrist has exactly one point at
+# its end; levers stand in the order of the bones that carry them: five of the wrist, then those of the bones 1 to 19.
 LEVER_ENDS = (*range(1, 6), *range(6, 16), 20, *range(16, 20), *range(21, 25))
 POINT_COUNT = 25
 _KEYPOINT_POINTS = (0, 1, 6, 11, 20, 7, 12, 16, 21, 8, 13, 17, 22, 9, 14, 18, 23, 10, 15, 19, 24)
@@ -27,7 +27,8 @@ class ChainConstants:
     free_rotation: Float[Tensor, "6 9 27"]
     """Local rotation of a free bone from the products of (1, cos, sin) of its three angles."""
     free_axes: Float[Tensor, "6 9 9"]
-    """The three axes of a free bone in that bone's frame, from the products of (1, cos, sin) of its second and third angle."""
+    """The three axes of a free bone in that bone's frame, from the products of (1, cos, sin) of its second and third
+    angle."""
     hinge_rotation: Float[Tensor, "3 13 9 1"]
     """Local rotation of a hinge: constant part, part with cos, part with sin of its angle."""
     hinge_axis: Float[Tensor, "13 3 1"]

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from torchhand.geometry.batch_last import batch_last
 from torchhand.hand.chain import place_chain
 from torchhand.hand.chain_constants import LEVER_ENDS, ChainBuffers, chain_constants
 from torchhand.hand.shape import ShapeSpace, offset_matrix
@@ -28,7 +29,8 @@ class HandFrames:
 
 
 class HandKinematics(nn.Module):
-    """Bone transforms and keypoints of a hand of one side; any batch shape, device-agnostic, differentiable any number of times.
+    """Bone transforms and keypoints of a hand of one side; any batch shape, device-agnostic, differentiable any number
+    of times.
 
     A left hand is the exact mirror of the right one: same pose numbers, z of the hand frame reversed.
     """
@@ -62,15 +64,15 @@ class HandKinematics(nn.Module):
     ) -> HandFrames:
         """Frames of the hand in the world.
 
-        pose: metres and radians in the order of DOFS; its rotation vector turns the hand frame, or `root_reference` where
-        that is given (left perturbation: world_from_hand = exp(pose[3:6]) · root_reference).
+        pose: metres and radians in the order of DOFS; its rotation vector turns the hand frame, or `root_reference`
+        where that is given (left perturbation: world_from_hand = exp(pose[3:6]) · root_reference).
         shape: parameters of the shape space, broadcast against the batch; the default proportions where it is None.
         """
         if pose.shape[-1] != len(DOFS):
             raise ValueError(f"pose: expected {len(DOFS)} numbers in the last dimension, got shape {tuple(pose.shape)}")
         batch = pose.shape[:-1]
         flat = pose.reshape(-1, len(DOFS)).T.contiguous()
-        reference = None if root_reference is None else _batch_last(root_reference, 2, batch)
+        reference = None if root_reference is None else batch_last(root_reference, 2, batch)
         rotation, position, keypoints = place_chain(flat, reference, self._levers(shape, batch), self.chain.constants)
         return HandFrames(
             rotation=rotation.permute(3, 0, 1, 2).reshape(*batch, len(BONES), 3, 3),
@@ -84,17 +86,11 @@ class HandKinematics(nn.Module):
             return self.default_levers
         expected = self.default_shape.shape[-1]
         if shape.shape[-1] != expected:
-            raise ValueError(f"shape: expected {expected} numbers in the last dimension, got shape {tuple(shape.shape)}")
-        metres = _batch_last(self.shape_space.metres(shape), 1, batch)
+            raise ValueError(
+                f"shape: expected {expected} numbers in the last dimension, got shape {tuple(shape.shape)}"
+            )
+        metres = batch_last(self.shape_space.metres(shape), 1, batch)
         return (self.lever_matrix @ metres).unflatten(0, (len(LEVER_ENDS), 3))
-
-
-def _batch_last(tensor: Tensor, own: int, batch: torch.Size) -> Tensor:
-    """(*batch, own dims) as (own dims, N), or (own dims, 1) where it is shared by the whole batch."""
-    if tensor.ndim == own:
-        return tensor[..., None]
-    dims = tensor.shape[tensor.ndim - own :]
-    return tensor.expand(*batch, *dims).reshape(-1, *dims).movedim(0, -1)
 
 
 def _mirror(like: Tensor) -> Tensor:

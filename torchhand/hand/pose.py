@@ -16,7 +16,8 @@ class PoseSpace:
     """dof = basis · free + constant.
 
     The root's rotation is a left perturbation: the rotation vector that comes out is applied on top of a reference
-    orientation that the caller keeps (`HandKinematics(..., root_reference=...)`), so no parameter is near a singularity.
+    orientation that the caller keeps (`HandKinematics(..., root_reference=...)`), so no parameter is near a
+    singularity.
     """
 
     name: str
@@ -58,12 +59,20 @@ def pose_space(
     constant = torch.zeros(len(DOFS), dtype=dtype)
     for column, dof in enumerate(free):
         if dof not in DOFS:
-            raise ValueError(f"unknown DOF {dof!r}; allowed: {', '.join(DOFS)}")
+            raise _unknown(dof)
         basis[DOFS.index(dof), column] = 1.0
     for dof, (source, factor, offset) in (ties or {}).items():
+        if dof not in DOFS:
+            raise _unknown(dof)
+        if source not in free:
+            raise ValueError(f"tie of {dof}: {source!r} is not free; free are {', '.join(free)}")
         basis[DOFS.index(dof), free.index(source)] = factor
         constant[DOFS.index(dof)] = offset
     return PoseSpace(name=name, free_names=free, basis=basis, constant=constant)
+
+
+def _unknown(dof: str) -> ValueError:
+    return ValueError(f"unknown DOF {dof!r}; allowed: {', '.join(DOFS)}")
 
 
 def _joints_without(*left_out: str) -> tuple[str, ...]:
@@ -82,7 +91,14 @@ POSE_SPACES: dict[str, tuple[tuple[str, ...], dict[str, tuple[str, float, float]
     # paper 000, sections 7.2 and 9: planar motion, scale and the abductions
     "planar_abduction": (("root_tx", "root_ty", "root_tz", "root_rz", *_ABDUCTIONS), {}),
     # paper 000 with its constraints (1) and (4)
-    "dof26": ((*ROOT_DOFS, *(d for d in _joints_without("_dip_fe", "cmc_fe", "thumb_mcp_aa", "thumb_mcp_fe")), "thumb_cmc_fe"), _DIP_TIES | _THUMB_TIE),
+    "dof26": (
+        (
+            *ROOT_DOFS,
+            *(d for d in _joints_without("_dip_fe", "cmc_fe", "thumb_mcp_aa", "thumb_mcp_fe")),
+            "thumb_cmc_fe",
+        ),
+        _DIP_TIES | _THUMB_TIE,
+    ),
     # paper 003, section 4.1
     "dof27": ((*ROOT_DOFS, "thumb_cmc_fe", *_joints_without("cmc_fe", "_tw")), {}),
     # paper 000, section 3.3
@@ -108,7 +124,7 @@ _FIST = {
     **{f"{finger}_mcp_fe": 85.0 for finger in FINGERS[1:]},
     **{f"{finger}_pip_fe": 100.0 for finger in FINGERS[1:]},
     **{f"{finger}_dip_fe": 67.0 for finger in FINGERS[1:]},
-    **{"thumb_cmc_fe": 35.0, "thumb_cmc_aa": 35.0, "thumb_mcp_fe": 45.0, "thumb_ip_fe": 40.0},
+    **{"thumb_cmc_fe": 17.0, "thumb_cmc_aa": 8.0, "thumb_mcp_fe": 33.0, "thumb_ip_fe": 65.0},  # over index and middle
 }
 _SPREAD = {"index_mcp_aa": 12.0, "ring_mcp_aa": 8.0, "little_mcp_aa": 18.0, "thumb_cmc_fe": -10.0, "thumb_cmc_aa": 28.0}
 

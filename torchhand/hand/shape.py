@@ -17,8 +17,8 @@ _UNITS = ("m", "/HL", "/HB")
 class ShapeSpace:
     """Names, defaults, bounds and spread over people of the shape parameters.
 
-    `hand_length` and `hand_breadth` are metres; every other parameter is a ratio, of hand length (lengths along the fingers)
-    or of hand breadth (positions across the palm, thicknesses, radii), as its unit says.
+    `hand_length` and `hand_breadth` are metres; every other parameter is a ratio, of hand length (lengths along the
+    fingers) or of hand breadth (positions across the palm, thicknesses, radii), as its unit says.
     """
 
     names: tuple[str, ...]
@@ -34,7 +34,9 @@ class ShapeSpace:
         if unknown := set(self.units) - set(_UNITS):
             raise ValueError(f"units: expected {', '.join(_UNITS)}, got {', '.join(sorted(unknown))}")
         if missing := {"hand_length", "hand_breadth"} - set(self.names):
-            raise ValueError(f"names: expected hand_length and hand_breadth among them, lacks {', '.join(sorted(missing))}")
+            raise ValueError(
+                f"names: expected hand_length and hand_breadth among them, lacks {', '.join(sorted(missing))}"
+            )
 
     def to(self, *, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> "ShapeSpace":
         """The same space with its tensors moved."""
@@ -51,17 +53,20 @@ class ShapeSpace:
         """Every parameter in metres, by name."""
         return dict(zip(self.names, self.metres(shape).unbind(-1), strict=True))
 
-    def linear_map(self, function: Callable[[Mapping[str, Tensor]], Tensor]) -> Float[Tensor, "*sizes shape"]:
-        """The matrix of a linear function of the parameters in metres, float64, found by feeding it the unit vectors.
-
-        A readable function of named lengths so becomes one product of matrices.
-        """
-        unit = torch.eye(len(self.names), dtype=torch.float64, device=self.default.device)
-        return function(dict(zip(self.names, unit, strict=True))).movedim(0, -1)
-
     @cached_property
     def _unit_index(self) -> Tensor:
         return torch.tensor([_UNITS.index(unit) for unit in self.units], device=self.default.device)
+
+
+def linear_map(
+    names: tuple[str, ...], function: Callable[[Mapping[str, Tensor]], Tensor]
+) -> Float[Tensor, "*sizes shape"]:
+    """The matrix of a linear function of the parameters in metres, float64, found by feeding it the unit vectors.
+
+    A readable function of named lengths so becomes one product of matrices.
+    """
+    unit = torch.eye(len(names), dtype=torch.float64)
+    return function(dict(zip(names, unit, strict=True))).movedim(0, -1)
 
 
 TIP_DEPTH = 0.016
@@ -77,8 +82,8 @@ THUMB_BASE_X = -0.10
 def joint_positions(space: ShapeSpace, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch 2 5 3"]:
     """Bases of the metacarpals and the knuckles (MCP joints) in the hand frame of a straight hand, metres.
 
-    [..., 0, :, :] are the CMC joints thumb to little; [..., 1, 1:, :] the MCP joints of the four fingers. The entry of the
-    thumb's MCP joint holds the length of its metacarpal on y, in that bone's own frame.
+    [..., 0, :, :] are the CMC joints thumb to little; [..., 1, 1:, :] the MCP joints of the four fingers. The entry of
+    the thumb's MCP joint holds the length of its metacarpal on y, in that bone's own frame.
     """
     return _joint_positions(space.metric(shape))
 
@@ -109,7 +114,7 @@ def bone_offsets(
 
 def offset_matrix(space: ShapeSpace, metacarpal_rotation: Float[Tensor, "5 3 3"]) -> Float[Tensor, "25 3 shape"]:
     """`bone_offsets` (bones, then tips) as a linear map of the parameters in metres, float64."""
-    return space.linear_map(lambda metric: _offsets(metric, metacarpal_rotation.double()))
+    return linear_map(space.names, lambda metric: _offsets(metric, metacarpal_rotation.double().cpu()))
 
 
 def _offsets(metric: Mapping[str, Tensor], metacarpal_rotation: Tensor) -> Tensor:

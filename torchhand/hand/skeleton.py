@@ -16,7 +16,7 @@ BONES = (
     *(f"{finger}_middle" for finger in FINGERS[1:]),
     *(f"{finger}_distal" for finger in FINGERS[1:]),
 )
-"""Twenty bones by level, thumb to little in each; the wrist is the root. The thumb's third bone is its distal phalanx."""
+"""Twenty bones by level, thumb to little in each; the wrist is the root. The thumb's third bone is its distal one."""
 
 PARENTS = (-1, 0, 0, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 13, 14, 15)
 
@@ -45,8 +45,9 @@ KEYPOINTS = (
 class Skeleton:
     """Joints of a right hand; the left hand is its mirror image in the plane z = 0 of the hand frame.
 
-    Hand frame: origin on the wrist crease below the middle finger's metacarpal, x out of the back of the hand, y towards the
-    fingers, z towards the thumb's side. Bone frames: y along the bone at rest, flexion positive about +z for fingers.
+    Hand frame: origin on the wrist crease below the middle finger's metacarpal, x out of the back of the hand, y
+    towards the fingers, z towards the thumb's side. Bone frames: y along the bone at rest, flexion positive about +z
+    for fingers.
     """
 
     rest_rotation: Float[Tensor, "20 3 3"]

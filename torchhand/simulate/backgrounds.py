@@ -14,11 +14,13 @@ BackgroundKind = Literal["plain", "dark", "wall", "clutter"]
 _CLUTTER_SHAPES = 90
 
 
-def background_picture(kind: BackgroundKind, width: int, height: int, generator: torch.Generator) -> UInt8[Tensor, "height width 3"]:
+def background_picture(
+    kind: BackgroundKind, width: int, height: int, generator: torch.Generator
+) -> UInt8[Tensor, "height width 3"]:
     """An RGB picture.
 
-    plain: one cool colour; dark: nearly black; wall: a warm bright wall, unevenly lit, its colour near that of skin; clutter:
-    overlapping shapes of all colours, skin's among them, with strong edges everywhere.
+    plain: one cool colour; dark: nearly black; wall: a warm bright wall, unevenly lit, its colour near that of skin;
+    clutter: overlapping shapes of all colours, skin's among them, with strong edges everywhere.
     """
     if kind not in BACKGROUNDS:
         raise ValueError(f"background: expected one of {', '.join(BACKGROUNDS)}, got {kind!r}")

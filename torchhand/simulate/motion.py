@@ -47,9 +47,10 @@ def scripted_motion(
 ) -> Motion:
     """The script of that name (SCRIPTS) for a hand and a camera; float64.
 
-    The hand starts from rest, upright, in the middle of the picture and as far away as makes it fill the picture well. Joint
-    angles stay inside the skeleton's limits. `pace` multiplies every speed of the scripts that run by the clock; "flexion" and
-    "leave" spread their events over the sequence. Raises ValueError for a name, frames, fps or pace that cannot be.
+    The hand starts from rest, upright, in the middle of the picture and as far away as makes it fill the picture well.
+    Joint angles stay inside the skeleton's limits. `pace` multiplies every speed of the scripts that run by the clock;
+    "flexion" and "leave" spread their events over the sequence. Raises ValueError for a name, frames, fps or pace that
+    cannot be.
     """
     if name not in SCRIPTS:
         raise ValueError(f"motion: expected one of {', '.join(SCRIPTS)}, got {name!r}")
@@ -59,7 +60,14 @@ def scripted_motion(
     joints = posture(course.posture)[6:].expand(frames, -1)
     joints = joints if course.joints is None else joints + course.joints
     return perform(
-        name, course, within_limits(joints, kinematics.skeleton), camera, hand_length=length, view=view, stage=stage, fps=fps
+        name,
+        course,
+        within_limits(joints, kinematics.skeleton),
+        camera,
+        hand_length=length,
+        view=view,
+        stage=stage,
+        fps=fps,
     )
 
 
@@ -84,7 +92,9 @@ def stage_before(
     if camera.kind == "orthographic":
         distance, scale = _ORTHOGRAPHIC_DISTANCE, 1.0
     else:
-        distance = max(hand_length * f / (share * px) for f, share, px in zip(focal, _HAND_IN_PICTURE, size, strict=True))
+        distance = max(
+            hand_length * f / (share * px) for f, share, px in zip(focal, _HAND_IN_PICTURE, size, strict=True)
+        )
         scale = distance
     index = torch.arange(frames, dtype=torch.float64)
     return Stage(
@@ -122,7 +132,7 @@ def perform(
     stage: Stage,
     fps: float,
 ) -> Motion:
-    """Places the course before the camera: the hand turns about its middle, which starts in the middle of the picture."""
+    """Places the course before the camera: the hand turns about its middle, which starts in the picture's middle."""
     tilt = rotation_from_vector(torch.deg2rad(torch.tensor(course.tilt_deg, dtype=torch.float64)))
     cam_from_hand = tilt @ facing(view)
     middle_px = torch.tensor(((camera.width - 1) / 2, (camera.height - 1) / 2), dtype=torch.float64)

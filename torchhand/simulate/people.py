@@ -12,8 +12,9 @@ def sample_shape(
 ) -> Float[Tensor, "*batch shape"]:
     """Shape vectors of random people: independent Gaussians truncated to the bounds.
 
-    The mean is the default shape, `spread` multiplies the standard deviations. Drawn by inverting the distribution function
-    inside the bounds, so no value piles up at them. Device and dtype are the space's; the generator's device is the CPU.
+    The mean is the default shape, `spread` multiplies the standard deviations. Drawn by inverting the distribution
+    function inside the bounds, so no value piles up at them. Device and dtype are the space's; the generator is one of
+    the CPU.
     """
     if spread < 0:
         raise ValueError(f"spread: expected 0 or more, got {spread}")

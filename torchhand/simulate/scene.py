@@ -13,7 +13,7 @@ from torch import Tensor
 from torchhand.geometry import Camera
 from torchhand.hand import HandFrames, HandKinematics, place_primitives
 from torchhand.simulate.backgrounds import BACKGROUNDS, BackgroundKind, background_picture
-from torchhand.simulate.forearm import LENGTH, cast_forearm
+from torchhand.simulate.forearm import cast_forearm, forearm_corners, pixel_box
 from torchhand.simulate.motion import Motion
 from torchhand.view import HandProjector, Raycast, raycast, shade
 
@@ -92,9 +92,9 @@ def render_sequence(
 ) -> Iterator[RenderedFrame]:
     """The frames of a motion, one after the other; computed in the dtype of the kinematics (float64 for an exact mask).
 
-    The picture integrates light over each pixel's area (supersampling), then over the shutter's time, then comes the lens's
-    blur and the sensor's noise. Mask and keypoints belong to the middle of the exposure. The frame's noise depends on the
-    generator, and so on the frames before it: the same seed gives the same sequence bit for bit.
+    The picture integrates light over each pixel's area (supersampling), then over the shutter's time; then come the
+    lens's blur and the sensor's noise. Mask and keypoints belong to the middle of the exposure. The same seed gives the
+    same sequence bit for bit; a frame's noise depends on the frames before it.
     """
     dtype = kinematics.default_shape.dtype
     camera = camera.to(dtype=dtype)
@@ -145,7 +145,7 @@ def _cast(projector: HandProjector, frames: HandFrames, camera: Camera, look: Sc
 def _exposed(
     projector: HandProjector, frames: HandFrames, behind: UInt8[Tensor, "height width 3"], look: SceneSettings
 ) -> Float[Tensor, "height width 3"]:
-    """One moment's light, averaged over every pixel's area; grey levels. Only the window with the hand is cast and shaded."""
+    """One moment's light, averaged over every pixel's area; grey levels. Only the hand's window is cast and shaded."""
     image = behind.double()
     left, top, right, bottom = _window(projector, frames, look)
     if right <= left or bottom <= top:
@@ -155,7 +155,7 @@ def _exposed(
     intrinsics[:2, 2] -= shift
     camera = replace(projector.camera, intrinsics=intrinsics, width=right - left, height=bottom - top)
     side = look.supersampling
-    cast = _cast(projector, frames, camera.resized(side), look)
+    cast = _cast(projector, frames, camera.resized(float(side)), look)
     around = behind[top:bottom, left:right].repeat_interleave(side, 0).repeat_interleave(side, 1)
     lit = replace(cast, part=torch.where(cast.part == _FOREARM, 0, cast.part))
     picture = shade(lit, skin=SKIN_TONES[look.skin], background=around, light=look.light, ambient=look.ambient)
@@ -173,13 +173,8 @@ def _window(projector: HandProjector, frames: HandFrames, look: SceneSettings) -
     offsets = torch.tensor([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=points.dtype)
     corners = (points[:, None] + reach * offsets).reshape(-1, 3)
     if look.forearm:
-        elbow = frames.position[0] - (LENGTH + reach) * frames.rotation[0][:, 1]
-        corners = torch.cat((corners, camera.cam_from_world(elbow) + 1.5 * reach * offsets))
-    if camera.kind == "pinhole" and bool((corners[:, 2] < 0.02).any()):
-        return 0, 0, camera.width, camera.height
-    pixels = camera.pixels_from_plane(camera.plane_from_cam(corners)).clamp(-1e6, 1e6)
-    low, high = pixels.amin(0).floor().long().tolist(), pixels.amax(0).ceil().long().tolist()
-    return max(0, low[0]), max(0, low[1]), min(camera.width, high[0] + 1), min(camera.height, high[1] + 1)
+        corners = torch.cat((corners, camera.cam_from_world(forearm_corners(frames, space, projector.shape))))
+    return pixel_box(corners, camera)
 
 
 def _developed(image: Tensor, look: SceneSettings, generator: torch.Generator) -> UInt8[Tensor, "height width 3"]:

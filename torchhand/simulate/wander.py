@@ -17,8 +17,8 @@ def wander(
 ) -> Float[Tensor, "frames {count}"]:
     """`count` independent sums of sinusoids within [-1, 1], zero with zero speed at time 0.
 
-    pace multiplies all frequencies. The curves depend on the time alone: a longer sequence of the same seed begins with the
-    shorter one.
+    pace multiplies all frequencies. The curves depend on the time alone: a longer sequence of the same seed begins with
+    the shorter one.
     """
     low, high = FREQUENCIES_HZ
     shape = (_SINUSOIDS, count)

@@ -5,8 +5,9 @@ place and scale; the angle is searched about the inertia axis and all around. Hy
 both directions, blind beyond the wrist, where a forearm may or may not follow.
 """
 
+import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -15,16 +16,19 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.geometry import Camera, assumed_camera
-from torchhand.hand import HandKinematics
+from torchhand.hand import DOFS, HandKinematics
 from torchhand.view import HandProjector
 
 _WORK_SIDE_PX = 200  # pictures are searched at this size
 _CANON_PX = 160  # size of the picture in which a posture is drawn once
 _CANON_DEPTH = 2.0  # metres: far enough that the drawing is nearly orthographic
 _ANGLES = 48
-_SCALES = (0.8, 0.9, 1.0, 1.1, 1.22)
+_SCALES = (0.72, 0.8, 0.9, 1.0, 1.1, 1.22, 1.35)
 _CENTRES = 4
 _REACH = 0.5  # distances are cut off at this share of the palm's radius
+_SPREADS = (1.0, 0.35)  # the posture is tried with its abductions as they are and with narrower ones
+_COARSE_POINTS, _FINE_POINTS = 110, 260  # outline points compared in the search and in its refinement
+_REFINED = 12  # distinct hypotheses refined
 
 # world_from_hand of a hand upright before the camera: fingers up, palm or back towards the camera, for the right hand; the
 # left hand's are the same, its frame being mirrored.
@@ -63,6 +67,7 @@ class _Template:
     """One posture drawn once: palm at the origin, in units of the palm's radius, fingers up."""
 
     facing: str
+    pose: Tensor  # the posture that is drawn
     edge: np.ndarray  # (n, 2) boundary points that an image should show
     distance: np.ndarray  # distance map of the boundary, units of the radius
     pixels_per_radius: float
@@ -70,6 +75,17 @@ class _Template:
     wrist_y: float  # beyond this line (down) is forearm
     metres_per_radius: float
     centre_offset: np.ndarray  # palm centre relative to the hand's origin in the camera frame, metres
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A template laid over the reduced silhouette."""
+
+    cost: float
+    template: _Template
+    centre: np.ndarray  # of the palm, px
+    radius: float  # of the palm, px
+    angle: float  # from upright, radians
 
 
 def _boundary(mask: np.ndarray) -> np.ndarray:
@@ -101,6 +117,7 @@ def draw_template(kinematics: HandKinematics, shape: Tensor, pose: Tensor, facin
     metres_per_px = _CANON_DEPTH / float(camera.intrinsics[0, 0])
     return _Template(
         facing=facing,
+        pose=pose,
         edge=(points[(points[:, 1] - centre[1]) / radius < wrist_y] - centre) / radius,
         distance=_edge_distance(points, mask.shape) / radius,
         pixels_per_radius=radius,
@@ -119,8 +136,7 @@ def align_posture(
     pose: Float[Tensor, "36"],
     *,
     facings: tuple[str, ...] = ("palm", "back"),
-    keep: int = 3,
-    upright_only: bool = False,
+    keep: int = 4,
 ) -> list[Alignment]:
     """The best placements of a posture over a silhouette, best first, distinct in place and angle; [] for an empty mask.
 
@@ -134,30 +150,47 @@ def align_posture(
     if len(edge) < 20:
         return []
     distance = _edge_distance(edge, small.shape)
-    found: list[tuple[float, _Template, np.ndarray, float, float]] = []
+    found: list[_Candidate] = []
     discs = _discs(small)
-    edge = edge[:: max(1, len(edge) // 250)]
     inner = (edge[:, 0] > 1) & (edge[:, 1] > 1) & (edge[:, 0] < small.shape[1] - 2) & (edge[:, 1] < small.shape[0] - 2)
     edge = edge[inner]  # the picture's border is no outline
+    coarse = _thinned(edge, _COARSE_POINTS)
     angles = np.linspace(-math.pi, math.pi, _ANGLES, endpoint=False) + _inertia_angle(small)
-    for facing in facings:
-        template = draw_template(kinematics, shape, pose, facing)
+    is_spread = torch.tensor([name.endswith("_aa") for name in DOFS])
+    for facing, spread in itertools.product(facings, _SPREADS):
+        variant = torch.where(is_spread, spread * pose, pose)
+        template = draw_template(kinematics, shape, variant, facing)
         for centre, radius in discs:
-            costs = _costs(template, distance, edge, centre, radius, angles)
-            for i in np.argsort(costs, axis=None)[:4]:
+            costs = _costs(template, distance, coarse, centre, radius, angles, _SCALES, _COARSE_POINTS)
+            for i in np.argsort(costs, axis=None)[:12]:
                 a, s = np.unravel_index(i, costs.shape)
-                found.append((float(costs[a, s]), template, centre, radius * _SCALES[s], float(angles[a])))
-    found.sort(key=lambda item: item[0])
-    refined = [_refine(item, distance, edge) for item in found[: 4 * keep]]
-    refined.sort(key=lambda item: item[0])
-    chosen: list[Alignment] = []
-    for cost, template, centre, radius, angle in refined:
-        placed = _placed(cost, template, (centre + 0.5) / scale - 0.5, radius / scale, angle, camera, pose)
-        if all(_differs(placed, other) for other in chosen):
-            chosen.append(placed)
-        if len(chosen) == keep:
+                found.append(_Candidate(float(costs[a, s]), template, centre, radius * _SCALES[s], float(angles[a])))
+    fine = _thinned(edge, _FINE_POINTS)
+    refined = [_refine(candidate, distance, fine) for candidate in _distinct(found, _REFINED)]
+    return [
+        _placed(c, (c.centre + 0.5) / scale - 0.5, c.radius / scale, camera) for c in _distinct(refined, keep)
+    ]
+
+
+def _thinned(points: np.ndarray, count: int) -> np.ndarray:
+    return points[:: max(1, len(points) // count)]
+
+
+def _distinct(candidates: list[_Candidate], count: int) -> list[_Candidate]:
+    """The best candidates that differ in side, place, angle or scale."""
+    chosen: list[_Candidate] = []
+    for one in sorted(candidates, key=lambda c: c.cost):
+        if all(_differs(one, other) for other in chosen):
+            chosen.append(one)
+        if len(chosen) == count:
             break
     return chosen
+
+
+def _differs(one: _Candidate, other: _Candidate) -> bool:
+    turn = abs(math.remainder(one.angle - other.angle, 2 * math.pi))
+    apart = float(np.hypot(*(one.centre - other.centre))) / max(one.radius, other.radius)
+    return one.template.facing != other.template.facing or turn > 0.12 or apart > 0.25
 
 
 def _discs(mask: np.ndarray) -> list[tuple[np.ndarray, float]]:
@@ -194,12 +227,13 @@ def _costs(
     centre: np.ndarray,
     radius: float,
     angles: np.ndarray,
-    scales: tuple[float, ...] = _SCALES,
+    scales: tuple[float, ...],
+    points: int,
 ) -> np.ndarray:
     """Chamfer cost of every angle and scale: the template's edge on the picture's, and the picture's on the template's."""
     size = radius * np.array(scales)
     turn = np.stack((np.cos(angles), -np.sin(angles), np.sin(angles), np.cos(angles)), -1).reshape(-1, 2, 2)
-    model = template.edge[:: max(1, len(template.edge) // 250)]
+    model = _thinned(template.edge, points)
     there = np.einsum("aij,nj->ani", turn, model)[:, None] * size[:, None, None] + centre
     # A point that falls outside the picture says nothing, but a hand that is mostly outside is not believed.
     forward = np.minimum(_lookup(distance, there, np.nan) / size[:, None], _REACH)
@@ -215,43 +249,39 @@ def _costs(
     return 0.5 * (ahead + backward) / _REACH
 
 
-def _refine(item: tuple[float, _Template, np.ndarray, float, float], distance: np.ndarray, edge: np.ndarray) -> tuple:
+def _refine(candidate: _Candidate, distance: np.ndarray, edge: np.ndarray) -> _Candidate:
     """Coordinate descent over place, angle and scale with shrinking steps."""
-    cost, template, centre, radius, angle = item
-    shift, turn, stretch = 0.25 * radius, 0.07, 0.08
-    for _ in range(9):
-        moves = [(np.zeros(2), 0.0, 1.0)]
+    best = replace(candidate, cost=math.inf)
+    shift, turn, stretch = 0.25 * candidate.radius, 0.07, 0.08
+    still = np.zeros(2)
+    for _ in range(10):
+        moves = [(still, 0.0, 1.0), (still, turn, 1.0), (still, -turn, 1.0), (still, 0.0, 1 + stretch), (still, 0.0, 1 - stretch)]
         moves += [(np.array(d) * shift, 0.0, 1.0) for d in ((1, 0), (-1, 0), (0, 1), (0, -1))]
-        moves += [(np.zeros(2), turn, 1.0), (np.zeros(2), -turn, 1.0), (np.zeros(2), 0.0, 1 + stretch), (np.zeros(2), 0.0, 1 - stretch)]
-        trials = [(centre + d, radius * s, angle + t) for d, t, s in moves]
-        costs = [float(_costs(template, distance, edge, c, r, np.array((a,)), (1.0,))[0, 0]) for c, r, a in trials]
-        best = int(np.argmin(costs))
-        if best == 0:
+        trials = []
+        for d, t, s in moves:
+            centre, radius, angle = best.centre + d, best.radius * s, best.angle + t
+            cost = _costs(best.template, distance, edge, centre, radius, np.array((angle,)), (1.0,), _FINE_POINTS)
+            trials.append(_Candidate(float(cost[0, 0]), best.template, centre, radius, angle))
+        winner = min(trials, key=lambda c: c.cost)
+        if winner is trials[0]:
             shift, turn, stretch = 0.5 * shift, 0.5 * turn, 0.5 * stretch
-        cost, (centre, radius, angle) = costs[best], trials[best]
-    return cost, template, centre, radius, angle
+        best = winner
+    return best
 
 
-def _placed(
-    cost: float, template: _Template, centre_px: np.ndarray, radius_px: float, angle: float, camera: Camera, pose: Tensor
-) -> Alignment:
+def _placed(candidate: _Candidate, centre_px: np.ndarray, radius_px: float, camera: Camera) -> Alignment:
     """The pose in the camera frame whose picture is the aligned template."""
+    template, angle = candidate.template, candidate.angle
     focal_px = 0.5 * float(camera.intrinsics[0, 0] + camera.intrinsics[1, 1])
-    depth = focal_px * template.metres_per_radius / radius_px if camera.kind == "pinhole" else 1.0
-    plane = camera.plane_from_pixels(torch.tensor(centre_px, dtype=pose.dtype))
-    centre_m = plane * (depth if camera.kind == "pinhole" else 1.0)
+    is_pinhole = camera.kind == "pinhole"
+    depth = focal_px * template.metres_per_radius / radius_px if is_pinhole else 1.0
+    placed = template.pose.clone()
+    centre_m = camera.plane_from_pixels(torch.tensor(centre_px, dtype=placed.dtype)) * (depth if is_pinhole else 1.0)
     c, s = math.cos(angle), math.sin(angle)
-    offset = torch.tensor(np.array(((c, -s), (s, c))) @ template.centre_offset, dtype=pose.dtype)
-    placed = pose.clone()
+    offset = torch.tensor(np.array(((c, -s), (s, c))) @ template.centre_offset, dtype=placed.dtype)
     placed[:2], placed[2], placed[3:6] = centre_m - offset, depth, 0.0
     reference = turned_in_picture(facing_rotation(template.facing), angle)
-    return Alignment(pose=placed, root_reference=reference, facing=template.facing, cost=cost)
-
-
-def _differs(one: Alignment, other: Alignment) -> bool:
-    turn = one.root_reference @ other.root_reference.T
-    angle = math.acos(max(-1.0, min(1.0, (float(turn.trace()) - 1) / 2)))
-    return angle > 0.25 or float((one.pose[:3] - other.pose[:3]).norm()) > 0.03
+    return Alignment(pose=placed, root_reference=reference, facing=template.facing, cost=candidate.cost)
 
 
 def align_points(

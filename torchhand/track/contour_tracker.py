@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from torchhand.geometry import Camera, rotation_from_vector, vector_from_rotation
-from torchhand.hand import DOFS, HandKinematics, PoseSpace, named_pose_space
+from torchhand.hand import DOFS, HandKinematics, PoseSpace, named_pose_space, posture
 from torchhand.image import ColourModel, search_edges
 from torchhand.numerics import Gaussian, predict_linear, update
 from torchhand.track.appearance import Appearance, grey, hand_region, overlap
@@ -52,7 +52,10 @@ class Memory:
     shape: Float[Tensor, "shape"] | None = None
     """The fitted proportions."""
     appearance: Appearance | None = None
-    frames_seen: int = 0
+    posture: Float[Tensor, "36"] | None = None
+    """The posture of the start as it was fitted, which a restart looks for."""
+    frames_since_search: int = 0
+    """Frames since a doubtful track was last compared with a fresh search."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,15 +118,33 @@ class ContourTracker:
     def step(
         self, state: TrackerState | None, memory: Memory, image: UInt8[Tensor, "height width 3"]
     ) -> tuple[TrackerState | None, Memory, Estimate]:
-        """The next state, what is remembered, and the estimate of this picture."""
-        seen = replace(memory, frames_seen=memory.frames_seen + 1)
+        """The next state, what is remembered, and the estimate of this picture.
+
+        A hand found again after a frame that was lost is `recovered`; the first one ever, and one that a fresh search
+        corrects within an unbroken track, is `tracked`.
+        """
         if state is None or memory.appearance is None or memory.shape is None:
-            return self._restart(seen, image)
+            return self._restart(memory, image)
         following, estimate = self._follow(state, memory.shape, memory.appearance, image)
-        if following is not None:
-            return following, seen, estimate
-        restarted, remembered, found = self._restart(seen, image)
-        return (restarted, remembered, found) if restarted is not None else (None, seen, estimate)
+        is_due = memory.frames_since_search + 1 >= self.settings.loss.search_every
+        memory = replace(memory, frames_since_search=memory.frames_since_search + 1)
+        is_sure = following is not None and (estimate.overlap or 0.0) >= self.settings.loss.doubt_overlap
+        if is_sure or (following is not None and not is_due):
+            return following, memory, estimate
+        # Lost, or in doubt: a hand in the posture of the start, seen afresh, takes over where it explains more.
+        restarted, remembered, found = self._restart(replace(memory, frames_since_search=0), image)
+        margin = 0.0 if following is None else self.settings.loss.better_by
+        if restarted is not None and (found.overlap or 0.0) > (estimate.overlap or 0.0) + margin:
+            return restarted, remembered, replace(found, status="tracked")  # no frame was lost
+        return following, replace(memory, frames_since_search=0), estimate
+
+    def skip(self, state: TrackerState | None) -> tuple[TrackerState | None, Estimate]:
+        """The step over a picture that could not be read: time passes, nothing is seen."""
+        if state is not None:
+            belief = predict_linear(state.belief, self._transition, self._process_noise)
+            failures = state.failures + 1
+            state = None if failures >= self.settings.loss.patience else replace(state, belief=belief, failures=failures)
+        return state, Estimate(status="no_hand", reason="the picture could not be read")
 
     def _restart(self, memory: Memory, image: Tensor) -> tuple[TrackerState | None, Memory, Estimate]:
         s = self.settings
@@ -132,7 +153,7 @@ class ContourTracker:
         shape = memory.shape if memory.shape is not None else shape
         if is_first and self.start_points is not None:
             found = start_at_points(
-                image, self.start_points, self.kinematics, self.camera, shape, self.table, s.posture, settings=s.fit
+                image, self.start_points, self.kinematics, self.camera, shape, self.table, posture(s.posture), settings=s.fit
             )
         else:
             found = find_hand(
@@ -141,7 +162,7 @@ class ContourTracker:
                 self.camera,
                 shape,
                 self.table,
-                s.posture,
+                memory.posture if memory.posture is not None else posture(s.posture),
                 appearance=memory.appearance,
                 fit_shape=is_first and self.known_shape is None,
                 settings=s.fit,
@@ -151,7 +172,8 @@ class ContourTracker:
             was_tracked = memory.shape is not None
             status: Status = "lost" if found.has_foreground and was_tracked else "no_hand"
             return None, memory, Estimate(status=status, reason=found.reason)
-        memory = replace(memory, shape=found.fit.shape, appearance=found.appearance)
+        if is_first:
+            memory = replace(memory, shape=found.fit.shape, appearance=found.appearance, posture=found.fit.pose)
         state, share, agreement = self._settled(found, image)
         status = "tracked" if is_first else "recovered"
         return state, memory, self._estimate(status, state, found.fit.shape, overlap_=agreement, found=share)
@@ -346,7 +368,8 @@ class ContourTracker:
 
     def state_dict(self, state: TrackerState | None, memory: Memory) -> dict[str, Any]:
         """Plain tensors and numbers from which `restore` goes on exactly."""
-        saved: dict[str, Any] = {"frames_seen": memory.frames_seen, "shape": memory.shape}
+        saved: dict[str, Any] = {"shape": memory.shape, "posture": memory.posture}
+        saved["frames_since_search"] = memory.frames_since_search
         saved["colours"] = None if memory.appearance is None else memory.appearance.colours.log_ratio
         if state is not None:
             saved |= {"mean": state.belief.mean, "covariance": state.belief.covariance, "base": state.base}
@@ -357,7 +380,12 @@ class ContourTracker:
         """The inverse of `state_dict`."""
         colours = saved["colours"]
         appearance = None if colours is None else Appearance(colours=ColourModel(log_ratio=colours))
-        memory = Memory(shape=saved["shape"], appearance=appearance, frames_seen=saved["frames_seen"])
+        memory = Memory(
+            shape=saved["shape"],
+            posture=saved["posture"],
+            appearance=appearance,
+            frames_since_search=saved["frames_since_search"],
+        )
         if "mean" not in saved:
             return None, memory
         state = TrackerState(

@@ -63,13 +63,20 @@ class LossSettings:
     """Least share of the contour's points inside the picture; 0 to 1."""
     patience: int = 3
     """Frames in a row that may fail before the track is lost; 1 or more."""
-    start_overlap: float = 0.75
+    start_overlap: float = 0.80
     """Least overlap with which a hand is taken as found; 0 to 1."""
+    doubt_overlap: float = 0.80
+    """Below this overlap a track is compared with a fresh search for the posture of the start; 0 to 1."""
+    better_by: float = 0.02
+    """By how much the fresh search must overlap better to take over; 0 to 1."""
+    search_every: int = 5
+    """Frames from one such search to the next; 1 or more."""
 
     def __post_init__(self) -> None:
-        for name in ("min_overlap", "min_found", "min_inside", "start_overlap"):
+        for name in ("min_overlap", "min_found", "min_inside", "start_overlap", "doubt_overlap", "better_by"):
             _require(0 <= getattr(self, name) <= 1, f"loss.{name}", "0 to 1", getattr(self, name))
-        _require(self.patience >= 1, "loss.patience", "1 or more", self.patience)
+        for name in ("patience", "search_every"):
+            _require(getattr(self, name) >= 1, f"loss.{name}", "1 or more", getattr(self, name))
 
 
 @dataclass(frozen=True, kw_only=True)

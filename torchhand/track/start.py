@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics, posture
+from torchhand.hand import HandKinematics
 from torchhand.image import bootstrap_skin, clean, fill_holes, largest_component
 from torchhand.track.alignment import Alignment, align_points, align_posture
 from torchhand.track.appearance import Appearance, disc, hand_region, learn_appearance, mask_plane, overlap
@@ -18,7 +18,9 @@ StartPoints = tuple[float, float, float, float]
 """Wrist x, y and middle fingertip x, y in px."""
 
 _WORST_COST = 0.42  # alignments above it are not worth fitting
-_TRIES = 2  # alignments fitted per picture
+_TRIES = 4  # alignments fitted per picture
+_LEAST_FOUND = 0.8  # share of the fitted contour that must lie on edges
+_LEAST_INSIDE = 0.8  # share of the keypoints that must lie in the picture
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +31,11 @@ class Start:
     appearance: Appearance
     overlap: float
     """Intersection over union of the fitted hand and the picture's, forearm cut at the wrist."""
+
+    @property
+    def quality(self) -> float:
+        """Overlap, weighed down where the contour finds no edges."""
+        return self.overlap * min(1.0, self.fit.found_share / _LEAST_FOUND)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +67,7 @@ def find_hand(
     camera: Camera,
     shape: Float[Tensor, "shape"],
     table: OutlineTable,
-    posture_name: str,
+    posture: Float[Tensor, "36"],
     *,
     appearance: Appearance | None = None,
     fit_shape: bool = True,
@@ -72,18 +79,17 @@ def find_hand(
     mask, reason = segment_hand(image, appearance)
     if float(mask.float().mean()) < min_area_share:
         return NoStart(reason=reason or "too little of the picture has the hand's colours", has_foreground=False)
-    pose = posture(posture_name, dtype=shape.dtype)
-    alignments = [a for a in align_posture(mask, camera, kinematics, shape, pose) if a.cost < _WORST_COST]
+    alignments = [a for a in align_posture(mask, camera, kinematics, shape, posture) if a.cost < _WORST_COST]
     best: Start | None = None
     for alignment in alignments[:_TRIES]:
         start = _fitted(image, mask, alignment, kinematics, camera, shape, table, fit_shape, settings, appearance)
-        if start is not None and (best is None or start.overlap > best.overlap):
+        if start is not None and (best is None or start.quality > best.quality):
             best = start
-        if best is not None and best.overlap > 0.9:
+        if best is not None and best.overlap > 0.92:
             break
-    if best is None or best.overlap < min_overlap:
-        got = f"best overlap {best.overlap:.2f}" if best else "no placement fits"
-        return NoStart(reason=f"no hand in the posture '{posture_name}' ({got})", has_foreground=True)
+    if best is None or best.overlap < min_overlap or best.fit.found_share < _LEAST_FOUND:
+        got = f"best overlap {best.overlap:.2f}, edges on {best.fit.found_share:.0%}" if best else "no placement fits"
+        return NoStart(reason=f"no hand in the posture of the start ({got})", has_foreground=True)
     return best
 
 
@@ -94,7 +100,7 @@ def start_at_points(
     camera: Camera,
     shape: Float[Tensor, "shape"],
     table: OutlineTable,
-    posture_name: str,
+    posture: Float[Tensor, "36"],
     *,
     settings: FitSettings | None = None,
 ) -> Start | NoStart:
@@ -103,9 +109,8 @@ def start_at_points(
     The colours of the palm so placed, against those around the hand, give a silhouette to fit; then those of the fitted hand
     give a better one. The better of palm and back is taken.
     """
-    pose = posture(posture_name, dtype=shape.dtype)
     best: Start | None = None
-    for alignment in align_points(points[:2], points[2:], camera, kinematics, shape, pose):
+    for alignment in align_points(points[:2], points[2:], camera, kinematics, shape, posture):
         placed = Fit.of_start(alignment.pose, alignment.root_reference, shape)
         start: Start | None = None
         for is_first in (True, False, False):
@@ -145,6 +150,10 @@ def _fitted(
         settings,
         fit_shape=fit_shape,
     )
+    keypoints = camera.project(kinematics(fit.pose, fit.shape, root_reference=fit.root_reference).keypoints)
+    limit = torch.tensor((camera.width - 1, camera.height - 1), dtype=keypoints.dtype)
+    if float(((keypoints >= 0) & (keypoints <= limit)).all(-1).double().mean()) < _LEAST_INSIDE:
+        return None
     quality = fit_overlap(mask, kinematics, camera, fit)
     if appearance is None:
         margin = max(1, round(0.01 * hand_length_px(camera, fit.pose, fit.shape)))

@@ -1,20 +1,24 @@
-"""Outlines of the hand's primitives, sampled in closed form at fixed parameters (paper 003, section 4.2; FACTS 4.3, 4.5).
+"""Outlines of the hand's primitives, sampled in closed form at fixed parameters (paper 003, section 4.2; FACTS 4.3,
+4.5).
 
-The paper draws each conic from its eigendecomposition, which has no solution for the line pairs of cones and cylinders and
-gives points that do not correspond between two poses. Here the contour generator is parametrised on the primitive itself:
-a cone has two straight generators, an ellipsoid an arc, both found in the primitive's own frame; a fixed parameter therefore
-follows its point through every sigma point, and truncation gives the end points in closed form. The points lie on the conic
-C = c A - b bᵀ, which the tests hold.
+The paper draws each conic from its eigendecomposition, which has no solution for the line pairs of cones and cylinders
+and gives points that do not correspond between two poses. Here the contour generator is parametrised on the primitive
+itself: a cone has two straight generators, an ellipsoid an arc, both found in the primitive's own frame; a fixed
+parameter therefore follows its point through every sigma point, and truncation gives the end points in closed form.
+The points lie on the conic C = c A - b bᵀ, which the tests hold.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.geometry import Camera
+from torchhand.geometry.batch_last import batch_first
 from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, Primitives
+from torchhand.view.generators import ConeGenerators, EllipsoidArcs, generators
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +45,11 @@ class OutlineTable:
         """Index into PRIMITIVE_NAMES of every point."""
         return torch.cat((self.cone, self.ellipsoid + len(CONE_NAMES)))
 
+    @cached_property
+    def generator(self) -> Int[Tensor, "cone_points"]:
+        """Index of every cone point's generator, two per cone."""
+        return 2 * self.cone + self.cone_side
+
     def select(self, keep: Bool[Tensor, "points"]) -> "OutlineTable":
         """The points where `keep` is true, in the same order."""
         on_cones, on_balls = keep[: len(self.cone)], keep[len(self.cone) :]
@@ -56,7 +65,8 @@ class OutlineTable:
 def outline_table(
     points_per_generator: int, points_per_arc: int, *, dtype: torch.dtype = torch.float64, without: tuple[str, ...] = ()
 ) -> OutlineTable:
-    """Evenly spread points on every primitive but those named in `without`; ends are left out, where neighbours overlap."""
+    """Evenly spread points on every primitive but those named in `without`; ends are left out, where neighbours
+    overlap."""
     cones = [i for i, name in enumerate(CONE_NAMES) if name not in without]
     balls = [i for i, name in enumerate(ELLIPSOID_NAMES) if name not in without]
     along = (torch.arange(points_per_generator, dtype=dtype) + 0.5) / points_per_generator
@@ -88,100 +98,42 @@ def outline(primitives_cam: Primitives, table: OutlineTable, *, is_orthographic:
 
     Where there is no outline the point is the nearest there is (and the gradient finite), with is_real False.
     """
-    cone_points, cone_normals, cone_real = _cone_outline(primitives_cam, table, is_orthographic)
-    ball_points, ball_normals, ball_real = _ellipsoid_outline(primitives_cam, table, is_orthographic)
+    batch = primitives_cam.position.shape[:-2]
+    cones, arcs = generators(primitives_cam, is_orthographic=is_orthographic, with_normals=True)
+    points = sample_generators(cones, arcs, table)
+    assert cones.normal is not None
+    assert arcs.normal is not None
+    on_cones = cones.normal.flatten(0, 1).index_select(0, table.generator)
+    normals = torch.cat((on_cones, _along(arcs.normal, arcs.half_angle, table)))
+    real = (cones.is_real.index_select(0, table.cone), arcs.is_real.index_select(0, table.ellipsoid))
     return Outline(
-        points_cam=torch.cat((cone_points, ball_points), -2),
-        normals_cam=torch.cat((cone_normals, ball_normals), -2),
-        is_real=torch.cat((cone_real, ball_real), -1),
+        points_cam=batch_first(points, batch),
+        normals_cam=batch_first(normals, batch),
+        is_real=batch_first(torch.cat(real), batch),
     )
 
 
-def _viewpoint(rotation: Tensor, position: Tensor, scale: Tensor, is_orthographic: bool) -> Tensor:
-    """The camera's centre (or viewing direction) in the primitive's frame, divided by `scale` axis by axis."""
-    if is_orthographic:
-        return -rotation[..., 2, :] / scale
-    return -(rotation.transpose(-1, -2) @ position[..., None]).squeeze(-1) / scale
+def outline_points(
+    primitives_cam: Primitives, table: OutlineTable, *, is_orthographic: bool = False
+) -> Float[Tensor, "*batch points 3"]:
+    """Only the points of `outline`, in half the time."""
+    cones, arcs = generators(primitives_cam, is_orthographic=is_orthographic, with_normals=False)
+    return batch_first(sample_generators(cones, arcs, table), primitives_cam.position.shape[:-2])
 
 
-def _acos_safe(cosine: Tensor) -> Tensor:
-    limit = 1 - 1e-9
-    return cosine.clamp(-limit, limit).acos()
+def sample_generators(cones: ConeGenerators, arcs: EllipsoidArcs, table: OutlineTable) -> Tensor:
+    """The table's points of the generators: (points, 3, n)."""
+    low, rise = (x.flatten(0, 1).index_select(0, table.generator) for x in (cones.low, cones.rise))
+    on_cones = torch.addcmul(low, rise, table.cone_fraction.to(low.dtype)[:, None, None])
+    return torch.cat((on_cones, _along(arcs.curve, arcs.half_angle, table)))
 
 
-def _cone_outline(primitives: Primitives, table: OutlineTable, is_orthographic: bool) -> tuple[Tensor, Tensor, Tensor]:
-    """Generators where the tangent plane holds the camera: cos φ p_x + sin φ p_z = w - k p_y in units of the section."""
-    sizes = primitives.sizes
-    unit = torch.stack((sizes.cone_start[..., 0], torch.ones_like(sizes.cone_length), sizes.cone_start[..., 1]), -1)
-    eye = _viewpoint(primitives.cone_rotation, primitives.cone_position, unit, is_orthographic)
-    slope = (1 - sizes.cone_end_scale) / sizes.cone_length
-    height = (0.0 if is_orthographic else 1.0) - slope * eye[..., 1]
-    distance = (eye[..., 0] ** 2 + eye[..., 2] ** 2).clamp_min(1e-30).sqrt()
-    ratio = height / distance
-    spread = _acos_safe(ratio)
-    middle = torch.atan2(eye[..., 2], eye[..., 0])
-    angle = torch.stack((middle - spread, middle + spread), -1)  # *batch 15 2
-    cosine, sine = angle.cos(), angle.sin()
-    start = sizes.cone_start[..., None, :]  # *batch 15 1 2
-    zero = torch.zeros_like(cosine)
-    low = torch.stack((start[..., 0] * cosine, zero, start[..., 1] * sine), -1)
-    scale = sizes.cone_end_scale[..., None]
-    rise = torch.stack((low[..., 0] * (scale - 1), zero + sizes.cone_length[..., None], low[..., 2] * (scale - 1)), -1)
-    normal = torch.stack((cosine / start[..., 0], zero + slope[..., None], sine / start[..., 1]), -1)
-    turn = primitives.cone_rotation[..., None, :, :]
-    low = (turn @ low[..., None]).squeeze(-1) + primitives.cone_position[..., None, :]
-    rise = (turn @ rise[..., None]).squeeze(-1)
-    normal = (turn @ normal[..., None]).squeeze(-1)
-    flat = 2 * table.cone + table.cone_side
-    low, rise, normal = (x.flatten(-3, -2).index_select(-2, flat) for x in (low, rise, normal))
-    points = low + table.cone_fraction.to(low.dtype)[:, None] * rise
-    return points, normal, (ratio.abs() < 1).index_select(-1, table.cone)
-
-
-def _ellipsoid_outline(primitives: Primitives, table: OutlineTable, is_orthographic: bool) -> tuple[Tensor, Tensor, Tensor]:
-    """On the unit sphere u the outline is the circle u·p = w, with p the camera's centre; y >= level cuts an arc of it."""
-    sizes = primitives.sizes
-    axes, level = sizes.ellipsoid_axes, sizes.ellipsoid_level
-    eye = _viewpoint(primitives.ellipsoid_rotation, primitives.ellipsoid_position, axes, is_orthographic)
-    squared = (eye * eye).sum(-1)
-    weight = 0.0 if is_orthographic else 1.0
-    inside = squared <= weight  # the camera is inside
-    squared = torch.where(inside, squared + 2, squared)
-    centre = weight * eye / squared[..., None]
-    radius = (1 - weight / squared).clamp_min(1e-12).sqrt()
-    towards = eye / squared.sqrt()[..., None]
-    # First direction: of steepest y on the circle, so that the kept arc is centred on it.
-    y_axis = torch.zeros_like(eye)
-    y_axis[..., 1] = 1
-    first = y_axis - towards * towards[..., 1:2]
-    steepness = first.norm(dim=-1)  # 0 when seen along y
-    fallback = torch.zeros_like(eye)
-    fallback[..., 2] = 1
-    first = torch.where((steepness > 1e-9)[..., None], first, fallback - towards * towards[..., 2:])
-    first = first / first.norm(dim=-1, keepdim=True).clamp_min(1e-30)
-    second = torch.linalg.cross(towards, first)
-    # y of the point at angle φ: centre_y + radius · steepness · cos φ >= level
-    reach = (level - centre[..., 1]) / (radius * steepness.clamp_min(1e-12))
-    half_angle = _acos_safe(reach)
-    half_angle = torch.where(reach <= -1, torch.full_like(half_angle, torch.pi), half_angle)
-    matrix = primitives.ellipsoid_rotation * axes[..., None, :]
-    offset = (matrix @ centre[..., None]).squeeze(-1) + primitives.ellipsoid_position
-    along_first = (matrix @ (radius[..., None] * first)[..., None]).squeeze(-1)
-    along_second = (matrix @ (radius[..., None] * second)[..., None]).squeeze(-1)
-    inverse = primitives.ellipsoid_rotation / axes[..., None, :]
-    normal_offset = (inverse @ centre[..., None]).squeeze(-1)
-    normal_first = (inverse @ (radius[..., None] * first)[..., None]).squeeze(-1)
-    normal_second = (inverse @ (radius[..., None] * second)[..., None]).squeeze(-1)
-    angle = (2 * table.ellipsoid_fraction.to(eye.dtype) - 1) * half_angle.index_select(-1, table.ellipsoid)
-    cosine, sine = angle.cos()[..., None], angle.sin()[..., None]
-
-    def gather(vectors: Tensor) -> Tensor:
-        return vectors.index_select(-2, table.ellipsoid)
-
-    points = gather(offset) + cosine * gather(along_first) + sine * gather(along_second)
-    normals = gather(normal_offset) + cosine * gather(normal_first) + sine * gather(normal_second)
-    is_real = ~inside & (reach < 1)
-    return points, normals, is_real.index_select(-1, table.ellipsoid)
+def _along(curve: Tensor, half_angle: Tensor, table: OutlineTable) -> Tensor:
+    """The table's points of arcs given by their centre and two radii: (points, 3, n)."""
+    sweep = (2 * table.ellipsoid_fraction - 1).to(curve.dtype)[:, None]
+    angle = half_angle.index_select(0, table.ellipsoid) * sweep
+    centre, first, second = curve.index_select(0, table.ellipsoid).unbind(2)
+    return torch.addcmul(torch.addcmul(centre, first, angle.cos()[:, None]), second, angle.sin()[:, None])
 
 
 def pixel_normals(
@@ -191,10 +143,7 @@ def pixel_normals(
 
     A tangent line l of the plane has the normal (l₁, l₂) (paper 003, section 3.1); pixels x = f(plane) turn it by J⁻ᵀ.
     """
-    step = 1e-6
-    shifts = torch.tensor(((step, 0.0), (0.0, step)), dtype=plane.dtype, device=plane.device)
-    columns = [(camera.pixels_from_plane(plane + d) - camera.pixels_from_plane(plane - d)) / (2 * step) for d in shifts]
-    (a, c), (b, d) = columns[0].unbind(-1), columns[1].unbind(-1)  # J = [[a, b], [c, d]]
+    (a, b), (c, d) = (row.unbind(-1) for row in camera.pixel_jacobian(plane).unbind(-2))
     n1, n2 = normals_cam[..., 0], normals_cam[..., 1]
     turned = torch.stack((d * n1 - c * n2, a * n2 - b * n1), -1)  # det(J) J⁻ᵀ n, det > 0
     return turned / turned.norm(dim=-1, keepdim=True).clamp_min(1e-30)

@@ -11,7 +11,6 @@ from torch import Tensor
 from torchhand.geometry import Camera
 from torchhand.hand import (
     CONE_NAMES,
-    ELLIPSOID_NAMES,
     HandFrames,
     HandKinematics,
     Primitives,
@@ -19,7 +18,15 @@ from torchhand.hand import (
     place_primitives,
     primitive_sizes,
 )
-from torchhand.view.outline import OutlineTable, outline, outline_table, pixel_normals
+from torchhand.view.generators import generators
+from torchhand.view.outline import (
+    OutlineTable,
+    outline,
+    outline_points,
+    outline_table,
+    pixel_normals,
+    sample_generators,
+)
 from torchhand.view.visibility import visible_points
 
 _ARC_CORNERS = 24
@@ -48,6 +55,9 @@ class HandProjector:
         self.shape = kinematics.default_shape if shape is None else shape
         self.sizes: PrimitiveSizes = primitive_sizes(kinematics.shape_space, self.shape)
         self._polygon_table = _polygon_table(self.shape.dtype)
+        self._whole_sizes = replace(self.sizes, ellipsoid_level=torch.full_like(self.sizes.ellipsoid_level, -2.0))
+        identity = torch.eye(3, dtype=camera.rotation.dtype, device=camera.rotation.device)
+        self._camera_is_world = bool((camera.rotation == identity).all() and (camera.translation == 0).all())
 
     @property
     def is_orthographic(self) -> bool:
@@ -60,18 +70,17 @@ class HandProjector:
     def primitives_cam(self, frames: HandFrames) -> Primitives:
         """The 37 quadrics in the camera frame."""
         placed = place_primitives(frames, self.sizes, is_left=self.kinematics.side == "left")
-        return placed.moved(self.camera.rotation, self.camera.translation)
+        return placed if self._camera_is_world else placed.moved(self.camera.rotation, self.camera.translation)
 
     def outline_px(
         self, pose: Float[Tensor, "*batch 36"], root_reference: Float[Tensor, "3 3"], table: OutlineTable
     ) -> Float[Tensor, "*batch points 2"]:
         """Outline points of the table in pixels for a batch of poses; no visibility."""
-        seen = outline(self.primitives_cam(self.frames(pose, root_reference)), table, is_orthographic=self.is_orthographic)
-        return self.camera.pixels_from_plane(self.camera.plane_from_cam(seen.points_cam))
+        primitives = self.primitives_cam(self.frames(pose, root_reference))
+        points = outline_points(primitives, table, is_orthographic=self.is_orthographic)
+        return self.camera.pixels_from_plane(self.camera.plane_from_cam(points))
 
-    def contour(
-        self, pose: Float[Tensor, "36"], root_reference: Float[Tensor, "3 3"], table: OutlineTable
-    ) -> Contour:
+    def contour(self, pose: Float[Tensor, "36"], root_reference: Float[Tensor, "3 3"], table: OutlineTable) -> Contour:
         """The reference contour of one pose, with normals and self-occlusion."""
         primitives = self.primitives_cam(self.frames(pose, root_reference))
         seen = outline(primitives, table, is_orthographic=self.is_orthographic)
@@ -83,25 +92,32 @@ class HandProjector:
             visible=visible & (seen.points_cam[..., 2] > 0),
         )
 
-    def silhouette(self, pose: Float[Tensor, "36"], root_reference: Float[Tensor, "3 3"]) -> Bool[Tensor, "height width"]:
+    def silhouette(
+        self, pose: Float[Tensor, "36"], root_reference: Float[Tensor, "3 3"]
+    ) -> Bool[Tensor, "height width"]:
         """Filled union of the primitives' outlines: `raycast(...).mask` to about a pixel, in well under a millisecond.
 
-        Each primitive is filled as the convex polygon of its outline; whole ellipsoids stand for the halves that close the
-        palm and the fingertips, whose other half lies within the part they close.
+        Each primitive is filled as the convex polygon of its outline; whole ellipsoids stand for the halves that close
+        the palm and the fingertips, whose other half lies within the part they close.
         """
-        primitives = self.primitives_cam(self.frames(pose, root_reference))
-        seen = outline(_unclipped(primitives), self._polygon_table, is_orthographic=self.is_orthographic)
-        pixels = self.camera.pixels_from_plane(self.camera.plane_from_cam(seen.points_cam))
-        usable = seen.is_real & (seen.points_cam[..., 2] > 0) & pixels.isfinite().all(-1)
-        corners = np.round(pixels.nan_to_num(0).clamp(-1e5, 1e5).detach().cpu().numpy() * (1 << _SHIFT)).astype(np.int32)
+        with torch.no_grad():
+            primitives = replace(self.primitives_cam(self.frames(pose, root_reference)), sizes=self._whole_sizes)
+            cones, arcs = generators(primitives, is_orthographic=self.is_orthographic, with_normals=False)
+            points = sample_generators(cones, arcs, self._polygon_table)
+            is_real = torch.cat((cones.is_real, arcs.is_real)).squeeze(-1)
+            pixels = self.camera.pixels_from_plane(self.camera.plane_from_cam(points.squeeze(-1)))
+            usable = (points[:, 2, 0] > 0) & pixels.isfinite().all(-1)
+            corners = (pixels.nan_to_num(0).clamp(-1e5, 1e5) * (1 << _SHIFT)).round().to(torch.int32).cpu().numpy()
+            drawn, is_real = usable.cpu().numpy(), is_real.cpu().numpy()
         canvas = np.zeros((self.camera.height, self.camera.width), dtype=np.uint8)
         count = 4 * len(CONE_NAMES)
-        polygons = [*np.split(corners[:count], len(CONE_NAMES)), *np.split(corners[count:], len(ELLIPSOID_NAMES))]
-        keeps = [*usable[:count].split(4), *usable[count:].split(_ARC_CORNERS)]
+        cones_in, balls_in = drawn[:count].reshape(-1, 4), drawn[count:].reshape(-1, _ARC_CORNERS)
+        keeps = np.concatenate((cones_in.all(1), balls_in.all(1))) & is_real
+        polygons = [*corners[:count].reshape(-1, 4, 2), *corners[count:].reshape(-1, _ARC_CORNERS, 2)]
         for polygon, keep in zip(polygons, keeps, strict=True):
-            if bool(keep.all()):
+            if keep:
                 cv2.fillConvexPoly(canvas, polygon, 1, shift=_SHIFT)
-        return torch.from_numpy(canvas).bool()
+        return torch.from_numpy(canvas).view(torch.bool)
 
 
 def _polygon_table(dtype: torch.dtype) -> OutlineTable:
@@ -115,8 +131,3 @@ def _polygon_table(dtype: torch.dtype) -> OutlineTable:
         ellipsoid=arcs.ellipsoid,
         ellipsoid_fraction=arcs.ellipsoid_fraction,
     )
-
-
-def _unclipped(primitives: Primitives) -> Primitives:
-    sizes = primitives.sizes
-    return replace(primitives, sizes=replace(sizes, ellipsoid_level=torch.full_like(sizes.ellipsoid_level, -2.0)))

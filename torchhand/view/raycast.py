@@ -6,10 +6,9 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-from torchhand.geometry import Camera, meet_rays, ray_table
-from torchhand.hand import Primitives
-
-_CHUNK = 1 << 15  # rays at once: keeps the table of all rays and quadrics in a few tens of MB
+from torchhand.geometry import Camera, quadratic_roots
+from torchhand.hand import Implicit, Primitives
+from torchhand.view.boxes import pixel_boxes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,54 +30,70 @@ class Raycast:
 def raycast(primitives_world: Primitives, camera: Camera) -> Raycast:
     """Casts a ray through the centre of every pixel at one hand (no batch dimension). Exact up to rounding.
 
-    Rays that cannot meet the hand (outside the box of its bounding spheres in the picture) are left out.
+    Each primitive meets only the rays of its own box in the picture; the nearest meeting point wins.
     """
     primitives = primitives_world.moved(camera.rotation, camera.translation)
-    quadrics, clips = primitives.quadrics()
-    dtype, device = quadrics.dtype, quadrics.device
-    x0, y0, x1, y1 = _bounding_box(primitives, camera)
-    depth = torch.full((camera.height, camera.width), torch.inf, dtype=dtype, device=device)
-    part = torch.full((camera.height, camera.width), -1, dtype=torch.long, device=device)
-    normal = torch.zeros(camera.height, camera.width, 3, dtype=dtype, device=device)
-    if x1 <= x0 or y1 <= y0:
+    parts = primitives.implicit()
+    boxes = pixel_boxes(primitives, camera)
+    like = primitives.position
+    size = (camera.height, camera.width)
+    depth = torch.full(size, torch.inf, dtype=like.dtype, device=like.device)
+    part = torch.full(size, -1, dtype=torch.long, device=like.device)
+    normal = torch.zeros(*size, 3, dtype=like.dtype, device=like.device)
+    seen = [box for box in boxes if box[2] > box[0] and box[3] > box[1]]
+    if not seen:
         return Raycast(depth=depth, part=part, normal=normal)
-    rows = torch.arange(y0, y1, dtype=dtype, device=device)
-    columns = torch.arange(x0, x1, dtype=dtype, device=device)
-    grid_y, grid_x = torch.meshgrid(rows, columns, indexing="ij")
-    origins, directions = camera.rays(torch.stack((grid_x, grid_y), -1).reshape(-1, 2))
-    pieces = []
-    for origin, direction in zip(origins.split(_CHUNK), directions.split(_CHUNK), strict=True):
-        hits = meet_rays(ray_table(quadrics, origin, direction), ray_table(clips, origin, direction))
-        near, nearest = hits.near.min(-1)
-        point = origin + torch.where(near.isfinite(), near, torch.zeros_like(near))[:, None] * direction
-        chosen = quadrics[nearest]
-        gradient = (chosen[:, :3, :3] @ point[..., None]).squeeze(-1) + chosen[:, :3, 3]
-        pieces.append((near, torch.where(near.isfinite(), nearest, -1), torch.nn.functional.normalize(gradient, dim=-1)))
-    near, nearest, gradient = (torch.cat(column) for column in zip(*pieces, strict=True))
-    size = (y1 - y0, x1 - x0)
-    depth[y0:y1, x0:x1] = near.reshape(size)
-    part[y0:y1, x0:x1] = nearest.reshape(size)
-    normal[y0:y1, x0:x1] = torch.where((nearest >= 0)[:, None], gradient, torch.zeros_like(gradient)).reshape(*size, 3)
-    return Raycast(depth=depth, part=part, normal=normal)
+    left, top = min(box[0] for box in seen), min(box[1] for box in seen)
+    right, bottom = max(box[2] for box in seen), max(box[3] for box in seen)
+    rows, columns = (
+        torch.arange(a, b, dtype=like.dtype, device=like.device) for a, b in ((top, bottom), (left, right))
+    )
+    grid = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), -1)
+    plane = camera.plane_from_pixels(grid.reshape(-1, 2)).reshape(grid.shape)
+    for index, (x0, y0, x1, y1) in enumerate(boxes):
+        if x1 <= x0 or y1 <= y0:
+            continue
+        own = (slice(y0, y1), slice(x0, x1))
+        points = plane[y0 - top : y1 - top, x0 - left : x1 - left]
+        near, gradient = _meet(parts, index, points.reshape(-1, 2), camera.kind == "orthographic")
+        near = near.reshape(points.shape[:-1])
+        is_nearer = near < depth[own]
+        depth[own] = torch.where(is_nearer, near, depth[own])
+        part[own] = torch.where(is_nearer, index, part[own])
+        normal[own] = torch.where(is_nearer[..., None], gradient.reshape(*points.shape[:-1], 3), normal[own])
+    return Raycast(depth=depth, part=part, normal=torch.nn.functional.normalize(normal, dim=-1))
 
 
-def _bounding_box(primitives: Primitives, camera: Camera) -> tuple[int, int, int, int]:
-    """Pixels x0, y0, x1, y1 (exclusive) outside which no ray meets the hand; the whole picture where in doubt."""
-    sizes = primitives.sizes
-    reach = torch.maximum(torch.maximum(sizes.cone_start[..., 0], sizes.cone_start[..., 1]), sizes.cone_length)
-    far = torch.maximum(sizes.cone_end_scale, torch.ones_like(reach)) * reach
-    centres = torch.cat((primitives.cone_position, primitives.ellipsoid_position))
-    radii = torch.cat((far + reach, sizes.ellipsoid_axes.amax(-1)))
-    corners = torch.tensor([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=centres.dtype, device=centres.device)
-    points = (centres[:, None] + radii[:, None, None] * corners).reshape(-1, 3)
-    if camera.kind == "pinhole" and bool((points[:, 2] <= 1e-3).any()):
-        return 0, 0, camera.width, camera.height
-    pixels = camera.pixels_from_plane(camera.plane_from_cam(points))
-    low, high = pixels.amin(0).floor().clamp(-1e6, 1e6), pixels.amax(0).ceil().clamp(-1e6, 1e6)
-    margin = 8 if camera.has_distortion else 1
-    x0, y0 = max(0, int(low[0]) - margin), max(0, int(low[1]) - margin)
-    x1, y1 = min(camera.width, int(high[0]) + margin + 1), min(camera.height, int(high[1]) + margin + 1)
-    return x0, y0, x1, y1
+def _meet(parts: Implicit, index: int, plane: Tensor, is_orthographic: bool) -> tuple[Tensor, Tensor]:
+    """Depth of the first point of one primitive on the rays through points of the plane, and half the gradient there.
+
+    The nearer of the roots that lie in front of the camera and within the truncation (FACTS 4.4, points 1, 2 and 5).
+    """
+    upper, edge, axis = parts.upper[index, ..., 0], parts.edge[index, :, 0], parts.axis[index, :, 0]
+    corner, low, high = parts.corner[index, 0], parts.low[index, 0], parts.high[index, 0]
+    ones, zeros = torch.ones_like(plane[:, :1]), torch.zeros_like(plane[:, :1])
+    if is_orthographic:
+        start = torch.cat((plane, zeros), -1)
+        along = upper[:, 2]
+        quadratic = along[2].expand(len(plane))
+        pulled = start @ upper
+        linear = pulled[:, 2] + edge[2]
+        constant = ((pulled + 2 * edge) * start).sum(-1) + corner
+        base, slope = pulled + edge, along.expand_as(start)
+        height, rise = start @ axis, axis[2].expand(len(plane))
+    else:
+        direction = torch.cat((plane, ones), -1)
+        slope = direction @ upper
+        quadratic, linear, constant = (slope * direction).sum(-1), direction @ edge, corner.expand(len(plane))
+        base = edge.expand_as(direction)
+        height, rise = torch.zeros_like(linear), direction @ axis
+    near = torch.full_like(linear, torch.inf)
+    for root in quadratic_roots(quadratic, linear, constant):
+        level = height + root * rise
+        keeps = (root > 0) & (root < near) & (level >= low) & (level <= high)
+        near = torch.where(keeps, root, near)
+    finite = torch.where(near.isfinite(), near, torch.zeros_like(near))
+    return near, base + finite[:, None] * slope
 
 
 def shade(
@@ -93,11 +108,10 @@ def shade(
 
     light: direction towards the light in the camera frame (x right, y down, z forward); skin: RGB reflectance.
     """
-    towards = torch.nn.functional.normalize(torch.tensor(light, dtype=cast.normal.dtype, device=cast.normal.device), dim=0)
-    brightness = ambient + (1 - ambient) * (cast.normal @ towards).clamp_min(0)
-    colour = torch.tensor(skin, dtype=cast.normal.dtype, device=cast.normal.device) * brightness[..., None] * 255
+    normal = cast.normal
+    towards = torch.nn.functional.normalize(torch.tensor(light, dtype=normal.dtype, device=normal.device), dim=0)
+    brightness = ambient + (1 - ambient) * (normal @ towards).clamp_min(0)
+    colour = torch.tensor(skin, dtype=normal.dtype, device=normal.device) * brightness[..., None] * 255
     if background is None:
         background = torch.full((*cast.part.shape, 3), 128, dtype=torch.uint8, device=cast.part.device)
     return torch.where(cast.mask[..., None], colour.clamp(0, 255).round().to(torch.uint8), background)
-
-

@@ -1,0 +1,656 @@
+"""`torchhand track`: what a run leaves, going on after a stop, and one line for whatever a user can get wrong."""
+
+import errno
+import json
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import torch
+import yaml
+
+import torchhand
+from torchhand.cli import tracking
+from torchhand.cli.request import settings_of
+from torchhand.cli.track import main
+from torchhand.cli.tracking import threads
+from torchhand.files import (
+    Frame,
+    FrameSource,
+    TrackWriter,
+    load_cameras,
+    load_hand,
+    load_hand_model,
+    load_settings,
+    load_track,
+    open_source,
+    save_cameras,
+    save_hand,
+    write_video,
+)
+from torchhand.geometry import Camera, assumed_camera
+from torchhand.hand import DOFS
+from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
+from torchhand.track.contour_tracker import ContourTracker
+from torchhand.track.settings import ContourTrackerSettings
+
+FRAMES, WIDTH, HEIGHT = 10, 200, 160
+RESULT_NAMES = {"checkpoint.pt", "config.yaml", "hand.json", "overlay.mp4", "track.jsonl", "track.npz"}
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A short sequence of an open hand, as files."""
+
+    frames: Path
+    """Folder of PNG pictures."""
+    pictures: list[np.ndarray]
+    """BGR"""
+    camera: Path
+    result: Path
+    """What `track` makes of it; for reading only."""
+
+    @property
+    def options(self) -> list[str]:
+        return ["--camera", str(self.camera), "--config", "contour_planar", "--no-overlay"]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    code: int
+    out: str
+    err: str
+
+
+Run = Callable[..., Outcome]
+
+
+def _write_folder(folder: Path, pictures: Sequence[np.ndarray]) -> Path:
+    folder.mkdir()
+    for index, picture in enumerate(pictures):
+        assert cv2.imwrite(str(folder / f"{index}.png"), picture)  # natural order: 10 after 9
+    return folder
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Clip:
+    folder = tmp_path_factory.mktemp("clip")
+    kinematics = load_hand_model().kinematics(dtype=torch.float64)
+    camera = replace(assumed_camera(WIDTH, HEIGHT, horizontal_fov_deg=48.0), is_assumed=False)
+    generator = torch.Generator().manual_seed(1)
+    with threads(1):
+        motion = scripted_motion("planar", FRAMES, kinematics, camera, generator)
+        look = SceneSettings(supersampling=2)
+        rendered = list(render_sequence(kinematics, motion, camera, look, generator))
+    pictures = [cv2.cvtColor(frame.image.numpy(), cv2.COLOR_RGB2BGR) for frame in rendered]
+    save_cameras([camera], folder / "cameras.json")
+    made = Clip(_write_folder(folder / "frames", pictures), pictures, folder / "cameras.json", folder / "result")
+    options = ["--camera", str(made.camera), "--config", "contour_planar"]
+    assert main([str(made.frames), "--out", str(made.result), *options]) == 0
+    return made
+
+
+@pytest.fixture
+def run(capfd: pytest.CaptureFixture[str]) -> Run:
+    def call(*argv: str | Path) -> Outcome:
+        capfd.readouterr()
+        code = main([str(argument) for argument in argv])
+        out, err = capfd.readouterr()
+        return Outcome(code, out, err)
+
+    return call
+
+
+@pytest.fixture
+def good(clip: Clip, tmp_path: Path) -> Path:
+    """An earlier good result, to be left as it is."""
+    return Path(shutil.copytree(clip.result, tmp_path / "good"))
+
+
+def _contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+
+
+def _assert_refused(outcome: Outcome, *words: str | Path) -> None:
+    """Exit code 2 and exactly one line, which holds these words."""
+    assert outcome.code == 2, outcome
+    assert outcome.out == ""
+    assert outcome.err.startswith("torchhand track: error: ")
+    assert outcome.err.count("\n") == 1, outcome.err
+    for word in words:
+        assert str(word) in outcome.err
+
+
+def _lines_without_seconds(folder: Path) -> list[dict[str, Any]]:
+    lines = [json.loads(line) for line in (folder / "track.jsonl").read_text().splitlines()]
+    return [{key: value for key, value in line.items() if key != "seconds"} for line in lines]
+
+
+# ---------------------------------------------------------------------------------------- what a run leaves
+
+
+def test_a_run_leaves_the_whole_result(clip: Clip) -> None:
+    assert {path.name for path in clip.result.iterdir()} == RESULT_NAMES
+    track = load_track(clip.result)
+    assert track.frame.tolist() == list(range(FRAMES))
+    assert set(track.status) == {"tracked"}
+    assert track.dof_names == DOFS
+    assert track.pose.shape == (FRAMES, 36)
+    assert np.isfinite(track.pose).all()
+    assert track.keypoints2d is not None
+    [camera] = load_cameras(clip.camera)
+    projected = camera.project(torch.tensor(track.keypoints3d)).numpy()
+    np.testing.assert_allclose(track.keypoints2d, projected, rtol=0, atol=1e-9)
+    hand = load_hand(clip.result / "hand.json")
+    model = load_hand_model()
+    shape = torch.tensor(list(hand.values.values()), dtype=torch.float64)
+    again = model.kinematics(dtype=torch.float64)(torch.tensor(track.pose), shape).keypoints
+    np.testing.assert_allclose(track.keypoints3d, again.numpy(), rtol=0, atol=1e-9)  # the pose is absolute
+    assert (track.seconds > 0).all()
+    assert (track.measures["overlap"] > 0.85).all()
+    assert ((track.measures["found"] > 0) & (track.measures["found"] <= 1)).all()
+    assert {"nis", "overlap", "found"} == set(track.measures)
+    with open_source(clip.result / "overlay.mp4") as video:
+        assert len(list(video)) == FRAMES
+
+
+def test_the_saved_settings_are_a_configuration(clip: Clip) -> None:
+    path = clip.result / "config.yaml"
+    assert load_settings(ContourTrackerSettings(), path) == settings_of("contour_planar")
+    run = yaml.safe_load(path.read_text())["run"]
+    assert run["torchhand"] == torchhand.__version__
+    assert run["seed"] == 0
+    assert run["input"] == str(clip.frames)
+    assert run["camera_is_assumed"] is False
+
+
+def test_the_last_line_sums_up(clip: Clip, run: Run, tmp_path: Path) -> None:
+    outcome = run(clip.frames, "--out", tmp_path / "out", "--max-frames", "2", *clip.options)
+    assert outcome.code == 0
+    assert outcome.err == ""
+    assert outcome.out.count("\n") == 1
+    for words in ("frames: 2 frames (2 tracked, 0 lost, 0 recovered, 0 no hand)", "ms per frame", "median overlap 0."):
+        assert words in outcome.out
+    assert str(tmp_path / "out") in outcome.out
+    assert not (tmp_path / "out" / "overlay.mp4").exists()
+
+
+def test_an_assumed_camera_is_said_once_and_saved(clip: Clip, run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    outcome = run(clip.frames, "--out", out, "--max-frames", "1", "--no-overlay", "--config", "contour_planar")
+    assert outcome.code == 0
+    assert outcome.err.count("\n") == 1
+    assert "a field of view is assumed" in outcome.err
+    assert load_track(out).header["camera"]["is_assumed"] is True
+    assert yaml.safe_load((out / "config.yaml").read_text())["run"]["camera_is_assumed"] is True
+
+
+def test_single_settings_from_the_command_line(clip: Clip, run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    changes = [
+        "--set",
+        "noise.rotation=81",
+        "--set",
+        "loss.patience=4",
+        "--set",
+        "motion={order: 1, acceleration_decay_s: null}",
+    ]
+    assert run(clip.frames, "--out", out, "--max-frames", "1", *changes, *clip.options).code == 0
+    settings = load_settings(ContourTrackerSettings(), out / "config.yaml")
+    assert (settings.noise.rotation, settings.loss.patience, settings.motion.order) == (81.0, 4, 1)
+
+
+def test_a_known_left_hand_is_not_fitted(clip: Clip, run: Run, tmp_path: Path) -> None:
+    space = load_hand_model().shape_space
+    shape = (space.default + 0.1 * space.std).tolist()
+    mirrored = _write_folder(tmp_path / "mirrored", [picture[:, ::-1] for picture in clip.pictures[:2]])
+    save_hand(tmp_path / "hand.json", space.names, shape, "left", {}, units=space.units)
+    out = tmp_path / "out"
+    assert run(mirrored, "--out", out, "--hand", tmp_path / "hand.json", *clip.options).code == 0
+    track = load_track(out)
+    assert track.status.tolist() == ["tracked", "tracked"]
+    assert track.header["side"] == "left"
+    saved = load_hand(out / "hand.json", space.names)
+    assert list(saved.values.values()) == shape
+    assert saved.side == "left"
+
+
+def test_start_points(clip: Clip, run: Run, tmp_path: Path) -> None:
+    keypoints = load_track(clip.result).keypoints2d
+    assert keypoints is not None
+    points = keypoints[0, [0, 12]].ravel()
+    text = ",".join(f"{value:.1f}" for value in points)
+    out = tmp_path / "out"
+    assert run(clip.frames, "--out", out, "--start-points", text, "--max-frames", "1", *clip.options).code == 0
+    track = load_track(out)
+    assert track.status.tolist() == ["tracked"]
+    assert track.header["made_with"]["start_points"] == [float(number) for number in text.split(",")]
+    assert track.keypoints2d is not None
+    np.testing.assert_allclose(track.keypoints2d[0, [0, 12]].ravel(), points, rtol=0, atol=3.0)
+
+
+def test_a_folder_of_videos_gives_one_result_each_and_one_bad_video_stops_no_other(
+    clip: Clip, run: Run, tmp_path: Path
+) -> None:
+    videos = tmp_path / "videos"
+    videos.mkdir()
+    for name in ("a", "c"):
+        with write_video(videos / f"{name}.mp4", width=WIDTH, height=HEIGHT, fps=25.0) as video:
+            for picture in clip.pictures[:2]:
+                video.write(torch.from_numpy(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)))
+    (videos / "b.mp4").write_bytes(b"no video")
+    outcome = run(videos, "--out", tmp_path / "out", *clip.options)
+    assert outcome.code == 2
+    assert outcome.err.count("\n") == 1
+    assert "b.mp4: is no video that can be opened" in outcome.err
+    assert outcome.out.count("\n") == 2
+    for name in ("a", "c"):
+        assert load_track(tmp_path / "out" / name).status.tolist() == ["tracked", "tracked"]
+    assert not (tmp_path / "out" / "b").exists()
+    with open_source(videos / "a.mp4") as source:
+        assert (
+            yaml.safe_load((tmp_path / "out" / "a" / "config.yaml").read_text())["run"]["frames_per_second"]
+            == source.fps
+        )
+
+
+# ---------------------------------------------------------------------------------------- stopping and going on
+
+
+def _stop_after(monkeypatch: pytest.MonkeyPatch, steps: int, error: BaseException) -> None:
+    original = ContourTracker.step
+    calls = 0
+
+    def step(self: ContourTracker, *arguments: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls > steps:
+            raise error
+        return original(self, *arguments)
+
+    monkeypatch.setattr(ContourTracker, "step", step)
+
+
+def test_ctrl_c_keeps_what_is_tracked_and_resume_gives_the_uninterrupted_result(
+    clip: Clip, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    monkeypatch.setattr(tracking, "CHECKPOINT_EVERY", 4)
+    with monkeypatch.context() as patch:
+        _stop_after(patch, 6, KeyboardInterrupt())
+        stopped = run(clip.frames, "--out", out, *clip.options)
+    assert stopped.code == 130
+    assert stopped.out == ""
+    assert stopped.err.count("\n") == 1
+    assert str(out) in stopped.err
+    assert "--resume" in stopped.err
+    assert load_track(out).frame.tolist() == list(range(6))
+    np.testing.assert_array_equal(load_track(out / "track.npz").frame, range(6))
+
+    (out / "hand.json").unlink()  # a run that goes on writes it again
+    steps: list[int] = []
+    original = ContourTracker.step
+    with monkeypatch.context() as patch:
+        patch.setattr(ContourTracker, "step", lambda *arguments: (steps.append(1), original(*arguments))[1])
+        assert run(clip.frames, "--out", out, "--resume", *clip.options).code == 0
+    assert len(steps) == FRAMES - 4  # from the last saved state on
+    assert _lines_without_seconds(out) == _lines_without_seconds(clip.result)
+    for name in ("hand.json", "config.yaml"):
+        assert (out / name).read_bytes() == (clip.result / name).read_bytes()
+    one, other = (load_track(folder / "track.npz") for folder in (out, clip.result))
+    np.testing.assert_array_equal(one.pose, other.pose)
+    np.testing.assert_array_equal(one.keypoints3d_cov, other.keypoints3d_cov)
+
+
+def test_ctrl_c_while_replacing_leaves_the_old_result(
+    clip: Clip, run: Run, good: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = _contents(good)
+    _stop_after(monkeypatch, 2, KeyboardInterrupt())
+    stopped = run(clip.frames, "--out", good, "--overwrite", *clip.options)
+    assert stopped.code == 130
+    assert "--resume in place of --overwrite" in stopped.err
+    assert _contents(good) == before
+    assert load_track(good / "unfinished").frame.tolist() == [0, 1]
+
+
+def test_a_finished_run_goes_on_further(clip: Clip, run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert run(clip.frames, "--out", out, "--max-frames", "3", *clip.options).code == 0
+    assert run(clip.frames, "--out", out, "--resume", *clip.options).code == 0
+    assert _lines_without_seconds(out) == _lines_without_seconds(clip.result)
+    assert run(clip.frames, "--out", out, "--resume", *clip.options).code == 0  # nothing is left to do
+    assert _lines_without_seconds(out) == _lines_without_seconds(clip.result)
+
+
+class _Webcam(FrameSource):
+    """Delivers the clip and then, as a user would, presses Ctrl-C."""
+
+    def __init__(self, frames: Path) -> None:
+        self.name, self.fps, self.count, self.width, self.height = "webcam0", 30.0, None, WIDTH, HEIGHT
+        self.frames = frames
+
+    def __iter__(self) -> Iterator[Frame]:
+        with open_source(self.frames, max_frames=3) as source:
+            yield from source
+        raise KeyboardInterrupt
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_webcam_ends_well_with_ctrl_c_and_draws_live(
+    clip: Clip, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[str] = []
+
+    def open_webcam(source: str, **_: Any) -> _Webcam:
+        opened.append(source)
+        return _Webcam(clip.frames)
+
+    monkeypatch.setattr(tracking, "open_source", open_webcam)
+    monkeypatch.chdir(tmp_path)
+    outcome = run("0", "--out", "out", "--camera", clip.camera, "--config", "contour_planar")
+    assert outcome.code == 0
+    assert opened == ["0"]  # and not a second time for the overlay
+    assert load_track(tmp_path / "out").status.tolist() == ["tracked"] * 3
+    with open_source(tmp_path / "out" / "overlay.mp4") as video:
+        assert len(list(video)) == 3
+    _assert_refused(run("0", "--out", "out", "--resume", *clip.options), "webcam 0: cannot be resumed")
+
+
+# ---------------------------------------------------------------------------------------- pictures that are not right
+
+
+def test_inputs_that_are_none(clip: Clip, run: Run, good: Path, tmp_path: Path) -> None:
+    before = _contents(good)
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "text.txt").write_text("a hand")
+    (tmp_path / "cut.mp4").write_bytes(b"\x00\x00\x00\x18ftypmp42")
+    (tmp_path / "nothing.png").write_bytes(b"")
+    cases = {
+        "missing.mp4": "no such file or folder",
+        "empty": "is an empty folder",
+        "text.txt": "expected a video or a picture",
+        "cut.mp4": "is no video that can be opened",
+        "nothing.png": "is empty (0 bytes)",
+    }
+    for name, words in cases.items():
+        _assert_refused(run(tmp_path / name, "--out", good, "--overwrite", *clip.options), tmp_path / name, words)
+        assert not (good / "unfinished").exists()
+    _assert_refused(run(clip.frames, "--out", good, "--overwrite", "--start", "99", *clip.options), "start 99")
+    _assert_refused(run(clip.frames, "--out", good, "--overwrite", "--max-frames", "0", *clip.options), "max_frames")
+    assert _contents(good) == before
+
+
+def test_a_corrupt_picture_in_the_middle_is_skipped_and_reported(clip: Clip, run: Run, tmp_path: Path) -> None:
+    frames = _write_folder(tmp_path / "frames", clip.pictures[:6])
+    (frames / "3.png").write_bytes((frames / "3.png").read_bytes()[:500])
+    outcome = run(frames, "--out", tmp_path / "out", *clip.options)
+    assert outcome.code == 0
+    assert outcome.err.count("\n") == 1
+    assert str(frames / "3.png") in outcome.err
+    assert "frame 3 is skipped" in outcome.err
+    track = load_track(tmp_path / "out")
+    assert track.status.tolist() == ["tracked", "tracked", "tracked", "no_hand", "tracked", "tracked"]
+    assert np.isnan(track.pose[3]).all()
+    assert np.isnan(track.keypoints3d[3]).all()
+    assert np.isfinite(track.pose[[2, 4]]).all()
+    assert track.reason is not None
+    assert "3.png" in track.reason[3]
+
+
+def test_many_corrupt_pictures_are_counted(clip: Clip, run: Run, tmp_path: Path) -> None:
+    frames = _write_folder(tmp_path / "frames", clip.pictures[:8])
+    for index in range(1, 7):
+        (frames / f"{index}.png").write_bytes(b"")
+    outcome = run(frames, "--out", tmp_path / "out", *clip.options)
+    assert outcome.code == 0
+    assert outcome.err.count("\n") == 4
+    assert "3 more corrupt frames are skipped" in outcome.err
+    assert load_track(tmp_path / "out").status.tolist() == ["tracked", *["no_hand"] * 6, "tracked"]
+
+
+def test_a_container_that_promises_too_much(clip: Clip, run: Run, tmp_path: Path) -> None:
+    path = tmp_path / "clip.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (WIDTH, HEIGHT))
+    for picture in clip.pictures:
+        writer.write(picture)
+    writer.release()
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    outcome = run(path, "--out", tmp_path / "out", "--camera", clip.camera, "--config", "contour_planar")
+    assert outcome.code == 0
+    assert outcome.err.count("\n") == 1
+    assert f"{path}: the container promises {FRAMES} frames" in outcome.err
+    track = load_track(tmp_path / "out")
+    assert 2 <= len(track) < FRAMES
+    assert track.status[:2].tolist() == ["tracked", "tracked"]
+    with open_source(tmp_path / "out" / "overlay.mp4") as video:
+        assert len(list(video)) == len(track)
+
+
+@pytest.mark.parametrize("kind", ["16-bit", "4 channels"])
+def test_pictures_of_other_kinds_are_tracked_as_well(clip: Clip, run: Run, tmp_path: Path, kind: str) -> None:
+    if kind == "16-bit":
+        pictures = [picture.astype(np.uint16) * 257 for picture in clip.pictures[:2]]
+    else:
+        pictures = [np.dstack((picture, np.full((HEIGHT, WIDTH), 7, np.uint8))) for picture in clip.pictures[:2]]
+    frames = _write_folder(tmp_path / "frames", pictures)
+    assert run(frames, "--out", tmp_path / "out", *clip.options).code == 0
+    np.testing.assert_array_equal(load_track(tmp_path / "out").pose, load_track(clip.result).pose[:2])
+
+
+def test_grey_pictures_run_through_and_what_to_do_is_said(clip: Clip, run: Run, tmp_path: Path) -> None:
+    grey = [cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) for picture in clip.pictures[:2]]
+    frames = _write_folder(tmp_path / "frames", grey)
+    outcome = run(frames, "--out", tmp_path / "out", *clip.options)
+    assert outcome.code == 0
+    track = load_track(tmp_path / "out")
+    assert len(track) == 2
+    if not np.isfinite(track.pose).any():  # no colours to find a hand by
+        assert track.status.tolist() == ["no_hand", "no_hand"]
+        assert outcome.err.count("\n") == 1
+        assert "no hand was found" in outcome.err
+        assert "--start-points" in outcome.err
+
+
+def test_pictures_of_changing_size_end_the_run_there(clip: Clip, run: Run, tmp_path: Path) -> None:
+    frames = _write_folder(tmp_path / "frames", [*clip.pictures[:2], clip.pictures[2][:-10]])
+    outcome = run(frames, "--out", tmp_path / "out", *clip.options)
+    _assert_refused(outcome, frames / "2.png", f"expected a picture of {WIDTH}x{HEIGHT} px like the first")
+    assert load_track(tmp_path / "out").frame.tolist() == [0, 1]
+
+
+# ---------------------------------------------------------------------------------------- files that are not right
+
+
+def _camera_case(camera: Camera, what: str, path: Path) -> Sequence[str]:
+    """Write a camera file with that fault; returns what the message must say."""
+    save_cameras([camera], path)
+    content = json.loads(path.read_text())
+    entry = content["cameras"][0]
+    if what == "partial":
+        del entry["K"]
+    elif what == "wrong":
+        entry["K"][0][0] = "long"
+    elif what == "two":
+        content["cameras"].append({**entry, "name": "other"})
+    elif what == "size":
+        entry["width"] = 2 * WIDTH
+    path.write_text("{" if what == "broken" else json.dumps(content))
+    return {
+        "partial": ("cameras[0]: lacks K",),
+        "wrong": ("cameras[0].K",),
+        "two": ("expected one camera, got 2",),
+        "size": (f"expected a camera of {WIDTH}x{HEIGHT} px", f"got {2 * WIDTH}x{HEIGHT}"),
+        "broken": (),
+    }[what]
+
+
+@pytest.mark.parametrize("what", ["partial", "wrong", "two", "size", "broken"])
+def test_camera_files_that_do_not_fit(clip: Clip, run: Run, good: Path, tmp_path: Path, what: str) -> None:
+    before = _contents(good)
+    path = tmp_path / "cameras.json"
+    words = _camera_case(load_cameras(clip.camera)[0], what, path)
+    _assert_refused(run(clip.frames, "--out", good, "--overwrite", "--camera", path), path, *words)
+    assert _contents(good) == before
+
+
+def test_a_missing_camera_file(clip: Clip, run: Run, tmp_path: Path) -> None:
+    _assert_refused(run(clip.frames, "--out", tmp_path / "out", "--camera", tmp_path / "none.json"), "none.json")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--set", "nois.rotation=3"], ["unknown key nois", "noise", "allowed: method, pose_space"]),
+        (["--set", "noise.rotatoin=3"], ["unknown key noise.rotatoin", "rotation"]),
+        (["--set", "gate=-1"], ["gate: expected above 0"]),
+        (["--set", "gate=wide"], ["gate: expected a number, got 'wide'"]),
+        (["--set", "loss.patience=2.5"], ["loss.patience: expected a whole number"]),
+        (["--set", "gate"], ["--set: expected KEY=VALUE", "'gate'"]),
+        (["--set", "gate=[1"], ["--set gate: expected a value as in YAML"]),
+        (["--set", "motion=1", "--set", "motion.order=2"], ["--set: expected each field once"]),
+        (["--set", "pose_space=dof99"], ["pose_space: expected one of planar"]),
+        (["--posture", "opne"], ["posture: expected one of open", "'opne'"]),
+        (["--config", "contour_flat"], ["contour_flat: no such configuration", "contour_full", "contour_planar"]),
+        (["--start-points", "1,2,3"], ["--start-points: expected 4 numbers", "'1,2,3'"]),
+        (["--start-points", "1,2,3,x"], ["--start-points: expected 4 numbers"]),
+        (["--start-points", "10,20,nan,40"], ["--start-points: expected 4 finite numbers"]),
+        (["--start-points", "50,50,50,400"], ["--start-points: middle fingertip", "0 to 159", "got 50, 400"]),
+        (["--start-points", "-3,50,50,40"], ["--start-points: wrist", "0 to 199", "got -3, 50"]),
+        (["--start-points", "50,50,52,52"], ["--start-points: expected wrist and middle fingertip at least 10 px"]),
+        (["--side", "both"], ["both", "left"]),
+        (["--threads", "0"], ["--threads: expected 1 to 1024, got 0"]),
+        (["--resume", "--overwrite"], ["at most one of --resume and --overwrite"]),
+        (["--start", "-1"], ["start: expected a frame number of 0 or more"]),
+    ],
+)
+def test_options_that_cannot_be(clip: Clip, run: Run, tmp_path: Path, options: list[str], words: list[str]) -> None:
+    _assert_refused(run(clip.frames, "--out", tmp_path / "out", "--camera", clip.camera, *options), *words)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_configuration_with_an_unknown_key_or_an_impossible_value(clip: Clip, run: Run, tmp_path: Path) -> None:
+    config = tmp_path / "mine.yaml"
+    for text, words in (
+        ("edge_std: 2", "unknown key edge_std"),
+        ("edge_std_px: 0", "edge_std_px: expected above 0"),
+        ("noise: 3", "noise: expected keys among translation"),
+        ("gate: [", "is no valid YAML"),
+    ):
+        config.write_text(text)
+        outcome = run(clip.frames, "--out", tmp_path / "out", "--config", config)
+        _assert_refused(outcome, config, words)
+    assert not (tmp_path / "out").exists()
+
+
+def test_hand_files_that_do_not_fit(clip: Clip, run: Run, good: Path, tmp_path: Path) -> None:
+    before = _contents(good)
+    space = load_hand_model().shape_space
+    path = tmp_path / "hand.json"
+    names, values = list(space.names), space.default.tolist()
+
+    def refused(*words: str) -> None:
+        outcome = run(clip.frames, "--out", good, "--overwrite", "--hand", path, *clip.options)
+        _assert_refused(outcome, path, *words)
+
+    refused("no such file")
+    path.write_text("{}")
+    refused("expected a hand file")
+    save_hand(path, names[:-1], values[:-1], "right", {})
+    refused(f"shape: lacks {names[-1]}")
+    save_hand(path, names, [10 * values[0], *values[1:]], "right", {})
+    refused(f"shape.{names[0]}: expected ", f"got {10 * values[0]:g}")
+    assert _contents(good) == before
+
+
+# ---------------------------------------------------------------------------------------- where results go
+
+
+def test_a_folder_with_a_result_is_refused(clip: Clip, run: Run, good: Path) -> None:
+    before = _contents(good)
+    _assert_refused(run(clip.frames, "--out", good, *clip.options), good, "--resume", "--overwrite")
+    assert _contents(good) == before
+
+
+def test_resume_with_other_options_is_refused(clip: Clip, run: Run, good: Path) -> None:
+    before = _contents(good)
+    outcome = run(clip.frames, "--out", good, "--resume", "--set", "gate=7.75", *clip.options)
+    _assert_refused(outcome, good / "track.jsonl", "made_with.settings.gate was", "is now 7.75")
+    assert _contents(good) == before
+
+
+def test_overwrite_replaces_the_result(clip: Clip, run: Run, good: Path) -> None:
+    assert run(clip.frames, "--out", good, "--overwrite", "--max-frames", "2", *clip.options).code == 0
+    assert load_track(good / "track.npz").frame.tolist() == [0, 1]
+    assert {path.name for path in good.iterdir()} == RESULT_NAMES - {"overlay.mp4"}  # none of the old run is left
+
+
+def test_a_place_without_permission(clip: Clip, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any, **__: Any) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    outcome = run(clip.frames, "--out", tmp_path / "out", *clip.options)
+    _assert_refused(outcome, f"{tmp_path / 'out'}: cannot be written (no permission to write)")
+
+
+class _FullDisk:
+    """A file of lines that takes `room` more bytes and then says that the disk is full."""
+
+    def __init__(self, file: Any, room: int) -> None:
+        self.file, self.room = file, room
+
+    def write(self, data: bytes) -> int:
+        if not self.room:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        written = self.file.write(data[: self.room])
+        self.room -= written
+        return written
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.file, name)
+
+
+@pytest.mark.parametrize("has_result", [False, True])
+def test_a_full_disk(
+    clip: Clip, run: Run, good: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_result: bool
+) -> None:
+    out = good if has_result else tmp_path / "out"
+    before = _contents(out) if has_result else None
+    line = len((clip.result / "track.jsonl").read_bytes().splitlines()[2])
+    original = TrackWriter.__enter__
+
+    def enter(self: TrackWriter) -> TrackWriter:
+        self._lines._file = _FullDisk(self._lines._file, int(2.5 * line))  # pyright: ignore[reportAttributeAccessIssue]
+        return original(self)
+
+    monkeypatch.setattr(TrackWriter, "__enter__", enter)
+    outcome = run(clip.frames, "--out", out, "--overwrite", *clip.options)
+    _assert_refused(outcome, "track.jsonl: cannot be written (no space left on the disk)")
+    if has_result:
+        assert _contents(out) == before
+    assert load_track(out / "unfinished" if has_result else out).frame.tolist() == [0, 1]
+
+
+def test_a_full_disk_under_the_overlay_keeps_the_track(
+    clip: Clip, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", "overlay.mp4")
+
+    monkeypatch.setattr(tracking, "write_overlay", full)
+    out = tmp_path / "out"
+    options = ["--camera", clip.camera, "--config", "contour_planar", "--max-frames", "2"]
+    _assert_refused(run(clip.frames, "--out", out, *options), "overlay.mp4: No space left on device")
+    assert load_track(out / "track.npz").frame.tolist() == [0, 1]
+    monkeypatch.undo()
+    assert run(clip.frames, "--out", out, "--resume", *options).code == 0  # only the overlay is left to do
+    assert (out / "overlay.mp4").stat().st_size > 0

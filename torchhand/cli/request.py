@@ -1,0 +1,106 @@
+"""What a tracking run is asked for, read from texts and files and checked before anything starts."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import hypot, isfinite
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from torchhand.errors import InputError
+from torchhand.files import FittedHand, find_config, load_hand, load_hand_model, load_settings
+from torchhand.hand import Side
+from torchhand.track.settings import ContourTrackerSettings
+from torchhand.track.start import StartPoints
+
+LEAST_START_SPAN_PX = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """What a run is asked for, whatever its input is."""
+
+    settings: ContourTrackerSettings
+    config: str
+    """Name of the configuration, as the user gave it."""
+    side: Side = "right"
+    hand: FittedHand | None = None
+    """A known shape, which is then not fitted."""
+    camera: Path | None = None
+    start_points: StartPoints | None = None
+    start: int = 0
+    max_frames: int | None = None
+    resume: bool = False
+    overwrite: bool = False
+    has_overlay: bool = True
+    seed: int = 0
+
+
+def settings_of(config: str, changes: Sequence[str] = (), posture: str | None = None) -> ContourTrackerSettings:
+    """The settings of a configuration with single fields changed.
+
+    Raises InputError naming the file or the option and the key.
+    """
+    overrides: dict[str, Any] = {}
+    for change in changes:
+        key, is_given, text = change.partition("=")
+        if not is_given or not key:
+            raise InputError(f"--set: expected KEY=VALUE such as noise.rotation=80, got {change!r}")
+        try:
+            overrides[key] = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise InputError(f"--set {key}: expected a value as in YAML, got {text!r}") from error
+    if posture is not None:
+        overrides["posture"] = posture
+    _check_nesting(overrides)
+    return load_settings(ContourTrackerSettings(), find_config(config), overrides)
+
+
+def _check_nesting(overrides: Mapping[str, Any]) -> None:
+    for key in overrides:
+        inside = next((other for other in overrides if other.startswith(f"{key}.")), None)
+        if inside is not None:
+            raise InputError(f"--set: expected each field once, got {key} and {inside}")
+
+
+def known_hand(path: Path) -> FittedHand:
+    """A shape from a file, checked against what a hand can be."""
+    space = load_hand_model().shape_space
+    hand = load_hand(path, space.names)
+    for name, low, high in zip(space.names, space.lower.tolist(), space.upper.tolist(), strict=True):
+        if not low <= hand.values[name] <= high:
+            raise InputError(f"{path}: shape.{name}: expected {low:g} to {high:g}, got {hand.values[name]:g}")
+    return hand
+
+
+def start_points_of(text: str) -> StartPoints:
+    """The points of `WX,WY,MX,MY`, px. Raises InputError where the text is anything else."""
+    try:
+        wrist_x, wrist_y, tip_x, tip_y = (float(number) for number in text.split(","))
+    except ValueError:
+        raise InputError(
+            "--start-points: expected 4 numbers WX,WY,MX,MY (wrist and middle fingertip, px) without spaces,"
+            f" got {text!r}"
+        ) from None
+    if not all(map(isfinite, (wrist_x, wrist_y, tip_x, tip_y))):
+        raise InputError(f"--start-points: expected 4 finite numbers, got {text!r}")
+    return wrist_x, wrist_y, tip_x, tip_y
+
+
+def check_start_points(points: StartPoints | None, width: int, height: int) -> None:
+    """Raise InputError where the points cannot be those of a hand in a picture of that size."""
+    if points is None:
+        return
+    for name, x, y in (("wrist", *points[:2]), ("middle fingertip", *points[2:])):
+        if not (0 <= x <= width - 1 and 0 <= y <= height - 1):
+            raise InputError(
+                f"--start-points: {name}: expected a point in the picture, 0 to {width - 1}, 0 to {height - 1},"
+                f" got {x:g}, {y:g}"
+            )
+    span = hypot(points[2] - points[0], points[3] - points[1])
+    if span < LEAST_START_SPAN_PX:
+        raise InputError(
+            f"--start-points: expected wrist and middle fingertip at least {LEAST_START_SPAN_PX:g} px apart,"
+            f" got {span:g} px"
+        )

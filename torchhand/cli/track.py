@@ -1,0 +1,143 @@
+"""Track a hand through a video, a folder of pictures, a folder of videos or a webcam."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tqdm import tqdm
+from tyro.conf import Positional, UseAppendAction, arg
+
+from torchhand.cli.command import DONE, STOPPED_BY_USER, WRONG_INPUT, command, parse
+from torchhand.cli.request import Request, known_hand, settings_of, start_points_of
+from torchhand.cli.tracking import summary_of, threads, track_sequence
+from torchhand.errors import InputError
+from torchhand.files import (
+    Track,
+    check_output_folder,
+    sequences_of,
+)
+from torchhand.files.results import UNFINISHED_NAME
+from torchhand.files.track_file import JSONL_NAME
+from torchhand.hand import Side
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Track a hand through a video, a folder of pictures, a folder of videos or a webcam.
+
+    DIR gets track.npz, track.jsonl, hand.json, config.yaml and overlay.mp4; of a folder of videos, one such folder per
+    video. The hand is found by itself where it is open, or in the --posture given, and stands out by its colours; else
+    give --start-points. A webcam is tracked until Ctrl-C.
+
+    Example:
+        torchhand track wave.mp4 --out out/wave --config contour_planar --side left
+    """
+
+    input: Annotated[Positional[str], arg(metavar="INPUT")]
+    """Video file, folder of pictures, folder of videos, or number of a webcam."""
+    out: Annotated[Path, arg(metavar="DIR")]
+    """Folder for the results."""
+    config: Annotated[str, arg(metavar="NAME")] = "contour_full"
+    """Method: contour_full (27 DOF), contour_planar (motion in the picture plane), or a YAML file."""
+    camera: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Calibrated camera (cameras.json with one entry); without it a field of view is assumed."""
+    hand: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Known shape of the hand (hand.json), which is then not fitted."""
+    side: Literal["left", "right"] | None = None
+    """Which hand; right, or that of --hand."""
+    posture: Annotated[str | None, arg(metavar="NAME")] = None
+    """Posture at the start: open, flat, point, fist, victory ..."""
+    start_points: Annotated[str | None, arg(metavar="WX,WY,MX,MY")] = None
+    """Wrist and middle fingertip in the first picture, px, where the hand is not found by itself."""
+    start: Annotated[int, arg(metavar="N")] = 0
+    """First frame, counted from 0."""
+    max_frames: Annotated[int | None, arg(metavar="N")] = None
+    """Frames to track at most."""
+    resume: bool = False
+    """Go on with an interrupted run."""
+    overwrite: bool = False
+    """Replace an older result in DIR."""
+    overlay: bool = True
+    """Draw overlay.mp4."""
+    changes: Annotated[UseAppendAction[tuple[str, ...]], arg(name="set", metavar="KEY=VALUE")] = ()
+    """Change a single setting, such as noise.rotation=80; may be repeated. config.yaml of a result lists them all."""
+    seed: int = 0
+    """Seed of everything that is random (the contour tracker draws nothing at random)."""
+    threads: int = 1
+    """Threads of one tracker; its tensors are small, and more than one is slower."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.threads <= 1024:
+            raise ValueError(f"--threads: expected 1 to 1024, got {self.threads}")
+        if not -(2**63) <= self.seed < 2**63:
+            raise ValueError(f"--seed: expected a number of 64 bits, got {self.seed}")
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> int:
+    """Track every sequence of the input."""
+    arguments = parse(Arguments, argv, name="track")
+    request = _request(arguments)
+    sequences = sequences_of(arguments.input)
+    has_videos = Path(arguments.input).expanduser().is_dir() and Path(sequences[0][1]).is_file()
+    jobs = [(name, source, arguments.out / name if has_videos else arguments.out) for name, source in sequences]
+    for _, _, out_dir in jobs:
+        check_output_folder(out_dir, resume=request.resume, overwrite=request.overwrite)
+    failed = []
+    with threads(arguments.threads):
+        for name, source, out_dir in jobs:
+            try:
+                track, _ = track_sequence(source, out_dir, request, _say)
+            except KeyboardInterrupt:
+                _say(_how_to_go_on(out_dir, overwrite=request.overwrite))
+                return STOPPED_BY_USER
+            except InputError as error:
+                if not has_videos:
+                    raise
+                _say(f"error: {error}")
+                failed.append(name)
+                continue
+            print(summary_of(name, track, out_dir))
+            _warn_without_hand(name, track)
+    return WRONG_INPUT if failed else DONE
+
+
+def _request(arguments: Arguments) -> Request:
+    settings = settings_of(arguments.config, arguments.changes, arguments.posture)
+    hand = None if arguments.hand is None else known_hand(arguments.hand)
+    side: Side = arguments.side or ("left" if hand is not None and hand.side == "left" else "right")
+    return Request(
+        settings=settings,
+        config=arguments.config,
+        side=side,
+        hand=hand,
+        camera=arguments.camera,
+        start_points=None if arguments.start_points is None else start_points_of(arguments.start_points),
+        start=arguments.start,
+        max_frames=arguments.max_frames,
+        resume=arguments.resume,
+        overwrite=arguments.overwrite,
+        has_overlay=arguments.overlay,
+        seed=arguments.seed,
+    )
+
+
+def _how_to_go_on(out_dir: Path, *, overwrite: bool) -> str:
+    folder = next((place for place in (out_dir / UNFINISHED_NAME, out_dir) if (place / JSONL_NAME).exists()), None)
+    if folder is None:
+        return "stopped by Ctrl-C"
+    option = "--resume in place of --overwrite" if overwrite else "--resume"
+    return f"stopped by Ctrl-C; what is tracked so far is in {folder}, and the same command with {option} goes on"
+
+
+def _warn_without_hand(name: str, track: Track) -> None:
+    if len(track) and not any(status in ("tracked", "recovered") for status in track.status):
+        reason = "" if track.reason is None else next((f" ({text})" for text in track.reason if text), "")
+        _say(f"{name}: no hand was found{reason}; name its --posture, or give --start-points")
+
+
+def _say(line: str) -> None:
+    """One line on stderr, beside a progress bar that may run."""
+    tqdm.write(f"torchhand track: {line}", file=sys.stderr)
