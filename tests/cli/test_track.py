@@ -244,9 +244,10 @@ def test_a_folder_of_videos_gives_one_result_each_and_one_bad_video_stops_no_oth
             for picture in clip.pictures[:2]:
                 video.write(torch.from_numpy(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)))
     (videos / "b.mp4").write_bytes(b"no video")
-    outcome = run(videos, "--out", tmp_path / "out", *clip.options)
+    outcome = run(videos, "--out", tmp_path / "out", "--config", "contour_planar", "--no-overlay")
     assert outcome.code == 2
-    assert outcome.err.count("\n") == 1
+    assert outcome.err.count("\n") == 2
+    assert outcome.err.count("a field of view is assumed") == 1
     assert "b.mp4: is no video that can be opened" in outcome.err
     assert outcome.out.count("\n") == 2
     for name in ("a", "c"):
@@ -445,18 +446,24 @@ def test_pictures_of_other_kinds_are_tracked_as_well(clip: Clip, run: Run, tmp_p
     np.testing.assert_array_equal(load_track(tmp_path / "out").pose, load_track(clip.result).pose[:2])
 
 
-def test_grey_pictures_run_through_and_what_to_do_is_said(clip: Clip, run: Run, tmp_path: Path) -> None:
+def test_grey_pictures_are_tracked_from_start_points(clip: Clip, run: Run, tmp_path: Path) -> None:
     grey = [cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) for picture in clip.pictures[:2]]
     frames = _write_folder(tmp_path / "frames", grey)
-    outcome = run(frames, "--out", tmp_path / "out", *clip.options)
+    outcome = run(frames, "--out", tmp_path / "alone", *clip.options)
     assert outcome.code == 0
+    assert load_track(tmp_path / "alone").status.tolist() == ["no_hand", "no_hand"]  # no colours to find a hand by
+    assert not (tmp_path / "alone" / "hand.json").exists()
+    assert outcome.err.count("\n") == 1
+    assert "no hand was found" in outcome.err
+    assert "--start-points" in outcome.err
+    keypoints = load_track(clip.result).keypoints2d
+    assert keypoints is not None
+    points = ",".join(f"{value:.1f}" for value in keypoints[0, [0, 12]].ravel())
+    assert run(frames, "--out", tmp_path / "out", "--start-points", points, *clip.options).code == 0
     track = load_track(tmp_path / "out")
-    assert len(track) == 2
-    if not np.isfinite(track.pose).any():  # no colours to find a hand by
-        assert track.status.tolist() == ["no_hand", "no_hand"]
-        assert outcome.err.count("\n") == 1
-        assert "no hand was found" in outcome.err
-        assert "--start-points" in outcome.err
+    assert track.status.tolist() == ["tracked", "tracked"]
+    assert track.keypoints2d is not None
+    assert np.linalg.norm(track.keypoints2d[:2] - keypoints[:2], axis=-1).max() < 6.0
 
 
 def test_pictures_of_changing_size_end_the_run_there(clip: Clip, run: Run, tmp_path: Path) -> None:

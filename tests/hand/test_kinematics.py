@@ -171,7 +171,7 @@ def test_thumb_flexion_crosses_the_palm(side: str) -> None:
 
 @pytest.mark.parametrize("side", SIDES)
 def test_abduction_spreads_away_from_the_middle_finger(side: str) -> None:
-    """Towards the thumb's side (+z, right hand) for thumb, index and the middle finger itself, else to the other side."""
+    """Towards the thumb's side (+z, right hand) for thumb, index and the middle finger itself, else away from it."""
     kinematics = _kinematics(side)
     for finger, tip in zip(FINGERS, TIPS, strict=True):
         radial = -1.0 if finger in ("ring", "little") else 1.0
@@ -206,8 +206,15 @@ def _near_zero(generator: torch.Generator) -> Tensor:
     return 1e-6 * _pose(generator)
 
 
-@pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize("start", [_pose, _near_zero, lambda _: torch.zeros(36, dtype=torch.float64)])
+@pytest.mark.parametrize(
+    ("side", "start"),
+    [
+        ("right", _pose),
+        ("left", _pose),
+        ("right", lambda _: torch.zeros(36, dtype=torch.float64)),
+        ("left", _near_zero),
+    ],
+)
 def test_derivatives(side: str, start: Callable[[torch.Generator], Tensor], generator: torch.Generator) -> None:
     """To pose, shape and (through a rotation vector) the root's reference."""
     kinematics = _kinematics(side)
@@ -226,7 +233,9 @@ def test_derivatives_of_batches(generator: torch.Generator) -> None:
     pose = _pose(generator, 2).requires_grad_()
     for shape in (_shape(kinematics, generator), _shape(kinematics, generator, 2)):
         leaf = shape.detach().requires_grad_()
-        assert torch.autograd.gradcheck(lambda pose, shape: kinematics(pose, shape).keypoints[:, [4, 16]], (pose, leaf))
+        assert torch.autograd.gradcheck(
+            lambda pose, shape: kinematics(pose, shape).keypoints, (pose, leaf), fast_mode=True
+        )
 
 
 def test_derivatives_of_single_outputs(generator: torch.Generator) -> None:
@@ -289,8 +298,8 @@ def test_what_it_refuses() -> None:
     model = load_hand_model()
     kinematics = _kinematics()
     with pytest.raises(ValueError, match=r"pose: expected 36 numbers in the last dimension, got shape \(35,\)"):
-        kinematics.forward.__wrapped__(kinematics, torch.zeros(35, dtype=torch.float64))
+        HandKinematics.forward.__wrapped__(kinematics, torch.zeros(35, dtype=torch.float64))  # pyright: ignore
     with pytest.raises(ValueError, match=r"shape: expected \d+ numbers in the last dimension, got shape \(3,\)"):
         kinematics(torch.zeros(36, dtype=torch.float64), torch.zeros(3, dtype=torch.float64))
     with pytest.raises(ValueError, match="side: expected 'left' or 'right', got 'up'"):
-        HandKinematics.__init__.__wrapped__(kinematics, model.skeleton, model.shape_space, "up")
+        HandKinematics.__init__.__wrapped__(kinematics, model.skeleton, model.shape_space, "up")  # pyright: ignore

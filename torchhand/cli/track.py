@@ -85,15 +85,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     jobs = [(name, source, arguments.out / name if has_videos else arguments.out) for name, source in sequences]
     for _, _, out_dir in jobs:
         check_output_folder(out_dir, resume=request.resume, overwrite=request.overwrite)
-    failed = []
+    failed: list[str] = []
+    said: set[str] = set()
+
+    def say(line: str) -> None:
+        """What holds for many videos is said once."""
+        if line not in said:
+            said.add(line)
+            _say(line)
+
     with threads(arguments.threads):
         for name, source, out_dir in jobs:
             try:
-                track, _ = track_sequence(source, out_dir, request, _say)
+                track, _ = track_sequence(source, out_dir, request, say)
             except KeyboardInterrupt:
                 _say(_how_to_go_on(out_dir, overwrite=request.overwrite))
                 return STOPPED_BY_USER
-            except InputError as error:
+            except (InputError, OSError) as error:
                 if not has_videos:
                     raise
                 _say(f"error: {error}")

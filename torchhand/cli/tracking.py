@@ -168,10 +168,7 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
         )
         with writer:
             if camera.is_assumed:
-                say(
-                    f"{frames.name}: no --camera given: a field of view is assumed, so distances are metric only up to"
-                    " that assumption"
-                )
+                say("no --camera given: a field of view is assumed, so distances are metric only up to that assumption")
             if writer.resume_point is not None:
                 run.go_on_from(writer.resume_point.state)
                 done = writer.resume_point.last_frame + 1 - request.start

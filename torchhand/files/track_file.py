@@ -125,7 +125,8 @@ def _read_jsonl(path: Path) -> Track:
 
 def _read_npz(path: Path) -> Track:
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        # Opened here, because np.load leaves a broken file open.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             arrays = dict(stored)
         fields: dict[str, Any] = {name: arrays[name] for name in ("frame", "status", "seconds")}
         fields |= {name: arrays.get(name) if name == "keypoints2d" else arrays[name] for name in ARRAY_FIELDS}

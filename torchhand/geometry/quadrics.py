@@ -57,8 +57,10 @@ def half_space(level: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 4 4"]:
 
 
 def moved(
-    quadric: Float[Tensor, "*batch 4 4"], rotation: Float[Tensor, "*batch 3 3"], translation: Float[Tensor, "*batch 3"]
-) -> Float[Tensor, "*batch 4 4"]:
+    quadric: Float[Tensor, "*#batch 4 4"],
+    rotation: Float[Tensor, "*#batch 3 3"],
+    translation: Float[Tensor, "*#batch 3"],
+) -> Float[Tensor, "*_ 4 4"]:
     """The quadric (or plane pair) after X_new = rotation X + translation: T⁻ᵀ Q T⁻¹, in closed form."""
     upper, edge, corner = quadric[..., :3, :3], quadric[..., :3, 3:], quadric[..., 3:, 3:]
     new_upper = rotation @ upper @ rotation.transpose(-1, -2)

@@ -124,7 +124,7 @@ _FIST = {
     **{f"{finger}_mcp_fe": 85.0 for finger in FINGERS[1:]},
     **{f"{finger}_pip_fe": 100.0 for finger in FINGERS[1:]},
     **{f"{finger}_dip_fe": 67.0 for finger in FINGERS[1:]},
-    **{"thumb_cmc_fe": 17.0, "thumb_cmc_aa": 8.0, "thumb_mcp_fe": 33.0, "thumb_ip_fe": 65.0},  # over index and middle
+    **{"thumb_cmc_fe": 15.0, "thumb_cmc_aa": 8.0, "thumb_mcp_fe": 37.0, "thumb_ip_fe": 72.0},  # over index and middle
 }
 _SPREAD = {"index_mcp_aa": 12.0, "ring_mcp_aa": 8.0, "little_mcp_aa": 18.0, "thumb_cmc_fe": -10.0, "thumb_cmc_aa": 28.0}
 

@@ -16,6 +16,7 @@ from torchhand.hand.skeleton import FINGERS
 _CONES = len(CONE_NAMES)
 _HALF, _WHOLE = 0.0, -2.0  # a clipping level below -1 keeps the whole ellipsoid
 _LEVELS = tuple(_HALF if name.endswith("tip") or name.startswith("palm") else _WHOLE for name in ELLIPSOID_NAMES)
+_SHORTEST = 1e-3  # metres: a thick fingertip can be longer than a short distal phalanx
 _PALM_START_Y = 0.03  # the palm's cone begins here, share of hand length
 _WRIST_CAP = 0.05  # height of the half-ellipsoid towards the forearm, share of hand length
 
@@ -47,7 +48,7 @@ def primitive_sizes(space: ShapeSpace, shape: Float[Tensor, "*batch shape"]) -> 
         cone_turn=torch.cat((palm.turn[..., None, :, :], identity[..., : _CONES - 1, :, :]), -3),
         cone_start=torch.cat((palm.start_axes[..., None, :], torch.stack((radius, radius), -1)), -2),
         cone_end_scale=torch.cat((palm.end_scale[..., None], end / radius), -1),
-        cone_length=torch.cat((palm.length[..., None], length), -1),
+        cone_length=torch.cat((palm.length[..., None], length.clamp_min(_SHORTEST)), -1),
         ellipsoid_centre=torch.cat((palm.cap_centres, balls[..., :3]), -2),
         ellipsoid_turn=torch.cat((palm.cap_turns, identity), -3),
         ellipsoid_axes=torch.cat((palm.cap_axes, balls[..., 3:]), -2),

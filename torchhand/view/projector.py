@@ -31,6 +31,8 @@ from torchhand.view.visibility import visible_points
 
 _ARC_CORNERS = 24
 _SHIFT = 4  # fractional bits of OpenCV's polygon coordinates
+_INSET_PX = 0.5
+_FARTHEST_PX = 1e5  # farther corners do not fit into OpenCV's numbers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,18 +108,35 @@ class HandProjector:
             points = sample_generators(cones, arcs, self._polygon_table)
             is_real = torch.cat((cones.is_real, arcs.is_real)).squeeze(-1)
             pixels = self.camera.pixels_from_plane(self.camera.plane_from_cam(points.squeeze(-1)))
-            usable = (points[:, 2, 0] > 0) & pixels.isfinite().all(-1)
-            corners = (pixels.nan_to_num(0).clamp(-1e5, 1e5) * (1 << _SHIFT)).round().to(torch.int32).cpu().numpy()
-            drawn, is_real = usable.cpu().numpy(), is_real.cpu().numpy()
+            is_ahead = (points[:, 2] > 0).squeeze(-1)
+            pixels, is_real, is_ahead = (x.cpu().numpy() for x in (pixels, is_real, is_ahead))
         canvas = np.zeros((self.camera.height, self.camera.width), dtype=np.uint8)
         count = 4 * len(CONE_NAMES)
-        cones_in, balls_in = drawn[:count].reshape(-1, 4), drawn[count:].reshape(-1, _ARC_CORNERS)
-        keeps = np.concatenate((cones_in.all(1), balls_in.all(1))) & is_real
-        polygons = [*corners[:count].reshape(-1, 4, 2), *corners[count:].reshape(-1, _ARC_CORNERS, 2)]
-        for polygon, keep in zip(polygons, keeps, strict=True):
-            if keep:
+        start = 0
+        for corners, ahead in (
+            (pixels[:count].reshape(-1, 4, 2), is_ahead[:count].reshape(-1, 4)),
+            (pixels[count:].reshape(-1, _ARC_CORNERS, 2), is_ahead[count:].reshape(-1, _ARC_CORNERS)),
+        ):
+            keep = ahead.all(1) & is_real[start : start + len(corners)] & (np.abs(corners) < _FARTHEST_PX).all((1, 2))
+            for polygon in np.rint(_inset(corners[keep]) * (1 << _SHIFT)).astype(np.int32):
                 cv2.fillConvexPoly(canvas, polygon, 1, shift=_SHIFT)
+            start += len(corners)
         return torch.from_numpy(canvas).view(torch.bool)
+
+
+def _inset(polygons: np.ndarray) -> np.ndarray:
+    """Convex polygons (n, corners, 2) with their sides moved inwards: OpenCV fills every pixel that an edge touches.
+
+    Of four corners the two long sides move, of many every corner along its normal.
+    """
+    if polygons.shape[1] == 4:
+        along = np.repeat(polygons[:, (1, 3)] - polygons[:, (0, 2)], 2, 1)
+    else:
+        along = np.roll(polygons, -1, 1) - np.roll(polygons, 1, 1)
+    normal = np.stack((-along[..., 1], along[..., 0]), -1)
+    length = np.hypot(along[..., 0], along[..., 1])[..., None]
+    inwards = np.sign(((polygons.mean(1, keepdims=True) - polygons) * normal).sum(-1, keepdims=True))
+    return polygons + _INSET_PX * inwards * normal / np.maximum(length, 1e-9)
 
 
 def _polygon_table(dtype: torch.dtype) -> OutlineTable:
