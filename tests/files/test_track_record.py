@@ -34,7 +34,7 @@ def test_measures_and_reasons_come_back(tmp_path: Path, name: str) -> None:
 
 
 def test_a_measure_that_comes_later_is_unknown_before() -> None:
-    rows = [json.loads(_record(i, **({"nis": 1.0} if i == 1 else {})).as_json()) for i in range(3)]
+    rows = [json.loads(record.as_json()) for record in (_record(0), _record(1, nis=1.0), _record(2))]
     track = track_of(HEADER.as_json(), rows)
     np.testing.assert_array_equal(track.measures["nis"], [math.nan, 1.0, math.nan])
     assert track.reason is None

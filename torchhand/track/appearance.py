@@ -1,4 +1,5 @@
-"""What the hand looks like in this video: a colour model learned from one frame, and the planes that edges are searched in."""
+"""What the hand looks like in this video: colours learned from one frame, the planes that edges are searched in, and
+the parts of pictures in which silhouettes are compared."""
 
 from dataclasses import dataclass
 
@@ -73,7 +74,17 @@ def disc(shape: tuple[int, int], centre_px: Float[Tensor, "2"], radius_px: float
     return x * x + y * y < radius_px**2
 
 
-def overlap(model: Bool[Tensor, "height width"], picture: Bool[Tensor, "height width"], region: Bool[Tensor, "height width"]) -> float:
+def touching(mask: Bool[Tensor, "height width"], other: Bool[Tensor, "height width"]) -> Bool[Tensor, "height width"]:
+    """The connected pieces (8 neighbours) of a mask that share a pixel with another mask."""
+    _, labels = cv2.connectedComponents(mask.numpy().view(np.uint8), connectivity=8)
+    keeps = np.bincount(labels[other.numpy()], minlength=int(labels.max()) + 1) > 0
+    keeps[0] = False  # what is not in the mask
+    return torch.from_numpy(keeps[labels])
+
+
+def overlap(
+    model: Bool[Tensor, "height width"], picture: Bool[Tensor, "height width"], region: Bool[Tensor, "height width"]
+) -> float:
     """Intersection over union of two masks within a region; 0 where both are empty."""
     model, picture = model & region, picture & region
     union = int((model | picture).sum())

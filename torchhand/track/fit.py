@@ -1,23 +1,24 @@
-"""Fits pose and proportions to one picture: maximum a posteriori Gauss-Newton on edges along the model's contour normals.
+"""Fits pose and proportions to one picture: maximum a posteriori Gauss-Newton on edges along the contour's normals.
 
-The start of a track: paper 003 sets the model's parameters by hand and names their estimation within the same framework as
-future work (its section 6.1); this is that. The measurement is the tracker's own.
+The start of a track: paper 003 sets the model's parameters by hand and names their estimation within the same framework
+as future work (its section 6.1); this is that. The measurement is the tracker's own.
 """
 
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandKinematics, rebased
 from torchhand.image import EdgeSettings, search_edges
+from torchhand.track.contour_points import hand_length_px, is_outer
 from torchhand.track.limits import clamp_to_limits
 from torchhand.view import HandProjector, OutlineTable
 
-# Prior standard deviations of the pose about the start posture, by ending of the DOF's name: metres and radians. Flexion of
-# a straight finger is hardly seen in one picture and trades against its length, so it stays close.
+# Prior standard deviations of the pose about the start posture, by ending of the DOF's name: metres and radians.
+# Flexion of a straight finger is hardly seen in one picture and trades against its length, so it stays close.
 _POSE_STD = {
     "root_tx": 0.03,
     "root_ty": 0.03,
@@ -34,6 +35,10 @@ _POSE_STD = {
     "pip_fe": 0.08,
     "dip_fe": 0.05,
 }
+_BENT = 0.3  # radians: a finger joint flexed more than this by the posture counts as bent
+_FEWEST_POINTS = 10
+_LEAST_SEARCH_PX = 4.0
+_STEP = 1e-4  # of the numerical derivative, prior standard deviations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,38 +48,42 @@ class FitSettings:
     search_share: float = 0.10
     """First half length of the edge search, as a share of the hand's length in the picture; above 0."""
     final_search_share: float = 0.035
-    """Last half length; above 0."""
+    """Last half length, as such a share; above 0."""
     edge_std_px: float = 1.5
     """Standard deviation of one edge; above 0."""
     bent_std_rad: float = 0.25
-    """Prior standard deviation of the flexions of a finger that the posture bends."""
+    """Prior standard deviation of the flexions of a finger that the posture bends; above 0."""
 
     def __post_init__(self) -> None:
         for name in ("search_share", "final_search_share", "edge_std_px", "bent_std_rad"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name}: expected above 0, got {getattr(self, name)}")
-        if self.iterations < 1:
-            raise ValueError(f"iterations: expected 1 or more, got {self.iterations}")
+            if not 0 < getattr(self, name) < float("inf"):
+                raise ValueError(f"fit.{name}: expected a finite number above 0, got {getattr(self, name)!r}")
+        if not self.iterations >= 1:
+            raise ValueError(f"fit.iterations: expected 1 or more, got {self.iterations!r}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """A hand fitted to one picture."""
+    """A hand fitted to one picture, in the camera's frame."""
 
     pose: Float[Tensor, "36"]
-    """With a zero rotation vector: the root's orientation is in root_reference."""
+    """Metres and radians, with a zero rotation vector: the root's orientation is in root_reference."""
     root_reference: Float[Tensor, "3 3"]
     """cam_from_hand"""
     shape: Float[Tensor, "shape"]
     pose_std: Float[Tensor, "36"]
+    """0 for DOFs that are held, and for those that lie at their limit."""
     shape_std: Float[Tensor, "shape"]
+    """0 for parameters that are held, and for those that lie at their bound."""
     residual_px: float
-    """Median absolute distance of the found edges from the fitted contour."""
+    """Median absolute distance of the found edges from the contour before the last step; infinite without edges."""
     found_share: float
     """Share of the visible outer contour points at which an edge was found."""
 
     @classmethod
-    def of_start(cls, pose: Tensor, root_reference: Tensor, shape: Tensor) -> "Fit":
+    def of_start(
+        cls, pose: Float[Tensor, "36"], root_reference: Float[Tensor, "3 3"], shape: Float[Tensor, "shape"]
+    ) -> "Fit":
         """A placement that no edge has been compared with."""
         zero, nothing = torch.zeros_like(pose), float("inf")
         return cls(
@@ -89,29 +98,13 @@ class Fit:
 
 
 def pose_prior_std(pose: Float[Tensor, "36"], bent_std_rad: float) -> Float[Tensor, "36"]:
-    """Standard deviation of every DOF about a start posture; 0 for DOFs that are held."""
+    """Standard deviation of every DOF about a start posture, metres and radians; 0 for DOFs that are held."""
     std = torch.zeros(len(DOFS), dtype=pose.dtype)
     for i, dof in enumerate(DOFS):
         std[i] = next((value for ending, value in _POSE_STD.items() if dof.endswith(ending)), 0.0)
-        if dof.endswith(("pip_fe", "mcp_fe")) and abs(float(pose[i])) > 0.3:
+        if dof.endswith(("pip_fe", "mcp_fe")) and abs(float(pose[i])) > _BENT:
             std[i] = bent_std_rad
     return std
-
-
-def outer_points(
-    projector: HandProjector, silhouette: Bool[Tensor, "height width"], points_px: Tensor, normals: Tensor, reach_px: float
-) -> Bool[Tensor, "points"]:
-    """Contour points beyond which the picture is not hand: true silhouette, as against fingers before the palm."""
-    beyond = (points_px + reach_px * normals).round().long()
-    inside = (beyond >= 0).all(-1) & (beyond[:, 0] < projector.camera.width) & (beyond[:, 1] < projector.camera.height)
-    x, y = beyond[:, 0].clamp(0, projector.camera.width - 1), beyond[:, 1].clamp(0, projector.camera.height - 1)
-    return ~(inside & silhouette[y, x])
-
-
-def hand_length_px(camera: Camera, pose: Float[Tensor, "36"], shape: Float[Tensor, "shape"]) -> float:
-    """Length in the picture of a hand held parallel to it at the pose's depth."""
-    focal_px = 0.5 * float(camera.intrinsics[0, 0] + camera.intrinsics[1, 1])
-    return focal_px * float(shape[0]) / (float(pose[2]) if camera.kind == "pinhole" else 1.0)
 
 
 def fit_contour(
@@ -129,8 +122,10 @@ def fit_contour(
 ) -> Fit:
     """Moves pose and shape from a rough start until the outer contour lies on the edges of `plane` (hand bright, 0..1).
 
-    Minimises Σ ρ(n·(e - x)) / σ² plus the squared distance to the start in units of its prior spread: the shape space's over
-    people, a fixed one of the posture. Hand length stays: one picture cannot tell it from depth.
+    Minimises Σ ρ(n·(e - x)) / σ² plus the squared distance to the start in units of its prior spread: the shape space's
+    over people, a fixed one of the posture. Hand length stays: one picture cannot tell it from depth. Joint limits and
+    the shape's bounds hold. The camera's frame is the world. Where fewer than ten contour points can be compared, the
+    start comes back with `found_share` 0.
     """
     settings = settings or FitSettings()
     edges = edges or EdgeSettings(polarity="inside_bright", min_strength=0.15, choose="nearest")
@@ -152,22 +147,20 @@ def fit_contour(
         return poses, shapes
 
     precision = torch.diag(prior_std**-2)
-    steps = 1e-4 * prior_std
-    information, residual, found_share = precision, torch.zeros(0), 0.0
+    steps = _STEP * prior_std
+    information, residual, found_share = precision, torch.zeros(0, dtype=pose.dtype), 0.0
     for iteration in range(settings.iterations):
         here_pose, here_shape = split(values)
         projector = HandProjector(kinematics, camera, here_shape)
         contour = projector.contour(here_pose, root_reference, table)
-        length_px = hand_length_px(camera, here_pose, here_shape)
-        outer = outer_points(
-            projector, projector.silhouette(here_pose, root_reference), contour.points_px, contour.normals, 0.02 * length_px + 1
-        )
-        keep = contour.visible & outer
-        if int(keep.sum()) < 10:
+        length_px = hand_length_px(camera, kinematics, here_pose, here_shape)
+        silhouette = projector.silhouette(here_pose, root_reference)
+        keep = contour.visible & is_outer(silhouette, contour.points_px, contour.normals, length_px)
+        if int(keep.sum()) < _FEWEST_POINTS:
             break
         progress = iteration / max(1, settings.iterations - 1)
         share = settings.search_share * (settings.final_search_share / settings.search_share) ** progress
-        search = torch.full((int(keep.sum()),), max(4.0, share * length_px), dtype=pose.dtype)
+        search = torch.full((int(keep.sum()),), max(_LEAST_SEARCH_PX, share * length_px), dtype=pose.dtype)
         normals = contour.normals[keep]
         seen = search_edges(plane, contour.points_px[keep], normals, edges, half_length_px=search)
         chosen = table.select(keep)
@@ -185,8 +178,8 @@ def fit_contour(
         gradient = jacobian.T @ (weight * residual) - precision @ (values - start)
         values = values + torch.linalg.solve(information, gradient)
         bounded_pose = clamp_to_limits(split(values)[0], kinematics.skeleton)[free_pose]
-        bounded_shape = values[len(free_pose) :].clamp(space.lower.to(pose)[free_shape], space.upper.to(pose)[free_shape])
-        bounded = torch.cat((bounded_pose, bounded_shape))
+        lower, upper = space.lower.to(pose)[free_shape], space.upper.to(pose)[free_shape]
+        bounded = torch.cat((bounded_pose, values[len(free_pose) :].clamp(lower, upper)))
         is_bounded = bounded != values
         values = bounded
         residual = residual[seen.found]

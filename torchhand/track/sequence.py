@@ -35,12 +35,12 @@ def follow(
 ) -> Iterator[TrackedFrame]:
     """Track frame after frame; `state` and `memory` are those of the frame before, where an earlier run is continued.
 
-    A frame without a picture is `no_hand`: the tracker's state stays as it is, and the next good frame is searched from
-    there. `seconds` of a record is the tracker's time alone, without reading the picture.
+    A frame without a picture is `no_hand`: time passes for the tracker, which sees nothing. `seconds` of a record is the tracker's time alone, without reading the picture.
     """
     memory = memory or Memory()
     for frame in frames:
         if frame.image is None:
+            state, _ = tracker.skip(state)
             yield TrackedFrame(frame=frame, record=_unread(frame), state=state, memory=memory)
             continue
         started = time.perf_counter()

@@ -16,7 +16,7 @@ def _require(condition: bool, name: str, expected: str, got: object) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseSettings:
-    """How freely the hand moves: square roots of the spectral densities that drive the motion model, one per kind of DOF.
+    """How freely the hand moves: roots of the spectral densities that drive the motion model, one per kind of DOF.
 
     In (unit) / s^(order + 1/2): with order 2, m s⁻²·⁵ and rad s⁻²·⁵; with order 0, m s⁻⁰·⁵ and rad s⁻⁰·⁵.
     """
@@ -65,15 +65,16 @@ class LossSettings:
     """Frames in a row that may fail before the track is lost; 1 or more."""
     start_overlap: float = 0.80
     """Least overlap with which a hand is taken as found; 0 to 1."""
-    doubt_overlap: float = 0.80
-    """Below this overlap a track is compared with a fresh search for the posture of the start; 0 to 1."""
+    doubt_drop: float = 0.06
+    """An overlap that is lower than at the start by this much has the track compared with a fresh search for the posture
+    of the start; 0 to 1."""
     better_by: float = 0.02
     """By how much the fresh search must overlap better to take over; 0 to 1."""
     search_every: int = 5
     """Frames from one such search to the next; 1 or more."""
 
     def __post_init__(self) -> None:
-        for name in ("min_overlap", "min_found", "min_inside", "start_overlap", "doubt_overlap", "better_by"):
+        for name in ("min_overlap", "min_found", "min_inside", "start_overlap", "doubt_drop", "better_by"):
             _require(0 <= getattr(self, name) <= 1, f"loss.{name}", "0 to 1", getattr(self, name))
         for name in ("patience", "search_every"):
             _require(getattr(self, name) >= 1, f"loss.{name}", "1 or more", getattr(self, name))

@@ -1,17 +1,19 @@
 """Finds a hand in a single picture and fits it: the start of a track, and its restart after a loss."""
 
-from dataclasses import dataclass
+import itertools
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics
+from torchhand.hand import DOFS, HandKinematics
 from torchhand.image import bootstrap_skin, clean, fill_holes, largest_component
 from torchhand.track.alignment import Alignment, align_points, align_posture
 from torchhand.track.appearance import Appearance, disc, hand_region, learn_appearance, mask_plane, overlap
-from torchhand.track.fit import Fit, FitSettings, fit_contour, hand_length_px
+from torchhand.track.contour_points import hand_length_px, is_in_picture
+from torchhand.track.fit import Fit, FitSettings, fit_contour
 from torchhand.view import HandProjector, OutlineTable
 
 StartPoints = tuple[float, float, float, float]
@@ -19,6 +21,8 @@ StartPoints = tuple[float, float, float, float]
 
 _WORST_COST = 0.42  # alignments above it are not worth fitting
 _TRIES = 4  # alignments fitted per picture
+_SPREADS = (1.0, 1.6, 0.4)  # factors on the abductions from which the fit starts, as long as none is good
+_GOOD = 0.93  # overlap at which no other start is tried
 _LEAST_FOUND = 0.8  # share of the fitted contour that must lie on edges
 _LEAST_INSIDE = 0.8  # share of the keypoints that must lie in the picture
 
@@ -81,12 +85,15 @@ def find_hand(
         return NoStart(reason=reason or "too little of the picture has the hand's colours", has_foreground=False)
     alignments = [a for a in align_posture(mask, camera, kinematics, shape, posture) if a.cost < _WORST_COST]
     best: Start | None = None
-    for alignment in alignments[:_TRIES]:
-        start = _fitted(image, mask, alignment, kinematics, camera, shape, table, fit_shape, settings, appearance)
+    best_facing = ""
+    for spread, alignment in itertools.product(_SPREADS, alignments[:_TRIES]):
+        if best is not None and (best.overlap > _GOOD or (spread != 1.0 and alignment.facing != best_facing)):
+            continue
+        start = _fitted(
+            image, mask, _spread(alignment, spread), kinematics, camera, shape, table, fit_shape, settings, appearance
+        )
         if start is not None and (best is None or start.quality > best.quality):
-            best = start
-        if best is not None and best.overlap > 0.92:
-            break
+            best, best_facing = start, alignment.facing
     if best is None or best.overlap < min_overlap or best.fit.found_share < _LEAST_FOUND:
         got = f"best overlap {best.overlap:.2f}, edges on {best.fit.found_share:.0%}" if best else "no placement fits"
         return NoStart(reason=f"no hand in the posture of the start ({got})", has_foreground=True)
@@ -102,12 +109,14 @@ def start_at_points(
     table: OutlineTable,
     posture: Float[Tensor, "36"],
     *,
+    fit_shape: bool = True,
     settings: FitSettings | None = None,
 ) -> Start | NoStart:
     """Starts from the wrist and the middle fingertip that the user gives: the paper's start by hand.
 
-    The colours of the palm so placed, against those around the hand, give a silhouette to fit; then those of the fitted hand
-    give a better one. The better of palm and back is taken.
+    The colours of the palm so placed, against those around the hand, give a silhouette to fit; then those of the fitted
+    hand give a better one. The better of palm and back is taken. The user is believed: there is no start only where no
+    colours can be learned, and a small overlap is the caller's to judge.
     """
     best: Start | None = None
     for alignment in align_points(points[:2], points[2:], camera, kinematics, shape, posture):
@@ -119,12 +128,26 @@ def start_at_points(
                 break
             mask = fill_holes(clean(appearance.probability(image) > 0.5))
             placed = fit_contour(
-                mask_plane(mask), kinematics, camera, table, placed.pose, placed.root_reference, placed.shape, settings
+                mask_plane(mask),
+                kinematics,
+                camera,
+                table,
+                placed.pose,
+                placed.root_reference,
+                placed.shape,
+                settings,
+                fit_shape=fit_shape,
             )
             start = Start(fit=placed, appearance=appearance, overlap=fit_overlap(mask, kinematics, camera, placed))
         if start is not None and (best is None or start.overlap > best.overlap):
             best = start
     return best or NoStart(reason="the hand placed at the start points lies outside the picture", has_foreground=False)
+
+
+def _spread(alignment: Alignment, factor: float) -> Alignment:
+    """The alignment with its abductions wider or narrower: a finger that slid onto its neighbour tries again."""
+    is_spread = torch.tensor([name.endswith("_aa") for name in DOFS])
+    return replace(alignment, pose=torch.where(is_spread, factor * alignment.pose, alignment.pose))
 
 
 def _fitted(
@@ -151,12 +174,11 @@ def _fitted(
         fit_shape=fit_shape,
     )
     keypoints = camera.project(kinematics(fit.pose, fit.shape, root_reference=fit.root_reference).keypoints)
-    limit = torch.tensor((camera.width - 1, camera.height - 1), dtype=keypoints.dtype)
-    if float(((keypoints >= 0) & (keypoints <= limit)).all(-1).double().mean()) < _LEAST_INSIDE:
+    if float(is_in_picture(keypoints, camera).double().mean()) < _LEAST_INSIDE:
         return None
     quality = fit_overlap(mask, kinematics, camera, fit)
     if appearance is None:
-        margin = max(1, round(0.01 * hand_length_px(camera, fit.pose, fit.shape)))
+        margin = max(1, round(0.01 * hand_length_px(camera, kinematics, fit.pose, fit.shape)))
         appearance = learn_appearance(image, mask, ~mask, margin)
     return None if appearance is None else Start(fit=fit, appearance=appearance, overlap=quality)
 
@@ -165,7 +187,7 @@ def fit_overlap(mask: Tensor, kinematics: HandKinematics, camera: Camera, fit: F
     """Overlap of a fitted hand's silhouette with a mask, forearm cut off."""
     projector = HandProjector(kinematics, camera, fit.shape)
     keypoints = camera.project(projector.frames(fit.pose, fit.root_reference).keypoints)
-    reach = 1.35 * hand_length_px(camera, fit.pose, fit.shape)
+    reach = 1.35 * hand_length_px(camera, kinematics, fit.pose, fit.shape)
     region = hand_region((camera.height, camera.width), keypoints[0], keypoints[9], reach)
     return overlap(projector.silhouette(fit.pose, fit.root_reference), mask, region)
 
@@ -175,12 +197,13 @@ def _appearance_of(
 ) -> Appearance | None:
     """Colours of a placed hand, or of its palm alone, against its surroundings.
 
-    The side where a forearm may be counts for neither, nor does what lies near the outline of a hand that is placed roughly.
+    The side where a forearm may be counts for neither, nor does what lies near the outline of a hand that is placed
+    roughly.
     """
     projector = HandProjector(kinematics, camera, fit.shape)
     silhouette = projector.silhouette(fit.pose, fit.root_reference)
     keypoints = camera.project(projector.frames(fit.pose, fit.root_reference).keypoints)
-    length_px = hand_length_px(camera, fit.pose, fit.shape)
+    length_px = hand_length_px(camera, kinematics, fit.pose, fit.shape)
     size = (camera.height, camera.width)
     around = hand_region(size, keypoints[0], keypoints[9], 1.6 * length_px)
     inside, margin = silhouette, round(0.015 * length_px)

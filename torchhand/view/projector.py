@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.geometry import Camera
+from torchhand.geometry.batch_last import batch_first
 from torchhand.hand import (
     CONE_NAMES,
     HandFrames,
@@ -22,7 +23,6 @@ from torchhand.view.generators import generators
 from torchhand.view.outline import (
     OutlineTable,
     outline,
-    outline_points,
     outline_table,
     pixel_normals,
     sample_generators,
@@ -79,12 +79,28 @@ class HandProjector:
     ) -> Float[Tensor, "*batch points 2"]:
         """Outline points of the table in pixels for a batch of poses; no visibility."""
         primitives = self.primitives_cam(self.frames(pose, root_reference))
-        points = outline_points(primitives, table, is_orthographic=self.is_orthographic)
-        return self.camera.pixels_from_plane(self.camera.plane_from_cam(points))
+        cones, arcs = generators(primitives, is_orthographic=self.is_orthographic, with_normals=False)
+        return batch_first(self._pixels(sample_generators(cones, arcs, table)), pose.shape[:-1])
+
+    def _pixels(self, points_cam: Float[Tensor, "points 3 n"]) -> Float[Tensor, "points 2 n"]:
+        """Pixels of points in the camera frame, the batch last throughout."""
+        camera = self.camera
+        if camera.has_distortion or camera.has_skew:
+            return camera.pixels_from_plane(camera.plane_from_cam(points_cam.mT)).mT
+        x, y, z = points_cam.unbind(1)
+        scale, centre = camera.intrinsics.diagonal()[:2], camera.intrinsics[:2, 2]
+        if not self.is_orthographic:
+            nearness = z.reciprocal()
+            x, y = x * nearness, y * nearness
+        pixels = (torch.addcmul(centre[i], scale[i], plane) for i, plane in enumerate((x, y)))
+        return torch.stack(tuple(pixels), 1)
 
     def contour(self, pose: Float[Tensor, "36"], root_reference: Float[Tensor, "3 3"], table: OutlineTable) -> Contour:
         """The reference contour of one pose, with normals and self-occlusion."""
-        primitives = self.primitives_cam(self.frames(pose, root_reference))
+        return self.contour_of(self.primitives_cam(self.frames(pose, root_reference)), table)
+
+    def contour_of(self, primitives: Primitives, table: OutlineTable) -> Contour:
+        """The reference contour of one hand whose primitives in the camera frame are known."""
         seen = outline(primitives, table, is_orthographic=self.is_orthographic)
         plane = self.camera.plane_from_cam(seen.points_cam)
         visible = visible_points(primitives, seen, table, is_orthographic=self.is_orthographic)
@@ -97,17 +113,22 @@ class HandProjector:
     def silhouette(
         self, pose: Float[Tensor, "36"], root_reference: Float[Tensor, "3 3"]
     ) -> Bool[Tensor, "height width"]:
-        """Filled union of the primitives' outlines: `raycast(...).mask` to about a pixel, in well under a millisecond.
+        """Filled union of the primitives' outlines: `raycast(...).mask` to half a pixel, in a millisecond or two.
 
         Each primitive is filled as the convex polygon of its outline; whole ellipsoids stand for the halves that close
         the palm and the fingertips, whose other half lies within the part they close.
         """
         with torch.no_grad():
-            primitives = replace(self.primitives_cam(self.frames(pose, root_reference)), sizes=self._whole_sizes)
-            cones, arcs = generators(primitives, is_orthographic=self.is_orthographic, with_normals=False)
+            return self.silhouette_of(self.primitives_cam(self.frames(pose, root_reference)))
+
+    def silhouette_of(self, primitives: Primitives) -> Bool[Tensor, "height width"]:
+        """`silhouette` of one hand whose primitives in the camera frame are known."""
+        with torch.no_grad():
+            whole = replace(primitives, sizes=self._whole_sizes)
+            cones, arcs = generators(whole, is_orthographic=self.is_orthographic, with_normals=False)
             points = sample_generators(cones, arcs, self._polygon_table)
             is_real = torch.cat((cones.is_real, arcs.is_real)).squeeze(-1)
-            pixels = self.camera.pixels_from_plane(self.camera.plane_from_cam(points.squeeze(-1)))
+            pixels = self._pixels(points).squeeze(-1)
             is_ahead = (points[:, 2] > 0).squeeze(-1)
             pixels, is_real, is_ahead = (x.cpu().numpy() for x in (pixels, is_real, is_ahead))
         canvas = np.zeros((self.camera.height, self.camera.width), dtype=np.uint8)

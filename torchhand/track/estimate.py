@@ -1,0 +1,69 @@
+"""From the tracker's belief to what is told of a frame: pose, keypoints and their covariances."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.geometry import Camera, rotation_from_vector, vector_from_rotation
+from torchhand.hand import HandKinematics, PoseSpace, ShapeSpace
+from torchhand.track.state import Estimate, Status, TrackerState
+
+_JOINT_CENTRE_STD = 0.004
+"""Metres: two hand models place their joint centres a few millimetres apart under the same skin."""
+_STEP = 1e-5  # of the numerical derivative, metres and radians
+
+
+def estimate_of(
+    status: Status,
+    state: TrackerState,
+    kinematics: HandKinematics,
+    space: PoseSpace,
+    camera: Camera,
+    shape: Float[Tensor, "shape"],
+    *,
+    scale_std: float,
+    overlap: float,
+    found: float,
+    nis: float | None = None,
+) -> Estimate:
+    """The estimate of a frame in which the hand is followed.
+
+    scale_std: standard deviation of the hand's size and distance in common, as a share, which no picture of one camera
+    tells (`unknown_scale_std`).
+    """
+    count = space.size
+    space = space.about(state.base)
+    covariance = state.belief.covariance[:count, :count]
+    mean = state.belief.mean[:count]
+    pose = space.dof(mean)
+    shifted = torch.cat((mean[None], mean + _STEP * torch.eye(count, dtype=mean.dtype)))
+    keypoints = kinematics(space.dof(shifted), shape, root_reference=state.reference).keypoints
+    jacobian = (keypoints[1:] - keypoints[0]).permute(1, 2, 0) / _STEP  # 21 3 free
+    rotation = rotation_from_vector(pose[3:6]) @ state.reference
+    return Estimate(
+        status=status,
+        pose=torch.cat((pose[:3], vector_from_rotation(rotation), pose[6:])),
+        pose_std=(space.basis @ covariance @ space.basis.T).diagonal().clamp_min(0).sqrt(),
+        root_rotation=rotation,
+        keypoints=keypoints[0],
+        keypoints_px=camera.project(keypoints[0]),
+        keypoints_cov=jacobian @ covariance @ jacobian.mT + _model_covariance(keypoints[0], scale_std),
+        overlap=overlap,
+        found=found,
+        nis=nis,
+    )
+
+
+def unknown_scale_std(space: ShapeSpace, camera: Camera, *, is_shape_known: bool) -> float:
+    """Spread over people of the hand's length, as a share, where it decides the distance and was not measured."""
+    if is_shape_known or camera.kind == "orthographic":
+        return 0.0
+    index = space.names.index("hand_length")
+    return float(space.std[index] / space.default[index])
+
+
+def _model_covariance(keypoints: Float[Tensor, "21 3"], scale_std: float) -> Float[Tensor, "21 3 3"]:
+    """What the filter cannot know: joint centres within the flesh, and scale where hand length is not measured."""
+    eye = torch.eye(3, dtype=keypoints.dtype)
+    outer = keypoints[:, :, None] * keypoints[:, None, :]
+    return _JOINT_CENTRE_STD**2 * eye + scale_std**2 * outer

@@ -1,0 +1,136 @@
+"""One measurement update of the contour tracker: project, search edges along the normals, correct (paper 003, 4.3)."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.geometry import Camera, rotation_from_vector
+from torchhand.hand import PoseSpace, Skeleton
+from torchhand.image import search_edges
+from torchhand.numerics import Gaussian, update
+from torchhand.track.contour_points import hand_length_px, is_in_picture, is_outer
+from torchhand.track.limits import clamp_to_limits
+from torchhand.track.prior import PosturePrior, kind_of
+from torchhand.track.settings import ContourTrackerSettings
+from torchhand.track.state import TrackerState
+from torchhand.view import HandProjector, OutlineTable
+
+_FEWEST_POINTS = 10
+_LEAST_SEARCH_PX = 4.0
+_WIDENING = 0.5  # the search grows by this share with every failed frame
+_INNER_REACH = 0.6  # half length of the search for inner edges over that for outer ones
+_AT_LIMIT = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Planes:
+    """The pictures in which edges are searched, 0..1."""
+
+    outer: Float[Tensor, "height width"]
+    """For the silhouette."""
+    inner: Float[Tensor, "height width"] | None
+    """For parts of the hand before others; None leaves those out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """A state after a measurement update, and how well the picture bears it out."""
+
+    state: TrackerState
+    found: float = 0.0
+    """Share of the outer contour points in the picture with an accepted edge."""
+    inside: float = 0.0
+    """Share of the visible contour points in the picture."""
+    nis: float | None = 0.0
+    """Normalised innovation squared per accepted measurement; None where it means nothing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContourMeasurement:
+    """What all measurement updates of one tracker share."""
+
+    settings: ContourTrackerSettings
+    camera: Camera
+    """At the world's origin."""
+    space: PoseSpace
+    table: OutlineTable
+    prior: PosturePrior
+    skeleton: Skeleton
+
+    def update(self, state: TrackerState, projector: HandProjector, planes: Planes) -> Measured:
+        """Corrects a predicted state; the pose stays within the joint limits.
+
+        Where fewer than ten visible contour points lie in the picture, the state comes back as it is with all shares 0.
+        """
+        s, camera = self.settings, self.camera
+        count = self.space.size
+        space = self.space.about(state.base)
+        pose = space.dof(state.belief.mean[:count])
+        primitives = projector.primitives_cam(projector.frames(pose, state.reference))
+        contour = projector.contour_of(primitives, self.table)
+        points, normals = contour.points_px[contour.visible], contour.normals[contour.visible]
+        in_picture = is_in_picture(points, camera)
+        if int(in_picture.sum()) < _FEWEST_POINTS:
+            return Measured(state=state)
+        length_px = hand_length_px(camera, projector.kinematics, pose, projector.shape)
+        outer = is_outer(projector.silhouette_of(primitives), points, normals, length_px)
+        reach_px = max(_LEAST_SEARCH_PX, s.search_share * length_px) * (1 + _WIDENING * state.failures)
+        offset, is_found = torch.zeros_like(points[:, 0]), torch.zeros_like(outer)
+        rivals, weight = torch.ones_like(outer, dtype=torch.long), torch.ones_like(offset)
+        searches = [(outer, planes.outer, s.outer_edges, reach_px, 1.0)]
+        if planes.inner is not None:
+            searches.append((~outer, planes.inner, s.inner_edges, _INNER_REACH * reach_px, s.inner_weight))
+        for which, plane, how, half_length_px, share in searches:
+            if bool(which.any()):
+                edges = search_edges(plane, points[which], normals[which], replace(how, half_length_px=half_length_px))
+                offset[which], is_found[which], rivals[which] = edges.offset_px, edges.found, edges.candidates
+                weight[which] = share
+        chosen = self.table.select(contour.visible)
+
+        def observe(candidates: Tensor) -> Tensor:
+            pixels = projector.outline_px(space.dof(candidates), state.reference, chosen)
+            return torch.cat(((pixels * normals).sum(-1), candidates @ self.prior.matrix.T), -1)
+
+        believed = self.prior.value(state.reference, state.start_reference)
+        measurement = torch.cat(((points * normals).sum(-1) + offset, believed))
+        # Every pass has its share of the weight; an edge among rivals deserves less trust.
+        variance = torch.cat((s.edge_std_px**2 * rivals.clamp_min(1) / weight, self.prior.variance)) * s.passes
+        valid = torch.cat((is_found, torch.ones_like(believed, dtype=torch.bool)))
+        result = update(
+            state.belief, observe, measurement, variance, s.unscented, valid=valid, gate=s.gate, observed=count
+        )
+        accepted = result.used[: len(points)] & outer
+        return Measured(
+            state=self._rebased(replace(state, belief=result.state)),
+            found=int(accepted.sum()) / max(1, int((outer & in_picture).sum())),
+            inside=float(in_picture.float().mean()),
+            nis=float(result.nis) / max(1, int(result.count)),
+        )
+
+    @cached_property
+    def _inverse_basis(self) -> Tensor:
+        return torch.linalg.pinv(self.space.basis)
+
+    def _rebased(self, state: TrackerState) -> TrackerState:
+        """Joint limits kept; the root's rotation moved from the belief's mean into the reference."""
+        count = self.space.size
+        free = state.belief.mean[:count]
+        space = self.space.about(state.base)
+        pose = clamp_to_limits(space.dof(free), self.skeleton)
+        is_rotation = torch.tensor([kind_of(name) == "rotation" for name in self.space.free_names])
+        kept = free + (pose - space.dof(free)) @ self._inverse_basis.T
+        kept = torch.where(is_rotation, torch.zeros_like(kept), kept)
+        mean = state.belief.mean.clone()
+        hit = (kept - free).abs() > _AT_LIMIT
+        mean[:count] = kept
+        for block in range(1, len(mean) // count):  # a joint at its limit stops there
+            rates = mean[block * count : (block + 1) * count]
+            mean[block * count : (block + 1) * count] = torch.where(hit & ~is_rotation, torch.zeros_like(rates), rates)
+        return replace(
+            state,
+            belief=Gaussian(mean, state.belief.covariance),
+            reference=rotation_from_vector(pose[3:6]) @ state.reference,
+        )

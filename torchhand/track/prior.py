@@ -1,0 +1,75 @@
+"""Weak beliefs about posture as linear measurements of the free parameters, for what a contour does not tell."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.geometry import vector_from_rotation
+from torchhand.hand import DOFS, PoseSpace
+from torchhand.track.settings import PriorSettings
+
+_TIE = 2.0 / 3.0  # flexion of the end joint over that of the middle joint (paper 000, equation 1)
+_TILTS = ("root_rx", "root_ry")
+
+Kind = Literal["translation", "rotation", "angle"]
+
+
+def kind_of(name: str) -> Kind:
+    """What a DOF is: translation or rotation of the root, or a joint angle."""
+    if name.startswith("root_t"):
+        return "translation"
+    return "rotation" if name.startswith("root_r") else "angle"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PosturePrior:
+    """Beliefs `matrix` · free = value with independent errors."""
+
+    matrix: Float[Tensor, "rows free"]
+    variance: Float[Tensor, "rows"]
+    """Radians squared."""
+    tilts: tuple[tuple[int, int], ...]
+    """(row, axis of the camera) of the beliefs about the tilt since the start."""
+
+    def value(self, reference: Float[Tensor, "3 3"], start_reference: Float[Tensor, "3 3"]) -> Float[Tensor, "rows"]:
+        """What the beliefs expect of a hand whose rotation is a left perturbation of `reference`, radians.
+
+        Both are cam_from_hand: now, and at the start.
+        """
+        value = torch.zeros_like(self.variance)
+        if self.tilts:
+            turned = vector_from_rotation(reference @ start_reference.T)
+            for row, axis in self.tilts:
+                value[row] = -turned[axis]
+        return value
+
+
+def posture_prior(space: PoseSpace, settings: PriorSettings) -> PosturePrior:
+    """The beliefs about the free parameters of a pose space, which count changes from the start; float64."""
+    rows: list[Tensor] = []
+    variances: list[float] = []
+    tilts: list[tuple[int, int]] = []
+    names = space.free_names
+    for i, name in enumerate(names):
+        row = torch.zeros(len(names), dtype=torch.float64)
+        row[i] = 1.0
+        middle_joint = name.replace("dip", "pip")
+        if name in _TILTS:
+            tilts.append((len(rows), DOFS.index(name) - 3))
+            std = settings.tilt_std_rad
+        elif name.startswith("root_"):
+            continue
+        elif name.endswith("_dip_fe") and middle_joint in names:
+            row[names.index(middle_joint)] = -_TIE
+            std = settings.tie_std_rad
+        elif name.endswith(("_aa", "_tw")):
+            std = settings.side_std_rad
+        else:
+            std = settings.rest_std_rad
+        rows.append(row)
+        variances.append(std**2)
+    matrix = torch.stack(rows) if rows else torch.zeros(0, len(names), dtype=torch.float64)
+    return PosturePrior(matrix=matrix, variance=torch.tensor(variances, dtype=torch.float64), tilts=tuple(tilts))
