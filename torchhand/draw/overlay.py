@@ -28,7 +28,7 @@ _PER_ARC = 25
 _SHIFT = 4  # fractional bits of OpenCV's coordinates
 _PANEL_SHARE = 0.75  # side of the second view, share of the picture's height
 _SMALLEST_PANEL = 64  # px
-_LARGEST_CAST = 400  # px; a larger panel shows the same rays enlarged
+_LARGEST_CAST = 240  # px; a larger panel shows the same rays enlarged
 
 
 def overlay_size(width: int, height: int) -> tuple[int, int]:
@@ -59,8 +59,10 @@ def draw_overlay(
         raise ValueError(f"status: expected one of {', '.join(STATUS_COLOURS)}, got {status!r}")
     height, width = image.shape[:2]
     total_width, total_height = overlay_size(width, height)
-    canvas = np.full((total_height, total_width, 3), PAPER, dtype=np.uint8)
-    picture = np.array(image.cpu().numpy())
+    canvas = np.empty((total_height, total_width, 3), dtype=np.uint8)
+    canvas[:, width:] = canvas[height:] = PAPER
+    picture = canvas[:height, :width]
+    picture[:] = image.cpu().numpy()
     if pose is not None and root_reference is not None:
         _draw_contour(picture, projector, pose, root_reference)
         side = _panel_side(height)
@@ -71,7 +73,6 @@ def draw_overlay(
     if keypoints_px is not None:
         _draw_dots(picture, keypoints_px)
     _write_line(picture, frame, status, iou)
-    canvas[:height, :width] = picture
     return torch.from_numpy(canvas)
 
 

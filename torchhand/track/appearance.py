@@ -13,6 +13,16 @@ from torchhand.image import ColourModel, foreground_probability, learn_colours
 
 
 @dataclass(frozen=True, kw_only=True)
+class Agreement:
+    """How a model's silhouette and the picture's compare."""
+
+    overlap: float
+    """Intersection over union, forearm cut at the wrist."""
+    unexplained: float
+    """Area of the picture's hand outside the model, in pieces as thick as a finger, in squares of the hand's length."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Appearance:
     """Colours of the hand (and a bare forearm) against those of the rest."""
 
@@ -77,6 +87,7 @@ def disc(shape: tuple[int, int], centre_px: Float[Tensor, "2"], radius_px: float
 def touching(mask: Bool[Tensor, "height width"], other: Bool[Tensor, "height width"]) -> Bool[Tensor, "height width"]:
     """The connected pieces (8 neighbours) of a mask that share a pixel with another mask."""
     _, labels = cv2.connectedComponents(mask.numpy().view(np.uint8), connectivity=8)
+    labels = np.asarray(labels, np.int32)
     keeps = np.bincount(labels[other.numpy()], minlength=int(labels.max()) + 1) > 0
     keeps[0] = False  # what is not in the mask
     return torch.from_numpy(keeps[labels])
@@ -89,3 +100,16 @@ def overlap(
     model, picture = model & region, picture & region
     union = int((model | picture).sum())
     return int((model & picture).sum()) / union if union else 0.0
+
+
+def unexplained_px(
+    model: Bool[Tensor, "height width"],
+    picture: Bool[Tensor, "height width"],
+    region: Bool[Tensor, "height width"],
+    radius_px: float,
+) -> int:
+    """Pixels of the picture's hand beyond the model in pieces at least as thick as a disc: a finger that nothing covers."""
+    size = 2 * max(1, round(radius_px)) + 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    rest = (picture & region & ~model).numpy().astype(np.uint8)
+    return int(cv2.morphologyEx(rest, cv2.MORPH_OPEN, kernel).sum())

@@ -16,7 +16,7 @@ from torch import Tensor
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics, PoseSpace, named_pose_space, posture
 from torchhand.numerics import Gaussian, predict_linear
-from torchhand.track.appearance import Appearance, grey, hand_region, overlap, touching
+from torchhand.track.appearance import Agreement, Appearance, grey, hand_region, overlap, touching, unexplained_px
 from torchhand.track.contour_points import hand_length_px
 from torchhand.track.estimate import estimate_of, unknown_scale_std
 from torchhand.track.measurement import ContourMeasurement, Measured, Planes
@@ -33,6 +33,7 @@ _START_SPEED = {"translation": 0.2, "rotation": 1.0, "angle": 1.0}  # per second
 _START_ACCELERATION = {"translation": 2.0, "rotation": 10.0, "angle": 10.0}  # per second squared
 _SETTLING = 4  # measurement updates on the starting picture
 _REACH = 1.3  # silhouettes are compared so far from the wrist, hand lengths
+_FINGER = 0.03  # radius of a disc that fits into every finger, hand lengths
 
 
 class ContourTracker:
@@ -82,7 +83,6 @@ class ContourTracker:
         noise = {"translation": s.noise.translation, "rotation": s.noise.rotation, "angle": s.noise.angle}
         density = torch.tensor([noise[kind] ** 2 for kind in self._kinds], dtype=torch.float64)
         self._process_noise = s.motion.process_noise(dt, density)
-        self._projectors: tuple[HandProjector, HandProjector] | None = None
         self._check_camera = self.camera.resized(min(1.0, s.check_side_px / max(camera.width, camera.height)))
         self._scale_std = unknown_scale_std(
             self.kinematics.shape_space, self.camera, is_shape_known=self.known_shape is not None
@@ -105,9 +105,7 @@ class ContourTracker:
         following, estimate = self._follow(state, memory.shape, memory.appearance, image)
         is_due = memory.frames_since_search + 1 >= self.settings.loss.search_every
         memory = replace(memory, frames_since_search=memory.frames_since_search + 1)
-        is_sure = following is not None and (
-            (estimate.overlap or 0.0) >= memory.overlap - self.settings.loss.doubt_drop
-        )
+        is_sure = following is not None and not self._is_doubtful(estimate, memory)
         if is_sure or (following is not None and not is_due):
             return following, memory, estimate
         # Lost, or in doubt: a hand in the posture of the start, seen afresh, takes over where it explains more.
@@ -117,6 +115,11 @@ class ContourTracker:
         if restarted is not None and (found.overlap or 0.0) > (estimate.overlap or 0.0) + margin:
             return restarted, remembered, replace(found, status="tracked")  # no frame was lost
         return following, memory, estimate
+
+    def _is_doubtful(self, estimate: Estimate, memory: Memory) -> bool:
+        loss = self.settings.loss
+        has_dropped = (estimate.overlap or 0.0) < memory.overlap - loss.doubt_drop
+        return has_dropped or (estimate.unexplained or 0.0) > loss.doubt_unexplained
 
     def skip(self, state: TrackerState | None) -> tuple[TrackerState | None, Estimate]:
         """The step over a picture that could not be read: time passes, nothing is seen.
@@ -147,10 +150,11 @@ class ContourTracker:
             status: Status = "lost" if found.has_foreground and memory.shape is not None else "no_hand"
             return None, memory, Estimate(status=status, reason=found.reason)
         settled, agreement = self._settled(found, image)
-        if settled.found < s.loss.min_found or agreement < s.loss.min_overlap:
-            reason = f"no hand where the search began (edges on {settled.found:.0%}, overlap {agreement:.2f})"
+        if settled.found < s.loss.min_found or agreement.overlap < s.loss.min_overlap:
+            shares = f"edges on {settled.found:.0%}, overlap {agreement.overlap:.2f}"
+            reason = f"no hand where the search began ({shares})"
             return None, memory, Estimate(status="no_hand" if is_first else "lost", reason=reason)
-        memory = replace(memory, overlap=agreement)
+        memory = replace(memory, overlap=agreement.overlap)
         if is_first:
             memory = replace(memory, shape=found.fit.shape, appearance=found.appearance, posture=found.fit.pose)
         status = "tracked" if is_first else "recovered"
@@ -181,8 +185,8 @@ class ContourTracker:
             min_overlap=s.loss.start_overlap,
         )
 
-    def _settled(self, start: Start, image: Tensor) -> tuple[Measured, float]:
-        """The tracker's own estimate of the starting picture, and its overlap.
+    def _settled(self, start: Start, image: Tensor) -> tuple[Measured, Agreement]:
+        """The tracker's own estimate of the starting picture, and how it agrees with it.
 
         The fit has more freedom and other weights, and a track that went on from it would begin with a slide.
         """
@@ -226,10 +230,11 @@ class ContourTracker:
             measured = self._measurement.update(measured.state, projector, planes)
         found, inside = measured.found, measured.inside
         agreement = self._agreement(measured.state, shape, probability)
-        is_good = found >= s.loss.min_found and inside >= s.loss.min_inside and agreement >= s.loss.min_overlap
+        is_good = found >= s.loss.min_found and inside >= s.loss.min_inside and agreement.overlap >= s.loss.min_overlap
         failures = 0 if is_good else state.failures + 1
-        if failures >= s.loss.patience or inside < 0.5 * s.loss.min_inside or agreement < 0.5 * s.loss.min_overlap:
-            reason = f"edges on {found:.0%}, overlap {agreement:.2f}, {inside:.0%} in the picture"
+        is_gone = inside < 0.5 * s.loss.min_inside or agreement.overlap < 0.5 * s.loss.min_overlap
+        if failures >= s.loss.patience or is_gone:
+            reason = f"edges on {found:.0%}, overlap {agreement.overlap:.2f}, {inside:.0%} in the picture"
             return None, Estimate(status="lost", reason=reason)
         measured = replace(measured, state=replace(measured.state, failures=failures))
         return measured.state, self._estimate("tracked", measured, shape, agreement)
@@ -251,26 +256,23 @@ class ContourTracker:
         outer = luminance if s.edges_in == "grey" and luminance is not None else probability
         return Planes(outer=outer, inner=luminance if has_inner else None)
 
-    def _agreement(self, state: TrackerState, shape: Tensor, probability: Tensor) -> float:
-        """Overlap with the picture's silhouette, in the reduced picture; pieces apart from the hand do not count."""
+    def _agreement(self, state: TrackerState, shape: Tensor, probability: Tensor) -> Agreement:
+        """Comparison with the picture's silhouette, in the reduced picture; pieces apart from the hand do not count."""
         camera, (_, projector) = self._check_camera, self._projectors_of(shape)
         pose = self.space.about(state.base).dof(state.belief.mean[: self.space.size])
         small = cv2.resize(probability.numpy(), (camera.width, camera.height), interpolation=cv2.INTER_AREA)
         frames = projector.frames(pose, state.reference)
         keypoints = camera.project(frames.keypoints)
-        reach = _REACH * hand_length_px(camera, self.kinematics, pose, shape)
-        region = hand_region((camera.height, camera.width), keypoints[0], keypoints[9], reach)
+        length_px = hand_length_px(camera, self.kinematics, pose, shape)
+        region = hand_region((camera.height, camera.width), keypoints[0], keypoints[9], _REACH * length_px)
         model = projector.silhouette_of(projector.primitives_cam(frames))
-        return overlap(model, touching(torch.from_numpy(small > 0.5), model), region)
+        picture = touching(torch.from_numpy(small > 0.5), model)
+        return Agreement(
+            overlap=overlap(model, picture, region),
+            unexplained=unexplained_px(model, picture, region, _FINGER * length_px) / length_px**2,
+        )
 
-    def _projectors_of(self, shape: Tensor) -> tuple[HandProjector, HandProjector]:
-        """Projectors into the picture and into the reduced one, kept while the proportions stay the same."""
-        if self._projectors is None or self._projectors[0].shape is not shape:
-            full = HandProjector(self.kinematics, self.camera, shape)
-            self._projectors = (full, HandProjector(self.kinematics, self._check_camera, shape))
-        return self._projectors
-
-    def _estimate(self, status: Status, measured: Measured, shape: Tensor, agreement: float) -> Estimate:
+    def _estimate(self, status: Status, measured: Measured, shape: Tensor, agreement: Agreement) -> Estimate:
         return estimate_of(
             status,
             measured.state,
@@ -279,7 +281,7 @@ class ContourTracker:
             self.camera,
             shape,
             scale_std=self._scale_std,
-            overlap=agreement,
+            agreement=agreement,
             found=measured.found,
             nis=measured.nis,
         )

@@ -6,6 +6,7 @@ from torch import Tensor
 
 from torchhand.geometry import Camera, rotation_from_vector, vector_from_rotation
 from torchhand.hand import HandKinematics, PoseSpace, ShapeSpace
+from torchhand.track.appearance import Agreement
 from torchhand.track.state import Estimate, Status, TrackerState
 
 _JOINT_CENTRE_STD = 0.004
@@ -22,7 +23,7 @@ def estimate_of(
     shape: Float[Tensor, "shape"],
     *,
     scale_std: float,
-    overlap: float,
+    agreement: Agreement,
     found: float,
     nis: float | None = None,
 ) -> Estimate:
@@ -48,7 +49,8 @@ def estimate_of(
         keypoints=keypoints[0],
         keypoints_px=camera.project(keypoints[0]),
         keypoints_cov=jacobian @ covariance @ jacobian.mT + _model_covariance(keypoints[0], scale_std),
-        overlap=overlap,
+        overlap=agreement.overlap,
+        unexplained=agreement.unexplained,
         found=found,
         nis=nis,
     )

@@ -57,7 +57,7 @@ class FitSettings:
     def __post_init__(self) -> None:
         for name in ("search_share", "final_search_share", "edge_std_px", "bent_std_rad"):
             if not 0 < getattr(self, name) < float("inf"):
-                raise ValueError(f"fit.{name}: expected a finite number above 0, got {getattr(self, name)!r}")
+                raise ValueError(f"fit.{name}: expected above 0 and finite, got {getattr(self, name)!r}")
         if not self.iterations >= 1:
             raise ValueError(f"fit.iterations: expected 1 or more, got {self.iterations!r}")
 

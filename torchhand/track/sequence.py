@@ -35,7 +35,8 @@ def follow(
 ) -> Iterator[TrackedFrame]:
     """Track frame after frame; `state` and `memory` are those of the frame before, where an earlier run is continued.
 
-    A frame without a picture is `no_hand`: time passes for the tracker, which sees nothing. `seconds` of a record is the tracker's time alone, without reading the picture.
+    A frame without a picture is `no_hand`: time passes for the tracker, which sees nothing. `seconds` of a record is
+    the tracker's time alone, without reading the picture.
     """
     memory = memory or Memory()
     for frame in frames:

@@ -1,5 +1,6 @@
 """Settings of the contour tracker; configs/*.yaml hold differences from these."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -12,6 +13,10 @@ from torchhand.track.fit import FitSettings
 def _require(condition: bool, name: str, expected: str, got: object) -> None:
     if not condition:
         raise ValueError(f"{name}: expected {expected}, got {got!r}")
+
+
+def _require_positive(name: str, value: float) -> None:
+    _require(0 < value < math.inf, name, "above 0 and finite", value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +35,8 @@ class NoiseSettings:
 
     def __post_init__(self) -> None:
         for name in ("translation", "rotation", "angle"):
-            _require(getattr(self, name) >= 0, f"noise.{name}", "0 or more", getattr(self, name))
+            value = getattr(self, name)
+            _require(0 <= value < math.inf, f"noise.{name}", "0 or more and finite", value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +54,7 @@ class PriorSettings:
 
     def __post_init__(self) -> None:
         for name in ("rest_std_rad", "side_std_rad", "tie_std_rad", "tilt_std_rad"):
-            _require(getattr(self, name) > 0, f"prior.{name}", "above 0", getattr(self, name))
+            _require_positive(f"prior.{name}", getattr(self, name))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,8 +72,11 @@ class LossSettings:
     start_overlap: float = 0.80
     """Least overlap with which a hand is taken as found; 0 to 1."""
     doubt_drop: float = 0.06
-    """An overlap that is lower than at the start by this much has the track compared with a fresh search for the posture
-    of the start; 0 to 1."""
+    """An overlap that is lower than at the start by this much has the track compared with a fresh search for the
+    posture of the start; 0 to 1."""
+    doubt_unexplained: float = 0.012
+    """More area of the picture's hand than this outside the model, in pieces as thick as a finger and in squares of the
+    hand's length, has the same effect; 0 or more."""
     better_by: float = 0.02
     """By how much the fresh search must overlap better to take over; 0 to 1."""
     search_every: int = 5
@@ -76,6 +85,7 @@ class LossSettings:
     def __post_init__(self) -> None:
         for name in ("min_overlap", "min_found", "min_inside", "start_overlap", "doubt_drop", "better_by"):
             _require(0 <= getattr(self, name) <= 1, f"loss.{name}", "0 to 1", getattr(self, name))
+        _require(self.doubt_unexplained >= 0, "loss.doubt_unexplained", "0 or more", self.doubt_unexplained)
         for name in ("patience", "search_every"):
             _require(getattr(self, name) >= 1, f"loss.{name}", "1 or more", getattr(self, name))
 
@@ -122,11 +132,13 @@ class ContourTrackerSettings:
     """Longer side of the reduced picture in which silhouettes are compared; 64 or more."""
 
     def __post_init__(self) -> None:
+        _require(self.method == "contour", "method", "contour", self.method)
         _require(self.pose_space in POSE_SPACES, "pose_space", f"one of {', '.join(POSE_SPACES)}", self.pose_space)
         _require(self.posture in POSTURES, "posture", f"one of {', '.join(POSTURES)}", self.posture)
         _require(self.edges_in in ("colour", "grey"), "edges_in", "colour or grey", self.edges_in)
         for name in ("edge_std_px", "gate", "search_share"):
-            _require(getattr(self, name) > 0, name, "above 0", getattr(self, name))
+            _require_positive(name, getattr(self, name))
         for name, least in (("passes", 1), ("points_per_generator", 2), ("points_per_arc", 4), ("check_side_px", 64)):
             _require(getattr(self, name) >= least, name, f"{least} or more", getattr(self, name))
-        _require(self.inner_weight >= 0, "inner_weight", "0 or more", self.inner_weight)
+        is_weight = 0 <= self.inner_weight < math.inf
+        _require(is_weight, "inner_weight", "0 or more and finite", self.inner_weight)

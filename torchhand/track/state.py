@@ -64,6 +64,8 @@ class Estimate:
     """Square metres, camera frame: the filter's covariance and what the filter cannot know."""
     overlap: float | None = None
     """Intersection over union with the picture's silhouette, forearm cut at the wrist."""
+    unexplained: float | None = None
+    """Area of the picture's hand outside the model, in pieces as thick as a finger, in squares of the hand's length."""
     found: float | None = None
     """Share of the outer contour with an accepted edge."""
     nis: float | None = None
