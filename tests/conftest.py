@@ -1,12 +1,22 @@
-"""What all tests share: the place of the development data, and a seeded generator."""
+"""What all tests share: one thread, the place of the development data, and a seeded generator."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import torch
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread() -> Iterator[None]:
+    """torch computes with one thread: several only wait for each other over small tensors on a busy machine."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="session")

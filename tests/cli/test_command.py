@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+import torch
 from tyro.conf import Positional
 
-from torchhand.cli.command import command, parse
+from torchhand.cli.command import command, parse, threads
 from torchhand.errors import InputError
 
 NAME = f"torchhand {__name__.rpartition('.')[2]}"
@@ -123,3 +124,17 @@ def test_a_closed_pipe_is_quiet(tmp_path: Path) -> None:
         process.stdout.close()
         assert process.stderr.read() == b""
         assert process.wait(timeout=30) == 141
+
+
+def test_threads_hold_inside_the_block_only() -> None:
+    before = torch.get_num_threads()
+    with pytest.raises(RuntimeError, match="inside"), threads(before + 1):
+        assert torch.get_num_threads() == before + 1
+        raise RuntimeError("inside")
+    assert torch.get_num_threads() == before
+
+
+@pytest.mark.parametrize("count", [0, -1, 1025])
+def test_a_number_of_threads_that_cannot_be(count: int) -> None:
+    with pytest.raises(InputError, match=f"^--threads: expected 1 to 1024, got {count}$"), threads(count):
+        pass

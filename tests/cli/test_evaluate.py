@@ -7,9 +7,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from torchhand.cli.evaluate import main
+from torchhand.cli.simulate import main as simulate
+from torchhand.files import load_hand_model, save_hand
 from torchhand.files.track_record import Track
+from torchhand.geometry import rotation_from_vector, vector_from_rotation
+from torchhand.hand import DOFS
 from torchhand.study import flexion_deg
 
 FRAMES = 5
@@ -109,6 +114,89 @@ def test_silhouettes_are_judged_where_both_have_masks(result_dir: Path, truth_di
     figures = json.loads((result_dir / "evaluation.json").read_text())
     assert figures["silhouette"]["frames"] == 1
     assert figures["silhouette"]["median_iou"] == pytest.approx(0.5)
+
+
+@pytest.fixture
+def simulated(tmp_path: Path) -> tuple[Path, Path]:
+    """A result folder without masks/ that holds the truth itself but for one lost frame, and the truth."""
+    truth_dir, result_dir = tmp_path / "simulated", tmp_path / "drawn"
+    order = ["--motion", "wave", "--size", "120x96", "--frames", str(FRAMES), "--side", "left", "--random-hand"]
+    assert simulate(["--out", str(truth_dir), *order]) == 0
+    with np.load(truth_dir / "truth.npz") as stored:
+        truth = dict(stored)
+    turn = rotation_from_vector(torch.from_numpy(truth["pose"][:, 3:6])) @ torch.from_numpy(truth["root_reference"])
+    truth["pose"][:, 3:6] = vector_from_rotation(turn).numpy()  # a track's rotation vector is the whole rotation
+    is_lost = np.arange(FRAMES) == 3
+    for name in ("pose", "keypoints3d", "keypoints2d"):
+        truth[name][is_lost] = np.nan
+    track = Track(
+        frame=np.arange(FRAMES),
+        status=np.array(["tracked", "tracked", "tracked", "lost", "recovered"], dtype="<U16"),
+        pose=truth["pose"],
+        pose_std=np.where(is_lost[:, None], np.nan, np.ones((FRAMES, 36))),
+        keypoints3d=truth["keypoints3d"],
+        keypoints2d=truth["keypoints2d"],
+        keypoints3d_cov=np.where(is_lost[:, None, None, None], np.nan, np.tile(1e-6 * np.eye(3), (FRAMES, 21, 1, 1))),
+        seconds=np.full(FRAMES, 0.012),
+        dof_names=DOFS,
+        units="metres",
+        convention="OpenCV",
+        header={"side": "left", "camera": json.loads((truth_dir / "cameras.json").read_text())["cameras"][0]},
+        measures={"overlap": np.array([0.9, 0.8, 0.7, np.nan, 0.75])},
+    )
+    result_dir.mkdir()
+    np.savez(result_dir / "track.npz", **track.arrays())  # type: ignore[arg-type]
+    space = load_hand_model().shape_space
+    save_hand(result_dir / "hand.json", space.names, truth["shape"].tolist(), "left", {}, units=space.units)
+    return result_dir, truth_dir
+
+
+def test_silhouettes_are_drawn_from_the_saved_hand(
+    simulated: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    result_dir, truth_dir = simulated
+    capsys.readouterr()
+    assert main([str(result_dir), str(truth_dir)]) == 0
+    text, errors = capsys.readouterr()
+    assert errors == ""
+    figures = json.loads((result_dir / "evaluation.json").read_text())
+    assert figures["silhouette"]["frames"] == 4  # the lost one has none
+    assert figures["silhouette"]["smallest_iou"] > 0.95
+    assert figures["overlap_with_own_segmentation"]["median"] == pytest.approx(0.775)
+    assert re.search(r"silhouette IoU in 4 frames +median 0\.9[5-9]", text)
+    assert re.search(r"overlap with the tracker's own segmentation +median 0\.775", text)
+
+
+def test_another_hand_has_another_silhouette(simulated: tuple[Path, Path]) -> None:
+    result_dir, truth_dir = simulated
+    space = load_hand_model().shape_space
+    save_hand(result_dir / "hand.json", space.names, space.lower.tolist(), "left", {}, units=space.units)
+    assert main([str(result_dir), str(truth_dir)]) == 0
+    assert json.loads((result_dir / "evaluation.json").read_text())["silhouette"]["median_iou"] < 0.8
+
+
+def test_no_silhouettes_without_a_hand_or_true_masks(simulated: tuple[Path, Path]) -> None:
+    result_dir, truth_dir = simulated
+    (result_dir / "hand.json").rename(result_dir / "away.json")
+    assert main([str(result_dir), str(truth_dir)]) == 0
+    assert "silhouette" not in json.loads((result_dir / "evaluation.json").read_text())
+    (result_dir / "hand.json").write_text("{}")  # not needed where nothing is to be compared with
+    (truth_dir / "masks").rename(truth_dir / "away")
+    assert main([str(result_dir), str(truth_dir)]) == 0
+    assert "silhouette" not in json.loads((result_dir / "evaluation.json").read_text())
+
+
+def test_a_hand_of_other_parameters_is_refused(
+    simulated: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    result_dir, truth_dir = simulated
+    save_hand(result_dir / "hand.json", ["hand_length"], [0.19], "left", {})
+    capsys.readouterr()
+    assert main([str(result_dir), str(truth_dir)]) == 2
+    output, errors = capsys.readouterr()
+    assert output == ""
+    assert "hand.json: shape: lacks " in errors
+    assert errors.count("\n") == 1
 
 
 def test_what_is_unknown_is_null_in_the_file(result_dir: Path, truth_dir: Path) -> None:

@@ -3,14 +3,18 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
+from torchhand.cli import simulate
+from torchhand.cli.command import threads
 from torchhand.cli.simulate import main
 from torchhand.files import load_cameras, load_hand_model, open_source, save_cameras, save_hand
 from torchhand.geometry import assumed_camera
+from torchhand.simulate import render_sequence
 from torchhand.study import flexion_deg, load_truth
 
 SMALL = ("--size", "64x48", "--frames", "2")
@@ -50,6 +54,23 @@ def test_the_same_order_gives_the_same_bytes_and_another_seed_does_not(tmp_path:
         assert file.read_bytes() == (two / file.relative_to(one)).read_bytes(), file.name
     assert (_truth(one)["shape"] != _truth(three)["shape"]).all()
     assert (one / "frames" / "0001.jpg").read_bytes() != (three / "frames" / "0001.jpg").read_bytes()
+
+
+def test_one_thread_unless_ordered_otherwise(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = []
+
+    def render(*args: Any, **options: Any) -> Any:
+        seen.append(torch.get_num_threads())
+        return render_sequence(*args, **options)
+
+    monkeypatch.setattr(simulate, "render_sequence", render)
+    with threads(2):
+        assert main(["--out", str(tmp_path / "one"), *SMALL]) == 0
+        assert main(["--out", str(tmp_path / "three"), "--threads", "3", *SMALL]) == 0
+        assert torch.get_num_threads() == 2
+    assert seen == [1, 3]
+    about = [json.loads((tmp_path / name / "about.json").read_text()) for name in ("one", "three")]
+    assert about[0] == about[1]  # says nothing about threads
 
 
 def test_hand_and_side_and_camera_from_files(tmp_path: Path) -> None:
@@ -104,6 +125,7 @@ def test_pictures_noise_and_video_as_ordered(tmp_path: Path) -> None:
         (["--hand", "{tmp}/gone.json"], "gone.json"),
         (["--hand", "{tmp}/huge.json"], "huge.json: shape.hand_length: expected 0.14 to 0.24, got 2"),
         (["--hand", "{tmp}/huge.json", "--random-hand"], "at most one of --hand and --random-hand"),
+        (["--threads", "0"], "--threads: expected 1 to 1024, got 0"),
         (["--unknown", "1"], "--unknown"),
     ],
 )

@@ -16,9 +16,9 @@ import yaml
 
 import torchhand
 from torchhand.cli import tracking
+from torchhand.cli.command import threads
 from torchhand.cli.request import settings_of
 from torchhand.cli.track import main
-from torchhand.cli.tracking import threads
 from torchhand.files import (
     Frame,
     FrameSource,
@@ -198,7 +198,7 @@ def test_single_settings_from_the_command_line(clip: Clip, run: Run, tmp_path: P
         "--set",
         "loss.patience=4",
         "--set",
-        "motion={order: 1, acceleration_decay_s: null}",
+        "motion.order=1",
     ]
     assert run(clip.frames, "--out", out, "--max-frames", "1", *changes, *clip.options).code == 0
     settings = load_settings(ContourTrackerSettings(), out / "config.yaml")
@@ -406,7 +406,7 @@ def test_a_corrupt_picture_in_the_middle_is_skipped_and_reported(clip: Clip, run
     assert "3.png" in track.reason[3]
 
 
-def test_many_corrupt_pictures_are_counted(clip: Clip, run: Run, tmp_path: Path) -> None:
+def test_many_corrupt_pictures_are_counted_and_end_the_track(clip: Clip, run: Run, tmp_path: Path) -> None:
     frames = _write_folder(tmp_path / "frames", clip.pictures[:8])
     for index in range(1, 7):
         (frames / f"{index}.png").write_bytes(b"")
@@ -414,7 +414,7 @@ def test_many_corrupt_pictures_are_counted(clip: Clip, run: Run, tmp_path: Path)
     assert outcome.code == 0
     assert outcome.err.count("\n") == 4
     assert "3 more corrupt frames are skipped" in outcome.err
-    assert load_track(tmp_path / "out").status.tolist() == ["tracked", *["no_hand"] * 6, "tracked"]
+    assert load_track(tmp_path / "out").status.tolist() == ["tracked", *["no_hand"] * 6, "recovered"]
 
 
 def test_a_container_that_promises_too_much(clip: Clip, run: Run, tmp_path: Path) -> None:

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from typing import Literal
 
 import filterpy.common
@@ -96,6 +97,17 @@ def test_decay_bounds_an_extrapolation() -> None:
     assert far.tolist() == pytest.approx([0.1 * 1.0 + 0.1 * 0.1 * 50.0, 0.0, 0.0], abs=1e-9)
 
 
+@pytest.mark.parametrize("noise", ["white", "piecewise"])
+@pytest.mark.parametrize(("order", "velocity_decay_s"), [(0, 0.2), (1, None)])
+def test_decay_of_a_derivative_that_the_order_lacks_is_ignored(
+    order: Literal[0, 1], velocity_decay_s: float | None, noise: Literal["white", "piecewise"]
+) -> None:
+    plain = MotionModel(order=order, noise=noise)
+    decaying = replace(plain, velocity_decay_s=velocity_decay_s, acceleration_decay_s=0.1)
+    assert torch.equal(decaying.transition(DT_S, 2), plain.transition(DT_S, 2))
+    assert torch.equal(decaying.process_noise(DT_S, DENSITY), plain.process_noise(DT_S, DENSITY))
+
+
 def test_densities_may_be_batched() -> None:
     densities = torch.rand(2, 3, 4, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     model = MotionModel(order=1)
@@ -112,7 +124,7 @@ def test_settings_are_checked() -> None:
         MotionModel(noise="pink")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"velocity_decay_s must be None or above 0 s, got 0\.0"):
         MotionModel(velocity_decay_s=0.0)
-    with pytest.raises(ValueError, match="acceleration_decay_s needs order 2 or more, got order 1"):
-        MotionModel(order=1, acceleration_decay_s=1.0)
+    with pytest.raises(ValueError, match=r"acceleration_decay_s must be None or above 0 s, got -1\.0"):
+        MotionModel(order=1, acceleration_decay_s=-1.0)  # ignored, and wrong nevertheless
     with pytest.raises(ValueError, match=r"dt_s must be finite and above 0 s, got 0\.0"):
         MotionModel().transition(0.0, 2)

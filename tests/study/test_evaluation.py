@@ -119,6 +119,15 @@ def test_another_sequences_truth_is_refused() -> None:
         evaluate(track, truth())
 
 
+def test_the_trackers_own_overlap_is_its_median_over_the_followed_frames() -> None:
+    track = perfect([0, 1, 2, 3])
+    overlap = np.array([0.9, np.nan, 0.8, 0.7])
+    figures = evaluate(replace(track, measures={"overlap": overlap}), truth())
+    assert figures["overlap_with_own_segmentation"] == {"median": 0.8}
+    for measures in ({}, {"overlap": np.full(4, np.nan)}):
+        assert "overlap_with_own_segmentation" not in evaluate(replace(track, measures=measures), truth())
+
+
 def test_masks_are_compared_in_front_of_the_wrist(tmp_path: Path) -> None:
     folder = tmp_path / "masks"
     folder.mkdir()

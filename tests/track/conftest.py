@@ -130,11 +130,12 @@ class Studio:
         look: SceneSettings | None = None,
         seed: int = 3,
         total: int | None = None,
+        pace: float = 1.0,
     ) -> Filmed:
-        """The first `frames` of a scripted motion of `total` frames of the default right hand."""
+        """The first `frames` of a scripted motion of `total` frames of the default right hand; it starts from rest."""
         kinematics, camera = self.kinematics(), camera or self.camera()
         generator = torch.Generator().manual_seed(seed)
-        motion = scripted_motion(script, total or frames, kinematics, camera, generator)
+        motion = scripted_motion(script, total or frames, kinematics, camera, generator, pace=pace)
         motion = replace(motion, poses=motion.poses[:frames])
         look = look or SceneSettings(supersampling=2)
         rendered = list(render_sequence(kinematics, motion, camera, look, generator))

@@ -25,10 +25,11 @@ def test_learned_colours_tell_the_hand_from_clutter_in_another_picture(studio: A
     assert appearance is not None
     probability = appearance.probability(second.picture(look, seed=2))
     assert probability.dtype == torch.float32
-    assert 0 <= float(probability.min())
+    assert float(probability.min()) >= 0
     assert float(probability.max()) <= 1
     assert float((probability[second.mask] > 0.5).float().mean()) > 0.95
-    assert float((probability[~second.mask] > 0.5).float().mean()) < 0.10
+    # About a tenth of the clutter has the colours of skin.
+    assert float((probability[~second.mask] > 0.5).float().mean()) < 0.15
 
 
 def test_the_margin_keeps_mixed_colours_out() -> None:

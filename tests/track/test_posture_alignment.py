@@ -123,9 +123,14 @@ def test_wrist_and_fingertip_lie_on_the_points(side: str, kind: str, studio: Any
             along = pixels[1] - pixels[0]
             torch.testing.assert_close(along / along.norm(), given / given.norm())
         else:
-            # Depth differs a little along the finger, whose joints are not in one plane.
             expected = torch.tensor((wrist, tip), dtype=torch.float64)
             torch.testing.assert_close(pixels, expected, rtol=0, atol=1e-6)
+
+
+def test_two_points_that_are_one(studio: Any) -> None:
+    kinematics = studio.kinematics()
+    with pytest.raises(ValueError, match="start points: expected two different points"):
+        align_points((3.0, 4.0), (3.0, 4.0), studio.camera(), kinematics, kinematics.default_shape, posture("open"))
 
 
 def test_facings(studio: Any) -> None:

@@ -22,8 +22,6 @@ CASES = [
     (ContourTrackerSettings, "gate", math.inf, "gate: expected above 0 and finite, got inf"),
     (ContourTrackerSettings, "edge_std_px", math.nan, "edge_std_px: expected above 0 and finite, got nan"),
     (ContourTrackerSettings, "inner_weight", -0.1, "inner_weight: expected 0 or more and finite, got -0.1"),
-    (ContourTrackerSettings, "method", "magic", "method: expected contour, got 'magic'"),
-    (ContourTrackerSettings, "edges_in", "red", "edges_in: expected colour or grey, got 'red'"),
     (
         ContourTrackerSettings,
         "pose_space",
@@ -42,6 +40,7 @@ CASES = [
     ],
     *[(LossSettings, name, 1.5, f"loss.{name}: expected 0 to 1, got 1.5") for name in _SHARES],
     *[(LossSettings, name, -0.5, f"loss.{name}: expected 0 to 1, got -0.5") for name in _SHARES],
+    (LossSettings, "doubt_unexplained", -1.0, "loss.doubt_unexplained: expected 0 or more, got -1.0"),
     *[(LossSettings, name, 0, f"loss.{name}: expected 1 or more, got 0") for name in ("patience", "search_every")],
     *[
         (FitSettings, name, -2.0, f"fit.{name}: expected above 0 and finite, got -2.0")

@@ -6,9 +6,10 @@ import inspect
 import io
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import ParamSpec, TypeVar
 
+import torch
 import tyro
 
 from torchhand.errors import InputError
@@ -20,6 +21,8 @@ DONE = 0
 WRONG_INPUT = 2
 STOPPED_BY_USER = 130  # 128 + SIGINT, as a shell reports it
 READER_WENT_AWAY = 141  # 128 + SIGPIPE
+
+MOST_THREADS = 1024
 
 HELP_TEXT_INDENT = " " * 9  # in tyro's messages; names stand 4 columns further left
 UNWANTED = ("For full helptext", "Argument helptext")
@@ -77,6 +80,23 @@ def parse(kind: type[Arguments], argv: Sequence[str] | None, *, name: str) -> Ar
         if stop.code != WRONG_INPUT:
             raise
         raise InputError(f"{_text_of_box(complaint.getvalue())} (see torchhand {name} --help)") from stop
+
+
+@contextlib.contextmanager
+def threads(count: int) -> Iterator[None]:
+    """torch computes with so many threads inside the block, for what a command calls --threads.
+
+    Raises:
+        InputError: not a number of threads.
+    """
+    if not 1 <= count <= MOST_THREADS:
+        raise InputError(f"--threads: expected 1 to {MOST_THREADS}, got {count}")
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def _text_of_box(text: str) -> str:

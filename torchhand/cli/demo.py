@@ -14,17 +14,17 @@ from tqdm import tqdm
 from tyro.conf import arg
 
 import torchhand
-from torchhand.cli.command import DONE, command, parse
+from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.cli.evaluate import table
 from torchhand.cli.overlays import overlay_frames
 from torchhand.cli.request import Request, settings_of
-from torchhand.cli.tracking import summary_of, threads, track_sequence
+from torchhand.cli.tracking import summary_of, track_sequence
 from torchhand.draw import contact_sheet
 from torchhand.files import Track, check_output_folder, load_hand_model
 from torchhand.files.safe_write import replacing
 from torchhand.geometry import assumed_camera
 from torchhand.simulate import SceneSettings, check_sequence_folder, render_sequence, scripted_motion, write_sequence
-from torchhand.study import evaluate, flexion_deg, load_truth
+from torchhand.study import evaluate, flexion_deg, load_truth, tracked_silhouettes
 from torchhand.view import HandProjector
 
 CONFIG = "contour_planar"
@@ -80,7 +80,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
         track, projector = track_sequence(simulated / "frames", tracked, request, _say)
         print(summary_of("tracked", track, tracked))
-        print(table(evaluate(track, load_truth(simulated))))
+        print(table(evaluate(track, load_truth(simulated), tracked_silhouettes(track, projector))))
         _write_picture(arguments.out / PICTURE_NAME, _sheet(track, projector, simulated / "frames"))
     print(f"look at {arguments.out / PICTURE_NAME} and {tracked / 'overlay.mp4'}")
     return DONE

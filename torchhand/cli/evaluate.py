@@ -9,11 +9,21 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from torchhand.cli.command import DONE, command, parse
+from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.errors import InputError
-from torchhand.files.results import load_track
+from torchhand.files import Track, load_track
+from torchhand.files.results import HAND_NAME
 from torchhand.files.safe_write import write_text
-from torchhand.study import evaluate, load_mask, load_truth, numbered_pictures
+from torchhand.study import (
+    MaskOfFrame,
+    Truth,
+    evaluate,
+    load_mask,
+    load_truth,
+    numbered_pictures,
+    tracked_projector,
+    tracked_silhouettes,
+)
 
 TABLE = (
     ("position_mm", "frame", "joint position (camera or world frame)", "mm"),
@@ -32,7 +42,8 @@ class Arguments:
     """
 
     directory: Annotated[Positional[Path], arg(metavar="DIR")]
-    """Result folder of `torchhand track`; silhouettes are judged if it has masks/, one picture per frame number."""
+    """Result folder of `torchhand track`. The silhouettes judged are drawn from its track and hand.json; if it has
+    masks/, one picture per frame number, these are judged instead."""
     truth: Annotated[Positional[Path], arg(metavar="TRUTH")]
     """Folder with truth.npz (keypoints3d, keypoints2d, flexion_deg; any may be missing) and masks/, or the file."""
     out: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -47,13 +58,24 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise InputError(f"{arguments.directory}: expected the result folder of `torchhand track`; there is none")
     truth = load_truth(arguments.truth)
     track = load_track(arguments.directory)
-    masks = numbered_pictures(arguments.directory / "masks")
-    figures = evaluate(track, truth, lambda number: load_mask(masks[number]) if number in masks else None)
+    with threads(1):
+        figures = evaluate(track, truth, _silhouettes(arguments.directory, track, truth))
     print(table(figures))
     out = arguments.out or arguments.directory / "evaluation.json"
     write_text(out, json.dumps(_without_nan(figures), indent=2) + "\n")
     print(f"saved {out}")
     return DONE
+
+
+def _silhouettes(directory: Path, track: Track, truth: Truth) -> MaskOfFrame | None:
+    """The silhouettes of a result folder, None where they need not or cannot be known."""
+    masks = numbered_pictures(directory / "masks")
+    if masks:
+        return lambda number: load_mask(masks[number]) if number in masks else None
+    hand_file = directory / HAND_NAME
+    if not truth.mask_files or not hand_file.is_file():
+        return None
+    return tracked_silhouettes(track, tracked_projector(track, hand_file))
 
 
 def table(figures: dict[str, Any]) -> str:
@@ -88,6 +110,9 @@ def table(figures: dict[str, Any]) -> str:
         overlap = figures["silhouette"]
         text = f"median {overlap['median_iou']:.3f}, smallest {overlap['smallest_iou']:.3f}"
         lines.append((f"silhouette IoU in {overlap['frames']} frames", text))
+    if "overlap_with_own_segmentation" in figures:
+        median = figures["overlap_with_own_segmentation"]["median"]
+        lines.append(("overlap with the tracker's own segmentation", f"median {median:.3f}"))
     if "uncertainty" in figures:
         honesty = figures["uncertainty"]
         text = f"{honesty['share_inside']:.1%}, mean per dof {honesty['mean_per_dof']:.2f} (honest: 95 % and 1)"

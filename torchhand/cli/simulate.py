@@ -14,7 +14,7 @@ from tqdm import tqdm
 from tyro.conf import arg
 
 import torchhand
-from torchhand.cli.command import DONE, command, parse
+from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.errors import InputError
 from torchhand.files import load_cameras, load_hand, load_hand_model
 from torchhand.geometry import Camera, assumed_camera
@@ -92,6 +92,8 @@ class Arguments:
     """Write video.mp4 as well."""
     overwrite: bool = False
     """Replace an older sequence in DIR."""
+    threads: int = 1
+    """Threads of the renderer; small pictures are slower with more than one."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.frames <= 100_000:
@@ -125,6 +127,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         look = arguments.look
     except ValueError as error:
         raise InputError(str(error)) from error
+    with threads(arguments.threads):
+        _render(arguments, look)
+    print(f"saved {arguments.frames} frames in {arguments.out}")
+    return DONE
+
+
+def _render(arguments: Arguments, look: SceneSettings) -> None:
     check_sequence_folder(arguments.out, overwrite=arguments.overwrite)
     model = load_hand_model()
     generator = torch.Generator().manual_seed(arguments.seed)
@@ -146,7 +155,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         pace=arguments.pace,
     )
     rendered = render_sequence(kinematics, motion, camera, look, generator, shape=shape)
-    given = {name: value for name, value in asdict(arguments).items() if name not in ("out", "overwrite")}
+    given = {name: value for name, value in asdict(arguments).items() if name not in ("out", "overwrite", "threads")}
     about = {name: str(value) if isinstance(value, Path) else value for name, value in given.items()}
     write_sequence(
         arguments.out,
@@ -161,8 +170,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         about={"torchhand": torchhand.__version__, "hand": side, "motion": motion.name, "arguments": about},
         measures={"flexion_deg": flexion_deg},
     )
-    print(f"saved {arguments.frames} frames in {arguments.out}")
-    return DONE
 
 
 def _hand(arguments: Arguments, space: ShapeSpace, generator: torch.Generator) -> tuple[Side, Tensor]:

@@ -9,9 +9,9 @@ from typing import Annotated, Literal
 from tqdm import tqdm
 from tyro.conf import Positional, UseAppendAction, arg
 
-from torchhand.cli.command import DONE, STOPPED_BY_USER, WRONG_INPUT, command, parse
+from torchhand.cli.command import DONE, STOPPED_BY_USER, WRONG_INPUT, command, parse, threads
 from torchhand.cli.request import Request, known_hand, settings_of, start_points_of
-from torchhand.cli.tracking import summary_of, threads, track_sequence
+from torchhand.cli.tracking import summary_of, track_sequence
 from torchhand.errors import InputError
 from torchhand.files import (
     Track,
@@ -69,8 +69,6 @@ class Arguments:
     """Threads of one tracker; its tensors are small, and more than one is slower."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.threads <= 1024:
-            raise ValueError(f"--threads: expected 1 to 1024, got {self.threads}")
         if not -(2**63) <= self.seed < 2**63:
             raise ValueError(f"--seed: expected a number of 64 bits, got {self.seed}")
 

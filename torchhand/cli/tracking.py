@@ -1,9 +1,8 @@
 """One tracked sequence: from a source of pictures to a whole result folder; what `track` and `demo` share."""
 
-import contextlib
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import torch
 from tqdm import tqdm
 
 import torchhand
+from torchhand.cli.command import threads as threads
 from torchhand.cli.overlays import draw_live, write_overlay
 from torchhand.cli.request import Request, check_start_points
 from torchhand.errors import InputError
@@ -224,14 +224,3 @@ def summary_of(name: str, track: Track, out_dir: Path) -> str:
     if np.isfinite(overlaps).any():
         parts.append(f"median overlap {float(np.nanmedian(overlaps)):.2f}")
     return f"{'; '.join(parts)}; saved in {out_dir}"
-
-
-@contextlib.contextmanager
-def threads(count: int) -> Iterator[None]:
-    """torch computes with so many threads inside the block."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

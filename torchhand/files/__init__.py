@@ -1,6 +1,6 @@
 """Everything that touches a disk or a camera device: pictures in, calibrations, settings, results, hand models."""
 
-from torchhand.files.cameras import camera_entry, camera_for, load_cameras, save_cameras
+from torchhand.files.cameras import camera_entry, camera_for, camera_of_entry, load_cameras, save_cameras
 from torchhand.files.frames import Frame, FrameSource, open_source, sequences_of
 from torchhand.files.hand_file import FittedHand, load_hand, save_hand
 from torchhand.files.hand_model import HandModel, load_hand_model
@@ -25,6 +25,7 @@ __all__ = [
     "VideoWriter",
     "camera_entry",
     "camera_for",
+    "camera_of_entry",
     "check_output_folder",
     "configs_dir",
     "find_config",

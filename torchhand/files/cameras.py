@@ -32,7 +32,7 @@ def load_cameras(path: str | Path, *, dtype: torch.dtype = torch.float64) -> lis
     entries = content.get("cameras") if isinstance(content, dict) else None
     if not isinstance(entries, list) or not entries:
         raise InputError(f'{path}: expected {{"cameras": [...]}} with at least one camera, got {short(content)}')
-    cameras = [_camera(f"{path}: cameras[{i}]", entry, dtype) for i, entry in enumerate(entries)]
+    cameras = [camera_of_entry(f"{path}: cameras[{i}]", entry, dtype=dtype) for i, entry in enumerate(entries)]
     names = [camera.name for camera in cameras]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
@@ -82,7 +82,8 @@ def camera_for(path: str | Path | None, width: int, height: int) -> Camera:
     return camera
 
 
-def _camera(where: str, entry: Any, dtype: torch.dtype) -> Camera:
+def camera_of_entry(where: str, entry: Any, *, dtype: torch.dtype = torch.float64) -> Camera:
+    """The camera of one entry of a cameras.json; `where` names it in the InputError that a wrong one raises."""
     if not isinstance(entry, dict):
         raise InputError(f"{where}: expected an object with {', '.join(_REQUIRED)}, got {short(entry)}")
     missing = [key for key in _REQUIRED if key not in entry]

@@ -24,26 +24,24 @@ class MotionModel:
     acceleration alone is Singer's model.
     """
 
-    order: Literal[0, 1, 2] = 2  # 0 random walk, 1 constant velocity, 2 constant acceleration
-    noise: Literal["white", "piecewise"] = "white"  # white in continuous time, or one draw per step
-    velocity_decay_s: float | None = None  # seconds until a velocity has fallen to 37 %; None: never
-    acceleration_decay_s: float | None = None  # the same for an acceleration
+    order: Literal[0, 1, 2] = 2
+    """0 random walk, 1 constant velocity, 2 constant acceleration"""
+    noise: Literal["white", "piecewise"] = "white"
+    """white in continuous time, or one draw per step"""
+    velocity_decay_s: float | None = None
+    """Seconds until a velocity has fallen to 37 %; None: never. Ignored at order 0, which has no velocity."""
+    acceleration_decay_s: float | None = None
+    """The same for an acceleration. Ignored below order 2, which has no acceleration."""
 
     def __post_init__(self) -> None:
         if self.order not in (0, 1, 2):
             raise ValueError(f"order must be 0, 1 or 2, got {self.order!r}")
         if self.noise not in ("white", "piecewise"):
             raise ValueError(f"noise must be 'white' or 'piecewise', got {self.noise!r}")
-        for name, needed, decay_s in (
-            ("velocity_decay_s", 1, self.velocity_decay_s),
-            ("acceleration_decay_s", 2, self.acceleration_decay_s),
-        ):
-            if decay_s is None:
-                continue
-            if not decay_s > 0:
+        for name in ("velocity_decay_s", "acceleration_decay_s"):
+            decay_s = getattr(self, name)
+            if decay_s is not None and not decay_s > 0:
                 raise ValueError(f"{name} must be None or above 0 s, got {decay_s!r}")
-            if self.order < needed:
-                raise ValueError(f"{name} needs order {needed} or more, got order {self.order} with {name}={decay_s!r}")
 
     def state_size(self, dofs: int) -> int:
         """Length n = (order + 1) k of the state of k DOFs."""

@@ -7,12 +7,14 @@ from torchhand.study.evaluation import evaluate
 from torchhand.study.nees import Consistency, consistency, normalised_errors_squared
 from torchhand.study.planar_motion import PlanarMotionErrors, planar_motion_errors
 from torchhand.study.positions import aligned_errors, joint_errors, root_relative_errors
-from torchhand.study.silhouettes import cut_at_wrist, intersection_over_union
+from torchhand.study.silhouettes import MaskOfFrame, cut_at_wrist, intersection_over_union
+from torchhand.study.tracked_silhouettes import tracked_projector, tracked_silhouettes
 from torchhand.study.truth import Truth, load_mask, load_truth, numbered_pictures
 
 __all__ = [
     "Consistency",
     "Continuity",
+    "MaskOfFrame",
     "PlanarMotionErrors",
     "Similarity",
     "Truth",
@@ -31,5 +33,7 @@ __all__ = [
     "numbered_pictures",
     "planar_motion_errors",
     "root_relative_errors",
+    "tracked_projector",
+    "tracked_silhouettes",
     "without_offset",
 ]

@@ -1,11 +1,10 @@
 """All errors of one tracked sequence, as plain numbers ready for a file or a table."""
 
-from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from torchhand.errors import InputError
 from torchhand.files.track_record import Track
@@ -15,14 +14,13 @@ from torchhand.study.finite import is_finite_set, max_finite, mean_finite, media
 from torchhand.study.nees import consistency
 from torchhand.study.planar_motion import planar_motion_errors
 from torchhand.study.positions import WRIST, aligned_errors, joint_errors, root_relative_errors
-from torchhand.study.silhouettes import cut_at_wrist, intersection_over_union
+from torchhand.study.silhouettes import MaskOfFrame, cut_at_wrist, intersection_over_union
 from torchhand.study.truth import Truth, load_mask
 
 MIDDLE_MCP = 9
 GOOD_FRAME_MM = 20.0
 MM_PER_M = 1000.0
 
-MaskOfFrame = Callable[[int], Bool[np.ndarray, "height width"] | None]
 Figures = dict[str, Any]
 
 
@@ -57,6 +55,9 @@ def evaluate(track: Track, truth: Truth, predicted_mask: MaskOfFrame | None = No
         overlap = _silhouettes(track, truth, predicted_mask)
         if overlap["frames"]:
             figures["silhouette"] = overlap
+    own_overlap = track.measures.get("overlap", np.empty(0))
+    if np.isfinite(own_overlap).any():
+        figures["overlap_with_own_segmentation"] = {"median": median_finite(own_overlap)}
     if truth.keypoints3d is not None:
         honesty = consistency(track.keypoints3d - truth.keypoints3d[rows], track.keypoints3d_cov)
         if honesty is not None:

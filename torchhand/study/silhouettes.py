@@ -1,7 +1,12 @@
 """Agreement of silhouettes, judged on the hand alone."""
 
+from collections.abc import Callable
+
 import numpy as np
 from jaxtyping import Bool, Float
+
+MaskOfFrame = Callable[[int], Bool[np.ndarray, "height width"] | None]
+"""The hand's silhouette in the frame of a number; None where there is none."""
 
 
 def intersection_over_union(

@@ -17,6 +17,9 @@ import torch
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 """Threads of numpy's and torch's libraries, which read them once, when they are loaded."""
 
+PROC = Path("/proc/self")
+"""Where Linux tells a process's memory."""
+
 _MIB = 1 / 1024  # of a KiB, which the kernel counts in
 _GROWTH_UNIT = 100  # frames
 _FEWEST_SAMPLES = 10
@@ -114,13 +117,11 @@ def watch_memory(
     every_s: float = 0.05,
     progress: Callable[[int], None] = lambda frames: None,
 ) -> MemoryUse:
-    """Run a command and read its resident memory from /proc until it ends.
+    """Run a command and read its resident memory from PROC until it ends.
 
     Raises:
-        RuntimeError: the command failed (with its last words), or the system has no /proc.
+        RuntimeError: the command failed; its last words follow.
     """
-    if not Path("/proc/self/status").exists():
-        raise RuntimeError("resident memory is read from /proc, which this system does not have")
     peak, samples = 0.0, []
     process = subprocess.Popen(
         command, env=dict(environment), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
@@ -158,7 +159,7 @@ def memory_growth(samples: Sequence[tuple[int, float]], *, skip: int) -> float |
 def _resident(pid: int) -> tuple[float, float]:
     """Resident memory of a process now and at its highest so far, MiB; zeros when it has just ended."""
     try:
-        lines = Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines()
+        lines = (PROC.parent / str(pid) / "status").read_text(encoding="utf-8").splitlines()
     except OSError:
         return 0.0, 0.0
     fields = dict(line.split(":", 1) for line in lines if ":" in line)

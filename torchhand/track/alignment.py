@@ -142,21 +142,38 @@ def align_points(
 ) -> list[Alignment]:
     """The placements whose wrist and middle fingertip project to two points that the user gives, one per facing.
 
-    Hand parallel to the picture; depth from the distance of the two points.
+    Hand parallel to the picture; depth from the distance of the two points. An orthographic camera has no depth: there
+    the wrist and the direction are kept. Raises ValueError for two points that are one.
     """
     wrist, tip = (camera.plane_from_pixels(torch.tensor(p, dtype=pose.dtype)) for p in (wrist_px, tip_px))
+    span = tip - wrist
+    if not bool(span.norm() > 0):
+        raise ValueError(f"start points: expected two different points, got {wrist_px} twice")
     found = []
     for facing in facings:
         straight = pose.clone()
         straight[:6] = 0
-        rotation = facing_rotation(facing)
+        rotation = facing_rotation(facing, dtype=pose.dtype)
         keypoints = kinematics(straight, shape, root_reference=rotation).keypoints
-        reach = (keypoints[12] - keypoints[0])[:2]
-        span = tip - wrist
-        scale = float(span.norm() / reach.norm())
-        angle = float(torch.atan2(span[1], span[0]) - torch.atan2(reach[1], reach[0]))
+        reach = keypoints[12] - keypoints[0]
         placed = straight.clone()
-        depth = 1.0 / scale if camera.kind == "pinhole" else 1.0
-        placed[:2], placed[2] = wrist * depth if camera.kind == "pinhole" else wrist, depth
+        if camera.kind == "pinhole":
+            depth = _depth_of_span(span, tip, reach)
+            across = depth * span + reach[2] * tip  # of the turned reach: the fingertip may be nearer than the wrist
+            placed[:2], placed[2] = depth * wrist, depth
+        else:
+            across = span
+            placed[:2], placed[2] = wrist, 1.0
+        angle = float(torch.atan2(across[1], across[0]) - torch.atan2(reach[1], reach[0]))
         found.append(Alignment(pose=placed, root_reference=turned_in_picture(rotation, angle), facing=facing, cost=0.0))
     return found
+
+
+def _depth_of_span(span: Float[Tensor, "2"], tip: Float[Tensor, "2"], reach: Float[Tensor, "3"]) -> Tensor:
+    """Depth of the wrist, metres, at which the reach from wrist to fingertip, turned, spans the normalised picture.
+
+    Larger root of |depth · span + reach_z · tip|² = |reach_xy|².
+    """
+    a, b = span @ span, reach[2] * (span @ tip)
+    c = reach[2] ** 2 * (tip @ tip) - reach[:2] @ reach[:2]
+    return (-b + (b * b - a * c).clamp_min(0).sqrt()) / a

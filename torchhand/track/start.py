@@ -23,6 +23,7 @@ _WORST_COST = 0.42  # alignments above it are not worth fitting
 _TRIES = 4  # alignments fitted per picture
 _SPREADS = (1.0, 1.6, 0.4)  # factors on the abductions from which the fit starts, as long as none is good
 _GOOD = 0.93  # overlap at which no other start is tried
+_NEAR = 0.65  # overlap below which other abductions are not tried: the hand has another posture or is elsewhere
 _LEAST_FOUND = 0.8  # share of the fitted contour that must lie on edges
 _LEAST_INSIDE = 0.8  # share of the keypoints that must lie in the picture
 
@@ -87,7 +88,9 @@ def find_hand(
     best: Start | None = None
     best_facing = ""
     for spread, alignment in itertools.product(_SPREADS, alignments[:_TRIES]):
-        if best is not None and (best.overlap > _GOOD or (spread != 1.0 and alignment.facing != best_facing)):
+        if best is not None and best.overlap > _GOOD:
+            break
+        if spread != 1.0 and (best is None or best.overlap < _NEAR or alignment.facing != best_facing):
             continue
         start = _fitted(
             image, mask, _spread(alignment, spread), kinematics, camera, shape, table, fit_shape, settings, appearance
