@@ -2,7 +2,7 @@
 
 
 class InputError(Exception):
-    """Bad input from outside (a file, a flag, a picture): one line saying what, what was expected, what was got, what is allowed.
+    """Bad input from outside (a file, a flag, a picture): one line that says what, what was expected, got and allowed.
 
     The commands print the line and leave with exit code 2; everything else is a defect and keeps its traceback.
     """

@@ -128,9 +128,16 @@ def test_a_closed_pipe_is_quiet(tmp_path: Path) -> None:
 
 def test_threads_hold_inside_the_block_only() -> None:
     before = torch.get_num_threads()
-    with pytest.raises(RuntimeError, match="inside"), threads(before + 1):
-        assert torch.get_num_threads() == before + 1
-        raise RuntimeError("inside")
+    seen = []
+
+    def fail() -> None:
+        with threads(before + 1):
+            seen.append(torch.get_num_threads())
+            raise RuntimeError("inside")
+
+    with pytest.raises(RuntimeError, match="inside"):
+        fail()
+    assert seen == [before + 1]
     assert torch.get_num_threads() == before
 
 

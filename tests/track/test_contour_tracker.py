@@ -27,7 +27,7 @@ def _run(
     images: Sequence[Tensor],
     state: TrackerState | None = None,
     memory: Memory | None = None,
-) -> tuple[TrackerState | None, Memory, list[Estimate]]:
+) -> tuple[Any, Any, list[Any]]:
     memory, estimates = memory or Memory(), []
     with torch.no_grad():
         for image in images:

@@ -35,7 +35,7 @@ def _assert_found(best: Alignment, placed: Any, facing_name: str) -> None:
 
 @pytest.mark.parametrize("forearm", [False, True], ids=["hand", "forearm"])
 @pytest.mark.parametrize(("side", "view"), SIDES)
-def test_a_sampled_hand_is_found_again(side: str, view: Any, forearm: bool, studio: Any) -> None:
+def test_a_sampled_hand_is_found_again(side: Any, view: Any, forearm: bool, studio: Any) -> None:
     number = SIDES.index((side, view)) + 4 * forearm
     generator = torch.Generator().manual_seed(number)
     kinematics = studio.kinematics(side)

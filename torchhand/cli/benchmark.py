@@ -21,9 +21,8 @@ from tqdm import tqdm
 from tyro.conf import arg
 
 import torchhand
-from torchhand.cli.command import DONE, command, parse
+from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.cli.request import settings_of
-from torchhand.cli.tracking import threads
 from torchhand.errors import InputError
 from torchhand.files import load_hand_model, load_track, models_dir, save_cameras, write_video
 from torchhand.files.results import UNFINISHED_NAME

@@ -12,7 +12,6 @@ import torch
 from tqdm import tqdm
 
 import torchhand
-from torchhand.cli.command import threads as threads
 from torchhand.cli.overlays import draw_live, write_overlay
 from torchhand.cli.request import Request, check_start_points
 from torchhand.errors import InputError

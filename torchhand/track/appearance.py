@@ -108,7 +108,7 @@ def unexplained_px(
     region: Bool[Tensor, "height width"],
     radius_px: float,
 ) -> int:
-    """Pixels of the picture's hand outside the model, in pieces into which a disc fits: a finger that nothing covers."""
+    """Pixels of the picture's hand outside the model, in pieces that a disc fits into: a finger that is not covered."""
     size = 2 * max(1, round(radius_px)) + 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     rest = (picture & region & ~model).numpy().astype(np.uint8)
