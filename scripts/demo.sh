@@ -9,7 +9,8 @@ make_environment runtime
 "$environment/bin/torchhand" demo --out demo_out --overwrite "$@"
 cat <<'MESSAGE'
 
-Done. In demo_out:
+Done. Look at
+    demo_out/track/overlay.mp4   the tracked contours over the video, beside them the hand from a second view
+    demo_out/picture.png         four of its frames
+    demo_out/track/track.npz     poses, keypoints and covariances, frame by frame
 MESSAGE
-find demo_out -type f | sort | sed 's/^/    /'
-echo "Open overlay.mp4 first: the tracked contours over the video, and the hand from a second view beside it."

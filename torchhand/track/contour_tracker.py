@@ -95,7 +95,8 @@ class ContourTracker:
         """The next state, what is remembered, and the estimate of this picture (RGB).
 
         A hand found again after a frame that was lost is `recovered`; the first one ever, and one that a fresh search
-        corrects within an unbroken track, is `tracked`. Raises ValueError for a picture that is not the camera's size.
+        corrects within an unbroken track, is `tracked`. A frame that fails the tests is searched afresh at once, a
+        doubtful one when a search is due. Raises ValueError for a picture that is not the camera's size.
         """
         if image.shape[:2] != (self.camera.height, self.camera.width):
             expected = f"{self.camera.width}×{self.camera.height} px as the camera says"
@@ -103,7 +104,8 @@ class ContourTracker:
         if state is None or memory.appearance is None or memory.shape is None:
             return self._restart(memory, image)
         following, estimate = self._follow(state, memory.shape, memory.appearance, image)
-        is_due = memory.frames_since_search + 1 >= self.settings.loss.search_every
+        is_failing = following is not None and following.failures > 0
+        is_due = is_failing or memory.frames_since_search + 1 >= self.settings.loss.search_every
         memory = replace(memory, frames_since_search=memory.frames_since_search + 1)
         is_sure = following is not None and not self._is_doubtful(estimate, memory)
         if is_sure or (following is not None and not is_due):
