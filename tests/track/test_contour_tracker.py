@@ -171,6 +171,18 @@ def test_a_hand_that_vanishes_is_lost_and_recovered(film: Any, followed: Any) ->
     assert state.failures == 0
 
 
+def test_a_sudden_jump_is_caught_at_once(film: Any, followed: Any) -> None:
+    """Frames are missing: a jump beyond the search. A frame that fails is searched afresh, not at the next due time."""
+    tracker, _, _, states = followed
+    _, memory, _ = _run(tracker, film.images[:1])
+    assert tracker.settings.loss.search_every > 1
+    jumped = torch.roll(film.images[3], (14, -9), dims=(1, 0))
+    _, _, (estimate,) = _run(tracker, [jumped], states[3], memory)
+    assert estimate.status == "tracked"
+    expected = film.keypoints_px[3] + torch.tensor((14.0, -9.0), dtype=torch.float64)
+    assert float((estimate.keypoints_px - expected).norm(dim=-1).mean()) < 2.5
+
+
 def test_a_posture_that_is_not_the_starts_is_lost_and_not_no_hand(film: Any, followed: Any, studio: Any) -> None:
     tracker, _, _, _ = followed
     _, memory, _ = _run(tracker, film.images[:1])
