@@ -350,7 +350,7 @@ def _tracking(
     camera, pictures = _simulated(motion, size, frames, SceneSettings())
     kinematics = load_hand_model().kinematics(dtype=torch.float64)
     tracker = ContourTracker(kinematics, camera, FRAMES_PER_SECOND, settings_of(config))
-    with torch.no_grad():
+    with torch.inference_mode():
         start, memory, _ = tracker.step(None, Memory(), pictures[0])
         statuses = _track_all(tracker, start, memory, pictures[1:])
         run = partial(_track_all, tracker, start, memory, pictures[1:])

@@ -1,5 +1,7 @@
 """Rotation vectors and matrices: exponential, logarithm, left Jacobian; exact and smooth at zero."""
 
+from functools import lru_cache
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -42,50 +44,36 @@ def rotation_from_vector(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*b
     return identity + first[..., None, None] * cross + second[..., None, None] * (cross @ cross)
 
 
+@lru_cache(maxsize=16)
+def _quaternion_products(dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Affine map (1 + 9, 16) from the entries of a rotation to four times the products of its quaternion's parts."""
+    with torch.inference_mode(False):  # kept for callers in any mode
+        return _quaternion_table().to(dtype=dtype, device=device)
+
+
+def _quaternion_table() -> Tensor:
+    table = torch.zeros(10, 4, 4, dtype=torch.float64)
+    table[0] = torch.eye(4)
+    for i in range(3):
+        table[1 + 4 * i].diagonal().add_(torch.tensor((1.0, -1.0, -1.0, -1.0)))
+        table[1 + 4 * i, 1 + i, 1 + i] += 2.0
+        j, k = (i + 1) % 3, (i + 2) % 3
+        for row, column, sign in ((k, j, 1.0), (j, k, -1.0)):  # w times x, y, z
+            table[1 + 3 * row + column, 0, 1 + i] = table[1 + 3 * row + column, 1 + i, 0] = sign
+        for row, column in ((i, j), (j, i)):
+            table[1 + 3 * row + column, 1 + i, 1 + j] = table[1 + 3 * row + column, 1 + j, 1 + i] = 1.0
+    return table.flatten(1)
+
+
 def vector_from_rotation(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
     """Rotation vector of a rotation matrix, length in [0, π].
 
     Goes through the unit quaternion of largest component, so it is accurate near π as well; at exactly π the sign of
     the vector is arbitrary, and the derivative does not exist.
     """
-    m = rotation
-    trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
     # Four times the outer product of the quaternion (w, x, y, z) with itself; its rows are multiples of the quaternion.
-    rows = torch.stack(
-        (
-            torch.stack(
-                (1 + trace, m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]), -1
-            ),
-            torch.stack(
-                (
-                    m[..., 2, 1] - m[..., 1, 2],
-                    1 + 2 * m[..., 0, 0] - trace,
-                    m[..., 0, 1] + m[..., 1, 0],
-                    m[..., 0, 2] + m[..., 2, 0],
-                ),
-                -1,
-            ),
-            torch.stack(
-                (
-                    m[..., 0, 2] - m[..., 2, 0],
-                    m[..., 0, 1] + m[..., 1, 0],
-                    1 + 2 * m[..., 1, 1] - trace,
-                    m[..., 1, 2] + m[..., 2, 1],
-                ),
-                -1,
-            ),
-            torch.stack(
-                (
-                    m[..., 1, 0] - m[..., 0, 1],
-                    m[..., 0, 2] + m[..., 2, 0],
-                    m[..., 1, 2] + m[..., 2, 1],
-                    1 + 2 * m[..., 2, 2] - trace,
-                ),
-                -1,
-            ),
-        ),
-        -2,
-    )
+    rows = _quaternion_products(rotation.dtype, rotation.device)
+    rows = torch.addmm(rows[0], rotation.reshape(-1, 9), rows[1:]).reshape(*rotation.shape[:-2], 4, 4)
     best = torch.diagonal(rows, dim1=-2, dim2=-1).argmax(-1)
     row = torch.take_along_dim(rows, best[..., None, None].expand(*best.shape, 1, 4), -2).squeeze(-2)
     quaternion = row / row.norm(dim=-1, keepdim=True)

@@ -33,6 +33,8 @@ def place_chain(
     reference: world_from_hand = exp(pose[3:6]) · reference. Its gradient is the tangent one: right for a reference
     that stays a rotation. levers: the offset at the end of every bone in that bone's frame, in the order of LEVER_ENDS.
     """
+    if torch.is_inference_mode_enabled() and not torch._C._are_functorch_transforms_active():
+        return _Chain.forward(pose, reference, levers, constants)  # no derivative can be asked for
     return _Chain.apply(pose, reference, levers, constants)
 
 

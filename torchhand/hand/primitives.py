@@ -188,4 +188,5 @@ def place_primitives(frames: HandFrames, sizes: PrimitiveSizes, *, is_left: bool
 
 @lru_cache(maxsize=16)
 def _bone_index(device: torch.device) -> Tensor:
-    return torch.tensor(CONE_BONES + ELLIPSOID_BONES, device=device)
+    with torch.inference_mode(False):  # kept for callers in any mode
+        return torch.tensor(CONE_BONES + ELLIPSOID_BONES, device=device)

@@ -55,7 +55,8 @@ class ShapeSpace:
 
     @cached_property
     def _unit_index(self) -> Tensor:
-        return torch.tensor([_UNITS.index(unit) for unit in self.units], device=self.default.device)
+        with torch.inference_mode(False):  # kept for callers in any mode
+            return torch.tensor([_UNITS.index(unit) for unit in self.units], device=self.default.device)
 
 
 def linear_map(

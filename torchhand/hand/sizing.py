@@ -98,7 +98,8 @@ def _palm(m: Mapping[str, Tensor]) -> _Palm:
 
 @lru_cache(maxsize=16)
 def _digit_matrix(names: tuple[str, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
-    return linear_map(names, _digit_sizes).to(dtype=dtype, device=device)
+    with torch.inference_mode(False):  # kept for callers in any mode
+        return linear_map(names, _digit_sizes).to(dtype=dtype, device=device)
 
 
 def _digit_sizes(m: Mapping[str, Tensor]) -> Tensor:

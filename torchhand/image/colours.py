@@ -1,6 +1,7 @@
 """Joint colour histograms of hand and surroundings, and the picture of how hand-like each pixel is."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -17,6 +18,11 @@ class ColourModel:
 
     log_ratio: Float[Tensor, "red green blue"]
     """One value per bin; each axis divides 0..256 evenly."""
+
+    @cached_property
+    def table(self) -> Float[np.ndarray, "red green blue"]:
+        """Probability of the inside per bin, times 255."""
+        return probability_u8(self.log_ratio.cpu().numpy())
 
 
 def learn_colours(
@@ -50,8 +56,7 @@ def foreground_probability(image: UInt8[Tensor, "height width 3"], model: Colour
     """
     if image.device.type != "cpu":
         return foreground_probability_torch(image, model)
-    table = probability_u8(model.log_ratio.cpu().numpy())
-    return torch.from_numpy(look_up(image.contiguous().numpy(), table, (256, 256, 256))) * (1.0 / 255.0)
+    return torch.from_numpy(look_up(image.contiguous().numpy(), model.table, (256, 256, 256))) * (1.0 / 255.0)
 
 
 def foreground_probability_torch(

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import torch
@@ -111,7 +112,7 @@ def _responses(
     places = torch.addcmul(start, direction, samples).movedim(0, -1)
     profile = sample_bilinear(planes, places)
 
-    kernel = _band(derivative_of_gaussian(settings.sigma_px, settings.step_px), 2 * half_positions + 3).to(profile)
+    kernel = _correlation(settings.sigma_px, settings.step_px, 2 * half_positions + 3, profile.dtype, profile.device)
     response = profile @ kernel
     if weights is not None:
         response = response * weights.to(response).reshape(-1, *(1,) * (response.ndim - 1))
@@ -135,6 +136,13 @@ def derivative_of_gaussian(sigma_px: float, step_px: float) -> Float[Tensor, " t
     t = torch.arange(-half_taps, half_taps + 1, dtype=torch.float64) * step_px
     kernel = t * torch.exp(-0.5 * (t / sigma_px) ** 2)
     return kernel / kernel[half_taps + 1 :].sum()
+
+
+@lru_cache(maxsize=256)
+def _correlation(sigma_px: float, step_px: float, positions: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Band matrix of the kernel; a tracker asks for the same few again and again."""
+    with torch.inference_mode(False):  # kept for callers in any mode
+        return _band(derivative_of_gaussian(sigma_px, step_px), positions).to(dtype=dtype, device=device)
 
 
 def _band(kernel: Tensor, positions: int) -> Tensor:

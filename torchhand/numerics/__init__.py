@@ -5,7 +5,7 @@ from torchhand.numerics.consistency import chi_square_quantile, mean_chi_square_
 from torchhand.numerics.gaussian import Gaussian
 from torchhand.numerics.motion import MotionModel
 from torchhand.numerics.sigma import SigmaPoints, UnscentedSettings, sigma_points
-from torchhand.numerics.unscented import Update, predict, predict_linear, update
+from torchhand.numerics.unscented import Update, observed_points, predict, predict_linear, update
 
 __all__ = [
     "Gaussian",
@@ -17,6 +17,7 @@ __all__ = [
     "mean_chi_square_band",
     "nees",
     "nis",
+    "observed_points",
     "predict",
     "predict_linear",
     "robust_cholesky",

@@ -136,6 +136,16 @@ def update(
     )
 
 
+def observed_points(
+    state: Gaussian, settings: UnscentedSettings, observed: int | None = None
+) -> Float[Tensor, "*batch p k"]:
+    """The states at which `update` with the same `observed` calls `observe`, for who has other use of them as well."""
+    size = state.mean.shape[-1]
+    seen = size if observed is None else observed
+    factor = robust_cholesky(state.covariance)[..., :seen, :seen]
+    return spread_points(state.mean[..., :seen], Weights.of(settings, size).spread * factor)
+
+
 def _spread_of_draw(
     state: Gaussian, observe: Callable[[Tensor], Tensor], settings: UnscentedSettings, observed: int | None, m: int
 ) -> _Spread:

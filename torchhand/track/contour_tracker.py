@@ -229,7 +229,7 @@ class ContourTracker:
         planes = self._planes(image, probability)
         measured = Measured(state=self._predicted(state))
         for _ in range(s.passes):
-            measured = self._measurement.update(measured.state, projector, planes)
+            measured = self._measurement.update(measured.state, projector, planes, measured.seen)
         found, inside = measured.found, measured.inside
         agreement = self._agreement(measured.state, shape, probability)
         is_good = found >= s.loss.min_found and inside >= s.loss.min_inside and agreement.overlap >= s.loss.min_overlap

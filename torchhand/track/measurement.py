@@ -4,13 +4,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.geometry import Camera, rotation_from_vector
 from torchhand.hand import PoseSpace, Skeleton
 from torchhand.image import search_edges
-from torchhand.numerics import Gaussian, update
+from torchhand.numerics import Gaussian, observed_points, update
 from torchhand.track.contour_points import hand_length_px, is_in_picture, is_outer
 from torchhand.track.limits import clamp_to_limits
 from torchhand.track.prior import PosturePrior, kind_of
@@ -36,6 +36,14 @@ class Planes:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SeenContour:
+    """Which points of the contour the camera sees, and which of these lie on the silhouette."""
+
+    visible: Bool[Tensor, "points"]
+    outer: Bool[Tensor, "visible_points"]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Measured:
     """A state after a measurement update, and how well the picture bears it out."""
 
@@ -46,6 +54,8 @@ class Measured:
     """Share of the visible contour points in the picture."""
     nis: float | None = 0.0
     """Normalised innovation squared per accepted measurement; None where it means nothing."""
+    seen: SeenContour | None = None
+    """What a further pass over the same picture need not judge again."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,23 +70,36 @@ class ContourMeasurement:
     prior: PosturePrior
     skeleton: Skeleton
 
-    def update(self, state: TrackerState, projector: HandProjector, planes: Planes) -> Measured:
+    def update(
+        self, state: TrackerState, projector: HandProjector, planes: Planes, before: SeenContour | None = None
+    ) -> Measured:
         """Corrects a predicted state; the pose stays within the joint limits.
+
+        `before` is what an earlier pass over the same picture saw of the contour, which is then not judged again.
 
         Where fewer than ten visible contour points lie in the picture, the state comes back as it is with all shares 0.
         """
         s, camera = self.settings, self.camera
         count = self.space.size
         space = self.space.about(state.base)
-        pose = space.dof(state.belief.mean[:count])
-        primitives = projector.primitives_cam(projector.frames(pose, state.reference))
-        contour = projector.contour_of(primitives, self.table)
+        # The centre of the sigma points is the reference hand: all are placed at once.
+        candidates = observed_points(state.belief, s.unscented, count)
+        poses = space.dof(candidates)
+        pose = poses[0]
+        hands = projector.primitives_cam(projector.frames(poses, state.reference))
+        cones, arcs = projector.generators_of(hands)
+        primitives = replace(hands, rotation=hands.rotation[0], position=hands.position[0])
+        own = (cones.of_hand(0), arcs.of_hand(0))
+        contour = projector.contour_of(primitives, self.table, own, before.visible if before else None)
         points, normals = contour.points_px[contour.visible], contour.normals[contour.visible]
         in_picture = is_in_picture(points, camera)
         if int(in_picture.sum()) < _FEWEST_POINTS:
             return Measured(state=state)
         length_px = hand_length_px(camera, projector.kinematics, pose, projector.shape)
-        outer = is_outer(projector.silhouette_of(primitives), points, normals, length_px)
+        if before is None:
+            outer = is_outer(projector.silhouette_of(primitives, own), points, normals, length_px)
+        else:
+            outer = before.outer
         reach_px = max(_LEAST_SEARCH_PX, s.search_share * length_px) * (1 + _WIDENING * state.failures)
         offset, is_found = torch.zeros_like(points[:, 0]), torch.zeros_like(outer)
         rivals, weight = torch.ones_like(outer, dtype=torch.long), torch.ones_like(offset)
@@ -89,10 +112,8 @@ class ContourMeasurement:
                 offset[which], is_found[which], rivals[which] = edges.offset_px, edges.found, edges.candidates
                 weight[which] = share
         chosen = self.table.select(contour.visible)
-
-        def observe(candidates: Tensor) -> Tensor:
-            pixels = projector.outline_px(space.dof(candidates), state.reference, chosen)
-            return torch.cat(((pixels * normals).sum(-1), candidates @ self.prior.matrix.T), -1)
+        along = projector.along_normals_px((cones, arcs), chosen, normals)
+        observed = torch.cat((along, candidates @ self.prior.matrix.T), -1)
 
         believed = self.prior.value(state.reference, state.start_reference)
         measurement = torch.cat(((points * normals).sum(-1) + offset, believed))
@@ -100,7 +121,14 @@ class ContourMeasurement:
         variance = torch.cat((s.edge_std_px**2 * rivals.clamp_min(1) / weight, self.prior.variance)) * s.passes
         valid = torch.cat((is_found, torch.ones_like(believed, dtype=torch.bool)))
         result = update(
-            state.belief, observe, measurement, variance, s.unscented, valid=valid, gate=s.gate, observed=count
+            state.belief,
+            lambda _: observed,
+            measurement,
+            variance,
+            s.unscented,
+            valid=valid,
+            gate=s.gate,
+            observed=count,
         )
         accepted = result.used[: len(points)] & outer
         return Measured(
@@ -108,11 +136,16 @@ class ContourMeasurement:
             found=int(accepted.sum()) / max(1, int((outer & in_picture).sum())),
             inside=float(in_picture.float().mean()),
             nis=float(result.nis) / max(1, int(result.count)),
+            seen=SeenContour(visible=contour.visible, outer=outer),
         )
 
     @cached_property
     def _inverse_basis(self) -> Tensor:
         return torch.linalg.pinv(self.space.basis)
+
+    @cached_property
+    def _is_rotation(self) -> Tensor:
+        return torch.tensor([kind_of(name) == "rotation" for name in self.space.free_names])
 
     def _rebased(self, state: TrackerState) -> TrackerState:
         """Joint limits kept; the root's rotation moved from the belief's mean into the reference."""
@@ -120,7 +153,7 @@ class ContourMeasurement:
         free = state.belief.mean[:count]
         space = self.space.about(state.base)
         pose = clamp_to_limits(space.dof(free), self.skeleton)
-        is_rotation = torch.tensor([kind_of(name) == "rotation" for name in self.space.free_names])
+        is_rotation = self._is_rotation
         kept = free + (pose - space.dof(free)) @ self._inverse_basis.T
         kept = torch.where(is_rotation, torch.zeros_like(kept), kept)
         mean = state.belief.mean.clone()

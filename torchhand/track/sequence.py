@@ -45,7 +45,7 @@ def follow(
             yield TrackedFrame(frame=frame, record=_unread(frame), state=state, memory=memory)
             continue
         started = time.perf_counter()
-        with torch.no_grad():
+        with torch.inference_mode():
             state, memory, estimate = tracker.step(state, memory, frame.image)
         seconds = time.perf_counter() - started
         yield TrackedFrame(

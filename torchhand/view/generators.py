@@ -4,7 +4,7 @@ All arrays have the batch last. A cone has two straight generators, an ellipsoid
 primitive's own frame, so that no conic has to be decomposed and a fixed parameter follows its point from pose to pose.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -28,6 +28,12 @@ class ConeGenerators:
     is_real: Tensor
     """(15, n)"""
 
+    def of_hand(self, index: int) -> "ConeGenerators":
+        """Those of one hand of the batch, with n = 1."""
+        low, rise, is_real = (x[..., index : index + 1] for x in (self.low, self.rise, self.is_real))
+        normal = None if self.normal is None else self.normal[..., index : index + 1]
+        return ConeGenerators(low=low, rise=rise, normal=normal, is_real=is_real)
+
 
 @dataclass(frozen=True, kw_only=True)
 class EllipsoidArcs:
@@ -41,6 +47,23 @@ class EllipsoidArcs:
     """(22, n)"""
     is_real: Tensor
     """(22, n)"""
+    is_outside: Tensor
+    """(22, n) where the camera is not within the ellipsoid"""
+
+    def of_hand(self, index: int) -> "EllipsoidArcs":
+        """Those of one hand of the batch, with n = 1."""
+        one = slice(index, index + 1)
+        return EllipsoidArcs(
+            curve=self.curve[..., one],
+            normal=None if self.normal is None else self.normal[..., one],
+            half_angle=self.half_angle[..., one],
+            is_real=self.is_real[..., one],
+            is_outside=self.is_outside[..., one],
+        )
+
+    def whole(self) -> "EllipsoidArcs":
+        """The full ellipses, of whole ellipsoids instead of the kept parts."""
+        return replace(self, half_angle=torch.full_like(self.half_angle, torch.pi), is_real=self.is_outside)
 
 
 def generators(
@@ -134,4 +157,11 @@ def _arcs(
     curve = compose(rotation, circle * axes[:, :, None])
     curve = torch.cat((curve[:, :, :1] + position[:, :, None], curve[:, :, 1:]), 2)
     normal = compose(rotation, circle / axes[:, :, None]) if with_normals else None
-    return EllipsoidArcs(curve=curve, normal=normal, half_angle=half_angle, is_real=~is_inside & (reach < 1))
+    is_outside = ~is_inside
+    return EllipsoidArcs(
+        curve=curve,
+        normal=normal,
+        half_angle=half_angle,
+        is_real=is_outside & (reach < 1),
+        is_outside=is_outside,
+    )

@@ -48,7 +48,8 @@ class OutlineTable:
     @cached_property
     def generator(self) -> Int[Tensor, "cone_points"]:
         """Index of every cone point's generator, two per cone."""
-        return 2 * self.cone + self.cone_side
+        with torch.inference_mode(False):  # kept for callers in any mode
+            return 2 * self.cone + self.cone_side
 
     def select(self, keep: Bool[Tensor, "points"]) -> "OutlineTable":
         """The points where `keep` is true, in the same order."""
@@ -98,8 +99,12 @@ def outline(primitives_cam: Primitives, table: OutlineTable, *, is_orthographic:
 
     Where there is no outline the point is the nearest there is (and the gradient finite), with is_real False.
     """
-    batch = primitives_cam.position.shape[:-2]
     cones, arcs = generators(primitives_cam, is_orthographic=is_orthographic, with_normals=True)
+    return outline_of(cones, arcs, table, primitives_cam.position.shape[:-2])
+
+
+def outline_of(cones: ConeGenerators, arcs: EllipsoidArcs, table: OutlineTable, batch: tuple[int, ...]) -> Outline:
+    """`outline` where the generators, with normals, are known."""
     points = sample_generators(cones, arcs, table)
     assert cones.normal is not None
     assert arcs.normal is not None

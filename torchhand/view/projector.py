@@ -1,6 +1,6 @@
 """A hand before a camera: pose in, outline points, contours with visibility, and silhouettes in pixels out."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -19,15 +19,17 @@ from torchhand.hand import (
     place_primitives,
     primitive_sizes,
 )
-from torchhand.view.generators import generators
+from torchhand.view.generators import ConeGenerators, EllipsoidArcs, generators
 from torchhand.view.outline import (
     OutlineTable,
-    outline,
+    outline_of,
     outline_table,
     pixel_normals,
     sample_generators,
 )
 from torchhand.view.visibility import visible_points
+
+Generators = tuple[ConeGenerators, EllipsoidArcs]
 
 _ARC_CORNERS = 24
 _SHIFT = 4  # fractional bits of OpenCV's polygon coordinates
@@ -57,7 +59,6 @@ class HandProjector:
         self.shape = kinematics.default_shape if shape is None else shape
         self.sizes: PrimitiveSizes = primitive_sizes(kinematics.shape_space, self.shape)
         self._polygon_table = _polygon_table(self.shape.dtype)
-        self._whole_sizes = replace(self.sizes, ellipsoid_level=torch.full_like(self.sizes.ellipsoid_level, -2.0))
         identity = torch.eye(3, dtype=camera.rotation.dtype, device=camera.rotation.device)
         self._camera_is_world = bool((camera.rotation == identity).all() and (camera.translation == 0).all())
 
@@ -99,11 +100,32 @@ class HandProjector:
         """The reference contour of one pose, with normals and self-occlusion."""
         return self.contour_of(self.primitives_cam(self.frames(pose, root_reference)), table)
 
-    def contour_of(self, primitives: Primitives, table: OutlineTable) -> Contour:
-        """The reference contour of one hand whose primitives in the camera frame are known."""
-        seen = outline(primitives, table, is_orthographic=self.is_orthographic)
+    def generators_of(self, primitives: Primitives) -> Generators:
+        """Contour generators, with normals, of hands whose primitives in the camera frame are known."""
+        return generators(primitives, is_orthographic=self.is_orthographic, with_normals=True)
+
+    def along_normals_px(
+        self, seen: Generators, table: OutlineTable, normals: Float[Tensor, "points 2"]
+    ) -> Float[Tensor, "hands points"]:
+        """normal · pixel of the outline points of a batch of hands: what an edge search measures."""
+        x, y = self._pixels(sample_generators(*seen, table)).unbind(1)
+        return torch.addcmul(x * normals[:, :1], y, normals[:, 1:]).T
+
+    def contour_of(
+        self,
+        primitives: Primitives,
+        table: OutlineTable,
+        known: Generators | None = None,
+        visible: Bool[Tensor, "points"] | None = None,
+    ) -> Contour:
+        """The reference contour of one hand whose primitives in the camera frame are known.
+
+        `known` are its generators, `visible` what is visible of it, where these have been computed before.
+        """
+        seen = outline_of(*(known or self.generators_of(primitives)), table, ())
         plane = self.camera.plane_from_cam(seen.points_cam)
-        visible = visible_points(primitives, seen, table, is_orthographic=self.is_orthographic)
+        if visible is None:
+            visible = visible_points(primitives, seen, table, is_orthographic=self.is_orthographic)
         return Contour(
             points_px=self.camera.pixels_from_plane(plane),
             normals=pixel_normals(self.camera, plane, seen.normals_cam),
@@ -121,11 +143,11 @@ class HandProjector:
         with torch.no_grad():
             return self.silhouette_of(self.primitives_cam(self.frames(pose, root_reference)))
 
-    def silhouette_of(self, primitives: Primitives) -> Bool[Tensor, "height width"]:
+    def silhouette_of(self, primitives: Primitives, known: Generators | None = None) -> Bool[Tensor, "height width"]:
         """`silhouette` of one hand whose primitives in the camera frame are known."""
         with torch.no_grad():
-            whole = replace(primitives, sizes=self._whole_sizes)
-            cones, arcs = generators(whole, is_orthographic=self.is_orthographic, with_normals=False)
+            cones, arcs = known or generators(primitives, is_orthographic=self.is_orthographic, with_normals=False)
+            arcs = arcs.whole()
             points = sample_generators(cones, arcs, self._polygon_table)
             is_real = torch.cat((cones.is_real, arcs.is_real)).squeeze(-1)
             pixels = self._pixels(points).squeeze(-1)
