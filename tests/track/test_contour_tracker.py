@@ -184,6 +184,16 @@ def test_a_sudden_jump_is_caught_at_once(film: Any, followed: Any) -> None:
     assert float((estimate.keypoints_px - expected).norm(dim=-1).mean()) < 2.5
 
 
+def test_hand_coloured_things_apart_from_the_hand_do_not_count(film: Any, followed: Any) -> None:
+    tracker, _, estimates, states = followed
+    _, memory, _ = _run(tracker, film.images[:1])
+    image = film.images[4].clone()
+    x, y = film.keypoints_px[4, 9].round().long().tolist()
+    image[60:76, 14:30] = image[y, x]  # as far from the wrist as the fingers
+    _, _, (estimate,) = _run(tracker, [image], states[3], memory)
+    assert estimate.overlap == pytest.approx(estimates[4].overlap, abs=1e-3)
+
+
 def test_a_posture_that_is_not_the_starts_is_lost_and_not_no_hand(film: Any, followed: Any, studio: Any) -> None:
     tracker, _, _, _ = followed
     _, memory, _ = _run(tracker, film.images[:1])
