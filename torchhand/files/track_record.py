@@ -21,7 +21,8 @@ TRACK_FORMAT = "torchhand track 1"
 UNITS = "metres, radians, seconds; keypoints2d px"
 CONVENTION = (
     "camera frame of OpenCV: x right, y down, z forward; the centre of the first pixel is (0, 0); root rotation is a"
-    " rotation vector of length pi at most, whose sign may change from frame to frame where it is pi; flexion is positive; keypoints: wrist, then thumb, index, middle, ring, little from base to tip"
+    " rotation vector of length pi at most, whose sign may change from frame to frame where it is pi; flexion is"
+    " positive; keypoints: wrist, then thumb, index, middle, ring, little from base to tip"
 )
 _KEYPOINTS = 21
 
