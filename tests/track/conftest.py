@@ -1,6 +1,5 @@
 """What the tests of the trackers share: people before cameras, and pictures of them with the truth."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import pytest
@@ -146,15 +145,6 @@ class Studio:
             kinematics=kinematics,
             camera=camera,
         )
-
-
-@pytest.fixture(scope="session", autouse=True)
-def one_thread() -> Iterator[None]:
-    """Small tensors are slower with more."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="session")

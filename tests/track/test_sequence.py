@@ -29,15 +29,6 @@ class Scene:
     """Of the keypoints, per frame."""
 
 
-@pytest.fixture(scope="module", autouse=True)
-def one_thread():
-    """Small tensors are slower with more."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
-
-
 @pytest.fixture(scope="module")
 def kinematics() -> HandKinematics:
     return load_hand_model().kinematics(dtype=torch.float64)
