@@ -661,3 +661,29 @@ def test_a_full_disk_under_the_overlay_keeps_the_track(
     monkeypatch.undo()
     assert run(clip.frames, "--out", out, "--resume", *options).code == 0  # only the overlay is left to do
     assert (out / "overlay.mp4").stat().st_size > 0
+
+
+def test_a_picture_of_the_empty_scene(clip: Clip, run: Run, tmp_path: Path) -> None:
+    by_plate = ["--set", "silhouette.method=background"]
+    empty = tmp_path / "empty.png"
+    cv2.imwrite(str(empty), _plain(clip))
+    small = tmp_path / "small.png"
+    cv2.imwrite(str(small), np.zeros((20, 30, 3), np.uint8))
+    for options, words in (
+        (by_plate, ("--background",)),
+        (["--background", str(empty)], ("--background: expected --set silhouette.method=background", "'skin'")),
+        ([*by_plate, "--background", str(small)], ("small.png: expected a picture of 200x160 px", "got 30x20")),
+        ([*by_plate, "--background", str(tmp_path / "none.png")], ("none.png",)),
+    ):
+        outcome = run(clip.frames, "--out", tmp_path / "out", *clip.options, *options)
+        _assert_refused(outcome, *words)
+        assert not (tmp_path / "out").exists()
+    cv2.imwrite(str(empty), _plain(clip))
+    assert run(clip.frames, "--out", tmp_path / "out", *clip.options, *by_plate, "--background", empty).code == 0
+    assert set(load_track(tmp_path / "out").status) == {"tracked"}
+
+
+def _plain(clip: Clip) -> np.ndarray:
+    """The colour of the clip's plain background everywhere, BGR."""
+    colour = np.median(clip.pictures[0][:5], (0, 1)).astype(np.uint8)
+    return np.ascontiguousarray(np.broadcast_to(colour, clip.pictures[0].shape))

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from torchhand.hand import posture
+from torchhand.image import SilhouetteSettings, learn_background
 from torchhand.simulate import SceneSettings, background_picture, sample_shape
 from torchhand.simulate.backgrounds import BackgroundKind
 from torchhand.track.appearance import learn_appearance
@@ -156,3 +157,20 @@ def test_overlap_of_a_fit_leaves_the_forearm_out(studio: Any) -> None:
     half = mask.clone()
     half[:, int(wrist[0]) :] = False
     assert fit_overlap(half, placed.kinematics, placed.camera, fit) < 0.7
+
+
+@pytest.mark.parametrize("method", ["chroma", "background"])
+def test_a_gloved_hand_is_found_before_a_screen_or_a_known_scene(method: Any, studio: Any) -> None:
+    """A green glove teaches no skin, so only what is known of the surroundings can tell it."""
+    placed = studio.placed(angle_deg=20.0)
+    noise = torch.randint(-3, 4, (*placed.mask.shape, 3), generator=torch.Generator().manual_seed(0))
+    empty = (torch.tensor((40, 60, 200)) + noise).to(torch.uint8)
+    image = torch.where(placed.mask[..., None], torch.tensor((60, 170, 90), dtype=torch.uint8), empty)
+    assert isinstance(_find(image, placed, studio), NoStart)
+    plate = learn_background(empty[None]) if method == "background" else None
+    known = {"silhouette": SilhouetteSettings(method=method), "plate": plate}
+    start = _find(image, placed, studio, **known)
+    assert _error(start, placed) < 0.03
+    hidden = _find(empty, placed, studio, **known)
+    assert isinstance(hidden, NoStart)
+    assert not hidden.has_foreground

@@ -9,8 +9,9 @@ from typing import Any
 import yaml
 
 from torchhand.errors import InputError
-from torchhand.files import FittedHand, find_config, load_hand, load_hand_model, load_settings
+from torchhand.files import FittedHand, find_config, load_hand, load_hand_model, load_settings, read_picture
 from torchhand.hand import Side
+from torchhand.image import BackgroundPlate, learn_background
 from torchhand.track.settings import ContourTrackerSettings
 from torchhand.track.start import StartPoints
 
@@ -29,6 +30,8 @@ class Request:
     """A known shape, which is then not fitted."""
     camera: Path | None = None
     start_points: StartPoints | None = None
+    background: Path | None = None
+    """Picture of the empty scene."""
     start: int = 0
     max_frames: int | None = None
     resume: bool = False
@@ -72,6 +75,28 @@ def known_hand(path: Path) -> FittedHand:
         if not low <= hand.values[name] <= high:
             raise InputError(f"{path}: shape.{name}: expected {low:g} to {high:g}, got {hand.values[name]:g}")
     return hand
+
+
+def plate_of(picture: Path | None, method: str, width: int, height: int) -> BackgroundPlate | None:
+    """The plate of the empty scene where the settings' method asks for one.
+
+    Raises InputError where it is missing, not asked for, unreadable or of another size than the pictures.
+    """
+    if method != "background":
+        if picture is not None:
+            raise InputError(
+                f"--background: expected --set silhouette.method=background with it, got method {method!r}"
+            )
+        return None
+    if picture is None:
+        raise InputError(
+            "silhouette.method background: expected --background with a picture of the empty scene, got none"
+        )
+    image = read_picture(picture)
+    if image.shape[:2] != (height, width):
+        got = f"{image.shape[1]}x{image.shape[0]}"
+        raise InputError(f"{picture}: expected a picture of {width}x{height} px, the size of the others, got {got}")
+    return learn_background(image[None])
 
 
 def start_points_of(text: str) -> StartPoints:

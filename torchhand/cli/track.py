@@ -51,6 +51,8 @@ class Arguments:
     """Posture at the start: open, flat, point, fist, victory ..."""
     start_points: Annotated[str | None, arg(metavar="WX,WY,MX,MY")] = None
     """Wrist and middle fingertip in the first picture, px, where the hand is not found by itself."""
+    background: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Picture of the scene without the hand, for --set silhouette.method=background."""
     start: Annotated[int, arg(metavar="N")] = 0
     """First frame, counted from 0."""
     max_frames: Annotated[int | None, arg(metavar="N")] = None
@@ -121,6 +123,7 @@ def _request(arguments: Arguments) -> Request:
         hand=hand,
         camera=arguments.camera,
         start_points=None if arguments.start_points is None else start_points_of(arguments.start_points),
+        background=arguments.background,
         start=arguments.start,
         max_frames=arguments.max_frames,
         resume=arguments.resume,

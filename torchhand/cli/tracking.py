@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 import torchhand
 from torchhand.cli.overlays import draw_live, write_overlay
-from torchhand.cli.request import Request, check_start_points
+from torchhand.cli.request import Request, check_start_points, plate_of
 from torchhand.errors import InputError
 from torchhand.files import (
     FrameSource,
@@ -55,7 +55,13 @@ class _Run:
         hand = request.hand
         shape = None if hand is None else torch.tensor(list(hand.values.values()), dtype=torch.float64)
         self.tracker = ContourTracker(
-            kinematics, camera, frames_per_second, request.settings, shape=shape, start_points=request.start_points
+            kinematics,
+            camera,
+            frames_per_second,
+            request.settings,
+            shape=shape,
+            start_points=request.start_points,
+            plate=plate_of(request.background, request.settings.silhouette.method, camera.width, camera.height),
         )
         self.given_camera, self.frames_per_second = camera, frames_per_second
         self.state: TrackerState | None = None
@@ -78,6 +84,7 @@ class _Run:
             "settings": asdict(request.settings),
             "hand": None if request.hand is None else request.hand.values,
             "start_points": request.start_points,
+            "background": None if request.background is None else str(request.background),
             "start": request.start,
             "frames_per_second": self.frames_per_second,
             "seed": request.seed,
@@ -133,6 +140,7 @@ class _Run:
             "camera_used": camera_entry(self.given_camera),
             "hand_given": None if request.hand is None else request.hand.values,
             "start_points": request.start_points,
+            "background": request.background,
             "start": request.start,
             "max_frames": request.max_frames,
             "frames_per_second": self.frames_per_second,

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics, PoseSpace, named_pose_space, posture
+from torchhand.image import BackgroundPlate
 from torchhand.numerics import Gaussian, predict_linear
 from torchhand.track.appearance import Agreement, Appearance, grey, hand_region, overlap, touching, unexplained_px
 from torchhand.track.contour_points import hand_length_px
@@ -51,11 +52,13 @@ class ContourTracker:
         *,
         shape: Float[Tensor, "shape"] | None = None,
         start_points: StartPoints | None = None,
+        plate: BackgroundPlate | None = None,
     ) -> None:
         """shape: proportions where they are known; else they are fitted to the first picture with a hand.
 
         start_points: where the hand is in the first picture, given by the user, in place of a search.
-        Raises ValueError for a frame rate that cannot be.
+        plate: the empty scene, for the silhouette method "background".
+        Raises ValueError for a frame rate that cannot be, and where that method lacks its plate.
         """
         if not (math.isfinite(frames_per_second) and frames_per_second > 0):
             raise ValueError(f"frames_per_second: expected a finite number above 0, got {frames_per_second!r}")
@@ -65,6 +68,9 @@ class ContourTracker:
         eye, zero = torch.eye(3, dtype=torch.float64), torch.zeros(3, dtype=torch.float64)
         self.camera = replace(camera.to(dtype=torch.float64), rotation=eye, translation=zero)
         self.start_points = start_points
+        if self.settings.silhouette.method == "background" and plate is None:
+            raise ValueError("silhouette.method: 'background' needs a plate of the empty scene")
+        self.plate = plate
         self.known_shape = None if shape is None else shape.double()
         self.space: PoseSpace = named_pose_space(self.settings.pose_space)
         s = self.settings
@@ -185,6 +191,8 @@ class ContourTracker:
             fit_shape=is_first and self.known_shape is None,
             settings=s.fit,
             min_overlap=s.loss.start_overlap,
+            silhouette=s.silhouette,
+            plate=self.plate,
         )
 
     def _settled(self, start: Start, image: Tensor) -> tuple[Measured, Agreement]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from torchhand.hand import POSE_SPACES, POSTURES
-from torchhand.image import EdgeSettings
+from torchhand.image import EdgeSettings, SilhouetteSettings
 from torchhand.numerics import MotionModel, UnscentedSettings
 from torchhand.track.fit import FitSettings
 
@@ -125,6 +125,8 @@ class ContourTrackerSettings:
     """Outline points on each side of a cone; 2 or more."""
     points_per_arc: int = 12
     """Outline points on each ellipsoid; 4 or more."""
+    silhouette: SilhouetteSettings = field(default_factory=SilhouetteSettings)
+    """How the hand is told from its surroundings until its colours are learned: skin, background plate or chroma."""
     prior: PriorSettings = field(default_factory=PriorSettings)
     loss: LossSettings = field(default_factory=LossSettings)
     fit: FitSettings = field(default_factory=FitSettings)

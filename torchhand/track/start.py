@@ -9,7 +9,15 @@ from torch import Tensor
 
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandKinematics
-from torchhand.image import bootstrap_skin, clean, fill_holes, largest_component
+from torchhand.image import (
+    BackgroundPlate,
+    SilhouetteSettings,
+    bootstrap_skin,
+    clean,
+    fill_holes,
+    largest_component,
+    segment,
+)
 from torchhand.track.alignment import Alignment, align_points, align_posture
 from torchhand.track.appearance import Appearance, disc, hand_region, learn_appearance, mask_plane, overlap
 from torchhand.track.contour_points import hand_length_px, is_in_picture
@@ -53,12 +61,19 @@ class NoStart:
 
 
 def segment_hand(
-    image: UInt8[Tensor, "height width 3"], appearance: Appearance | None
+    image: UInt8[Tensor, "height width 3"],
+    appearance: Appearance | None,
+    silhouette: SilhouetteSettings | None = None,
+    plate: BackgroundPlate | None = None,
 ) -> tuple[Bool[Tensor, "height width"], str]:
     """Silhouette of hand and bare forearm, and why it is empty where it is.
 
-    By the colours learned in this video where there are any, else by skin that the picture itself teaches.
+    By the colours learned in this video where there are any; else by the method of `silhouette`: skin that the picture
+    itself teaches, the difference from a plate of the empty scene, or a coloured screen.
     """
+    if appearance is None and silhouette is not None and silhouette.method != "skin":
+        mask = segment(image, silhouette, plate=plate)
+        return mask, "" if bool(mask.any()) else f"nothing stands out of the {silhouette.method}"
     if appearance is None:
         start = bootstrap_skin(image)
         return start.mask, start.reason
@@ -79,9 +94,11 @@ def find_hand(
     settings: FitSettings | None = None,
     min_overlap: float = 0.75,
     min_area_share: float = 0.004,
+    silhouette: SilhouetteSettings | None = None,
+    plate: BackgroundPlate | None = None,
 ) -> Start | NoStart:
     """Segments the picture, lays the posture over the silhouette, fits pose and shape, and judges the result."""
-    mask, reason = segment_hand(image, appearance)
+    mask, reason = segment_hand(image, appearance, silhouette, plate)
     if float(mask.float().mean()) < min_area_share:
         return NoStart(reason=reason or "too little of the picture has the hand's colours", has_foreground=False)
     alignments = [a for a in align_posture(mask, camera, kinematics, shape, posture) if a.cost < _WORST_COST]
