@@ -67,6 +67,10 @@ class Skeleton:
     upper: Float[Tensor, "30"]
     """Upper limit of each joint angle, radians."""
 
+    def within_limits(self, joints: Float[Tensor, "*batch 30"]) -> Float[Tensor, "*batch 30"]:
+        """The nearest joint angles within the limits, radians."""
+        return joints.clamp(self.lower.to(joints), self.upper.to(joints))
+
     def to(self, *, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> "Skeleton":
         """The same skeleton with its tensors moved."""
         tensors = {f.name: getattr(self, f.name) for f in fields(self) if isinstance(getattr(self, f.name), Tensor)}

@@ -9,8 +9,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.geometry import Camera, rotation_from_vector
-from torchhand.hand import HandKinematics, Skeleton, posture
+from torchhand.hand import HandKinematics, posture
 from torchhand.simulate.scripts import SCRIPTS, Course, Stage
+from torchhand.track.facing import facing_rotation
 
 View = Literal["back", "palm"]
 VIEWS: tuple[View, ...] = ("back", "palm")
@@ -62,7 +63,7 @@ def scripted_motion(
     return perform(
         name,
         course,
-        within_limits(joints, kinematics.skeleton),
+        kinematics.skeleton.within_limits(joints),
         camera,
         hand_length=length,
         view=view,
@@ -108,17 +109,11 @@ def stage_before(
     )
 
 
-def within_limits(joints: Float[Tensor, "*batch 30"], skeleton: Skeleton) -> Float[Tensor, "*batch 30"]:
-    """Joint angles clamped to the skeleton's limits, radians."""
-    return joints.clamp(skeleton.lower.to(joints), skeleton.upper.to(joints))
-
-
 def facing(view: View) -> Float[Tensor, "3 3"]:
     """cam_from_hand of an upright hand, left or right, that shows its back or its palm to the camera."""
     if view not in VIEWS:
         raise ValueError(f"view: expected one of {', '.join(VIEWS)}, got {view!r}")
-    depth = -1.0 if view == "back" else 1.0  # of the direction out of the back of the hand
-    return torch.tensor(((0.0, 0.0, depth), (0.0, -1.0, 0.0), (depth, 0.0, 0.0)), dtype=torch.float64)
+    return facing_rotation(view)
 
 
 def perform(

@@ -12,7 +12,7 @@ from torch import Tensor
 from torchhand.errors import InputError
 from torchhand.geometry import Camera
 from torchhand.hand import JOINT_DOFS, HandKinematics
-from torchhand.simulate.motion import Motion, View, hand_length, perform, stage_before, within_limits
+from torchhand.simulate.motion import Motion, View, hand_length, perform, stage_before
 from torchhand.simulate.scripts import Course, planar_course
 
 TIME_COLUMNS = 7
@@ -133,7 +133,7 @@ def recorded_motion(
             f"{path}: expected a recording of at least {times[-1]:.2f} s (start {start_s:g} s, {frames} frames at"
             f" {fps:g} frames/s, pace {pace:g}), got {end:.2f} s"
         )
-    joints = within_limits(joints_of_glove(recording, times), kinematics.skeleton)
+    joints = kinematics.skeleton.within_limits(joints_of_glove(recording, times))
     still = torch.zeros(frames, 3, dtype=torch.float64)
     centre, turn = planar_course(stage, 0.6) if planar else (still, still)
     course = Course(posture="flat", centre=centre, turn=turn)

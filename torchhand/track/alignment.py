@@ -17,6 +17,7 @@ from torch import Tensor
 
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandKinematics
+from torchhand.image import mask_moments
 from torchhand.track.chamfer import Candidate, chamfer_costs, distinct, refined, thinned
 from torchhand.track.facing import facing_rotation, turned_in_picture
 from torchhand.track.template import boundary, draw_template, edge_distance
@@ -111,8 +112,7 @@ def _discs(mask: np.ndarray) -> list[tuple[np.ndarray, float]]:
 
 def _inertia_angle(mask: np.ndarray) -> float:
     """Angle of the silhouette's long axis from the upright, radians; a direction is left open."""
-    moments = cv2.moments(mask, binaryImage=True)
-    return 0.5 * math.atan2(2 * moments["mu11"], moments["mu20"] - moments["mu02"]) + math.pi / 2
+    return float(mask_moments(torch.from_numpy(mask > 0)).axis_angle) + math.pi / 2
 
 
 def _placed(candidate: Candidate, centre_px: np.ndarray, radius_px: float, camera: Camera) -> Alignment:
