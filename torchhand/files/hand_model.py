@@ -1,7 +1,6 @@
 """A model folder (models/generic_hand) parsed once into records."""
 
 import json
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -9,29 +8,19 @@ import torch
 
 from torchhand.errors import InputError
 from torchhand.files.locations import models_dir
+from torchhand.files.mesh_file import load_mesh
 from torchhand.files.urdf import read_skeleton
-from torchhand.hand import HandKinematics, ShapeSpace, Side, Skeleton
+from torchhand.hand import ShapeSpace
+from torchhand.hand.model import HandModel
 
+MESH_NAME = "mesh.npz"
 _FIELDS = ("default", "lower", "upper", "std")
-
-
-@dataclass(frozen=True, kw_only=True)
-class HandModel:
-    """What a model folder holds."""
-
-    name: str
-    skeleton: Skeleton
-    shape_space: ShapeSpace
-
-    def kinematics(self, side: Side = "right", *, dtype: torch.dtype = torch.float32) -> HandKinematics:
-        """A kinematics module of this hand in the given precision."""
-        space = self.shape_space.to(dtype=dtype)
-        return HandKinematics(self.skeleton, space, side).to(dtype)
 
 
 @lru_cache(maxsize=8)
 def load_hand_model(name: str = "generic_hand") -> HandModel:
-    """The model of that name among those shipped, or of a folder given by path; float64 records.
+    """The model of that name among those shipped, or of a folder given by path; float64 records. A folder may lack a
+    mesh; its model then has none.
 
     Raises InputError naming the file and what it lacks.
     """
@@ -39,10 +28,12 @@ def load_hand_model(name: str = "generic_hand") -> HandModel:
     if not folder.is_dir():
         known = ", ".join(sorted(entry.name for entry in models_dir().iterdir() if entry.is_dir()))
         raise InputError(f"hand model: expected a folder or one of {known}, got {name!r}")
+    space, mesh_path = read_shape_space(folder / "shape.json"), folder / MESH_NAME
     return HandModel(
         name=folder.name,
         skeleton=read_skeleton(folder / "hand.urdf"),
-        shape_space=read_shape_space(folder / "shape.json"),
+        shape_space=space,
+        mesh=load_mesh(mesh_path, shape_names=space.names) if mesh_path.exists() else None,
     )
 
 

@@ -15,11 +15,14 @@ from torch import Tensor
 from torchhand.geometry import exponential_coefficients
 from torchhand.geometry.batch_last import compose, cross, turn, turn_back
 from torchhand.hand.chain_constants import HINGES, ChainConstants
+from torchhand.hand.chain_plain import place_chain_plainly
+from torchhand.hand.joint_rotations import free_axes as _free_axes
+from torchhand.hand.joint_rotations import local_rotations
 
 _LEVELS = ((0, 1, 1, 6), (1, 6, 6, 11), (6, 11, 11, 16), (12, 16, 16, 20))
 """First and last-but-one of the parents, then of the bones of each level; the thumb ends one level early."""
 _THUMB_TIP_LEVER = 15
-_HINGES = len(HINGES)  # hinges are the bones 2 to 5 and 11 to 19, free bones 1 and 6 to 10
+_HINGES = len(HINGES)
 
 
 def place_chain(
@@ -33,6 +36,8 @@ def place_chain(
     reference: world_from_hand = exp(pose[3:6]) · reference. Its gradient is the tangent one: right for a reference
     that stays a rotation. levers: the offset at the end of every bone in that bone's frame, in the order of LEVER_ENDS.
     """
+    if torch.compiler.is_compiling():
+        return place_chain_plainly(pose, reference, levers, constants)
     if torch.is_inference_mode_enabled() and not torch._C._are_functorch_transforms_active():
         return _Chain.forward(pose, reference, levers, constants)  # no derivative can be asked for
     return _Chain.apply(pose, reference, levers, constants)
@@ -48,7 +53,7 @@ class _Chain(torch.autograd.Function):
         rotation, position = pose.new_empty(20, 3, 3, count), pose.new_empty(20, 3, count)
         root = _exponential(pose[3:6], constants)
         rotation[0] = root if reference is None else compose(root[None], reference[None])[0]
-        local = _local_rotations(pose, constants)
+        local = local_rotations(pose, constants)
         for first, last, start, stop in _LEVELS:
             out = rotation[start:stop]
             columns, rows = rotation[first:last].chunk(3, 2), local[start - 1 : stop - 1].chunk(3, 1)
@@ -185,36 +190,6 @@ def _exponential(vector: Tensor, constants: ChainConstants) -> Tensor:
     products = (second * vector)[:, None] * vector[None]
     basis = torch.cat((first * vector, products.flatten(0, 1)))
     return torch.addmm(constants.identity, constants.root_rotation, basis).unflatten(0, (3, 3))
-
-
-def _local_rotations(pose: Tensor, constants: ChainConstants) -> Tensor:
-    """parent_from_bone of every bone but the root: (19, 3, 3, n)."""
-    angles = pose.index_select(0, constants.angles)
-    cosine, sine = angles.cos(), angles.sin()
-    constant, of_cosine, of_sine = constants.hinge_rotation.unbind()
-    hinge = torch.addcmul(constant, of_cosine, cosine[:_HINGES, None])
-    hinge = torch.addcmul(hinge, of_sine, sine[:_HINGES, None])
-    first, second, third = _free_basis(cosine, sine).unbind(1)
-    products = _products(_products(first, second), third)
-    free = torch.bmm(constants.free_rotation, products)
-    return torch.cat((free[:1], hinge[:4], free[1:], hinge[4:])).unflatten(1, (3, 3))
-
-
-def _free_basis(cosine: Tensor, sine: Tensor) -> Tensor:
-    """(1, cos, sin) of the three angles of the free bones: (6, 3, 3, n)."""
-    cosine, sine = cosine[_HINGES:], sine[_HINGES:]
-    return torch.stack((torch.ones_like(cosine), cosine, sine), 1).unflatten(0, (-1, 3))
-
-
-def _products(left: Tensor, right: Tensor) -> Tensor:
-    return (left[:, :, None] * right[:, None]).flatten(1, 2)
-
-
-def _free_axes(pose: Tensor, constants: ChainConstants) -> Tensor:
-    """Axes of the free bones' angles in the bone's frame: (6, 3 angles, 3, n)."""
-    angles = pose.index_select(0, constants.angles)
-    basis = _free_basis(angles.cos(), angles.sin())
-    return torch.bmm(constants.free_axes, _products(basis[:, 1], basis[:, 2])).unflatten(1, (3, 3))
 
 
 def _angle_work(moment: Tensor, pose: Tensor, constants: ChainConstants) -> Tensor:

@@ -53,7 +53,7 @@ def pixel_boxes(primitives_cam: Primitives, camera: Camera) -> list[tuple[int, i
     """
     boxes = plane_boxes(primitives_cam, is_orthographic=camera.kind == "orthographic")
     low, high = boxes[:, None, :2], boxes[:, None, 2:]
-    outline = _box_outline(_EDGE_POINTS if camera.has_distortion else 1, boxes)
+    outline = square_outline(_EDGE_POINTS if camera.has_distortion else 1, boxes)
     pixels = camera.pixels_from_plane(low + outline * (high - low))
     margin = 2 if camera.has_distortion else 1
     size = torch.tensor((camera.width, camera.height), dtype=boxes.dtype, device=boxes.device)
@@ -67,7 +67,7 @@ def pixel_boxes(primitives_cam: Primitives, camera: Camera) -> list[tuple[int, i
     return [(int(x0), int(y0), int(x1), int(y1)) for x0, y0, x1, y1 in torch.cat((first, last), -1).tolist()]
 
 
-def _box_outline(steps: int, like: Tensor) -> Float[Tensor, "points 2"]:
+def square_outline(steps: int, like: Tensor) -> Float[Tensor, "points 2"]:
     """Points around the unit square, `steps` to a side."""
     t = torch.arange(steps, dtype=like.dtype, device=like.device) / steps
     zero, one = torch.zeros_like(t), torch.ones_like(t)

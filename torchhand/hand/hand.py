@@ -1,0 +1,185 @@
+"""The hand as one module: a pose in, bones, keypoints, skin and primitives out."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from torchhand.geometry.batch_last import batch_last
+from torchhand.hand.kinematics import HandFrames, Side
+from torchhand.hand.model import HandModel
+from torchhand.hand.primitives import Primitives, place_primitives
+from torchhand.hand.shape import ShapeSpace
+from torchhand.hand.sizing import primitive_sizes
+from torchhand.hand.skeleton import DOFS
+from torchhand.hand.skinning import Skinning, mirrored_mesh
+
+_BOUND_SLACK = 1e-5  # relative: bounds are float64, shapes may be float32
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandState:
+    """A posed hand in the world, metres; differentiable in pose and shape."""
+
+    frames: HandFrames
+    """Rotations and origins of the bones."""
+    vertices: Float[Tensor, "*batch vertices 3"]
+    """The skin. Not contiguous: x, y and z lie apart in memory."""
+    faces: Int[Tensor, "faces 3"]
+    """Triangles, counter-clockwise seen from outside; the same for every hand of one side."""
+    shape: Float[Tensor, "*#batch shape"]
+    """Parameters that the hand was made with."""
+    shape_space: ShapeSpace
+    is_left: bool
+
+    @property
+    def keypoints(self) -> Float[Tensor, "*batch 21 3"]:
+        """The 21 keypoints."""
+        return self.frames.keypoints
+
+    @cached_property
+    def primitives(self) -> Primitives:
+        """The 37 truncated quadrics, made when they are first asked for."""
+        return place_primitives(self.frames, primitive_sizes(self.shape_space, self.shape), is_left=self.is_left)
+
+
+class Hand(nn.Module):
+    """A hand of one side: pose in, `HandState` out; any batch shape, differentiable any number of times.
+
+    The shape is the module's own, `hand.shape`: a parameter if it was given as one, a buffer otherwise (its gradient
+    flows to the tensor that was given). It is all that `state_dict` holds. A left hand is the exact mirror of the
+    right one: same pose numbers, z of the hand frame reversed.
+    """
+
+    shape: Tensor
+    faces: Tensor
+
+    def __init__(
+        self,
+        shape: Float[Tensor, "*batch shape"] | None = None,
+        *,
+        model: HandModel,
+        side: Side = "right",
+        dtype: torch.dtype | None = None,
+    ) -> None:
+        """
+        shape: parameters of the model's shape space, one hand or many; the default proportions where it is None.
+        dtype: what to compute in; that of the shape, or float32, where it is None. Constants are rounded to it once,
+            so for float64 say so here instead of converting the module later.
+
+        Raises ValueError for a model without mesh and for a shape that is not finite or outside its bounds.
+        """
+        super().__init__()
+        if model.mesh is None:
+            raise ValueError(f"model: expected one with a mesh, {model.name!r} has none (no mesh.npz in its folder)")
+        if dtype is None:
+            dtype = torch.float32 if shape is None else shape.dtype
+        if isinstance(shape, nn.Parameter) and shape.dtype != dtype:
+            raise ValueError(f"dtype: expected {shape.dtype}, that of the parameter given as shape, got {dtype}")
+        self.side: Side = side
+        self.shape_space = model.shape_space
+        exact = model.kinematics(side, dtype=torch.float64)
+        mesh = model.mesh.to(dtype=torch.float64)
+        self.kinematics = model.kinematics(side, dtype=dtype)
+        self.skinning = Skinning(mesh if side == "right" else mirrored_mesh(mesh), exact).to(dtype)
+        faces = model.mesh.faces if side == "right" else mirrored_mesh(mesh).faces
+        self.register_buffer("faces", faces.clone(), persistent=False)
+        if isinstance(shape, nn.Parameter):
+            self.shape = shape
+        else:
+            given = model.shape_space.default if shape is None else shape
+            self.register_buffer("shape", given.to(dtype, copy=shape is None))
+        self._check_width("shape", self.shape, len(self.shape_space.names))
+        self._check_shape(self.shape)
+
+    def forward(
+        self,
+        pose: Float[Tensor, "*#batch 36"],
+        shape: Float[Tensor, "*#batch shape"] | None = None,
+        *,
+        root_reference: Float[Tensor, "*#batch 3 3"] | None = None,
+    ) -> HandState:
+        """The hand in the world.
+
+        pose: metres and radians in the order of DOFS; its rotation vector turns the hand frame, or `root_reference`
+            where that is given (left perturbation: world_from_hand = exp(pose[3:6]) · root_reference).
+        shape: in place of the module's own. Both broadcast; one shape for all poses is several times faster than a
+            shape for each.
+
+        Raises ValueError for wrong dimensions and dtypes. NaN and infinite numbers go through to the results, because
+        looking for them would make a GPU wait; see `check`.
+        """
+        self._check_width("pose", pose, len(DOFS))
+        if shape is None:
+            shape = self.shape
+        else:
+            self._check_width("shape", shape, len(self.shape_space.names))
+        batch = torch.broadcast_shapes(pose.shape[:-1], shape.shape[:-1])
+        if root_reference is not None:
+            batch = torch.broadcast_shapes(batch, root_reference.shape[:-2])
+        pose = pose.expand(*batch, len(DOFS))
+        is_shared = all(size == 1 for size in shape.shape[:-1])
+        one_or_many = shape.reshape(-1) if is_shared else shape
+        frames = self.kinematics(pose, one_or_many, root_reference=root_reference)
+        vertices = self.skinning(
+            batch_last(frames.rotation, 3, batch),
+            batch_last(frames.position, 2, batch),
+            batch_last(pose, 1, batch),
+            batch_last(self.shape_space.metres(one_or_many), 1, batch),
+        )
+        return HandState(
+            frames=frames,
+            vertices=vertices.unflatten(0, batch) if batch else vertices[0],
+            faces=self.faces,
+            shape=shape,
+            shape_space=self.shape_space,
+            is_left=self.side == "left",
+        )
+
+    def check(
+        self,
+        pose: Float[Tensor, "*#batch 36"] | None = None,
+        shape: Float[Tensor, "*#batch shape"] | None = None,
+    ) -> None:
+        """Raises ValueError where a pose or shape holds NaN or infinite numbers or a shape is outside its bounds.
+
+        Waits for the device. `forward` does not do it; a shape given to the constructor has been checked.
+        """
+        if pose is not None:
+            self._check_width("pose", pose, len(DOFS))
+            _check_finite("pose", pose, DOFS)
+        if shape is not None:
+            self._check_width("shape", shape, len(self.shape_space.names))
+            self._check_shape(shape)
+
+    def _check_shape(self, shape: Tensor) -> None:
+        names = self.shape_space.names
+        _check_finite("shape", shape, names)
+        values = shape.detach().double().reshape(-1, len(names))
+        lower, upper = self.shape_space.lower.to(values), self.shape_space.upper.to(values)
+        slack = _BOUND_SLACK * upper.abs().maximum(lower.abs())
+        is_outside = ((values < lower - slack) | (values > upper + slack)).nonzero()
+        if len(is_outside):
+            row, column = is_outside[0].tolist()
+            raise ValueError(
+                f"shape: {names[column]}: expected {float(lower[column]):g} to {float(upper[column]):g}"
+                f" {self.shape_space.units[column]}, got {float(values[row, column]):g}"
+            )
+
+    def _check_width(self, name: str, value: Tensor, width: int) -> None:
+        if value.ndim == 0 or value.shape[-1] != width:
+            raise ValueError(f"{name}: expected {width} numbers in the last dimension, got shape {tuple(value.shape)}")
+        if value.dtype != self.skinning.weights.dtype:
+            raise ValueError(
+                f"{name}: expected {self.skinning.weights.dtype}, in which the hand computes, got {value.dtype}"
+            )
+
+
+def _check_finite(name: str, value: Tensor, columns: tuple[str, ...]) -> None:
+    is_wrong = (~value.detach().isfinite()).reshape(-1, len(columns)).nonzero()
+    if len(is_wrong):
+        row, column = is_wrong[0].tolist()
+        got = float(value.detach().reshape(-1, len(columns))[row, column])
+        raise ValueError(f"{name}: {columns[column]}: expected finite numbers, got {got}")

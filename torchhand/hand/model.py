@@ -1,0 +1,44 @@
+"""A hand as its model folder tells it: the records, and the modules that are made of them."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.hand.kinematics import HandKinematics, Side
+from torchhand.hand.mesh import HandMesh
+from torchhand.hand.shape import ShapeSpace
+from torchhand.hand.skeleton import Skeleton
+
+if TYPE_CHECKING:
+    import torchhand.hand.hand
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandModel:
+    """What a model folder holds, float64."""
+
+    name: str
+    skeleton: Skeleton
+    shape_space: ShapeSpace
+    mesh: HandMesh | None = None
+    """None where the folder has no mesh: bones and primitives can be had all the same."""
+
+    def kinematics(self, side: Side = "right", *, dtype: torch.dtype = torch.float32) -> HandKinematics:
+        """A kinematics module of this hand in the given precision."""
+        space = self.shape_space.to(dtype=dtype)
+        return HandKinematics(self.skeleton, space, side).to(dtype)
+
+    def hand(
+        self,
+        shape: Float[Tensor, "*batch shape"] | None = None,
+        *,
+        side: Side = "right",
+        dtype: torch.dtype | None = None,
+    ) -> "torchhand.hand.hand.Hand":
+        """A `Hand` of this model: bones, keypoints, skinned mesh and primitives."""
+        from torchhand.hand.hand import Hand  # takes this record, so it is imported here
+
+        return Hand(shape, model=self, side=side, dtype=dtype)

@@ -1,0 +1,1 @@
+"""How the mesh of a hand model is made: a smooth union of its parts, an even mesh of it, weights and shape basis."""

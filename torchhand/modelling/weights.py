@@ -1,0 +1,107 @@
+"""Skinning weights by diffusion over the surface: which bones carry a vertex, and by how much."""
+
+import numpy as np
+import scipy.sparse as sparse
+import torch
+from gpytoolbox import cotangent_laplacian, massmatrix
+from jaxtyping import Float, Int
+from scipy.sparse.linalg import factorized
+from torch import Tensor
+
+from torchhand.hand import BONES, FINGERS, HandFrames, ShapeSpace
+from torchhand.modelling.field import HandField
+
+INFLUENCES = 4
+_LEAST = 0.01  # smaller weights are dropped
+
+# Half widths of the zones in which the skin passes from one bone to the next, metres.
+_JOINT_ZONE, _KNUCKLE_ZONE, _THUMB_ZONE = 3.0e-3, 4.5e-3, 8.0e-3
+# Where the palm passes from the wrist to the metacarpals, shares of hand length; how far a metacarpal reaches aside,
+# share of hand breadth.
+_PALM_ZONE = (0.06, 0.20)
+_METACARPAL_REACH = 0.12
+
+
+def skin_weights(
+    space: ShapeSpace,
+    frames: HandFrames,
+    shape: Float[Tensor, "shape"],
+    vertices: Float[Tensor, "vertices 3"],
+    faces: Int[Tensor, "faces 3"],
+) -> tuple[Int[Tensor, "vertices 4"], Float[Tensor, "vertices 4"]]:
+    """Bones and weights of every vertex. For every joint the part beyond it is diffused over the surface, by a width
+    of its own; the palm is shared out between wrist and metacarpals.
+    """
+    metric = space.metric(shape)
+    beyond = _parts(HandField(space, frames, shape), frames, vertices)
+    diffuse = _Diffusion(vertices, faces)
+    weights = torch.zeros(len(vertices), len(BONES), dtype=torch.float64)
+    left = torch.ones(len(vertices), dtype=torch.float64)
+    for finger in FINGERS:
+        thumb = finger == "thumb"
+        chain = ("metacarpal", "proximal", "distal") if thumb else ("proximal", "middle", "distal")
+        zones = (_THUMB_ZONE, _KNUCKLE_ZONE, _JOINT_ZONE) if thumb else (_KNUCKLE_ZONE, _JOINT_ZONE, _JOINT_ZONE)
+        shares = [diffuse(beyond[f"{finger}_{bone}"], zone) for bone, zone in zip(chain, zones, strict=True)]
+        shares = [*shares, torch.zeros_like(left)]
+        left = left - shares[0]
+        for i, bone in enumerate(chain):
+            weights[:, BONES.index(f"{finger}_{bone}")] = (shares[i] - shares[i + 1]).clamp_min(0)
+    weights += left.clamp_min(0)[:, None] * _palm(frames, metric, vertices)
+    weights[weights < _LEAST] = 0
+    top, bones = weights.topk(INFLUENCES, -1)
+    return bones, top / top.sum(-1, keepdim=True)
+
+
+def _parts(field: HandField, frames: HandFrames, vertices: Tensor) -> dict[str, Tensor]:
+    """For every bone of the digits whether a vertex lies on it or beyond."""
+    digits = torch.stack([field.digit_distance(vertices, finger) for finger in FINGERS], -1)
+    nearest = digits.argmin(-1)
+    found = {}
+    for i, finger in enumerate(FINGERS):
+        on_digit = nearest == i
+        for bone in ("proximal", "distal") if finger == "thumb" else ("proximal", "middle", "distal"):
+            index = BONES.index(f"{finger}_{bone}")
+            height = (vertices - frames.position[index]) @ frames.rotation[index][:, 1]
+            on_digit = on_digit & (height > 0)
+            found[f"{finger}_{bone}"] = on_digit
+    found["thumb_metacarpal"] = found["thumb_proximal"] | field.thumb_base(vertices)
+    return {name: part.double() for name, part in found.items()}
+
+
+def _palm(frames: HandFrames, metric: dict[str, Tensor], vertices: Tensor) -> Tensor:
+    """Shares of the wrist and the four metacarpals where nothing else carries the skin."""
+    shares = torch.zeros(len(vertices), len(BONES), dtype=torch.float64)
+    low, high = (share * metric["hand_length"] for share in _PALM_ZONE)
+    height = (vertices - frames.position[0]) @ frames.rotation[0][:, 1]
+    up = ((height - low) / (high - low)).clamp(0, 1)
+    up = up * up * (3 - 2 * up)
+    reach = _METACARPAL_REACH * metric["hand_breadth"]
+    aside = []
+    for finger in FINGERS[1:]:
+        start = frames.position[BONES.index(f"{finger}_metacarpal")]
+        end = frames.position[BONES.index(f"{finger}_proximal")]
+        along = ((vertices - start) @ (end - start) / (end - start).square().sum()).clamp(0, 1)
+        gap = (vertices - start - along[:, None] * (end - start))[:, 2]
+        aside.append(-0.5 * (gap / reach).square())
+    kernel = torch.stack(aside, -1).softmax(-1)
+    for i, finger in enumerate(FINGERS[1:]):
+        shares[:, BONES.index(f"{finger}_metacarpal")] = up * kernel[:, i]
+    shares[:, 0] = 1 - up
+    return shares
+
+
+class _Diffusion:
+    """Implicit heat flow on the mesh; order of its arguments and the range from 0 to 1 are kept."""
+
+    def __init__(self, vertices: Tensor, faces: Tensor) -> None:
+        corners, triangles = vertices.numpy(), faces.int().numpy()
+        self._stiffness = cotangent_laplacian(corners, triangles)
+        self._mass = massmatrix(corners, triangles, type="voronoi")
+
+    def __call__(self, values: Tensor, width: float) -> Tensor:
+        steps = 4
+        solve = factorized(sparse.csc_matrix(self._mass + width * width / steps * self._stiffness))
+        result = values.numpy()
+        for _ in range(steps):
+            result = solve(self._mass @ result)
+        return torch.from_numpy(np.clip(result, 0, 1))

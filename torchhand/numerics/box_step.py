@@ -1,0 +1,68 @@
+"""The damped Gauss-Newton step inside a box, for many problems at once."""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+_PASSES = 3  # after them, what still leads out of the box is cut off
+_LEAST_DIAGONAL = 1e-12  # of the largest entry of the diagonal: a variable without any influence stays solvable
+
+
+def damped_box_step(
+    matrix: Float[Tensor, "k n n"],
+    gradient: Float[Tensor, "k n"],
+    damping: Float[Tensor, "k"],
+    room_below: Float[Tensor, "k n"] | None,
+    room_above: Float[Tensor, "k n"] | None,
+) -> tuple[Float[Tensor, "k n"], Bool[Tensor, "k"]]:
+    """Step d that lowers gradient · d + ½ dᵀ(matrix + damping · diag)d with room_below <= d <= room_above.
+
+    A variable that lies on a bound and is driven against it is frozen. Variables that the step of the others carries
+    beyond a bound are put onto it and the others solved once more, a few times; this is not always the exact minimum
+    in the box, but with growing damping it turns into the projected gradient step, which descends. The rooms (distances
+    to the bounds, below <= 0 <= above) may be infinite; None stands for no bounds. The second result tells where the
+    matrix could be factored; elsewhere the step is 0.
+    """
+    diagonal = matrix.diagonal(dim1=-2, dim2=-1)
+    least = _LEAST_DIAGONAL * diagonal.amax(-1, keepdim=True) + torch.finfo(matrix.dtype).tiny
+    damped = matrix.clone()
+    damped.diagonal(dim1=-2, dim2=-1).add_(damping[:, None] * diagonal.clamp_min(least) + least)
+    if room_below is None or room_above is None:
+        return _solved(damped, -gradient)
+    pinned = ((room_below >= 0) & (gradient > 0)) | ((room_above <= 0) & (gradient < 0))
+    step, is_solved = _solved_with_pinned(damped, gradient, pinned, torch.zeros_like(gradient))
+    open_problems = torch.arange(len(step), device=step.device)
+    for _ in range(_PASSES):
+        tried = step[open_problems]
+        below, above = room_below[open_problems], room_above[open_problems]
+        leads_out = (tried < below) | (tried > above)
+        again = leads_out.any(-1).nonzero()[:, 0]
+        if not len(again):
+            break
+        open_problems = open_problems[again]
+        pinned_here = pinned[open_problems] | leads_out[again]
+        pinned[open_problems] = pinned_here
+        held = torch.where(pinned_here, tried[again].clamp(below[again], above[again]), 0.0)
+        solved, is_fine = _solved_with_pinned(damped[open_problems], gradient[open_problems], pinned_here, held)
+        step[open_problems] = solved
+        is_solved[open_problems] &= is_fine
+    return step.clamp(room_below, room_above), is_solved
+
+
+def _solved_with_pinned(matrix: Tensor, gradient: Tensor, pinned: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
+    """The step whose pinned entries are those of `held` and whose others solve the rest."""
+    if not bool(pinned.any()):
+        return _solved(matrix, -gradient)
+    right = -gradient - (matrix @ held[..., None]).squeeze(-1)
+    is_open = (~pinned).to(matrix.dtype)
+    reduced = matrix * is_open[:, :, None] * is_open[:, None, :]
+    reduced.diagonal(dim1=-2, dim2=-1).add_(pinned.to(matrix.dtype))
+    step, is_solved = _solved(reduced, right * is_open)
+    return torch.where(pinned, held, step), is_solved
+
+
+def _solved(matrix: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
+    factor, info = torch.linalg.cholesky_ex(matrix)
+    step = torch.cholesky_solve(right[..., None], factor).squeeze(-1)
+    is_solved = (info == 0) & step.isfinite().all(-1)
+    return torch.where(is_solved[:, None], step, 0.0), is_solved

@@ -1,0 +1,141 @@
+"""A first pose for 21 points in space, in closed form: the palm placed as a rigid body, then angles from directions."""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchhand.geometry import rotation_from_vector
+from torchhand.hand import BONES, DOFS, FINGERS, JOINT_DOFS, HandKinematics
+
+PALM = (0, 5, 9, 13, 17)
+"""Wrist and knuckles: they move as one body but for the slight bend of the palm."""
+_ELSEWHERE = 1e-3  # weight of all other points, which tell the palm's orientation only where the palm does not
+_ROOT = len(DOFS) - len(JOINT_DOFS)
+
+
+def rigid_placement(
+    source: Float[Tensor, "*#batch n 3"], target: Float[Tensor, "*#batch n 3"], weight: Float[Tensor, "*#batch n"]
+) -> tuple[Float[Tensor, "*batch 3 3"], Float[Tensor, "*batch 3"], Float[Tensor, "*batch"]]:
+    """Rotation, translation and scale that put `source` onto `target` in weighted least squares (Kabsch, Umeyama).
+
+    target = rotation · source + translation; the scale is the factor that the turned source would still need.
+    """
+    total = weight.sum(-1).clamp_min(torch.finfo(weight.dtype).tiny)[..., None]
+    centre_source = (weight[..., None] * source).sum(-2) / total
+    centre_target = (weight[..., None] * target).sum(-2) / total
+    arms_source, arms_target = source - centre_source[..., None, :], target - centre_target[..., None, :]
+    left, singular, right = torch.linalg.svd((weight[..., None] * arms_target).mT @ arms_source)
+    sign = torch.ones_like(singular)
+    sign[..., 2] = torch.where(torch.linalg.det(left) * torch.linalg.det(right) < 0, -1.0, 1.0)
+    rotation = (left * sign[..., None, :]) @ right
+    spread = (weight * arms_source.square().sum(-1)).sum(-1)
+    scale = (singular * sign).sum(-1) / spread.clamp_min(torch.finfo(weight.dtype).tiny)
+    return rotation, centre_target - (rotation @ centre_source[..., None]).squeeze(-1), scale
+
+
+def palm_weight(is_known: Bool[Tensor, "*frames 21"]) -> Float[Tensor, "*frames 21"]:
+    """Weights for placing the hand: by its palm where three points of it are known, else by all points."""
+    is_palm = torch.zeros(is_known.shape[-1], dtype=torch.bool, device=is_known.device)
+    is_palm[list(PALM)] = True
+    has_palm = (is_known & is_palm).sum(-1, keepdim=True) >= 3
+    weight = torch.where(is_palm | ~has_palm, 1.0, _ELSEWHERE)
+    return (weight * is_known).to(torch.float64)
+
+
+def start_in_space(
+    kinematics: HandKinematics,
+    points: Float[Tensor, "frames 21 3"],
+    is_known: Bool[Tensor, "frames 21"],
+    shape: Float[Tensor, "shape"],
+    posture: Float[Tensor, "36"],
+) -> tuple[Float[Tensor, "frames 36"], Float[Tensor, "frames 3 3"], Float[Tensor, "frames"]]:
+    """Pose with a zero rotation vector, world_from_hand, and the size of the points' palm over that of the shape.
+
+    Exact for points without noise in so far as only wrist-side twists and bends of the palm are those of `posture`,
+    from which also come the angles whose points are missing. Angles lie within the limits.
+    """
+    rest = kinematics(posture, shape).keypoints
+    known = torch.where(is_known[..., None], points, 0.0)
+    rotation, translation, scale = rigid_placement(rest, known, palm_weight(is_known).to(points))
+    local = (known - translation[:, None]) @ rotation
+    if kinematics.side == "left":
+        local = local * local.new_tensor((1.0, 1.0, -1.0))
+    local = torch.where(is_known[..., None], local, torch.nan)
+    pose = posture.expand(len(points), -1).clone()
+    pose[:, :3] = translation
+    pose[:, 3:6] = 0
+    pose[:, _ROOT:] = _DigitAngles(kinematics, local, pose[:, _ROOT:]).found()
+    return pose, rotation, scale
+
+
+class _DigitAngles:
+    """Angles of the five digits from points in the frame of a right hand, joint after joint."""
+
+    def __init__(self, kinematics: HandKinematics, points: Tensor, joints: Tensor) -> None:
+        self.skeleton = kinematics.skeleton.to(dtype=points.dtype, device=points.device)
+        self.points = points
+        self.joints = joints.clone()
+
+    def found(self) -> Tensor:
+        for finger_number, finger in enumerate(FINGERS):
+            chain = self.points[:, 1 + 4 * finger_number : 5 + 4 * finger_number]
+            bones = (chain[:, 1:] - chain[:, :-1]).unbind(1)
+            if finger == "thumb":
+                frame = self._ball(finger, "cmc", "metacarpal", None, bones[0], bones[1:])
+                frame = self._ball(finger, "mcp", "proximal", frame, bones[1], bones[2:])
+                self._hinge(finger, "ip", "distal", frame, bones[2])
+                continue
+            frame = self._turned(f"{finger}_metacarpal", None)
+            frame = self._ball(finger, "mcp", "proximal", frame, bones[0], bones[1:])
+            frame = self._hinge(finger, "pip", "middle", frame, bones[1])
+            self._hinge(finger, "dip", "distal", frame, bones[2])
+        return self.joints
+
+    def _ball(
+        self, finger: str, joint: str, bone: str, parent: Tensor | None, along: Tensor, beyond: tuple[Tensor, ...]
+    ) -> Tensor:
+        """Abduction outside flexion: the bone's direction (-sin fe, cos fe cos aa, ± cos fe sin aa).
+
+        The further the joint is bent, the less the direction tells of the abduction; then the plane in which the next
+        bones bend does, whose normal is the flexion axis (0, ∓sin aa, cos aa).
+        """
+        abduction, flexion = JOINT_DOFS.index(f"{finger}_{joint}_aa"), JOINT_DOFS.index(f"{finger}_{joint}_fe")
+        side = torch.sign(self.skeleton.axis[abduction, 0])
+        rest = self._rest(f"{finger}_{bone}", parent)
+        x, y, z = self._unit(rest, along).unbind(-1)
+        far = sum(torch.where(b.isfinite(), b, 0.0) for b in beyond)
+        normal = torch.linalg.cross(self._unit(rest, along), self._unit(rest, far))
+        normal = torch.where(normal.isfinite(), normal, 0.0)
+        forwards, upwards = torch.where(y < 0, -1.0, 1.0), torch.where(normal[..., 2] < 0, -1.0, 1.0)
+        cosine = forwards * y + upwards * normal[..., 2]
+        sine = side * (forwards * z - upwards * normal[..., 1])
+        self._set(abduction, torch.atan2(sine, cosine))
+        turned = rotation_from_vector(-self.joints[:, abduction, None] * self.skeleton.axis[abduction])
+        x, y, _ = (turned @ torch.stack((x, y, z), -1)[..., None]).squeeze(-1).unbind(-1)
+        self._set(flexion, torch.atan2(-x, y))
+        return self._turned(f"{finger}_{bone}", parent)
+
+    def _hinge(self, finger: str, joint: str, bone: str, parent: Tensor, along: Tensor) -> Tensor:
+        x, y, _ = self._unit(self._rest(f"{finger}_{bone}", parent), along).unbind(-1)
+        self._set(JOINT_DOFS.index(f"{finger}_{joint}_fe"), torch.atan2(-x, y))
+        return self._turned(f"{finger}_{bone}", parent)
+
+    def _set(self, angle: int, value: Tensor) -> None:
+        within = value.clamp(self.skeleton.lower[angle], self.skeleton.upper[angle])
+        self.joints[:, angle] = torch.where(value.isfinite(), within, self.joints[:, angle])
+
+    def _rest(self, bone: str, parent: Tensor | None) -> Tensor:
+        rest = self.skeleton.rest_rotation[BONES.index(bone)]
+        return rest if parent is None else parent @ rest
+
+    def _unit(self, frame: Tensor, vector: Tensor) -> Tensor:
+        local = (frame.mT @ vector[..., None]).squeeze(-1)
+        return local / local.norm(dim=-1, keepdim=True)
+
+    def _turned(self, bone: str, parent: Tensor | None) -> Tensor:
+        """hand_from_bone with the angles found so far."""
+        rotation = self._rest(bone, parent)
+        own = [i for i in range(len(JOINT_DOFS)) if self.skeleton.bone[i] == BONES.index(bone)]
+        for i in sorted(own, key=lambda i: self.skeleton.order[i]):
+            rotation = rotation @ rotation_from_vector(self.joints[:, i, None] * self.skeleton.axis[i])
+        return rotation
