@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -100,6 +101,18 @@ def test_a_recording_is_played(tmp_path: Path) -> None:
     np.testing.assert_allclose(truth["pose"][:, column], [0.5, 0.75], rtol=0, atol=1e-9)
 
 
+def test_the_mesh_as_ordered(tmp_path: Path) -> None:
+    for surface in ("primitives", "mesh"):
+        order = ["--surface", surface, "--side", "left", "--random-hand", "--pictures", "png", *SMALL]
+        assert main(["--out", str(tmp_path / surface), *order]) == 0
+    assert json.loads((tmp_path / "mesh" / "about.json").read_text())["arguments"]["surface"] == "mesh"
+    quadrics, skin = (_truth(tmp_path / name) for name in ("primitives", "mesh"))
+    np.testing.assert_allclose(skin["keypoints3d"], quadrics["keypoints3d"], rtol=0, atol=1e-12)
+    names = (str(tmp_path / surface / "masks" / "0000.png") for surface in ("primitives", "mesh"))
+    one, other = (np.asarray(cv2.imread(name, cv2.IMREAD_GRAYSCALE)) > 0 for name in names)
+    assert 0.8 < (one & other).sum() / (one | other).sum() < 1
+
+
 def test_pictures_noise_and_video_as_ordered(tmp_path: Path) -> None:
     order = ["--noise", "0", "--blur-px", "0", "--shutter", "0.5", "--forearm", "--pictures", "png", "--video", *SMALL]
     assert main(["--out", str(tmp_path / "out"), *order]) == 0
@@ -117,6 +130,7 @@ def test_pictures_noise_and_video_as_ordered(tmp_path: Path) -> None:
         (["--fps", "0"], "--fps: expected 0.1 to 1000"),
         (["--pace", "nan"], "--pace: expected 0 to 20"),
         (["--motion", "dance"], "invalid choice 'dance'"),
+        (["--surface", "clay"], "invalid choice 'clay'"),
         (["--noise", "-1"], "noise: expected 0 to 100, got -1"),
         (["--shutter", "2"], "shutter: expected 0 to 1, got 2"),
         (["--recorded", "{tmp}/gone.txt"], "gone.txt: cannot be read (No such file"),

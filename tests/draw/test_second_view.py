@@ -77,3 +77,11 @@ def test_either_precision(dtype: torch.dtype) -> None:
     right = draw_second_view(PROJECTOR, _pose(), facing("back"), SIZE, turn_deg=-50.0)
     mirrored = _is_hand(right).flip(1)  # a left hand is the mirror image of the right one
     assert (_is_hand(view) ^ mirrored).double().mean() < 0.02
+
+
+def test_the_skin_is_drawn_where_a_hand_is_given() -> None:
+    hand = load_hand_model().hand(dtype=torch.float64)
+    quadrics, skin = (draw_second_view(PROJECTOR, _pose(), facing("back"), SIZE, hand=h) for h in (None, hand))
+    one, other = _is_hand(quadrics), _is_hand(skin)
+    assert 0.8 < float((one & other).sum() / (one | other).sum()) < 1
+    assert (quadrics != skin).any()

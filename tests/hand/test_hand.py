@@ -238,7 +238,11 @@ def test_transforms_of_torch_func(small_model: HandModel, generator: torch.Gener
     def points(pose: Tensor, shape: Tensor) -> Tensor:
         return hand(pose, shape).vertices
 
-    for dims, arguments in (((0, 0), (poses, shapes)), ((0, None), (poses, shapes[0])), ((None, 0), (poses[0], shapes))):
+    for dims, arguments in (
+        ((0, 0), (poses, shapes)),
+        ((0, None), (poses, shapes[0])),
+        ((None, 0), (poses[0], shapes)),
+    ):
         expected = torch.stack([points(arguments[0].expand(3, 36)[i], arguments[1].expand(3, -1)[i]) for i in range(3)])
         torch.testing.assert_close(torch.vmap(points, dims)(*arguments), expected, atol=1e-14, rtol=0)
     of_pose, of_shape = torch.vmap(torch.func.jacfwd(points, (0, 1)))(poses, shapes)
@@ -291,7 +295,9 @@ def test_wrong_dimensions_and_dtypes(small_model: HandModel) -> None:
         forward(hand, torch.zeros(2, 35, dtype=torch.float64))
     with pytest.raises(ValueError, match=r"shape: expected \d+ numbers in the last dimension, got shape \(3,\)"):
         forward(hand, pose, torch.zeros(3, dtype=torch.float64))
-    with pytest.raises(ValueError, match=r"pose: expected torch.float64, in which the hand computes, got torch.float32"):
+    with pytest.raises(
+        ValueError, match=r"pose: expected torch.float64, in which the hand computes, got torch.float32"
+    ):
         hand(pose.float())
     with pytest.raises(ValueError, match=r"shape: expected \d+ numbers in the last dimension, got shape \(4,\)"):
         Hand(torch.zeros(4), model=small_model)

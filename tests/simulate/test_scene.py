@@ -12,6 +12,8 @@ from torch import Tensor
 from torchhand.files import load_hand_model
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import place_primitives, posture
+from torchhand.hand.hand import Hand
+from torchhand.hand.posed_mesh import posed_mesh
 from torchhand.simulate import (
     BACKGROUNDS,
     SKIN_TONES,
@@ -24,6 +26,7 @@ from torchhand.simulate import (
     scripted_motion,
 )
 from torchhand.view import HandProjector, raycast
+from torchhand.view.surface import silhouette
 
 CAMERA = assumed_camera(120, 96, horizontal_fov_deg=48.0)
 KINEMATICS = load_hand_model().kinematics("right", dtype=torch.float64)
@@ -196,3 +199,28 @@ def test_backgrounds(kind: str) -> None:
 def test_wrong_settings_are_named(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         SceneSettings(**change)
+
+
+def test_the_mesh_can_be_drawn_instead_of_the_primitives() -> None:
+    """The same place and light, another surface; the mask is the mesh's own."""
+    hand = load_hand_model().hand(dtype=torch.float64)
+    motion = _motion("planar", (0,))
+    look = replace(FLAT, surface="mesh", shutter=0.5, supersampling=2)
+
+    def render(look: SceneSettings, hand: Hand | None) -> RenderedFrame:
+        return next(render_sequence(KINEMATICS, motion, CAMERA, look, torch.Generator().manual_seed(1), hand=hand))
+
+    quadrics, skin = render(replace(look, surface="primitives"), None), render(look, hand)
+    state = hand(motion.poses[0], root_reference=motion.root_reference)
+    assert torch.equal(skin.mask, silhouette(posed_mesh(hand, state), CAMERA))
+    torch.testing.assert_close(skin.keypoints_cam, quadrics.keypoints_cam, rtol=0, atol=1e-12)
+    differs = (_coverage(skin) - _coverage(quadrics)).abs()
+    assert 0 < float(differs.mean()) < 0.1 * float(_coverage(quadrics).mean())
+    assert torch.equal(render(look, hand).image, skin.image)
+
+
+def test_the_mesh_needs_a_hand_of_the_same_side() -> None:
+    look = SceneSettings(surface="mesh")
+    for hand, got in ((None, "none"), (load_hand_model().hand(side="left", dtype=torch.float64), "a left one")):
+        with pytest.raises(ValueError, match=f"hand: expected the right hand whose mesh is to be drawn, got {got}"):
+            next(render_sequence(KINEMATICS, _motion(), CAMERA, look, torch.Generator(), hand=hand))

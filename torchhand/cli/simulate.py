@@ -19,6 +19,8 @@ from torchhand.errors import InputError
 from torchhand.files import load_cameras, load_hand, load_hand_model
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import ShapeSpace, Side
+from torchhand.hand.hand import Hand
+from torchhand.hand.model import HandModel
 from torchhand.simulate import (
     SceneSettings,
     check_sequence_folder,
@@ -72,6 +74,8 @@ class Arguments:
     """Shape of the hand (hand.json)."""
     random_hand: bool = False
     """Another person's hand for every seed."""
+    surface: Literal["primitives", "mesh"] = "primitives"
+    """What is drawn of the hand: its 37 quadrics, or its skin."""
     background: Literal["plain", "dark", "wall", "clutter"] = "plain"
     """What is behind the hand."""
     skin: Literal["light", "medium", "brown", "dark"] = "light"
@@ -110,6 +114,7 @@ class Arguments:
     @property
     def look(self) -> SceneSettings:
         return SceneSettings(
+            surface=self.surface,
             background=self.background,
             skin=self.skin,
             noise=self.noise,
@@ -154,7 +159,8 @@ def _render(arguments: Arguments, look: SceneSettings) -> None:
         fps=arguments.fps,
         pace=arguments.pace,
     )
-    rendered = render_sequence(kinematics, motion, camera, look, generator, shape=shape)
+    hand = _skinned(model, side) if arguments.surface == "mesh" else None
+    rendered = render_sequence(kinematics, motion, camera, look, generator, shape=shape, hand=hand)
     given = {name: value for name, value in asdict(arguments).items() if name not in ("out", "overwrite", "threads")}
     about = {name: str(value) if isinstance(value, Path) else value for name, value in given.items()}
     write_sequence(
@@ -170,6 +176,12 @@ def _render(arguments: Arguments, look: SceneSettings) -> None:
         about={"torchhand": torchhand.__version__, "hand": side, "motion": motion.name, "arguments": about},
         measures={"flexion_deg": flexion_deg},
     )
+
+
+def _skinned(model: HandModel, side: Side) -> Hand:
+    if model.mesh is None:
+        raise InputError(f"--surface mesh: the hand model {model.name!r} has no mesh (mesh.npz in its folder)")
+    return model.hand(side=side, dtype=torch.float64)
 
 
 def _hand(arguments: Arguments, space: ShapeSpace, generator: torch.Generator) -> tuple[Side, Tensor]:

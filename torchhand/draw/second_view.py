@@ -10,7 +10,10 @@ from torch import Tensor
 
 from torchhand.geometry import assumed_camera, rotation_from_vector
 from torchhand.hand import place_primitives
-from torchhand.view import HandProjector, raycast, shade
+from torchhand.hand.hand import Hand
+from torchhand.hand.posed_mesh import posed_mesh
+from torchhand.view import HandProjector, shade
+from torchhand.view.surface import Surface, cast
 
 TURN_DEG = 50.0
 """How far the second camera stands to the right of the first, seen from the hand's middle."""
@@ -30,14 +33,21 @@ def draw_second_view(
     size: int,
     *,
     turn_deg: float = TURN_DEG,
+    hand: Hand | None = None,
 ) -> UInt8[Tensor, "{size} {size} 3"]:
     """A shaded RGB picture of the hand alone, square.
 
     The second camera is upright as the first is, has gone to the right round the hand by `turn_deg` about the vertical
     axis, and always looks at the middle of the hand from the same distance: only posture and orientation are seen.
+    The skin of `hand` is drawn where that is given (of the projector's side and dtype), else the primitives.
     """
     kinematics = projector.kinematics
     frames = projector.frames(pose, root_reference)
+    surface: Surface
+    if hand is None:
+        surface = place_primitives(frames, projector.sizes, is_left=kinematics.side == "left")
+    else:
+        surface = posed_mesh(hand, hand(pose, projector.shape, root_reference=root_reference))
     length = kinematics.shape_space.metric(projector.shape)["hand_length"]
     middle = frames.position[0] + _MIDDLE * length * frames.rotation[0][:, 1]
     camera = assumed_camera(size, size, horizontal_fov_deg=_FOV_DEG, dtype=pose.dtype)
@@ -47,9 +57,8 @@ def draw_second_view(
     translation = -(rotation @ middle)
     translation[2] += distance
     camera = replace(camera, rotation=rotation, translation=translation)
-    cast = raycast(place_primitives(frames, projector.sizes, is_left=kinematics.side == "left"), camera)
     paper = torch.tensor(PAPER, dtype=torch.uint8).expand(size, size, 3)
-    return _smoothed(shade(cast, background=paper))
+    return _smoothed(shade(cast(surface, camera), background=paper))
 
 
 def _smoothed(picture: UInt8[Tensor, "size size 3"]) -> UInt8[Tensor, "size size 3"]:

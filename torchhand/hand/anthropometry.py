@@ -115,7 +115,6 @@ class Anthropometry:
 
         Differentiable almost everywhere.
         """
-        names = self.space.names
         parameters = list(shape.clamp(self.space.lower.to(shape), self.space.upper.to(shape)).unbind(-1))
         for index, std, body in self._blocks:
             scale = std.to(shape)
@@ -125,7 +124,6 @@ class Anthropometry:
             for place, value in zip(index, torch.where(is_inside, shape[..., index], near).unbind(-1), strict=True):
                 low, high = (float(limit[place]) for limit in (self.space.lower, self.space.upper))
                 parameters[place] = value.clamp(low, high)
-        assert len(parameters) == len(names)
         return torch.stack(parameters, -1)
 
     def violation(self, shape: Float[Tensor, "*batch shape"]) -> Violation:

@@ -13,11 +13,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.geometry import exponential_coefficients
-from torchhand.geometry.batch_last import compose, cross, turn, turn_back
+from torchhand.geometry.batch_last import compose, cross, turn
+from torchhand.hand.chain_compiled import place_chain_compiled
 from torchhand.hand.chain_constants import HINGES, ChainConstants
-from torchhand.hand.chain_plain import place_chain_plainly
-from torchhand.hand.joint_rotations import free_axes as _free_axes
-from torchhand.hand.joint_rotations import local_rotations
+from torchhand.hand.chain_gradients import chain_gradients, column_spin
+from torchhand.hand.joint_rotations import free_axes, local_rotations
 
 _LEVELS = ((0, 1, 1, 6), (1, 6, 6, 11), (6, 11, 11, 16), (12, 16, 16, 20))
 """First and last-but-one of the parents, then of the bones of each level; the thumb ends one level early."""
@@ -37,7 +37,7 @@ def place_chain(
     that stays a rotation. levers: the offset at the end of every bone in that bone's frame, in the order of LEVER_ENDS.
     """
     if torch.compiler.is_compiling():
-        return place_chain_plainly(pose, reference, levers, constants)
+        return place_chain_compiled(pose, reference, levers, constants)
     if torch.is_inference_mode_enabled() and not torch._C._are_functorch_transforms_active():
         return _Chain.forward(pose, reference, levers, constants)  # no derivative can be asked for
     return _Chain.apply(pose, reference, levers, constants)
@@ -79,43 +79,18 @@ class _Chain(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, Tensor | None, Tensor | None, None]:
-        """Virtual work: forces on the points and moments on the bones, gathered from the tips to the root."""
         pose, reference, levers, rotation, position, keypoints = ctx.saved_tensors
-        constants: ChainConstants = ctx.constants
-        of_rotation, of_position, of_keypoints = gradients
-        points = torch.cat((position, keypoints[4:5], keypoints[8::4]))
-        force = _forces(points, of_position, of_keypoints, constants)
-        moment = cross(points, force)  # about the world's origin
-        if of_rotation is not None:
-            spin = _spin(rotation, of_rotation)
-            moment = torch.cat((moment[:20] + spin, moment[20:]))
-        wrench = torch.cat((force, moment), 1)
-        tips = wrench[20:]
-        fourth = wrench[16:20] + tips[1:]
-        third = wrench[11:16] + torch.cat((tips[:1], fourth))
-        second = wrench[6:11] + third
-        first = wrench[1:6] + second
-        whole = wrench[0] + first.sum(0)
-        borne = torch.cat((first, second, third, fourth))  # by the joint at the origin of each bone
-        about = borne[:, 3:] - cross(position[1:], borne[:, :3])
-        of_angles = _angle_work(turn_back(rotation[1:], about), pose, constants)
-        of_root = whole[3:] - cross(position[:1], whole[None, :3])[0]
-        vector = pose[3:6]
-        along, second_order, third_order = exponential_coefficients((vector * vector).sum(0))
-        once = cross(vector[None], of_root[None])[0]
-        twice = cross(vector[None], once[None])[0]
-        of_vector = of_root - second_order * once + third_order * twice
-        of_pose = torch.cat((whole[:3], of_vector, of_angles))
-        of_reference = None
-        if reference is not None and ctx.needs_input_grad[1]:
-            before = of_root - along * once + second_order * twice  # expᵀ · moment
-            of_reference = 0.5 * torch.stack([cross(before[None], reference[None, :, j])[0] for j in range(3)], 1)
-            of_reference = _shrunk(of_reference, reference)
-        of_levers = None
-        if ctx.needs_input_grad[2]:
-            pulled = torch.cat((borne[:, :3], tips[:, :3])).index_select(0, constants.lever_ends - 1)
-            of_levers = torch.cat((turn_back(rotation[:1], pulled[:5]), turn_back(rotation[1:], pulled[5:])))
-            of_levers = _shrunk(of_levers, levers)
+        _, needs_reference, needs_levers, _ = ctx.needs_input_grad
+        of_pose, of_reference, of_levers = chain_gradients(
+            pose,
+            reference,
+            levers,
+            (rotation, position, keypoints),
+            ctx.constants,
+            gradients,
+            needs_reference=needs_reference,
+            needs_levers=needs_levers,
+        )
         return of_pose, of_reference, of_levers, None
 
     @staticmethod
@@ -130,7 +105,7 @@ class _Chain(torch.autograd.Function):
         once = cross(vector[None], rate[None])[0]
         root_spin = rate + second_order * once + third_order * cross(vector[None], once[None])[0]
         if reference is not None and along_reference is not None:
-            own = 0.5 * _spin(reference[None], along_reference[None])[0]
+            own = 0.5 * column_spin(reference[None], along_reference[None])[0]
             turned = cross(vector[None], own[None])[0]
             root_spin = root_spin + own + first_order * turned + second_order * cross(vector[None], turned[None])[0]
         relative = turn(rotation[1:], _angle_rates(along_pose, pose, constants))
@@ -192,39 +167,9 @@ def _exponential(vector: Tensor, constants: ChainConstants) -> Tensor:
     return torch.addmm(constants.identity, constants.root_rotation, basis).unflatten(0, (3, 3))
 
 
-def _angle_work(moment: Tensor, pose: Tensor, constants: ChainConstants) -> Tensor:
-    """Components of the moments (19, 3, n), in the bones' frames, about the axes of the thirty angles."""
-    of_hinges = (constants.hinge_axis * torch.cat((moment[1:5], moment[10:]))).sum(1)
-    of_free = (_free_axes(pose, constants) * torch.cat((moment[:1], moment[5:10]))[:, None]).sum(2)
-    return torch.cat((of_hinges, of_free.flatten(0, 1))).index_select(0, constants.angle_rows)
-
-
 def _angle_rates(along_pose: Tensor, pose: Tensor, constants: ChainConstants) -> Tensor:
     """Angular velocity of every bone relative to its parent, in the bone's frame: (19, 3, n)."""
     rates = along_pose.index_select(0, constants.angles)
     hinge = constants.hinge_axis * rates[:_HINGES, None]
-    free = (_free_axes(pose, constants) * rates[_HINGES:].unflatten(0, (-1, 3))[:, :, None]).sum(1)
+    free = (free_axes(pose, constants) * rates[_HINGES:].unflatten(0, (-1, 3))[:, :, None]).sum(1)
     return torch.cat((free[:1], hinge[:4], free[1:], hinge[4:]))
-
-
-def _forces(
-    points: Tensor, of_position: Tensor | None, of_keypoints: Tensor | None, constants: ChainConstants
-) -> Tensor:
-    if of_keypoints is None:
-        force = torch.zeros_like(points)
-    else:
-        padded = torch.cat((of_keypoints, torch.zeros_like(of_keypoints[:1])))
-        force = padded.index_select(0, constants.point_keypoints)
-    if of_position is None:
-        return force
-    return torch.cat((force[:20] + of_position, force[20:]))
-
-
-def _spin(rotation: Tensor, change: Tensor) -> Tensor:
-    """Sum of the cross products of the columns of two matrices (bones, 3, 3, n)."""
-    (x, y, z), (dx, dy, dz) = rotation.unbind(1), change.unbind(1)
-    return torch.stack(((y * dz - z * dy).sum(1), (z * dx - x * dz).sum(1), (x * dy - y * dx).sum(1)), 1)
-
-
-def _shrunk(gradient: Tensor, like: Tensor) -> Tensor:
-    return gradient.sum(-1, keepdim=True) if like.shape[-1] == 1 and gradient.shape[-1] != 1 else gradient

@@ -124,7 +124,7 @@ class PoseConstraints:
             angles[aa] = joints[..., aa].clamp(lower[aa] * room[..., i], upper[aa] * room[..., i])
         if self.settings.ties == "hard":
             for tie in TIES:
-                source, target = (self._limits(index) for index in (tie.source, tie.target))
+                source, target = (self.limits(index) for index in (tie.source, tie.target))
                 angles[tie.source], angles[tie.target] = nearest_on_tie(
                     joints[..., tie.source], joints[..., tie.target], tie, source, target
                 )
@@ -164,7 +164,7 @@ class PoseConstraints:
     def tied_angle(self, index: int, joints: Float[Tensor, "*batch 30"]) -> Float[Tensor, "*batch"]:
         """What tie number `index` asks of the angle that follows: within its limits, the corners of the clamp exact."""
         tie = TIES[index]
-        return (tie.factor * joints[..., tie.source] + tie.offset).clamp(*self._limits(tie.target))
+        return (tie.factor * joints[..., tie.source] + tie.offset).clamp(*self.limits(tie.target))
 
     def penalty(self, pose: Float[Tensor, "*batch 36"]) -> Float[Tensor, "*batch"]:
         """`wall` plus `tie_energy`: a smooth cost without unit."""
@@ -191,13 +191,13 @@ class PoseConstraints:
         width = math.radians(2.0)
         energy = torch.zeros_like(joints[..., 0])
         for tie, spread in zip(TIES, self.settings.tie_spread, strict=True):
-            low, high = self._limits(tie.target)
+            low, high = self.limits(tie.target)
             wanted = tie.factor * joints[..., tie.source] + tie.offset
             wanted = low + _rounded(wanted - low, width) - _rounded(wanted - high, width)
             energy = energy + 0.5 * ((joints[..., tie.target] - wanted) / spread).square()
         return energy
 
-    def _limits(self, index: int) -> tuple[float, float]:
+    def limits(self, index: int) -> tuple[float, float]:
         return float(self.skeleton.lower[index]), float(self.skeleton.upper[index])
 
 

@@ -42,6 +42,12 @@ def _moved_by(bone: int) -> tuple[int, ...]:
     return tuple(i for i in turning if _bone_of(KEYPOINTS[i]) != bone or KEYPOINTS[i].endswith("tip"))
 
 
+KEYPOINT_BONES = tuple(
+    _bone_of(name) if name == "wrist" or name.endswith("tip") else PARENTS[_bone_of(name)] for name in KEYPOINTS
+)
+"""The bone that each keypoint is the end of: all that moves the keypoint moves that bone."""
+
+
 class PoseJacobian:
     """d keypoints / d free for pose = basis · free + constant, with all that does not change multiplied out once.
 

@@ -12,6 +12,7 @@ from torchhand.hand.mesh import HandMesh
 from torchhand.hand.model import HandModel
 from torchhand.modelling.field import HandField
 from torchhand.modelling.surface import projected
+from torchhand.modelling.diffusion import Diffusion
 
 CORRECTED = (
     *("thumb_cmc_fe", "thumb_cmc_aa", "thumb_cmc_tw", "thumb_mcp_fe", "thumb_ip_fe"),
@@ -25,7 +26,9 @@ CORRECTED = (
 
 _ANGLES = 9  # samples over each angle's range
 _LONGEST = 6e-3  # metres; longer offsets come from a projection that went astray
-_LEAST = 2e-5  # smaller offsets are dropped
+_EVENING = 1.5e-3  # metres over which offsets are evened out
+_RIDGE = 0.03  # keeps the two features apart where an angle has a small range
+_LEAST = 5e-5  # smaller offsets are dropped
 
 
 def with_correctives(model: HandModel, mesh: HandMesh) -> HandMesh:
@@ -40,23 +43,23 @@ def with_correctives(model: HandModel, mesh: HandMesh) -> HandMesh:
 
 def _of_angle(hand: Hand, mesh: HandMesh, dof: int) -> Float[Tensor, "vertices 3 2"]:
     skeleton, row = hand.kinematics.skeleton, len(ROOT_DOFS) + dof
-    shape = hand.kinematics.default_shape
-    level = HandField(hand.kinematics.shape_space, hand.kinematics(mesh.bind_pose), shape)(mesh.vertices)
+    space, shape = hand.kinematics.shape_space, hand.kinematics.default_shape
+    even = Diffusion(mesh.vertices, mesh.faces)
+    level = HandField(space, hand.kinematics(mesh.bind_pose), shape)(mesh.vertices)
     angles = torch.linspace(float(skeleton.lower[dof]), float(skeleton.upper[dof]), _ANGLES, dtype=torch.float64)
     offsets, features = [], []
     for angle in angles:
         pose = mesh.bind_pose.clone()
         pose[row] = angle
         state = hand(pose)
-        field = HandField(hand.kinematics.shape_space, state.frames, shape)
-        wanted = projected(field, state.vertices, level, rounds=10) - state.vertices
+        wanted = projected(HandField(space, state.frames, shape), state.vertices, level, rounds=8) - state.vertices
         length = wanted.norm(dim=-1, keepdim=True).clamp_min(1e-12)
-        wanted = wanted * (length.clamp_max(_LONGEST) / length)
+        wanted = even(wanted * (length.clamp_max(_LONGEST) / length), _EVENING)
         offsets.append(wanted @ state.frames.rotation[skeleton.bone[dof]])  # into the bone's frame
         bend = angle - mesh.bind_pose[row]
         features.append(torch.stack((bend.sin(), 1 - bend.cos())))
     matrix = torch.stack(features)
-    ridge = 1e-3 * torch.eye(2, dtype=matrix.dtype)
+    ridge = _RIDGE * torch.eye(2, dtype=matrix.dtype)
     solution = torch.linalg.solve(matrix.T @ matrix + ridge, matrix.T @ torch.stack(offsets).flatten(1))
     basis = solution.unflatten(-1, (-1, 3)).permute(1, 2, 0)
     return torch.where(basis.norm(dim=(1, 2), keepdim=True) > _LEAST, basis, 0.0)

@@ -10,9 +10,9 @@ from torchhand.hand import BONES, ELLIPSOID_NAMES, FINGERS, HandFrames, ShapeSpa
 from torchhand.modelling.distances import blended, ellipsoid, round_cone
 
 # Widths of the fillets where two parts meet, shares of hand breadth.
-_FILLETS = {"knuckle": 0.08, "thumb": 0.13, "digits": 0.02, "joints": 0.01, "pads": 0.03, "palm": 0.10}
+_FILLETS = {"knuckle": 0.06, "thumb": 0.12, "digits": 0.02, "joints": 0.01, "pads": 0.03, "palm": 0.08}
 _SECTION_POWER = 2.1  # the palm's section is a little fuller than an ellipse
-_PALM_SHRINK = 0.93
+_PALM_SHRINK = (0.86, 0.975)
 
 
 class HandField:
@@ -70,7 +70,7 @@ class HandField:
         if thumb:
             start = self._at("thumb_metacarpal", 0.0, 0.25 * m["thumb_metacarpal"], 0.0)
             end = self._at("thumb_proximal", 0.0, 0.0, 0.0)
-            base = round_cone(points, start, end, 0.8 * m["thumb_thenar_radius"], radii[0])
+            base = round_cone(points, start, end, 0.62 * m["thumb_thenar_radius"], radii[0])
             return blended(whole, base, self._fillet["pads"])
         return blended(whole, self._ball(points, f"{finger}_mcp", f"{finger}_proximal"), self._fillet["pads"])
 
@@ -84,16 +84,22 @@ class HandField:
         thenar = self._ball(points, "thumb_thenar", "thumb_metacarpal")
         return blended(self._palm_without_thumb(points), thenar, self._fillet["palm"])
 
+    def _knuckle(self, finger: str, rise: Tensor) -> tuple[Tensor, ...]:
+        """The knuckle in the frame of its metacarpal, raised by so much to the back of the hand."""
+        rotation, position = self._bone(f"{finger}_metacarpal")
+        local = rotation.T @ (self._bone(f"{finger}_proximal")[1] - position)
+        return local[0] + rise, local[1], local[2]
+
     def _palm_without_thumb(self, points: Tensor) -> Tensor:
         m, breadth, length = self._metric, self._metric["hand_breadth"], self._metric["hand_length"]
         whole = self._palm_body(points)
         for finger in FINGERS[1:]:
             bone, radius = f"{finger}_metacarpal", m[f"{finger}_mcp_radius"]
-            start, end = self._at(bone, 0.02 * breadth, 0.02 * length, 0.0), self._at(f"{finger}_proximal", 0.015*breadth, 0.0, 0.0)
-            whole = blended(whole, round_cone(points, start, end, 0.10 * breadth, 1.0 * radius), self._fillet["pads"])
+            start, end = self._at(bone, 0.01 * breadth, 0.03 * length, 0.0), self._at(f"{finger}_metacarpal", *self._knuckle(finger, 0.036 * breadth))
+            whole = blended(whole, round_cone(points, start, end, 0.085 * breadth, 1.05 * radius), self._fillet["pads"])
         little = "little_metacarpal"
-        axes = torch.stack((0.13 * breadth, 0.15 * length, 0.14 * breadth))
-        heel = ellipsoid(points, self._at(little, -0.075 * breadth, 0.12 * length, 0.06 * breadth), self._bone(little)[0], axes)
+        axes = torch.stack((0.125 * breadth, 0.15 * length, 0.14 * breadth))
+        heel = ellipsoid(points, self._at(little, -0.055 * breadth, 0.12 * length, 0.06 * breadth), self._bone(little)[0], axes)
         whole = blended(whole, heel, self._fillet["palm"])
         # the hollow of the palm
         axes = torch.stack((0.16 * breadth, 0.15 * length, 0.15 * breadth))
@@ -107,22 +113,14 @@ class HandField:
         length, scale = s.cone_length[0], s.cone_end_scale[0]
         before, after = s.ellipsoid_axes[1, 1], s.ellipsoid_axes[0, 1]
 
-        def section(x: Tensor) -> Tensor:
-            local = (x - origin) @ turn
-            y = local[:, 1]
-            axes = s.cone_start[0] * (1 + (scale - 1) * (y / length).clamp(0, 1))[:, None] * _PALM_SHRINK
-            across = (local[:, ::2] / axes).abs().clamp_min(1e-9)
-            ring = across.pow(_SECTION_POWER).sum(-1).pow(1 / _SECTION_POWER)
-            beyond = (y - length).clamp_min(0) / after + (-y).clamp_min(0) / before
-            return (ring.square() + beyond.square()).sqrt() - 1
-
-        return first_order(section, points)
-
-
-def first_order(function: Callable[[Tensor], Tensor], points: Float[Tensor, "points 3"]) -> Float[Tensor, "points"]:
-    """The distance to the zero of a function, to first order: value over slope."""
-    with torch.enable_grad():
-        x = points.detach().requires_grad_()
-        value = function(x)
-        (slope,) = torch.autograd.grad(value.sum(), x)
-    return value.detach() / slope.norm(dim=-1).clamp_min(1e-9)
+        local = (points - origin) @ turn
+        y = local[:, 1]
+        axes = s.cone_start[0] * (1 + (scale - 1) * (y / length).clamp(0, 1))[:, None] * points.new_tensor(_PALM_SHRINK)
+        across = (local[:, ::2] / axes).abs().clamp_min(1e-9)
+        ring = across.pow(_SECTION_POWER).sum(-1).pow(1 / _SECTION_POWER)
+        beyond = (y - length).clamp_min(0) / after + (-y).clamp_min(0) / before
+        value = (ring.square() + beyond.square()).sqrt()
+        # Slope of the value, but for the taper: distance to first order is value over slope.
+        sideways = (across / ring[:, None]).pow(_SECTION_POWER - 1) / axes * (ring / value)[:, None]
+        cap = torch.where(y > length, 1 / after, 1 / before) * beyond / value
+        return (value - 1) / (sideways.square().sum(-1) + cap.square()).sqrt()

@@ -15,7 +15,7 @@ _STEP = 0.0015  # metres, of the grid on which the surface is found
 _MARGIN = 0.03
 _ROUNDS = 20  # of the remeshing
 _CHUNK = 200_000
-_DIFFERENCE = 1e-5  # metres
+_EVENING = 3  # rounds
 _LONGEST_MOVE = 2e-3  # metres, of one Newton step
 
 
@@ -52,29 +52,31 @@ def even_mesh(
 
 
 def balanced(
-    field: Field, vertices: Float[Tensor, "vertices 3"], faces: Int[Tensor, "faces 3"], *, rounds: int = 6
+    field: Field, vertices: Float[Tensor, "vertices 3"], faces: Int[Tensor, "faces 3"], *, rounds: int = 4
 ) -> Float[Tensor, "vertices 3"]:
-    """The vertices moved along the field's gradient until corners and middles of the triangles lie about it evenly.
+    """The vertices moved along the field's gradient until the mesh encloses about as much as the field does.
 
-    A mesh whose corners lie on a round surface is too thin: its triangles cut the curve.
+    A mesh whose corners lie on a round surface is too thin: its triangles cut the curve. On a sphere they lack on
+    average three quarters of what their middles lack, and by so much the corners are raised, evened out over the
+    neighbourhood.
     """
+    level = torch.zeros(len(vertices), dtype=vertices.dtype)
     for _ in range(rounds):
-        middles = field(vertices[faces].mean(1))
-        sums = torch.zeros(len(vertices), dtype=vertices.dtype)
-        counts = torch.zeros_like(sums)
-        for corner in range(3):
-            sums.index_add_(0, faces[:, corner], middles)
-            counts.index_add_(0, faces[:, corner], torch.ones_like(middles))
-        error = 0.5 * (field(vertices) + sums / counts)
-        vertices = vertices - error[:, None] * direction(field, vertices)
-    return vertices
+        vertices = projected(field, vertices, level)
+        lack = _spread(-3 * field(vertices[faces].mean(1)) - level[faces].mean(1), faces, len(vertices))
+        for _ in range(_EVENING):
+            lack = _spread(lack[faces].mean(1), faces, len(vertices))
+        level = level + 0.25 * lack
+    return projected(field, vertices, level)
 
 
-def direction(field: Field, points: Float[Tensor, "points 3"]) -> Float[Tensor, "points 3"]:
-    """Unit gradient of the field, by central differences."""
-    steps = _DIFFERENCE * torch.eye(3, dtype=points.dtype)
-    gradient = torch.stack([field(points + step) - field(points - step) for step in steps], -1)
-    return gradient / gradient.norm(dim=-1, keepdim=True).clamp_min(1e-12)
+def _spread(values: Float[Tensor, "faces"], faces: Int[Tensor, "faces 3"], count: int) -> Float[Tensor, "vertices"]:
+    """Mean over the faces of each vertex."""
+    sums, faces_met = torch.zeros(2, count, dtype=values.dtype)
+    for corner in faces.unbind(1):
+        sums.index_add_(0, corner, values)
+        faces_met.index_add_(0, corner, torch.ones_like(values))
+    return sums / faces_met
 
 
 def projected(
@@ -82,6 +84,9 @@ def projected(
 ) -> Float[Tensor, "points 3"]:
     """The points moved along the gradient to where the field has the given levels."""
     for _ in range(rounds):
-        error = (field(points) - level).clamp(-_LONGEST_MOVE, _LONGEST_MOVE)
-        points = points - error[:, None] * direction(field, points)
-    return points
+        points = points.detach().requires_grad_()
+        value = field(points)
+        (gradient,) = torch.autograd.grad(value.sum(), points)
+        error = (value.detach() - level).clamp(-_LONGEST_MOVE, _LONGEST_MOVE)
+        points = points - error[:, None] * torch.nn.functional.normalize(gradient, dim=-1)
+    return points.detach()

@@ -1,14 +1,11 @@
 """Skinning weights by diffusion over the surface: which bones carry a vertex, and by how much."""
 
-import numpy as np
-import scipy.sparse as sparse
 import torch
-from gpytoolbox import cotangent_laplacian, massmatrix
 from jaxtyping import Float, Int
-from scipy.sparse.linalg import factorized
 from torch import Tensor
 
 from torchhand.hand import BONES, FINGERS, HandFrames, ShapeSpace
+from torchhand.modelling.diffusion import Diffusion
 from torchhand.modelling.field import HandField
 
 INFLUENCES = 4
@@ -34,14 +31,14 @@ def skin_weights(
     """
     metric = space.metric(shape)
     beyond = _parts(HandField(space, frames, shape), frames, vertices)
-    diffuse = _Diffusion(vertices, faces)
+    diffuse = Diffusion(vertices, faces)
     weights = torch.zeros(len(vertices), len(BONES), dtype=torch.float64)
     left = torch.ones(len(vertices), dtype=torch.float64)
     for finger in FINGERS:
         thumb = finger == "thumb"
         chain = ("metacarpal", "proximal", "distal") if thumb else ("proximal", "middle", "distal")
         zones = (_THUMB_ZONE, _KNUCKLE_ZONE, _JOINT_ZONE) if thumb else (_KNUCKLE_ZONE, _JOINT_ZONE, _JOINT_ZONE)
-        shares = [diffuse(beyond[f"{finger}_{bone}"], zone) for bone, zone in zip(chain, zones, strict=True)]
+        shares = [diffuse(beyond[f"{finger}_{bone}"], zone).clamp(0, 1) for bone, zone in zip(chain, zones, strict=True)]
         shares = [*shares, torch.zeros_like(left)]
         left = left - shares[0]
         for i, bone in enumerate(chain):
@@ -88,20 +85,3 @@ def _palm(frames: HandFrames, metric: dict[str, Tensor], vertices: Tensor) -> Te
         shares[:, BONES.index(f"{finger}_metacarpal")] = up * kernel[:, i]
     shares[:, 0] = 1 - up
     return shares
-
-
-class _Diffusion:
-    """Implicit heat flow on the mesh; order of its arguments and the range from 0 to 1 are kept."""
-
-    def __init__(self, vertices: Tensor, faces: Tensor) -> None:
-        corners, triangles = vertices.numpy(), faces.int().numpy()
-        self._stiffness = cotangent_laplacian(corners, triangles)
-        self._mass = massmatrix(corners, triangles, type="voronoi")
-
-    def __call__(self, values: Tensor, width: float) -> Tensor:
-        steps = 4
-        solve = factorized(sparse.csc_matrix(self._mass + width * width / steps * self._stiffness))
-        result = values.numpy()
-        for _ in range(steps):
-            result = solve(self._mass @ result)
-        return torch.from_numpy(np.clip(result, 0, 1))

@@ -93,6 +93,10 @@ class LeastSquares:
     on_bound: Bool[Tensor, "*batch n"]
     """Values that lie on a bound."""
 
+    def rows(self, rows: Int[Tensor, "k"]) -> "LeastSquares":
+        """The given problems of a batch with one dimension."""
+        return LeastSquares(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
+
     @property
     def converged(self) -> Bool[Tensor, "*batch"]:
         return self.status == Status.CONVERGED

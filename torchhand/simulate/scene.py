@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import cv2
 import torch
@@ -12,11 +12,15 @@ from torch import Tensor
 
 from torchhand.geometry import Camera
 from torchhand.hand import HandFrames, HandKinematics, place_primitives
+from torchhand.hand.hand import Hand
+from torchhand.hand.posed_mesh import posed_mesh
 from torchhand.simulate.backgrounds import BACKGROUNDS, BackgroundKind, background_picture
 from torchhand.simulate.forearm import cast_forearm, forearm_corners, pixel_box
 from torchhand.simulate.motion import Motion
-from torchhand.view import HandProjector, Raycast, raycast, shade
+from torchhand.view import HandProjector, Raycast, shade
+from torchhand.view.surface import Surface, cast
 
+SurfaceKind = Literal["primitives", "mesh"]
 SkinTone = Literal["light", "medium", "brown", "dark"]
 SKIN_TONES: dict[SkinTone, tuple[float, float, float]] = {
     "light": (0.92, 0.71, 0.60),
@@ -33,6 +37,8 @@ _REACH = 0.25  # no point of the hand is further from the box of the keypoints, 
 class SceneSettings:
     """How the pictures look."""
 
+    surface: SurfaceKind = "primitives"
+    """primitives (the 37 quadrics) or mesh (the skinned one)"""
     background: BackgroundKind = "plain"
     """plain, dark, wall or clutter"""
     skin: SkinTone = "light"
@@ -55,7 +61,8 @@ class SceneSettings:
     """A bare forearm of the same colour goes on from the wrist."""
 
     def __post_init__(self) -> None:
-        for name, allowed in (("background", tuple(BACKGROUNDS)), ("skin", tuple(SKIN_TONES))):
+        choices = (("surface", get_args(SurfaceKind)), ("background", tuple(BACKGROUNDS)), ("skin", tuple(SKIN_TONES)))
+        for name, allowed in choices:
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name}: expected one of {', '.join(allowed)}, got {getattr(self, name)!r}")
         ranges = {"noise": (0, 100), "blur_px": (0, 50), "shutter": (0, 1), "ambient": (0, 1)}
@@ -89,29 +96,55 @@ def render_sequence(
     generator: torch.Generator,
     *,
     shape: Float[Tensor, "shape"] | None = None,
+    hand: Hand | None = None,
 ) -> Iterator[RenderedFrame]:
     """The frames of a motion, one after the other; computed in the dtype of the kinematics (float64 for an exact mask).
 
     The picture integrates light over each pixel's area (supersampling), then over the shutter's time; then come the
     lens's blur and the sensor's noise. Mask and keypoints belong to the middle of the exposure. The same seed gives the
     same sequence bit for bit; a frame's noise depends on the frames before it.
+
+    hand: of the same side and dtype as the kinematics, for a look whose surface is the mesh; it gets `shape`.
     """
+    if look.surface == "mesh" and (hand is None or hand.side != kinematics.side):
+        got = "none" if hand is None else f"a {hand.side} one"
+        raise ValueError(f"hand: expected the {kinematics.side} hand whose mesh is to be drawn, got {got}")
     dtype = kinematics.default_shape.dtype
     camera = camera.to(dtype=dtype)
     behind = background_picture(look.background, camera.width, camera.height, generator)
     projector = HandProjector(kinematics, camera, None if shape is None else shape.to(dtype))
     reference = motion.root_reference.to(dtype)
+    drawn = hand if look.surface == "mesh" else None
     for index in range(len(motion.poses)):
-        moments = [projector.frames(pose.to(dtype), reference) for pose in _poses_while_open(motion.poses, index, look)]
-        image = torch.stack([_exposed(projector, frames, behind, look) for frames in moments]).mean(0)
-        frames = projector.frames(motion.poses[index].to(dtype), reference)
+        moments = _poses_while_open(motion.poses, index, look)
+        exposed = [_exposed(projector, _posed(projector, drawn, pose, reference), behind, look) for pose in moments]
+        posed = _posed(projector, drawn, motion.poses[index], reference)
         yield RenderedFrame(
             index=index,
-            image=_developed(image, look, generator),
-            mask=_cast(projector, frames, camera, look).part >= 0,
-            keypoints_cam=camera.cam_from_world(frames.keypoints),
-            keypoints_px=camera.project(frames.keypoints),
+            image=_developed(torch.stack(exposed).mean(0), look, generator),
+            mask=_cast(projector, posed, camera, look).part >= 0,
+            keypoints_cam=camera.cam_from_world(posed.frames.keypoints),
+            keypoints_px=camera.project(posed.frames.keypoints),
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Posed:
+    """A hand at one moment, in the world."""
+
+    frames: HandFrames
+    surface: Surface
+
+
+def _posed(projector: HandProjector, hand: Hand | None, pose: Float[Tensor, "36"], reference: Tensor) -> _Posed:
+    """With its mesh where a `hand` is given, else with its primitives."""
+    pose = pose.to(reference)
+    if hand is not None:
+        state = hand(pose, projector.shape, root_reference=reference)
+        return _Posed(frames=state.frames, surface=posed_mesh(hand, state))
+    frames = projector.frames(pose, reference)
+    is_left = projector.kinematics.side == "left"
+    return _Posed(frames=frames, surface=place_primitives(frames, projector.sizes, is_left=is_left))
 
 
 def _poses_while_open(poses: Float[Tensor, "frames 36"], index: int, look: SceneSettings) -> list[Float[Tensor, "36"]]:
@@ -127,13 +160,12 @@ def _poses_while_open(poses: Float[Tensor, "frames 36"], index: int, look: Scene
 _FOREARM = -2  # in the part labels, where nothing is -1
 
 
-def _cast(projector: HandProjector, frames: HandFrames, camera: Camera, look: SceneSettings) -> Raycast:
+def _cast(projector: HandProjector, posed: _Posed, camera: Camera, look: SceneSettings) -> Raycast:
     """The hand, with its forearm where it has one."""
-    is_left = projector.kinematics.side == "left"
-    hand = raycast(place_primitives(frames, projector.sizes, is_left=is_left), camera)
+    hand = cast(posed.surface, camera)
     if not look.forearm:
         return hand
-    arm = cast_forearm(frames, projector.kinematics.shape_space, projector.shape, camera)
+    arm = cast_forearm(posed.frames, projector.kinematics.shape_space, projector.shape, camera)
     in_front = arm.depth < hand.depth
     return Raycast(
         depth=torch.where(in_front, arm.depth, hand.depth),
@@ -143,11 +175,11 @@ def _cast(projector: HandProjector, frames: HandFrames, camera: Camera, look: Sc
 
 
 def _exposed(
-    projector: HandProjector, frames: HandFrames, behind: UInt8[Tensor, "height width 3"], look: SceneSettings
+    projector: HandProjector, posed: _Posed, behind: UInt8[Tensor, "height width 3"], look: SceneSettings
 ) -> Float[Tensor, "height width 3"]:
     """One moment's light, averaged over every pixel's area; grey levels. Only the hand's window is cast and shaded."""
     image = behind.double()
-    left, top, right, bottom = _window(projector, frames, look)
+    left, top, right, bottom = _window(projector, posed.frames, look)
     if right <= left or bottom <= top:
         return image
     shift = torch.tensor((left, top), dtype=projector.camera.intrinsics.dtype)
@@ -155,9 +187,9 @@ def _exposed(
     intrinsics[:2, 2] -= shift
     camera = replace(projector.camera, intrinsics=intrinsics, width=right - left, height=bottom - top)
     side = look.supersampling
-    cast = _cast(projector, frames, camera.resized(float(side)), look)
+    seen = _cast(projector, posed, camera.resized(float(side)), look)
     around = behind[top:bottom, left:right].repeat_interleave(side, 0).repeat_interleave(side, 1)
-    lit = replace(cast, part=torch.where(cast.part == _FOREARM, 0, cast.part))
+    lit = replace(seen, part=torch.where(seen.part == _FOREARM, 0, seen.part))
     picture = shade(lit, skin=SKIN_TONES[look.skin], background=around, light=look.light, ambient=look.ambient)
     averaged = torch.nn.functional.avg_pool2d(picture.permute(2, 0, 1).float(), side)
     image[top:bottom, left:right] = averaged.permute(1, 2, 0).double()

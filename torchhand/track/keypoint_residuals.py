@@ -82,6 +82,15 @@ class KeypointCost:
     has_offsets: bool
     chunk: int
 
+    def rows(self, rows: Int[Tensor, "k"]) -> "KeypointCost":
+        """Of the given frames."""
+        return replace(
+            self,
+            observed=self.observed.rows(rows),
+            reference=self.reference[rows],
+            prior_share=self.prior_share[rows],
+        )
+
     def frames(self, free: Tensor, rows: Tensor, common: Common) -> tuple[Float[Tensor, "k 36"], HandFrames]:
         pose = self.space.dof(free)
         return pose, self.kinematics(pose, common.shape, root_reference=self.reference[rows])
@@ -109,7 +118,8 @@ class KeypointCost:
             shared = part_shared if shared is None else shared + part_shared
             shared_gradient = part_gradient if shared_gradient is None else shared_gradient + part_gradient
             cost = cost + (part_cost + prior_cost).sum()
-        assert shared is not None and shared_gradient is not None
+        assert shared is not None
+        assert shared_gradient is not None
         return Blocks(
             pose=torch.cat(pose),
             mixed=torch.cat(mixed),
@@ -124,7 +134,7 @@ class KeypointCost:
     ) -> tuple[Float[Tensor, "k 36"], HandFrames, Float[Tensor, "k 21"]]:
         """Pose, frames, and distance of each point from its measurement: metres, or px. Missing points have NaN."""
         pose, frames = self.frames(free, rows, common)
-        difference, _ = self._difference(frames, rows, common)
+        difference, _ = self._difference(self._points(frames, common), rows, common)
         distance = difference.norm(dim=-1)
         return pose, frames, torch.where(self.observed.is_known[rows], distance, torch.nan)
 
@@ -137,13 +147,16 @@ class KeypointCost:
         gradient = (jacobian.mT @ residual[..., None]).squeeze(-1)
         return jacobian.mT @ jacobian + of_prior, gradient + prior_gradient, cost + prior_cost
 
-    def _difference(self, frames: HandFrames, rows: Tensor, common: Common) -> tuple[Tensor, Tensor | None]:
+    def _points(self, frames: HandFrames, common: Common) -> Float[Tensor, "k 21 3"]:
+        """Keypoints as their maker defines them."""
+        if not self.has_offsets:
+            return frames.keypoints
+        bones = frames.rotation[:, list(KEYPOINT_BONES)]
+        return frames.keypoints + (bones @ self._sided(common.offsets)[..., None]).squeeze(-1)
+
+    def _difference(self, points: Tensor, rows: Tensor, common: Common) -> tuple[Tensor, Tensor | None]:
         """Model less measurement (k, 21, d), and the derivative of the picture's points with those of space."""
         observed = self.observed.rows(rows)
-        points = frames.keypoints
-        if self.has_offsets:
-            bones = frames.rotation[:, list(KEYPOINT_BONES)]
-            points = points + (bones @ self._sided(common.offsets)[..., None]).squeeze(-1)
         if observed.camera is None:
             return points - common.log_scale.exp() * observed.points, None
         camera = observed.camera
@@ -170,7 +183,8 @@ class KeypointCost:
     ) -> tuple[Tensor, Tensor, Tensor | None, Tensor]:
         """Residuals (k, m), their Jacobians (k, m, n) and (k, m, c), all times the root of their weights; costs."""
         pose, frames = self.frames(free, rows, common)
-        difference, in_picture = self._difference(frames, rows, common)
+        points = self._points(frames, common)
+        difference, in_picture = self._difference(points, rows, common)
         weight = self.observed.weight[rows]
         dimension = difference.shape[-1]
         whitened = torch.where(weight[..., None] > 0, difference * weight.sqrt()[..., None], 0.0)
@@ -179,10 +193,8 @@ class KeypointCost:
         factor = root.unflatten(1, (-1, dimension))[..., 0] * weight.sqrt()
         batch = pose.shape[:1]
         rotation = batch_last(frames.rotation, 3, batch)
-        position, keypoints = batch_last(frames.position, 2, batch), batch_last(frames.keypoints, 2, batch)
+        position, keypoints = batch_last(frames.position, 2, batch), batch_last(points, 2, batch)
         columns = self.pose_jacobian.batch_last(pose.T, rotation, position, keypoints)
-        if self.has_offsets:
-            columns = columns + self._offset_motion(pose, frames, common)
         jacobian = self._in_measurements(columns, in_picture, factor)
         in_common = None
         if with_common:
@@ -203,7 +215,7 @@ class KeypointCost:
             known = torch.where(factor[..., None, None] > 0, in_picture * factor[..., None, None], 0.0)
             x, y, z = known.permute(1, 2, 3, 0)[..., None, :].unbind(2)
             scaled = x * columns[:, None, 0] + y * columns[:, None, 1] + z * columns[:, None, 2]
-        return scaled.permute(3, 0, 1, 2).reshape(columns.shape[-1], -1, columns.shape[2])
+        return scaled.permute(3, 0, 1, 2).flatten(1, 2).contiguous()  # products of strided matrices are slow
 
     def _offset_columns(self, rotation: Tensor) -> Tensor:
         """Derivative of the points with the offsets: the bones' rotations, block by block."""
@@ -212,13 +224,6 @@ class KeypointCost:
         each = torch.arange(21, device=rotation.device)
         out[each, :, each] = bones
         return out.flatten(2, 3)
-
-    def _offset_motion(self, pose: Tensor, frames: HandFrames, common: Common) -> Tensor:
-        """What an offset adds to a point's motion: it turns with the bone that carries it."""
-        count = len(pose)
-        bones = batch_last(frames.rotation, 3, (count,))[list(KEYPOINT_BONES)]
-        arms = (bones * self._sided(common.offsets)[:, None, :, None]).sum(2)
-        return self.pose_jacobian.turned(pose.T, batch_last(frames.rotation, 3, (count,)), arms)
 
     def _prior(self, free: Tensor, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         share = self.prior_share[rows]

@@ -24,12 +24,14 @@ class KeypointFitSettings:
     where_missing in space, where a full set of points needs no belief that would only pull, and always in pictures."""
     least_points: int = 5
     """Frames with fewer points are not fitted; 4 or more."""
+    is_typical: bool = True
+    """Whether a fitted shape keeps the published anthropometric intervals besides its bounds (paper 000, section 3.1)."""
     offset_std: float = 0.0
-    """Spread of the constant offsets between the maker's keypoints and ours, metres, in the frames of the bones; one set
-    for all frames, fitted together with the shape. 0 or more; 0 takes the keypoints as ours."""
+    """Spread of the constant offsets between the maker's keypoints and ours, metres, in the frames of the bones; one
+    set for all frames, fitted together with the shape. 0 or more; 0 takes the keypoints as ours."""
     starts: int = 4
     """Starts per frame that are followed up for pictures; 1 or more."""
-    chunk: int = 512
+    chunk: int = 256
     """Frames whose derivatives are held at a time; 1 or more."""
     pose: LevenbergMarquardtSettings = field(
         default_factory=lambda: LevenbergMarquardtSettings(

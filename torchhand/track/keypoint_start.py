@@ -103,7 +103,7 @@ class _DigitAngles:
         side = torch.sign(self.skeleton.axis[abduction, 0])
         rest = self._rest(f"{finger}_{bone}", parent)
         x, y, z = self._unit(rest, along).unbind(-1)
-        far = sum(torch.where(b.isfinite(), b, 0.0) for b in beyond)
+        far = torch.stack([torch.where(b.isfinite(), b, 0.0) for b in beyond]).sum(0)
         normal = torch.linalg.cross(self._unit(rest, along), self._unit(rest, far))
         normal = torch.where(normal.isfinite(), normal, 0.0)
         forwards, upwards = torch.where(y < 0, -1.0, 1.0), torch.where(normal[..., 2] < 0, -1.0, 1.0)

@@ -5,6 +5,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchhand.geometry import Camera
+from torchhand.view.triangles import SeenTriangles, slopes
 
 
 def face_normals(points: Float[Tensor, "vertices 3"], faces: Int[Tensor, "faces 3"]) -> Float[Tensor, "faces 3"]:
@@ -14,28 +15,17 @@ def face_normals(points: Float[Tensor, "vertices 3"], faces: Int[Tensor, "faces 
 
 
 def mixed_normals(
-    points_cam: Float[Tensor, "vertices 3"],
-    normals_cam: Float[Tensor, "vertices 3"],
-    faces: Int[Tensor, "faces 3"],
-    seen: Int[Tensor, "n"],
-    pixels: Float[Tensor, "n 2"],
-    depth: Float[Tensor, "n"],
-    camera: Camera,
+    seen: SeenTriangles, triangle: Int[Tensor, "n"], points: Float[Tensor, "n 2"], camera: Camera
 ) -> Float[Tensor, "n 3"]:
-    """Unit normals between those of the corners of the face that each pixel sees, weighted by its areal coordinates.
+    """Unit normals in the camera frame at points of the picture (of the plane, as `seen.corners`), between those of
+    the corners.
 
-    seen: the face that each of `pixels` sees, at `depth` metres; everything in the camera frame.
+    Over the picture of a triangle the normal over the depth is affine (orthographic: the normal), and its length means
+    nothing.
     """
-    a, b, c = points_cam[faces].unbind(1)
-    normal = torch.linalg.cross(b - a, c - a)
-    normal = normal / (normal * normal).sum(-1, keepdim=True).clamp_min(torch.finfo(normal.dtype).tiny)
-    to_second, to_third = torch.linalg.cross(c - a, normal), torch.linalg.cross(normal, b - a)
-    first, second, third = normals_cam[faces].unbind(1)
-    table = torch.cat((a, to_second, to_third, first, second - first, third - first), -1).index_select(0, seen)
-    a, to_second, to_third, first, second, third = table.split(3, -1)
-    origin, direction = camera.rays(pixels)
-    arm = torch.addcmul(origin, direction, depth[:, None]) - a
-    share = (arm * to_second).sum(-1, keepdim=True).clamp(0, 1)
-    mixed = torch.addcmul(first, second, share)
-    share = torch.minimum((arm * to_third).sum(-1, keepdim=True).clamp_min(0), 1 - share)
-    return torch.nn.functional.normalize(torch.addcmul(mixed, third, share), dim=-1)
+    assert seen.normals is not None
+    scaled = seen.normals if camera.kind == "orthographic" else seen.normals * seen.nearness[..., None]
+    table = torch.cat((seen.corners[:, 0], scaled[:, 0], slopes(seen.corners, scaled).flatten(1)), -1)
+    corner, base, along_x, along_y = table.index_select(0, triangle).split((2, 3, 3, 3), -1)
+    x, y = (points - corner).split(1, -1)
+    return torch.nn.functional.normalize(base + along_x * x + along_y * y, dim=-1, eps=1e-30)

@@ -10,7 +10,7 @@ from torchhand.geometry import Camera
 from torchhand.view.normals import face_normals, mixed_normals
 from torchhand.view.raycast import Raycast
 from torchhand.view.spans import numbered, row_spans, tested_pixels
-from torchhand.view.triangles import SeenTriangles, depth_of, seen_triangles
+from torchhand.view.triangles import SeenTriangles, depth_of, seen_triangles, slopes
 
 _AT_ONCE = 1 << 24  # pixels of the pictures drawn together
 
@@ -38,7 +38,8 @@ def rasterize(
     part = torch.full(size, -1, dtype=torch.long, device=like.device)
     normal = torch.zeros(*size, 3, dtype=like.dtype, device=like.device)
     with torch.no_grad():
-        seen = seen_triangles(vertices_world[None], faces, camera, is_closed=is_closed)
+        normals = None if vertex_normals is None else vertex_normals[None]
+        seen = seen_triangles(vertices_world[None], faces, camera, normals, is_closed=is_closed)
         triangle, row, column, nearness = (_tested if camera.has_distortion else _filled)(seen, camera)
         if len(triangle):
             (top, bottom), (left, right) = (tuple(map(int, x.aminmax())) for x in (row, column))
@@ -47,15 +48,15 @@ def rasterize(
             pixel = (row - top) * own[1] + (column - left)
             nearest, winner = _nearest(triangle, pixel, nearness, own.numel(), len(seen.face))
             place = (winner < len(seen.face)).nonzero()[:, 0]
-            face = seen.face.index_select(0, winner.index_select(0, place))
+            winner = winner.index_select(0, place)
+            face = seen.face.index_select(0, winner)
             found = depth_of(nearest.index_select(0, place), camera)
-            points = camera.cam_from_world(vertices_world)
             if vertex_normals is None:
-                facing = face_normals(points, faces).index_select(0, face)
+                facing = face_normals(camera.cam_from_world(vertices_world), faces).index_select(0, face)
             else:
                 centre = torch.stack((place % own[1] + left, place // own[1] + top), -1).to(found)
-                turned = vertex_normals @ camera.rotation.T
-                facing = mixed_normals(points, turned, faces, face, centre, found, camera)
+                centre = camera.plane_from_pixels(centre) if camera.has_distortion else centre
+                facing = mixed_normals(seen, winner, centre, camera)
             label = face if part_of_face is None else part_of_face.long().index_select(0, face)
             depth[window] = depth.new_full((own.numel(),), torch.inf).index_copy_(0, place, found).reshape(own)
             part[window] = part.new_full((own.numel(),), -1).index_copy_(0, place, label).reshape(own)
@@ -136,14 +137,9 @@ def _nearness_at(
     seen: SeenTriangles, triangle: Int[Tensor, "n"], points: Sequence[Float[Tensor, "n 2"]]
 ) -> list[Float[Tensor, "n"]]:
     """Nearness at points of triangles, never beyond that of its corners: a sliver's own slope is all rounding."""
-    corner, rise = seen.corners[:, 0], seen.nearness[:, 1:] - seen.nearness[:, :1]
-    (ax, ay), (bx, by) = (edge.unbind(-1) for edge in (seen.corners[:, 1:] - corner[:, None]).unbind(1))
-    area = ax * by - ay * bx
-    along_x = (rise[:, 0] * by - rise[:, 1] * ay) / area
-    along_y = (rise[:, 1] * ax - rise[:, 0] * bx) / area
-    low, high = seen.nearness.aminmax(dim=-1)
-    slopes = torch.stack((along_x, along_y), -1).nan_to_num(nan=0.0, posinf=0.0, neginf=0.0)
-    table = torch.cat((corner, seen.nearness[:, :1], slopes, low[:, None], high[:, None]), -1)
+    low, high = seen.nearness.aminmax(dim=-1, keepdim=True)
+    along = slopes(seen.corners, seen.nearness[..., None]).squeeze(-1)
+    table = torch.cat((seen.corners[:, 0], seen.nearness[:, :1], along, low, high), -1)
     x, y, base, along_x, along_y, low, high = table.index_select(0, triangle).unbind(-1)
     values = (base + along_x * (point[:, 0] - x) + along_y * (point[:, 1] - y) for point in points)
     return [torch.minimum(torch.maximum(value, low), high) for value in values]

@@ -24,12 +24,15 @@ class SeenTriangles:
     """The face that each one is, or is a piece of."""
     mesh: Int[Tensor, "triangles"]
     """Index into the batch."""
+    normals: Float[Tensor, "triangles 3 3"] | None = None
+    """At the corners, in the camera frame, of any length; where they were given."""
 
 
 def seen_triangles(
     vertices_world: Float[Tensor, "meshes vertices 3"],
     faces: Int[Tensor, "faces 3"],
     camera: Camera,
+    vertex_normals: Float[Tensor, "meshes vertices 3"] | None = None,
     *,
     is_closed: bool = False,
 ) -> SeenTriangles:
@@ -41,28 +44,44 @@ def seen_triangles(
     if camera.rotation.ndim != 2:
         raise ValueError(f"camera: expected one camera, got a batch of shape {tuple(camera.rotation.shape[:-2])}")
     points = camera.cam_from_world(vertices_world)
-    count = len(points)
-    is_ahead = points[..., 2] >= NEAREST
-    if bool((is_ahead & points.isfinite().all(-1)).all()):
-        corners = _on_grid(points, camera)[:, faces].flatten(0, 1)
-        nearness = _nearness(points[..., 2], camera)[:, faces].flatten(0, 1)
-        index = torch.arange(count * len(faces), device=faces.device)
-        if is_closed:
-            index = (_turn(corners, camera) < 0).nonzero()[:, 0]
-            corners, nearness = corners.index_select(0, index), nearness.index_select(0, index)
-        return SeenTriangles(corners=corners, nearness=nearness, face=index % len(faces), mesh=index // len(faces))
-    pieces, source = _cut(points[:, faces].flatten(0, 1), is_ahead[:, faces].flatten(0, 1))
+    is_ahead = (points[..., 2] >= NEAREST) & points.isfinite().all(-1)
+    if vertex_normals is not None:
+        points = torch.cat((points, vertex_normals @ camera.rotation.T), -1)
+    is_whole = bool(is_ahead.all())
+    if is_whole:  # placed before they are copied to the faces
+        points = torch.cat((_on_grid(points[..., :3], camera), points[..., 2:]), -1)
+    corners = points[:, faces].flatten(0, 1)
+    source = torch.arange(len(corners), device=faces.device)
+    if not is_whole:
+        pieces, source = _cut(corners, is_ahead[:, faces].flatten(0, 1))
+        corners = torch.cat((_on_grid(pieces[..., :3], camera), pieces[..., 2:]), -1)
+    elif is_closed:
+        source = (_turn(corners[..., :2], camera) < 0).nonzero()[:, 0]
+        corners = corners.index_select(0, source)
     return SeenTriangles(
-        corners=_on_grid(pieces, camera),
-        nearness=_nearness(pieces[..., 2], camera),
+        corners=corners[..., :2],
+        nearness=_nearness(corners[..., 2], camera),
         face=source % len(faces),
         mesh=source // len(faces),
+        normals=None if vertex_normals is None else corners[..., 3:],
     )
 
 
 def depth_of(nearness: Tensor, camera: Camera) -> Tensor:
     """Inverse of what `SeenTriangles.nearness` says; metres."""
     return -nearness if camera.kind == "orthographic" else nearness.reciprocal()
+
+
+def slopes(
+    corners: Float[Tensor, "triangles 3 2"], values: Float[Tensor, "triangles 3 c"]
+) -> Float[Tensor, "triangles 2 c"]:
+    """Change along x and along y of what is affine over triangles and known at their corners; 0 of triangles without
+    area."""
+    a, b = (corners[:, 1:] - corners[:, :1])[..., None].unbind(1)
+    rise_a, rise_b = (values[:, 1:] - values[:, :1]).unbind(1)
+    area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    rises = torch.stack((rise_a * b[:, 1] - rise_b * a[:, 1], rise_b * a[:, 0] - rise_a * b[:, 0]), 1)
+    return (rises / area[:, None]).nan_to_num(nan=0.0, posinf=0.0, neginf=0.0)
 
 
 def _nearness(depth: Tensor, camera: Camera) -> Tensor:
@@ -82,17 +101,20 @@ def _turn(corners: Float[Tensor, "triangles 3 2"], camera: Camera) -> Float[Tens
 
 
 def _cut(
-    corners: Float[Tensor, "triangles 3 3"], is_ahead: Bool[Tensor, "triangles 3"]
-) -> tuple[Float[Tensor, "pieces 3 3"], Int[Tensor, "pieces"]]:
-    """What lies before the plane z = NEAREST, and the triangle each piece comes from: none, one or two of each."""
-    is_ahead = is_ahead & corners.isfinite().all(-1).all(-1, keepdim=True)
+    corners: Float[Tensor, "triangles 3 c"], is_ahead: Bool[Tensor, "triangles 3"]
+) -> tuple[Float[Tensor, "pieces 3 c"], Int[Tensor, "pieces"]]:
+    """What lies before the plane z = NEAREST, and the triangle each piece comes from: none, one or two of each.
+
+    The first three channels of a corner are its place in the camera frame; the others follow linearly.
+    """
+    is_ahead = is_ahead & corners[..., :3].isfinite().all(-1).all(-1, keepdim=True)
     ahead = is_ahead.sum(-1)
     pieces, sources = [corners[ahead == 3]], [(ahead == 3).nonzero()[:, 0]]
     for count in (1, 2):
         source = (ahead == count).nonzero()[:, 0]
         odd = (is_ahead[source] == (count == 1)).long().argmax(-1)  # the corner that is alone on its side
         turned = (odd[:, None] + torch.arange(3, device=odd.device)) % 3
-        lone, after, before = torch.gather(corners[source], 1, turned[..., None].expand(-1, -1, 3)).unbind(1)
+        lone, after, before = torch.gather(corners[source], 1, turned[..., None].expand_as(corners[source])).unbind(1)
         if count == 1:
             pieces.append(torch.stack((lone, _crossing(lone, after), _crossing(lone, before)), 1))
         else:
@@ -102,8 +124,9 @@ def _cut(
     return torch.cat(pieces), torch.cat(sources)
 
 
-def _crossing(ahead: Float[Tensor, "n 3"], behind: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+def _crossing(ahead: Float[Tensor, "n c"], behind: Float[Tensor, "n c"]) -> Float[Tensor, "n c"]:
     """Where the edges meet the plane; the same for both faces of an edge, as it always runs away from the camera."""
-    share = (ahead[:, 2:] - NEAREST) / (ahead[:, 2:] - behind[:, 2:])
-    flat = ahead[:, :2] + share * (behind[:, :2] - ahead[:, :2])
-    return torch.cat((flat, torch.full_like(share, NEAREST)), -1)
+    share = (ahead[:, 2:3] - NEAREST) / (ahead[:, 2:3] - behind[:, 2:3])
+    crossing = ahead + share * (behind - ahead)
+    crossing[:, 2] = NEAREST
+    return crossing

@@ -1,0 +1,83 @@
+"""How deep two tapered capsules (the hulls of two balls each) reach into each other, in closed form."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+_TINY = 1e-12
+_STEEPEST = 0.99  # taper (change of radius over length) beyond which a capsule counts as its larger ball's cone
+_PARALLEL = 1e-6  # squared sine below which two axes count as parallel
+
+
+def tapered_capsule_depth(
+    first_start: Float[Tensor, "*#batch 3"],
+    first_end: Float[Tensor, "*#batch 3"],
+    first_radii: Float[Tensor, "*#batch 2"],
+    second_start: Float[Tensor, "*#batch 3"],
+    second_end: Float[Tensor, "*#batch 3"],
+    second_radii: Float[Tensor, "*#batch 2"],
+) -> Float[Tensor, "*batch"]:
+    """Depth of the overlap: the largest sum of radii less distance over a ball of the one and a ball of the other.
+
+    Negative where they are apart: minus the gap. A capsule is the union of the balls whose centre and radius run
+    linearly from one end to the other. With centres p(s) and q(t), r(s) + r(t) − |p(s) − q(t)| is concave in (s, t), so
+    its maximum is where the slope is zero, or else on one of the four edges of the unit square. The best (s, t) is held
+    fixed in the derivative: the first one is exact, as the value does not depend on them there; the second is not.
+    """
+    along, other = first_end - first_start, second_end - second_start
+    across = first_start - second_start
+    rise, other_rise = first_radii[..., 1] - first_radii[..., 0], second_radii[..., 1] - second_radii[..., 0]
+    s, t = _deepest(across.detach(), along.detach(), other.detach(), rise.detach(), other_rise.detach())
+    lever = across + s[..., None] * along - t[..., None] * other
+    radii = first_radii[..., 0] + s * rise + second_radii[..., 0] + t * other_rise
+    return radii - torch.linalg.vector_norm(lever, dim=-1)
+
+
+def _deepest(w: Tensor, u: Tensor, v: Tensor, rise_u: Tensor, rise_v: Tensor) -> tuple[Tensor, Tensor]:
+    """(s, t) in the unit square with the largest rise_u s + rise_v t − |w + s u − t v|."""
+    ww, wu, wv, uv = (w * w).sum(-1), (w * u).sum(-1), (w * v).sum(-1), (u * v).sum(-1)
+    uu, vv = (u * u).sum(-1).clamp_min(_TINY), (v * v).sum(-1).clamp_min(_TINY)
+    zero = torch.zeros_like(ww + uu + vv)
+    one = zero + 1
+    candidates = [
+        _between(ww, uu, vv, wu, wv, uv, rise_u, rise_v),
+        (zero, _on_edge(ww, wv, vv, rise_v)),
+        (one, _on_edge(ww + 2 * wu + uu, wv + uv, vv, rise_v)),
+        (_on_edge(ww, -wu, uu, rise_u), zero),
+        (_on_edge(ww - 2 * wv + vv, uv - wu, uu, rise_u), one),
+    ]
+    best_value, best_s, best_t = zero - torch.inf, zero, zero
+    for s, t in candidates:
+        square = ww + s * (s * uu + 2 * wu) + t * (t * vv - 2 * wv) - 2 * s * t * uv
+        value = rise_u * s + rise_v * t - square.clamp_min(0).sqrt()
+        is_better = value > best_value
+        best_value = torch.where(is_better, value, best_value)
+        best_s, best_t = torch.where(is_better, s, best_s), torch.where(is_better, t, best_t)
+    return best_s, best_t
+
+
+def _on_edge(square: Tensor, dot: Tensor, length2: Tensor, rise: Tensor) -> Tensor:
+    """t in [0, 1] with the largest rise · t − |x − t v|, from |x|², x · v and |v|²: x's foot on v, moved by the taper."""
+    taper = rise / length2.sqrt()
+    taper2 = taper.square().clamp_max(_STEEPEST**2)
+    distance2 = (square - dot * dot / length2).clamp_min(0)
+    return (dot / length2 + (distance2 / (length2 * (1 - taper2))).sqrt() * taper).clamp(0, 1)
+
+
+def _between(
+    ww: Tensor, uu: Tensor, vv: Tensor, wu: Tensor, wv: Tensor, uv: Tensor, rise_u: Tensor, rise_v: Tensor
+) -> tuple[Tensor, Tensor]:
+    """(s, t) where the slope is zero on the whole lines, brought into the unit square.
+
+    There the connection x = w + s u − t v has x · û = a |x| and x · v̂ = −b |x| with the tapers a and b.
+    """
+    length_u, length_v = uu.sqrt(), vv.sqrt()
+    a, b = rise_u / length_u, rise_v / length_v
+    p, q, g = wu / length_u, wv / length_v, uv / (length_u * length_v)
+    sine2 = (1 - g * g).clamp_min(_PARALLEL)
+    in_plane = ((a * a + 2 * g * a * b + b * b) / sine2).clamp_max(_STEEPEST**2)
+    distance2 = (ww - (p * p - 2 * g * p * q + q * q) / sine2).clamp_min(0)
+    distance = (distance2 / (1 - in_plane)).sqrt()
+    sigma = ((a + g * b) * distance - p + g * q) / sine2
+    tau = g * sigma + b * distance + q
+    return (sigma / length_u).clamp(0, 1), (tau / length_v).clamp(0, 1)

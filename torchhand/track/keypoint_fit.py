@@ -1,0 +1,409 @@
+"""A hand fitted to 21 keypoints, in space or in a picture: a pose for every frame, one shape for all."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchhand.geometry import Camera, rotation_from_vector, vector_from_rotation
+from torchhand.hand import DOFS, HandKinematics, PoseSpace, named_pose_space
+from torchhand.hand.anthropometry import Anthropometry
+from torchhand.hand.jacobians import PoseJacobian, ShapeJacobian
+from torchhand.numerics.levenberg_marquardt import LeastSquares, Status, levenberg_marquardt
+from torchhand.numerics.robust import RobustLoss
+from torchhand.track.keypoint_prior import NaturalPosture, limit_information, missing_share, natural_posture
+from torchhand.track.keypoint_residuals import Common, KeypointCost, Observations
+from torchhand.track.keypoint_settings import KeypointFitSettings
+from torchhand.track.keypoint_shape import CommonFit, CommonParameters, reduced
+from torchhand.track.keypoint_start import start_in_space
+from torchhand.track.keypoint_views import starts_in_picture
+
+FIT_STATUSES = ("fitted", "too few points", "failed")
+"""By the numbers in `KeypointFit.status`."""
+_ROOT_STD = (1.0, math.pi / math.sqrt(3))  # of a root that points leave open: metres, radians
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeypointFit:
+    """Poses, one shape, and how far to trust them. Frames that are not fitted hold NaN."""
+
+    pose: Float[Tensor, "*frames 36"]
+    """Metres and radians; the rotation vector is that of world_from_hand."""
+    pose_std: Float[Tensor, "*frames 36"]
+    """Standard deviations, 0 for DOFs that the pose space holds; rotations of the root are about the world's axes."""
+    pose_covariance: Float[Tensor, "*frames free free"]
+    """Of the pose space's free parameters; the root's rotation is a left perturbation. The limits count as information
+    (a uniform distribution between them), so that it is finite; an angle at its limit keeps its spread."""
+    shape: Float[Tensor, "shape"]
+    shape_std: Float[Tensor, "shape"]
+    """0 for parameters that were held."""
+    keypoints: Float[Tensor, "*frames 21 3"]
+    """Our keypoints of the fitted hand, metres in the world."""
+    residual: Float[Tensor, "*frames 21"]
+    """Distance of each measured point from the fitted hand: metres, or px. NaN for missing points."""
+    status: Int[Tensor, "*frames"]
+    """Index into FIT_STATUSES."""
+    iterations: Int[Tensor, "*frames"]
+    """Of the poses' last solution."""
+    scale: float
+    """Metres per unit of the measured points in space; 1 unless it was asked for."""
+    offsets: Float[Tensor, "21 3"]
+    """The maker's keypoints less ours in the frames of the bones of a right hand, metres; zeros unless fitted."""
+    space: PoseSpace
+
+    @property
+    def is_fitted(self) -> Tensor:
+        return self.status == 0
+
+    def status_names(self) -> list[str]:
+        """Of the frames in order, flattened."""
+        return [FIT_STATUSES[int(number)] for number in self.status.reshape(-1)]
+
+
+@torch.no_grad()
+def fit_keypoints(
+    kinematics: HandKinematics,
+    keypoints: Float[Tensor, "*frames 21 d"],
+    *,
+    camera: Camera | None = None,
+    confidence: Float[Tensor, "*frames 21"] | None = None,
+    space: PoseSpace | None = None,
+    shape: Float[Tensor, "shape"] | None = None,
+    fit_shape: bool | Sequence[str] = False,
+    fit_scale: bool = False,
+    posture: NaturalPosture | None = None,
+    settings: KeypointFitSettings | None = None,
+) -> KeypointFit:
+    """Pose of every frame, and what all frames share, from keypoints in space (metres) or in pictures (px, `camera`).
+
+    Minimises ½ Σ confidence · |point - keypoint|² / noise² (Huber beyond `settings.gross`), plus, where
+    `settings.prior` says so, the squared distance from the natural posture in units of its spread. Joint limits hold
+    exactly; DOFs that a pose space ties hold theirs through it. All frames are solved at once, in the dtype of the
+    kinematics. Points that are not finite or have confidence 0 are missing.
+
+    camera: one, or a batch with one per frame. space: the free DOFs, which must include all six of the root; the 27-DOF
+    hand where it is None. shape: the start, the default hand where it is None. fit_shape: True fits all parameters
+    that move keypoints, or name some; they stay near the population (std of the shape space) and within its bounds. One
+    camera cannot tell size from distance, so hand_length then comes from that belief. fit_scale: points in space are
+    in an unknown unit; hand length and breadth are then held.
+
+    Raises ValueError for shapes that do not fit together, negative confidences, a camera for points in space or none
+    for pixels, spaces without the root, unknown parameter names. A frame that cannot be fitted is no error: see
+    `KeypointFit.status`.
+    """
+    settings = settings or KeypointFitSettings()
+    like = kinematics.default_levers
+    space = (space or named_pose_space("dof27")).to(dtype=like.dtype, device=like.device)
+    _check(keypoints, camera, confidence, space, fit_scale)
+    batch = keypoints.shape[:-2]
+    observed = _observations(keypoints.to(like), camera, confidence, settings, batch)
+    lower, upper = free_limits(space, kinematics)
+    posture = posture or natural_posture(dtype=like.dtype, device=like.device)
+    start_shape = (kinematics.default_shape if shape is None else shape.to(like)).clone()
+    columns = _free_columns(kinematics, fit_shape, fit_scale)
+    good = (observed.is_known.sum(-1) >= settings.least_points).nonzero()[:, 0]
+    solver = _Solver(
+        kinematics=kinematics,
+        space=space,
+        observed=observed.rows(good),
+        posture=posture,
+        columns=columns,
+        fit_scale=fit_scale,
+        settings=settings,
+        lower=lower,
+        upper=upper,
+    )
+    return solver.solve(start_shape).placed(good, len(observed.points), batch, space)
+
+
+def free_limits(space: PoseSpace, kinematics: HandKinematics) -> tuple[Float[Tensor, "free"], Float[Tensor, "free"]]:
+    """Limits of a pose space's free parameters that keep every joint angle within its own.
+
+    A tie passes the limits of the angles that follow on. Raises ValueError where an angle depends on more than one
+    free parameter, or the limits leave nothing.
+    """
+    basis, constant = space.basis[6:], space.constant[6:]
+    if bool(((basis != 0).sum(-1) > 1).any()):
+        raise ValueError(f"pose space {space.name!r}: expected every angle to depend on one free parameter at most")
+    lower = basis.new_full((space.size,), -torch.inf)
+    upper = -lower
+    for row, column in basis.nonzero().tolist():
+        factor = basis[row, column]
+        ends = (torch.stack((kinematics.skeleton.lower[row], kinematics.skeleton.upper[row])).to(basis)) - constant[row]
+        ends = (ends / factor).sort().values
+        lower[column], upper[column] = torch.maximum(lower[column], ends[0]), torch.minimum(upper[column], ends[1])
+    if bool((lower > upper).any()):
+        name = space.free_names[int((lower > upper).nonzero()[0])]
+        raise ValueError(f"pose space {space.name!r}: the limits of the angles tied to {name} leave nothing")
+    return lower, upper
+
+
+def _check(
+    keypoints: Tensor, camera: Camera | None, confidence: Tensor | None, space: PoseSpace, fit_scale: bool
+) -> None:
+    dimension = keypoints.shape[-1]
+    if keypoints.ndim < 2 or keypoints.shape[-2] != 21 or dimension not in (2, 3):
+        raise ValueError(f"keypoints: expected shape (*frames, 21, 2 or 3), got {tuple(keypoints.shape)}")
+    if (camera is None) != (dimension == 3):
+        raise ValueError(
+            f"camera: expected {'one' if dimension == 2 else 'none'} for keypoints of {dimension} coordinates"
+        )
+    if camera is not None and camera.intrinsics.shape[:-2] not in ((), keypoints.shape[:-2]):
+        raise ValueError(
+            f"camera: expected one, or one per frame {tuple(keypoints.shape[:-2])},"
+            f" got a batch of {tuple(camera.intrinsics.shape[:-2])}"
+        )
+    if fit_scale and dimension == 2:
+        raise ValueError("fit_scale: expected points in space, got pixels")
+    if confidence is not None:
+        if confidence.shape != keypoints.shape[:-1]:
+            expected, got = tuple(keypoints.shape[:-1]), tuple(confidence.shape)
+            raise ValueError(f"confidence: expected shape {expected}, got {got}")
+        if bool((confidence < 0).any()):
+            raise ValueError(f"confidence: expected 0 or more, got {float(confidence.min()):g}")
+    root = space.basis[:6]
+    if not torch.equal(root[:, :6], torch.eye(6).to(root)) or bool(root[:, 6:].any()) or bool(space.constant[:6].any()):
+        raise ValueError(f"pose space {space.name!r}: expected one whose first six free parameters are the root's")
+
+
+def _observations(
+    keypoints: Tensor,
+    camera: Camera | None,
+    confidence: Tensor | None,
+    settings: KeypointFitSettings,
+    batch: torch.Size,
+) -> Observations:
+    points = keypoints.reshape(-1, 21, keypoints.shape[-1])
+    trust = torch.ones_like(points[..., 0]) if confidence is None else confidence.to(points).reshape(-1, 21)
+    is_known = points.isfinite().all(-1) & trust.isfinite() & (trust > 0)
+    noise = settings.noise if camera is None else settings.noise_px
+    if camera is not None:
+        camera = camera.to(dtype=points.dtype, device=points.device)
+        if camera.intrinsics.ndim > 2:
+            camera = replace(
+                camera,
+                intrinsics=camera.intrinsics.reshape(-1, 3, 3),
+                rotation=camera.rotation.expand(*batch, 3, 3).reshape(-1, 3, 3),
+                translation=camera.translation.expand(*batch, 3).reshape(-1, 3),
+                distortion=camera.distortion.expand(*batch, camera.distortion.shape[-1]).flatten(0, -2),
+            )
+    return Observations(
+        points=torch.where(is_known[..., None], points, 0.0),
+        weight=torch.where(is_known, trust, 0.0) / noise**2,
+        camera=camera,
+    )
+
+
+def _free_columns(kinematics: HandKinematics, fit_shape: bool | Sequence[str], fit_scale: bool) -> tuple[int, ...]:
+    names = kinematics.shape_space.names
+    moving = moving_parameters(kinematics)
+    if isinstance(fit_shape, bool):
+        chosen = moving if fit_shape else ()
+    else:
+        if unknown := [name for name in fit_shape if name not in names]:
+            raise ValueError(f"fit_shape: unknown parameter {unknown[0]!r}; allowed: {', '.join(names)}")
+        if still := [name for name in fit_shape if names.index(name) not in moving]:
+            raise ValueError(f"fit_shape: {still[0]} moves no keypoint")
+        chosen = tuple(names.index(name) for name in fit_shape)
+    held = ("hand_length", "hand_breadth") if fit_scale else ()
+    return tuple(i for i in chosen if names[i] not in held)
+
+
+def moving_parameters(kinematics: HandKinematics) -> tuple[int, ...]:
+    """Shape parameters that move keypoints, index into the shape space's names."""
+    frames = kinematics(torch.zeros(len(DOFS)).to(kinematics.default_levers))
+    moved = ShapeJacobian(kinematics)(frames, kinematics.default_shape).abs().amax((0, 1))
+    return tuple(moved.nonzero()[:, 0].tolist())
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Solution:
+    """Of the frames that have enough points."""
+
+    fit: KeypointFit
+
+    def placed(self, rows: Tensor, count: int, batch: torch.Size, space: PoseSpace) -> KeypointFit:
+        """Among all frames."""
+
+        def spread(part: Tensor, empty: float) -> Tensor:
+            whole = part.new_full((count, *part.shape[1:]), empty)
+            whole[rows] = part
+            return whole.reshape(*batch, *part.shape[1:])
+
+        fit = self.fit
+        names = ("pose", "pose_std", "pose_covariance", "keypoints", "residual")
+        return replace(
+            fit,
+            **{name: spread(getattr(fit, name), torch.nan) for name in names},
+            status=spread(fit.status, FIT_STATUSES.index("too few points")),
+            iterations=spread(fit.iterations, 0),
+            space=space,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Solver:
+    kinematics: HandKinematics
+    space: PoseSpace
+    observed: Observations
+    posture: NaturalPosture
+    columns: tuple[int, ...]
+    fit_scale: bool
+    settings: KeypointFitSettings
+    lower: Tensor
+    upper: Tensor
+
+    def solve(self, shape: Tensor) -> _Solution:
+        points, settings = self.observed.points, self.settings
+        mean = self._within(self.posture.mean)
+        common = Common(shape=shape, log_scale=shape.new_zeros(()), offsets=shape.new_zeros(21, 3))
+        if self.observed.camera is None:
+            pose, reference, size = start_in_space(self.kinematics, points, self.observed.is_known, shape, mean)
+            if len(points) and self.fit_scale:
+                common = replace(common, log_scale=-size.median().log())
+                points = common.log_scale.exp() * points
+                pose, reference, _ = start_in_space(self.kinematics, points, self.observed.is_known, shape, mean)
+            elif len(points) and self.columns:
+                common = replace(common, shape=self._sized(shape, float(size.median())))
+            pose, reference = pose[:, None], reference[:, None]
+        else:
+            pose, reference = starts_in_picture(self.kinematics, self.observed, shape, mean, settings.starts)
+        starts = pose.shape[1]
+        free = self.space.free(pose.flatten(0, 1)).clamp(self.lower, self.upper)
+        has_offsets = settings.offset_std > 0
+        constraints = Anthropometry(self.kinematics.shape_space) if settings.is_typical else None
+        parameters = CommonParameters.of(
+            self.kinematics.shape_space,
+            self.columns,
+            common,
+            has_scale=self.fit_scale,
+            offset_std=settings.offset_std,
+            constraints=constraints,
+        )
+        cost = KeypointCost(
+            kinematics=self.kinematics,
+            space=self.space,
+            observed=self.observed.rows(torch.arange(len(points), device=free.device).repeat_interleave(starts)),
+            reference=reference.flatten(0, 1),
+            prior=self.posture,
+            prior_share=self._prior_share().repeat_interleave(starts, 0),
+            robust=RobustLoss(
+                kind="squares" if math.isinf(settings.gross) else "huber",
+                scale=settings.gross if math.isfinite(settings.gross) else 1.0,
+                group=points.shape[-1],
+            ),
+            pose_jacobian=PoseJacobian(self.kinematics, self.space.basis),
+            shape_jacobian=ShapeJacobian(self.kinematics, self.columns),
+            has_scale=self.fit_scale,
+            has_offsets=has_offsets,
+            chunk=settings.chunk,
+        )
+        found = self._poses(cost, free, common)
+        if starts > 1:
+            best = found.cost.nan_to_num(torch.inf).unflatten(0, (-1, starts)).argmin(-1)
+            best = best + starts * torch.arange(len(points), device=free.device)
+            cost, found = cost.rows(best), found.rows(best)
+        if parameters.size and bool((found.status != Status.FAILED).any()):
+            sound = (found.status != Status.FAILED).nonzero()[:, 0]
+            fit = CommonFit(
+                cost=cost.rows(sound),
+                parameters=parameters,
+                lower=self.lower,
+                upper=self.upper,
+                free=found.values[sound],
+                pose_settings=settings.pose,
+                constraints=constraints,
+            )
+            common, _ = fit.solve(common, settings.shape)
+            free = found.values.clone()
+            free[sound] = fit.free
+            found = self._poses(cost, free, common)
+        return _Solution(fit=self._result(cost, found, common, parameters))
+
+    def _poses(self, cost: KeypointCost, free: Tensor, common: Common) -> LeastSquares:
+        return levenberg_marquardt(
+            lambda values, rows: cost.pose_equations(values, rows, common),
+            free,
+            lower=self.lower,
+            upper=self.upper,
+            settings=self.settings.pose,
+            takes_rows=True,
+        )
+
+    def _within(self, pose: Tensor) -> Tensor:
+        return self.space.dof(self.space.free(pose).clamp(self.lower, self.upper))
+
+    def _sized(self, shape: Tensor, size: float) -> Tensor:
+        """The shape grown in length and breadth where these are free."""
+        space = self.kinematics.shape_space
+        sized = shape.clone()
+        for column in (space.names.index(name) for name in ("hand_length", "hand_breadth")):
+            if column in self.columns:
+                low, high = float(space.lower[column]), float(space.upper[column])
+                sized[column] = min(max(size * float(shape[column]), low), high)
+        return sized
+
+    def _prior_share(self) -> Tensor:
+        mode = self.settings.prior
+        if mode == "auto":
+            mode = "where_missing" if self.observed.camera is None else "always"
+        if mode == "where_missing":
+            noise = self.settings.noise if self.observed.camera is None else self.settings.noise_px
+            return missing_share(self.observed.weight * noise**2)
+        share = 1.0 if mode == "always" else 0.0
+        return self.observed.points.new_full((len(self.observed.points), len(DOFS)), share)
+
+    def _result(
+        self, cost: KeypointCost, found: LeastSquares, common: Common, parameters: CommonParameters
+    ) -> KeypointFit:
+        rows = torch.arange(len(found.values), device=found.values.device)
+        pose, frames, residual = cost.distances(found.values, rows, common)
+        turned = rotation_from_vector(pose[:, 3:6]) @ cost.reference
+        pose = torch.cat((pose[:, :3], vector_from_rotation(turned), pose[:, 6:]), -1)
+        covariance, common_covariance = self._covariances(cost, found.values, rows, common, parameters)
+        std = (self.space.basis @ covariance @ self.space.basis.mT).diagonal(dim1=-2, dim2=-1).clamp_min(0).sqrt()
+        shape_std = torch.zeros_like(common.shape)
+        count = len(self.columns)
+        shape_std[list(self.columns)] = common_covariance.diagonal()[:count].clamp_min(0).sqrt()
+        is_sound = (found.status != Status.FAILED) & pose.isfinite().all(-1) & covariance.isfinite().all((-2, -1))
+
+        def sound(part: Tensor) -> Tensor:
+            return torch.where(is_sound.reshape(-1, *[1] * (part.ndim - 1)), part, torch.nan)
+
+        return KeypointFit(
+            pose=sound(pose),
+            pose_std=sound(std),
+            pose_covariance=sound(covariance),
+            shape=common.shape,
+            shape_std=shape_std,
+            keypoints=sound(frames.keypoints),
+            residual=sound(residual),
+            status=torch.where(is_sound, 0, FIT_STATUSES.index("failed")),
+            iterations=found.iterations,
+            scale=float(common.log_scale.exp()),
+            offsets=common.offsets,
+            space=self.space,
+        )
+
+    def _covariances(
+        self, cost: KeypointCost, free: Tensor, rows: Tensor, common: Common, parameters: CommonParameters
+    ) -> tuple[Tensor, Tensor]:
+        """Of the poses and of the common parameters, from the joint normal equations with the limits' information."""
+        basis = self.space.basis
+        known = limit_information(self.kinematics.skeleton).to(free)
+        known[:3], known[3:6] = _ROOT_STD[0] ** -2, _ROOT_STD[1] ** -2
+        believed = torch.diag((basis.square() * known[:, None]).sum(0))
+        blocks = cost.blocks(free, rows, common)
+        with_limits = replace(blocks, pose=blocks.pose + believed)
+        factor, info = torch.linalg.cholesky_ex(with_limits.pose)
+        own = torch.where((info == 0)[:, None, None], torch.cholesky_inverse(factor), torch.nan)
+        if not parameters.size:
+            return own, own.new_zeros(0, 0)
+        infinite = torch.full_like(self.lower, torch.inf)
+        eliminated = reduced(with_limits, -infinite, infinite, free)
+        joint = eliminated.equations.matrix + torch.diag(parameters.std**-2)
+        shared = torch.linalg.inv(joint)
+        return own + eliminated.follow @ shared @ eliminated.follow.mT, shared
