@@ -18,6 +18,9 @@ check "ruff format" "$python" -m ruff format --check .
 check "pyright" "$python" -m pyright --pythonpath "$python"
 check "import layers" "$environment/bin/lint-imports"
 [ "$failed" = 0 ] || echo "One of the checks above failed; the tests run all the same."
+echo "== pytest, compiled and exported hands"
+# Without the checks of shapes at run time, which torch.compile cannot follow.
+JAXTYPING_DISABLE=1 "$python" -m pytest tests/compiled --override-ini "addopts=--import-mode=importlib" || failed=1
 echo "== pytest"
 "$python" -m pytest "$@" || failed=1
 exit "$failed"

@@ -4,17 +4,20 @@ import json
 import os
 import subprocess
 import sys
+import time
+import types
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
-from torchhand.cli import benchmark
-from torchhand.cli.benchmark import Arguments, Figure, line_of, main
+from torchhand.cli import benchmark, benchmark_hand, benchmark_tracking
+from torchhand.cli.benchmark import Arguments, main
 from torchhand.files import load_hand_model
 from torchhand.geometry import assumed_camera
 from torchhand.hand import BONES
+from torchhand.study.figures import Figure, line_of
 from torchhand.study.timing import PROC, THREAD_VARIABLES, Timing, memory_growth, time_interleaved, watch_memory
 from torchhand.track.contour_tracker import ContourTracker, Estimate, Memory
 
@@ -54,6 +57,7 @@ def test_figures_are_saved_and_printed(tmp_path: Path, capsys: pytest.CaptureFix
         ("filter_update", "filterpy.kalman", "filterpy"),
         ("kinematics_forward", "pytorch_kinematics", "pytorch-kinematics"),
         ("kinematics_forward_backward", "pytorch_kinematics", "pytorch-kinematics"),
+        ("skinning_gradients_64", "smplx.lbs", "smplx.lbs"),
     ],
 )
 def test_a_missing_peer_is_said_so(
@@ -81,8 +85,8 @@ def test_both_filters_compute_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
         given.update(candidates)
         return Figure(name=name, value=None, unit="ratio", must=must, aim=aim, repeats=repeats)
 
-    monkeypatch.setattr(benchmark, "_against_peer", keep)
-    benchmark._filter_update("filter_update", Arguments(repeats=1))
+    monkeypatch.setattr(benchmark_tracking, "against_peer", keep)
+    benchmark_tracking.filter_update("filter_update", 1)
     ours = given["ours"]().state.mean.numpy()
     assert ours == pytest.approx(given["peer"](), abs=1e-9)
     assert ours == pytest.approx(given["observed_27"]().state.mean.numpy(), abs=1e-9)
@@ -90,15 +94,48 @@ def test_both_filters_compute_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_both_kinematics_compute_the_same() -> None:
     """The peer's chain gets the joint angles in its own order."""
-    pose = benchmark._poses()[:8]
+    pose = benchmark_hand.poses(8)
     kinematics = load_hand_model().kinematics()
-    peer = benchmark._peer_chain(pose)
+    peer = benchmark_hand.peer_chain(pose)
     assert peer is not None
     chain, angles = peer
     bone = "index_proximal"
     frames = kinematics(torch.cat((torch.zeros(8, 6), pose[:, 6:]), -1))
     theirs = chain.forward_kinematics(angles)[bone].get_matrix()[:, :3, :3]
     assert torch.allclose(frames.rotation[:, BONES.index(bone)], theirs, rtol=0, atol=1e-5)
+
+
+def _slow_skinning(shape: torch.Tensor, pose: torch.Tensor, template: torch.Tensor, *_: Any) -> tuple[torch.Tensor]:
+    """As many vertices as the peer makes, late."""
+    time.sleep(0.2)
+    count = benchmark_hand.PEER_VERTICES
+    assert template.shape == (count, 3)
+    assert pose.shape == (64, 48)
+    return ((shape.sum(-1) + pose.sum(-1))[:, None, None].expand(-1, count, 3),)
+
+
+def test_skinning_is_compared_per_vertex(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The peer's hand has fewer vertices: a call that takes as long is the worse."""
+    peer = types.ModuleType("smplx.lbs")
+    monkeypatch.setattr(peer, "lbs", _slow_skinning, raising=False)
+    monkeypatch.setitem(sys.modules, "smplx", types.ModuleType("smplx"))
+    monkeypatch.setitem(sys.modules, "smplx.lbs", peer)
+    [entry] = _run(tmp_path / "figures.json", "--only", "skinning_gradients_64")["entries"]
+    mesh = load_hand_model().mesh
+    assert mesh is not None
+    per_vertex = len(mesh.vertices) / benchmark_hand.PEER_VERTICES
+    assert entry["peer_ms"] > 200
+    assert entry["ratio"] == pytest.approx(per_vertex * entry["peer_ms"] / entry["ours_ms"])
+    assert (entry["must"], entry["aim"]) == pytest.approx((1 / 0.7, 1 / 0.4))
+    assert entry["note"] == f"per vertex; ours has {len(mesh.vertices)}, the peer {benchmark_hand.PEER_VERTICES}"
+    assert entry["details"]["shape_each_ms"] > 0
+
+
+def test_compiling_needs_a_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(benchmark_hand.shutil, "which", lambda name: None)
+    [entry] = _run(tmp_path / "figures.json", "--only", "kinematics_compiled")["entries"]
+    assert (entry["value"], entry["meets"], entry["must"], entry["aim"]) == (None, None, 6.0, 10.0)
+    assert "C++ compiler" in entry["note"]
 
 
 def _step_that_loses_every_third(
@@ -113,7 +150,7 @@ def test_a_trackers_speed_is_that_of_its_steps(
 ) -> None:
     camera = assumed_camera(16, 16)
     pictures = [torch.zeros(16, 16, 3, dtype=torch.uint8)] * 7
-    monkeypatch.setattr(benchmark, "_simulated", lambda *args: (camera, pictures))
+    monkeypatch.setattr(benchmark_tracking, "_simulated", lambda *args: (camera, pictures))
     monkeypatch.setattr(ContourTracker, "step", _step_that_loses_every_third)
     [entry] = _run(tmp_path / "figures.json", "--only", "track_planar_360x288")["entries"]
     assert (entry["unit"], entry["must"], entry["aim"]) == ("frames/s", 60.0, 150.0)
@@ -132,8 +169,8 @@ def test_the_trackers_follow_what_they_are_timed_on(name: str, tmp_path: Path) -
 
 @pytest.mark.slow
 def test_the_memory_of_tracking_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(benchmark, "MEMORY_FRAMES", 160)
-    monkeypatch.setattr(benchmark, "MEMORY_RENDERED", 4)
+    monkeypatch.setattr(benchmark_tracking, "MEMORY_FRAMES", 160)
+    monkeypatch.setattr(benchmark_tracking, "MEMORY_RENDERED", 4)
     [entry] = _run(tmp_path / "figures.json", "--only", "track_memory")["entries"]
     assert 100 < entry["value"] < 1536
     assert entry["details"]["tracked"] > 150
@@ -193,7 +230,7 @@ def test_libraries_are_loaded_anew_for_other_threads(monkeypatch: pytest.MonkeyP
 
 
 def test_memory_cannot_be_read_everywhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(benchmark, "PROC", tmp_path / "proc")
+    monkeypatch.setattr(benchmark_tracking, "PROC", tmp_path / "proc")
     [entry] = _run(tmp_path / "figures.json", "--only", "track_memory")["entries"]
     assert (entry["value"], entry["meets"]) == (None, None)
     assert "does not have" in entry["note"]

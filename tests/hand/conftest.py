@@ -1,4 +1,4 @@
-"""A small mesh with everything that a mesh can have: any bones, any weights, correctives of several angles of a bone."""
+"""A small mesh with all that a mesh can have: any bones, any weights, correctives of several angles of a bone."""
 
 from dataclasses import replace
 

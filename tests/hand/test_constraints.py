@@ -190,19 +190,23 @@ def test_penalty_is_smooth(generator: torch.Generator, vanishes: float) -> None:
     """Derivatives, and no jump of the slope along lines through the corners."""
     constraints = _constraints(abduction_vanishes_at_deg=vanishes)
     poses = _wild(10, generator).requires_grad_()
-    assert torch.autograd.gradcheck(constraints.penalty, poses)
-    for direction in torch.randn(20, 36, generator=generator, dtype=torch.float64):
-        steps = torch.linspace(-2, 2, 40001, dtype=torch.float64)
+    assert torch.autograd.gradcheck(constraints.penalty, poses, fast_mode=True)
+    for direction in torch.randn(5, 36, generator=generator, dtype=torch.float64):
+        steps = torch.linspace(-2, 2, 10001, dtype=torch.float64)
         line = (steps[:, None] * direction).requires_grad_()
         (slope,) = torch.autograd.grad(constraints.penalty(line).sum(), line)
         along = (slope * direction).sum(-1)
-        assert float(along.diff().abs().max()) < 0.01 * float(along.abs().max())
+        assert float(along.diff().abs().max()) < 0.02 * float(along.abs().max())
 
 
 def test_projection_is_differentiable(generator: torch.Generator) -> None:
     poses = _wild(10, generator).requires_grad_()
     for ties in ("soft", "hard"):
-        assert torch.autograd.gradcheck(_constraints(ties=ties).project, poses)
+        project = _constraints(ties=ties).project
+        assert torch.autograd.gradcheck(project, poses, fast_mode=True)
+        by_row = torch.func.vmap(torch.func.jacrev(project))(poses.detach())
+        whole = torch.func.jacrev(project)(poses.detach())
+        torch.testing.assert_close(by_row, torch.stack([whole[i, :, i] for i in range(10)]), atol=1e-12, rtol=0)
 
 
 @pytest.mark.parametrize("batch", [(), (1,), (2, 3)])

@@ -146,7 +146,8 @@ def test_the_shape_is_all_that_is_saved(small_model: HandModel, generator: torch
         loaded.load_state_dict(state)
         assert torch.equal(loaded(pose).vertices, saved(pose).vertices)
         assert not torch.equal(loaded(pose).vertices, _hand(small_model)(pose).vertices)
-    assert list(Hand(nn.Parameter(shape), model=small_model).parameters())[0].shape == shape.shape
+    [parameter] = Hand(nn.Parameter(shape), model=small_model).parameters()
+    assert parameter.shape == shape.shape
     assert not list(Hand(shape, model=small_model).parameters())
 
 

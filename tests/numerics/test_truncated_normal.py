@@ -8,12 +8,22 @@ import torch
 from scipy.stats import norm, truncnorm
 
 from torchhand.numerics.truncated_normal import (
+    log_ndtr,
     log_normal_mass,
     truncated_normal_log_prob,
     truncated_normal_quantile,
 )
 
-INTERVALS = [(-1.0, 2.0), (-0.1, 0.1), (3.0, 4.0), (-9.0, -8.0), (20.0, 21.0), (-60.0, -59.0), (-200.0, 3.0), (5.0, 5.001)]
+INTERVALS = [
+    (-1.0, 2.0),
+    (-0.1, 0.1),
+    (3.0, 4.0),
+    (-9.0, -8.0),
+    (20.0, 21.0),
+    (-60.0, -59.0),
+    (-200.0, 3.0),
+    (5.0, 5.001),
+]
 
 
 @pytest.mark.parametrize(("low", "high"), INTERVALS)
@@ -87,3 +97,18 @@ def test_derivatives(generator: torch.Generator) -> None:
     inputs = tuple(x.detach().requires_grad_() for x in (value, mean, std, low, high))
     assert torch.autograd.gradcheck(truncated_normal_log_prob, inputs)
     assert torch.autograd.gradgradcheck(truncated_normal_log_prob, inputs)
+
+
+def test_log_ndtr(generator: torch.Generator) -> None:
+    points = np.concatenate((np.linspace(-300, 40, 3000), np.linspace(-1.01, -0.99, 50)))
+    found = log_ndtr(torch.from_numpy(points)).numpy()
+    np.testing.assert_allclose(found, norm.logcdf(points), rtol=1e-13, atol=1e-300)
+    single = log_ndtr(torch.from_numpy(points).float()).double().numpy()
+    np.testing.assert_allclose(single, norm.logcdf(points.astype(np.float32)), rtol=5e-6, atol=1e-12)
+    ends = torch.tensor((-math.inf, math.inf, math.nan)).double()
+    assert log_ndtr(ends)[:2].tolist() == [-math.inf, 0.0]
+    assert math.isnan(log_ndtr(ends)[2])
+    inner = (3 * torch.randn(50, generator=generator, dtype=torch.float64)).requires_grad_()
+    assert torch.autograd.gradgradcheck(log_ndtr, inner)
+    slopes = torch.func.vmap(torch.func.grad(log_ndtr))(inner.detach())
+    torch.testing.assert_close(slopes, torch.autograd.grad(log_ndtr(inner).sum(), inner)[0], atol=0, rtol=1e-14)

@@ -5,6 +5,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 _TINY = 1e-12
+_NOTHING = 1e-18  # square metres: keeps the slope finite where two centres coincide
 _STEEPEST = 0.99  # taper (change of radius over length) beyond which a capsule counts as its larger ball's cone
 _PARALLEL = 1e-6  # squared sine below which two axes count as parallel
 
@@ -30,7 +31,7 @@ def tapered_capsule_depth(
     s, t = _deepest(across.detach(), along.detach(), other.detach(), rise.detach(), other_rise.detach())
     lever = across + s[..., None] * along - t[..., None] * other
     radii = first_radii[..., 0] + s * rise + second_radii[..., 0] + t * other_rise
-    return radii - torch.linalg.vector_norm(lever, dim=-1)
+    return radii - (lever.square().sum(-1) + _NOTHING).sqrt()
 
 
 def _deepest(w: Tensor, u: Tensor, v: Tensor, rise_u: Tensor, rise_v: Tensor) -> tuple[Tensor, Tensor]:
@@ -57,7 +58,7 @@ def _deepest(w: Tensor, u: Tensor, v: Tensor, rise_u: Tensor, rise_v: Tensor) ->
 
 
 def _on_edge(square: Tensor, dot: Tensor, length2: Tensor, rise: Tensor) -> Tensor:
-    """t in [0, 1] with the largest rise · t − |x − t v|, from |x|², x · v and |v|²: x's foot on v, moved by the taper."""
+    """t in [0, 1] with the largest rise · t − |x − t v|, from |x|², x · v, |v|²: the foot of x, moved by the taper."""
     taper = rise / length2.sqrt()
     taper2 = taper.square().clamp_max(_STEEPEST**2)
     distance2 = (square - dot * dot / length2).clamp_min(0)

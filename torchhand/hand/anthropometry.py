@@ -111,7 +111,7 @@ class Anthropometry:
         return torch.stack((*sums, *phalanges, palm, metric["hand_breadth"]), -1) / length[..., None]
 
     def project(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch shape"]:
-        """The nearest feasible shape, distances counted in the parameters' spreads; feasible ones come back as they are.
+        """The nearest feasible shape, distances counted in the parameters' spreads; feasible ones come back unchanged.
 
         Differentiable almost everywhere.
         """
@@ -127,7 +127,7 @@ class Anthropometry:
         return torch.stack(parameters, -1)
 
     def violation(self, shape: Float[Tensor, "*batch shape"]) -> Violation:
-        """How far the parameters are outside their bounds (their own units), and the measures outside their intervals."""
+        """How far parameters are outside their bounds (in their own units), and measures outside their intervals."""
         lower, upper = self.space.lower.to(shape), self.space.upper.to(shape)
         bounds = torch.maximum(lower - shape, shape - upper)
         measures = self.measures(shape)
@@ -164,9 +164,9 @@ class Anthropometry:
         return torch.where(self.is_feasible(shape), self.log_density(shape), -torch.inf)
 
     def sample(self, count: int, generator: torch.Generator) -> Float[Tensor, "count shape"]:
-        """Shapes of random people with density ∝ exp(log_prob), float64 on the CPU: normal ones, infeasible ones redrawn.
+        """Shapes of random people with density ∝ exp(log_prob): normal ones, infeasible ones redrawn.
 
-        The generator is one of the CPU; the same seed gives the same shapes bit for bit.
+        Float64 on the CPU. The generator is one of the CPU; the same seed gives the same shapes bit for bit.
         """
         if count < 0:
             raise ValueError(f"count: expected 0 or more, got {count}")

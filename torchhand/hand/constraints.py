@@ -88,6 +88,7 @@ class PoseConstraints:
         self.skeleton = skeleton.to(dtype=torch.float64, device="cpu")
         self.vanishes_at = math.radians(self.settings.abduction_vanishes_at_deg)
         lower, upper = self.skeleton.lower, self.skeleton.upper
+        self._limits = list(zip(lower.tolist(), upper.tolist(), strict=True))
         names, rows, bounds = band_rows(self.settings.bands)
         flexions = list(FLEXIONS)
         self._bands = polytope(lower[flexions], upper[flexions], rows, bounds)
@@ -198,7 +199,8 @@ class PoseConstraints:
         return energy
 
     def limits(self, index: int) -> tuple[float, float]:
-        return float(self.skeleton.lower[index]), float(self.skeleton.upper[index])
+        """Lower and upper limit of one of JOINT_DOFS, radians."""
+        return self._limits[index]
 
 
 def _split(pose: Tensor) -> tuple[Tensor, Tensor]:

@@ -127,7 +127,7 @@ class Hand(nn.Module):
             batch_last(frames.rotation, 3, batch),
             batch_last(frames.position, 2, batch),
             batch_last(pose, 1, batch),
-            batch_last(self.shape_space.metres(one_or_many), 1, batch),
+            batch_last(self.kinematics.metres(one_or_many), 1, batch),
         )
         return HandState(
             frames=frames,

@@ -219,3 +219,10 @@ def shape_jacobian(
 ) -> Float[Tensor, "*batch 21 3 shape"]:
     """Derivative of the keypoints in the shape parameters; `frames` are those of that shape."""
     return ShapeJacobian(kinematics)(frames, shape)
+
+
+def moving_parameters(kinematics: HandKinematics) -> tuple[int, ...]:
+    """Shape parameters that move keypoints, index into the shape space's names."""
+    frames = kinematics(torch.zeros(len(DOFS)).to(kinematics.default_levers))
+    moved = ShapeJacobian(kinematics)(frames, kinematics.default_shape).abs().amax((0, 1))
+    return tuple(moved.nonzero()[:, 0].tolist())

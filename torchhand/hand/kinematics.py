@@ -48,9 +48,12 @@ class HandKinematics(nn.Module):
             offsets = offsets * _mirror(offsets)[:, None]
         levers = offsets[torch.tensor(LEVER_ENDS, device=offsets.device)]
         default = shape_space.metres(shape_space.default).to(levers)
+        units = torch.tensor([[float(unit == own) for own in shape_space.units] for unit in ("m", "/HL", "/HB")])
+        self.units: Tensor
         self.lever_matrix: Tensor
         self.default_shape: Tensor
         self.default_levers: Tensor
+        self.register_buffer("units", units.to(levers), persistent=False)
         self.register_buffer("lever_matrix", levers.flatten(0, 1), persistent=False)
         self.register_buffer("default_shape", shape_space.default.clone(), persistent=False)
         self.register_buffer("default_levers", (levers @ default)[..., None], persistent=False)
@@ -80,6 +83,12 @@ class HandKinematics(nn.Module):
             keypoints=keypoints.permute(2, 0, 1).reshape(*batch, len(KEYPOINTS), 3),
         )
 
+    def metres(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch shape"]:
+        """`ShapeSpace.metres` from what lies on the module's device, in a form that compilers take."""
+        names = self.shape_space.names
+        length, breadth = (shape[..., names.index(name), None] for name in ("hand_length", "hand_breadth"))
+        return shape * (self.units[0] + self.units[1] * length + self.units[2] * breadth)
+
     def _levers(self, shape: Tensor | None, batch: torch.Size) -> Float[Tensor, "24 3 n"]:
         """The offset at the end of every bone, with the batch (or 1) last."""
         if shape is None:
@@ -89,7 +98,7 @@ class HandKinematics(nn.Module):
             raise ValueError(
                 f"shape: expected {expected} numbers in the last dimension, got shape {tuple(shape.shape)}"
             )
-        metres = batch_last(self.shape_space.metres(shape), 1, batch)
+        metres = batch_last(self.metres(shape), 1, batch)
         return (self.lever_matrix @ metres).unflatten(0, (len(LEVER_ENDS), 3))
 
 

@@ -145,6 +145,13 @@ POSTURES: dict[str, dict[str, float]] = {
     "four": _fist_but("index", "middle", "ring", "little", index_mcp_aa=12.0, ring_mcp_aa=8.0, little_mcp_aa=18.0),
     "thumb_up": _fist_but("thumb", thumb_cmc_fe=-15.0, thumb_cmc_aa=40.0),
     "l": _fist_but("thumb", "index", thumb_cmc_fe=-15.0, thumb_cmc_aa=40.0),
+    "pinch": {
+        **{"thumb_cmc_fe": 16.0, "thumb_cmc_aa": 1.0, "thumb_mcp_fe": 14.0, "thumb_ip_fe": 14.0},
+        **{"index_mcp_fe": 47.0, "index_pip_fe": 48.0, "index_dip_fe": 37.0},  # its pad meets the thumb's
+        **{"middle_mcp_fe": 27.0, "middle_pip_fe": 27.0, "middle_dip_fe": 18.0},
+        **{"ring_mcp_fe": 18.0, "ring_pip_fe": 21.0, "ring_dip_fe": 14.0},
+        **{"little_mcp_fe": 11.0, "little_pip_fe": 15.0, "little_dip_fe": 10.0},
+    },
     "shaka": _fist_but("thumb", "little", thumb_cmc_fe=-15.0, thumb_cmc_aa=40.0, little_mcp_aa=18.0),
 }
 """Named postures: joint angles in degrees, those not named are zero."""

@@ -1,4 +1,4 @@
-"""A density over joint angles that lives on the feasible set: a mixture of postures, each a chain of truncated normals."""
+"""A density over joint angles on the feasible set: a mixture of postures, each a chain of truncated normals."""
 
 import math
 
@@ -115,9 +115,7 @@ class PostureMixture(nn.Module):
             low[index], high[index] = start[..., place], stop[..., place]
         return torch.stack(low, -1), torch.stack(high, -1)
 
-    def sample(
-        self, count: int, generator: torch.Generator
-    ) -> tuple[Float[Tensor, "count 36"], Int[Tensor, "count"]]:
+    def sample(self, count: int, generator: torch.Generator) -> tuple[Float[Tensor, "count 36"], Int[Tensor, "count"]]:
         """Poses with the root at zero, and the posture that each was drawn from (index into `names`).
 
         Seeded: drawn on the generator's device in float64, given in the module's device and dtype.

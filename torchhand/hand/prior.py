@@ -13,13 +13,15 @@ from torchhand.hand.kinematics import HandKinematics
 from torchhand.hand.penetration import PenetrationSettings, energy_of, penetration
 from torchhand.hand.posture_mixture import PostureMixture
 from torchhand.hand.primitives import place_primitives
-from torchhand.hand.prior_components import COMPONENTS, PostureComponent
+from torchhand.hand.prior_components import PostureComponent
+from torchhand.hand.prior_postures import COMPONENTS
 from torchhand.hand.shape import ShapeSpace
 from torchhand.hand.sizing import primitive_sizes
 from torchhand.hand.skeleton import Skeleton
 
-_CHUNK = 4096  # hands that are placed at once when sampling
-_ROUNDS = 1000  # of proposals, before sampling gives up
+_CHUNK = 1024  # hands that are placed at once when sampling
+_MOST = 32 * _CHUNK  # proposals of one round
+_PATIENCE, _FEWEST = 10_000, 1e-3  # tries after which sampling gives up if it keeps a smaller share than that
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,9 +53,7 @@ class HandPrior(nn.Module):
     which is improper: it has no part in the density, and samples have it at zero.
     """
 
-    def __init__(
-        self, skeleton: Skeleton, shape_space: ShapeSpace, settings: HandPriorSettings | None = None
-    ) -> None:
+    def __init__(self, skeleton: Skeleton, shape_space: ShapeSpace, settings: HandPriorSettings | None = None) -> None:
         super().__init__()
         self.settings = settings or HandPriorSettings()
         self.constraints = PoseConstraints(skeleton, self.settings.constraints)
@@ -101,21 +101,19 @@ class HandPrior(nn.Module):
         if count < 0:
             raise ValueError(f"count: expected 0 or more, got {count}")
         poses, shapes, found, tried = [], [], 0, 0
-        for _ in range(_ROUNDS):
-            if found >= count:
-                break
+        while found < count:
             rate = max(found, 1) / tried if tried else 1.0
-            wanted = min(max(math.ceil(1.1 * (count - found) / rate), 16), 8 * _CHUNK)
+            wanted = min(max(math.ceil(1.1 * (count - found) / rate), 16), _MOST)
             pose, shape = self._propose(wanted, generator)
             chance = torch.rand(wanted, generator=generator, dtype=torch.float64)
             kept = self._accepts(pose, shape, chance)
             poses.append(pose[kept])
             shapes.append(shape[kept])
             found, tried = found + int(kept.sum()), tried + wanted
-        else:
-            raise ValueError(
-                f"sample: expected some postures without self-penetration, found {found} of {count} in {tried} tries"
-            )
+            if tried >= _PATIENCE and found < _FEWEST * tried:
+                raise ValueError(
+                    f"sample: expected postures that hardly penetrate themselves, found {found} in {tried} tries"
+                )
         empty_pose, empty_shape = self._propose(0, generator)
         return torch.cat((empty_pose, *poses))[:count], torch.cat((empty_shape, *shapes))[:count]
 

@@ -42,7 +42,7 @@ def skin_jacobian(
     pose = pose.expand(*batch, len(DOFS))
     frames = hand.kinematics(pose, shape, root_reference=root_reference)
     rotation, position = batch_last(frames.rotation, 3, batch), batch_last(frames.position, 2, batch)
-    flat_pose, metres = batch_last(pose, 1, batch), batch_last(hand.shape_space.metres(shape), 1, batch)
+    flat_pose, metres = batch_last(pose, 1, batch), batch_last(hand.kinematics.metres(shape), 1, batch)
 
     corners = batch_last(vertices, 2, batch)
     shares = batch_last(weights.expand(torch.broadcast_shapes(weights.shape, vertices.shape)), 2, batch)

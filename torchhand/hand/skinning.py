@@ -23,6 +23,8 @@ from torchhand.hand.kinematics import HandKinematics
 from torchhand.hand.mesh import HandMesh
 from torchhand.hand.skeleton import BONES, ROOT_DOFS
 
+_HANDS_AT_ONCE = 128  # with a shape each: what is blended for them fits the processor's cache
+
 
 class Skinning(nn.Module):
     """Carries the vertices of a mesh with the bones. Holds constants only: nothing is kept from call to call.
@@ -75,22 +77,32 @@ class Skinning(nn.Module):
         metres: Float[Tensor, "shape #n"],
     ) -> Float[Tensor, "n vertices 3"]:
         """The vertices in the world, from the bones there; in memory x, y and z of all hands follow each other."""
-        features, _ = self.corrective_features(pose, metres)
-        columns = rotation.index_select(0, self.corrective_bones).transpose(1, 2)
-        bending = (columns[:, None] * features[:, :, None, None]).flatten(0, 2)
         if metres.shape[-1] == 1:
+            bending = self._bending(rotation, pose, metres)
             carriers = torch.cat((rotation.transpose(1, 2).flatten(0, 1), position, bending))
             return _product(carriers, self.loads(metres[:, 0])).permute(1, 2, 0)
-        # A shape of its own for every hand: blended rotations times the vertices at the bind pose.
+        if torch.compiler.is_compiling():
+            return self._own_shapes(rotation, position, pose, metres).permute(1, 2, 0)
+        parts = (x.split(_HANDS_AT_ONCE, -1) for x in (rotation, position, pose, metres))
+        return torch.cat([self._own_shapes(*part) for part in zip(*parts, strict=True)], 1).permute(1, 2, 0)
+
+    def _own_shapes(self, rotation: Tensor, position: Tensor, pose: Tensor, metres: Tensor) -> Tensor:
+        """(3, n, vertices) of hands with a shape each: blended rotations times the vertices at the bind pose."""
         turned = compose(rotation, self.bone_from_hand[..., None])  # world_from_bone · bone_from_hand
         shifted = position - turn(rotation, self.origin_basis @ metres)
         loads = torch.cat((self.weights, self.correctives.flatten(0, 2)))
-        vertices = _product(torch.cat((shifted, bending)), loads)
+        vertices = _product(torch.cat((shifted, self._bending(rotation, pose, metres))), loads)
         blended = _product(turned.flatten(1, 2), self.weights).unflatten(0, (3, 3))
         rest = (metres.T @ self.rest_basis.flatten(0, 1).T).unflatten(-1, (3, -1)) + self.rest_vertices
-        for j in range(3):
-            vertices = torch.addcmul(vertices, blended[:, j], rest[:, j])
-        return vertices.permute(1, 2, 0)
+        for column, part in zip(blended.unbind(1), rest.unbind(1), strict=True):
+            vertices = torch.addcmul(vertices, column, part)
+        return vertices
+
+    def _bending(self, rotation: Tensor, pose: Tensor, metres: Tensor) -> Tensor:
+        """Carriers of the correctives: columns of the rotations of their bones times their features."""
+        features, _ = self.corrective_features(pose, metres)
+        columns = rotation.index_select(0, self.corrective_bones).transpose(1, 2)
+        return (columns[:, None] * features[:, :, None, None]).flatten(0, 2)
 
     def loads(self, metres: Float[Tensor, "shape"]) -> Float[Tensor, "k vertices"]:
         """The part of the shape: 60 rows of places in the bones' frames, 20 of weights, then the correctives."""

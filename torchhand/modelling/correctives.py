@@ -1,5 +1,6 @@
 """What blend skinning lacks at bent joints: offsets that put the vertices back on the skin of the bent hand."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import torch
@@ -10,9 +11,9 @@ from torchhand.hand import JOINT_DOFS, ROOT_DOFS
 from torchhand.hand.hand import Hand
 from torchhand.hand.mesh import HandMesh
 from torchhand.hand.model import HandModel
+from torchhand.modelling.diffusion import Diffusion
 from torchhand.modelling.field import HandField
 from torchhand.modelling.surface import projected
-from torchhand.modelling.diffusion import Diffusion
 
 CORRECTED = (
     *("thumb_cmc_fe", "thumb_cmc_aa", "thumb_cmc_tw", "thumb_mcp_fe", "thumb_ip_fe"),
@@ -31,14 +32,17 @@ _RIDGE = 0.03  # keeps the two features apart where an angle has a small range
 _LEAST = 5e-5  # smaller offsets are dropped
 
 
-def with_correctives(model: HandModel, mesh: HandMesh) -> HandMesh:
+def with_correctives(model: HandModel, mesh: HandMesh, on_step: Callable[[int], object]) -> HandMesh:
     """The mesh with least-squares offsets for the features (sin, 1 − cos) of each angle of CORRECTED, fitted with all
     other angles as in the bind pose. `mesh` has no correctives yet.
     """
     hand = Hand(model=replace(model, mesh=mesh), dtype=torch.float64)
     dofs = tuple(JOINT_DOFS.index(name) for name in CORRECTED)
-    basis = torch.stack([_of_angle(hand, mesh, dof) for dof in dofs], 2)
-    return replace(mesh, corrective_dofs=dofs, corrective_basis=basis)
+    columns = []
+    for dof in dofs:
+        columns.append(_of_angle(hand, mesh, dof))
+        on_step(1)
+    return replace(mesh, corrective_dofs=dofs, corrective_basis=torch.stack(columns, 2))
 
 
 def _of_angle(hand: Hand, mesh: HandMesh, dof: int) -> Float[Tensor, "vertices 3 2"]:

@@ -21,7 +21,7 @@ def round_cone(
     from_start = points - start
     along = from_start @ axis
     across = (from_start - along[..., None] * axis).norm(dim=-1)
-    foot = along + across * sine / cosine  # where the surface's normal through the point meets the axis
+    foot = along - across * sine / cosine  # where the surface's normal through the point meets the axis
     to_start = from_start.norm(dim=-1) - start_radius
     to_end = (points - end).norm(dim=-1) - end_radius
     side = across * cosine + along * sine - start_radius

@@ -1,7 +1,5 @@
 """The hand's surface as the zero of one function of space: a smooth union that follows bones and shape vector."""
 
-from collections.abc import Callable
-
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -10,9 +8,13 @@ from torchhand.hand import BONES, ELLIPSOID_NAMES, FINGERS, HandFrames, ShapeSpa
 from torchhand.modelling.distances import blended, ellipsoid, round_cone
 
 # Widths of the fillets where two parts meet, shares of hand breadth.
-_FILLETS = {"knuckle": 0.06, "thumb": 0.12, "digits": 0.02, "joints": 0.01, "pads": 0.03, "palm": 0.08}
+_FILLETS = {"knuckle": 0.06, "thumb": 0.09, "thenar": 0.055, "digits": 0.02, "joints": 0.01, "pads": 0.03, "palm": 0.07}
+# Height of the knuckles' ridges over the joint centres, shares of palm thickness: lower at the edges of the palm.
+_KNUCKLE_TOP = {"index": 0.37, "middle": 0.475, "ring": 0.465, "little": 0.36}
+_INSET = 0.002  # taken off everywhere, share of hand breadth: what the fillets add on average
 _SECTION_POWER = 2.1  # the palm's section is a little fuller than an ellipse
-_PALM_SHRINK = (0.86, 0.975)
+_PALM_SHRINK = (0.93, 0.975)
+_PALM_SINK = 0.015  # by so much of its thickness it lies deeper: the ridges stand out on the back
 
 
 class HandField:
@@ -27,11 +29,11 @@ class HandField:
     def __call__(self, points: Float[Tensor, "points 3"]) -> Float[Tensor, "points"]:
         palm = self._palm(points)
         whole = palm
-        for finger in FINGERS:
-            fillet = self._fillet["thumb" if finger == "thumb" else "knuckle"]
-            with_digit = blended(palm, self._digit(points, finger), fillet)
-            whole = blended(whole, with_digit, self._fillet["digits"]) if finger != "thumb" else with_digit
-        return whole
+        for finger in FINGERS[1:]:
+            with_digit = blended(palm, self._digit(points, finger), self._fillet["knuckle"])
+            whole = blended(whole, with_digit, self._fillet["digits"])
+        thumb = blended(self._digit(points, "thumb"), self._thenar(points), self._fillet["thenar"])
+        return blended(whole, thumb, self._fillet["thumb"]) + _INSET * self._metric["hand_breadth"]
 
     def digit_distance(self, points: Float[Tensor, "points 3"], finger: str) -> Float[Tensor, "points"]:
         """Distance to one digit alone, the thumb without the ball at its base."""
@@ -39,8 +41,7 @@ class HandField:
 
     def thumb_base(self, points: Float[Tensor, "points 3"]) -> Bool[Tensor, "points"]:
         """Whether points of the skin belong to the thumb's metacarpal rather than to the palm."""
-        base = torch.minimum(self._digit(points, "thumb"), self._ball(points, "thumb_thenar", "thumb_metacarpal"))
-        return base < self._palm_without_thumb(points)
+        return torch.minimum(self._digit(points, "thumb"), self._thenar(points)) < self._palm(points)
 
     def _bone(self, name: str) -> tuple[Tensor, Tensor]:
         index = BONES.index(name)
@@ -65,12 +66,12 @@ class HandField:
             whole = part if whole is None else blended(whole, part, self._fillet["joints"])
             pad_radius = 0.5 * (radii[i] + radii[i + 1])
             centre = self._at(name, -0.16 * pad_radius, (0.5 if bone == "distal" else 0.52) * m[name], 0.0)
-            axes = torch.stack((0.86 * pad_radius, 0.40 * m[name], 0.84 * pad_radius))
+            axes = torch.stack((0.84 * pad_radius, 0.40 * m[name], 0.80 * pad_radius))
             whole = blended(whole, ellipsoid(points, centre, self._bone(name)[0], axes), self._fillet["pads"])
         if thumb:
             start = self._at("thumb_metacarpal", 0.0, 0.25 * m["thumb_metacarpal"], 0.0)
             end = self._at("thumb_proximal", 0.0, 0.0, 0.0)
-            base = round_cone(points, start, end, 0.62 * m["thumb_thenar_radius"], radii[0])
+            base = round_cone(points, start, end, 0.55 * m["thumb_thenar_radius"], radii[0])
             return blended(whole, base, self._fillet["pads"])
         return blended(whole, self._ball(points, f"{finger}_mcp", f"{finger}_proximal"), self._fillet["pads"])
 
@@ -80,9 +81,8 @@ class HandField:
         centre, turn = position + rotation @ s.ellipsoid_centre[i], rotation @ s.ellipsoid_turn[i]
         return ellipsoid(points, centre, turn, s.ellipsoid_axes[i])
 
-    def _palm(self, points: Tensor) -> Tensor:
-        thenar = self._ball(points, "thumb_thenar", "thumb_metacarpal")
-        return blended(self._palm_without_thumb(points), thenar, self._fillet["palm"])
+    def _thenar(self, points: Tensor) -> Tensor:
+        return self._ball(points, "thumb_thenar", "thumb_metacarpal")
 
     def _knuckle(self, finger: str, rise: Tensor) -> tuple[Tensor, ...]:
         """The knuckle in the frame of its metacarpal, raised by so much to the back of the hand."""
@@ -90,26 +90,32 @@ class HandField:
         local = rotation.T @ (self._bone(f"{finger}_proximal")[1] - position)
         return local[0] + rise, local[1], local[2]
 
-    def _palm_without_thumb(self, points: Tensor) -> Tensor:
-        m, breadth, length = self._metric, self._metric["hand_breadth"], self._metric["hand_length"]
+    def _palm(self, points: Tensor) -> Tensor:
+        m, breadth, length, depth = self._metric, *self._palm_measures()
         whole = self._palm_body(points)
         for finger in FINGERS[1:]:
-            bone, radius = f"{finger}_metacarpal", m[f"{finger}_mcp_radius"]
-            start, end = self._at(bone, 0.01 * breadth, 0.03 * length, 0.0), self._at(f"{finger}_metacarpal", *self._knuckle(finger, 0.036 * breadth))
-            whole = blended(whole, round_cone(points, start, end, 0.085 * breadth, 1.05 * radius), self._fillet["pads"])
-        little = "little_metacarpal"
-        axes = torch.stack((0.125 * breadth, 0.15 * length, 0.14 * breadth))
-        heel = ellipsoid(points, self._at(little, -0.055 * breadth, 0.12 * length, 0.06 * breadth), self._bone(little)[0], axes)
-        whole = blended(whole, heel, self._fillet["palm"])
-        # the hollow of the palm
-        axes = torch.stack((0.16 * breadth, 0.15 * length, 0.15 * breadth))
-        hollow = ellipsoid(points, self._at("middle_metacarpal", -0.31 * breadth, 0.25 * length, -0.02 * breadth), self._bone("middle_metacarpal")[0], axes)
-        return -blended(-whole, hollow, self._fillet["palm"])
+            # Ridges of the metacarpals, flush with the back of the palm at the knuckles.
+            bone, radius = f"{finger}_metacarpal", 1.05 * m[f"{finger}_mcp_radius"]
+            start = self._at(bone, 0.0, 0.03 * length, 0.0)
+            end = self._at(bone, *self._knuckle(finger, _KNUCKLE_TOP[finger] * depth - radius))
+            whole = blended(whole, round_cone(points, start, end, 0.24 * depth, radius), self._fillet["pads"])
+        # The heel of the hand, towards the little finger, and the hollow of the palm.
+        edge = 0.42 * m["palm_radial"] - 0.29 * m["wrist_breadth"] - 0.21 * m["palm_breadth"]
+        heel = self._at("wrist", -0.16 * depth, 0.195 * length, edge + 0.17 * breadth)
+        axes = torch.stack((0.34 * depth, 0.15 * length, 0.13 * breadth))
+        whole = blended(whole, ellipsoid(points, heel, self._bone("wrist")[0], axes), self._fillet["palm"])
+        hollow = self._at("wrist", -0.88 * depth, 0.32 * length, m["palm_radial"] + 0.05 * breadth)
+        axes = torch.stack((0.45 * depth, 0.15 * length, 0.15 * breadth))
+        return -blended(-whole, ellipsoid(points, hollow, self._bone("wrist")[0], axes), self._fillet["palm"])
+
+    def _palm_measures(self) -> tuple[Tensor, Tensor, Tensor]:
+        return self._metric["hand_breadth"], self._metric["hand_length"], self._metric["palm_thickness"]
 
     def _palm_body(self, points: Tensor) -> Tensor:
         s = self._sizes
         rotation, position = self._bone("wrist")
         turn, origin = rotation @ s.cone_turn[0], position + rotation @ s.cone_origin[0]
+        origin = origin - _PALM_SINK * self._metric["palm_thickness"] * rotation[:, 0]
         length, scale = s.cone_length[0], s.cone_end_scale[0]
         before, after = s.ellipsoid_axes[1, 1], s.ellipsoid_axes[0, 1]
 

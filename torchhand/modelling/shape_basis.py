@@ -1,14 +1,15 @@
 """How the vertices move with the shape parameters: linear, as the joints themselves do."""
 
+from collections.abc import Callable
+
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchhand.hand import BONES, HandFrames, HandKinematics
+from torchhand.hand import BONES, KEYPOINTS, HandFrames, HandKinematics
 from torchhand.modelling.field import HandField
 from torchhand.modelling.surface import projected
 
-_DEVIATIONS = 1.0  # size of the differences, standard deviations over people
 _BEYOND = 1.15  # a bone's lengthening is carried on so far past its end
 
 
@@ -18,6 +19,7 @@ def shape_basis(
     vertices: Float[Tensor, "vertices 3"],
     bones: Int[Tensor, "vertices 4"],
     weights: Float[Tensor, "vertices 4"],
+    on_step: Callable[[int], object],
 ) -> Float[Tensor, "vertices 3 shape"]:
     """Change of the vertices with each parameter in metres, by central differences about the default shape.
 
@@ -29,8 +31,8 @@ def shape_basis(
     metres = space.metres(default)
     frames = kinematics(pose, default)
     level = HandField(space, frames, default)(vertices)
-    steps = _DEVIATIONS * space.metres(torch.where(_is_measure(space.names), default, space.std))
-    steps = torch.where(_is_measure(space.names), space.std, steps)
+    steps = metres * space.std / default.abs().clamp_min(1e-9)
+    steps = torch.where(default == 0, space.std * metres[space.names.index("hand_breadth")], steps).abs()
     columns = []
     for i in range(len(space.names)):
         sides = []
@@ -42,6 +44,7 @@ def shape_basis(
             carried = _carried(vertices, bones, weights, frames, moved_frames)
             sides.append(projected(HandField(space, moved_frames, shape), carried, level))
         columns.append((sides[0] - sides[1]) / (2 * steps[i]))
+        on_step(1)
     return torch.stack(columns, -1)
 
 
@@ -50,10 +53,6 @@ def shape_of_metres(names: tuple[str, ...], units: tuple[str, ...], metres: Floa
     length, breadth = metres[names.index("hand_length")], metres[names.index("hand_breadth")]
     scale = {"m": torch.ones_like(length), "/HL": length, "/HB": breadth}
     return metres / torch.stack([scale[unit] for unit in units])
-
-
-def _is_measure(names: tuple[str, ...]) -> Tensor:
-    return torch.tensor([name in ("hand_length", "hand_breadth") for name in names])
 
 
 def _carried(vertices: Tensor, bones: Tensor, weights: Tensor, before: HandFrames, after: HandFrames) -> Tensor:
@@ -77,8 +76,6 @@ _NEXT = {"metacarpal": "proximal", "proximal": "middle", "middle": "distal"}
 
 def _ends(frames: HandFrames) -> Tensor:
     """Where each bone ends: the next joint or the fingertip; of the wrist, the middle finger's knuckle."""
-    from torchhand.hand import KEYPOINTS
-
     ends = []
     for name in BONES:
         if name == "wrist":

@@ -11,7 +11,6 @@ from torch import Tensor
 
 Field = Callable[[Tensor], Tensor]
 
-_STEP = 0.0015  # metres, of the grid on which the surface is found
 _MARGIN = 0.03
 _ROUNDS = 20  # of the remeshing
 _CHUNK = 200_000
@@ -20,24 +19,24 @@ _LONGEST_MOVE = 2e-3  # metres, of one Newton step
 
 
 def isosurface(
-    field: Field, low: Float[Tensor, "3"], high: Float[Tensor, "3"]
+    field: Field, low: Float[Tensor, "3"], high: Float[Tensor, "3"], *, step: float
 ) -> tuple[Float[Tensor, "vertices 3"], Int[Tensor, "faces 3"]]:
-    """A fine mesh of the field's zero in a box; faces counter-clockwise from outside."""
-    axes = [torch.arange(float(a), float(b), _STEP, dtype=torch.float64) for a, b in zip(low, high, strict=True)]
+    """A fine mesh of the field's zero in a box, found on a grid of that step; faces counter-clockwise from outside."""
+    axes = [torch.arange(float(a), float(b), step, dtype=torch.float64) for a, b in zip(low, high, strict=True)]
     grid = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1)
     values = torch.cat([field(chunk) for chunk in grid.reshape(-1, 3).split(_CHUNK)]).reshape(grid.shape[:3])
     vertices, faces, _, _ = marching_cubes(values.numpy(), 0.0)
-    return torch.from_numpy(vertices * _STEP) + grid[0, 0, 0], torch.from_numpy(np.ascontiguousarray(faces)).long()
+    return torch.from_numpy(vertices * step) + grid[0, 0, 0], torch.from_numpy(np.ascontiguousarray(faces)).long()
 
 
 def even_mesh(
-    field: Field, around: Float[Tensor, "points 3"], count: int, *, tolerance: int = 10
+    field: Field, around: Float[Tensor, "points 3"], count: int, *, tolerance: int = 10, step: float = 0.0015
 ) -> tuple[Float[Tensor, "vertices 3"], Int[Tensor, "faces 3"]]:
     """A mesh of the field's zero with `count` vertices, to the tolerance, and triangles of nearly one size.
 
     Botsch and Kobbelt's remeshing of the isosurface; the edge length is found by bisection. Deterministic.
     """
-    fine, fine_faces = isosurface(field, around.amin(0) - _MARGIN, around.amax(0) + _MARGIN)
+    fine, fine_faces = isosurface(field, around.amin(0) - _MARGIN, around.amax(0) + _MARGIN, step=step)
     low, high = 0.5e-3, 50e-3
     for _ in range(30):
         edge = (low * high) ** 0.5
@@ -54,19 +53,18 @@ def even_mesh(
 def balanced(
     field: Field, vertices: Float[Tensor, "vertices 3"], faces: Int[Tensor, "faces 3"], *, rounds: int = 4
 ) -> Float[Tensor, "vertices 3"]:
-    """The vertices moved along the field's gradient until the mesh encloses about as much as the field does.
+    """The vertices moved along the field's gradient until corners and middles of the triangles lie about it evenly.
 
-    A mesh whose corners lie on a round surface is too thin: its triangles cut the curve. On a sphere they lack on
-    average three quarters of what their middles lack, and by so much the corners are raised, evened out over the
-    neighbourhood.
+    A mesh whose corners lie on a round surface is too thin: its triangles cut the curve. So the corners are raised by
+    half of what the triangles' middles lack, evened out over the neighbourhood: outlines are then right on average.
     """
     level = torch.zeros(len(vertices), dtype=vertices.dtype)
     for _ in range(rounds):
         vertices = projected(field, vertices, level)
-        lack = _spread(-3 * field(vertices[faces].mean(1)) - level[faces].mean(1), faces, len(vertices))
+        lack = _spread(-field(vertices[faces].mean(1)) - level[faces].mean(1), faces, len(vertices))
         for _ in range(_EVENING):
             lack = _spread(lack[faces].mean(1), faces, len(vertices))
-        level = level + 0.25 * lack
+        level = level + 0.5 * lack
     return projected(field, vertices, level)
 
 

@@ -16,6 +16,7 @@ _JOINT_ZONE, _KNUCKLE_ZONE, _THUMB_ZONE = 3.0e-3, 4.5e-3, 8.0e-3
 # Where the palm passes from the wrist to the metacarpals, shares of hand length; how far a metacarpal reaches aside,
 # share of hand breadth.
 _PALM_ZONE = (0.06, 0.20)
+_PALM_SHARE = 0.85  # of the metacarpals where they carry the palm most: soft tissue lags behind the bone
 _METACARPAL_REACH = 0.12
 
 
@@ -38,7 +39,9 @@ def skin_weights(
         thumb = finger == "thumb"
         chain = ("metacarpal", "proximal", "distal") if thumb else ("proximal", "middle", "distal")
         zones = (_THUMB_ZONE, _KNUCKLE_ZONE, _JOINT_ZONE) if thumb else (_KNUCKLE_ZONE, _JOINT_ZONE, _JOINT_ZONE)
-        shares = [diffuse(beyond[f"{finger}_{bone}"], zone).clamp(0, 1) for bone, zone in zip(chain, zones, strict=True)]
+        shares = [
+            diffuse(beyond[f"{finger}_{bone}"], zone).clamp(0, 1) for bone, zone in zip(chain, zones, strict=True)
+        ]
         shares = [*shares, torch.zeros_like(left)]
         left = left - shares[0]
         for i, bone in enumerate(chain):
@@ -71,7 +74,7 @@ def _palm(frames: HandFrames, metric: dict[str, Tensor], vertices: Tensor) -> Te
     low, high = (share * metric["hand_length"] for share in _PALM_ZONE)
     height = (vertices - frames.position[0]) @ frames.rotation[0][:, 1]
     up = ((height - low) / (high - low)).clamp(0, 1)
-    up = up * up * (3 - 2 * up)
+    up = _PALM_SHARE * up * up * (3 - 2 * up)
     reach = _METACARPAL_REACH * metric["hand_breadth"]
     aside = []
     for finger in FINGERS[1:]:

@@ -42,7 +42,8 @@ class Polytope:
         flat = exact.detach().reshape(-1, exact.shape[-1])
         slack = max(_ON, 4 * torch.finfo(point.dtype).eps)
         face = torch.cat([own._face(part, slack) for part in flat.split(_CHUNK)]).reshape(exact.shape[:-1])
-        near = (own.flatten[face] @ exact[..., None]).squeeze(-1) + own.offset[face]
+        flatten, offset = own.flatten[face[..., None]].squeeze(-3), own.offset[face[..., None]].squeeze(-2)
+        near = (flatten @ exact[..., None]).squeeze(-1) + offset
         near = torch.where((face == 0)[..., None], point.clamp(-_FARTHEST, _FARTHEST), near.to(point.dtype))
         return torch.where(point.isnan().any(-1, keepdim=True), torch.nan, near)
 

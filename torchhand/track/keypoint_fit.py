@@ -1,6 +1,5 @@
 """A hand fitted to 21 keypoints, in space or in a picture: a pose for every frame, one shape for all."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -8,22 +7,17 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchhand.geometry import Camera, rotation_from_vector, vector_from_rotation
-from torchhand.hand import DOFS, HandKinematics, PoseSpace, named_pose_space
-from torchhand.hand.anthropometry import Anthropometry
-from torchhand.hand.jacobians import PoseJacobian, ShapeJacobian
-from torchhand.numerics.levenberg_marquardt import LeastSquares, Status, levenberg_marquardt
-from torchhand.numerics.robust import RobustLoss
-from torchhand.track.keypoint_prior import NaturalPosture, limit_information, missing_share, natural_posture
-from torchhand.track.keypoint_residuals import Common, KeypointCost, Observations
+from torchhand.geometry import Camera, left_jacobian, rotation_from_vector, vector_from_rotation
+from torchhand.hand import HandKinematics, PoseSpace, named_pose_space
+from torchhand.hand.jacobians import moving_parameters
+from torchhand.numerics.levenberg_marquardt import Status
+from torchhand.track.keypoint_prior import NaturalPosture, natural_posture
+from torchhand.track.keypoint_residuals import Observations
 from torchhand.track.keypoint_settings import KeypointFitSettings
-from torchhand.track.keypoint_shape import CommonFit, CommonParameters, reduced
-from torchhand.track.keypoint_start import start_in_space
-from torchhand.track.keypoint_views import starts_in_picture
+from torchhand.track.keypoint_solver import KeypointSolution, KeypointSolver
 
 FIT_STATUSES = ("fitted", "too few points", "failed")
 """By the numbers in `KeypointFit.status`."""
-_ROOT_STD = (1.0, math.pi / math.sqrt(3))  # of a root that points leave open: metres, radians
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +36,8 @@ class KeypointFit:
     """0 for parameters that were held."""
     keypoints: Float[Tensor, "*frames 21 3"]
     """Our keypoints of the fitted hand, metres in the world."""
+    keypoints_covariance: Float[Tensor, "*frames 21 3 3"]
+    """m², from that of the pose."""
     residual: Float[Tensor, "*frames 21"]
     """Distance of each measured point from the fitted hand: metres, or px. NaN for missing points."""
     status: Int[Tensor, "*frames"]
@@ -101,22 +97,20 @@ def fit_keypoints(
     batch = keypoints.shape[:-2]
     observed = _observations(keypoints.to(like), camera, confidence, settings, batch)
     lower, upper = free_limits(space, kinematics)
-    posture = posture or natural_posture(dtype=like.dtype, device=like.device)
-    start_shape = (kinematics.default_shape if shape is None else shape.to(like)).clone()
-    columns = _free_columns(kinematics, fit_shape, fit_scale)
     good = (observed.is_known.sum(-1) >= settings.least_points).nonzero()[:, 0]
-    solver = _Solver(
+    solver = KeypointSolver(
         kinematics=kinematics,
         space=space,
-        observed=observed.rows(good),
-        posture=posture,
-        columns=columns,
-        fit_scale=fit_scale,
-        settings=settings,
         lower=lower,
         upper=upper,
+        observed=observed.rows(good),
+        posture=posture or natural_posture(dtype=like.dtype, device=like.device),
+        columns=_free_columns(kinematics, fit_shape, fit_scale),
+        fit_scale=fit_scale,
+        settings=settings,
     )
-    return solver.solve(start_shape).placed(good, len(observed.points), batch, space)
+    solution = solver.solve((kinematics.default_shape if shape is None else shape.to(like)).clone())
+    return _placed(_result(solver, solution), good, len(observed.points), batch)
 
 
 def free_limits(space: PoseSpace, kinematics: HandKinematics) -> tuple[Float[Tensor, "free"], Float[Tensor, "free"]]:
@@ -179,8 +173,13 @@ def _observations(
     points = keypoints.reshape(-1, 21, keypoints.shape[-1])
     trust = torch.ones_like(points[..., 0]) if confidence is None else confidence.to(points).reshape(-1, 21)
     is_known = points.isfinite().all(-1) & trust.isfinite() & (trust > 0)
-    noise = settings.noise if camera is None else settings.noise_px
+    noise = torch.full_like(points[:, 0, 0], settings.noise)
+    coarse = noise
     if camera is not None:
+        known = torch.where(is_known[..., None], points, torch.nan)
+        extent = (known.nan_to_num(-torch.inf).amax(1) - known.nan_to_num(torch.inf).amin(1)).amax(-1)
+        coarse = settings.noise_share * extent.clamp_min(1.0)
+        noise = coarse if settings.noise_px is None else torch.full_like(coarse, settings.noise_px)
         camera = camera.to(dtype=points.dtype, device=points.device)
         if camera.intrinsics.ndim > 2:
             camera = replace(
@@ -192,7 +191,9 @@ def _observations(
             )
     return Observations(
         points=torch.where(is_known[..., None], points, 0.0),
-        weight=torch.where(is_known, trust, 0.0) / noise**2,
+        confidence=torch.where(is_known, trust, 0.0),
+        noise=noise,
+        coarse_noise=torch.maximum(noise, coarse),
         camera=camera,
     )
 
@@ -212,198 +213,57 @@ def _free_columns(kinematics: HandKinematics, fit_shape: bool | Sequence[str], f
     return tuple(i for i in chosen if names[i] not in held)
 
 
-def moving_parameters(kinematics: HandKinematics) -> tuple[int, ...]:
-    """Shape parameters that move keypoints, index into the shape space's names."""
-    frames = kinematics(torch.zeros(len(DOFS)).to(kinematics.default_levers))
-    moved = ShapeJacobian(kinematics)(frames, kinematics.default_shape).abs().amax((0, 1))
-    return tuple(moved.nonzero()[:, 0].tolist())
+def _placed(fit: KeypointFit, rows: Tensor, count: int, batch: torch.Size) -> KeypointFit:
+    """The fit of some frames among all frames."""
+
+    def spread(part: Tensor, empty: int | float) -> Tensor:
+        whole = part.new_full((count, *part.shape[1:]), empty)
+        whole[rows] = part
+        return whole.reshape((*batch, *part.shape[1:]))
+
+    names = ("pose", "pose_std", "pose_covariance", "keypoints", "keypoints_covariance", "residual")
+    return replace(
+        fit,
+        **{name: spread(getattr(fit, name), torch.nan) for name in names},
+        status=spread(fit.status, FIT_STATUSES.index("too few points")),
+        iterations=spread(fit.iterations, 0),
+    )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Solution:
+def _result(solver: KeypointSolver, solution: KeypointSolution) -> KeypointFit:
     """Of the frames that have enough points."""
+    cost, found, common = solution.cost, solution.poses, solution.common
+    pose, frames, residual = cost.distances(found.values, torch.arange(len(found.values)).to(found.status), common)
+    covariance, common_covariance = solver.covariances(solution)
+    # Of the rotation vector about the reference, the covariance becomes that of a further small rotation.
+    about_world = torch.eye(solver.space.size).to(covariance).repeat(len(pose), 1, 1)
+    about_world[:, 3:6, 3:6] = left_jacobian(pose[:, 3:6])
+    covariance = about_world @ covariance @ about_world.mT
+    turned = rotation_from_vector(pose[:, 3:6]) @ cost.reference
+    pose = torch.cat((pose[:, :3], torch.zeros_like(pose[:, :3]), pose[:, 6:]), -1)
+    columns = cost.pose_jacobian(pose, frames)
+    pose = torch.cat((pose[:, :3], vector_from_rotation(turned), pose[:, 6:]), -1)
+    basis = solver.space.basis
+    std = (basis @ covariance @ basis.mT).diagonal(dim1=-2, dim2=-1).clamp_min(0).sqrt()
+    shape_std = torch.zeros_like(common.shape)
+    shape_std[list(solver.columns)] = common_covariance.diagonal()[: len(solver.columns)].clamp_min(0).sqrt()
+    is_sound = (found.status != Status.FAILED) & pose.isfinite().all(-1) & covariance.isfinite().all((-2, -1))
 
-    fit: KeypointFit
+    def sound(part: Tensor) -> Tensor:
+        return torch.where(is_sound.reshape(-1, *[1] * (part.ndim - 1)), part, torch.nan)
 
-    def placed(self, rows: Tensor, count: int, batch: torch.Size, space: PoseSpace) -> KeypointFit:
-        """Among all frames."""
-
-        def spread(part: Tensor, empty: float) -> Tensor:
-            whole = part.new_full((count, *part.shape[1:]), empty)
-            whole[rows] = part
-            return whole.reshape(*batch, *part.shape[1:])
-
-        fit = self.fit
-        names = ("pose", "pose_std", "pose_covariance", "keypoints", "residual")
-        return replace(
-            fit,
-            **{name: spread(getattr(fit, name), torch.nan) for name in names},
-            status=spread(fit.status, FIT_STATUSES.index("too few points")),
-            iterations=spread(fit.iterations, 0),
-            space=space,
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Solver:
-    kinematics: HandKinematics
-    space: PoseSpace
-    observed: Observations
-    posture: NaturalPosture
-    columns: tuple[int, ...]
-    fit_scale: bool
-    settings: KeypointFitSettings
-    lower: Tensor
-    upper: Tensor
-
-    def solve(self, shape: Tensor) -> _Solution:
-        points, settings = self.observed.points, self.settings
-        mean = self._within(self.posture.mean)
-        common = Common(shape=shape, log_scale=shape.new_zeros(()), offsets=shape.new_zeros(21, 3))
-        if self.observed.camera is None:
-            pose, reference, size = start_in_space(self.kinematics, points, self.observed.is_known, shape, mean)
-            if len(points) and self.fit_scale:
-                common = replace(common, log_scale=-size.median().log())
-                points = common.log_scale.exp() * points
-                pose, reference, _ = start_in_space(self.kinematics, points, self.observed.is_known, shape, mean)
-            elif len(points) and self.columns:
-                common = replace(common, shape=self._sized(shape, float(size.median())))
-            pose, reference = pose[:, None], reference[:, None]
-        else:
-            pose, reference = starts_in_picture(self.kinematics, self.observed, shape, mean, settings.starts)
-        starts = pose.shape[1]
-        free = self.space.free(pose.flatten(0, 1)).clamp(self.lower, self.upper)
-        has_offsets = settings.offset_std > 0
-        constraints = Anthropometry(self.kinematics.shape_space) if settings.is_typical else None
-        parameters = CommonParameters.of(
-            self.kinematics.shape_space,
-            self.columns,
-            common,
-            has_scale=self.fit_scale,
-            offset_std=settings.offset_std,
-            constraints=constraints,
-        )
-        cost = KeypointCost(
-            kinematics=self.kinematics,
-            space=self.space,
-            observed=self.observed.rows(torch.arange(len(points), device=free.device).repeat_interleave(starts)),
-            reference=reference.flatten(0, 1),
-            prior=self.posture,
-            prior_share=self._prior_share().repeat_interleave(starts, 0),
-            robust=RobustLoss(
-                kind="squares" if math.isinf(settings.gross) else "huber",
-                scale=settings.gross if math.isfinite(settings.gross) else 1.0,
-                group=points.shape[-1],
-            ),
-            pose_jacobian=PoseJacobian(self.kinematics, self.space.basis),
-            shape_jacobian=ShapeJacobian(self.kinematics, self.columns),
-            has_scale=self.fit_scale,
-            has_offsets=has_offsets,
-            chunk=settings.chunk,
-        )
-        found = self._poses(cost, free, common)
-        if starts > 1:
-            best = found.cost.nan_to_num(torch.inf).unflatten(0, (-1, starts)).argmin(-1)
-            best = best + starts * torch.arange(len(points), device=free.device)
-            cost, found = cost.rows(best), found.rows(best)
-        if parameters.size and bool((found.status != Status.FAILED).any()):
-            sound = (found.status != Status.FAILED).nonzero()[:, 0]
-            fit = CommonFit(
-                cost=cost.rows(sound),
-                parameters=parameters,
-                lower=self.lower,
-                upper=self.upper,
-                free=found.values[sound],
-                pose_settings=settings.pose,
-                constraints=constraints,
-            )
-            common, _ = fit.solve(common, settings.shape)
-            free = found.values.clone()
-            free[sound] = fit.free
-            found = self._poses(cost, free, common)
-        return _Solution(fit=self._result(cost, found, common, parameters))
-
-    def _poses(self, cost: KeypointCost, free: Tensor, common: Common) -> LeastSquares:
-        return levenberg_marquardt(
-            lambda values, rows: cost.pose_equations(values, rows, common),
-            free,
-            lower=self.lower,
-            upper=self.upper,
-            settings=self.settings.pose,
-            takes_rows=True,
-        )
-
-    def _within(self, pose: Tensor) -> Tensor:
-        return self.space.dof(self.space.free(pose).clamp(self.lower, self.upper))
-
-    def _sized(self, shape: Tensor, size: float) -> Tensor:
-        """The shape grown in length and breadth where these are free."""
-        space = self.kinematics.shape_space
-        sized = shape.clone()
-        for column in (space.names.index(name) for name in ("hand_length", "hand_breadth")):
-            if column in self.columns:
-                low, high = float(space.lower[column]), float(space.upper[column])
-                sized[column] = min(max(size * float(shape[column]), low), high)
-        return sized
-
-    def _prior_share(self) -> Tensor:
-        mode = self.settings.prior
-        if mode == "auto":
-            mode = "where_missing" if self.observed.camera is None else "always"
-        if mode == "where_missing":
-            noise = self.settings.noise if self.observed.camera is None else self.settings.noise_px
-            return missing_share(self.observed.weight * noise**2)
-        share = 1.0 if mode == "always" else 0.0
-        return self.observed.points.new_full((len(self.observed.points), len(DOFS)), share)
-
-    def _result(
-        self, cost: KeypointCost, found: LeastSquares, common: Common, parameters: CommonParameters
-    ) -> KeypointFit:
-        rows = torch.arange(len(found.values), device=found.values.device)
-        pose, frames, residual = cost.distances(found.values, rows, common)
-        turned = rotation_from_vector(pose[:, 3:6]) @ cost.reference
-        pose = torch.cat((pose[:, :3], vector_from_rotation(turned), pose[:, 6:]), -1)
-        covariance, common_covariance = self._covariances(cost, found.values, rows, common, parameters)
-        std = (self.space.basis @ covariance @ self.space.basis.mT).diagonal(dim1=-2, dim2=-1).clamp_min(0).sqrt()
-        shape_std = torch.zeros_like(common.shape)
-        count = len(self.columns)
-        shape_std[list(self.columns)] = common_covariance.diagonal()[:count].clamp_min(0).sqrt()
-        is_sound = (found.status != Status.FAILED) & pose.isfinite().all(-1) & covariance.isfinite().all((-2, -1))
-
-        def sound(part: Tensor) -> Tensor:
-            return torch.where(is_sound.reshape(-1, *[1] * (part.ndim - 1)), part, torch.nan)
-
-        return KeypointFit(
-            pose=sound(pose),
-            pose_std=sound(std),
-            pose_covariance=sound(covariance),
-            shape=common.shape,
-            shape_std=shape_std,
-            keypoints=sound(frames.keypoints),
-            residual=sound(residual),
-            status=torch.where(is_sound, 0, FIT_STATUSES.index("failed")),
-            iterations=found.iterations,
-            scale=float(common.log_scale.exp()),
-            offsets=common.offsets,
-            space=self.space,
-        )
-
-    def _covariances(
-        self, cost: KeypointCost, free: Tensor, rows: Tensor, common: Common, parameters: CommonParameters
-    ) -> tuple[Tensor, Tensor]:
-        """Of the poses and of the common parameters, from the joint normal equations with the limits' information."""
-        basis = self.space.basis
-        known = limit_information(self.kinematics.skeleton).to(free)
-        known[:3], known[3:6] = _ROOT_STD[0] ** -2, _ROOT_STD[1] ** -2
-        believed = torch.diag((basis.square() * known[:, None]).sum(0))
-        blocks = cost.blocks(free, rows, common)
-        with_limits = replace(blocks, pose=blocks.pose + believed)
-        factor, info = torch.linalg.cholesky_ex(with_limits.pose)
-        own = torch.where((info == 0)[:, None, None], torch.cholesky_inverse(factor), torch.nan)
-        if not parameters.size:
-            return own, own.new_zeros(0, 0)
-        infinite = torch.full_like(self.lower, torch.inf)
-        eliminated = reduced(with_limits, -infinite, infinite, free)
-        joint = eliminated.equations.matrix + torch.diag(parameters.std**-2)
-        shared = torch.linalg.inv(joint)
-        return own + eliminated.follow @ shared @ eliminated.follow.mT, shared
+    return KeypointFit(
+        pose=sound(pose),
+        pose_std=sound(std),
+        pose_covariance=sound(covariance),
+        shape=common.shape,
+        shape_std=shape_std,
+        keypoints=sound(frames.keypoints),
+        keypoints_covariance=sound(columns @ covariance[:, None] @ columns.mT),
+        residual=sound(residual),
+        status=torch.where(is_sound, 0, FIT_STATUSES.index("failed")),
+        iterations=found.iterations,
+        scale=float(common.log_scale.exp()),
+        offsets=common.offsets,
+        space=solver.space,
+    )

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.geometry import Camera
@@ -22,22 +22,40 @@ class Observations:
     """Measured keypoints, one row per frame."""
 
     points: Float[Tensor, "frames 21 d"]
-    """Metres in the world, or px; any finite number where the weight is 0."""
-    weight: Float[Tensor, "frames 21"]
-    """Confidence over the variance of the noise; 0 for missing points."""
+    """Metres in the world, or px; any finite number where the confidence is 0."""
+    confidence: Float[Tensor, "frames 21"]
+    """0 for missing points."""
+    noise: Float[Tensor, "frames"]
+    """Standard deviation of a point of confidence 1 along each axis, metres or px."""
+    coarse_noise: Float[Tensor, "frames"]
+    """The same for telling starts apart: not so small that only the nearest of them can be followed."""
     camera: Camera | None
     """Of the pixels: one for all frames or one per frame; None in space."""
 
     @property
-    def is_known(self) -> Tensor:
-        return self.weight > 0
+    def is_known(self) -> Bool[Tensor, "frames 21"]:
+        return self.confidence > 0
+
+    @property
+    def weight(self) -> Float[Tensor, "frames 21"]:
+        return self.confidence / self.noise[:, None].square()
+
+    def coarse(self) -> "Observations":
+        """The same points, trusted less."""
+        return replace(self, noise=self.coarse_noise)
 
     def rows(self, rows: Int[Tensor, "k"]) -> "Observations":
         camera = self.camera
         if camera is not None and camera.intrinsics.ndim > 2:
             names = ("intrinsics", "rotation", "translation", "distortion")
             camera = replace(camera, **{name: getattr(camera, name)[rows] for name in names})
-        return Observations(points=self.points[rows], weight=self.weight[rows], camera=camera)
+        return Observations(
+            points=self.points[rows],
+            confidence=self.confidence[rows],
+            noise=self.noise[rows],
+            coarse_noise=self.coarse_noise[rows],
+            camera=camera,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

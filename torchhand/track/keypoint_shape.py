@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchhand.hand import ShapeSpace
 from torchhand.hand.anthropometry import Anthropometry
+from torchhand.hand.jacobians import moving_parameters
 from torchhand.numerics.levenberg_marquardt import (
     LeastSquares,
     LevenbergMarquardtSettings,
@@ -171,9 +172,11 @@ class CommonFit:
         )
         common = self.parameters.common(found.values)
         if self.constraints is not None and self.parameters.columns:
-            projected = self.constraints.project(common.shape)[list(self.parameters.columns)]
-            kept = torch.cat((projected, found.values[len(projected) :]))
-            common = self.parameters.common(kept)
+            # Parameters that move no keypoint may give way too.
+            held = set(moving_parameters(self.cost.kinematics)) - set(self.parameters.columns)
+            projected = self.constraints.project(common.shape)
+            projected[list(held)] = common.shape[list(held)]
+            common = replace(common, shape=projected)
         return common, found
 
     def _linearise(self, vector: Tensor) -> NormalEquations:

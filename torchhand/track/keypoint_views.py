@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand import HandKinematics, posture
+from torchhand.hand import DOFS, FINGERS, HandKinematics, PoseSpace, posture
 from torchhand.track.keypoint_residuals import Observations
 
 _POSTURES = ("open", "fist")  # tried besides the natural posture
@@ -17,16 +17,14 @@ _UNKNOWN_DEPTH = 0.5  # metres, for cameras that do not show depth
 
 def viewing_directions() -> Float[Tensor, "views 3 3"]:
     """Rotations that bring each of 42 directions of the hand frame onto the optical axis; float64."""
-    turns = [
-        rotation_from_vector(torch.tensor((0.0, sign * math.pi / 2, 0.0), dtype=torch.float64)) for sign in (1, -1)
-    ]
+    back = rotation_from_vector(torch.tensor((0.0, math.pi / 2, 0.0), dtype=torch.float64))
     up = rotation_from_vector(torch.tensor((math.pi / 2, 0.0, 0.0), dtype=torch.float64))
     views = [up, up.T]  # along the fingers, both ways
     for latitude in _LATITUDES_DEG:
         tilt = rotation_from_vector(torch.tensor((math.radians(latitude), 0.0, 0.0), dtype=torch.float64))
         for step in range(_RING):
             around = torch.tensor((0.0, 2 * math.pi * step / _RING, 0.0), dtype=torch.float64)
-            views.append(tilt @ rotation_from_vector(around) @ turns[0])
+            views.append(tilt @ rotation_from_vector(around) @ back)
     return torch.stack(views)
 
 
@@ -86,3 +84,18 @@ def starts_in_picture(
     poses = joints[which]
     poses[..., :3] = (world_from_cam @ (root - translation)[..., None]).squeeze(-1)
     return poses, world_from_cam @ cam_from_hand
+
+
+def other_ways(space: PoseSpace, free: Float[Tensor, "frames free"]) -> Float[Tensor, "frames 6 free"]:
+    """The poses, then for each digit the same with that digit bent if it was straight, or straight if it was bent."""
+    pose = space.dof(free)
+    bent, straight = (posture(name).to(pose) for name in ("fist", "open"))
+    poses = [pose]
+    for finger in FINGERS:
+        own = [i for i, dof in enumerate(DOFS) if dof.startswith(finger)]
+        flexions = [i for i in own if DOFS[i].endswith(("mcp_fe", "ip_fe"))]
+        is_bent = pose[:, flexions].sum(-1, keepdim=True) > 0.5 * bent[flexions].sum()
+        changed = pose.clone()
+        changed[:, own] = torch.where(is_bent, straight[own], bent[own])
+        poses.append(changed)
+    return space.free(torch.stack(poses, 1))

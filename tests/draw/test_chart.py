@@ -1,0 +1,59 @@
+"""Line charts, read back from their pixels."""
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from torchhand.draw.chart import LINE_COLOURS, draw_chart, tick_step
+
+
+def _is(picture: Tensor, colour: tuple[int, int, int]) -> Tensor:
+    return (picture.int() - torch.tensor(colour, dtype=torch.int32)).abs().amax(-1) < 40
+
+
+def test_a_line_goes_where_its_values_say() -> None:
+    picture = draw_chart("", [0, 5, 10], {"": [0.0, 10.0, 10.0]}, width=400, height=300)
+    rows, columns = _is(picture, LINE_COLOURS[0]).nonzero().unbind(-1)
+    left, right, top, bottom = (int(x) for x in (columns.min(), columns.max(), rows.min(), rows.max()))
+    assert 40 < left < 80
+    assert 360 < right < 400
+    assert abs(float(rows[columns == (left + right) // 2].double().mean()) - top) < 4
+    assert abs(float(rows[columns == (3 * left + right) // 4].double().mean()) - (top + bottom) / 2) < 4
+
+
+def test_levels_are_dashed_and_scale_the_axis() -> None:
+    plain = draw_chart("", [0, 1], {"a": [1.0, 1.0]})
+    both = draw_chart("", [0, 1], {"a": [1.0, 1.0]}, levels={"b": 2.0})
+    height = [float(_is(p, LINE_COLOURS[0])[100:].nonzero()[:, 0].double().mean()) for p in (plain, both)]
+    assert math.isnan(height[0]) or height[1] > height[0] + 50
+    dashes = _is(both, LINE_COLOURS[1])
+    row = int(dashes.sum(1).argmax())
+    steps = dashes[row].int().diff().abs().sum()
+    assert int(steps) > 20
+    assert 0.3 < float(dashes[row, 80:440].double().mean()) < 0.7
+
+
+def test_what_is_not_finite_is_left_out() -> None:
+    known = draw_chart("t", [0, 1, 3], {"a": [1.0, 2.0, 3.0]})
+    holed = draw_chart("t", [0, 1, 2, 3], {"a": [1.0, 2.0, math.nan, 3.0]}, levels={"b": math.nan})
+    assert torch.equal(known, holed)
+    empty = draw_chart("t", [], {"a": []})
+    assert empty.shape == (320, 480, 3)
+    assert not bool(_is(empty, LINE_COLOURS[0])[60:].any())
+
+
+@pytest.mark.parametrize(
+    ("largest", "step"), [(1.0, 0.2), (10.0, 2.0), (24.0, 5.0), (0.031, 0.01), (4000.0, 1000.0), (25.0, 5.0)]
+)
+def test_ticks_are_round(largest: float, step: float) -> None:
+    assert tick_step(largest) == pytest.approx(step)
+    assert 2 <= largest / tick_step(largest) <= 5.01
+
+
+def test_mistakes_are_named() -> None:
+    with pytest.raises(ValueError, match="a: expected 2 values, as many as x has, got 1"):
+        draw_chart("", [0, 1], {"a": [1.0]})
+    with pytest.raises(ValueError, match="size: expected at least 160x120 px, got 100x300"):
+        draw_chart("", [0, 1], {"a": [1.0, 2.0]}, width=100, height=300)

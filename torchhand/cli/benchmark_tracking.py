@@ -1,0 +1,206 @@
+"""Measures of `torchhand benchmark` on tracking: the filter's update, frames per second, memory."""
+
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import count, islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import UInt8
+from torch import Tensor
+from tqdm import tqdm
+
+import torchhand
+from torchhand.cli.request import settings_of
+from torchhand.files import load_hand_model, load_track, save_cameras, write_video
+from torchhand.files.results import UNFINISHED_NAME
+from torchhand.files.track_file import JSONL_NAME
+from torchhand.geometry import Camera, assumed_camera
+from torchhand.numerics import Gaussian, UnscentedSettings, sigma_points, update
+from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
+from torchhand.study.figures import Figure, against_peer, peer_module
+from torchhand.study.timing import PROC, time_interleaved, watch_memory
+from torchhand.track.contour_tracker import ContourTracker, Memory
+
+STATE, OBSERVED, MEASUREMENTS = 81, 27, 800
+FRAMES_PER_SECOND = 30.0
+FOV_DEG = 48.0
+MEMORY_SIZE_PX, MEMORY_FRAMES, MEMORY_RENDERED, MEMORY_SKIP = (1280, 720), 621, 40, 100
+MEMORY_MUST_MIB = 1536.0
+FILTER_ROUNDS, TRACKING_ROUNDS = 15, 5
+"""Repeats unless --repeats says otherwise."""
+
+
+def filter_update(name: str, repeats: int | None) -> Figure:
+    """Both updates from the same sigma points and the same observations, which are computed before."""
+    generator = torch.Generator().manual_seed(0)
+    normal = partial(torch.randn, generator=generator, dtype=torch.float64)
+    root = 0.1 * normal(STATE, STATE)
+    state = Gaussian(normal(STATE), root @ root.mT + 0.01 * torch.eye(STATE, dtype=torch.float64))
+    mixing = 0.2 * normal(MEASUREMENTS, OBSERVED)
+    variance = 0.5 + torch.rand(MEASUREMENTS, generator=generator, dtype=torch.float64)
+
+    def observe(states: Tensor) -> Tensor:
+        return (states[..., :OBSERVED] @ mixing.mT).sin()
+
+    points = sigma_points(state, UnscentedSettings()).points
+    seen = observe(points)
+    # The points of the first components alone: the centre, then plus and minus of each column.
+    kept = torch.cat((torch.arange(OBSERVED + 1), 1 + STATE + torch.arange(OBSERVED)))
+    seen_by_few = seen[kept]
+    measurement = observe(state.mean) + 0.5 * normal(MEASUREMENTS)
+    candidates: dict[str, Callable[[], object]] = {
+        "ours": lambda: update(state, lambda _: seen, measurement, variance),
+        f"observed_{OBSERVED}": lambda: update(state, lambda _: seen_by_few, measurement, variance, observed=OBSERVED),
+    }
+    library = peer_module("filterpy.kalman")
+    if library is not None:
+        candidates["peer"] = _filterpy_update(library, state, points, seen, measurement, variance)
+    return against_peer(name, repeats or FILTER_ROUNDS, "filterpy", candidates, must=10.0, aim=15.0)
+
+
+def _filterpy_update(
+    library: Any, state: Gaussian, points: Tensor, seen: Tensor, measurement: Tensor, variance: Tensor
+) -> Callable[[], object]:
+    calls = count()
+    observations = seen.numpy()
+    spread = library.MerweScaledSigmaPoints(STATE, 1.0, 2.0, 0.0)
+    peer = library.UnscentedKalmanFilter(
+        STATE, MEASUREMENTS, 1.0, hx=lambda _: observations[next(calls) % len(observations)], fx=None, points=spread
+    )
+    noise = np.diag(variance.numpy())
+
+    def run() -> object:
+        peer.x, peer.P, peer.sigmas_f = state.mean.numpy().copy(), state.covariance.numpy().copy(), points.numpy()
+        peer.update(measurement.numpy(), R=noise)
+        return peer.x
+
+    return run
+
+
+def _simulated(motion: str, size: tuple[int, int], frames: int, look: SceneSettings) -> tuple[Camera, list[Tensor]]:
+    """A camera and the pictures of a hand before a plain wall."""
+    kinematics = load_hand_model().kinematics(dtype=torch.float64)
+    camera = replace(assumed_camera(*size, horizontal_fov_deg=FOV_DEG), is_assumed=False)
+    generator = torch.Generator().manual_seed(0)
+    course = scripted_motion(motion, frames, kinematics, camera, generator, fps=FRAMES_PER_SECOND)
+    rendered = render_sequence(kinematics, course, camera, look, generator)
+    return camera, [frame.image for frame in _with_bar(rendered, frames, "rendering")]
+
+
+def _with_bar(steps: Any, total: int, what: str) -> Any:
+    return tqdm(steps, total=total, desc=what, unit="frame", leave=False, disable=not sys.stderr.isatty())
+
+
+def tracking(
+    name: str,
+    repeats: int | None,
+    *,
+    config: str,
+    motion: str,
+    size: tuple[int, int],
+    frames: int,
+    must: float,
+    aim: float,
+) -> Figure:
+    """Frames per second of the tracker's steps alone: the pictures are there, the start is made."""
+    camera, pictures = _simulated(motion, size, frames, SceneSettings())
+    kinematics = load_hand_model().kinematics(dtype=torch.float64)
+    tracker = ContourTracker(kinematics, camera, FRAMES_PER_SECOND, settings_of(config))
+    with torch.inference_mode():
+        start, memory, _ = tracker.step(None, Memory(), pictures[0])
+        statuses = _track_all(tracker, start, memory, pictures[1:])
+        run = partial(_track_all, tracker, start, memory, pictures[1:])
+        repeats = repeats or TRACKING_ROUNDS
+        [timing] = time_interleaved({"ours": run}, repeats, warm_up=0).values()
+    per_frame = timing.median / len(statuses)
+    tracked = statuses.count("tracked")
+    return Figure(
+        name=name,
+        value=1e3 / per_frame,
+        unit="frames/s",
+        must=must,
+        aim=aim,
+        ours_ms=per_frame,
+        repeats=repeats,
+        note="" if tracked == len(statuses) else f"only {tracked} of {len(statuses)} frames were tracked",
+        details={"config": config, "motion": motion, "frames": len(statuses), "tracked": tracked}
+        | {"ours_fastest_ms": timing.fastest / len(statuses)},
+    )
+
+
+def _track_all(
+    tracker: ContourTracker, state: Any, memory: Memory, pictures: Sequence[UInt8[Tensor, "height width 3"]]
+) -> list[str]:
+    statuses = []
+    for picture in pictures:
+        state, memory, estimate = tracker.step(state, memory, picture)
+        statuses.append(estimate.status)
+    return statuses
+
+
+def track_memory(name: str, repeats: int | None) -> Figure:
+    """Resident memory of `torchhand track` over a long video; nothing may grow with its length."""
+    if not PROC.is_dir():
+        note = f"resident memory is read from {PROC}, which this system does not have"
+        return Figure(name=name, value=None, unit="MiB", must=MEMORY_MUST_MIB, repeats=0, note=note)
+    width, height = MEMORY_SIZE_PX
+    camera, pictures = _simulated("planar", MEMORY_SIZE_PX, MEMORY_RENDERED, SceneSettings(supersampling=1))
+    there_and_back = pictures + pictures[-2:0:-1]
+    with tempfile.TemporaryDirectory() as folder:
+        video, out = Path(folder) / "hand.mp4", Path(folder) / "out"
+        save_cameras([camera], Path(folder) / "cameras.json")
+        with write_video(video, width=width, height=height, fps=FRAMES_PER_SECOND) as writer:
+            repeated = islice((picture for _ in count() for picture in there_and_back), MEMORY_FRAMES)
+            for picture in _with_bar(repeated, MEMORY_FRAMES, "writing"):
+                writer.write(picture)
+        del pictures, there_and_back
+        options = ["--config", "contour_planar", "--no-overlay", "--threads", str(torch.get_num_threads())]
+        call = [sys.executable, "-m", "torchhand.cli", "track", str(video), "--out", str(out), *options]
+        call += ["--camera", str(Path(folder) / "cameras.json")]
+        with _with_bar(None, MEMORY_FRAMES, "tracking") as bar:
+            used = watch_memory(
+                call,
+                partial(_lines_of, out),
+                skip=MEMORY_SKIP,
+                environment=own_environment(),
+                progress=lambda frames: bar.update(frames - bar.n),
+            )
+        tracked = int((load_track(out).status == "tracked").sum())
+    growth = "unknown" if used.growth is None else f"{used.growth:+.2f} MiB per 100 frames"
+    return Figure(
+        name=name,
+        value=used.peak,
+        unit="MiB",
+        must=MEMORY_MUST_MIB,
+        repeats=1,
+        note=f"growth from frame {MEMORY_SKIP} on: {growth}",
+        details={
+            "growth_mib_per_100_frames": used.growth,
+            "frames": used.frames,
+            "tracked": tracked,
+            "picture": [width, height],
+        },
+    )
+
+
+def _lines_of(out: Path) -> int:
+    """Frames that a run has written down."""
+    for folder in (out / UNFINISHED_NAME, out):
+        try:
+            return max(0, (folder / JSONL_NAME).read_bytes().count(b"\n") - 1)  # the first line is the header
+        except OSError:
+            continue
+    return 0
+
+
+def own_environment() -> dict[str, str]:
+    """Of a process that shall find this package, installed or not."""
+    package = str(Path(torchhand.__file__).resolve().parents[1])
+    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, (package, os.environ.get("PYTHONPATH"))))}

@@ -1,0 +1,266 @@
+"""Fit the hand to keypoints that a detector found: joint angles and one shape from MediaPipe or OpenPose files."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import torch
+from tyro.conf import Positional, arg
+
+from torchhand import __version__
+from torchhand.cli.command import DONE, command, parse, threads
+from torchhand.cli.request import known_hand
+from torchhand.errors import InputError
+from torchhand.files import FittedHand, camera_entry, camera_for, load_cameras, load_hand_model, save_hand
+from torchhand.files.detection_record import Detections, Units
+from torchhand.files.detections import read_detections
+from torchhand.files.results import HAND_NAME
+from torchhand.files.safe_write import explained_errors, replacing
+from torchhand.files.track_record import CONVENTION
+from torchhand.geometry import Camera
+from torchhand.hand import DOFS, POSE_SPACES, Side, named_pose_space
+from torchhand.track.keypoint_fit import KeypointFit, fit_keypoints
+from torchhand.track.keypoint_settings import KeypointFitSettings
+
+FIT_NAME = "keypoints_fit.npz"
+_FORMAT = "torchhand keypoints fit 1"
+_PALM_METRES = (0.03, 0.2)  # from wrist to middle knuckle: beyond, the unit is not the metre
+_OFFSET_STD = 0.005
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Fit the hand to keypoints that a detector found: joint angles and one shape from MediaPipe or OpenPose files.
+
+    INPUT is JSON of MediaPipe or OpenPose, a folder of OpenPose's *_keypoints.json, or an array (frames, 21, 2 or 3) as
+    .npy or .npz. DIR gets keypoints_fit.npz (pose, pose_std, keypoints3d, residual, status ... per frame) and hand.json
+    (the shape). Points in a picture need --camera, or --size for an assumed field of view.
+
+    Example:
+        torchhand fit_keypoints hands.json --out out/hands --side left --size 1280x720
+    """
+
+    input: Annotated[Positional[Path], arg(metavar="INPUT")]
+    """File or folder of keypoints."""
+    out: Annotated[Path, arg(metavar="DIR")]
+    """Folder for the results."""
+    camera: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Calibrated camera of the pictures (cameras.json with one entry)."""
+    size: Annotated[str | None, arg(metavar="WxH")] = None
+    """Size of the pictures in px, such as 1280x720, where there is no --camera: a field of view is then assumed."""
+    side: Literal["left", "right"] | None = None
+    """Which hand; that of --hand or of the file if not given, and where neither tells, the one that fits better."""
+    hand: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Known shape of the hand (hand.json), which is then not fitted."""
+    space: Annotated[str, arg(metavar="NAME")] = "dof27"
+    """Free joint angles: dof26, dof27, dof28, dof31 or dof36."""
+    points: Literal["auto", "space", "picture"] = "auto"
+    """Of MediaPipe's files: world landmarks (space) or image landmarks (picture); auto prefers space."""
+    units: Literal["auto", "metres", "px", "normalised", "any"] = "auto"
+    """Unit of arrays; any: points in space in an unknown unit, whose scale is fitted at the default hand length."""
+    mirrored: bool = False
+    """The pictures were mirror images, so MediaPipe's left is left; without this its names are swapped."""
+    fit_shape: bool = True
+    """Fit one shape to all frames; else the default or that of --hand."""
+    fit_offsets: bool = False
+    """Fit constant offsets (some 5 mm) of the detector's keypoints from ours too: makers place joints differently."""
+    overwrite: bool = False
+    """Replace older results in DIR."""
+    threads: int = 1
+    """Threads of the solver."""
+
+    def __post_init__(self) -> None:
+        if self.space not in POSE_SPACES or self.space.startswith("planar"):
+            allowed = ", ".join(name for name in POSE_SPACES if not name.startswith("planar"))
+            raise ValueError(f"--space: expected one of {allowed}, got {self.space!r}")
+        if self.camera is not None and self.size is not None:
+            raise ValueError("--size: expected it only without --camera, whose file tells the size")
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> int:
+    """Fit one file or folder."""
+    arguments = parse(Arguments, argv, name="fit_keypoints")
+    _check_folder(arguments)
+    hand = None if arguments.hand is None else known_hand(arguments.hand)
+    detections = _detections(arguments, hand)
+    camera = _camera(arguments, detections)
+    if camera is not None:
+        detections = detections.in_pixels(camera.width, camera.height)
+    with threads(arguments.threads):
+        side, fit, note = _fitted(arguments, hand, detections, camera)
+    if not bool(fit.is_fitted.any()):
+        reasons = ", ".join(sorted(set(fit.status_names())))
+        raise InputError(f"{arguments.input}: expected a frame that can be fitted, got none ({reasons})")
+    _save(arguments, hand, detections, camera, side, fit)
+    print(_summary(fit, side, note, camera))
+    print(f"saved {arguments.out / FIT_NAME} and {arguments.out / HAND_NAME}")
+    return DONE
+
+
+def _check_folder(arguments: Arguments) -> None:
+    out = arguments.out
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: expected a folder for the results, got a file")
+    old = [name for name in (FIT_NAME, HAND_NAME) if (out / name).exists()]
+    if old and not arguments.overwrite:
+        raise InputError(f"{out}: holds {' and '.join(old)} already; give another folder, or --overwrite")
+
+
+def _detections(arguments: Arguments, hand: FittedHand | None) -> Detections:
+    side: Side | None = arguments.side or (None if hand is None else "left" if hand.side == "left" else "right")
+    units: dict[str, Units] = {"metres": "metres", "px": "px", "normalised": "normalised", "any": "metres"}
+    found = read_detections(
+        arguments.input,
+        side=side,
+        points=arguments.points,
+        units=units.get(arguments.units),
+        is_mirrored=arguments.mirrored,
+    )
+    if found.units == "metres" and arguments.units != "any":
+        palm = np.linalg.norm(found.keypoints[:, 9] - found.keypoints[:, 0], axis=-1)
+        palm = palm[np.isfinite(palm)]
+        if len(palm) and not _PALM_METRES[0] <= np.median(palm) <= _PALM_METRES[1]:
+            raise InputError(
+                f"{arguments.input}: expected metres ({_PALM_METRES[0]:g} to {_PALM_METRES[1]:g} from the wrist to the"
+                f" middle knuckle), got {np.median(palm):.4g}; give --units any for another unit, or normalised"
+            )
+    return found
+
+
+def _camera(arguments: Arguments, detections: Detections) -> Camera | None:
+    if detections.units == "metres":
+        for name in ("camera", "size"):
+            if getattr(arguments, name) is not None:
+                raise InputError(
+                    f"--{name}: expected points of a picture with it, got points in space; give --points picture"
+                    " where the file has both"
+                )
+        return None
+    if arguments.camera is not None:
+        cameras = load_cameras(arguments.camera)
+        return camera_for(arguments.camera, cameras[0].width, cameras[0].height)
+    if arguments.size is None:
+        raise InputError(f"{arguments.input}: holds points of a picture: expected --camera or --size, got neither")
+    width, _, height = arguments.size.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+        raise InputError(f"--size: expected WIDTHxHEIGHT in px such as 1280x720, got {arguments.size!r}")
+    return camera_for(None, int(width), int(height))
+
+
+def _fitted(
+    arguments: Arguments, hand: FittedHand | None, detections: Detections, camera: Camera | None
+) -> tuple[Side, KeypointFit, str]:
+    """Side, fit, and how the side was decided where nobody named it."""
+    model = load_hand_model()
+    shape = None
+    if hand is not None:
+        shape = torch.tensor([hand.values[name] for name in model.shape_space.names], dtype=torch.float64)
+    settings = KeypointFitSettings(offset_std=_OFFSET_STD if arguments.fit_offsets else 0.0)
+    named: Side | None = arguments.side or detections.side
+    if named is None and hand is not None:
+        named = "left" if hand.side == "left" else "right"
+    sides: tuple[Side, ...] = ("left", "right") if named is None else (named,)
+    fits = [
+        fit_keypoints(
+            model.kinematics(side, dtype=torch.float64),
+            torch.from_numpy(detections.keypoints),
+            camera=camera,
+            confidence=torch.from_numpy(detections.confidence),
+            space=named_pose_space(arguments.space),
+            shape=shape,
+            fit_shape=arguments.fit_shape and hand is None,
+            fit_scale=arguments.units == "any",
+            settings=settings,
+        )
+        for side in sides
+    ]
+    if len(sides) == 1:
+        return sides[0], fits[0], ""
+    errors = [float(fit.residual.square().nanmean()) if bool(fit.is_fitted.any()) else np.inf for fit in fits]
+    best = int(np.argmin(errors))
+    return (
+        sides[best],
+        fits[best],
+        f", the better fit ({_mean(fits[best], camera)}, else {_mean(fits[1 - best], camera)})",
+    )
+
+
+def _mean(fit: KeypointFit, camera: Camera | None) -> str:
+    mean = float(fit.residual.nanmean())
+    return f"{1000 * mean:.2f} mm" if camera is None else f"{mean:.2f} px"
+
+
+def _summary(fit: KeypointFit, side: Side, note: str, camera: Camera | None) -> str:
+    names = fit.status_names()
+    left_out = {name: names.count(name) for name in sorted(set(names) - {"fitted"})}
+    text = "".join(f", {count} {name}" for name, count in left_out.items())
+    scale = "" if fit.scale == 1.0 else f", {fit.scale:.5g} m per unit"
+    return (
+        f"{names.count('fitted')} of {len(names)} frames fitted{text}; {side} hand{note};"
+        f" mean residual {_mean(fit, camera)}{scale}"
+    )
+
+
+def _save(
+    arguments: Arguments,
+    hand: FittedHand | None,
+    detections: Detections,
+    camera: Camera | None,
+    side: Side,
+    fit: KeypointFit,
+) -> None:
+    out, space = arguments.out, load_hand_model().shape_space
+    with explained_errors(out):
+        out.mkdir(parents=True, exist_ok=True)
+    provenance = {
+        "method": "keypoints",
+        "source": str(arguments.input),
+        "frames": int(fit.is_fitted.sum()),
+        "mean_residual": float(fit.residual.nanmean()),
+        "residual_unit": "m" if camera is None else "px",
+        "shape_fitted": arguments.fit_shape and hand is None,
+        "std": dict(zip(space.names, fit.shape_std.tolist(), strict=True)),
+    }
+    header = {
+        "format": _FORMAT,
+        "torchhand": __version__,
+        "source": str(arguments.input),
+        "side": side,
+        "pose_space": arguments.space,
+        "camera": None if camera is None else camera_entry(camera) | {"is_assumed": camera.is_assumed},
+        "settings": asdict(replace(KeypointFitSettings(), offset_std=_OFFSET_STD if arguments.fit_offsets else 0.0)),
+    }
+    arrays: dict[str, Any] = {
+        "frame": detections.frame,
+        "status": np.array(fit.status_names()),
+        "pose": fit.pose.numpy(),
+        "pose_std": fit.pose_std.numpy(),
+        "keypoints3d": fit.keypoints.numpy(),
+        "keypoints3d_cov": fit.keypoints_covariance.numpy(),
+        "residual": fit.residual.numpy(),
+        "shape": fit.shape.numpy(),
+        "shape_std": fit.shape_std.numpy(),
+        "shape_names": np.array(space.names),
+        "offsets": fit.offsets.numpy(),
+        "scale": np.array(fit.scale),
+        "dof_names": np.array(DOFS),
+        "units": np.array(f"metres, radians; residual {'metres' if camera is None else 'px'}"),
+        "convention": np.array(
+            CONVENTION if camera is not None else f"frame of the points; {_after_frame(CONVENTION)}"
+        ),
+        "header": np.array(json.dumps(header)),
+    }
+    if camera is not None:
+        arrays["keypoints2d"] = camera.project(fit.keypoints).numpy()
+    with replacing(out / FIT_NAME) as temporary:
+        np.savez_compressed(temporary, **arrays)
+    save_hand(out / HAND_NAME, space.names, fit.shape.tolist(), side, provenance, units=space.units)
+
+
+def _in_own_frame(convention: str) -> str:
+    """The same angles and keypoints in whatever frame the points have."""
+    return f"frame of the points; {convention[convention.index('root rotation') :]}"

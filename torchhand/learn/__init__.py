@@ -1,0 +1,61 @@
+"""A learning example: a small network from 21 points in a picture to a pose, trained on samples of the prior."""
+
+from torchhand.learn.data import HandPool, Samples, SampleSettings, draw_samples, hand_pool
+from torchhand.learn.estimate import estimate_hands
+from torchhand.learn.figures import FIGURES, Figures, baseline_of, figures_of
+from torchhand.learn.network import HandEstimate, PoseNetwork, rotation_from_columns
+from torchhand.learn.observation import LEAST_SEEN, Observation, mirrored, observe
+from torchhand.learn.record import CURVE_NAME, MODEL_NAME, Curve, TrainingRecord, load_record, save_record
+from torchhand.learn.stills import Stills, load_stills
+from torchhand.learn.training import (
+    LossWeights,
+    Training,
+    TrainingData,
+    TrainingSettings,
+    learning_rate,
+    loss_terms,
+    new_training,
+    restored,
+    snapshot,
+    train,
+    training_data,
+)
+
+__all__ = [
+    "CURVE_NAME",
+    "FIGURES",
+    "LEAST_SEEN",
+    "MODEL_NAME",
+    "Curve",
+    "Figures",
+    "HandEstimate",
+    "HandPool",
+    "LossWeights",
+    "Observation",
+    "PoseNetwork",
+    "SampleSettings",
+    "Samples",
+    "Stills",
+    "Training",
+    "TrainingData",
+    "TrainingRecord",
+    "TrainingSettings",
+    "baseline_of",
+    "draw_samples",
+    "estimate_hands",
+    "figures_of",
+    "hand_pool",
+    "learning_rate",
+    "load_record",
+    "load_stills",
+    "loss_terms",
+    "mirrored",
+    "new_training",
+    "observe",
+    "restored",
+    "rotation_from_columns",
+    "save_record",
+    "snapshot",
+    "train",
+    "training_data",
+]

@@ -1,0 +1,90 @@
+"""What a training leaves in its folder: the network with all that is needed to go on, and the curve."""
+
+import csv
+import io
+import pickle
+import zipfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from torchhand.errors import InputError
+from torchhand.files.safe_write import replacing, write_text
+from torchhand.hand.model import HandModel
+from torchhand.learn.data import SampleSettings
+from torchhand.learn.network import PoseNetwork
+from torchhand.learn.training import LossWeights, Training, TrainingSettings, snapshot
+
+MODEL_NAME, CURVE_NAME = "model.pt", "curve.csv"
+MODEL_FORMAT = "torchhand learn_pose 1"
+
+Curve = list[dict[str, int | float]]
+"""One row for every time that was measured: step, loss, and the figures on held-out hands."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingRecord:
+    """A saved training."""
+
+    settings: TrainingSettings
+    curve: Curve
+    kept: dict[str, Any]
+    """What `training.restored` takes."""
+
+    def network(self, model: HandModel) -> PoseNetwork:
+        """The network as it was saved, to be used."""
+        settings = self.settings
+        network = PoseNetwork(model, torch.zeros(30), width=settings.width, blocks=settings.blocks)
+        network.load_state_dict(self.kept["network"])
+        return network.eval()
+
+
+def save_record(folder: Path, training: Training, curve: Curve) -> None:
+    """Write model.pt and curve.csv, each whole or not at all."""
+    content = {"format": MODEL_FORMAT, "settings": asdict(training.settings), "curve": curve, **snapshot(training)}
+    with replacing(folder / MODEL_NAME) as temporary:
+        torch.save(content, temporary)
+    write_text(folder / CURVE_NAME, curve_text(curve))
+
+
+def load_record(folder: Path) -> TrainingRecord:
+    """Read model.pt of a folder. Nothing in it is executed.
+
+    Raises:
+        InputError: not there, or no file of this kind.
+    """
+    path = folder / MODEL_NAME
+    if not path.is_file():
+        raise InputError(f"{folder}: expected a folder with {MODEL_NAME} of an earlier training; there is none")
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+        if not isinstance(content, dict) or content["format"] != MODEL_FORMAT:
+            raise ValueError(f"expected a mapping of the format {MODEL_FORMAT!r}")
+        given = dict(content["settings"])
+        samples, weights = SampleSettings(**given.pop("samples")), LossWeights(**given.pop("weights"))
+        settings = TrainingSettings(**given, samples=samples, weights=weights)
+        kept = {name: content[name] for name in ("step", "network", "optimiser")}
+        return TrainingRecord(settings=settings, curve=[dict(row) for row in content["curve"]], kept=kept)
+    except (
+        KeyError,
+        TypeError,
+        ValueError,
+        RuntimeError,
+        EOFError,
+        pickle.UnpicklingError,
+        zipfile.BadZipFile,
+    ) as error:
+        raise InputError(f"{path}: expected a network saved by learn_pose; it cannot be read as one") from error
+
+
+def curve_text(curve: Curve) -> str:
+    """The curve as comma-separated values with a line of names."""
+    text = io.StringIO()
+    names: Sequence[str] = list(curve[0]) if curve else ["step", "loss"]
+    table = csv.DictWriter(text, names, lineterminator="\n")
+    table.writeheader()
+    table.writerows({name: f"{value:.6g}" for name, value in row.items()} for row in curve)
+    return text.getvalue()
