@@ -1,7 +1,7 @@
 """torchhand: the open, anatomical, differentiable hand, and the trackers that fit it to video.
 
 `Hand` makes the hand as a torch module; import everything else by name, for example
-`from torchhand.track import ContourTracker`. This file loads nothing before it is used, so that the command line answers at
+`from torchhand.hand import HandPrior`. This file loads nothing before it is used, so that the command line answers at
 once.
 """
 

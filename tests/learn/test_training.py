@@ -41,7 +41,9 @@ def _weights(training: Training) -> torch.Tensor:
 
 
 def test_a_short_training_learns_far_more_than_the_mean_posture() -> None:
-    settings = TrainingSettings(steps=200, batch=128, pool=2000, held_out=300, energy_hands=4, width=128, blocks=2)
+    settings = TrainingSettings(
+        steps=200, batch=128, learning_rate=4e-3, pool=2000, held_out=300, energy_hands=4, width=192, blocks=2
+    )
     data = training_data(settings, MODEL)
     training = new_training(settings, MODEL, data)
     baseline, before = baseline_of(training.network, data.held_out.keypoints), _held_out(training, data)
@@ -49,9 +51,9 @@ def test_a_short_training_learns_far_more_than_the_mean_posture() -> None:
     after = _held_out(training, data)
     assert training.step == 200
     assert losses[-1] < 0.6 * losses[0]
-    assert after["flexion_deg"] < 0.75 * baseline["flexion_deg"]
-    assert after["aligned_mm"] < 0.75 * baseline["aligned_mm"]
-    assert after["root_relative_mm"] < 0.95 * baseline["root_relative_mm"]
+    assert after["flexion_deg"] < 0.7 * baseline["flexion_deg"]
+    assert after["aligned_mm"] < 0.7 * baseline["aligned_mm"]
+    assert after["root_relative_mm"] < 0.9 * baseline["root_relative_mm"]
     assert after["root_relative_mm"] < 0.25 * before["root_relative_mm"]
 
 

@@ -293,7 +293,7 @@ def test_points_in_a_picture(side: Side) -> None:
     fit = fit_keypoints(kinematics, camera.project(points), camera=camera, settings=settings)
     assert bool(fit.is_fitted.all())
     assert _keeps_limits(fit, kinematics)
-    assert float(fit.residual.max()) < 0.1
+    assert float(fit.residual.amax(-1).median()) < 0.01
     error = (fit.keypoints - points).norm(dim=-1).mean(-1)
     assert float(error.median()) < 1e-3
     # a finger bent towards or away from the camera can look the same: a frame may end in the other one
@@ -324,8 +324,10 @@ def test_a_camera_per_frame_and_missing_points() -> None:
 
 
 def test_one_persons_recorded_joints(data_dir: Path) -> None:
-    """120 frames of another maker's joint centres, good to some 5 mm: a left hand."""
-    recorded = torch.from_numpy(np.load(data_dir / "real" / "joints3d_stills" / "truth.npz")["keypoints3d"]).to(DOUBLE)
+    """Another maker's joint centres, good to some 5 mm, of a left hand: every third frame."""
+    recorded = torch.from_numpy(np.load(data_dir / "real" / "joints3d_stills" / "truth.npz")["keypoints3d"][::3]).to(
+        DOUBLE
+    )
     fits = {side: fit_keypoints(_hand(side), recorded, fit_shape=True) for side in ("left", "right")}
     assert float(fits["left"].residual.mean()) < 0.004
     assert float(fits["right"].residual.mean()) > 0.008

@@ -249,9 +249,7 @@ def _save(
         "scale": np.array(fit.scale),
         "dof_names": np.array(DOFS),
         "units": np.array(f"metres, radians; residual {'metres' if camera is None else 'px'}"),
-        "convention": np.array(
-            CONVENTION if camera is not None else f"frame of the points; {_after_frame(CONVENTION)}"
-        ),
+        "convention": np.array(CONVENTION if camera is not None else _in_own_frame(CONVENTION)),
         "header": np.array(json.dumps(header)),
     }
     if camera is not None:

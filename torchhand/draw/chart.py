@@ -19,9 +19,10 @@ Place = Callable[[Number, Number], Point]
 Colour = tuple[int, int, int]
 
 _PAPER, _INK, _GRID = (255, 255, 255), (60, 60, 60), (225, 225, 225)
-_LEFT, _RIGHT, _TOP, _BOTTOM = 58, 18, 34, 40  # px around the field
+_LEFT, _RIGHT, _TOP, _BOTTOM = 58, 18, 34, 46  # px around the field
 _FONT, _SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.42
 _TICKS = 5
+_NAME_GAP = 16  # px
 _DASH_PX = 8
 _SHIFT = 4  # fractional bits of OpenCV's coordinates
 
@@ -38,7 +39,7 @@ def draw_chart(
 ) -> UInt8[Tensor, "height width 3"]:
     """Lines over x from zero up, RGB, and `levels` as dashed horizontal lines. Values that are not finite are left out.
 
-    Every line and level is named in the upper right corner.
+    Every line and level is named below, in its colour.
     """
     if width < 160 or height < 120:
         raise ValueError(f"size: expected at least 160x120 px, got {width}x{height}")
@@ -57,15 +58,15 @@ def draw_chart(
         return _LEFT + across * (width - _LEFT - _RIGHT), height - _BOTTOM - up * (height - _TOP - _BOTTOM)
 
     _draw_axes(canvas, place, x_end, y_end, y_step, title, x_name)
-    row = 0
+    at = float(_LEFT)
     for colour, (name, values) in zip(_cycled(len(lines)), lines.items(), strict=True):
         corners = [place(px, py) for px, py in zip(x, values, strict=True) if math.isfinite(px) and math.isfinite(py)]
         cv2.polylines(canvas, [_fixed(corners)], False, colour, 2, cv2.LINE_AA, _SHIFT)
-        row = _name(canvas, name, colour, row)
+        at = _name(canvas, name, colour, at)
     for colour, (name, level) in zip(_cycled(len(levels), len(lines)), levels.items(), strict=True):
         if math.isfinite(level):
             _draw_dashes(canvas, place(0, level), place(x_end, level), colour)
-            row = _name(canvas, name, colour, row)
+            at = _name(canvas, name, colour, at)
     return torch.from_numpy(canvas)
 
 
@@ -105,15 +106,16 @@ def _draw_dashes(canvas: np.ndarray, start: Point, end: Point, colour: Colour) -
         cv2.line(canvas, (left, round(start[1])), (right, round(start[1])), colour, 2)
 
 
-def _name(canvas: np.ndarray, name: str, colour: Colour, row: int) -> int:
-    _text(canvas, name, canvas.shape[1] - _RIGHT - 4, _TOP + 14 + 16 * row, align=1.0, colour=colour)
-    return row + 1
+def _name(canvas: np.ndarray, name: str, colour: Colour, at: float) -> float:
+    """Writes the name of a line below the field from `at` on; returns where the next one begins."""
+    return at + _NAME_GAP + _text(canvas, name, at, canvas.shape[0] - 8, align=0.0, colour=colour)
 
 
-def _text(canvas: np.ndarray, text: str, x: Number, y: Number, *, align: float, colour: Colour = _INK) -> None:
-    """align: 0 begins at x, 1 ends there."""
+def _text(canvas: np.ndarray, text: str, x: Number, y: Number, *, align: float, colour: Colour = _INK) -> int:
+    """Writes text and returns its length, px. align: 0 begins at x, 1 ends there."""
     length = cv2.getTextSize(text, _FONT, _SCALE, 1)[0][0]
     cv2.putText(canvas, text, _whole((x - align * length, y)), _FONT, _SCALE, colour, 1, cv2.LINE_AA)
+    return length
 
 
 def _cycled(count: int, start: int = 0) -> list[Colour]:

@@ -1,10 +1,13 @@
 """Everything that touches a disk or a camera device: pictures in, calibrations, settings, results, hand models."""
 
 from torchhand.files.cameras import camera_entry, camera_for, camera_of_entry, load_cameras, save_cameras
+from torchhand.files.detection_record import Detections
+from torchhand.files.detections import read_detections
 from torchhand.files.frames import Frame, FrameSource, open_source, sequences_of
 from torchhand.files.hand_file import FittedHand, load_hand, save_hand
-from torchhand.files.hand_model import HandModel, load_hand_model
+from torchhand.files.hand_model import load_hand_model
 from torchhand.files.locations import configs_dir, find_config, models_dir
+from torchhand.files.mesh_file import load_mesh, save_mesh
 from torchhand.files.pictures import read_picture
 from torchhand.files.results import ResumePoint, TrackWriter, check_output_folder
 from torchhand.files.settings import load_settings, save_settings
@@ -13,11 +16,11 @@ from torchhand.files.track_record import FrameRecord, Track, TrackHeader
 from torchhand.files.video_writer import VideoWriter, write_video
 
 __all__ = [
+    "Detections",
     "FittedHand",
     "Frame",
     "FrameRecord",
     "FrameSource",
-    "HandModel",
     "ResumePoint",
     "Track",
     "TrackHeader",
@@ -32,13 +35,16 @@ __all__ = [
     "load_cameras",
     "load_hand",
     "load_hand_model",
+    "load_mesh",
     "load_settings",
     "load_track",
     "models_dir",
     "open_source",
+    "read_detections",
     "read_picture",
     "save_cameras",
     "save_hand",
+    "save_mesh",
     "save_settings",
     "sequences_of",
     "write_video",

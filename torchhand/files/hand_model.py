@@ -41,6 +41,8 @@ def read_shape_space(path: Path) -> ShapeSpace:
     """The shape parameters of a model folder, float64."""
     try:
         table = json.loads(path.read_text(encoding="utf-8"))["parameters"]
+        if not isinstance(table, list) or not all(isinstance(row, dict) for row in table):
+            raise TypeError("'parameters' is no list of entries")
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     except (ValueError, KeyError, TypeError) as error:
@@ -51,4 +53,12 @@ def read_shape_space(path: Path) -> ShapeSpace:
         if missing:
             raise InputError(f"{path}: parameter {missing[0]!r} lacks a number {field!r}")
         columns[field] = torch.tensor([row[field] for row in table], dtype=torch.float64)
-    return ShapeSpace(names=tuple(row["name"] for row in table), units=tuple(row["unit"] for row in table), **columns)
+    for field in ("name", "unit"):
+        if not all(isinstance(row.get(field), str) for row in table):
+            raise InputError(f"{path}: a parameter lacks a text {field!r}")
+    try:
+        return ShapeSpace(
+            names=tuple(row["name"] for row in table), units=tuple(row["unit"] for row in table), **columns
+        )
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from error

@@ -24,6 +24,7 @@ from torchhand.geometry.rotations import (
     skew,
     vector_from_rotation,
 )
+from torchhand.geometry.tapered_capsules import tapered_capsule_depth
 
 __all__ = [
     "Camera",
@@ -46,5 +47,6 @@ __all__ = [
     "rotation_from_vector",
     "skew",
     "slab",
+    "tapered_capsule_depth",
     "vector_from_rotation",
 ]

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchhand.hand.kinematics import HandKinematics, Side
 from torchhand.hand.mesh import HandMesh
+from torchhand.hand.prior import HandPrior, HandPriorSettings
 from torchhand.hand.shape import ShapeSpace
 from torchhand.hand.skeleton import Skeleton
 
@@ -30,6 +31,10 @@ class HandModel:
         """A kinematics module of this hand in the given precision."""
         space = self.shape_space.to(dtype=dtype)
         return HandKinematics(self.skeleton, space, side).to(dtype)
+
+    def prior(self, settings: HandPriorSettings | None = None) -> HandPrior:
+        """What postures and proportions are likely: log-density, sampler and energy, float64."""
+        return HandPrior(self.skeleton, self.shape_space, settings)
 
     def hand(
         self,

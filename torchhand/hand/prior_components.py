@@ -34,9 +34,9 @@ SLOPES: dict[tuple[str, str], float] = {
     },
     ("ring_mcp_aa", "index_mcp_aa"): 0.3,
     ("little_mcp_aa", "index_mcp_aa"): 0.5,
-    ("ring_cmc_fe", "middle_mcp_fe"): 0.05,
+    ("ring_cmc_fe", "middle_mcp_fe"): 0.03,
     ("little_cmc_fe", "ring_cmc_fe"): 0.8,
-    ("little_cmc_fe", "ring_mcp_fe"): 0.08,
+    ("little_cmc_fe", "ring_mcp_fe"): 0.04,
 }
 """(angle, earlier angle): by how many degrees the mean of the first moves with each degree of the second."""
 
@@ -77,7 +77,7 @@ def posture_component(
     twist: of the MCP joints, index to little. spread: multiplies the spreads of all angles.
     """
     mean_deg = dict(zip(JOINT_DOFS[:6], thumb, strict=True))
-    cup = {"index": (0.5, 0.0), "middle": (0.5, 0.0), "ring": (1.5, 0.05), "little": (2.5, 0.1)}
+    cup = {"index": (0.5, 0.0), "middle": (0.5, 0.0), "ring": (1.0, 0.03), "little": (2.0, 0.06)}
     for finger, values, turn in zip(FINGERS[1:], (index, middle, ring, little), twist, strict=True):
         mcp, spread_out, pip, *dip = values
         still, bent = cup[finger]

@@ -45,7 +45,7 @@ class TrainingSettings:
     """Steps of the optimiser."""
     batch: int = 256
     """Hands per step."""
-    learning_rate: float = 1.5e-3
+    learning_rate: float = 3e-3
     """Largest step of Adam; it rises over the first twentieth and falls to zero as a cosine."""
     pool: int = 20_000
     """Hands drawn from the prior to train on; each is seen by many cameras."""

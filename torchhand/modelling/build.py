@@ -44,11 +44,11 @@ def build_mesh(
     mesh = HandMesh(
         vertices=points,
         faces=faces,
-        shape_basis=shape_basis(kinematics, pose, points, bones, weights, on_step),
+        shape_basis=shape_basis(kinematics, pose, points, bones, weights, on_step=on_step),
         skin_bones=bones,
         skin_weights=weights,
         bind_pose=pose,
         corrective_dofs=(),
         corrective_basis=points.new_zeros(len(points), 3, 0, 2),
     )
-    return with_correctives(model, mesh, on_step)
+    return with_correctives(model, mesh, on_step=on_step)

@@ -1,6 +1,6 @@
 """What blend skinning lacks at bent joints: offsets that put the vertices back on the skin of the bent hand."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import torch
@@ -32,12 +32,18 @@ _RIDGE = 0.03  # keeps the two features apart where an angle has a small range
 _LEAST = 5e-5  # smaller offsets are dropped
 
 
-def with_correctives(model: HandModel, mesh: HandMesh, on_step: Callable[[int], object]) -> HandMesh:
-    """The mesh with least-squares offsets for the features (sin, 1 − cos) of each angle of CORRECTED, fitted with all
-    other angles as in the bind pose. `mesh` has no correctives yet.
+def with_correctives(
+    model: HandModel,
+    mesh: HandMesh,
+    names: Sequence[str] = CORRECTED,
+    *,
+    on_step: Callable[[int], object] = lambda steps: None,
+) -> HandMesh:
+    """The mesh with least-squares offsets for the features (sin, 1 − cos) of each of the named angles, fitted with all
+    other angles as in the bind pose. `mesh` has no correctives yet. on_step: called after every angle.
     """
     hand = Hand(model=replace(model, mesh=mesh), dtype=torch.float64)
-    dofs = tuple(JOINT_DOFS.index(name) for name in CORRECTED)
+    dofs = tuple(JOINT_DOFS.index(name) for name in names)
     columns = []
     for dof in dofs:
         columns.append(_of_angle(hand, mesh, dof))

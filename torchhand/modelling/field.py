@@ -10,9 +10,9 @@ from torchhand.modelling.distances import blended, ellipsoid, round_cone
 # Widths of the fillets where two parts meet, shares of hand breadth.
 _FILLETS = {"knuckle": 0.06, "thumb": 0.09, "thenar": 0.055, "digits": 0.02, "joints": 0.01, "pads": 0.03, "palm": 0.07}
 # Height of the knuckles' ridges over the joint centres, shares of palm thickness: lower at the edges of the palm.
-_KNUCKLE_TOP = {"index": 0.37, "middle": 0.475, "ring": 0.465, "little": 0.36}
-_INSET = 0.002  # taken off everywhere, share of hand breadth: what the fillets add on average
-_SECTION_POWER = 2.1  # the palm's section is a little fuller than an ellipse
+_KNUCKLE_TOP = {"index": 0.35, "middle": 0.465, "ring": 0.455, "little": 0.345}
+_INSET = 0.0025  # taken off everywhere, share of hand breadth: what the fillets add on average
+_SECTION_POWER = 2.05  # the palm's section is a little fuller than an ellipse
 _PALM_SHRINK = (0.93, 0.975)
 _PALM_SINK = 0.015  # by so much of its thickness it lies deeper: the ridges stand out on the back
 
@@ -57,23 +57,27 @@ class HandField:
         joints = ("mcp", "ip", "tip") if thumb else ("mcp", "pip", "dip", "tip")
         bones = ("proximal", "distal") if thumb else ("proximal", "middle", "distal")
         radii = [m[f"{finger}_{joint}_radius"] for joint in joints]
-        whole = None
+        parts: list[tuple[Tensor, Tensor]] = []  # and the fillet with what stands before
         for i, bone in enumerate(bones):
             name = f"{finger}_{bone}"
             length = m[name] - (radii[-1] if bone == "distal" else 0.0)
             start, end = self._at(name, 0.0, 0.0, 0.0), self._at(name, 0.0, length, 0.0)
-            part = round_cone(points, start, end, radii[i], radii[i + 1])
-            whole = part if whole is None else blended(whole, part, self._fillet["joints"])
+            parts.append((round_cone(points, start, end, radii[i], radii[i + 1]), self._fillet["joints"]))
             pad_radius = 0.5 * (radii[i] + radii[i + 1])
             centre = self._at(name, -0.16 * pad_radius, (0.5 if bone == "distal" else 0.52) * m[name], 0.0)
             axes = torch.stack((0.84 * pad_radius, 0.40 * m[name], 0.80 * pad_radius))
-            whole = blended(whole, ellipsoid(points, centre, self._bone(name)[0], axes), self._fillet["pads"])
+            parts.append((ellipsoid(points, centre, self._bone(name)[0], axes), self._fillet["pads"]))
         if thumb:
             start = self._at("thumb_metacarpal", 0.0, 0.25 * m["thumb_metacarpal"], 0.0)
             end = self._at("thumb_proximal", 0.0, 0.0, 0.0)
             base = round_cone(points, start, end, 0.55 * m["thumb_thenar_radius"], radii[0])
-            return blended(whole, base, self._fillet["pads"])
-        return blended(whole, self._ball(points, f"{finger}_mcp", f"{finger}_proximal"), self._fillet["pads"])
+        else:
+            base = self._ball(points, f"{finger}_mcp", f"{finger}_proximal")
+        parts.append((base, self._fillet["pads"]))
+        whole = parts[0][0]
+        for part, fillet in parts[1:]:
+            whole = blended(whole, part, fillet)
+        return whole
 
     def _ball(self, points: Tensor, name: str, bone: str) -> Tensor:
         i, s = ELLIPSOID_NAMES.index(name), self._sizes
@@ -96,13 +100,13 @@ class HandField:
         for finger in FINGERS[1:]:
             # Ridges of the metacarpals, flush with the back of the palm at the knuckles.
             bone, radius = f"{finger}_metacarpal", 1.05 * m[f"{finger}_mcp_radius"]
-            start = self._at(bone, 0.0, 0.03 * length, 0.0)
+            start = self._at(bone, 0.0, 0.06 * length, 0.0)
             end = self._at(bone, *self._knuckle(finger, _KNUCKLE_TOP[finger] * depth - radius))
             whole = blended(whole, round_cone(points, start, end, 0.24 * depth, radius), self._fillet["pads"])
         # The heel of the hand, towards the little finger, and the hollow of the palm.
         edge = 0.42 * m["palm_radial"] - 0.29 * m["wrist_breadth"] - 0.21 * m["palm_breadth"]
-        heel = self._at("wrist", -0.16 * depth, 0.195 * length, edge + 0.17 * breadth)
-        axes = torch.stack((0.34 * depth, 0.15 * length, 0.13 * breadth))
+        heel = self._at("wrist", -0.155 * depth, 0.195 * length, edge + 0.17 * breadth)
+        axes = torch.stack((0.325 * depth, 0.14 * length, 0.125 * breadth))
         whole = blended(whole, ellipsoid(points, heel, self._bone("wrist")[0], axes), self._fillet["palm"])
         hollow = self._at("wrist", -0.88 * depth, 0.32 * length, m["palm_radial"] + 0.05 * breadth)
         axes = torch.stack((0.45 * depth, 0.15 * length, 0.15 * breadth))

@@ -1,6 +1,6 @@
 """How the vertices move with the shape parameters: linear, as the joints themselves do."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import torch
 from jaxtyping import Float, Int
@@ -19,12 +19,16 @@ def shape_basis(
     vertices: Float[Tensor, "vertices 3"],
     bones: Int[Tensor, "vertices 4"],
     weights: Float[Tensor, "vertices 4"],
-    on_step: Callable[[int], object],
-) -> Float[Tensor, "vertices 3 shape"]:
+    *,
+    names: Sequence[str] | None = None,
+    on_step: Callable[[int], object] = lambda steps: None,
+) -> Float[Tensor, "vertices 3 columns"]:
     """Change of the vertices with each parameter in metres, by central differences about the default shape.
 
     A vertex first goes with its bones, stretched along each as the bone is; then along the normal to the skin of the
     changed hand, where it keeps the distance that it had.
+
+    names: the parameters that are wanted; all of them if not given. on_step: called after every parameter.
     """
     space = kinematics.shape_space
     default = kinematics.default_shape
@@ -34,7 +38,8 @@ def shape_basis(
     steps = metres * space.std / default.abs().clamp_min(1e-9)
     steps = torch.where(default == 0, space.std * metres[space.names.index("hand_breadth")], steps).abs()
     columns = []
-    for i in range(len(space.names)):
+    for name in names or space.names:
+        i = space.names.index(name)
         sides = []
         for sign in (1.0, -1.0):
             changed = metres.clone()

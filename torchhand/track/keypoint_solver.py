@@ -20,6 +20,7 @@ from torchhand.track.keypoint_start import start_in_space
 from torchhand.track.keypoint_views import other_ways, starts_in_picture
 
 _ROOT_STD = (1.0, math.pi / math.sqrt(3))  # of a root that points leave open: metres, radians
+_KEPT = 3  # of the starts in a picture go on after the first look
 _SETTLED = 0.2  # mean change of the shape, in its spread over people, after which pictures are not begun anew
 
 
@@ -85,12 +86,7 @@ class KeypointSolver:
         frames = torch.arange(len(pose), device=pose.device)
         cost = self._cost(frames.repeat_interleave(starts), reference.flatten(0, 1))
         if self.observed.camera is not None:
-            free, best = self._rough(cost, free, common, starts)
-            cost = cost.rows(best)
-            # In a picture, a digit bent towards the camera may look like one bent away: try each the other way.
-            tries = other_ways(self.space, free).clamp(self.lower, self.upper)
-            repeated = cost.rows(frames.repeat_interleave(tries.shape[1]))
-            free, _ = self._rough(repeated, tries.flatten(0, 1), common, tries.shape[1])
+            cost, free = self._best_way(cost, free, common)
         found = self._poses(cost, free, common)
         constraints = Anthropometry(self.kinematics.shape_space) if self.settings.is_typical else None
         parameters = CommonParameters.of(
@@ -161,14 +157,29 @@ class KeypointSolver:
             chunk=self.settings.chunk,
         )
 
-    def _rough(self, cost: KeypointCost, free: Tensor, common: Common, starts: int) -> tuple[Tensor, Tensor]:
-        """The best of every frame's starts after a few iterations, and its row."""
-        found = self._poses(
-            replace(cost, observed=cost.observed.coarse()), free, common, iterations=self.settings.rough_iterations
-        )
-        best = found.cost.nan_to_num(torch.inf).unflatten(0, (-1, starts)).argmin(-1)
-        rows = best + starts * torch.arange(len(best), device=best.device)
-        return found.values[rows], rows
+    def _best_way(self, cost: KeypointCost, free: Tensor, common: Common) -> tuple[KeypointCost, Tensor]:
+        """One pose per frame of the several that are begun with.
+
+        First with points trusted little, so that far starts are drawn in; a few of the best go on as the noise is. In
+        a picture, a digit bent towards the camera may look like one bent away: each is then tried the other way.
+        """
+        count = len(self.observed.points)
+        coarse = replace(cost, observed=cost.observed.coarse())
+        found = self._poses(coarse, free, common, iterations=self.settings.rough_iterations)
+        ranked = found.cost.nan_to_num(torch.inf).reshape(count, -1)
+        kept = ranked.topk(min(_KEPT, ranked.shape[1]), -1, largest=False).indices
+        rows = (kept + ranked.shape[1] * torch.arange(count, device=free.device)[:, None]).flatten()
+        cost, free = self._best_of(cost.rows(rows), found.values[rows], common)
+        tries = other_ways(self.space, free).clamp(self.lower, self.upper)
+        rows = torch.arange(count, device=free.device).repeat_interleave(tries.shape[1])
+        return self._best_of(cost.rows(rows), tries.flatten(0, 1), common)
+
+    def _best_of(self, cost: KeypointCost, free: Tensor, common: Common) -> tuple[KeypointCost, Tensor]:
+        count = len(self.observed.points)
+        found = self._poses(cost, free, common, iterations=self.settings.rough_iterations)
+        ranked = found.cost.nan_to_num(torch.inf).reshape(count, -1)
+        best = ranked.argmin(-1) + ranked.shape[1] * torch.arange(count, device=free.device)
+        return cost.rows(best), found.values[best]
 
     def _poses(
         self, cost: KeypointCost, free: Tensor, common: Common, *, iterations: int | None = None

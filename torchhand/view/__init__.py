@@ -2,7 +2,9 @@
 
 from torchhand.view.outline import Outline, OutlineTable, outline, outline_table, pixel_normals
 from torchhand.view.projector import Contour, HandProjector
+from torchhand.view.raster import mesh_silhouette, rasterize
 from torchhand.view.raycast import Raycast, raycast, shade
+from torchhand.view.surface import Surface, cast, silhouette
 from torchhand.view.visibility import inside_any, visible_points
 
 __all__ = [
@@ -11,11 +13,16 @@ __all__ = [
     "Outline",
     "OutlineTable",
     "Raycast",
+    "Surface",
+    "cast",
     "inside_any",
+    "mesh_silhouette",
     "outline",
     "outline_table",
     "pixel_normals",
+    "rasterize",
     "raycast",
     "shade",
+    "silhouette",
     "visible_points",
 ]

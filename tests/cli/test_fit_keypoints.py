@@ -1,0 +1,186 @@
+"""The command from detector files to keypoints_fit.npz and hand.json."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from torchhand.cli.fit_keypoints import main
+from torchhand.files import load_hand, load_hand_model, save_cameras
+from torchhand.geometry import assumed_camera, rotation_from_vector, vector_from_rotation
+from torchhand.hand import Side, posture
+
+POSTURES = ("open", "flat", "fist", "point")
+
+
+def _points(side: Side = "left") -> tuple[np.ndarray, np.ndarray]:
+    """Poses and keypoints in the camera's frame, metres: the palm towards the camera."""
+    kinematics = load_hand_model().kinematics(side, dtype=torch.float64)
+    poses = torch.stack([posture(name) for name in POSTURES])
+    poses[:, 6:] = kinematics.skeleton.within_limits(poses[:, 6:])
+    poses[:, :3] = torch.tensor((0.0, 0.08, 0.5), dtype=torch.float64)
+    facing = torch.tensor(((0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)), dtype=torch.float64)
+    tilt = rotation_from_vector(torch.tensor((0.3, -0.4, 0.1), dtype=torch.float64))
+    poses[:, 3:6] = vector_from_rotation(tilt @ facing)
+    return poses.numpy(), kinematics(poses).keypoints.numpy()
+
+
+def _openpose(folder: Path, pixels: np.ndarray) -> Path:
+    folder.mkdir()
+    for i, hand in enumerate(pixels):
+        numbers = np.column_stack((hand, np.full(21, 0.9))).flatten().tolist()
+        content = {"people": [{"hand_left_keypoints_2d": numbers, "hand_right_keypoints_2d": [0.0] * 63}]}
+        (folder / f"clip_{i + 8}_keypoints.json").write_text(json.dumps(content))
+    return folder
+
+
+def _run(*arguments: str | Path) -> int:
+    return main([str(argument) for argument in arguments])
+
+
+def test_points_in_space(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    poses, points = _points("left")
+    holes = points.copy()
+    holes[1, 8] = np.nan
+    holes[3] = np.nan
+    source = tmp_path / "hand.npy"
+    np.save(source, holes)
+    assert _run(source, "--out", tmp_path / "out", "--no-fit-shape") == 0
+    said = capsys.readouterr().out
+    assert "3 of 4 frames fitted, 1 too few points; left hand, the better fit (0.00 mm, else" in said
+    with np.load(tmp_path / "out" / "keypoints_fit.npz") as result:
+        assert result["status"].tolist() == ["fitted", "fitted", "fitted", "too few points"]
+        assert result["frame"].tolist() == [0, 1, 2, 3]
+        np.testing.assert_allclose(result["pose"][[0, 2]], poses[[0, 2]], atol=1e-4)
+        np.testing.assert_allclose(result["keypoints3d"][[0, 2]], points[[0, 2]], atol=1e-6)
+        assert np.isnan(result["pose"][3]).all()
+        assert np.isnan(result["residual"][1, 8])
+        assert result["dof_names"].shape == (36,)
+        assert result["keypoints3d_cov"].shape == (4, 21, 3, 3)
+        assert "keypoints2d" not in result
+        header = json.loads(str(result["header"]))
+    assert (header["side"], header["camera"], header["pose_space"]) == ("left", None, "dof27")
+    hand = load_hand(tmp_path / "out" / "hand.json", load_hand_model().shape_space.names)
+    assert hand.side == "left"
+    default = load_hand_model().shape_space.default.tolist()
+    np.testing.assert_allclose(list(hand.values.values()), default, atol=1e-15)
+    assert hand.provenance["shape_fitted"] is False
+
+
+def test_a_folder_of_openpose_with_a_camera_and_a_known_hand(tmp_path: Path) -> None:
+    _, points = _points("left")
+    camera = replace(assumed_camera(640, 480), is_assumed=False)
+    pixels = camera.project(torch.from_numpy(points)).numpy()
+    save_cameras([camera], tmp_path / "cameras.json")
+    np.save(tmp_path / "space.npy", points)
+    assert _run(tmp_path / "space.npy", "--out", tmp_path / "known", "--side", "left", "--no-fit-shape") == 0
+    folder = _openpose(tmp_path / "json", pixels)
+    files = ("--camera", tmp_path / "cameras.json", "--hand", tmp_path / "known" / "hand.json")
+    assert _run(folder, "--out", tmp_path / "out", *files) == 0
+    with np.load(tmp_path / "out" / "keypoints_fit.npz") as result:
+        assert result["frame"].tolist() == [8, 9, 10, 11]
+        assert result["status"].tolist() == ["fitted"] * 4
+        assert float(np.nanmean(result["residual"])) < 6.0
+        np.testing.assert_allclose(result["keypoints2d"], pixels, atol=20.0)
+        error = np.linalg.norm(result["keypoints3d"] - points, axis=-1).mean(-1)
+        assert float(np.median(error)) < 0.03
+        assert json.loads(str(result["header"]))["camera"]["is_assumed"] is False
+
+
+def test_mediapipe_with_the_size_of_the_pictures(tmp_path: Path) -> None:
+    _, points = _points("left")
+    pixels = assumed_camera(640, 480).project(torch.from_numpy(points)).numpy()
+    shares = (pixels + 0.5) / (640, 480)
+    frames = [
+        {
+            "hand_landmarks": [[{"x": x, "y": y, "z": 0.0} for x, y in hand]],
+            "handedness": [[{"category_name": "Right", "score": 0.9}]],  # as in a mirror: a left hand
+        }
+        for hand in shares.tolist()
+    ]
+    source = tmp_path / "hands.json"
+    source.write_text(json.dumps(frames))
+    assert _run(source, "--out", tmp_path / "out", "--size", "640x480", "--no-fit-shape") == 0
+    with np.load(tmp_path / "out" / "keypoints_fit.npz") as result:
+        header = json.loads(str(result["header"]))
+        assert header["side"] == "left"
+        assert header["camera"]["is_assumed"] is True
+        assert float(np.nanmean(result["residual"])) < 6.0
+
+
+def test_any_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _, points = _points("right")
+    np.save(tmp_path / "mm.npy", 1000 * points)
+    assert _run(tmp_path / "mm.npy", "--out", tmp_path / "out", "--units", "any", "--side", "right") == 0
+    with np.load(tmp_path / "out" / "keypoints_fit.npz") as result:
+        assert float(result["scale"]) == pytest.approx(0.001, rel=0.02)
+    assert "m per unit" in capsys.readouterr().out
+    assert _run(tmp_path / "mm.npy", "--out", tmp_path / "other") == 2
+    said = capsys.readouterr().err
+    assert "expected metres (0.03 to 0.2 from the wrist to the middle knuckle), got 83" in said
+    assert not (tmp_path / "other").exists()
+
+
+def test_nothing_good_is_replaced_by_accident(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _, points = _points("right")
+    np.save(tmp_path / "hand.npy", points)
+    out = tmp_path / "out"
+    assert _run(tmp_path / "hand.npy", "--out", out, "--side", "right", "--no-fit-shape") == 0
+    before = (out / "keypoints_fit.npz").read_bytes()
+    capsys.readouterr()
+    assert _run(tmp_path / "hand.npy", "--out", out) == 2
+    assert (
+        "holds keypoints_fit.npz and hand.json already; give another folder, or --overwrite" in capsys.readouterr().err
+    )
+    nothing = np.full((3, 21, 3), np.nan)
+    nothing[:, :4] = points[:3, :4]
+    np.save(tmp_path / "nothing.npy", nothing)
+    assert _run(tmp_path / "nothing.npy", "--out", out, "--overwrite", "--side", "right") == 2
+    assert "expected a frame that can be fitted, got none (too few points)" in capsys.readouterr().err
+    assert (out / "keypoints_fit.npz").read_bytes() == before
+    assert _run(tmp_path / "hand.npy", "--out", out, "--overwrite", "--side", "left", "--no-fit-shape") == 0
+    assert (out / "keypoints_fit.npz").read_bytes() != before
+
+
+WRONG: dict[str, tuple[list[str], str]] = {
+    "no camera": (["px.npy", "--out", "out"], "holds points of a picture: expected --camera or --size, got neither"),
+    "camera in space": (["m.npy", "--out", "out", "--size", "640x480"], "--size: expected points of a picture with it"),
+    "size": (
+        ["px.npy", "--out", "out", "--size", "640"],
+        "--size: expected WIDTHxHEIGHT in px such as 1280x720, got '640'",
+    ),
+    "space": (["m.npy", "--out", "out", "--space", "planar"], "--space: expected one of dof26, dof27"),
+    "missing": (["none.npy", "--out", "out"], "none.npy: no such file or folder"),
+    "file": (["m.npy", "--out", "m.npy"], "m.npy: expected a folder for the results, got a file"),
+    "hand": (["m.npy", "--out", "out", "--hand", "bad.json"], "bad.json: expected a hand file"),
+    "cameras": (["px.npy", "--out", "out", "--camera", "bad.json"], 'bad.json: expected {"cameras": [...]}'),
+    "both": (
+        ["px.npy", "--out", "out", "--camera", "bad.json", "--size", "2x2"],
+        "--size: expected it only without --camera",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_input(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    _, points = _points("right")
+    np.save("m.npy", points[:1])
+    np.save("px.npy", 1000 * points[:1, :, :2])
+    Path("bad.json").write_text("{}")
+    arguments, message = WRONG[name]
+    assert main(arguments) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("torchhand fit_keypoints: error: ")
+    assert message in said
+    assert said.count("\n") == 1
+    assert not Path("out").exists()
+
+
+def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    assert "torchhand fit_keypoints hands.json --out out/hands" in capsys.readouterr().out
