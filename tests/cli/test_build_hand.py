@@ -15,7 +15,7 @@ from torchhand.files.mesh_file import load_mesh
 from torchhand.files.urdf import read_skeleton
 
 FOLDER = models_dir() / "generic_hand"
-PICTURES = ("preview.png", "mesh.png")
+PICTURES = ("preview.png", "mesh.png", "prior.png")
 
 
 @pytest.fixture

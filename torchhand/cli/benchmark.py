@@ -1,4 +1,4 @@
-"""Measure speed against peers in the same run, frames per second of the trackers, and memory."""
+"""Measure speed against peers in the same run, what the hand model promises, frames per second, and memory."""
 
 import json
 import os
@@ -19,6 +19,7 @@ from torchhand.cli.benchmark_hand import (
     kinematics_forward_backward,
     skinning,
 )
+from torchhand.cli.benchmark_model import keypoints_to_pose, mesh_silhouettes, mesh_volume, pose_projection
 from torchhand.cli.benchmark_tracking import filter_update, own_environment, track_memory, tracking
 from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.errors import InputError
@@ -33,6 +34,10 @@ Name = Literal[
     "skinning_forward_4096",
     "skinning_gradients_64",
     "skinning_gradients_1024",
+    "mesh_silhouettes",
+    "mesh_volume",
+    "pose_projection",
+    "keypoints_to_pose",
     "filter_update",
     "track_planar_360x288",
     "track_full_640x480",
@@ -43,7 +48,7 @@ SLOW: tuple[Name, ...] = ("track_memory",)
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
-    """Measure speed against peers in the same run, frames per second of the trackers, and memory.
+    """Measure speed against peers in the same run, what the hand model promises, frames per second, and memory.
 
     Ours and the peer take turns, and medians of the repeats are compared. A peer that is not installed
     (pip install torchhand[benchmark]; smplx, whose licence is not permissive, by name) is said so, and ours is measured
@@ -57,8 +62,8 @@ class Arguments:
     """Write the figures as JSON as well."""
     only: Annotated[tuple[Name, ...], arg(metavar="NAME")] = ()
     """Measure these alone: kinematics_forward, kinematics_forward_backward, kinematics_compiled, skinning_forward_4096,
-    skinning_gradients_64, skinning_gradients_1024, filter_update, track_planar_360x288, track_full_640x480,
-    track_memory."""
+    skinning_gradients_64, skinning_gradients_1024, mesh_silhouettes, mesh_volume, pose_projection, keypoints_to_pose,
+    filter_update, track_planar_360x288, track_full_640x480, track_memory."""
     everything: Annotated[bool, arg(name="all")] = False
     """Measure everything; without it track_memory, which takes a minute, is left out."""
     repeats: int | None = None
@@ -121,6 +126,10 @@ _MEASURES: dict[Name, Callable[[str, int | None], Figure]] = {
     "skinning_forward_4096": partial(skinning, count=4096, has_gradients=False, must=1 / 0.7, aim=1 / 0.3),
     "skinning_gradients_64": partial(skinning, count=64, has_gradients=True, must=1 / 0.7, aim=1 / 0.4),
     "skinning_gradients_1024": partial(skinning, count=1024, has_gradients=True, must=1 / 0.7, aim=1 / 0.4),
+    "mesh_silhouettes": mesh_silhouettes,
+    "mesh_volume": mesh_volume,
+    "pose_projection": pose_projection,
+    "keypoints_to_pose": keypoints_to_pose,
     "filter_update": filter_update,
     "track_planar_360x288": partial(
         tracking, config="contour_planar", motion="planar", size=(360, 288), frames=40, must=60.0, aim=150.0

@@ -20,12 +20,9 @@ from torchhand.files.mesh_file import load_mesh, save_mesh
 from torchhand.files.safe_write import replacing, write_text
 from torchhand.files.urdf import read_skeleton, skeleton_to_urdf
 from torchhand.geometry import assumed_camera, rotation_from_vector
-from torchhand.hand import posture
+from torchhand.hand import HandModel, HandState, posed_mesh, posture
 from torchhand.hand.anatomy import anatomical_skeleton
-from torchhand.hand.model import HandModel
-from torchhand.hand.posed_mesh import posed_mesh
-from torchhand.view import shade
-from torchhand.view.surface import Surface, cast
+from torchhand.view import Surface, cast, shade
 
 PRIMITIVE_POSTURES = ("open", "fist", "point")
 MESH_POSTURES = ("open", "fist", "pinch", "point")
@@ -40,6 +37,7 @@ _THUMB_SIDE = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
 _LITTLE_SIDE = ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
 _FINGERTIPS = ((0.0, 1.0, 0.0), (0.0, 0.0, -1.0), (-1.0, 0.0, 0.0))
 _OBLIQUE_TURN = (0.5, 0.7, 0.0)  # rotation vector applied to the back view
+_PRIOR_TURN = (0.35, -0.5, 0.0)  # applied to the view of the palm
 _PAPER_GREY = 245
 
 
@@ -78,7 +76,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         _build(model, mesh_path)
         mesh = load_mesh(mesh_path, shape_names=space.names)
     model = replace(model, mesh=mesh)
-    for name, picture in (("preview.png", primitive_preview(model)), ("mesh.png", mesh_preview(model))):
+    pictures = {
+        "preview.png": primitive_preview(model),
+        "mesh.png": mesh_preview(model),
+        "prior.png": prior_sheet(model),
+    }
+    for name, picture in pictures.items():
         with replacing(folder / name) as temporary:
             cv2.imwrite(str(temporary), cv2.cvtColor(picture.numpy(), cv2.COLOR_RGB2BGR))
         print(f"saved {folder / name}")
@@ -106,6 +109,19 @@ def mesh_preview(model: HandModel, *, tile_px: int = _TILE_PX) -> UInt8[Tensor, 
     return _sheet(model, MESH_POSTURES, _views(), tile_px, with_mesh=True)
 
 
+def prior_sheet(
+    model: HandModel, *, tile_px: int = 128, rows: int = 8, columns: int = 8
+) -> UInt8[Tensor, "height width 3"]:
+    """Samples of the prior, people and postures, seen obliquely from the palm's side."""
+    hand = model.hand(dtype=torch.float64)
+    poses, shapes = model.prior().sample(rows * columns, torch.Generator().manual_seed(0))
+    palm = torch.tensor(_PALM, dtype=torch.float64).T
+    view = rotation_from_vector(torch.tensor(_PRIOR_TURN, dtype=torch.float64)) @ palm
+    states = [hand(pose, shape) for pose, shape in zip(poses, shapes, strict=True)]
+    tiles = [_tile(posed_mesh(hand, state), state, view, tile_px) for state in states]
+    return torch.cat([torch.cat(tiles[i : i + columns], 1) for i in range(0, len(tiles), columns)])
+
+
 def _views() -> list[Float[Tensor, "3 3"]]:
     palm, back, thumb, little, tips = (
         torch.tensor(axes, dtype=torch.float64).T for axes in (_PALM, _BACK, _THUMB_SIDE, _LITTLE_SIDE, _FINGERTIPS)
@@ -118,14 +134,20 @@ def _sheet(
     model: HandModel, postures: Sequence[str], views: list[Tensor], tile_px: int, *, with_mesh: bool
 ) -> UInt8[Tensor, "height width 3"]:
     hand = model.hand(dtype=torch.float64)
-    camera = assumed_camera(tile_px, tile_px, horizontal_fov_deg=_FIELD_OF_VIEW_DEG)
-    paper = torch.full((tile_px, tile_px, 3), _PAPER_GREY, dtype=torch.uint8)
     rows = []
     for name in postures:
         state = hand(posture(name))
         surface: Surface = posed_mesh(hand, state) if with_mesh else state.primitives
-        middle = 0.5 * (state.keypoints.amin(0) + state.keypoints.amax(0))
-        ahead = torch.tensor((0.0, 0.0, _DISTANCE), dtype=torch.float64)
-        casts = [cast(surface.moved(view, ahead - view @ middle), camera) for view in views]
-        rows.append(torch.cat([shade(seen, background=paper) for seen in casts], 1))
+        rows.append(torch.cat([_tile(surface, state, view, tile_px) for view in views], 1))
     return torch.cat(rows)
+
+
+def _tile(
+    surface: Surface, state: HandState, view: Float[Tensor, "3 3"], tile_px: int
+) -> UInt8[Tensor, "height width 3"]:
+    """One hand in the middle of a tile; view: cam_from_hand."""
+    camera = assumed_camera(tile_px, tile_px, horizontal_fov_deg=_FIELD_OF_VIEW_DEG)
+    middle = 0.5 * (state.keypoints.amin(0) + state.keypoints.amax(0))
+    ahead = torch.tensor((0.0, 0.0, _DISTANCE), dtype=torch.float64)
+    seen = cast(surface.moved(view, ahead - view @ middle), camera)
+    return shade(seen, background=torch.full((tile_px, tile_px, 3), _PAPER_GREY, dtype=torch.uint8))

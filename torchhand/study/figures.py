@@ -7,6 +7,9 @@ from typing import Any, Literal
 
 from torchhand.study.timing import time_interleaved
 
+AT_MOST = ("MiB", "%", "rad", "ms")
+"""Units of which less is better."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
@@ -15,10 +18,10 @@ class Figure:
     name: str
     value: float | None
     """What `must` and `aim` are about; None where it could not be measured."""
-    unit: Literal["ratio", "frames/s", "MiB"]
+    unit: Literal["ratio", "frames/s", "IoU", "MiB", "%", "rad", "ms"]
     """Of value, must and aim. A ratio says how many times faster than the peer ours is."""
     must: float
-    """At least this; at most, where the unit is MiB."""
+    """At least this; at most, where less is better (AT_MOST)."""
     aim: float | None = None
     ours_ms: float | None = None
     """Of one call, or of one frame."""
@@ -34,7 +37,7 @@ class Figure:
         """Whether `must` holds."""
         if self.value is None:
             return None
-        return self.value < self.must if self.unit == "MiB" else self.value >= self.must
+        return self.value < self.must if self.unit in AT_MOST else self.value >= self.must
 
 
 def line_of(figure: Figure) -> str:
@@ -44,7 +47,7 @@ def line_of(figure: Figure) -> str:
     against = "" if figure.peer_ms is None else f"{figure.peer} {figure.peer_ms:.2f} ms"
     parts.append(f"{against:<30}")
     value = "not measured" if figure.value is None else _amount(figure.value, figure.unit)
-    limits = f"must {'<' if figure.unit == 'MiB' else '>='} {_amount(figure.must, figure.unit)}"
+    limits = f"must {'<' if figure.unit in AT_MOST else '>='} {_amount(figure.must, figure.unit)}"
     limits += "" if figure.aim is None else f", aim {_amount(figure.aim, figure.unit)}"
     verdict = {True: "", False: " NOT MET", None: ""}[figure.meets]
     parts.append(f"{value:<14}({limits}){verdict}")
@@ -52,7 +55,9 @@ def line_of(figure: Figure) -> str:
 
 
 def _amount(value: float, unit: str) -> str:
-    return f"{value:.1f}x" if unit == "ratio" else f"{value:.0f} {unit}"
+    if unit == "ratio":
+        return f"{value:.1f}x"
+    return f"{value:.0f} {unit}" if unit in ("MiB", "frames/s") else f"{value:.3g} {unit}"
 
 
 def against_peer(
