@@ -10,7 +10,7 @@ from torchhand.modelling.distances import blended, ellipsoid, round_cone
 # Widths of the fillets where two parts meet, shares of hand breadth.
 _FILLETS = {"knuckle": 0.06, "thumb": 0.09, "thenar": 0.055, "digits": 0.02, "joints": 0.01, "pads": 0.03, "palm": 0.07}
 # Height of the knuckles' ridges over the joint centres, shares of palm thickness: lower at the edges of the palm.
-_KNUCKLE_TOP = {"index": 0.35, "middle": 0.465, "ring": 0.455, "little": 0.345}
+_KNUCKLE_TOP = {"index": 0.325, "middle": 0.46, "ring": 0.45, "little": 0.325}
 _INSET = 0.0025  # taken off everywhere, share of hand breadth: what the fillets add on average
 _SECTION_POWER = 2.05  # the palm's section is a little fuller than an ellipse
 _PALM_SHRINK = (0.93, 0.975)
@@ -27,13 +27,13 @@ class HandField:
         self._fillet = {name: share * self._metric["hand_breadth"] for name, share in _FILLETS.items()}
 
     def __call__(self, points: Float[Tensor, "points 3"]) -> Float[Tensor, "points"]:
-        palm = self._palm(points)
+        palm = self._palm(points) + _INSET * self._metric["hand_breadth"]
         whole = palm
         for finger in FINGERS[1:]:
             with_digit = blended(palm, self._digit(points, finger), self._fillet["knuckle"])
             whole = blended(whole, with_digit, self._fillet["digits"])
         thumb = blended(self._digit(points, "thumb"), self._thenar(points), self._fillet["thenar"])
-        return blended(whole, thumb, self._fillet["thumb"]) + _INSET * self._metric["hand_breadth"]
+        return blended(whole, thumb, self._fillet["thumb"])
 
     def digit_distance(self, points: Float[Tensor, "points 3"], finger: str) -> Float[Tensor, "points"]:
         """Distance to one digit alone, the thumb without the ball at its base."""
@@ -99,14 +99,14 @@ class HandField:
         whole = self._palm_body(points)
         for finger in FINGERS[1:]:
             # Ridges of the metacarpals, flush with the back of the palm at the knuckles.
-            bone, radius = f"{finger}_metacarpal", 1.05 * m[f"{finger}_mcp_radius"]
+            bone, radius = f"{finger}_metacarpal", 0.97 * m[f"{finger}_mcp_radius"]
             start = self._at(bone, 0.0, 0.06 * length, 0.0)
             end = self._at(bone, *self._knuckle(finger, _KNUCKLE_TOP[finger] * depth - radius))
             whole = blended(whole, round_cone(points, start, end, 0.24 * depth, radius), self._fillet["pads"])
         # The heel of the hand, towards the little finger, and the hollow of the palm.
         edge = 0.42 * m["palm_radial"] - 0.29 * m["wrist_breadth"] - 0.21 * m["palm_breadth"]
-        heel = self._at("wrist", -0.155 * depth, 0.195 * length, edge + 0.17 * breadth)
-        axes = torch.stack((0.325 * depth, 0.14 * length, 0.125 * breadth))
+        heel = self._at("wrist", -0.15 * depth, 0.195 * length, edge + 0.17 * breadth)
+        axes = torch.stack((0.315 * depth, 0.14 * length, 0.122 * breadth))
         whole = blended(whole, ellipsoid(points, heel, self._bone("wrist")[0], axes), self._fillet["palm"])
         hollow = self._at("wrist", -0.88 * depth, 0.32 * length, m["palm_radial"] + 0.05 * breadth)
         axes = torch.stack((0.45 * depth, 0.15 * length, 0.15 * breadth))
