@@ -1,8 +1,20 @@
 """Estimators on tensors, batched over independent problems: they know no hand and no image."""
 
+from torchhand.numerics.adaptive import (
+    AdaptiveNoiseSettings,
+    adapted_covariance,
+    adapted_variance,
+    gain_covariance,
+    noise_density,
+    process_covariance,
+    residual_covariance,
+    residual_variance,
+)
 from torchhand.numerics.cholesky import robust_cholesky
 from torchhand.numerics.consistency import chi_square_quantile, mean_chi_square_band, nees, nis
+from torchhand.numerics.extended import Linearised, linearised, predict_extended, predict_motion, update_extended
 from torchhand.numerics.gaussian import Gaussian
+from torchhand.numerics.iterated import IteratedSettings, IteratedUpdate, update_iterated
 from torchhand.numerics.least_squares import LeastSquares, LevenbergMarquardtSettings, NormalEquations, Status
 from torchhand.numerics.levenberg_marquardt import levenberg_marquardt
 from torchhand.numerics.motion import MotionModel
@@ -16,11 +28,16 @@ from torchhand.numerics.truncated_normal import (
     truncated_normal_quantile,
 )
 from torchhand.numerics.unscented import Update, observed_points, predict, predict_linear, update
+from torchhand.numerics.whitening import wrapped
 
 __all__ = [
+    "AdaptiveNoiseSettings",
     "Gaussian",
+    "IteratedSettings",
+    "IteratedUpdate",
     "LeastSquares",
     "LevenbergMarquardtSettings",
+    "Linearised",
     "MotionModel",
     "NormalEquations",
     "Polytope",
@@ -29,20 +46,33 @@ __all__ = [
     "Status",
     "UnscentedSettings",
     "Update",
+    "adapted_covariance",
+    "adapted_variance",
     "chi_square_quantile",
+    "gain_covariance",
     "levenberg_marquardt",
+    "linearised",
     "log_ndtr",
     "log_normal_mass",
     "mean_chi_square_band",
     "nees",
     "nis",
+    "noise_density",
     "observed_points",
     "polytope",
     "predict",
+    "predict_extended",
     "predict_linear",
+    "predict_motion",
+    "process_covariance",
+    "residual_covariance",
+    "residual_variance",
     "robust_cholesky",
     "sigma_points",
     "truncated_normal_log_prob",
     "truncated_normal_quantile",
     "update",
+    "update_extended",
+    "update_iterated",
+    "wrapped",
 ]
