@@ -222,7 +222,7 @@ BROKEN = {
         r"hand 0: handedness: expected Left or Right, got 'Both'",
     ),
     "no people": ('{"people": 3}', r"expected OpenPose's keypoints \('people': \[\.\.\.\]\), got \{'people': 3\}"),
-    "nobody": ('{"people": []}', r"expected at least one right hand, got none in 1 frames"),
+    "nobody": ('{"people": []}', r"expected at least one hand, got none in 1 frames"),
     "person": ('{"people": [7]}', r"people\[0\]: expected an object with hand_left_keypoints_2d, got 7"),
     "sixty": (
         json.dumps({"people": [{"hand_left_keypoints_2d": [0.5] * 60}]}),
@@ -289,3 +289,62 @@ def test_wrong_paths(tmp_path: Path) -> None:
     np.save(tmp_path / "flat.npy", POINTS[..., :2])
     with pytest.raises(InputError, match="expected three columns for metres, got two"):
         read_detections(tmp_path / "flat.npy", units="metres")
+
+
+HAND = [{"x": 0.5 + 0.01 * i, "y": 0.4, "z": 0.0} for i in range(21)]
+
+
+@pytest.mark.parametrize(
+    ("content", "frames"),
+    [
+        ({"landmark": HAND}, [0]),
+        ([{"landmark": HAND}, {"landmark": HAND}], [0]),
+        ([{"landmark": HAND}] * 3, [0, 1, 2]),
+        ([[{"landmark": HAND}], []], [0, 1]),
+        ({"3": {"landmarks": [HAND]}, "5": {"landmarks": []}}, [3, 5]),
+        ({"frames": {"0": [HAND], "7": [HAND]}}, [0, 7]),
+    ],
+)
+def test_more_forms_of_mediapipe(content: object, frames: list[int], tmp_path: Path) -> None:
+    """Hands as protobuf's MessageToDict gives them, and frames by number."""
+    path = _write(tmp_path / "hands.json", json.dumps(content))
+    found = read_detections(path)
+    assert found.frame.tolist() == frames
+    np.testing.assert_allclose(found.keypoints[0, :, 0], [point["x"] for point in HAND])
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"people": ' + "[" * 100_000, "1" * 5000])
+def test_json_that_python_cannot_hold(text: str, tmp_path: Path) -> None:
+    path = _write(tmp_path / "hands.json", text)
+    with pytest.raises(InputError, match=r"hands.json: is no JSON that can be read"):
+        read_detections(path)
+
+
+def test_a_byte_order_mark_is_no_mistake(tmp_path: Path) -> None:
+    path = tmp_path / "hands.json"
+    path.write_text(json.dumps({"landmark": HAND}), encoding="utf-8-sig")
+    assert len(read_detections(path)) == 1
+
+
+def test_frame_numbers_that_are_none(tmp_path: Path) -> None:
+    path = _write(tmp_path / "hands.json", json.dumps([{"frame": 10**30, "landmarks": [HAND]}]))
+    with pytest.raises(InputError, match="frame 0: expected a frame number below"):
+        read_detections(path)
+    for wrong in (np.nan, np.inf, 1e300, 0.5):
+        np.savez(tmp_path / "points.npz", keypoints3d=np.random.default_rng(0).random((1, 21, 3)), frame=[wrong])
+        with pytest.raises(InputError, match="frame: expected whole numbers"):
+            read_detections(tmp_path / "points.npz")
+
+
+def test_one_frame_with_its_confidences(tmp_path: Path) -> None:
+    points = np.random.default_rng(0).random((21, 3))
+    np.savez(tmp_path / "points.npz", keypoints=points, confidence=np.full(21, 0.5), side="Left")
+    found = read_detections(tmp_path / "points.npz")
+    np.testing.assert_allclose(found.confidence, np.full((1, 21), 0.5))
+    assert found.side == "left"
+
+
+def test_openpose_confidences_beyond_one_do_not_overflow(tmp_path: Path) -> None:
+    content = {"people": [{"hand_left_keypoints_2d": [1e308] * 63}]}
+    found = read_detections(_write(tmp_path / "hands.json", json.dumps(content)))
+    np.testing.assert_array_equal(found.confidence, np.ones((1, 21)))

@@ -153,3 +153,10 @@ def test_what_it_refuses() -> None:
         Anthropometry(other)
     with pytest.raises(ValueError, match="count: expected 0 or more, got -1"):
         Anthropometry(space).sample(-1, torch.Generator())
+
+
+@pytest.mark.parametrize("name", ["measures", "project", "violation", "penalty", "log_density", "log_prob"])
+def test_a_shape_of_another_length_is_refused(name: str) -> None:
+    space = load_hand_model().shape_space
+    with pytest.raises(ValueError, match=r"shape: expected 52 numbers in the last dimension, got shape \(2, 51\)"):
+        getattr(Anthropometry(space), name)(space.default[:51].expand(2, 51))

@@ -256,6 +256,24 @@ def test_transforms_of_torch_func(small_model: HandModel, generator: torch.Gener
     torch.testing.assert_close(back_shape, of_shape, atol=1e-14, rtol=0)
 
 
+@TORCH_SCRIPTS
+def test_second_derivatives_of_any_two_modes(small_model: HandModel, generator: torch.Generator) -> None:
+    """Forward over forward, too, which torch gets wrong without a word where a Function has a `jvp` of its own."""
+    hand, pose, shape = _hand(small_model), _pose(generator), _shape(small_model, generator)
+
+    def measured(pose: Tensor, shape: Tensor) -> Tensor:
+        return hand(pose, shape).vertices[::50].square().sum()
+
+    modes = (torch.func.jacfwd, torch.func.jacrev)
+    expected = torch.autograd.functional.hessian(measured, (pose, shape))
+    for outer in modes:
+        for inner in modes:
+            found = outer(inner(measured, (0, 1)), (0, 1))(pose, shape)
+            for i in range(2):
+                for j in range(2):
+                    torch.testing.assert_close(found[i][j], expected[i][j], atol=1e-11, rtol=0)
+
+
 # ------------------------------------------------------------------ precision
 
 
@@ -336,3 +354,8 @@ def test_a_pose_that_is_not_finite_is_named_by_check_and_goes_through_forward(sm
     vertices = hand(pose).vertices
     assert bool(vertices[::2].isfinite().all())
     assert bool(vertices[1].isnan().any())
+
+
+def test_a_dtype_of_whole_numbers_is_refused(small_model: HandModel) -> None:
+    with pytest.raises(ValueError, match="dtype: expected one of floating-point numbers"):
+        small_model.hand(dtype=torch.int64)

@@ -146,3 +146,16 @@ def test_what_it_refuses(generator: torch.Generator) -> None:
     prior = HandPrior(model.skeleton, model.shape_space, impossible)
     with pytest.raises(ValueError, match=r"sample: expected postures that hardly penetrate themselves, found \d+ in"):
         prior.sample(500, generator)
+
+
+def test_poses_and_shapes_of_other_sizes_are_refused() -> None:
+    """Also where nothing checks annotations: the functions under the tests' own checks."""
+    model = load_hand_model()
+    prior, pose, shape = model.prior(), posture("open"), model.shape_space.default
+    for density in (HandPrior.log_prob.__wrapped__, HandPrior.energy.__wrapped__):  # pyright: ignore
+        with pytest.raises(ValueError, match=r"pose: expected 36 numbers in the last dimension, got shape \(35,\)"):
+            density(prior, pose[:35])
+        with pytest.raises(ValueError, match=r"shape: expected 52 numbers in the last dimension, got shape \(51,\)"):
+            density(prior, pose, shape[:51])
+        with pytest.raises(ValueError, match=r"pose: expected torch.float64, in which the prior computes, got torch.f"):
+            density(prior, pose.float())

@@ -4,6 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchhand.files import load_hand_model
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand.hand import Hand
 from torchhand.hand.model import HandModel
@@ -95,3 +96,11 @@ def test_is_itself_differentiable(small_model: HandModel, generator: torch.Gener
 
     inputs = (pose.requires_grad_(), weights[:2].clone().requires_grad_(), shape)
     assert torch.autograd.gradcheck(jacobian, inputs, fast_mode=True)
+
+
+def test_a_pose_of_another_length_is_refused() -> None:
+    hand = load_hand_model().hand(dtype=torch.float64)
+    with pytest.raises(ValueError, match=r"pose: expected 36 numbers in the last dimension, got shape \(35,\)"):
+        skin_jacobian.__wrapped__(  # pyright: ignore
+            hand, torch.zeros(35, dtype=torch.float64), torch.zeros(1, 3, dtype=torch.long)
+        )

@@ -47,7 +47,7 @@ def test_foreign_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"expected a folder with model.pt of an earlier training; there is none"):
         load_record(tmp_path)
     path = tmp_path / MODEL_NAME
-    for content in (b"", b"no file of torch", b"PK\x03\x04 half a zip file"):
+    for content in (b"", b"no file of torch", b"PK\x03\x04 half a zip file", b"NaN"):
         path.write_bytes(content)
         with pytest.raises(InputError, match=r"model.pt: expected a network saved by learn_pose"):
             load_record(tmp_path)

@@ -389,3 +389,62 @@ def test_error_messages() -> None:
 def test_settings_are_checked(name: str, value: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         KeypointFitSettings(**{name: value})  # type: ignore[arg-type]
+
+
+# ------------------------------------------------------------------ degenerate input
+
+
+def test_pictures_with_too_few_points() -> None:
+    """No frame at all, and none that can be fitted, are no errors."""
+    kinematics, camera = _hand(), assumed_camera(640, 480, dtype=DOUBLE)
+    for frames in (0, 2):
+        fit = fit_keypoints(kinematics, torch.full((frames, 21, 2), torch.nan, dtype=DOUBLE), camera=camera)
+        assert fit.status_names() == ["too few points"] * frames
+        assert fit.pose.shape == (frames, 36)
+        assert bool(fit.pose.isnan().all())
+
+
+@pytest.mark.parametrize("fit_scale", [False, True])
+def test_points_in_one_place_are_too_few(fit_scale: bool, generator: torch.Generator) -> None:
+    """Zeros are what many detectors write where they saw no hand; they leave the other frames alone."""
+    kinematics = _hand()
+    truth = _random_poses(kinematics, 2, generator)
+    points = kinematics(truth).keypoints
+    empty = torch.zeros_like(points[:1])
+    fit = fit_keypoints(kinematics, torch.cat((empty, points, empty + 0.3)), fit_scale=fit_scale)
+    assert fit.status_names() == ["too few points", "fitted", "fitted", "too few points"]
+    assert float(_worst_angle_deg(fit.pose[1:3], truth).max()) < 0.01
+    assert fit.scale == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_frame_that_fails_leaves_the_others_their_shape_and_covariance() -> None:
+    """A camera of NaN, and points that overflow, in one frame of three that share a shape."""
+    kinematics = _hand()
+    poses = _postures(kinematics)[:3]
+    cameras = assumed_camera(640, 480, dtype=DOUBLE)
+    points = cameras.project(kinematics(poses).keypoints)
+    intrinsics = cameras.intrinsics.repeat(3, 1, 1)
+    intrinsics[1] = torch.nan
+    cameras = replace(
+        cameras,
+        intrinsics=intrinsics,
+        rotation=cameras.rotation.expand(3, 3, 3),
+        translation=cameras.translation.expand(3, 3),
+        distortion=cameras.distortion.expand(3, -1),
+    )
+    in_picture = fit_keypoints(kinematics, points, camera=cameras, fit_shape=True)
+    in_space = kinematics(poses).keypoints
+    in_space[1] *= 1e305
+    for fit in (in_picture, fit_keypoints(kinematics, in_space, fit_shape=True)):
+        assert fit.status_names() == ["fitted", "failed", "fitted"]
+        assert bool(fit.pose_covariance[[0, 2]].isfinite().all())
+        assert bool(fit.pose[1].isnan().all())
+        assert bool(fit.shape_std.isfinite().all())
+        assert _keeps_limits(fit, kinematics)
+
+
+@pytest.mark.parametrize("factor", [float("nan"), 3.0])
+def test_a_shape_that_no_hand_has_is_refused(factor: float) -> None:
+    kinematics = _hand()
+    with pytest.raises(ValueError, match="shape: hand_length: expected"):
+        fit_keypoints(kinematics, torch.zeros(1, 21, 3, dtype=DOUBLE), shape=factor * kinematics.default_shape)

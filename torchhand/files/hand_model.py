@@ -1,12 +1,12 @@
 """A model folder (models/generic_hand) parsed once into records."""
 
-import json
 from functools import lru_cache
 from pathlib import Path
 
 import torch
 
 from torchhand.errors import InputError
+from torchhand.files.json_checks import read_json, read_number, short
 from torchhand.files.locations import models_dir
 from torchhand.files.mesh_file import load_mesh
 from torchhand.files.urdf import read_skeleton
@@ -39,23 +39,21 @@ def load_hand_model(name: str = "generic_hand") -> HandModel:
 
 def read_shape_space(path: Path) -> ShapeSpace:
     """The shape parameters of a model folder, float64."""
-    try:
-        table = json.loads(path.read_text(encoding="utf-8"))["parameters"]
-        if not isinstance(table, list) or not all(isinstance(row, dict) for row in table):
-            raise TypeError("'parameters' is no list of entries")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: expected JSON with a list 'parameters' ({error})") from error
-    columns = {}
-    for field in _FIELDS:
-        missing = [row.get("name", "?") for row in table if not isinstance(row.get(field), int | float)]
-        if missing:
-            raise InputError(f"{path}: parameter {missing[0]!r} lacks a number {field!r}")
-        columns[field] = torch.tensor([row[field] for row in table], dtype=torch.float64)
+    content = read_json(path)
+    table = content.get("parameters") if isinstance(content, dict) else None
+    if not isinstance(table, list) or not all(isinstance(row, dict) for row in table):
+        raise InputError(f"{path}: expected JSON with a list 'parameters' of entries, got {short(content)}")
     for field in ("name", "unit"):
         if not all(isinstance(row.get(field), str) for row in table):
             raise InputError(f"{path}: a parameter lacks a text {field!r}")
+    columns = {}
+    for field in _FIELDS:
+        numbers = []
+        for row in table:
+            if field not in row:
+                raise InputError(f"{path}: parameter {row['name']!r} lacks a number {field!r}")
+            numbers.append(read_number(f"{path}: parameter {row['name']!r}: {field}", row[field]))
+        columns[field] = torch.tensor(numbers, dtype=torch.float64)
     try:
         return ShapeSpace(
             names=tuple(row["name"] for row in table), units=tuple(row["unit"] for row in table), **columns

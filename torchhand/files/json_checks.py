@@ -11,9 +11,12 @@ from torchhand.errors import InputError
 
 
 def read_json(path: Path) -> Any:
-    """The content of a JSON file. Raises InputError with the line number of a syntax error."""
+    """The content of a JSON file, with or without a byte order mark.
+
+    Raises InputError with the line number of a syntax error.
+    """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except OSError as error:
@@ -22,6 +25,8 @@ def read_json(path: Path) -> Any:
         raise InputError(f"{path}: expected a JSON text file in UTF-8, got something else") from error
     except json.JSONDecodeError as error:
         raise InputError(f"{path}, line {error.lineno}: is no valid JSON ({error.msg})") from error
+    except (ValueError, RecursionError) as error:  # whole numbers of thousands of digits, lists in lists in lists
+        raise InputError(f"{path}: is no JSON that can be read ({error})") from error
 
 
 def read_number(where: str, value: Any) -> float:

@@ -1,13 +1,12 @@
 """Keypoints as numpy arrays: .npy, or .npz under one of the usual names."""
 
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from torchhand.errors import InputError
+from torchhand.files.array_file import opened_arrays
 from torchhand.files.detection_record import COUNT, Detections, Side, Units, detections_of
 
 _SPACE_NAMES = (
@@ -57,10 +56,12 @@ def read_keypoint_arrays(
     if units is None:
         is_share = np.nanmax(np.abs(np.where(np.isfinite(found), found, np.nan))) <= _BEYOND_PICTURE
         units = "metres" if found.shape[2] == 3 else "normalised" if is_share else "px"
-    trust = _beside(path, arrays, _CONFIDENCE_NAMES, found.shape[:2])
+    trust = _beside(path, arrays, _CONFIDENCE_NAMES, found.shape[:2], of_one_frame=shape[:1])
     if trust is not None and (trust < 0).any():
         raise InputError(f"{path}: confidence: expected 0 or more, got {np.nanmin(trust):g}")
     numbers = _beside(path, arrays, ("frame",), found.shape[:1])
+    if numbers is not None and not ((np.abs(numbers) < 2.0**63) & (numbers == np.floor(numbers))).all():
+        raise InputError(f"{path}: frame: expected whole numbers below 2^63, got others")
     frames = np.arange(len(found)) if numbers is None else numbers.astype(np.int64)
     rows = [(int(n), found[i], None if trust is None else trust[i].clip(0, 1)) for i, n in enumerate(frames)]
     return detections_of(where, rows, side=side or _side(arrays), units=units)
@@ -68,17 +69,8 @@ def read_keypoint_arrays(
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
     """By name; that of an .npy is empty."""
-    try:
-        with path.open("rb") as file:
-            loaded = np.load(file, allow_pickle=False)
-            if isinstance(loaded, np.ndarray):
-                return {"": loaded}
-            with loaded:
-                return {name: loaded[name] for name in loaded.files}
-    except (ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(f"{path}: expected an array file of numpy (.npy, .npz), got anything else") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    with opened_arrays(path, complaint="expected an array file of numpy (.npy, .npz) that can be read") as stored:
+        return dict(stored)
 
 
 def _keypoints(path: Path, arrays: dict[str, np.ndarray], points: str) -> tuple[str, np.ndarray]:
@@ -93,17 +85,24 @@ def _keypoints(path: Path, arrays: dict[str, np.ndarray], points: str) -> tuple[
 
 
 def _beside(
-    path: Path, arrays: dict[str, np.ndarray], names: tuple[str, ...], shape: tuple[int, ...]
+    path: Path,
+    arrays: dict[str, np.ndarray],
+    names: tuple[str, ...],
+    shape: tuple[int, ...],
+    *,
+    of_one_frame: tuple[int, ...] | None = None,
 ) -> np.ndarray | None:
     name = next((name for name in names if name in arrays), None)
     if name is None:
         return None
     found = arrays[name]
+    if found.shape == of_one_frame and shape[0] == 1:
+        found = found[None]
     if found.shape != shape or not (np.issubdtype(found.dtype, np.floating) or np.issubdtype(found.dtype, np.integer)):
         raise InputError(f"{path}: {name}: expected numbers of shape {shape}, got {found.dtype} of {found.shape}")
     return found
 
 
 def _side(arrays: dict[str, np.ndarray]) -> Side | None:
-    side = str(arrays["side"]) if "side" in arrays and arrays["side"].ndim == 0 else ""
+    side = str(arrays["side"]).casefold() if "side" in arrays and arrays["side"].ndim == 0 else ""
     return "left" if side == "left" else "right" if side == "right" else None

@@ -16,6 +16,7 @@ _SPACE_KEYS = (
     *("multi_hand_world_landmarks", "multiHandWorldLandmarks"),
     *("hand_world_landmarks", "handWorldLandmarks", "worldLandmarks", "world_landmarks"),
 )
+_HAND_KEY = "landmark"  # of one hand, where protobuf's MessageToDict wrote it
 _SIDE_KEYS = ("multi_handedness", "multiHandedness", "handedness", "handednesses")
 _LABEL_KEYS = ("label", "category_name", "categoryName", "display_name", "displayName")
 _NUMBER_KEYS = ("frame", "frame_number", "frame_index", "frame_id", "index")
@@ -66,26 +67,35 @@ def mediapipe_detections(
 
 def _frames(path: Path, content: Any) -> list[tuple[int, str, Any]]:
     """(number, where, content) of every frame."""
-    if isinstance(content, Mapping) and isinstance(content.get("frames"), list):
+    if isinstance(content, Mapping) and isinstance(content.get("frames"), list | Mapping):
         content = content["frames"]
+    if isinstance(content, Mapping) and content and all(str(key).isdecimal() and len(key) < 19 for key in content):
+        return [(int(key), f"{path}: frame {key}", frame) for key, frame in content.items()]
     if isinstance(content, Mapping):
-        if _found(content, (*_PICTURE_KEYS, *_SPACE_KEYS)) is None:
+        if not {_HAND_KEY, *_PICTURE_KEYS, *_SPACE_KEYS} & set(content):
             keys = ", ".join(map(str, list(content)[:4])) or "nothing"
             raise InputError(f"{path}: {_FORMS}; got an object with {keys}")
         return [(0, str(path), content)]
     if not isinstance(content, list) or not content:
         raise InputError(f"{path}: {_FORMS}; got {short(content)}")
-    if _is_hand(content) or (isinstance(content[0], list) and content[0] and _is_hand(content[0]) and len(content) < 3):
+    if _is_points(content) or (_is_hand(content[0]) and len(content) < 3):
         return [(0, str(path), content)]  # one hand, or the one or two hands of one frame
     frames = []
     for i, frame in enumerate(content):
         number = _found(frame, _NUMBER_KEYS) if isinstance(frame, Mapping) else None
-        is_number = isinstance(number, int) and not isinstance(number, bool)
-        frames.append((number if is_number else i, f"{path}: frame {i}", frame))
+        if not isinstance(number, int) or isinstance(number, bool):
+            number = i
+        if abs(number) >= 2**63:
+            raise InputError(f"{path}: frame {i}: expected a frame number below 2^63, got {short(number)}")
+        frames.append((number, f"{path}: frame {i}", frame))
     return frames
 
 
 def _is_hand(value: Any) -> bool:
+    return _is_points(value.get(_HAND_KEY)) if isinstance(value, Mapping) else _is_points(value)
+
+
+def _is_points(value: Any) -> bool:
     """Whether a list is one of points rather than of hands or frames."""
     first = value[0] if isinstance(value, list) and value else None
     is_point = isinstance(first, Mapping) and "x" in first
@@ -100,7 +110,9 @@ def _hands(where: str, frame: Any, in_space: bool, is_mirrored: bool) -> list[_H
     if frame is None:
         return []
     labels: Any = []
-    if isinstance(frame, Mapping):
+    if isinstance(frame, Mapping) and _HAND_KEY in frame:
+        hands = [frame]
+    elif isinstance(frame, Mapping):
         labels = _found(frame, _SIDE_KEYS) or []
         hands = _found(frame, _SPACE_KEYS if in_space else _PICTURE_KEYS)
         known = {*_PICTURE_KEYS, *_SPACE_KEYS, *_SIDE_KEYS, *_NUMBER_KEYS}
@@ -111,7 +123,7 @@ def _hands(where: str, frame: Any, in_space: bool, is_mirrored: bool) -> list[_H
         hands = frame
     if not isinstance(hands, list):
         raise InputError(f"{where}: {_FORMS}; got {short(hands)}")
-    if _is_hand(hands):
+    if _is_points(hands):
         hands = [hands]
     if not isinstance(labels, list):
         labels = [labels]
@@ -127,7 +139,7 @@ def _hands(where: str, frame: Any, in_space: bool, is_mirrored: bool) -> list[_H
 
 def _points(where: str, hand: Any) -> tuple[np.ndarray, np.ndarray | None]:
     if isinstance(hand, Mapping):
-        hand = next((hand[key] for key in ("landmark", "landmarks", "keypoints") if key in hand), hand)
+        hand = next((hand[key] for key in (_HAND_KEY, "landmarks", "keypoints") if key in hand), hand)
     if not isinstance(hand, list) or len(hand) != COUNT:
         got = f"{len(hand)}" if isinstance(hand, list) else short(hand)
         raise InputError(f"{where}: expected {COUNT} points, got {got}")

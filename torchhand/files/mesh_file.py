@@ -1,7 +1,5 @@
 """mesh.npz of a model folder: the skinned mesh with the names that its indices and columns mean."""
 
-import zipfile
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +8,7 @@ import numpy as np
 import torch
 
 from torchhand.errors import InputError
+from torchhand.files.array_file import opened_arrays
 from torchhand.files.safe_write import replacing
 from torchhand.hand.mesh import HandMesh
 from torchhand.hand.skeleton import BONES, DOFS, JOINT_DOFS
@@ -76,14 +75,8 @@ def load_mesh(path: str | Path, *, shape_names: Sequence[str]) -> HandMesh:
 
 
 def _read(path: Path) -> dict[str, np.ndarray]:
-    try:
-        # Opened here, because np.load leaves a broken file open.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            arrays = dict(stored)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (ValueError, TypeError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(f"{path}: is no mesh that can be read ({type(error).__name__}: {error})") from error
+    with opened_arrays(path, complaint="is no mesh that can be read") as stored:
+        arrays = dict(stored)
     if "format" not in arrays or str(arrays["format"]) != MESH_FORMAT:
         got = repr(str(arrays["format"]))[:60] if "format" in arrays else "a file without 'format'"
         raise InputError(f"{path}: expected a mesh ('format': '{MESH_FORMAT}'), got {got}")

@@ -43,13 +43,19 @@ def openpose_detections(frames: Sequence[tuple[Path, int, Any]], *, side: Side |
     hands = [{s: _hand(path, content, s) for s in _SIDES} for path, _, content in frames]
     if side is None:
         totals = {s: sum(0.0 if (h := hand[s]) is None else float(h[:, 2].sum()) for hand in hands) for s in _SIDES}
+        if not any(totals.values()):
+            raise InputError(f"{_source(frames)}: expected at least one hand, got none in {len(frames)} frames")
         side = "left" if totals["left"] > totals["right"] else "right"
     rows = []
     for (_, number, _), hand in zip(frames, hands, strict=True):
         found = hand[side]
-        rows.append((number, None, None) if found is None else (number, found[:, :2], found[:, 2].clip(0, 1)))
+        rows.append((number, None, None) if found is None else (number, found[:, :2], found[:, 2]))
+    return detections_of(_source(frames), rows, side=side, units="px")
+
+
+def _source(frames: Sequence[tuple[Path, int, Any]]) -> str:
     path = frames[0][0]
-    return detections_of(str(path if len(frames) == 1 else path.parent), rows, side=side, units="px")
+    return str(path if len(frames) == 1 else path.parent)
 
 
 def _hand(path: Path, content: Any, side: Side) -> np.ndarray | None:
@@ -68,6 +74,7 @@ def _hand(path: Path, content: Any, side: Side) -> np.ndarray | None:
         found = np.array(read_numbers(f"{path}: people[{i}].{key}", numbers, (3 * COUNT,))).reshape(COUNT, 3)
         if (found[:, 2] < 0).any():
             raise InputError(f"{path}: people[{i}].{key}: expected confidences of 0 or more, got {found[:, 2].min():g}")
+        found[:, 2] = found[:, 2].clip(0, 1)
         if found[:, 2].any() and (best is None or found[:, 2].sum() > best[:, 2].sum()):
             best = found
     return best

@@ -2,7 +2,6 @@
 
 import json
 import os
-import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from torchhand.errors import InputError
+from torchhand.files.array_file import opened_arrays
 from torchhand.files.safe_write import explained_errors, replacing
 from torchhand.files.track_record import ARRAY_FIELDS, RESERVED_NAMES, TRACK_FORMAT, Track, track_of
 
@@ -66,7 +66,7 @@ def read_lines(path: Path) -> Iterator[tuple[dict[str, Any], int]]:
             end += len(line)
             try:
                 record = json.loads(line)
-            except ValueError:
+            except (ValueError, RecursionError):
                 return
             if not line.endswith(b"\n") or not isinstance(record, dict):
                 return
@@ -124,10 +124,10 @@ def _read_jsonl(path: Path) -> Track:
 
 
 def _read_npz(path: Path) -> Track:
+    complaint = "is no track that can be read"
+    with opened_arrays(path, complaint=complaint) as stored:
+        arrays = dict(stored)
     try:
-        # Opened here, because np.load leaves a broken file open.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            arrays = dict(stored)
         fields: dict[str, Any] = {name: arrays[name] for name in ("frame", "status", "seconds")}
         fields |= {name: arrays.get(name) if name == "keypoints2d" else arrays[name] for name in ARRAY_FIELDS}
         fields |= {name: str(arrays[name]) for name in ("units", "convention")}
@@ -138,7 +138,5 @@ def _read_npz(path: Path) -> Track:
             header=json.loads(str(arrays["header"])) if "header" in arrays else {},
             **fields,
         )
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: is no track that can be read ({type(error).__name__}: {error})") from error
+    except (KeyError, ValueError, TypeError, RecursionError) as error:
+        raise InputError(f"{path}: {complaint} ({type(error).__name__}: {error})") from error

@@ -101,6 +101,7 @@ class Anthropometry:
 
     def measures(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch 21"]:
         """The measures of a shape, without unit, in the order of MEASURES; differentiable."""
+        self.space.check_width(shape)
         metric = self.space.metric(shape)
         length = metric["hand_length"]
         phalanges = [metric[name] for name in MEASURES[5:-2]]
@@ -115,6 +116,7 @@ class Anthropometry:
 
         Differentiable almost everywhere.
         """
+        self.space.check_width(shape)
         parameters = list(shape.clamp(self.space.lower.to(shape), self.space.upper.to(shape)).unbind(-1))
         for index, std, body in self._blocks:
             scale = std.to(shape)
@@ -128,6 +130,7 @@ class Anthropometry:
 
     def violation(self, shape: Float[Tensor, "*batch shape"]) -> Violation:
         """How far parameters are outside their bounds (in their own units), and measures outside their intervals."""
+        self.space.check_width(shape)
         lower, upper = self.space.lower.to(shape), self.space.upper.to(shape)
         bounds = torch.maximum(lower - shape, shape - upper)
         measures = self.measures(shape)
@@ -141,6 +144,7 @@ class Anthropometry:
 
     def penalty(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
         """½ Σ (violation / (softness · spread))²; continuously differentiable, zero on the feasible set."""
+        self.space.check_width(shape)
         excess = (shape @ self.matrix.to(shape).T - self.bound.to(shape)).clamp_min(0)
         return 0.5 * (excess / (self.settings.softness * self._scale.to(shape))).square().sum(-1)
 
@@ -149,6 +153,7 @@ class Anthropometry:
 
         Mean and spread of every parameter are the shape space's; hand length and breadth are correlated.
         """
+        self.space.check_width(shape)
         scaled = (shape - self.space.default.to(shape)) / self.space.std.to(shape)
         length, breadth = (scaled[..., self.space.names.index(name)] for name in ("hand_length", "hand_breadth"))
         rho = self.settings.length_breadth_correlation

@@ -2,8 +2,8 @@
 
 Rotations are composed level by level over the five digits, with the batch as the last, contiguous axis. The derivative
 is the geometric one: an angle feels the moment, about its axis, of everything further out, so nothing but the result
-has to be kept. Reverse mode of any order, forward mode and vmap are supported. The specification is a plain loop, in
-the tests.
+has to be kept. Reverse mode of any order, forward mode and vmap are supported; forward mode of forward mode is left to
+the plain operations. The specification is a plain loop, in the tests.
 """
 
 from typing import Any
@@ -11,10 +11,11 @@ from typing import Any
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch._C._functorch import TransformType, get_interpreter_stack
 
 from torchhand.geometry import exponential_coefficients
 from torchhand.geometry.batch_last import compose, cross, turn
-from torchhand.hand.chain_compiled import place_chain_compiled
+from torchhand.hand.chain_compiled import place_chain_compiled, place_chain_plainly
 from torchhand.hand.chain_constants import HINGES, ChainConstants
 from torchhand.hand.chain_gradients import chain_gradients, column_spin
 from torchhand.hand.joint_rotations import free_axes, local_rotations
@@ -40,7 +41,19 @@ def place_chain(
         return place_chain_compiled(pose, reference, levers, constants)
     if torch.is_inference_mode_enabled() and not torch._C._are_functorch_transforms_active():
         return _Chain.forward(pose, reference, levers, constants)  # no derivative can be asked for
+    if _forward_modes() > 1:
+        return place_chain_plainly(pose, reference, levers, constants)
     return _Chain.apply(pose, reference, levers, constants)
+
+
+def _forward_modes() -> int:
+    """How many forward modes of torch.func are nested here.
+
+    torch takes the derivative of a Function's own `jvp` in forward mode for zero, without a word.
+    """
+    if not torch._C._are_functorch_transforms_active():
+        return 0
+    return sum(level.key() == TransformType.Jvp for level in get_interpreter_stack() or ())
 
 
 class _Chain(torch.autograd.Function):

@@ -16,8 +16,6 @@ from torchhand.hand.sizing import primitive_sizes
 from torchhand.hand.skeleton import DOFS
 from torchhand.hand.skinning import Skinning, mirrored_mesh
 
-_BOUND_SLACK = 1e-5  # relative: bounds are float64, shapes may be float32
-
 
 @dataclass(frozen=True, kw_only=True)
 class HandState:
@@ -76,6 +74,8 @@ class Hand(nn.Module):
             raise ValueError(f"model: expected one with a mesh, {model.name!r} has none (no mesh.npz in its folder)")
         if dtype is None:
             dtype = torch.float32 if shape is None else shape.dtype
+        if not dtype.is_floating_point:
+            raise ValueError(f"dtype: expected one of floating-point numbers, that of the shape too, got {dtype}")
         if isinstance(shape, nn.Parameter) and shape.dtype != dtype:
             raise ValueError(f"dtype: expected {shape.dtype}, that of the parameter given as shape, got {dtype}")
         self.side: Side = side
@@ -92,7 +92,7 @@ class Hand(nn.Module):
             given = model.shape_space.default if shape is None else shape
             self.register_buffer("shape", given.to(dtype, copy=shape is None))
         self._check_width("shape", self.shape, len(self.shape_space.names))
-        self._check_shape(self.shape)
+        self.shape_space.check(self.shape)
 
     def forward(
         self,
@@ -111,11 +111,8 @@ class Hand(nn.Module):
         Raises ValueError for wrong dimensions and dtypes. NaN and infinite numbers go through to the results, because
         looking for them would make a GPU wait; see `check`.
         """
-        self._check_width("pose", pose, len(DOFS))
-        if shape is None:
-            shape = self.shape
-        else:
-            self._check_width("shape", shape, len(self.shape_space.names))
+        self.check_sizes(pose, shape)
+        shape = self.shape if shape is None else shape
         batch = torch.broadcast_shapes(pose.shape[:-1], shape.shape[:-1])
         if root_reference is not None:
             batch = torch.broadcast_shapes(batch, root_reference.shape[:-2])
@@ -149,24 +146,16 @@ class Hand(nn.Module):
         """
         if pose is not None:
             self._check_width("pose", pose, len(DOFS))
-            _check_finite("pose", pose, DOFS)
+            _check_finite(pose)
         if shape is not None:
             self._check_width("shape", shape, len(self.shape_space.names))
-            self._check_shape(shape)
+            self.shape_space.check(shape)
 
-    def _check_shape(self, shape: Tensor) -> None:
-        names = self.shape_space.names
-        _check_finite("shape", shape, names)
-        values = shape.detach().double().reshape(-1, len(names))
-        lower, upper = self.shape_space.lower.to(values), self.shape_space.upper.to(values)
-        slack = _BOUND_SLACK * upper.abs().maximum(lower.abs())
-        is_outside = ((values < lower - slack) | (values > upper + slack)).nonzero()
-        if len(is_outside):
-            row, column = is_outside[0].tolist()
-            raise ValueError(
-                f"shape: {names[column]}: expected {float(lower[column]):g} to {float(upper[column]):g}"
-                f" {self.shape_space.units[column]}, got {float(values[row, column]):g}"
-            )
+    def check_sizes(self, pose: Tensor, shape: Tensor | None = None) -> None:
+        """Raises ValueError for a pose or a shape of other dimensions or another dtype than the hand's."""
+        self._check_width("pose", pose, len(DOFS))
+        if shape is not None:
+            self._check_width("shape", shape, len(self.shape_space.names))
 
     def _check_width(self, name: str, value: Tensor, width: int) -> None:
         if value.ndim == 0 or value.shape[-1] != width:
@@ -177,9 +166,9 @@ class Hand(nn.Module):
             )
 
 
-def _check_finite(name: str, value: Tensor, columns: tuple[str, ...]) -> None:
-    is_wrong = (~value.detach().isfinite()).reshape(-1, len(columns)).nonzero()
+def _check_finite(pose: Tensor) -> None:
+    values = pose.detach().reshape(-1, len(DOFS))
+    is_wrong = (~values.isfinite()).nonzero()
     if len(is_wrong):
         row, column = is_wrong[0].tolist()
-        got = float(value.detach().reshape(-1, len(columns))[row, column])
-        raise ValueError(f"{name}: {columns[column]}: expected finite numbers, got {got}")
+        raise ValueError(f"pose: {DOFS[column]}: expected finite numbers, got {float(values[row, column])}")

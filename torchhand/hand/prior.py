@@ -17,7 +17,7 @@ from torchhand.hand.prior_components import PostureComponent
 from torchhand.hand.prior_postures import COMPONENTS
 from torchhand.hand.shape import ShapeSpace
 from torchhand.hand.sizing import primitive_sizes
-from torchhand.hand.skeleton import Skeleton
+from torchhand.hand.skeleton import DOFS, Skeleton
 
 _CHUNK = 1024  # hands that are placed at once when sampling
 _MOST = 32 * _CHUNK  # proposals of one round
@@ -66,9 +66,12 @@ class HandPrior(nn.Module):
     ) -> Float[Tensor, "*batch"]:
         """Log-probability up to one constant; minus infinity where a hard constraint is broken.
 
+        Raises ValueError for numbers that are too many, too few, or of another dtype than the prior's.
+
         Without a shape that of the pose for the default shape. The gradient is finite inside; outside it is that of
         `energy` without the walls, so that it still leads towards likelier poses. A NaN gives minus infinity.
         """
+        self._check(pose, shape)
         excess, cost = self._penetration(pose, shape)
         density = self.postures.log_density(pose) - cost
         possible = self.constraints.is_feasible(pose) & (excess <= self.settings.deepest)
@@ -84,6 +87,7 @@ class HandPrior(nn.Module):
 
         On the feasible set, and no deeper than `settings.deepest`, it is −log_prob exactly.
         """
+        self._check(pose, shape)
         _, cost = self._penetration(pose, shape)
         energy = cost - self.postures.log_density(pose) + self.constraints.wall(pose)
         if shape is not None:
@@ -116,6 +120,16 @@ class HandPrior(nn.Module):
                 )
         empty_pose, empty_shape = self._propose(0, generator)
         return torch.cat((empty_pose, *poses))[:count], torch.cat((empty_shape, *shapes))[:count]
+
+    def _check(self, pose: Tensor, shape: Tensor | None) -> None:
+        dtype = self.kinematics.default_shape.dtype
+        for name, value in (("pose", pose), ("shape", shape)):
+            if value is not None and value.dtype != dtype:
+                raise ValueError(f"{name}: expected {dtype}, in which the prior computes, got {value.dtype}")
+        if pose.ndim == 0 or pose.shape[-1] != len(DOFS):
+            raise ValueError(f"pose: expected {len(DOFS)} numbers in the last dimension, got shape {tuple(pose.shape)}")
+        if shape is not None:
+            self.kinematics.shape_space.check_width(shape)
 
     def _propose(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         pose, _ = self.postures.sample(count, generator)

@@ -93,6 +93,6 @@ def posture_component(
     return PostureComponent(
         name=name,
         weight=weight,
-        mean=torch.deg2rad(torch.tensor([mean_deg[dof] for dof in JOINT_DOFS], dtype=torch.float64)),
-        std=spread * torch.deg2rad(torch.tensor(list(spreads.values()), dtype=torch.float64)),
+        mean=torch.deg2rad(torch.tensor([mean_deg[dof] for dof in JOINT_DOFS], dtype=torch.float64, device="cpu")),
+        std=spread * torch.deg2rad(torch.tensor(list(spreads.values()), dtype=torch.float64, device="cpu")),
     )

@@ -11,6 +11,7 @@ from torch import Tensor
 from torchhand.hand.skeleton import FINGERS
 
 _UNITS = ("m", "/HL", "/HB")
+_BOUND_SLACK = 1e-5  # relative: bounds are float64, shapes may be float32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +53,31 @@ class ShapeSpace:
     def metric(self, shape: Float[Tensor, "*batch shape"]) -> dict[str, Float[Tensor, "*batch"]]:
         """Every parameter in metres, by name."""
         return dict(zip(self.names, self.metres(shape).unbind(-1), strict=True))
+
+    def check_width(self, shape: Float[Tensor, "*batch numbers"]) -> None:
+        """Raises ValueError where the last dimension does not hold the parameters."""
+        if shape.ndim == 0 or shape.shape[-1] != len(self.names):
+            raise ValueError(
+                f"shape: expected {len(self.names)} numbers in the last dimension, got shape {tuple(shape.shape)}"
+            )
+
+    def check(self, shape: Float[Tensor, "*batch shape"]) -> None:
+        """Raises ValueError naming the first parameter that is not finite or outside its bounds, whatever the dtype."""
+        self.check_width(shape)
+        values = shape.detach().double().reshape(-1, len(self.names))
+        is_wrong = (~values.isfinite()).nonzero()
+        if len(is_wrong):
+            row, column = is_wrong[0].tolist()
+            raise ValueError(f"shape: {self.names[column]}: expected finite numbers, got {float(values[row, column])}")
+        lower, upper = self.lower.to(values), self.upper.to(values)
+        slack = _BOUND_SLACK * upper.abs().maximum(lower.abs())
+        is_outside = ((values < lower - slack) | (values > upper + slack)).nonzero()
+        if len(is_outside):
+            row, column = is_outside[0].tolist()
+            raise ValueError(
+                f"shape: {self.names[column]}: expected {float(lower[column]):g} to {float(upper[column]):g}"
+                f" {self.units[column]}, got {float(values[row, column]):g}"
+            )
 
     @cached_property
     def _unit_index(self) -> Tensor:

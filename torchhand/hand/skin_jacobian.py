@@ -34,6 +34,7 @@ def skin_jacobian(
     """
     if weights is None:
         weights = torch.full_like(vertices, 1 / vertices.shape[-1], dtype=pose.dtype)
+    hand.check_sizes(pose, shape)
     shape = hand.shape if shape is None else shape
     batches = [pose.shape[:-1], shape.shape[:-1], vertices.shape[:-2], weights.shape[:-2]]
     if root_reference is not None:

@@ -2,8 +2,6 @@
 
 import csv
 import io
-import pickle
-import zipfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -59,8 +57,12 @@ def load_record(folder: Path) -> TrainingRecord:
     path = folder / MODEL_NAME
     if not path.is_file():
         raise InputError(f"{folder}: expected a folder with {MODEL_NAME} of an earlier training; there is none")
+    complaint = f"{path}: expected a network saved by learn_pose; it cannot be read as one"
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # the reader raises whatever it stumbles over
+        raise InputError(complaint) from error
+    try:
         if not isinstance(content, dict) or content["format"] != MODEL_FORMAT:
             raise ValueError(f"expected a mapping of the format {MODEL_FORMAT!r}")
         given = dict(content["settings"])
@@ -68,16 +70,8 @@ def load_record(folder: Path) -> TrainingRecord:
         settings = TrainingSettings(**given, samples=samples, weights=weights)
         kept = {name: content[name] for name in ("step", "network", "optimiser")}
         return TrainingRecord(settings=settings, curve=[dict(row) for row in content["curve"]], kept=kept)
-    except (
-        KeyError,
-        TypeError,
-        ValueError,
-        RuntimeError,
-        EOFError,
-        pickle.UnpicklingError,
-        zipfile.BadZipFile,
-    ) as error:
-        raise InputError(f"{path}: expected a network saved by learn_pose; it cannot be read as one") from error
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(complaint) from error
 
 
 def curve_text(curve: Curve) -> str:

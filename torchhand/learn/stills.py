@@ -1,6 +1,5 @@
 """A folder of single pictures with true keypoints: truth.npz with the cameras and the 21 points of each."""
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.errors import InputError
+from torchhand.files.array_file import opened_arrays
 
 TRUTH_NAME = "truth.npz"
 SHAPES = {"K": (3, 3), "keypoints3d": (21, 3)}
@@ -67,13 +67,10 @@ def load_stills(folder: Path) -> Stills:
 
 def _arrays(file: Path) -> dict[str, np.ndarray]:
     wanted = ("image", *SHAPES)
-    try:
-        # Opened here, because np.load leaves a broken file open.
-        with file.open("rb") as stream, np.load(stream) as stored:
-            given = list(stored)
-            arrays = {key: np.asarray(stored[key]) for key in wanted if key in given}
-    except (ValueError, EOFError, zipfile.BadZipFile, AttributeError, TypeError) as error:
-        raise InputError(f"{file}: expected an npz file with {', '.join(wanted)}; it cannot be read as one") from error
+    complaint = f"expected an npz file with {', '.join(wanted)}; it cannot be read as one"
+    with opened_arrays(file, complaint=complaint) as stored:
+        given = list(stored)
+        arrays = {key: np.asarray(stored[key]) for key in wanted if key in given}
     for key in wanted:
         if key not in arrays:
             raise InputError(f"{file}: expected the array {key!r}; got {', '.join(given) or 'none'}")

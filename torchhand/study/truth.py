@@ -1,7 +1,6 @@
 """The truth that a tracked sequence is judged by: a truth.npz, and exact masks where a folder has them."""
 
 import re
-import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from torchhand.errors import InputError
+from torchhand.files.array_file import opened_arrays
 
 SHAPES = {"keypoints3d": (21, 3), "keypoints2d": (21, 2), "flexion_deg": (5, 3)}
 
@@ -73,13 +73,10 @@ def load_mask(file: Path) -> Bool[np.ndarray, "height width"]:
 
 
 def _known_arrays(file: Path) -> dict[str, np.ndarray]:
-    try:
-        # Opened here, because np.load leaves a broken file open.
-        with file.open("rb") as stream, np.load(stream) as stored:
-            arrays = {key: np.asarray(stored[key]) for key in SHAPES if key in stored}
-            given = list(stored)
-    except (ValueError, EOFError, zipfile.BadZipFile, AttributeError, TypeError) as error:
-        raise InputError(f"{file}: expected an npz file with {', '.join(SHAPES)}; it cannot be read as one") from error
+    complaint = f"expected an npz file with {', '.join(SHAPES)}; it cannot be read as one"
+    with opened_arrays(file, complaint=complaint) as stored:
+        given = list(stored)
+        arrays = {key: np.asarray(stored[key]) for key in SHAPES if key in given}
     if not arrays:
         raise InputError(f"{file}: expected at least one of {', '.join(SHAPES)}; got {', '.join(given) or 'no key'}")
     for key, array in arrays.items():

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.geometry import Camera, left_jacobian, rotation_from_vector, vector_from_rotation
@@ -87,17 +87,20 @@ def fit_keypoints(
     in an unknown unit; hand length and breadth are then held.
 
     Raises ValueError for shapes that do not fit together, negative confidences, a camera for points in space or none
-    for pixels, spaces without the root, unknown parameter names. A frame that cannot be fitted is no error: see
-    `KeypointFit.status`.
+    for pixels, spaces without the root, unknown parameter names, a shape that is not finite or outside its bounds. A
+    frame that cannot be fitted is no error: see `KeypointFit.status`.
     """
     settings = settings or KeypointFitSettings()
     like = kinematics.default_levers
     space = (space or named_pose_space("dof27")).to(dtype=like.dtype, device=like.device)
     _check(keypoints, camera, confidence, space, fit_scale)
+    if shape is not None:
+        kinematics.shape_space.check(shape)
     batch = keypoints.shape[:-2]
     observed = _observations(keypoints.to(like), camera, confidence, settings, batch)
     lower, upper = free_limits(space, kinematics)
-    good = (observed.is_known.sum(-1) >= settings.least_points).nonzero()[:, 0]
+    is_enough = (observed.is_known.sum(-1) >= settings.least_points) & ~_is_one_point(observed)
+    good = is_enough.nonzero()[:, 0]
     solver = KeypointSolver(
         kinematics=kinematics,
         space=space,
@@ -196,6 +199,14 @@ def _observations(
         coarse_noise=torch.maximum(noise, coarse),
         camera=camera,
     )
+
+
+def _is_one_point(observed: Observations) -> Bool[Tensor, "frames"]:
+    """Whether all points of a frame lie in one place: what detectors write where they saw no hand."""
+    is_known = observed.is_known[..., None]
+    low = torch.where(is_known, observed.points, torch.inf).amin(1)
+    high = torch.where(is_known, observed.points, -torch.inf).amax(1)
+    return (low == high).all(-1)
 
 
 def _free_columns(kinematics: HandKinematics, fit_shape: bool | Sequence[str], fit_scale: bool) -> tuple[int, ...]:

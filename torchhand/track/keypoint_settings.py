@@ -24,7 +24,7 @@ class KeypointFitSettings:
     """When the natural posture counts: for the joints whose points are missing, always, or never. auto is
     where_missing in space, where a full set of points needs no belief that would only pull, and always in pictures."""
     least_points: int = 5
-    """Frames with fewer points are not fitted; 4 or more."""
+    """Frames with fewer points, or with all of them in one place, are not fitted; 4 or more."""
     is_typical: bool = True
     """Whether a fitted shape keeps the published anthropometric intervals besides its bounds (paper 000, 3.1)."""
     offset_std: float = 0.0

@@ -72,11 +72,11 @@ class KeypointSolver:
         points, is_known = self.observed.points, self.observed.is_known
         pose, reference, size = start_in_space(self.kinematics, points, is_known, common.shape, self._natural)
         if len(points) and self.fit_scale:
-            common = replace(common, log_scale=-size.median().log())
+            common = replace(common, log_scale=-_middle(size).log())
             scaled = common.log_scale.exp() * points
             pose, reference, _ = start_in_space(self.kinematics, scaled, is_known, common.shape, self._natural)
         elif len(points) and self.columns:
-            common = replace(common, shape=self._sized(common.shape, float(size.median())))
+            common = replace(common, shape=self._sized(common.shape, float(_middle(size))))
         return self._solved_from(common, pose[:, None], reference[:, None])
 
     def _solved_from(self, common: Common, pose: Tensor, reference: Tensor) -> KeypointSolution:
@@ -85,7 +85,7 @@ class KeypointSolver:
         free = self.space.free(pose.flatten(0, 1)).clamp(self.lower, self.upper)
         frames = torch.arange(len(pose), device=pose.device)
         cost = self._cost(frames.repeat_interleave(starts), reference.flatten(0, 1))
-        if self.observed.camera is not None:
+        if self.observed.camera is not None and len(pose):
             cost, free = self._best_way(cost, free, common)
         found = self._poses(cost, free, common)
         constraints = Anthropometry(self.kinematics.shape_space) if self.settings.is_typical else None
@@ -115,21 +115,32 @@ class KeypointSolver:
     def covariances(
         self, solution: KeypointSolution
     ) -> tuple[Float[Tensor, "frames free free"], Float[Tensor, "common common"]]:
-        """Of the poses and of the common parameters, from their joint normal equations with the limits' information."""
-        cost, free, parameters = solution.cost, solution.poses.values, solution.parameters
+        """Of the poses and of the common parameters, from their joint normal equations with the limits' information.
+
+        Frames that failed have NaN and tell nothing of the common parameters.
+        """
+        parameters = solution.parameters
+        whole = solution.poses.values.new_full(
+            (len(solution.poses.values), self.space.size, self.space.size), torch.nan
+        )
+        sound = (solution.poses.status != Status.FAILED).nonzero()[:, 0]
+        if not len(sound):
+            return whole, torch.diag(parameters.std**2)
+        free = solution.poses.values[sound]
         known = limit_information(self.kinematics.skeleton).to(free)
         known[:3], known[3:6] = _ROOT_STD[0] ** -2, _ROOT_STD[1] ** -2
         believed = torch.diag((self.space.basis.square() * known[:, None]).sum(0))
-        blocks = cost.blocks(free, torch.arange(len(free), device=free.device), solution.common)
+        blocks = solution.cost.blocks(free, sound, solution.common)
         blocks = replace(blocks, pose=blocks.pose + believed)
         factor, info = torch.linalg.cholesky_ex(blocks.pose)
         own = torch.where((info == 0)[:, None, None], torch.cholesky_inverse(factor), torch.nan)
         if not parameters.size:
-            return own, own.new_zeros(0, 0)
+            return whole.index_copy(0, sound, own), own.new_zeros(0, 0)
         unbounded = torch.full_like(self.lower, torch.inf)
         eliminated = reduced(blocks, -unbounded, unbounded, free)
         shared = torch.linalg.inv(eliminated.equations.matrix + torch.diag(parameters.std**-2))
-        return own + eliminated.follow @ shared @ eliminated.follow.mT, shared
+        own = own + eliminated.follow @ shared @ eliminated.follow.mT
+        return whole.index_copy(0, sound, own), shared
 
     @property
     def _natural(self) -> Tensor:
@@ -213,3 +224,9 @@ class KeypointSolver:
             return missing_share(self.observed.confidence)
         share = 1.0 if mode == "always" else 0.0
         return self.observed.points.new_full((len(self.observed.points), len(DOFS)), share)
+
+
+def _middle(size: Float[Tensor, "frames"]) -> Float[Tensor, ""]:
+    """The median of the sizes that are any; 1 where none is."""
+    size = size[(size > 0) & size.isfinite()]
+    return size.median() if len(size) else size.new_ones(())

@@ -24,7 +24,9 @@ def rigid_placement(
     centre_source = (weight[..., None] * source).sum(-2) / total
     centre_target = (weight[..., None] * target).sum(-2) / total
     arms_source, arms_target = source - centre_source[..., None, :], target - centre_target[..., None, :]
-    left, singular, right = torch.linalg.svd((weight[..., None] * arms_target).mT @ arms_source)
+    product = (weight[..., None] * arms_target).mT @ arms_source
+    is_sound = product.isfinite().all((-2, -1), keepdim=True)  # sums of large numbers overflow; svd would raise
+    left, singular, right = torch.linalg.svd(torch.where(is_sound, product, 0.0))
     sign = torch.ones_like(singular)
     sign[..., 2] = torch.where(torch.linalg.det(left) * torch.linalg.det(right) < 0, -1.0, 1.0)
     rotation = (left * sign[..., None, :]) @ right
