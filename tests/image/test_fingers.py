@@ -1,0 +1,129 @@
+"""Fingers of drawn hands: found at any angle and size, named, and taken apart where they meet."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from torchhand.image.finger_order import DIGITS, order_fingers
+from torchhand.image.fingers import FingerSettings, find_fingers, opened_by_disc
+
+# An open hand in palm radii about the palm's centre: where each digit leaves the palm, and the middle of its round end.
+BASES = ((-1.36, 0.58), (-0.71, -1.28), (0.0, -1.30), (0.57, -1.11), (1.14, -0.86))
+ENDS = ((-2.55, -0.22), (-1.08, -2.75), (0.0, -3.1), (0.86, -2.76), (1.62, -1.95))
+WIDTH = 0.44
+
+
+def drawn(
+    *, turn_deg: float = 0.0, mirrored: bool = False, without: tuple[int, ...] = (), palm: float = 40.0
+) -> tuple[torch.Tensor, np.ndarray]:
+    """Mask of a drawn hand with its arm, thumb on the left unless mirrored, and the tips (5, 2)."""
+    side = round(10 * palm)
+    canvas = np.zeros((side, side), np.uint8)
+    turn = np.deg2rad(turn_deg)
+    rotation = np.array(((np.cos(turn), -np.sin(turn)), (np.sin(turn), np.cos(turn))))
+
+    def put(x: float, y: float) -> np.ndarray:
+        return side / 2 + palm * rotation @ np.array((-x if mirrored else x, y))
+
+    def line(a: np.ndarray, b: np.ndarray, width: float) -> None:
+        ends = [tuple(int(v) for v in np.rint(point)) for point in (a, b)]
+        cv2.line(canvas, ends[0], ends[1], 1, max(1, round(width * palm)))
+
+    corners = np.array([put(*base) for base in BASES] + [put(0.75, 1.2), put(-0.75, 1.2)])
+    cv2.fillPoly(canvas, [cv2.convexHull(np.rint(corners).astype(np.int32))], 1)
+    line(put(0, 0), put(0, 3.2), 1.4)
+    tips = []
+    for number, (base, end) in enumerate(zip(BASES, ENDS, strict=True)):
+        along = np.array(end) - base
+        along = along / np.hypot(*along)
+        tips.append(put(*(np.array(end) + 0.5 * WIDTH * along)))
+        if number not in without:
+            line(put(*(np.array(base) - 0.3 * along)), put(*end), WIDTH)
+    return torch.from_numpy(canvas > 0), np.array(tips)
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 77.0, 180.0, -130.0])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_five_fingers_at_any_angle_of_either_hand(turn_deg: float, mirrored: bool) -> None:
+    mask, tips = drawn(turn_deg=turn_deg, mirrored=mirrored)
+    found = find_fingers(mask)
+    assert found.order is not None
+    assert tuple(found.order.fingers) == DIGITS
+    assert found.order.is_mirrored == mirrored
+    for (name, number), tip in zip(found.order.fingers.items(), tips, strict=True):
+        assert np.hypot(*(np.array(found.pieces[number].tip) - tip)) < 4.0, name
+
+
+@pytest.mark.parametrize("palm_px", [14.0, 30.0, 120.0])
+def test_disc_finds_its_own_size(palm_px: float) -> None:
+    found = find_fingers(drawn(palm=palm_px, turn_deg=25.0)[0])
+    assert found.order is not None
+    assert len(found.order.fingers) == 5
+    assert 0.18 * palm_px < found.disc_radius < 0.65 * palm_px
+    assert found.palm_radius == pytest.approx(palm_px, rel=0.15)
+
+
+@pytest.mark.parametrize("missing", [(0,), (3,), (1, 4)])
+def test_fewer_fingers_are_counted(missing: tuple[int, ...]) -> None:
+    found = find_fingers(drawn(without=missing, turn_deg=-30.0)[0])
+    assert found.order is not None
+    assert len(found.order.fingers) == 5 - len(missing)
+
+
+def test_fingers_that_meet_at_the_web_are_taken_apart() -> None:
+    mask, tips = drawn(palm=40.0)
+    web = np.zeros(mask.shape, np.uint8)
+    corners = np.array((tips[2], tips[3], (200.0, 200.0)))
+    corners[:2] = 0.55 * corners[:2] + 0.45 * corners[2]
+    cv2.fillPoly(web, [np.rint(corners).astype(np.int32)], 1)
+    found = find_fingers(mask | torch.from_numpy(web > 0))
+    assert found.order is not None
+    assert tuple(found.order.fingers) == DIGITS
+
+
+@pytest.mark.parametrize("shape", ["disc", "bar", "empty"])
+def test_no_hand_has_no_order(shape: str) -> None:
+    canvas = np.zeros((200, 200), np.uint8)
+    if shape == "disc":
+        cv2.circle(canvas, (100, 100), 60, 1, -1)
+    if shape == "bar":
+        cv2.rectangle(canvas, (10, 80), (190, 120), 1, -1)
+    assert find_fingers(torch.from_numpy(canvas > 0)).order is None
+
+
+def test_opening_is_that_of_the_definition(generator: torch.Generator) -> None:
+    mask = torch.rand(24, 30, generator=generator) > 0.12
+    radius = 2.3
+    rows, columns = np.mgrid[:24, :30]
+    padded = np.pad(mask.numpy(), 1)
+    outside = np.argwhere(~padded) - 1
+    depth = np.min(np.hypot(rows[..., None] - outside[:, 0], columns[..., None] - outside[:, 1]), -1)
+    core = np.argwhere(depth > radius)
+    away = np.min(np.hypot(rows[..., None] - core[:, 0], columns[..., None] - core[:, 1]), -1)
+    assert len(core)
+    assert bool((opened_by_disc(mask, radius).numpy() == (away <= radius)).all())
+
+
+def test_opening_keeps_a_wide_disc_and_takes_a_thin_bar() -> None:
+    canvas = np.zeros((80, 120), np.uint8)
+    cv2.circle(canvas, (40, 40), 25, 1, -1)
+    cv2.rectangle(canvas, (60, 37), (110, 43), 1, -1)
+    opened = opened_by_disc(torch.from_numpy(canvas > 0), 8.0)
+    assert bool(opened[40, 40])
+    assert not bool(opened[:, 75:].any())
+
+
+def test_order_needs_two_pieces() -> None:
+    assert order_fingers([(0.0, 0.0)], [(0.0, 5.0)], (0.0, 10.0), 5.0) is None
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("smallest_disc", 0.0), ("largest_disc", 1.0), ("sizes", 1), ("least_elongation", 0.0), ("work_side_px", 10)],
+)
+def test_settings_name_what_is_wrong(field: str, value: float) -> None:
+    with pytest.raises(ValueError, match=field):
+        replace(FingerSettings(), **{field: value})
