@@ -12,6 +12,7 @@ from torchhand.numerics.adaptive import (
 )
 from torchhand.numerics.cholesky import robust_cholesky
 from torchhand.numerics.consistency import chi_square_quantile, mean_chi_square_band, nees, nis
+from torchhand.numerics.descent import DescentSettings, gradient_descent
 from torchhand.numerics.extended import Linearised, linearised, predict_extended, predict_motion, update_extended
 from torchhand.numerics.gaussian import Gaussian
 from torchhand.numerics.iterated import IteratedSettings, IteratedUpdate, update_iterated
@@ -32,6 +33,7 @@ from torchhand.numerics.whitening import wrapped
 
 __all__ = [
     "AdaptiveNoiseSettings",
+    "DescentSettings",
     "Gaussian",
     "IteratedSettings",
     "IteratedUpdate",
@@ -50,6 +52,7 @@ __all__ = [
     "adapted_variance",
     "chi_square_quantile",
     "gain_covariance",
+    "gradient_descent",
     "levenberg_marquardt",
     "linearised",
     "log_ndtr",

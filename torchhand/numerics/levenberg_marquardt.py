@@ -42,6 +42,7 @@ def levenberg_marquardt(
     robust: RobustLoss | None = None,
     settings: LevenbergMarquardtSettings | None = None,
     takes_rows: bool = False,
+    first: NormalEquations | None = None,
 ) -> LeastSquares:
     """Minimise ½ |r(x)|², or a robust loss of r, over x with lower <= x <= upper, for every problem of the batch.
 
@@ -52,6 +53,8 @@ def levenberg_marquardt(
     Damping is Marquardt's, relative to the diagonal of JᵀJ, so the scales of the variables do not matter; every problem
     has its own. A step is taken only if it lowers the cost: the best values are always the present ones, and a trial
     with a NaN is a refused one. The start is put into the bounds first. One problem never touches another.
+
+    first: what linearise gives at the start, where that is known already and the start lies within the bounds.
     """
     settings = settings or LevenbergMarquardtSettings()
     if (lower is None) != (upper is None):
@@ -65,17 +68,13 @@ def levenberg_marquardt(
     def evaluate(values: Tensor, rows: Tensor) -> NormalEquations:
         if takes_rows:
             return normal_equations(linearise(values, rows), robust)
-        found = normal_equations(linearise(values.reshape(start.shape)), robust)
-        return NormalEquations(
-            matrix=found.matrix.reshape(-1, size, size),
-            gradient=found.gradient.reshape(-1, size),
-            cost=found.cost.reshape(-1),
-        )
+        return _in_a_row(normal_equations(linearise(values.reshape(start.shape)), robust), size)
 
     values = start.reshape(-1, size)
     values = values.clone() if low is None else values.clamp(low, high)
     rows = torch.arange(len(values), device=values.device)
-    work = DampedIteration.begin(values, rows, evaluate(values, rows), settings)
+    begun = evaluate(values, rows) if first is None else _in_a_row(first, size)
+    work = DampedIteration.begin(values, rows, begun, settings)
     done: list[DampedIteration] = []
     for _ in range(settings.iterations):
         work.propose(low, high, settings)
@@ -99,4 +98,13 @@ def levenberg_marquardt(
         matrix=whole.matrix.reshape(*batch, size, size),
         gradient=whole.gradient.reshape(start.shape),
         on_bound=on_bound.reshape(start.shape),
+    )
+
+
+def _in_a_row(found: NormalEquations, size: int) -> NormalEquations:
+    """With one batch dimension."""
+    return NormalEquations(
+        matrix=found.matrix.reshape(-1, size, size),
+        gradient=found.gradient.reshape(-1, size),
+        cost=found.cost.reshape(-1),
     )

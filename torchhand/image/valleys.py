@@ -1,0 +1,143 @@
+"""Dark lines of a picture, between its pixels: where fingers touch or hide each other (paper 000, section 7.3).
+
+The paper seeks inner contours as thalwegs, valleys of the grey levels taken as a relief, since operators for edges
+answer twice, on both sides of such a line. Its operator is not printed; this is the usual one (FACTS section 7): the
+Hessian of the smoothed picture, its largest eigenvalue and where the slope along its eigenvector is zero.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+_INSIDE = 0.52  # the lowest place may lie this far from the pixel's centre along x and y: half, and rounding
+_HEAVY_SIGMAS = 3.0  # places so near to the region's rim are told by the rim
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValleySettings:
+    """What counts as a dark line."""
+
+    sigma_px: float = 1.6
+    """Standard deviation of the smoothing; 0.5 to 20. A line of half width w needs w / √3 or more."""
+    low: float = 3.0
+    """Least σ² × second derivative across the line, grey levels; a place counts if linked to one above `high`."""
+    high: float = 7.0
+    """Where a line begins; not below `low`."""
+    fewest: int = 8
+    """Pixels of the shortest line; 1 or more."""
+    steepest: float = 0.5
+    """Largest |slope across the line| · σ of a place relative to the strength: edges are steep, valleys level; above
+    0."""
+
+    def __post_init__(self) -> None:
+        if not 0.5 <= self.sigma_px <= 20:
+            raise ValueError(f"valleys.sigma_px: expected 0.5 to 20, got {self.sigma_px!r}")
+        if not 0 < self.low <= self.high < float("inf"):
+            raise ValueError(f"valleys.low: expected above 0 and at most high, got {self.low!r} and {self.high!r}")
+        if self.fewest < 1:
+            raise ValueError(f"valleys.fewest: expected 1 or more, got {self.fewest!r}")
+        if not 0 < self.steepest < float("inf"):
+            raise ValueError(f"valleys.steepest: expected above 0 and finite, got {self.steepest!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Valleys:
+    """Places on dark lines, float64; one per pixel that a line crosses."""
+
+    points_px: Float[Tensor, "points 2"]
+    """(x, y), between the pixels."""
+    directions: Float[Tensor, "points 2"]
+    """Unit, across the line; its sign means nothing."""
+    strength: Float[Tensor, "points"]
+    """σ² × second derivative across the line, grey levels."""
+
+
+def find_valleys(
+    grey: Float[Tensor, "height width"],
+    settings: ValleySettings | None = None,
+    *,
+    within: Bool[Tensor, "height width"] | None = None,
+) -> Valleys:
+    """Dark lines of a picture in grey levels (0 to 255).
+
+    A pixel is on a valley if along the eigenvector v of its Hessian's largest eigenvalue λ > 0 the slope vanishes
+    within the pixel: t = -(∇I · v) / λ, |t v_x| and |t v_y| at most half. That pixel's place is its centre plus t v.
+    Strength is σ² λ; lines are followed from places above `high` to all linked ones above `low` and dropped where
+    short.
+
+    within: only lines inside this region (the hand) and clear of its rim, where the background makes valleys of its
+    own: what lies beyond is first replaced by the region's nearest grey level.
+    """
+    settings = settings or ValleySettings()
+    picture = grey.detach().cpu().numpy().astype(np.float32)
+    inside = np.ones(picture.shape, dtype=bool)
+    if within is not None:
+        region = within.cpu().numpy()
+        picture = _extended(picture, region)
+        depth = cv2.distanceTransform(region.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        inside = depth > _HEAVY_SIGMAS * settings.sigma_px * 0.5
+    slopes, (xx, xy, yy) = _derivatives(picture, settings.sigma_px)
+    half, mean = 0.5 * (xx - yy), 0.5 * (xx + yy)
+    largest = mean + np.hypot(half, xy)
+    strength = settings.sigma_px**2 * largest
+    y, x = np.nonzero((strength >= settings.low) & inside)
+    angle = 0.5 * np.arctan2(xy[y, x], half[y, x])
+    across = np.stack((np.cos(angle), np.sin(angle)), -1)
+    slope = slopes[0][y, x] * across[:, 0] + slopes[1][y, x] * across[:, 1]
+    shift = -(slope / largest[y, x])[:, None] * across
+    keep = (np.abs(shift) <= _INSIDE).all(1)
+    keep &= np.abs(slope) * settings.sigma_px <= settings.steepest * strength[y, x]
+    y, x, across, shift = y[keep], x[keep], across[keep], shift[keep]
+    linked = _linked(y, x, strength, settings)
+    y, x, across, shift = y[linked], x[linked], across[linked], shift[linked]
+    found = (np.stack((x, y), -1) + shift, across, strength[y, x])
+    points, directions, strengths = (torch.from_numpy(part).to(grey.device, torch.float64) for part in found)
+    return Valleys(points_px=points, directions=directions, strength=strengths)
+
+
+def _derivatives(
+    picture: np.ndarray, sigma: float
+) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Slopes and second derivatives of the picture smoothed by a Gaussian: separable, exact derivatives of it."""
+    reach = int(np.ceil(4 * sigma))
+    t = np.arange(-reach, reach + 1, dtype=np.float64)
+    bell = np.exp(-0.5 * (t / sigma) ** 2)
+    bell /= bell.sum()
+    first = t * bell  # correlation: the smoothed picture's slope is Σ t bell I / Σ t² bell
+    first /= (t * first).sum()
+    second = (t**2 - (t**2 * bell).sum()) * bell
+    second *= 2 / (t**2 * second).sum()
+
+    def filtered(along_x: np.ndarray, along_y: np.ndarray) -> np.ndarray:
+        return cv2.sepFilter2D(picture, cv2.CV_32F, along_x, along_y, borderType=cv2.BORDER_REPLICATE)
+
+    slopes = (filtered(first, bell), filtered(bell, first))
+    return slopes, (filtered(second, bell), filtered(first, first), filtered(bell, second))
+
+
+def _extended(picture: np.ndarray, region: np.ndarray) -> np.ndarray:
+    """The picture with every pixel beyond the region replaced by the region's nearest."""
+    if not region.any() or region.all():
+        return picture
+    outside = np.logical_not(region).astype(np.uint8)
+    _, label = cv2.distanceTransformWithLabels(outside, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    label = np.asarray(label, dtype=np.int64)
+    level = np.zeros(int(label.max()) + 1, dtype=picture.dtype)
+    level[label[region]] = picture[region]
+    return np.where(region, picture, level[label])
+
+
+def _linked(y: np.ndarray, x: np.ndarray, strength: np.ndarray, settings: ValleySettings) -> np.ndarray:
+    """Which places belong to a line that is strong somewhere and long enough."""
+    canvas = np.zeros(strength.shape, dtype=np.uint8)
+    canvas[y, x] = 1
+    count, label, stats, _ = cv2.connectedComponentsWithStats(canvas, connectivity=8)
+    own = np.asarray(label, dtype=np.int64)[y, x]
+    peak = np.zeros(count)
+    np.maximum.at(peak, own, strength[y, x])
+    good = (peak >= settings.high) & (stats[:, cv2.CC_STAT_AREA] >= settings.fewest)
+    return good[own]
