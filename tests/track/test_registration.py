@@ -16,7 +16,7 @@ from torchhand.hand.pose import DOFS
 from torchhand.residuals import Expectation, PostureResiduals
 from torchhand.track.limits import clamp_to_limits
 from torchhand.track.picture_contours import PictureContours, picture_contours
-from torchhand.track.registration import Registration, RegistrationStatus, free_limits, register
+from torchhand.track.registration import Registration, RegistrationStatus, covariance_of, free_limits, register
 from torchhand.track.registration_settings import TRACKING_LEVELS, RegistrationLevel, RegistrationSettings
 from torchhand.view import outline_table
 from torchhand.view.contours import PrimitiveContours
@@ -291,3 +291,13 @@ def test_gradients_flow_after_a_registration(studio: Any) -> None:
         (points.square().sum() + skin.sum() + (found.covariance * pose[0]).sum()).backward()
         assert pose.grad is not None
         assert bool(pose.grad.isfinite().all())
+
+
+def test_a_hypothesis_that_nothing_determines_has_no_covariance(generator: torch.Generator) -> None:
+    factor = torch.randn(4, 5, 5, generator=generator, dtype=torch.float64)
+    matrix = factor @ factor.mT + torch.eye(5, dtype=torch.float64)
+    matrix[1, 2], matrix[1, :, 2] = 0.0, 0.0  # singular
+    matrix[2, 0, 0] = torch.nan
+    found = covariance_of(matrix, torch.tensor([True, True, False, True]))
+    assert bool(found[1:3].isnan().all())
+    torch.testing.assert_close(found[[0, 3]], torch.linalg.inv(matrix[[0, 3]]), atol=1e-9, rtol=1e-9)

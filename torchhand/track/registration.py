@@ -102,6 +102,16 @@ def register(
     return Registration(**{name: value.reshape((*batch, *value.shape[1:])) for name, value in whole.items()})
 
 
+def covariance_of(
+    matrix: Float[Tensor, "hypotheses free free"], is_good: Bool[Tensor, "hypotheses"]
+) -> Float[Tensor, "hypotheses free free"]:
+    """Inverses of the matrices of the normal equations; NaN where they are not positive definite or not good."""
+    identity = torch.eye(matrix.shape[-1], dtype=matrix.dtype, device=matrix.device)
+    factor, info = torch.linalg.cholesky_ex(torch.where(is_good[:, None, None], matrix, identity))
+    is_known = ((info == 0) & is_good)[:, None, None]
+    return torch.where(is_known, torch.cholesky_inverse(torch.where(is_known, factor, identity)), torch.nan)
+
+
 def free_limits(space: PoseSpace, skeleton: Skeleton) -> tuple[Float[Tensor, "free"], Float[Tensor, "free"]]:
     """Bounds of the free parameters: each keeps the angle that it is named after within its limits.
 
@@ -287,12 +297,6 @@ class _Work:
         pose, reference = rebased(self._pose(kept.values), kept.reference)
         failed = ~kept.cost.isfinite()
         status = torch.where(failed, RegistrationStatus.FAILED.value, status.clamp_max(Status.STALLED.value))
-        matrix = torch.where(
-            failed[:, None, None], torch.eye(kept.equations.matrix.shape[-1]).to(pose), kept.equations.matrix
-        )
-        factor, info = torch.linalg.cholesky_ex(matrix)
-        is_known = (info == 0) & ~failed
-        covariance = torch.where(is_known[:, None, None], torch.cholesky_inverse(factor), torch.nan)
         return Registration(
             pose=torch.where(failed[:, None], start[0], pose),
             root_reference=torch.where(failed[:, None, None], start[1], reference),
@@ -300,7 +304,7 @@ class _Work:
             contour_px=kept.contour_px,
             status=status,
             iterations=iterations,
-            covariance=covariance,
+            covariance=covariance_of(kept.equations.matrix, ~failed),
         )
 
     def _unmoved(self, pose: Tensor, reference: Tensor, status: RegistrationStatus) -> Registration:
