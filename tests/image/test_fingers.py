@@ -1,5 +1,6 @@
 """Fingers of drawn hands: found at any angle and size, named, and taken apart where they meet."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import cv2
@@ -10,44 +11,12 @@ import torch
 from torchhand.image.finger_order import DIGITS, order_fingers
 from torchhand.image.fingers import FingerSettings, find_fingers, opened_by_disc
 
-# An open hand in palm radii about the palm's centre: where each digit leaves the palm, and the middle of its round end.
-BASES = ((-1.36, 0.58), (-0.71, -1.28), (0.0, -1.30), (0.57, -1.11), (1.14, -0.86))
-ENDS = ((-2.55, -0.22), (-1.08, -2.75), (0.0, -3.1), (0.86, -2.76), (1.62, -1.95))
-WIDTH = 0.44
-
-
-def drawn(
-    *, turn_deg: float = 0.0, mirrored: bool = False, without: tuple[int, ...] = (), palm: float = 40.0
-) -> tuple[torch.Tensor, np.ndarray]:
-    """Mask of a drawn hand with its arm, thumb on the left unless mirrored, and the tips (5, 2)."""
-    side = round(10 * palm)
-    canvas = np.zeros((side, side), np.uint8)
-    turn = np.deg2rad(turn_deg)
-    rotation = np.array(((np.cos(turn), -np.sin(turn)), (np.sin(turn), np.cos(turn))))
-
-    def put(x: float, y: float) -> np.ndarray:
-        return side / 2 + palm * rotation @ np.array((-x if mirrored else x, y))
-
-    def line(a: np.ndarray, b: np.ndarray, width: float) -> None:
-        ends = [tuple(int(v) for v in np.rint(point)) for point in (a, b)]
-        cv2.line(canvas, ends[0], ends[1], 1, max(1, round(width * palm)))
-
-    corners = np.array([put(*base) for base in BASES] + [put(0.75, 1.2), put(-0.75, 1.2)])
-    cv2.fillPoly(canvas, [cv2.convexHull(np.rint(corners).astype(np.int32))], 1)
-    line(put(0, 0), put(0, 3.2), 1.4)
-    tips = []
-    for number, (base, end) in enumerate(zip(BASES, ENDS, strict=True)):
-        along = np.array(end) - base
-        along = along / np.hypot(*along)
-        tips.append(put(*(np.array(end) + 0.5 * WIDTH * along)))
-        if number not in without:
-            line(put(*(np.array(base) - 0.3 * along)), put(*end), WIDTH)
-    return torch.from_numpy(canvas > 0), np.array(tips)
+Drawn = Callable[..., tuple[torch.Tensor, np.ndarray]]
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 77.0, 180.0, -130.0])
 @pytest.mark.parametrize("mirrored", [False, True])
-def test_five_fingers_at_any_angle_of_either_hand(turn_deg: float, mirrored: bool) -> None:
+def test_five_fingers_at_any_angle_of_either_hand(drawn: Drawn, turn_deg: float, mirrored: bool) -> None:
     mask, tips = drawn(turn_deg=turn_deg, mirrored=mirrored)
     found = find_fingers(mask)
     assert found.order is not None
@@ -58,7 +27,7 @@ def test_five_fingers_at_any_angle_of_either_hand(turn_deg: float, mirrored: boo
 
 
 @pytest.mark.parametrize("palm_px", [14.0, 30.0, 120.0])
-def test_disc_finds_its_own_size(palm_px: float) -> None:
+def test_disc_finds_its_own_size(drawn: Drawn, palm_px: float) -> None:
     found = find_fingers(drawn(palm=palm_px, turn_deg=25.0)[0])
     assert found.order is not None
     assert len(found.order.fingers) == 5
@@ -67,13 +36,13 @@ def test_disc_finds_its_own_size(palm_px: float) -> None:
 
 
 @pytest.mark.parametrize("missing", [(0,), (3,), (1, 4)])
-def test_fewer_fingers_are_counted(missing: tuple[int, ...]) -> None:
+def test_fewer_fingers_are_counted(drawn: Drawn, missing: tuple[int, ...]) -> None:
     found = find_fingers(drawn(without=missing, turn_deg=-30.0)[0])
     assert found.order is not None
     assert len(found.order.fingers) == 5 - len(missing)
 
 
-def test_fingers_that_meet_at_the_web_are_taken_apart() -> None:
+def test_fingers_that_meet_at_the_web_are_taken_apart(drawn: Drawn) -> None:
     mask, tips = drawn(palm=40.0)
     web = np.zeros(mask.shape, np.uint8)
     corners = np.array((tips[2], tips[3], (200.0, 200.0)))

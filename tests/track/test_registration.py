@@ -16,7 +16,7 @@ from torchhand.hand.pose import DOFS
 from torchhand.residuals import Expectation, PostureResiduals
 from torchhand.track.limits import clamp_to_limits
 from torchhand.track.picture_contours import PictureContours, picture_contours
-from torchhand.track.registration import Registration, RegistrationStatus, covariance_of, free_limits, register
+from torchhand.track.registration import Registration, RegistrationStatus, covariance_of, own_limits, register
 from torchhand.track.registration_settings import TRACKING_LEVELS, RegistrationLevel, RegistrationSettings
 from torchhand.view import outline_table
 from torchhand.view.contours import PrimitiveContours
@@ -47,7 +47,7 @@ class Case:
         free = SPACE.free(self.truth) + torch.cat(
             (mm * 1e-3 * uniform(count, 3), torch.zeros(count, 3), deg * DEGREE * uniform(count, 20)), -1
         )
-        free = free.clamp(*free_limits(SPACE, self.model.skeleton))
+        free = free.clamp(*own_limits(SPACE, self.model.skeleton))
         turned = rotation_from_vector(deg * DEGREE * uniform(count, 3) / math.sqrt(3)) @ self.reference
         return SPACE.dof(free), turned
 
@@ -269,7 +269,7 @@ def test_other_levels_than_the_settings_are_refused(case: Case, picture: Picture
 
 def test_bounds_of_free_parameters(case: Case) -> None:
     skeleton = case.model.skeleton
-    lower, upper = free_limits(SPACE, skeleton)
+    lower, upper = own_limits(SPACE, skeleton)
     assert bool(lower[:6].isinf().all())
     assert bool((lower[6:] < upper[6:]).all())
     rows = [DOFS.index(name) - 6 for name in SPACE.free_names[6:]]

@@ -95,7 +95,8 @@ class HandField:
         return local[0] + rise, local[1], local[2]
 
     def _palm(self, points: Tensor) -> Tensor:
-        m, breadth, length, depth = self._metric, *self._palm_measures()
+        m = self._metric
+        breadth, length, depth = m["hand_breadth"], m["hand_length"], m["palm_thickness"]
         whole = self._palm_body(points)
         for finger in FINGERS[1:]:
             # Ridges of the metacarpals, flush with the back of the palm at the knuckles.
@@ -111,9 +112,6 @@ class HandField:
         hollow = self._at("wrist", -0.88 * depth, 0.32 * length, m["palm_radial"] + 0.05 * breadth)
         axes = torch.stack((0.45 * depth, 0.15 * length, 0.15 * breadth))
         return -blended(-whole, ellipsoid(points, hollow, self._bone("wrist")[0], axes), self._fillet["palm"])
-
-    def _palm_measures(self) -> tuple[Tensor, Tensor, Tensor]:
-        return self._metric["hand_breadth"], self._metric["hand_length"], self._metric["palm_thickness"]
 
     def _palm_body(self, points: Tensor) -> Tensor:
         s = self._sizes

@@ -31,7 +31,7 @@ from torchhand.track.registration_result import Registration, RegistrationStatus
 from torchhand.track.registration_settings import RegistrationLevel, RegistrationSettings
 from torchhand.view.contours import ContourLook, Contours
 
-__all__ = ["Registration", "RegistrationStatus", "free_limits", "register"]
+__all__ = ["Registration", "RegistrationStatus", "covariance_of", "own_limits", "register"]
 
 _ROTATIONS = ("root_rx", "root_ry", "root_rz")
 _ROOT = 6
@@ -86,7 +86,7 @@ def register(
         settings=settings,
         beliefs=_beliefs(space, settings, constraints, prior),
         inverse=torch.linalg.pinv(space.basis),
-        bounds=free_limits(space, contours.kinematics.skeleton),
+        bounds=own_limits(space, contours.kinematics.skeleton),
         columns=tuple(space.free_names.index(name) if name in space.free_names else -1 for name in _ROTATIONS),
     )
     size = settings.hypotheses_at_once
@@ -112,7 +112,7 @@ def covariance_of(
     return torch.where(is_known, torch.cholesky_inverse(torch.where(is_known, factor, identity)), torch.nan)
 
 
-def free_limits(space: PoseSpace, skeleton: Skeleton) -> tuple[Float[Tensor, "free"], Float[Tensor, "free"]]:
+def own_limits(space: PoseSpace, skeleton: Skeleton) -> tuple[Float[Tensor, "free"], Float[Tensor, "free"]]:
     """Bounds of the free parameters: each keeps the angle that it is named after within its limits.
 
     An angle that is tied to another stops at its own limit while the other goes on (as paper 000's equation 4 must be
