@@ -1,6 +1,7 @@
 """Pose spaces against FACTS 3.1 and 3.2, and the named postures."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -70,6 +71,23 @@ def test_ties(generator: torch.Generator) -> None:
     for finger in FINGERS[1:]:
         assert value[f"{finger}_dip_fe"] == pytest.approx(2 / 3 * value[f"{finger}_pip_fe"])
     assert value["thumb_mcp_fe"] == pytest.approx(2 * (value["thumb_cmc_fe"] - math.pi / 6))
+
+
+@pytest.mark.parametrize("name", list(POSE_SPACES))
+def test_own_parameters_are_read_off_their_dofs(name: str, generator: torch.Generator) -> None:
+    space = named_pose_space(name)
+    free = torch.randn(2, 3, space.size, generator=generator, dtype=torch.float64)
+    pose = space.dof(free)
+    torch.testing.assert_close(space.own(pose), free, atol=1e-12, rtol=0)
+    tied = [DOFS.index(n) for n in DOFS if n not in space.free_names]
+    pose[..., tied] = 0.123  # stopped at some limit
+    torch.testing.assert_close(space.own(pose), free, atol=1e-12, rtol=0)
+
+
+def test_own_parameters_need_names_of_dofs() -> None:
+    space = replace(named_pose_space("planar"), free_names=("root_tx", "synergy", "root_rz"))
+    with pytest.raises(ValueError, match="free parameter 'synergy' is not named after a DOF"):
+        space.own(torch.zeros(36, dtype=torch.float64))
 
 
 def test_planar_spaces_move_only_in_the_picture() -> None:

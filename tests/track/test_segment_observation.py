@@ -56,6 +56,22 @@ def test_the_closed_form_is_autograds_derivative(studio: Any, side: str, camera:
     torch.testing.assert_close(jacobian, by_row, atol=1e-10, rtol=0)
 
 
+def test_a_tied_angle_stops_at_its_limit_and_the_free_one_goes_on(studio: Any) -> None:
+    placed = studio.placed()
+    observe = observed(placed, "dof26")
+    free = torch.zeros(observe.space.size, dtype=torch.float64)
+    free[list(observe.space.free_names).index("thumb_cmc_fe")] = -0.3
+    stopped = observe.space.dof(free)
+    at = DOFS.index("thumb_mcp_fe")
+    assert float(stopped[at]) < float(placed.kinematics.skeleton.lower[at - 6])
+    stopped[at] = placed.kinematics.skeleton.lower[at - 6]
+    free_angles = observed(placed, "dof36")
+    expected = free_angles.value(free_angles.space.own(stopped))
+    torch.testing.assert_close(observe.value(free), expected, atol=1e-10, rtol=0)
+    by_row = torch.func.jacrev(observe.value)(free)
+    torch.testing.assert_close(observe(free)[1], by_row, atol=1e-10, rtol=0)
+
+
 def test_the_closed_form_holds_for_a_camera_anywhere_and_a_bent_hand(studio: Any) -> None:
     placed = studio.placed()
     turn = rotation_from_vector(torch.tensor([0.3, -0.2, 0.9], dtype=torch.float64))

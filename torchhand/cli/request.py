@@ -10,10 +10,11 @@ import yaml
 
 from torchhand.errors import InputError
 from torchhand.files import FittedHand, find_config, load_hand, load_hand_model, load_settings, read_picture
+from torchhand.files.settings import setting_in
 from torchhand.hand import Side
 from torchhand.image import BackgroundPlate, learn_background
-from torchhand.track.settings import ContourTrackerSettings
 from torchhand.track.start import StartPoints
+from torchhand.track.trackers import DEFAULTS, AnySettings
 
 LEAST_START_SPAN_PX = 10.0
 
@@ -22,7 +23,7 @@ LEAST_START_SPAN_PX = 10.0
 class Request:
     """What a run is asked for, whatever its input is."""
 
-    settings: ContourTrackerSettings
+    settings: AnySettings
     config: str
     """Name of the configuration, as the user gave it."""
     side: Side = "right"
@@ -40,7 +41,7 @@ class Request:
     seed: int = 0
 
 
-def settings_of(config: str, changes: Sequence[str] = (), posture: str | None = None) -> ContourTrackerSettings:
+def settings_of(config: str, changes: Sequence[str] = (), posture: str | None = None) -> AnySettings:
     """The settings of a configuration with single fields changed.
 
     Raises InputError naming the file or the option and the key.
@@ -57,7 +58,12 @@ def settings_of(config: str, changes: Sequence[str] = (), posture: str | None = 
     if posture is not None:
         overrides["posture"] = posture
     _check_nesting(overrides)
-    return load_settings(ContourTrackerSettings(), find_config(config), overrides)
+    path = find_config(config)
+    method = overrides.get("method", setting_in(path, "method"))
+    if method is not None and not (isinstance(method, str) and method in DEFAULTS):
+        place = "--set" if "method" in overrides else path
+        raise InputError(f"{place}: method: expected one of {', '.join(DEFAULTS)}, got {method!r}")
+    return load_settings(DEFAULTS[method or "contour"], path, overrides | ({"method": method} if method else {}))
 
 
 def _check_nesting(overrides: Mapping[str, Any]) -> None:

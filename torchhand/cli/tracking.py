@@ -33,8 +33,9 @@ from torchhand.files.results import CONFIG_NAME, HAND_NAME, OVERLAY_NAME
 from torchhand.files.track_record import STATUSES
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandKinematics
-from torchhand.track.contour_tracker import ContourTracker, Memory, TrackerState
 from torchhand.track.sequence import TrackedFrame, follow
+from torchhand.track.state import Memory, TrackerState
+from torchhand.track.trackers import tracker_of
 from torchhand.view import HandProjector
 
 CHECKPOINT_EVERY = 30
@@ -54,7 +55,7 @@ class _Run:
         kinematics = load_hand_model().kinematics(request.side, dtype=torch.float64)
         hand = request.hand
         shape = None if hand is None else torch.tensor(list(hand.values.values()), dtype=torch.float64)
-        self.tracker = ContourTracker(
+        self.tracker = tracker_of(
             kinematics,
             camera,
             frames_per_second,

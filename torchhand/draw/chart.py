@@ -9,7 +9,7 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-LINE_COLOURS = ((38, 98, 190), (214, 84, 48), (46, 140, 72), (150, 80, 160))
+LINE_COLOURS = ((38, 98, 190), (214, 84, 48), (46, 140, 72), (150, 80, 160), (176, 134, 20), (110, 118, 130))
 """RGB, line by line."""
 
 Number = int | float
@@ -19,11 +19,13 @@ Place = Callable[[Number, Number], Point]
 Colour = tuple[int, int, int]
 
 _PAPER, _INK, _GRID = (255, 255, 255), (60, 60, 60), (225, 225, 225)
-_LEFT, _RIGHT, _TOP, _BOTTOM = 58, 18, 34, 46  # px around the field
+_LEFT, _RIGHT, _TOP, _BOTTOM = 58, 18, 34, 62  # px around the field
 _FONT, _SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.42
 _TICKS = 5
 _NAME_GAP = 16  # px
 _DASH_PX = 8
+_DOT_PX = 3
+_PALE = 0.8  # share of the paper's colour in a band's
 _SHIFT = 4  # fractional bits of OpenCV's coordinates
 
 
@@ -33,36 +35,53 @@ def draw_chart(
     lines: Mapping[str, Sequence[Number]],
     *,
     levels: Mapping[str, Number] | None = None,
+    bands: Mapping[str, tuple[Sequence[Number], Sequence[Number]]] | None = None,
     x_name: str = "",
+    y_end: Number | None = None,
+    has_dots: bool = False,
     width: int = 480,
     height: int = 320,
 ) -> UInt8[Tensor, "height width 3"]:
     """Lines over x from zero up, RGB, and `levels` as dashed horizontal lines. Values that are not finite are left out.
 
-    Every line and level is named below, in its colour.
+    Every line and level is named below, in its colour. bands: by the name of a line, lower and upper ends of a pale
+    band behind it. y_end: where the axis ends; where the largest value wants it, if not given. has_dots: marks the
+    values.
     """
     if width < 160 or height < 120:
         raise ValueError(f"size: expected at least 160x120 px, got {width}x{height}")
     for name, values in lines.items():
         if len(values) != len(x):
             raise ValueError(f"{name}: expected {len(x)} values, as many as x has, got {len(values)}")
+    for name, ends in (bands or {}).items():
+        if name not in lines or any(len(values) != len(x) for values in ends):
+            raise ValueError(f"band of {name!r}: expected a line of that name, and {len(x)} values at either end")
     levels = levels or {}
     canvas = np.full((height, width, 3), _PAPER, dtype=np.uint8)
     x_end = _largest(x)
     y_largest = _largest([value for values in (*lines.values(), levels.values()) for value in values])
-    y_step = tick_step(y_largest)
-    y_end = y_step * math.ceil(y_largest / y_step - 1e-9)
+    y_step = tick_step(y_end or y_largest)
+    y_top = y_end or y_step * math.ceil(y_largest / y_step - 1e-9)
 
     def place(px: Number, py: Number) -> Point:
-        across, up = px / x_end, py / y_end
+        across, up = px / x_end, min(py / y_top, 1.0)
         return _LEFT + across * (width - _LEFT - _RIGHT), height - _BOTTOM - up * (height - _TOP - _BOTTOM)
 
-    _draw_axes(canvas, place, x_end, y_end, y_step, title, x_name)
+    def corners(values: Sequence[Number]) -> list[Point]:
+        return [place(px, py) for px, py in zip(x, values, strict=True) if math.isfinite(px) and math.isfinite(py)]
+
+    colours = dict(zip(lines, _cycled(len(lines)), strict=True))
+    for name, (low, high) in (bands or {}).items():
+        pale = tuple(round(_PALE * paper + (1 - _PALE) * c) for paper, c in zip(_PAPER, colours[name], strict=True))
+        cv2.fillPoly(canvas, [_fixed(corners(low) + corners(high)[::-1])], pale, cv2.LINE_AA, _SHIFT)
+    _draw_axes(canvas, place, x_end, y_top, y_step, title, x_name)
     at = float(_LEFT)
-    for colour, (name, values) in zip(_cycled(len(lines)), lines.items(), strict=True):
-        corners = [place(px, py) for px, py in zip(x, values, strict=True) if math.isfinite(px) and math.isfinite(py)]
-        cv2.polylines(canvas, [_fixed(corners)], False, colour, 2, cv2.LINE_AA, _SHIFT)
-        at = _name(canvas, name, colour, at)
+    for name, values in reversed(list(lines.items())):  # the first on top
+        cv2.polylines(canvas, [_fixed(corners(values))], False, colours[name], 2, cv2.LINE_AA, _SHIFT)
+        for corner in corners(values) if has_dots else []:
+            cv2.circle(canvas, _whole(corner), _DOT_PX, colours[name], -1, cv2.LINE_AA)
+    for name in lines:
+        at = _name(canvas, name, colours[name], at)
     for colour, (name, level) in zip(_cycled(len(levels), len(lines)), levels.items(), strict=True):
         if math.isfinite(level):
             _draw_dashes(canvas, place(0, level), place(x_end, level), colour)
@@ -97,7 +116,7 @@ def _draw_axes(
         cv2.line(canvas, _whole(at), _whole((at[0], at[1] + 4)), _INK, 1)
         _text(canvas, f"{tick:g}", at[0], at[1] + 18, align=0.5)
     _text(canvas, title, _LEFT, 20, align=0.0)
-    _text(canvas, x_name, width - _RIGHT, height - 8, align=1.0)
+    _text(canvas, x_name, width - _RIGHT, height - 26, align=1.0)
 
 
 def _draw_dashes(canvas: np.ndarray, start: Point, end: Point, colour: Colour) -> None:

@@ -42,6 +42,11 @@ def load_settings(
     return settings
 
 
+def setting_in(path: str | Path, key: str) -> Any:
+    """What a YAML file gives for a top-level key, unchecked; None where it gives nothing. Raises as `load_settings`."""
+    return _read_yaml(Path(path)).get(key)
+
+
 def save_settings(settings: Any, path: str | Path, extra: Mapping[str, Any] | None = None) -> None:
     """Write every field, resolved, and under `run` the version and what else the caller knows (seed, input ...)."""
     content = _plain(settings)

@@ -37,6 +37,19 @@ class PoseSpace:
         """The free parameters whose pose is nearest (least squares); exact for poses in the space."""
         return (dof - self.constant) @ torch.linalg.pinv(self.basis).T
 
+    def own(self, dof: Float[Tensor, "*batch 36"]) -> Float[Tensor, "*batch free"]:
+        """The free parameters as read off the DOFs that they are named after, whatever the tied ones are.
+
+        What `free` gives for poses in the space; of one whose tied angles have stopped at their limits the free angles
+        are kept, where least squares would shift them. Raises ValueError for a parameter that no DOF is named after.
+        """
+        for name in self.free_names:
+            if name not in DOFS:
+                raise ValueError(f"free parameter {name!r} is not named after a DOF; allowed: {', '.join(DOFS)}")
+        rows = torch.tensor([DOFS.index(name) for name in self.free_names], device=self.basis.device)
+        own = self.basis[rows].diagonal()
+        return (dof - self.constant)[..., rows] / own
+
     def about(self, dof: Float[Tensor, "36"]) -> "PoseSpace":
         """The same directions through another pose: free = 0 gives `dof`, ties are kept as ties of changes."""
         return replace(self, constant=dof)

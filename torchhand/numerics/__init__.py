@@ -10,6 +10,7 @@ from torchhand.numerics.adaptive import (
     residual_covariance,
     residual_variance,
 )
+from torchhand.numerics.box import mode_in_box
 from torchhand.numerics.cholesky import robust_cholesky
 from torchhand.numerics.consistency import chi_square_quantile, mean_chi_square_band, nees, nis
 from torchhand.numerics.descent import DescentSettings, gradient_descent
@@ -58,6 +59,7 @@ __all__ = [
     "log_ndtr",
     "log_normal_mass",
     "mean_chi_square_band",
+    "mode_in_box",
     "nees",
     "nis",
     "noise_density",

@@ -63,6 +63,30 @@ def learn_appearance(
     return Appearance(colours=learn_colours(image, torch.from_numpy(inside > 0), torch.from_numpy(outside > 0)))
 
 
+def relearned(
+    appearance: Appearance,
+    image: UInt8[Tensor, "height width 3"],
+    probability: Float[Tensor, "height width"],
+    model: Bool[Tensor, "height width"],
+    margin_px: int,
+    *,
+    keep: float,
+) -> Appearance:
+    """The colours after some time of changing light: `keep` of what was known, the rest from this picture.
+
+    model: silhouette of the hand as it is followed. What touches it and has the hand's colours, such as a forearm,
+    counts neither as hand nor as surroundings. Log-likelihood ratios are averaged (a logarithmic opinion pool), so a
+    colour needs several such pictures to change sides. The appearance comes back as it is where there is too little to
+    learn from.
+    """
+    other = ~(model | touching(probability > 0.5, model))
+    fresh = learn_appearance(image, model, other, margin_px)
+    if fresh is None:
+        return appearance
+    ratio = torch.lerp(fresh.colours.log_ratio, appearance.colours.log_ratio, keep)
+    return Appearance(colours=ColourModel(log_ratio=ratio))
+
+
 def hand_region(
     shape: tuple[int, int], wrist_px: Float[Tensor, "2"], knuckle_px: Float[Tensor, "2"], reach_px: float
 ) -> Bool[Tensor, "height width"]:

@@ -7,6 +7,7 @@ from torch import Tensor
 from torchhand.geometry import Camera, rotation_from_vector, vector_from_rotation
 from torchhand.hand import HandKinematics, PoseSpace, ShapeSpace
 from torchhand.track.appearance import Agreement
+from torchhand.track.limits import clamp_to_limits
 from torchhand.track.state import Estimate, Status, TrackerState
 
 _JOINT_CENTRE_STD = 0.004
@@ -36,15 +37,17 @@ def estimate_of(
     space = space.about(state.base)
     covariance = state.belief.covariance[:count, :count]
     mean = state.belief.mean[:count]
-    pose = space.dof(mean)
-    shifted = torch.cat((mean[None], mean + _STEP * torch.eye(count, dtype=mean.dtype)))
-    keypoints = kinematics(space.dof(shifted), shape, root_reference=state.reference).keypoints
+    pose = clamp_to_limits(space.dof(mean), kinematics.skeleton)
+    moving = pose == space.dof(mean)  # a tied angle may have stopped at its limit
+    basis = moving[:, None] * space.basis
+    shifted = torch.cat((pose[None], pose + _STEP * basis.T))
+    keypoints = kinematics(shifted, shape, root_reference=state.reference).keypoints
     jacobian = (keypoints[1:] - keypoints[0]).permute(1, 2, 0) / _STEP  # 21 3 free
     rotation = rotation_from_vector(pose[3:6]) @ state.reference
     return Estimate(
         status=status,
         pose=torch.cat((pose[:3], vector_from_rotation(rotation), pose[6:])),
-        pose_std=(space.basis @ covariance @ space.basis.T).diagonal().clamp_min(0).sqrt(),
+        pose_std=(basis @ covariance @ basis.T).diagonal().clamp_min(0).sqrt(),
         root_rotation=rotation,
         keypoints=keypoints[0],
         keypoints_px=camera.project(keypoints[0]),

@@ -4,16 +4,17 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.geometry import Camera, rotation_from_vector
+from torchhand.geometry import Camera
 from torchhand.hand import PoseSpace, Skeleton
 from torchhand.image import search_edges
-from torchhand.numerics import Gaussian, observed_points, update
+from torchhand.numerics import observed_points, update
 from torchhand.track.contour_points import hand_length_px, is_in_picture, is_outer
-from torchhand.track.limits import clamp_to_limits
-from torchhand.track.prior import PosturePrior, kind_of
+from torchhand.track.measured import Measured, SeenContour
+from torchhand.track.prior import PosturePrior
+from torchhand.track.rebasing import Rebasing
 from torchhand.track.settings import ContourTrackerSettings
 from torchhand.track.state import TrackerState
 from torchhand.view import HandProjector, OutlineTable
@@ -22,7 +23,6 @@ _FEWEST_POINTS = 10
 _LEAST_SEARCH_PX = 4.0
 _WIDENING = 0.5  # the search grows by this share with every failed frame
 _INNER_REACH = 0.6  # half length of the search for inner edges over that for outer ones
-_AT_LIMIT = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,29 +33,6 @@ class Planes:
     """For the silhouette."""
     inner: Float[Tensor, "height width"] | None
     """For parts of the hand before others; None leaves those out."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class SeenContour:
-    """Which points of the contour the camera sees, and which of these lie on the silhouette."""
-
-    visible: Bool[Tensor, "points"]
-    outer: Bool[Tensor, "visible_points"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Measured:
-    """A state after a measurement update, and how well the picture bears it out."""
-
-    state: TrackerState
-    found: float = 0.0
-    """Share of the outer contour points in the picture with an accepted edge."""
-    inside: float = 0.0
-    """Share of the visible contour points in the picture."""
-    nis: float | None = 0.0
-    """Normalised innovation squared per accepted measurement; None where it means nothing."""
-    seen: SeenContour | None = None
-    """What a further pass over the same picture need not judge again."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,30 +117,5 @@ class ContourMeasurement:
         )
 
     @cached_property
-    def _inverse_basis(self) -> Tensor:
-        return torch.linalg.pinv(self.space.basis)
-
-    @cached_property
-    def _is_rotation(self) -> Tensor:
-        return torch.tensor([kind_of(name) == "rotation" for name in self.space.free_names])
-
-    def _rebased(self, state: TrackerState) -> TrackerState:
-        """Joint limits kept; the root's rotation moved from the belief's mean into the reference."""
-        count = self.space.size
-        free = state.belief.mean[:count]
-        space = self.space.about(state.base)
-        pose = clamp_to_limits(space.dof(free), self.skeleton)
-        is_rotation = self._is_rotation
-        kept = free + (pose - space.dof(free)) @ self._inverse_basis.T
-        kept = torch.where(is_rotation, torch.zeros_like(kept), kept)
-        mean = state.belief.mean.clone()
-        hit = (kept - free).abs() > _AT_LIMIT
-        mean[:count] = kept
-        for block in range(1, len(mean) // count):  # a joint at its limit stops there
-            rates = mean[block * count : (block + 1) * count]
-            mean[block * count : (block + 1) * count] = torch.where(hit & ~is_rotation, torch.zeros_like(rates), rates)
-        return replace(
-            state,
-            belief=Gaussian(mean, state.belief.covariance),
-            reference=rotation_from_vector(pose[3:6]) @ state.reference,
-        )
+    def _rebased(self) -> Rebasing:
+        return Rebasing(space=self.space, skeleton=self.skeleton)

@@ -81,6 +81,7 @@ class SegmentJacobian:
         device = like.device
         self._angles, self._bones = torch.tensor(angles, device=device), torch.tensor(bones, device=device)
         dofs = torch.tensor([[*range(_ROOT), *(_ROOT + i for i in own)] for own in angles], device=device)
+        self._dofs = dofs
         # (10, 12, free): the free parameters' effect on the DOFs that move each phalanx.
         self._basis = basis.to(like)[dofs] * torch.tensor(used, device=device).to(like)[..., None]
         self._cones = torch.tensor(CONES, device=device)
@@ -93,9 +94,11 @@ class SegmentJacobian:
         primitives_cam: Primitives,
         segments: Segments,
         projector: HandProjector,
+        moving: Bool[Tensor, "*batch 36"] | None = None,
     ) -> Float[Tensor, "*batch 20 2 2 free"]:
         """Pixels per metre or radian, for the hands that frames, primitives and segments belong to.
 
+        moving: DOFs that follow the free parameters; others are held, such as tied angles at their limits.
         Where a segment is not real the numbers are finite, or not, and mean nothing.
         """
         spin, about, shift = self._twists(pose, frames, projector)
@@ -103,17 +106,20 @@ class SegmentJacobian:
         turning = torch.linalg.cross(spin[..., None, None, :, :], ends - about[..., None, None, :, :], dim=-1)
         sliding, slide = self._sliding(spin, about, shift, primitives_cam, projector.is_orthographic)
         turning = torch.cat((shift.expand(*turning.shape[:-2], 3, 3), turning), -2)  # 10, sides, ends, 12, 3
-        moving = turning + sliding[..., None, :, None] * slide[..., None, :]
+        moved = turning + sliding[..., None, :, None] * slide[..., None, :]
         camera = projector.camera
         plane = camera.plane_from_cam(segments.ends_cam)
         pixels = camera.pixel_jacobian(plane).unflatten(-4, (len(CONES), 2))
         if projector.is_orthographic:
-            on_plane = moving[..., :2]
+            on_plane = moved[..., :2]
         else:
             seen = plane.unflatten(-3, (len(CONES), 2))[..., None, :]
-            on_plane = (moving[..., :2] - seen * moving[..., 2:]) / ends[..., 2:]
+            on_plane = (moved[..., :2] - seen * moved[..., 2:]) / ends[..., 2:]
         of_dofs = pixels @ on_plane.mT  # 10, sides, ends, 2, 12
-        of_free = of_dofs.flatten(-4, -2) @ self._basis
+        of_dofs = of_dofs.flatten(-4, -2)
+        if moving is not None:
+            of_dofs = of_dofs * moving[..., self._dofs].unsqueeze(-2)
+        of_free = of_dofs @ self._basis
         return of_free.unflatten(-2, (2, 2, 2)).flatten(-5, -4)
 
     def _twists(self, pose: Tensor, frames: HandFrames, projector: HandProjector) -> tuple[Tensor, Tensor, Tensor]:

@@ -12,9 +12,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.hand import HandFrames, PoseSpace, Primitives
+from torchhand.hand import DOFS, HandFrames, PoseSpace, Primitives
 from torchhand.numerics.whitening import wrapped
 from torchhand.track.contour_points import is_in_picture
+from torchhand.track.limits import clamp_to_limits
 from torchhand.track.segment_jacobian import CONES, SEGMENT_NAMES, SegmentJacobian, Segments, segments_of
 from torchhand.view import HandProjector, OutlineTable, outline, visible_points
 
@@ -69,8 +70,9 @@ class SegmentMeasurement:
 class SegmentObservation:
     """The 80 numbers as a function of the free parameters of a pose space, with their closed-form Jacobian.
 
-    Called with free parameters (*batch, free) it returns values (*batch, 80) and Jacobian (*batch, 80, free): the
-    `observe` of `update_iterated`. Consecutive groups of four belong to one segment (`group=4` gates them together).
+    An angle that is tied to a free one stops at its limit while the free one goes on. Called with free parameters
+    (*batch, free) it returns values (*batch, 80) and Jacobian (*batch, 80, free): the `observe` of `update_iterated`.
+    Consecutive groups of four belong to one segment (`group=4` gates them together).
     """
 
     def __init__(
@@ -86,6 +88,8 @@ class SegmentObservation:
         like = root_reference
         self.space = space.to(dtype=like.dtype, device=like.device)
         self.root_reference = root_reference
+        is_free = torch.tensor([name in space.free_names for name in DOFS], device=like.device)
+        self._is_tied = (self.space.basis != 0).any(-1) & ~is_free
         self._jacobian = SegmentJacobian(projector.kinematics, self.space.basis)
         self.period = like.new_tensor([math.inf, math.inf, math.inf, math.pi]).repeat(len(SEGMENT_NAMES))
         """Of every number: π for directions, infinite for all others."""
@@ -138,14 +142,17 @@ class SegmentObservation:
         return SegmentMeasurement(value=segment_values(placed.segments.ends_px), noise=noise, valid=valid)
 
     def _placed(self, free: Tensor) -> "_Placed":
-        pose = self.space.dof(free)
+        wanted = self.space.dof(free)
+        pose = torch.where(self._is_tied, clamp_to_limits(wanted, self.projector.kinematics.skeleton), wanted)
         frames = self.projector.kinematics(pose, self.projector.shape, root_reference=self.root_reference)
         primitives = self.projector.primitives_cam(frames)
         segments = segments_of(self.projector, primitives)
-        return _Placed(pose=pose, frames=frames, primitives=primitives, segments=segments)
+        return _Placed(pose=pose, moving=pose == wanted, frames=frames, primitives=primitives, segments=segments)
 
     def _jacobian_of(self, placed: "_Placed") -> Tensor:
-        of_ends = self._jacobian(placed.pose, placed.frames, placed.primitives, placed.segments, self.projector)
+        of_ends = self._jacobian(
+            placed.pose, placed.frames, placed.primitives, placed.segments, self.projector, placed.moving
+        )
         return _of_values(placed.segments.ends_px, of_ends)
 
     def _visible_share(self, placed: "_Placed") -> Tensor:
@@ -181,6 +188,7 @@ class _Placed:
     """A batch of hands before the camera."""
 
     pose: Tensor
+    moving: Tensor
     frames: HandFrames
     primitives: Primitives
     segments: Segments

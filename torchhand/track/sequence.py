@@ -9,7 +9,8 @@ import torch
 
 from torchhand.files import Frame, FrameRecord
 from torchhand.hand import DOFS
-from torchhand.track.contour_tracker import ContourTracker, Estimate, Memory, TrackerState
+from torchhand.track.state import Estimate, Memory, TrackerState
+from torchhand.track.trackers import AnyTracker
 
 MEASURES = ("overlap", "found", "nis")
 """Numbers of every frame that tell how far the estimate can be trusted, as `Estimate` explains them."""
@@ -28,7 +29,7 @@ class TrackedFrame:
 
 
 def follow(
-    tracker: ContourTracker,
+    tracker: AnyTracker,
     frames: Iterable[Frame],
     state: TrackerState | None = None,
     memory: Memory | None = None,

@@ -1,4 +1,4 @@
-"""Settings of the contour tracker; configs/*.yaml hold differences from these."""
+"""Settings of the trackers in common, and those of the contour tracker; configs/*.yaml hold differences from these."""
 
 import math
 from dataclasses import dataclass, field
@@ -10,13 +10,13 @@ from torchhand.numerics import MotionModel, UnscentedSettings
 from torchhand.track.fit import FitSettings
 
 
-def _require(condition: bool, name: str, expected: str, got: object) -> None:
+def require(condition: bool, name: str, expected: str, got: object) -> None:
     if not condition:
         raise ValueError(f"{name}: expected {expected}, got {got!r}")
 
 
-def _require_positive(name: str, value: float) -> None:
-    _require(0 < value < math.inf, name, "above 0 and finite", value)
+def require_positive(name: str, value: float) -> None:
+    require(0 < value < math.inf, name, "above 0 and finite", value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,7 @@ class NoiseSettings:
     def __post_init__(self) -> None:
         for name in ("translation", "rotation", "angle"):
             value = getattr(self, name)
-            _require(0 <= value < math.inf, f"noise.{name}", "0 or more and finite", value)
+            require(0 <= value < math.inf, f"noise.{name}", "0 or more and finite", value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +54,7 @@ class PriorSettings:
 
     def __post_init__(self) -> None:
         for name in ("rest_std_rad", "side_std_rad", "tie_std_rad", "tilt_std_rad"):
-            _require_positive(f"prior.{name}", getattr(self, name))
+            require_positive(f"prior.{name}", getattr(self, name))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,26 +84,65 @@ class LossSettings:
 
     def __post_init__(self) -> None:
         for name in ("min_overlap", "min_found", "min_inside", "start_overlap", "doubt_drop", "better_by"):
-            _require(0 <= getattr(self, name) <= 1, f"loss.{name}", "0 to 1", getattr(self, name))
-        _require(self.doubt_unexplained >= 0, "loss.doubt_unexplained", "0 or more", self.doubt_unexplained)
+            require(0 <= getattr(self, name) <= 1, f"loss.{name}", "0 to 1", getattr(self, name))
+        require(self.doubt_unexplained >= 0, "loss.doubt_unexplained", "0 or more", self.doubt_unexplained)
         for name in ("patience", "search_every"):
-            _require(getattr(self, name) >= 1, f"loss.{name}", "1 or more", getattr(self, name))
+            require(getattr(self, name) >= 1, f"loss.{name}", "1 or more", getattr(self, name))
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContourTrackerSettings:
-    """Paper 003's tracker."""
+class LightSettings:
+    """How the colours learned at the start follow changing light."""
 
-    method: Literal["contour"] = "contour"
-    """Which tracker; contour is the one there is."""
+    every: int = 10
+    """Frames that agree with the model from one lesson to the next; 0 keeps the colours of the start."""
+    keep: float = 0.7
+    """Share of what is known that outlasts a lesson; 0 to 1."""
+
+    def __post_init__(self) -> None:
+        require(self.every >= 0, "light.every", "0 or more", self.every)
+        require(0 <= self.keep <= 1, "light.keep", "0 to 1", self.keep)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackerSettings:
+    """What every tracker needs."""
+
+    method: str
+    """Which tracker."""
     pose_space: str = "planar"
     """Free DOFs: a name of torchhand.hand.POSE_SPACES."""
     posture: str = "open"
     """Posture at the start: a name of torchhand.hand.POSTURES."""
-    edges_in: Literal["colour", "grey"] = "colour"
-    """Picture in which the outer contour is searched: probability of the hand's colours, or grey levels (the paper)."""
     motion: MotionModel = field(default_factory=lambda: MotionModel(order=2, acceleration_decay_s=0.3))
     noise: NoiseSettings = field(default_factory=NoiseSettings)
+    points_per_generator: int = 10
+    """Outline points on each side of a cone; 2 or more."""
+    points_per_arc: int = 12
+    """Outline points on each ellipsoid; 4 or more."""
+    silhouette: SilhouetteSettings = field(default_factory=SilhouetteSettings)
+    """How the hand is told from its surroundings until its colours are learned: skin, background plate or chroma."""
+    light: LightSettings = field(default_factory=LightSettings)
+    loss: LossSettings = field(default_factory=LossSettings)
+    fit: FitSettings = field(default_factory=FitSettings)
+    check_side_px: int = 320
+    """Longer side of the reduced picture in which silhouettes are compared; 64 or more."""
+
+    def __post_init__(self) -> None:
+        require(self.pose_space in POSE_SPACES, "pose_space", f"one of {', '.join(POSE_SPACES)}", self.pose_space)
+        require(self.posture in POSTURES, "posture", f"one of {', '.join(POSTURES)}", self.posture)
+        for name, least in (("points_per_generator", 2), ("points_per_arc", 4), ("check_side_px", 64)):
+            require(getattr(self, name) >= least, name, f"{least} or more", getattr(self, name))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContourTrackerSettings(TrackerSettings):
+    """Paper 003's tracker."""
+
+    method: Literal["contour"] = "contour"
+    """The contour tracker."""
+    edges_in: Literal["colour", "grey"] = "colour"
+    """Picture in which the outer contour is searched: probability of the hand's colours, or grey levels (the paper)."""
     unscented: UnscentedSettings = field(default_factory=UnscentedSettings)
     outer_edges: EdgeSettings = field(
         default_factory=lambda: EdgeSettings(polarity="inside_bright", min_strength=0.2, choose="nearest")
@@ -121,26 +160,14 @@ class ContourTrackerSettings:
     """Half length of the edge search as a share of the hand's length in the picture; above 0."""
     passes: int = 1
     """Measurement updates per frame with fresh edges, each with its share of the weight; 1 or more."""
-    points_per_generator: int = 10
-    """Outline points on each side of a cone; 2 or more."""
-    points_per_arc: int = 12
-    """Outline points on each ellipsoid; 4 or more."""
-    silhouette: SilhouetteSettings = field(default_factory=SilhouetteSettings)
-    """How the hand is told from its surroundings until its colours are learned: skin, background plate or chroma."""
     prior: PriorSettings = field(default_factory=PriorSettings)
-    loss: LossSettings = field(default_factory=LossSettings)
-    fit: FitSettings = field(default_factory=FitSettings)
-    check_side_px: int = 320
-    """Longer side of the reduced picture in which silhouettes are compared; 64 or more."""
 
     def __post_init__(self) -> None:
-        _require(self.method == "contour", "method", "contour", self.method)
-        _require(self.pose_space in POSE_SPACES, "pose_space", f"one of {', '.join(POSE_SPACES)}", self.pose_space)
-        _require(self.posture in POSTURES, "posture", f"one of {', '.join(POSTURES)}", self.posture)
-        _require(self.edges_in in ("colour", "grey"), "edges_in", "colour or grey", self.edges_in)
+        super().__post_init__()
+        require(self.method == "contour", "method", "contour", self.method)
+        require(self.edges_in in ("colour", "grey"), "edges_in", "colour or grey", self.edges_in)
         for name in ("edge_std_px", "gate", "search_share"):
-            _require_positive(name, getattr(self, name))
-        for name, least in (("passes", 1), ("points_per_generator", 2), ("points_per_arc", 4), ("check_side_px", 64)):
-            _require(getattr(self, name) >= least, name, f"{least} or more", getattr(self, name))
+            require_positive(name, getattr(self, name))
+        require(self.passes >= 1, "passes", "1 or more", self.passes)
         is_weight = 0 <= self.inner_weight < math.inf
-        _require(is_weight, "inner_weight", "0 or more and finite", self.inner_weight)
+        require(is_weight, "inner_weight", "0 or more and finite", self.inner_weight)

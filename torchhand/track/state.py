@@ -1,4 +1,4 @@
-"""What the contour tracker knows between two frames, what it says of one, and both as plain tensors on disk."""
+"""What a tracker knows between two frames, what it says of one, and both as plain tensors on disk."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -27,6 +27,8 @@ class TrackerState:
     """cam_from_hand of the start."""
     failures: int = 0
     """Frames in a row that failed the tests."""
+    density: Float[Tensor, "free"] | None = None
+    """Of the process noise, as learned so far; None where a tracker does not learn it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,13 +38,15 @@ class Memory:
     shape: Float[Tensor, "shape"] | None = None
     """The fitted proportions."""
     appearance: Appearance | None = None
-    """Colours learned at the start."""
+    """Colours learned at the start, and since then."""
     posture: Float[Tensor, "36"] | None = None
     """The posture of the start as it was fitted, which a restart looks for."""
     overlap: float = 1.0
     """Overlap of the last start, against which a track is measured."""
     frames_since_search: int = 0
     """Frames since a doubtful track was last compared with a fresh search."""
+    frames_since_lesson: int = 0
+    """Good frames since the colours were last learned."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,14 +78,18 @@ class Estimate:
     """Why a frame is lost or without a hand."""
 
 
+_COUNTERS = ("overlap", "frames_since_search", "frames_since_lesson")
+
+
 def saved_state(state: TrackerState | None, memory: Memory) -> dict[str, Any]:
     """Plain tensors and numbers (torch.save, weights_only) from which `restored_state` goes on exactly."""
     saved: dict[str, Any] = {"shape": memory.shape, "posture": memory.posture}
-    saved |= {"overlap": memory.overlap, "frames_since_search": memory.frames_since_search}
+    saved |= {name: getattr(memory, name) for name in _COUNTERS}
     saved["colours"] = None if memory.appearance is None else memory.appearance.colours.log_ratio
     if state is not None:
         saved |= {"mean": state.belief.mean, "covariance": state.belief.covariance, "base": state.base}
         saved |= {"reference": state.reference, "start_reference": state.start_reference, "failures": state.failures}
+        saved |= {} if state.density is None else {"density": state.density}
     return saved
 
 
@@ -92,8 +100,7 @@ def restored_state(saved: dict[str, Any]) -> tuple[TrackerState | None, Memory]:
         shape=saved["shape"],
         posture=saved["posture"],
         appearance=None if colours is None else Appearance(colours=ColourModel(log_ratio=colours)),
-        overlap=saved["overlap"],
-        frames_since_search=saved["frames_since_search"],
+        **{name: saved[name] for name in _COUNTERS},
     )
     if "mean" not in saved:
         return None, memory
@@ -103,5 +110,6 @@ def restored_state(saved: dict[str, Any]) -> tuple[TrackerState | None, Memory]:
         reference=saved["reference"],
         start_reference=saved["start_reference"],
         failures=saved["failures"],
+        density=saved.get("density"),
     )
     return state, memory

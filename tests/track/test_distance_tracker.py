@@ -1,0 +1,176 @@
+"""The distance-map tracker step by step: followed, lost, recovered, saved and chosen by its configuration."""
+
+import io
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from torchhand.cli.request import settings_of
+from torchhand.errors import InputError
+from torchhand.hand import DOFS, FINGERS, posture
+from torchhand.track.contour_tracker import ContourTracker
+from torchhand.track.distance_settings import DistanceTrackerSettings
+from torchhand.track.distance_tracker import DistanceTracker, other_starts
+from torchhand.track.state import Estimate, Memory
+from torchhand.track.trackers import tracker_of
+
+ABDUCTION = DistanceTrackerSettings(pose_space="planar_abduction", points_per_generator=6, points_per_arc=6)
+FULL = replace(ABDUCTION, pose_space="dof26")
+
+
+def _run(tracker: Any, images: Sequence[Tensor], state: Any = None, memory: Memory | None = None) -> Any:
+    memory, estimates = memory or Memory(), []
+    with torch.no_grad():
+        for image in images:
+            state, memory, estimate = tracker.step(state, memory, image)
+            estimates.append(estimate)
+    return state, memory, estimates
+
+
+def _assert_equal(one: Estimate, other: Estimate) -> None:
+    for field in fields(Estimate):
+        a, b = getattr(one, field.name), getattr(other, field.name)
+        assert torch.equal(a, b) if isinstance(a, Tensor) else a == b, field.name
+
+
+@pytest.fixture(scope="module")
+def film(studio: Any) -> Any:
+    """A hand in planar motion, 7 frames."""
+    return studio.film("planar", 7, pace=6.0)
+
+
+@pytest.fixture(scope="module")
+def followed(film: Any) -> Any:
+    tracker = DistanceTracker(film.kinematics, film.camera, 30.0, ABDUCTION)
+    return tracker, *_run(tracker, film.images)
+
+
+def test_a_moving_hand_is_followed(film: Any, followed: Any) -> None:
+    *_, estimates = followed
+    assert [estimate.status for estimate in estimates] == ["tracked"] * len(film.images)
+    points = torch.stack([estimate.keypoints_px for estimate in estimates])
+    truth = film.keypoints_px
+    off = ((points - points[0]) - (truth - truth[0])).norm(dim=-1).mean(-1)
+    assert float((truth - truth[0]).norm(dim=-1).mean(-1).max()) > 5  # it moves
+    assert float(off[1:].mean()) < 1.0
+    assert min(estimate.found for estimate in estimates) > 0.8
+    assert min(estimate.overlap for estimate in estimates) > 0.85
+
+
+def test_the_filter_learns_rates_and_noise(followed: Any) -> None:
+    tracker, state, _, estimates = followed
+    count = tracker.space.size
+    assert state.belief.mean.shape == (2 * count,)  # parameters and velocities
+    assert float(state.belief.mean[count:].abs().max()) > 0.01
+    assert state.density is not None
+    nominal = tracker._density
+    assert not torch.equal(state.density, nominal)
+    bounds = ABDUCTION.adaptive
+    assert bool((state.density >= bounds.floor * nominal).all() & (state.density <= bounds.ceiling * nominal).all())
+    last = estimates[-1].pose_std
+    is_free = torch.tensor([name in tracker.space.free_names for name in DOFS])
+    assert bool((last[is_free] > 0).all())
+    assert not bool(last[~is_free].any())
+
+
+def test_only_free_parameters_move(followed: Any) -> None:
+    tracker, _, _, estimates = followed
+    held = [i for i, name in enumerate(DOFS) if name not in tracker.space.free_names and not name.startswith("root_r")]
+    for estimate in estimates[1:]:
+        torch.testing.assert_close(estimate.pose[held], estimates[0].pose[held], atol=1e-12, rtol=0)
+
+
+def test_a_saved_state_goes_on_bit_for_bit(film: Any, followed: Any) -> None:
+    tracker, _, _, estimates = followed
+    state, memory, _ = _run(tracker, film.images[:4])
+    file = io.BytesIO()
+    torch.save(tracker.state_dict(state, memory), file)
+    file.seek(0)
+    again = DistanceTracker(film.kinematics, film.camera, 30.0, ABDUCTION)
+    *_, rest = _run(again, film.images[4:], *again.restore(torch.load(file, weights_only=True)))
+    for one, other in zip(rest, estimates[4:], strict=True):
+        _assert_equal(one, other)
+
+
+def test_a_hand_that_vanishes_is_lost_and_recovered(film: Any, followed: Any) -> None:
+    tracker, state, memory, _ = followed
+    empty = film.images[0][:4, :4].float().mean((0, 1)).to(torch.uint8).expand_as(film.images[0]).contiguous()
+    state, memory, gone = _run(tracker, [empty] * 2, state, memory)
+    assert [estimate.status for estimate in gone] in (["lost", "lost"], ["lost", "no_hand"])
+    assert state is None
+    assert gone[0].reason
+    *_, (back,) = _run(tracker, film.images[:1], state, memory)
+    assert back.status == "recovered"
+
+
+def test_a_jump_is_caught(film: Any, followed: Any) -> None:
+    """Far beyond the reach of a registration from the prediction."""
+    tracker, state, memory, _ = followed
+    moved = torch.roll(film.images[-1], (-15, 45), (0, 1))
+    truth = film.keypoints_px[-1] + torch.tensor((45.0, -15.0))
+    *_, estimates = _run(tracker, [moved] * 3, state, memory)
+    assert estimates[-1].status in ("tracked", "recovered")
+    assert float((estimates[-1].keypoints_px - truth).norm(dim=-1).mean()) < 8
+
+
+def test_fingers_that_bend_are_followed(studio: Any) -> None:
+    """Pictures of a known hand whose index and middle finger bend."""
+    placed = studio.placed(size=0.7)
+    bend = torch.tensor([float(n in ("index_mcp_fe", "index_pip_fe", "middle_mcp_fe")) for n in DOFS]).double()
+    dip = torch.tensor([float(n == "index_dip_fe") for n in DOFS]).double()
+    angles = torch.linspace(0, 0.8, 7, dtype=torch.float64)
+    poses = [placed.pose + angle * (bend + dip * 2 / 3) for angle in angles]
+    images = [replace(placed, pose=pose).picture(seed=1) for pose in poses]
+    tracker = DistanceTracker(placed.kinematics, placed.camera, 30.0, FULL, shape=placed.shape)
+    *_, estimates = _run(tracker, images)
+    assert [estimate.status for estimate in estimates] == ["tracked"] * len(images)
+    truth = replace(placed, pose=poses[-1]).keypoints_px
+    assert float((truth - placed.keypoints_px)[[8, 12]].norm(dim=-1).min()) > 8  # the tips move
+    assert float((estimates[-1].keypoints_px - truth)[[8, 12]].norm(dim=-1).max()) < 15  # of 37
+    assert estimates[-1].overlap > 0.85
+
+
+def test_starts_for_a_bad_registration_hold_single_fingers_and_postures() -> None:
+    start, pose = posture("open"), posture("fist")
+    pose[:6] = torch.arange(6.0)
+    starts = other_starts(pose, start, ("flat", "point"))
+    assert starts.shape == (3 + 2 * len(FINGERS), len(DOFS))
+    assert bool((starts[:, :6] == pose[:6]).all())
+    torch.testing.assert_close(starts[0, 6:], start[6:])
+    torch.testing.assert_close(starts[1, 6:], posture("flat")[6:])
+    changed = (starts[5] != pose).nonzero()[:, 0].tolist()
+    assert changed
+    assert all(DOFS[i].startswith("index") for i in changed)
+
+
+def test_the_configuration_chooses_the_tracker(film: Any) -> None:
+    for name, kind in (("distance_full", DistanceTracker), ("distance_abduction", DistanceTracker)):
+        settings = settings_of(name)
+        assert type(tracker_of(film.kinematics, film.camera, 30.0, settings)) is kind
+    contour = settings_of("contour_full")
+    assert type(tracker_of(film.kinematics, film.camera, 30.0, contour)) is ContourTracker
+
+
+@pytest.mark.parametrize("method", ["distances", "[1]"])
+def test_a_method_that_is_none(method: str) -> None:
+    with pytest.raises(InputError, match="--set: method: expected one of contour, distance, got"):
+        settings_of("distance_full", [f"method={method}"])
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"postures": ("open", "wave")}, "postures: expected names among .*, got 'wave'"),
+        ({"bad_share": 0.0}, "bad_share: expected above 0 and finite, got 0.0"),
+        ({"pose_weight": -1.0}, "unseen_weight: expected 0 or more and finite, got -1.0"),
+        ({"sudden_share": 1.5}, "sudden_share: expected 0 to 1, got 1.5"),
+        ({"pose_space": "dof99"}, "pose_space: expected one of"),
+    ],
+)
+def test_settings_are_checked(values: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        DistanceTrackerSettings(**values)

@@ -1,0 +1,249 @@
+"""Study how well registration recovers a hand: thousands of perturbed starts on pictures whose hand is known."""
+
+import os
+import re
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import torch
+import yaml
+from tqdm import tqdm
+from tyro.conf import Positional, UseAppendAction, arg
+
+from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
+from torchhand.cli.request import known_hand
+from torchhand.cli.study_cases import Given, cases_of, frames_of
+from torchhand.cli.study_work import Work
+from torchhand.errors import InputError
+from torchhand.files import check_output_folder, load_hand_model, load_settings
+from torchhand.study.hypotheses import CaseStudy
+from torchhand.study.hypothesis_folder import CSV_NAME, NPZ_NAME, PICTURE_NAME, StudyFolder
+from torchhand.study.hypothesis_record import STATUS_NAMES, Hypotheses
+from torchhand.study.hypothesis_settings import HypothesisStudySettings, SurfaceName, with_iterations
+from torchhand.study.hypothesis_table import printed_table, study_rows
+
+REFERENCE_STARTS = 16
+"""Registrations of which the best is the reference of a picture without truth."""
+
+_MOST_SIDE_BY_SIDE = 4  # unless the user wants more: each needs memory of its own
+_GOOD_OVERLAP = 0.8  # of the reference hand and the mask, below which the user is told
+_SMALLEST_PX = 64
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Study how well registration recovers a hand: thousands of perturbed starts on pictures whose hand is known.
+
+    INPUT is a sequence with truth (of `torchhand simulate`, or frames/, cameras.json and truth.npz with keypoints3d); a
+    picture, a folder of pictures or a video of an open hand, whose best registration is then the reference; or nothing:
+    pictures of hands of our own are simulated. DIR gets study.csv (a row per size of the perturbation), study.png,
+    hypotheses.npz (every start) and config.yaml. The same arguments give the same files, stopped and resumed or not.
+
+    Example:
+        torchhand study --out out/study --starts 10000
+        torchhand study out/sequence --out out/study --frames 0,20,40 --surface mesh
+    """
+
+    input: Annotated[Positional[Path | None], arg(metavar="INPUT")] = None
+    """Sequence with truth, or a picture or video; simulated pictures if not given."""
+    out: Annotated[Path, arg(metavar="DIR")]
+    """Folder for the results."""
+    frames: Annotated[str, arg(metavar="N,N-N")] = "0"
+    """Frames to study, from 0, such as 0 or 0,10,20-29, or all. Every number is another simulated picture."""
+    config: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Settings (YAML), such as config.yaml of an earlier study; what follows changes single ones."""
+    starts: Annotated[int | None, arg(metavar="N")] = None
+    """Starts over all frames; 10000 if not given."""
+    levels: Annotated[int | None, arg(metavar="N")] = None
+    """Sizes of the perturbation, from the largest down; 5 if not given."""
+    angle_deg: Annotated[float | None, arg(metavar="DEG")] = None
+    """Largest perturbation of every joint angle, either way; 15 if not given."""
+    translation_mm: Annotated[float | None, arg(metavar="MM")] = None
+    """The same of every coordinate of the wrist; 10 if not given."""
+    rotation_deg: Annotated[float | None, arg(metavar="DEG")] = None
+    """The same of the hand's orientation, about any axis; 15 if not given."""
+    iterations: Annotated[int | None, arg(metavar="N")] = None
+    """Most iterations of a start, over all levels from coarse to fine; 20 if not given."""
+    batch: Annotated[int | None, arg(metavar="N")] = None
+    """Starts that are worked on together; 128 if not given."""
+    surface: SurfaceName | None = None
+    """Whose contours are registered (and drawn, of simulated pictures); primitives if not given."""
+    method: Literal["levenberg_marquardt", "descent"] | None = None
+    """Optimiser; levenberg_marquardt if not given. Descent takes ten times the iterations."""
+    space: Annotated[str | None, arg(metavar="NAME")] = None
+    """Pose space: dof26 if not given, dof27, dof28, dof31, dof36 or planar_abduction."""
+    prior: bool = True
+    """Let the registration know which postures are likely."""
+    expectation: bool = True
+    """Let the registration know how far starts may be off, as a tracker knows of its prediction."""
+    success_deg: Annotated[float | None, arg(metavar="DEG")] = None
+    """Largest mean error of the joint angles of a success; 5 if not given."""
+    changes: Annotated[UseAppendAction[tuple[str, ...]], arg(name="set", metavar="KEY=VALUE")] = ()
+    """Change any other setting, such as registration.coverage_weight=0; may be repeated."""
+    camera: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Calibrated camera (cameras.json with one entry) of a picture; without it a field of view is assumed."""
+    hand: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Known shape of the hand (hand.json); fitted to the picture or the truth's keypoints if not given."""
+    side: Literal["left", "right"] | None = None
+    """Which hand; that of the truth or of --hand, or right."""
+    mask: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Silhouette of hand and forearm in a picture, bright inside."""
+    size: Annotated[str, arg(metavar="WxH")] = "640x480"
+    """Size of simulated pictures, px."""
+    seed: int = 0
+    """Seed of everything that is random."""
+    threads: int | None = None
+    """Batches that are worked on side by side, on a core each; as many as there are cores, at most 4, if not given. The
+    results do not depend on it."""
+    device: str = "cpu"
+    """Where to compute: cpu, or cuda."""
+    resume: bool = False
+    """Go on with an interrupted study."""
+    overwrite: bool = False
+    """Replace an older study in DIR."""
+
+    def __post_init__(self) -> None:
+        if not -(2**63) <= self.seed < 2**63:
+            raise ValueError(f"--seed: expected a number of 64 bits, got {self.seed}")
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one study, or go on with it."""
+    arguments = parse(Arguments, argv, name="study")
+    settings = _settings(arguments)
+    check_output_folder(arguments.out, resume=arguments.resume, overwrite=arguments.overwrite)
+    side_by_side = arguments.threads
+    if side_by_side is None:
+        side_by_side = min(_MOST_SIDE_BY_SIDE, os.cpu_count() or 1)
+    with threads(side_by_side), threads(1):  # the first for its check: each of them computes with one
+        work = _work(arguments, settings)
+        folder = StudyFolder(arguments.out, work.header(), resume=arguments.resume, overwrite=arguments.overwrite)
+        if folder.finished is not None:
+            print(printed_table(study_rows(folder.finished, settings), settings))
+            print(f"finished already: {arguments.out}")
+            return DONE
+        try:
+            hypotheses, seconds = work.run(folder, side_by_side)
+        except KeyboardInterrupt:
+            option = "--resume in place of --overwrite" if arguments.overwrite else "--resume"
+            _say(f"stopped by Ctrl-C; the same command with {option} goes on from {folder.folder}")
+            return STOPPED_BY_USER
+        if not bool(hypotheses.is_registered.any()):
+            folder.discard()
+            raise InputError(f"{work.source}: all hypotheses failed ({_statuses(hypotheses)}); nothing is saved")
+        rows = work.save(folder, hypotheses)
+    print(printed_table(rows, settings))
+    if seconds:
+        print(f"{1e3 * seconds:.1f} ms per start; reference: {work.reference}")
+    print(f"saved {CSV_NAME}, {PICTURE_NAME} and {NPZ_NAME} in {arguments.out}")
+    return DONE
+
+
+def _work(arguments: Arguments, settings: HypothesisStudySettings) -> Work:
+    """The pictures and their hands. Raises InputError where they cannot be studied."""
+    device = _device(arguments.device)
+    cases = cases_of(_given(arguments), settings, arguments.seed)
+    source = "simulated pictures" if arguments.input is None else str(arguments.input)
+    if len(cases.cases) > settings.starts:
+        raise InputError(f"--starts: expected {len(cases.cases)} or more, one for each frame, got {settings.starts}")
+    studies = []
+    for case in cases.cases:
+        study = CaseStudy(case, load_hand_model(), settings, device)
+        if not cases.is_settled and not study.picture.is_empty:
+            case = study.settled(REFERENCE_STARTS, arguments.seed)
+            study = CaseStudy(case, load_hand_model(), settings, device)
+        if study.picture.is_empty:
+            _say(f"frame {case.frame}: its silhouette has no contour to register on")
+        elif study.overlap < _GOOD_OVERLAP:
+            _say(f"frame {case.frame}: the reference hand covers the silhouette badly (overlap {study.overlap:.2f})")
+        studies.append(study)
+    if all(study.picture.is_empty for study in studies):
+        raise InputError(f"{source}: expected a silhouette with a contour to register on, got almost empty ones")
+    return Work(
+        settings=settings,
+        studies=studies,
+        seed=arguments.seed,
+        source=source,
+        reference=cases.reference,
+        device=arguments.device,
+    )
+
+
+def _settings(arguments: Arguments) -> HypothesisStudySettings:
+    """Raises InputError naming the file or the option, and the key."""
+    named = {
+        **{name: name for name in ("starts", "batch", "surface", "space", "success_deg")},
+        **{name: f"perturbation.{name}" for name in ("levels", "angle_deg", "translation_mm", "rotation_deg")},
+        "method": "registration.method",
+    }
+    given = {key: value for name, key in named.items() if (value := getattr(arguments, name)) is not None}
+    given |= {f"has_{name}": False for name in ("prior", "expectation") if not getattr(arguments, name)}
+    settings = load_settings(HypothesisStudySettings(), arguments.config, _changes(arguments.changes))
+    settings = load_settings(settings, None, given)
+    levels = settings.registration.levels
+    if arguments.iterations is not None:
+        try:
+            levels = with_iterations(levels, arguments.iterations)
+        except ValueError as error:
+            raise InputError(f"--{error}") from error
+    return replace(settings, registration=replace(settings.engine, levels=levels))
+
+
+def _changes(texts: Sequence[str]) -> dict[str, Any]:
+    """Values by dotted key, of texts KEY=VALUE."""
+    changes: dict[str, Any] = {}
+    for change in texts:
+        key, is_given, text = change.partition("=")
+        if not is_given or not key:
+            raise InputError(f"--set: expected KEY=VALUE such as registration.coverage_weight=0, got {change!r}")
+        try:
+            changes[key] = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise InputError(f"--set {key}: expected a value as in YAML, got {text!r}") from error
+    for key in changes:
+        inside = next((other for other in changes if other.startswith(f"{key}.")), None)
+        if inside is not None:
+            raise InputError(f"--set: expected each field once, got {key} and {inside}")
+    return changes
+
+
+def _given(arguments: Arguments) -> Given:
+    match = re.fullmatch(r"(\d{2,4})[xX](\d{2,4})", arguments.size)
+    if match is None or min(int(match[1]), int(match[2])) < _SMALLEST_PX:
+        raise InputError(
+            f"--size: expected WIDTHxHEIGHT in px, each {_SMALLEST_PX} to 9999, like 640x480; got {arguments.size!r}"
+        )
+    return Given(
+        source=arguments.input,
+        frames=frames_of(arguments.frames),
+        camera=arguments.camera,
+        hand=None if arguments.hand is None else known_hand(arguments.hand),
+        side=arguments.side,
+        mask=arguments.mask,
+        size=(int(match[1]), int(match[2])),
+    )
+
+
+def _device(name: str) -> torch.device:
+    allowed = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
+    try:
+        device = torch.device(name)
+        if device.type in allowed:
+            torch.zeros(1, device=device)
+            return device
+    except RuntimeError:
+        pass
+    raise InputError(f"--device: expected {' or '.join(allowed)} on this machine, got {name!r}")
+
+
+def _statuses(hypotheses: Hypotheses) -> str:
+    counts = {name: int((hypotheses.status == i).sum()) for i, name in enumerate(STATUS_NAMES)}
+    return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+
+
+def _say(line: str) -> None:
+    tqdm.write(f"torchhand study: {line}", file=sys.stderr)

@@ -1,0 +1,41 @@
+"""The likeliest state of a Gaussian inside a box: what a filter that knows no limits becomes where there are some."""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchhand.numerics.gaussian import Gaussian
+
+_MOST_ROUNDS = 3  # times the number of variables; each round changes at least one
+
+
+def mode_in_box(
+    state: Gaussian, lower: Float[Tensor, "*#batch n"], upper: Float[Tensor, "*#batch n"]
+) -> tuple[Float[Tensor, "*batch n"], Bool[Tensor, "*batch n"]]:
+    """The x nearest to the mean in the metric of the covariance with lower <= x <= upper, and which bounds it lies on.
+
+    To clamp variable by variable moves some and leaves those that are correlated with them, so that what was measured
+    of them together no longer holds; here the others follow (the projection of Simon and Chia 2002, with inequalities
+    by an active set: x = μ + P_a P_aa⁻¹ (b - μ_a)). Bounds may be infinite; lower <= upper is meant. The covariance
+    must be positive definite.
+    """
+    mean, covariance = state.mean, state.covariance
+    lower, upper = lower.expand(mean.shape), upper.expand(mean.shape)
+    below, above = mean < lower, mean > upper
+    value = mean
+    for _ in range(_MOST_ROUNDS * mean.shape[-1]):
+        held = below | above
+        if not bool(held.any()):
+            break
+        missing = torch.where(held, torch.where(below, lower, upper) - mean, 0.0)
+        kept = held.to(mean)
+        matrix = covariance * kept.unsqueeze(-1) * kept.unsqueeze(-2) + (1 - kept).diag_embed()
+        pull = torch.linalg.solve(matrix, missing)
+        value = mean + (covariance @ pull.unsqueeze(-1)).squeeze(-1)
+        is_needed = torch.where(below, pull > 0, pull < 0)
+        leads_below, leads_above = ~held & (value < lower), ~held & (value > upper)
+        if not bool((leads_below | leads_above | (held & ~is_needed)).any()):
+            break
+        below, above = (below & is_needed) | leads_below, (above & is_needed) | leads_above
+    held = below | above
+    return torch.where(held, torch.where(below, lower, upper), value).clamp(lower, upper), held
