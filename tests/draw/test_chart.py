@@ -47,6 +47,33 @@ def test_what_is_not_finite_is_left_out() -> None:
     assert not bool(_is(empty, LINE_COLOURS[0])[FIELD].any())
 
 
+def test_a_band_lies_behind_its_line_and_dots_mark_values() -> None:
+    plain = draw_chart("", [0, 10], {"": [5.0, 5.0]}, y_end=10, width=400, height=300)
+    bands = {"": ([4.0, 4.0], [7.0, 7.0])}
+    banded = draw_chart("", [0, 10], {"": [5.0, 5.0]}, bands=bands, y_end=10, width=400, height=300)
+    line = _is(plain, LINE_COLOURS[0])[FIELD]
+    assert bool((_is(banded, LINE_COLOURS[0])[FIELD] == line).all())
+    changed = (banded != plain).any(-1)[FIELD]
+    rows = changed[:, 150].nonzero()[:, 0]
+    up = float(line[:, 150].nonzero()[:, 0].double().mean())
+    tenth = (300 - 62 - 34) / 10
+    assert float(rows.min()) == pytest.approx(up - 2 * tenth, abs=2)
+    assert float(rows.max()) == pytest.approx(up + tenth, abs=2)
+    dotted = draw_chart("", [0, 10], {"": [5.0, 5.0]}, y_end=10, has_dots=True, width=400, height=300)
+    single = draw_chart("", [10], {"": [5.0]}, y_end=10, has_dots=True, width=400, height=300)
+    assert int(_is(dotted, LINE_COLOURS[0])[FIELD].sum()) > int(line.sum()) + 20
+    assert int(_is(single, LINE_COLOURS[0])[FIELD].sum()) > 20
+
+
+def test_the_axis_ends_where_it_is_told() -> None:
+    half, own = (draw_chart("", [0, 1], {"": [5.0, 5.0]}, y_end=y_end) for y_end in (10, None))
+    high = draw_chart("", [0, 1], {"": [50.0, 50.0]}, y_end=10)
+    places = [float(_is(one, LINE_COLOURS[0])[FIELD].nonzero()[:, 0].double().mean()) for one in (half, own, high)]
+    assert places[0] == pytest.approx((320 - 62 + 34) / 2, abs=1)
+    assert places[1] == pytest.approx(34, abs=1)
+    assert places[2] == pytest.approx(34, abs=1)  # what is beyond lies on the end
+
+
 @pytest.mark.parametrize(
     ("largest", "step"), [(1.0, 0.2), (10.0, 2.0), (24.0, 5.0), (0.031, 0.01), (4000.0, 1000.0), (25.0, 5.0)]
 )
@@ -58,5 +85,10 @@ def test_ticks_are_round(largest: float, step: float) -> None:
 def test_mistakes_are_named() -> None:
     with pytest.raises(ValueError, match="a: expected 2 values, as many as x has, got 1"):
         draw_chart("", [0, 1], {"a": [1.0]})
+    for bands in ({"b": ([0.0, 0.0], [1.0, 1.0])}, {"a": ([0.0], [1.0, 1.0])}):
+        with pytest.raises(
+            ValueError, match=r"band of '[ab]': expected a line of that name, and 2 values at either end"
+        ):
+            draw_chart("", [0, 1], {"a": [1.0, 2.0]}, bands=bands)
     with pytest.raises(ValueError, match="size: expected at least 160x120 px, got 100x300"):
         draw_chart("", [0, 1], {"a": [1.0, 2.0]}, width=100, height=300)

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from torchhand.image import foreground_probability, learn_colours
+from torchhand.image import foreground_probability, learn_colours, relearn_colours
 from torchhand.image.colours import foreground_probability_torch
 
 
@@ -53,3 +53,44 @@ def test_empty_sets_are_refused(generator: torch.Generator) -> None:
         learn_colours(image, torch.zeros_like(mask), mask)
     with pytest.raises(ValueError, match="at least one outside pixel"):
         learn_colours(image, mask, torch.zeros_like(mask))
+
+
+def _two_colours(hand: tuple[int, int, int], other: tuple[int, int, int]) -> tuple[torch.Tensor, torch.Tensor]:
+    """A picture whose left half has one colour and whose right half another, and the mask of the left one."""
+    image = torch.empty(40, 80, 3, dtype=torch.uint8)
+    image[:, :40], image[:, 40:] = torch.tensor(hand, dtype=torch.uint8), torch.tensor(other, dtype=torch.uint8)
+    mask = torch.zeros(40, 80, dtype=torch.bool)
+    mask[:, :40] = True
+    return image, mask
+
+
+def test_colours_are_relearned_step_by_step_and_others_are_not_forgotten() -> None:
+    day, mask = _two_colours((200, 150, 120), (20, 30, 40))
+    night, _ = _two_colours((60, 20, 10), (200, 150, 121))  # the surroundings take on the hand's old colour
+    dusk, _ = _two_colours((100, 60, 40), (20, 60, 90))
+    model = learn_colours(day, mask, ~mask)
+    before = foreground_probability(night, model)
+    assert float(before[mask].max()) < 0.5
+    assert float(before[~mask].min()) > 0.9
+    for _ in range(8):
+        model = relearn_colours(model, dusk, mask, ~mask, keep=0.7)
+    assert float(foreground_probability(day, model)[mask].min()) > 0.9  # not in sight, and not forgotten
+    assert float(foreground_probability(day, model)[~mask].max()) < 0.1
+    assert float(foreground_probability(dusk, model)[mask].min()) > 0.9
+    once = relearn_colours(model, night, mask, ~mask, keep=0.7)
+    assert float(foreground_probability(night, once)[~mask].min()) > 0.5  # one picture does not turn a colour over
+    for _ in range(8):
+        model = relearn_colours(model, night, mask, ~mask, keep=0.7)
+    after = foreground_probability(night, model)
+    assert float(after[mask].min()) > 0.9
+    assert float(after[~mask].max()) < 0.1
+
+
+def test_nothing_changes_where_all_is_kept_and_all_where_nothing_is() -> None:
+    day, mask = _two_colours((200, 150, 120), (20, 30, 40))
+    night, _ = _two_colours((60, 20, 10), (200, 150, 121))
+    model = learn_colours(day, mask, ~mask)
+    assert torch.equal(relearn_colours(model, night, mask, ~mask, keep=1.0).log_ratio, model.log_ratio)
+    fresh = learn_colours(night, mask, ~mask)
+    now = foreground_probability(night, relearn_colours(model, night, mask, ~mask, keep=0.0))
+    torch.testing.assert_close(now, foreground_probability(night, fresh), atol=0.02, rtol=0)

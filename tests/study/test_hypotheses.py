@@ -199,7 +199,7 @@ def test_failures_hold_no_stale_numbers(case: StudyCase) -> None:
 
 @pytest.mark.gpu
 def test_on_a_gpu(case: StudyCase, found: Hypotheses) -> None:
-    there = CaseStudy(case, MODEL, SETTINGS, "cuda").run(BATCH, 5)
+    there = CaseStudy(case, MODEL, SETTINGS, device="cuda").run(BATCH, 5)
     np.testing.assert_array_equal(there.perturbation, found.perturbation)
     np.testing.assert_allclose(there.start_angle_deg, found.start_angle_deg, atol=1e-9)
     assert np.median(np.abs(there.angle_deg - found.angle_deg)) < 0.1

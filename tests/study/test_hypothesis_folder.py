@@ -156,7 +156,8 @@ def test_another_program_s_arrays_are_no_study(tmp_path: Path) -> None:
 
 def test_a_batch_of_differing_lengths_counts_as_none(tmp_path: Path) -> None:
     folder = begun(tmp_path)
-    np.savez(folder.folder / "batch_000000.npz", **(batch(0).arrays() | {"cost": np.zeros(2)}))
+    arrays: dict[str, Any] = batch(0).arrays() | {"cost": np.zeros(2)}
+    np.savez(folder.folder / "batch_000000.npz", **arrays)
     np.savez(folder.folder / "batch_000001.npz", cost=np.zeros(2))
     assert folder.load_batch(0) is None
     assert folder.load_batch(1) is None

@@ -11,10 +11,10 @@ from torch import Tensor
 
 from torchhand.cli.request import settings_of
 from torchhand.errors import InputError
-from torchhand.hand import DOFS, FINGERS, posture
+from torchhand.hand import DOFS
 from torchhand.track.contour_tracker import ContourTracker
 from torchhand.track.distance_settings import DistanceTrackerSettings
-from torchhand.track.distance_tracker import DistanceTracker, other_starts
+from torchhand.track.distance_tracker import DistanceTracker
 from torchhand.track.state import Estimate, Memory
 from torchhand.track.trackers import tracker_of
 
@@ -107,14 +107,21 @@ def test_a_hand_that_vanishes_is_lost_and_recovered(film: Any, followed: Any) ->
     assert back.status == "recovered"
 
 
-def test_a_jump_is_caught(film: Any, followed: Any) -> None:
-    """Far beyond the reach of a registration from the prediction."""
-    tracker, state, memory, _ = followed
-    moved = torch.roll(film.images[-1], (-15, 45), (0, 1))
-    truth = film.keypoints_px[-1] + torch.tensor((45.0, -15.0))
-    *_, estimates = _run(tracker, [moved] * 3, state, memory)
-    assert estimates[-1].status in ("tracked", "recovered")
-    assert float((estimates[-1].keypoints_px - truth).norm(dim=-1).mean()) < 8
+def test_a_jump_is_caught(studio: Any) -> None:
+    """From one picture to the next the hand is elsewhere, turned by 60°, with its index finger bent."""
+    before = studio.placed(size=0.5, at=(-0.2, 0.1), angle_deg=-20.0)
+    after = studio.placed(size=0.5, at=(0.2, -0.05), angle_deg=40.0)
+    bent = torch.tensor([0.6 * (n in ("index_mcp_fe", "index_pip_fe")) + 0.4 * (n == "index_dip_fe") for n in DOFS])
+    before, after = (replace(one, pose=one.pose + bent.double()) for one in (before, after))
+    start = studio.placed(size=0.5, at=(-0.2, 0.1), angle_deg=-20.0)
+    tracker = DistanceTracker(start.kinematics, start.camera, 30.0, FULL, shape=start.shape)
+    images = [one.picture(seed=1) for one in (start, before, before, after, after)]
+    *_, estimates = _run(tracker, images)
+    assert [estimate.status for estimate in estimates] == ["tracked"] * len(images)
+    assert float((before.keypoints_px - after.keypoints_px).norm(dim=-1).mean()) > 50
+    off = (estimates[-1].keypoints_px - after.keypoints_px).norm(dim=-1)
+    assert float(off.mean()) < 2.5
+    assert float(off.max()) < 8
 
 
 def test_fingers_that_bend_are_followed(studio: Any) -> None:
@@ -130,21 +137,26 @@ def test_fingers_that_bend_are_followed(studio: Any) -> None:
     assert [estimate.status for estimate in estimates] == ["tracked"] * len(images)
     truth = replace(placed, pose=poses[-1]).keypoints_px
     assert float((truth - placed.keypoints_px)[[8, 12]].norm(dim=-1).min()) > 8  # the tips move
-    assert float((estimates[-1].keypoints_px - truth)[[8, 12]].norm(dim=-1).max()) < 15  # of 37
+    off = (estimates[-1].keypoints_px - truth).norm(dim=-1)
+    assert float(off[[4, 12, 16, 20]].max()) < 4  # tips on the outline; the index finger points at the camera
+    assert float(off[[*range(6), *range(9, 21)]].mean()) < 3
     assert estimates[-1].overlap > 0.85
 
 
-def test_starts_for_a_bad_registration_hold_single_fingers_and_postures() -> None:
-    start, pose = posture("open"), posture("fist")
-    pose[:6] = torch.arange(6.0)
-    starts = other_starts(pose, start, ("flat", "point"))
-    assert starts.shape == (3 + 2 * len(FINGERS), len(DOFS))
-    assert bool((starts[:, :6] == pose[:6]).all())
-    torch.testing.assert_close(starts[0, 6:], start[6:])
-    torch.testing.assert_close(starts[1, 6:], posture("flat")[6:])
-    changed = (starts[5] != pose).nonzero()[:, 0].tolist()
-    assert changed
-    assert all(DOFS[i].startswith("index") for i in changed)
+def test_limits_hold_at_every_frame_for_tied_angles_too(studio: Any) -> None:
+    """A thumb that is bent backwards to its limits: the tied knuckle stops, the root of the thumb goes on."""
+    placed = studio.placed(size=0.7)
+    skeleton = placed.kinematics.skeleton
+    goal = placed.pose.clone()
+    for name in ("thumb_cmc_fe", "thumb_mcp_fe", "index_mcp_fe"):
+        goal[DOFS.index(name)] = skeleton.lower[DOFS.index(name) - 6]
+    images = [replace(placed, pose=torch.lerp(placed.pose, goal, t)).picture(seed=1) for t in (0.0, 0.4, 0.8, 1.0, 1.0)]
+    tracker = DistanceTracker(placed.kinematics, placed.camera, 30.0, FULL, shape=placed.shape)
+    *_, estimates = _run(tracker, images)
+    for estimate in estimates:
+        assert estimate.status == "tracked"
+        joints = estimate.pose[6:]
+        assert bool((joints >= skeleton.lower - 1e-12).all() & (joints <= skeleton.upper + 1e-12).all())
 
 
 def test_the_configuration_chooses_the_tracker(film: Any) -> None:
@@ -166,7 +178,8 @@ def test_a_method_that_is_none(method: str) -> None:
     [
         ({"postures": ("open", "wave")}, "postures: expected names among .*, got 'wave'"),
         ({"bad_share": 0.0}, "bad_share: expected above 0 and finite, got 0.0"),
-        ({"pose_weight": -1.0}, "unseen_weight: expected 0 or more and finite, got -1.0"),
+        ({"pose_weight": -1.0}, "pose_weight: expected 0 or more and finite, got -1.0"),
+        ({"sudden": 0.5}, "sudden: expected 1 or more and finite, got 0.5"),
         ({"sudden_share": 1.5}, "sudden_share: expected 0 to 1, got 1.5"),
         ({"pose_space": "dof99"}, "pose_space: expected one of"),
     ],

@@ -9,8 +9,15 @@ from typing import Any
 import yaml
 
 from torchhand.errors import InputError
-from torchhand.files import FittedHand, find_config, load_hand, load_hand_model, load_settings, read_picture
-from torchhand.files.settings import setting_in
+from torchhand.files import (
+    FittedHand,
+    find_config,
+    load_hand,
+    load_hand_model,
+    load_settings,
+    read_picture,
+    setting_in,
+)
 from torchhand.hand import Side
 from torchhand.image import BackgroundPlate, learn_background
 from torchhand.track.start import StartPoints

@@ -1,5 +1,6 @@
 """Study how well registration recovers a hand: thousands of perturbed starts on pictures whose hand is known."""
 
+import math
 import os
 import re
 import sys
@@ -19,6 +20,7 @@ from torchhand.cli.study_cases import Given, cases_of, frames_of
 from torchhand.cli.study_work import Work
 from torchhand.errors import InputError
 from torchhand.files import check_output_folder, load_hand_model, load_settings
+from torchhand.residuals import PostureResiduals
 from torchhand.study.hypotheses import CaseStudy
 from torchhand.study.hypothesis_folder import CSV_NAME, NPZ_NAME, PICTURE_NAME, StudyFolder
 from torchhand.study.hypothesis_record import STATUS_NAMES, Hypotheses
@@ -145,32 +147,43 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _work(arguments: Arguments, settings: HypothesisStudySettings) -> Work:
     """The pictures and their hands. Raises InputError where they cannot be studied."""
-    device = _device(arguments.device)
-    cases = cases_of(_given(arguments), settings, arguments.seed)
+    given = _given(arguments)
+    _check_device(arguments.device)
+    _check_frames(len(given.frames or ()), settings)
+    cases = cases_of(given, settings, arguments.seed)
+    _check_frames(len(cases.cases), settings)
     source = "simulated pictures" if arguments.input is None else str(arguments.input)
-    if len(cases.cases) > settings.starts:
-        raise InputError(f"--starts: expected {len(cases.cases)} or more, one for each frame, got {settings.starts}")
-    studies = []
+    model, references, overlaps = load_hand_model(), [], []
+    prior = PostureResiduals.of(model.prior().postures) if settings.has_prior else None
     for case in cases.cases:
-        study = CaseStudy(case, load_hand_model(), settings, device)
-        if not cases.is_settled and not study.picture.is_empty:
+        study = CaseStudy(case, model, settings, prior, arguments.device)
+        is_empty = study.picture.is_empty
+        if not cases.is_settled and not is_empty:
             case = study.settled(REFERENCE_STARTS, arguments.seed)
-            study = CaseStudy(case, load_hand_model(), settings, device)
-        if study.picture.is_empty:
+            study = CaseStudy(case, model, settings, prior, arguments.device)
+        references.append(study.case)
+        overlaps.append(float("nan") if is_empty else study.overlap)
+        if is_empty:
             _say(f"frame {case.frame}: its silhouette has no contour to register on")
-        elif study.overlap < _GOOD_OVERLAP:
-            _say(f"frame {case.frame}: the reference hand covers the silhouette badly (overlap {study.overlap:.2f})")
-        studies.append(study)
-    if all(study.picture.is_empty for study in studies):
+        elif overlaps[-1] < _GOOD_OVERLAP:
+            _say(f"frame {case.frame}: the reference hand covers the silhouette badly (overlap {overlaps[-1]:.2f})")
+    if all(map(math.isnan, overlaps)):
         raise InputError(f"{source}: expected a silhouette with a contour to register on, got almost empty ones")
     return Work(
         settings=settings,
-        studies=studies,
+        cases=references,
+        overlaps=overlaps,
+        prior=prior,
         seed=arguments.seed,
         source=source,
         reference=cases.reference,
         device=arguments.device,
     )
+
+
+def _check_frames(count: int, settings: HypothesisStudySettings) -> None:
+    if count > settings.starts:
+        raise InputError(f"--starts: expected {count} or more, one for each frame, got {settings.starts}")
 
 
 def _settings(arguments: Arguments) -> HypothesisStudySettings:
@@ -228,16 +241,14 @@ def _given(arguments: Arguments) -> Given:
     )
 
 
-def _device(name: str) -> torch.device:
+def _check_device(name: str) -> None:
     allowed = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
     try:
-        device = torch.device(name)
-        if device.type in allowed:
-            torch.zeros(1, device=device)
-            return device
+        is_there = torch.device(name).type in allowed and torch.zeros(1, device=name).numel() == 1
     except RuntimeError:
-        pass
-    raise InputError(f"--device: expected {' or '.join(allowed)} on this machine, got {name!r}")
+        is_there = False
+    if not is_there:
+        raise InputError(f"--device: expected {' or '.join(allowed)} on this machine, got {name!r}")
 
 
 def _statuses(hypotheses: Hypotheses) -> str:

@@ -64,9 +64,7 @@ def cases_of(given: Given, settings: HypothesisStudySettings, seed: int) -> Case
     if given.source is None:
         return _simulated(given, settings, seed)
     if not given.source.exists():
-        raise InputError(
-            f"{given.source}: no such file or folder (expected a sequence, a picture or a video)"
-        )
+        raise InputError(f"{given.source}: no such file or folder (expected a sequence, a picture or a video)")
     if not (given.source / TRUTH_NAME).is_file():
         return _found(given, given.source)
     if given.mask is not None:
@@ -98,8 +96,11 @@ def _simulated(given: Given, settings: HypothesisStudySettings, seed: int) -> Ca
             raise InputError(f"--{name}: expected INPUT with it; simulated pictures have their own")
     if given.frames is None:
         raise InputError("--frames: expected numbers for simulated pictures, which have no end; got all")
-    side, shape = _side_of(given) or "right", _shape_of(given.hand)
-    cases = [simulated_case(number, settings, seed, side=side, shape=shape, size=given.size) for number in given.frames]
+    prior, side, shape = load_hand_model().prior(), _side_of(given) or "right", _shape_of(given.hand)
+    cases = [
+        simulated_case(number, prior, settings, seed, side=side, shape=shape, size=given.size)
+        for number in given.frames
+    ]
     return Cases(cases=cases, reference="exact, of simulated pictures")
 
 

@@ -1,5 +1,6 @@
 """Simulated pictures for the hypothesis study: our own hand, whose shape and pose are then known exactly."""
 
+import math
 from dataclasses import replace
 
 import torch
@@ -8,7 +9,7 @@ from torch import Tensor
 
 from torchhand.files import load_hand_model
 from torchhand.geometry import assumed_camera, rotation_from_vector
-from torchhand.hand import Side, named_pose_space
+from torchhand.hand import HandPrior, Side, named_pose_space
 from torchhand.simulate import Motion, SceneSettings, facing, hand_length, render_sequence
 from torchhand.study.hypotheses import StudyCase
 from torchhand.study.hypothesis_settings import HypothesisStudySettings
@@ -23,6 +24,7 @@ _MIDDLE = 0.48  # of a hand, share of its length from the wrist
 
 def simulated_case(
     number: int,
+    prior: HandPrior,
     settings: HypothesisStudySettings,
     seed: int,
     *,
@@ -41,11 +43,11 @@ def simulated_case(
     shape = kinematics.default_shape if shape is None else shape
     generator = torch.Generator().manual_seed(seed_of(seed, "picture", number))
     space = named_pose_space(settings.space)
-    drawn, _ = model.prior().sample(1, generator)
+    drawn, _ = prior.sample(1, generator)
     pose = clamp_to_limits(space.dof(space.free(drawn[0].double())), model.skeleton)
     tilt = torch.randn(3, generator=generator, dtype=torch.float64)
     amount, view = torch.rand(2, generator=generator, dtype=torch.float64).tolist()
-    tilt = torch.nn.functional.normalize(tilt, dim=-1) * torch.deg2rad(torch.tensor(_TILT_DEG * amount))
+    tilt = torch.nn.functional.normalize(tilt, dim=-1) * math.radians(_TILT_DEG * amount)
     reference = rotation_from_vector(tilt) @ facing("palm" if view < 0.5 else "back")
     length = hand_length(kinematics, shape)
     ahead = float(camera.intrinsics[0, 0]) * length / (_HAND_SHARE * height)

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,9 @@ from torchhand.files import camera_entry, load_hand_model, save_settings
 from torchhand.files.results import CONFIG_NAME
 from torchhand.files.safe_write import write_text
 from torchhand.geometry import vector_from_rotation
-from torchhand.hand import DOFS
-from torchhand.study.hypotheses import CaseStudy, StudyBatch, plan_batches
+from torchhand.hand import DOFS, named_pose_space
+from torchhand.residuals import PostureResiduals
+from torchhand.study.hypotheses import CaseStudy, StudyBatch, StudyCase, plan_batches
 from torchhand.study.hypothesis_folder import CSV_NAME, NPZ_NAME, PICTURE_NAME, StudyFolder, save_study
 from torchhand.study.hypothesis_record import Hypotheses
 from torchhand.study.hypothesis_settings import HypothesisStudySettings
@@ -42,8 +44,11 @@ class Work:
     """One study, ready to be worked on."""
 
     settings: HypothesisStudySettings
-    studies: Sequence[CaseStudy]
-    """One for each picture."""
+    cases: Sequence[StudyCase]
+    """With their final references."""
+    overlaps: Sequence[float]
+    """Of the reference hands and the silhouettes."""
+    prior: PostureResiduals | None
     seed: int
     source: str
     """Of the pictures, for the user."""
@@ -51,13 +56,17 @@ class Work:
     """How the reference poses are known, for the user."""
     device: str
 
+    def study(self, case: int) -> CaseStudy:
+        """What registrations on one picture share: tens of MB."""
+        return CaseStudy(self.cases[case], load_hand_model(), self.settings, self.prior, self.device)
+
     def header(self) -> dict[str, Any]:
         """What must be equal in a study that is to be resumed."""
         return {
             "torchhand": torchhand.__version__,
             "torch": str(torch.__version__),
             "input": self.source,
-            "frames": [study.case.frame for study in self.studies],
+            "frames": [case.frame for case in self.cases],
             "settings": asdict(self.settings),
             "seed": self.seed,
             "device": self.device,
@@ -67,17 +76,16 @@ class Work:
     def _digest(self) -> str:
         """Of everything that a registration sees, and of the references."""
         digest = hashlib.sha256()
-        for study in self.studies:
-            case, camera = study.case, study.camera
-            seen = (case.image, case.mask, case.pose, case.root_reference, study.shape)
+        for case in self.cases:
+            camera, seen = case.camera, (case.image, case.mask, case.pose, case.root_reference, case.shape)
             for tensor in (*seen, camera.intrinsics, camera.rotation, camera.translation, camera.distortion):
                 digest.update(tensor.cpu().contiguous().numpy().tobytes())
             digest.update(f"{case.side} {camera.kind}".encode())
         return digest.hexdigest()
 
     def run(self, folder: StudyFolder, side_by_side: int) -> tuple[Hypotheses, float]:
-        """All hypotheses in order, those that the folder has already taken from there; and seconds per start."""
-        plan = plan_batches(self.settings, len(self.studies))
+        """All hypotheses in order, also those that the folder has; and seconds per start, 0 if none was left."""
+        plan = plan_batches(self.settings, len(self.cases))
         done = {batch.index: found for batch in plan if (found := folder.load_batch(batch.index)) is not None}
         left = [batch for batch in plan if batch.index not in done]
         starts, before = self.settings.starts, sum(map(len, done.values()))
@@ -88,21 +96,25 @@ class Work:
                 folder.save_batch(batch.index, found)
                 done[batch.index] = found
                 bar.update(len(found))
-        seconds = (time.perf_counter() - begun) / max(1, starts - before)
+        seconds = (time.perf_counter() - begun) / (starts - before) if left else 0.0
         return Hypotheses.joined([done[batch.index] for batch in plan]), seconds
 
     def _worked(self, plan: Sequence[StudyBatch], side_by_side: int) -> Iterator[tuple[StudyBatch, Hypotheses]]:
         """Batches as they are done. torch computes each with one thread, so that its company changes no number."""
+        study = lru_cache(maxsize=side_by_side)(self.study)  # batches of a picture follow each other
+
+        def work(batch: StudyBatch) -> Hypotheses:
+            return study(batch.case).run(batch, self.seed)
+
         if side_by_side == 1:
-            for batch in plan:
-                yield batch, self.studies[batch.case].run(batch, self.seed)
+            yield from ((batch, work(batch)) for batch in plan)
             return
         waiting = iter(plan)
         running: dict[Future[Hypotheses], StudyBatch] = {}
         with ThreadPoolExecutor(side_by_side, initializer=torch.set_num_threads, initargs=(1,)) as pool:
             while True:
                 for batch in waiting:
-                    running[pool.submit(self.studies[batch.case].run, batch, self.seed)] = batch
+                    running[pool.submit(work, batch)] = batch
                     if len(running) == side_by_side:
                         break
                 if not running:
@@ -112,15 +124,15 @@ class Work:
 
     def save(self, folder: StudyFolder, hypotheses: Hypotheses) -> list[StudyRow]:
         """Write the results and move them into place; returns the rows of the table."""
-        rows = study_rows(hypotheses, self.settings)
-        references = [study.case for study in self.studies]
-        overlaps = [study.overlap for study in self.studies]
+        rows, references = study_rows(hypotheses, self.settings), self.cases
         further = {
             "dof_names": DOFS,
-            "free_names": self.studies[0].space.free_names,
+            "free_names": named_pose_space(self.settings.space).free_names,
             "reference_frame": [case.frame for case in references],
             "reference_pose": torch.stack([_whole(case.pose, case.root_reference).cpu() for case in references]),
-            "reference_overlap": overlaps,
+            "reference_shape": torch.stack([case.shape.cpu() for case in references]),
+            "reference_overlap": self.overlaps,
+            "shape_names": load_hand_model().shape_space.names,
             "success": hypotheses.is_success(self.settings.success_deg),
             "units": UNITS,
             "convention": CONVENTION,
@@ -128,21 +140,21 @@ class Work:
         with folder.finishing() as place:
             write_text(place / CSV_NAME, csv_text(rows, self.settings))
             _write_picture(place / PICTURE_NAME, draw_study(rows, self.settings))
-            self._save_config(place / CONFIG_NAME, overlaps)
+            self._save_config(place / CONFIG_NAME)
             save_study(place / NPZ_NAME, folder.header, hypotheses, further)
         return rows
 
-    def _save_config(self, path: Path, overlaps: list[float]) -> None:
-        first = self.studies[0]
+    def _save_config(self, path: Path) -> None:
+        first = self.cases[0]
         run = {
             "input": self.source,
-            "frames": [study.case.frame for study in self.studies],
+            "frames": [case.frame for case in self.cases],
             "reference": self.reference,
-            "reference_overlap": overlaps,
-            "side": first.case.side,
-            "shape": dict(zip(load_hand_model().shape_space.names, first.shape.tolist(), strict=True)),
-            "camera_used": camera_entry(first.case.camera),
-            "camera_is_assumed": first.case.camera.is_assumed,
+            "reference_overlap": self.overlaps,
+            "side": first.side,
+            "shape_of_first_frame": dict(zip(load_hand_model().shape_space.names, first.shape.tolist(), strict=True)),
+            "camera_used": camera_entry(first.camera),
+            "camera_is_assumed": first.camera.is_assumed,
             "seed": self.seed,
             "device": self.device,
             "torch": str(torch.__version__),

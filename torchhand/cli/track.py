@@ -40,7 +40,8 @@ class Arguments:
     out: Annotated[Path, arg(metavar="DIR")]
     """Folder for the results."""
     config: Annotated[str, arg(metavar="NAME")] = "contour_full"
-    """Method: contour_full (27 DOF), contour_planar (motion in the picture plane), or a YAML file."""
+    """Method: contour_full (27 DOF), contour_planar, contour_planar_scale (motion in the picture plane), distance_full
+    (26 DOF on distance maps), distance_abduction (planar motion and spreading of the fingers), or a YAML file."""
     camera: Annotated[Path | None, arg(metavar="FILE")] = None
     """Calibrated camera (cameras.json with one entry); without it a field of view is assumed."""
     hand: Annotated[Path | None, arg(metavar="FILE")] = None

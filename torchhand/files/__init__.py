@@ -10,7 +10,7 @@ from torchhand.files.locations import configs_dir, find_config, models_dir
 from torchhand.files.mesh_file import load_mesh, save_mesh
 from torchhand.files.pictures import read_picture
 from torchhand.files.results import ResumePoint, TrackWriter, check_output_folder
-from torchhand.files.settings import load_settings, save_settings
+from torchhand.files.settings import load_settings, save_settings, setting_in
 from torchhand.files.track_file import load_track
 from torchhand.files.track_record import FrameRecord, Track, TrackHeader
 from torchhand.files.video_writer import VideoWriter, write_video
@@ -47,5 +47,6 @@ __all__ = [
     "save_mesh",
     "save_settings",
     "sequences_of",
+    "setting_in",
     "write_video",
 ]

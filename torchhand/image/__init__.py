@@ -1,7 +1,7 @@
 """Picture to measurement: skin, silhouettes, moments, colour models, edges along normals. Knows no hand."""
 
 from torchhand.image.background import BackgroundPlate, background_mask, chroma_mask, learn_background
-from torchhand.image.colours import ColourModel, foreground_probability, learn_colours
+from torchhand.image.colours import ColourModel, foreground_probability, learn_colours, relearn_colours
 from torchhand.image.components import Component, clean, component_mask, components, fill_holes, largest_component
 from torchhand.image.distance_fields import (
     Boundary,
@@ -68,6 +68,7 @@ __all__ = [
     "otsu_cr_mask",
     "point_field",
     "refine_silhouette",
+    "relearn_colours",
     "sample_bilinear",
     "search_edges",
     "segment",

@@ -11,6 +11,8 @@ from torch import Tensor
 
 from torchhand.image.histograms import log_ratio, look_up, probability_u8, smoothed
 
+_FEW = 10.0  # pixels of a colour that make half a lesson
+
 
 @dataclass(frozen=True, kw_only=True)
 class ColourModel:
@@ -37,15 +39,44 @@ def learn_colours(
 
     Smoothing and class weights as in `learn_skin`. Raises ValueError when a set is empty.
     """
-    counts = []
+    counts = _counts(image, inside, outside, (bins,) * 3, smoothing_bins)
+    return ColourModel(log_ratio=torch.from_numpy(log_ratio(*counts).astype(np.float32)).to(image.device))
+
+
+def relearn_colours(
+    model: ColourModel,
+    image: UInt8[Tensor, "height width 3"],
+    inside: Bool[Tensor, "height width"],
+    outside: Bool[Tensor, "height width"],
+    *,
+    keep: float,
+    smoothing_bins: float = 1.0,
+) -> ColourModel:
+    """The model after another picture: `keep` of what was known of the colours in it, the rest from the picture.
+
+    Log-likelihood ratios are averaged (a logarithmic opinion pool). A colour that the picture does not show is not
+    forgotten: it counts by its pixels n as n / (n + 10). Raises ValueError when a set is empty.
+    """
+    counts = _counts(image, inside, outside, tuple(model.log_ratio.shape), smoothing_bins)
+    pixels = counts[0] + counts[1]
+    share = torch.from_numpy((1.0 - keep) * pixels / (pixels + _FEW)).to(model.log_ratio)
+    fresh = torch.from_numpy(log_ratio(*counts)).to(model.log_ratio)
+    return ColourModel(log_ratio=torch.lerp(model.log_ratio, fresh, share))
+
+
+def _counts(
+    image: Tensor, inside: Tensor, outside: Tensor, bins: tuple[int, ...], smoothing_bins: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Smoothed histograms of two sets of pixels."""
     pixels = image.cpu().contiguous().numpy()
+    counts = []
     for name, mask in (("inside", inside), ("outside", outside)):
         if not bool(mask.any()):
-            raise ValueError(f"learn_colours needs at least one {name} pixel, got none")
+            raise ValueError(f"a colour model needs at least one {name} pixel, got none")
         chosen = mask.to(torch.uint8).cpu().numpy()
-        histogram = cv2.calcHist([pixels], [0, 1, 2], chosen, [bins] * 3, [0, 256] * 3)
+        histogram = cv2.calcHist([pixels], [0, 1, 2], chosen, list(bins), [0, 256] * 3)
         counts.append(smoothed(histogram.astype(np.float64), smoothing_bins))
-    return ColourModel(log_ratio=torch.from_numpy(log_ratio(*counts).astype(np.float32)).to(image.device))
+    return counts[0], counts[1]
 
 
 def foreground_probability(image: UInt8[Tensor, "height width 3"], model: ColourModel) -> Float[Tensor, "height width"]:

@@ -2,6 +2,7 @@
 
 import cv2
 import numpy as np
+import torch
 
 UNIFORM_FOREGROUND, UNIFORM_BACKGROUND = 0.005, 0.02
 """Share of each class spread evenly over all colours: one never seen is background at 4 : 1."""
@@ -52,4 +53,5 @@ def _spreading(size: int, sigma: float, wraps: bool) -> np.ndarray:
 
 
 def _along(matrix: np.ndarray, counts: np.ndarray, axis: int) -> np.ndarray:
-    return np.moveaxis(np.tensordot(matrix, counts, axes=(1, axis)), 0, axis)
+    product = torch.tensordot(torch.from_numpy(matrix), torch.from_numpy(counts), dims=([1], [axis]))
+    return np.moveaxis(product.numpy(), 0, axis)  # by torch, whose threads the caller chooses

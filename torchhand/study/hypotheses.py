@@ -83,8 +83,10 @@ class CaseStudy:
         case: StudyCase,
         model: HandModel,
         settings: HypothesisStudySettings,
+        prior: PostureResiduals | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
+        """prior: of the model's postures, for settings that have one; made here if not given, which takes a while."""
         self.settings, self.device = settings, torch.device(device)
         pose, reference = rebased(case.pose.double(), case.root_reference.double())
         self.case = replace(case, pose=pose.to(device), root_reference=reference.to(device))
@@ -99,7 +101,7 @@ class CaseStudy:
         self.space = named_pose_space(settings.space).to(device=device).about(self.case.pose)
         self.picture = picture_contours(case.mask.to(device), settings.engine, image=case.image.to(device))
         self._constraints = PoseConstraints(self.model.skeleton)
-        self._prior = PostureResiduals.of(model.prior().postures) if settings.has_prior else None
+        self._prior = (prior or PostureResiduals.of(model.prior().postures)) if settings.has_prior else None
         self._std = spread_of_starts(self.space, settings.perturbation).to(device)
 
     @cached_property

@@ -9,7 +9,9 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from torchhand.image import ColourModel, foreground_probability, learn_colours
+from torchhand.image import ColourModel, foreground_probability, learn_colours, relearn_colours
+
+_FEWEST_PX = 50
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,13 +56,8 @@ def learn_appearance(
     margin_px: int,
 ) -> Appearance | None:
     """Colour model of `hand` against `other`, both shrunk by a margin; None where one of them is nearly empty."""
-    size = 2 * max(1, margin_px) + 1
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    inside = cv2.erode(hand.numpy().astype(np.uint8), kernel)
-    outside = cv2.erode(other.numpy().astype(np.uint8), kernel)
-    if inside.sum() < 50 or outside.sum() < 50:
-        return None
-    return Appearance(colours=learn_colours(image, torch.from_numpy(inside > 0), torch.from_numpy(outside > 0)))
+    sets = _without_margin(hand, other, margin_px)
+    return None if sets is None else Appearance(colours=learn_colours(image, *sets))
 
 
 def relearned(
@@ -72,19 +69,24 @@ def relearned(
     *,
     keep: float,
 ) -> Appearance:
-    """The colours after some time of changing light: `keep` of what was known, the rest from this picture.
+    """The colours after some time of changing light; `keep` as for `relearn_colours`.
 
     model: silhouette of the hand as it is followed. What touches it and has the hand's colours, such as a forearm,
-    counts neither as hand nor as surroundings. Log-likelihood ratios are averaged (a logarithmic opinion pool), so a
-    colour needs several such pictures to change sides. The appearance comes back as it is where there is too little to
-    learn from.
+    counts neither as hand nor as surroundings. The appearance comes back as it is where there is too little to learn
+    from.
     """
-    other = ~(model | touching(probability > 0.5, model))
-    fresh = learn_appearance(image, model, other, margin_px)
-    if fresh is None:
-        return appearance
-    ratio = torch.lerp(fresh.colours.log_ratio, appearance.colours.log_ratio, keep)
-    return Appearance(colours=ColourModel(log_ratio=ratio))
+    sets = _without_margin(model, ~(model | touching(probability > 0.5, model)), margin_px)
+    return (
+        appearance if sets is None else Appearance(colours=relearn_colours(appearance.colours, image, *sets, keep=keep))
+    )
+
+
+def _without_margin(hand: Tensor, other: Tensor, margin_px: int) -> tuple[Tensor, Tensor] | None:
+    """Both masks shrunk; None where one of them is nearly empty."""
+    size = 2 * max(1, margin_px) + 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    shrunk = [torch.from_numpy(cv2.erode(mask.numpy().astype(np.uint8), kernel) > 0) for mask in (hand, other)]
+    return None if min(int(mask.sum()) for mask in shrunk) < _FEWEST_PX else (shrunk[0], shrunk[1])
 
 
 def hand_region(

@@ -97,7 +97,7 @@ class LightSettings:
     every: int = 10
     """Frames that agree with the model from one lesson to the next; 0 keeps the colours of the start."""
     keep: float = 0.7
-    """Share of what is known that outlasts a lesson; 0 to 1."""
+    """Share of what is known of a colour that outlasts a lesson with that colour in it; 0 to 1."""
 
     def __post_init__(self) -> None:
         require(self.every >= 0, "light.every", "0 or more", self.every)

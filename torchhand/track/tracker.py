@@ -21,6 +21,7 @@ from torchhand.numerics import Gaussian, predict_linear
 from torchhand.track.appearance import Agreement, Appearance, hand_region, overlap, relearned, touching, unexplained_px
 from torchhand.track.contour_points import hand_length_px
 from torchhand.track.estimate import estimate_of, unknown_scale_std
+from torchhand.track.facing import shows_same_side
 from torchhand.track.measured import Measured
 from torchhand.track.prior import Kind, kind_of
 from torchhand.track.rebasing import Rebasing
@@ -105,8 +106,9 @@ class HandTracker(ABC, Generic[Settings]):
         """The next state, what is remembered, and the estimate of this picture (RGB).
 
         A hand found again after a frame that was lost is `recovered`; the first one ever, and one that a fresh search
-        corrects within an unbroken track, is `tracked`. A frame that fails the tests is searched afresh at once, a
-        doubtful one when a search is due. Raises ValueError for a picture that is not the camera's size.
+        corrects within an unbroken track, is `tracked`; such a correction does not turn the hand over. A frame that
+        fails the tests is searched afresh at once, a doubtful one when a search is due. Raises ValueError for a picture
+        that is not the camera's size.
         """
         if image.shape[:2] != (self.camera.height, self.camera.width):
             expected = f"{self.camera.width}×{self.camera.height} px as the camera says"
@@ -126,7 +128,8 @@ class HandTracker(ABC, Generic[Settings]):
         memory = replace(memory, frames_since_search=0)
         restarted, remembered, found = self._restart(memory, image)
         margin = 0.0 if following is None else self.settings.loss.better_by
-        if restarted is not None and (found.overlap or 0.0) > (estimate.overlap or 0.0) + margin:
+        is_same_side = following is None or restarted is None or shows_same_side(restarted.reference, state.reference)
+        if is_same_side and restarted is not None and (found.overlap or 0.0) > (estimate.overlap or 0.0) + margin:
             return restarted, remembered, replace(found, status="tracked")  # no frame was lost
         return following, memory, estimate
 
