@@ -37,6 +37,8 @@ from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import DOFS
 from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
 from torchhand.track.contour_tracker import ContourTracker
+from torchhand.track.distance_settings import DistanceTrackerSettings
+from torchhand.track.distance_tracker import DistanceTracker
 from torchhand.track.settings import ContourTrackerSettings
 
 FRAMES, WIDTH, HEIGHT = 10, 200, 160
@@ -263,18 +265,20 @@ def test_a_folder_of_videos_gives_one_result_each_and_one_bad_video_stops_no_oth
 # ---------------------------------------------------------------------------------------- stopping and going on
 
 
-def _stop_after(monkeypatch: pytest.MonkeyPatch, steps: int, error: BaseException) -> None:
-    original = ContourTracker.step
+def _stop_after(
+    monkeypatch: pytest.MonkeyPatch, steps: int, error: BaseException, tracker: type[Any] = ContourTracker
+) -> None:
+    original = tracker.step
     calls = 0
 
-    def step(self: ContourTracker, *arguments: Any) -> Any:
+    def step(self: Any, *arguments: Any) -> Any:
         nonlocal calls
         calls += 1
         if calls > steps:
             raise error
         return original(self, *arguments)
 
-    monkeypatch.setattr(ContourTracker, "step", step)
+    monkeypatch.setattr(tracker, "step", step)
 
 
 def test_ctrl_c_keeps_what_is_tracked_and_resume_gives_the_uninterrupted_result(
@@ -306,6 +310,29 @@ def test_ctrl_c_keeps_what_is_tracked_and_resume_gives_the_uninterrupted_result(
     one, other = (load_track(folder / "track.npz") for folder in (out, clip.result))
     np.testing.assert_array_equal(one.pose, other.pose)
     np.testing.assert_array_equal(one.keypoints3d_cov, other.keypoints3d_cov)
+
+
+def test_the_distance_map_tracker_is_chosen_saved_and_resumed(
+    clip: Clip, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    options = ["--camera", clip.camera, "--config", "distance_abduction", "--no-overlay", "--max-frames", "6"]
+    assert run(clip.frames, "--out", whole, *options).code == 0
+    track = load_track(whole / "track.npz")
+    assert track.status.tolist() == ["tracked"] * 6
+    assert (track.measures["overlap"] > 0.85).all()
+    settings = load_settings(DistanceTrackerSettings(), whole / "config.yaml")
+    assert settings == settings_of("distance_abduction")
+    assert settings_of(str(whole / "config.yaml")) == settings
+
+    monkeypatch.setattr(tracking, "CHECKPOINT_EVERY", 2)
+    with monkeypatch.context() as patch:
+        _stop_after(patch, 3, KeyboardInterrupt(), DistanceTracker)
+        assert run(clip.frames, "--out", parts, *options).code == 130
+    assert run(clip.frames, "--out", parts, "--resume", *options).code == 0
+    assert _lines_without_seconds(parts) == _lines_without_seconds(whole)
+    other = run(clip.frames, "--out", parts, "--resume", *options, "--set", "pose_weight=0.5")
+    _assert_refused(other, "made_with.settings.pose_weight was", "is now 0.5")
 
 
 def test_ctrl_c_while_replacing_leaves_the_old_result(

@@ -33,6 +33,7 @@ class Options:
     background: Path | None = None
     weights: dict[str, float] = field(default_factory=dict)
     filter: Filter = field(default_factory=Filter)
+    stages: tuple[Filter, ...] = (Filter(), Filter(order=1))
 
 
 def _write(path: Path, text: str) -> Path:
@@ -135,7 +136,7 @@ def test_saved_settings_are_complete_and_load_again(tmp_path: Path):
     save_settings(settings, tmp_path / "config.yaml", {"seed": 3, "input": Path("wave.mov"), "start_points": (1, 2.5)})
     stored = yaml.safe_load((tmp_path / "config.yaml").read_text())
     assert stored.pop("run") == {"torchhand": __version__, "seed": 3, "input": "wave.mov", "start_points": [1, 2.5]}
-    assert list(stored) == ["space", "steps", "range_deg", "fingers", "background", "weights", "filter"]
+    assert list(stored) == ["space", "steps", "range_deg", "fingers", "background", "weights", "filter", "stages"]
     assert stored["filter"] == {"order": 0, "noise_px": 1e-7, "is_robust": False, "gate": None}
     assert load_settings(Options(), tmp_path / "config.yaml") == settings
 
@@ -165,3 +166,18 @@ def test_shipped_folders_are_found_in_the_package_before_the_checkout(tmp_path: 
     assert (models_dir(), configs_dir()) == (tmp_path / "models", tmp_path / "configs")
     (package / "models").mkdir()
     assert (models_dir(), configs_dir()) == (package / "models", tmp_path / "configs")
+
+
+def test_records_in_a_list_come_back_and_their_mistakes_are_named(tmp_path: Path):
+    options = Options(stages=(Filter(order=0), Filter(noise_px=0.5), Filter()))
+    save_settings(options, tmp_path / "saved.yaml")
+    assert load_settings(Options(), tmp_path / "saved.yaml") == options
+    shorter = load_settings(Options(), _write(tmp_path / "short.yaml", "stages: [{order: 0}]"))
+    assert shorter.stages == (Filter(order=0),)
+    for text, message in (
+        ("stages: [{ordr: 0}]", r"stages\[0\]\.ordr; did you mean|unknown key stages\[0\]\.ordr"),
+        ("stages: [{}, {noise_px: -1}]", r"stages\[1\]\.noise_px: expected more than 0, got -1"),
+        ("stages: [3]", r"stages\[0\]: expected keys with values, got 3"),
+    ):
+        with pytest.raises(InputError, match=message):
+            load_settings(Options(), _write(tmp_path / "bad.yaml", text))

@@ -9,7 +9,7 @@ import torch
 
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import DOFS, FINGERS, posture
-from torchhand.track.sudden import other_fingers, turned_hands
+from torchhand.track.sudden import other_fingers, other_postures, turned_hands
 
 
 @pytest.mark.parametrize("kind", ["pinhole", "orthographic"])
@@ -62,14 +62,19 @@ def test_the_distance_follows_the_palms_size_within_bounds(studio: Any) -> None:
     assert math.isclose(float(starts.pose[0, 2] / near.pose[2]), 1.4, rel_tol=0.02)  # and not 3
 
 
-def test_other_fingers_hold_single_fingers_and_postures() -> None:
+def test_other_postures_and_fingers_leave_the_rest_alone() -> None:
     start, pose = posture("open"), posture("fist")
     pose[:6] = torch.arange(6.0)
-    starts = other_fingers(pose, start, ("flat", "point"))
-    assert starts.shape == (3 + 2 * len(FINGERS), len(DOFS))
-    assert bool((starts[:, :6] == pose[:6]).all())
-    torch.testing.assert_close(starts[0, 6:], start[6:])
-    torch.testing.assert_close(starts[1, 6:], posture("flat")[6:])
-    changed = (starts[5] != pose).nonzero()[:, 0].tolist()
-    assert changed
-    assert all(DOFS[i].startswith("index") for i in changed)
+    whole = other_postures(pose, start, ("flat", "point"))
+    assert whole.shape == (3, len(DOFS))
+    assert bool((whole[:, :6] == pose[:6]).all())
+    torch.testing.assert_close(whole[0, 6:], start[6:])
+    torch.testing.assert_close(whole[1, 6:], posture("flat")[6:])
+    single = other_fingers(pose, start)
+    assert single.shape == (2 * len(FINGERS), len(DOFS))
+    for i, finger in enumerate(FINGERS):
+        own = torch.tensor([name.startswith(finger) for name in DOFS])
+        for one in single[2 * i : 2 * i + 2]:
+            assert torch.equal(one[~own], pose[~own])
+            assert bool((one[own] != pose[own]).any())
+        assert torch.equal(single[2 * i][own], start[own])

@@ -1,13 +1,11 @@
 """What a tracking run is asked for, read from texts and files and checked before anything starts."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot, isfinite
 from pathlib import Path
-from typing import Any
 
-import yaml
-
+from torchhand.cli.changes import changes_of
 from torchhand.errors import InputError
 from torchhand.files import (
     FittedHand,
@@ -53,31 +51,17 @@ def settings_of(config: str, changes: Sequence[str] = (), posture: str | None = 
 
     Raises InputError naming the file or the option and the key.
     """
-    overrides: dict[str, Any] = {}
-    for change in changes:
-        key, is_given, text = change.partition("=")
-        if not is_given or not key:
-            raise InputError(f"--set: expected KEY=VALUE such as noise.rotation=80, got {change!r}")
-        try:
-            overrides[key] = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            raise InputError(f"--set {key}: expected a value as in YAML, got {text!r}") from error
+    overrides = changes_of(changes, "noise.rotation=80")
     if posture is not None:
+        if any(key.split(".")[0] == "posture" for key in overrides):
+            raise InputError("--set: expected each field once, got posture and --posture")
         overrides["posture"] = posture
-    _check_nesting(overrides)
     path = find_config(config)
     method = overrides.get("method", setting_in(path, "method"))
     if method is not None and not (isinstance(method, str) and method in DEFAULTS):
         place = "--set" if "method" in overrides else path
         raise InputError(f"{place}: method: expected one of {', '.join(DEFAULTS)}, got {method!r}")
     return load_settings(DEFAULTS[method or "contour"], path, overrides | ({"method": method} if method else {}))
-
-
-def _check_nesting(overrides: Mapping[str, Any]) -> None:
-    for key in overrides:
-        inside = next((other for other in overrides if other.startswith(f"{key}.")), None)
-        if inside is not None:
-            raise InputError(f"--set: expected each field once, got {key} and {inside}")
 
 
 def known_hand(path: Path) -> FittedHand:

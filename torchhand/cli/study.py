@@ -7,13 +7,13 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import torch
-import yaml
 from tqdm import tqdm
 from tyro.conf import Positional, UseAppendAction, arg
 
+from torchhand.cli.changes import changes_of
 from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
 from torchhand.cli.request import known_hand
 from torchhand.cli.study_cases import Given, cases_of, frames_of
@@ -195,7 +195,8 @@ def _settings(arguments: Arguments) -> HypothesisStudySettings:
     }
     given = {key: value for name, key in named.items() if (value := getattr(arguments, name)) is not None}
     given |= {f"has_{name}": False for name in ("prior", "expectation") if not getattr(arguments, name)}
-    settings = load_settings(HypothesisStudySettings(), arguments.config, _changes(arguments.changes))
+    changes = changes_of(arguments.changes, "registration.coverage_weight=0")
+    settings = load_settings(HypothesisStudySettings(), arguments.config, changes)
     settings = load_settings(settings, None, given)
     levels = settings.registration.levels
     if arguments.iterations is not None:
@@ -204,24 +205,6 @@ def _settings(arguments: Arguments) -> HypothesisStudySettings:
         except ValueError as error:
             raise InputError(f"--{error}") from error
     return replace(settings, registration=replace(settings.engine, levels=levels))
-
-
-def _changes(texts: Sequence[str]) -> dict[str, Any]:
-    """Values by dotted key, of texts KEY=VALUE."""
-    changes: dict[str, Any] = {}
-    for change in texts:
-        key, is_given, text = change.partition("=")
-        if not is_given or not key:
-            raise InputError(f"--set: expected KEY=VALUE such as registration.coverage_weight=0, got {change!r}")
-        try:
-            changes[key] = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            raise InputError(f"--set {key}: expected a value as in YAML, got {text!r}") from error
-    for key in changes:
-        inside = next((other for other in changes if other.startswith(f"{key}.")), None)
-        if inside is not None:
-            raise InputError(f"--set: expected each field once, got {key} and {inside}")
-    return changes
 
 
 def _given(arguments: Arguments) -> Given:

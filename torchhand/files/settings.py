@@ -132,6 +132,9 @@ def _converted(where: str, value: Any, hint: Any) -> Any:
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if hint is Any:
         return value
+    if isinstance(hint, type) and dataclasses.is_dataclass(hint) and isinstance(value, dict):
+        source, _, name = where.rpartition(": ")
+        return _changed(hint(), value, source, f"{name}.")
     if origin is typing.Literal:
         if not any(value == choice and type(value) is type(choice) for choice in arguments):
             raise InputError(f"{where}: expected one of {', '.join(map(str, arguments))}, got {short(value)}")
@@ -191,7 +194,10 @@ _WORDS = {
 
 
 def _mismatch(where: str, value: Any, kinds: tuple[Any, ...]) -> str:
-    words = [_WORDS.get(typing.get_origin(kind) or kind, str(kind)) for kind in kinds]
+    words = [
+        "keys with values" if dataclasses.is_dataclass(kind) else _WORDS.get(typing.get_origin(kind) or kind, str(kind))
+        for kind in kinds
+    ]
     return f"{where}: expected {' or '.join(words)}, got {short(value)}"
 
 

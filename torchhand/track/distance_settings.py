@@ -37,10 +37,19 @@ class DistanceTrackerSettings(TrackerSettings):
     """How the process noise is learned."""
     is_adaptive: bool = True
     """Whether it is learned at all."""
+    surface: Literal["primitives", "mesh"] = "primitives"
+    """Whose contours are registered: the quadrics', or the skin's, which takes several times as long."""
     registration: RegistrationSettings = _FOLLOWING
     """Of every picture."""
     search: RegistrationSettings = _STARTING
     """Of the picture of a start."""
+    hypotheses: bool = True
+    """Whether a bad registration is repeated from other places, directions, postures and fingers, and a good one from
+    other fingers."""
+    reconsidered: int = 2
+    """Fingers, straight or bent, that are tried beside a good registration; they take turns. 0 to 10."""
+    promising: float = 1.5
+    """A finger so tried is followed up where its cost is at most so many times that of the registration; 1 or more."""
     postures: tuple[str, ...] = ("flat", "fist", "point")
     """Postures tried beside that of the start, and single fingers straight or bent, where registration is bad: names
     of torchhand.hand.POSTURES."""
@@ -52,6 +61,8 @@ class DistanceTrackerSettings(TrackerSettings):
     more."""
     near_share: float = 0.02
     """Distance from the picture's contour within which a point of the model's lies on it, the same share; above 0."""
+    filter: Literal["extended", "none"] = "extended"
+    """The extended Kalman filter over the segments of the registered hand, or the registered hand as it is."""
     segments: SegmentSettings = field(default_factory=SegmentSettings)
     """What the filter observes of the registered hand."""
     pose_weight: float = 0.25
@@ -67,6 +78,10 @@ class DistanceTrackerSettings(TrackerSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         require(self.method == "distance", "method", "distance", self.method)
+        require(self.surface in ("primitives", "mesh"), "surface", "primitives or mesh", self.surface)
+        require(self.filter in ("extended", "none"), "filter", "extended or none", self.filter)
+        require(0 <= self.reconsidered <= 10, "reconsidered", "0 to 10", self.reconsidered)
+        require(1 <= self.promising < float("inf"), "promising", "1 or more and finite", self.promising)
         require(1 <= self.sudden < float("inf"), "sudden", "1 or more and finite", self.sudden)
         for name in ("bad_share", "near_share", "gate"):
             require_positive(name, getattr(self, name))

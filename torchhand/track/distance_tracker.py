@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.files import load_hand_model
 from torchhand.geometry import Camera, vector_from_rotation
 from torchhand.hand import HandKinematics, HandPrior, PoseConstraints
 from torchhand.image import BackgroundPlate, clean, fill_holes, largest_component
@@ -36,12 +37,14 @@ from torchhand.track.registration_settings import RegistrationSettings
 from torchhand.track.segment_observation import SCALARS, SegmentObservation
 from torchhand.track.start import Start, StartPoints
 from torchhand.track.state import TrackerState
-from torchhand.track.sudden import other_fingers, turned_hands
+from torchhand.track.sudden import other_fingers, other_postures, turned_hands
 from torchhand.track.tracker import HandTracker, start_spread
-from torchhand.view.contours import PrimitiveContours
+from torchhand.view.contours import Contours, PrimitiveContours
+from torchhand.view.mesh_contours import MeshContours
 
 _HOLE = 3e-4  # largest hole of a silhouette that is filled, squares of the hand's length
 _ROOT = 6
+_PROMISING = 6  # starts of a search that are followed up
 _FEWEST = 16  # points of the model's contour
 
 
@@ -65,7 +68,7 @@ class DistanceTracker(HandTracker[DistanceTrackerSettings]):
         skeleton = self.kinematics.skeleton
         self._constraints = PoseConstraints(skeleton)
         self._prior = PostureResiduals.of(HandPrior(skeleton, self.kinematics.shape_space).postures)
-        self._contours: PrimitiveContours | None = None
+        self._contours: Contours | None = None
 
     def _settle(self, state: TrackerState, start: Start, image: Tensor, probability: Tensor) -> Measured:
         shape, search = start.fit.shape, self.settings.search
@@ -76,16 +79,20 @@ class DistanceTracker(HandTracker[DistanceTrackerSettings]):
         return self._judged(self._at(state, found), shape, picture)
 
     def _measure(self, state: TrackerState, shape: Tensor, image: Tensor, probability: Tensor) -> Measured:
-        s, predicted = self.settings, self._predicted(state)
+        s, predicted = self.settings, replace(self._predicted(state), turn=state.turn + 1)
         mask = self._silhouette(predicted, shape, probability)
         picture = picture_contours(mask, s.registration, image=image)
         poses = torch.stack((self._rebased.pose(predicted), self._rebased.pose(state)))
         found = self._registered(state, shape, picture, poses, s.registration)
-        if self._badness(shape, found) > 1 and bool(self.space.basis[_ROOT:].any()):
-            found, picture = self._mended(state, shape, image, probability, picture, found)
+        if s.hypotheses and bool(self.space.basis[_ROOT:].any()):
+            if self._badness(shape, found) > 1:
+                found, picture = self._mended(state, shape, image, probability, picture, found)
+            else:
+                found = self._reconsidered(state, shape, picture, found)
         if not bool(found.cost.isfinite()):
             return self._judged(self._rebased(predicted), shape, picture)
-        return self._judged(self._filtered(predicted, shape, found), shape, picture)
+        following = self._filtered(predicted, shape, found) if s.filter == "extended" else self._at(predicted, found)
+        return self._judged(following, shape, picture)
 
     # ------------------------------------------------------------------ registration
 
@@ -97,9 +104,13 @@ class DistanceTracker(HandTracker[DistanceTrackerSettings]):
         mask = touching(clean(probability > 0.5), projector.silhouette(pose, state.reference))
         return fill_holes(mask, max(1, round(_HOLE * length_px**2)))
 
-    def _contours_of(self, shape: Tensor) -> PrimitiveContours:
+    def _contours_of(self, shape: Tensor) -> Contours:
         if self._contours is None or self._contours.shape is not shape:
-            self._contours = PrimitiveContours(self._projectors_of(shape)[0], self.table, self.space.basis)
+            if self.settings.surface == "mesh":
+                hand = load_hand_model().hand(side=self.kinematics.side, dtype=torch.float64)
+                self._contours = MeshContours(hand, self.camera, self.space.basis, shape)
+            else:
+                self._contours = PrimitiveContours(self._projectors_of(shape)[0], self.table, self.space.basis)
         return self._contours
 
     def _registered(
@@ -112,7 +123,19 @@ class DistanceTracker(HandTracker[DistanceTrackerSettings]):
         references: Float[Tensor, "#hypotheses 3 3"] | None = None,
     ) -> Registration:
         """The best of some starts, about the state's reference where no others are given."""
-        found = register(
+        found = self._all_registered(state, shape, picture, poses, settings, references)
+        return found.select(found.best)
+
+    def _all_registered(
+        self,
+        state: TrackerState,
+        shape: Tensor,
+        picture: PictureContours,
+        poses: Float[Tensor, "hypotheses 36"],
+        settings: RegistrationSettings,
+        references: Float[Tensor, "#hypotheses 3 3"] | None = None,
+    ) -> Registration:
+        return register(
             picture,
             self._contours_of(shape),
             self.space.about(state.base),
@@ -122,7 +145,26 @@ class DistanceTracker(HandTracker[DistanceTrackerSettings]):
             constraints=self._constraints,
             prior=self._prior,
         )
-        return found.select(found.best)
+
+    def _found_elsewhere(self, state: TrackerState, shape: Tensor, image: Tensor, mask: Tensor) -> Registration | None:
+        """The best of many places and directions, with the fingers as they were and as at the start.
+
+        All of them on the coarsest map, the most promising ones on the finer maps as well.
+        """
+        search, pose = self.settings.search, self._rebased.pose(state)
+        model = self._projectors_of(shape)[0].silhouette(pose, state.reference)
+        starts = turned_hands(pose, state.reference, model, mask, self.camera)
+        if starts is None:
+            return None
+        coarse = replace(search, levels=search.levels[:1])
+        poses = torch.cat(
+            (starts.pose, torch.cat((starts.pose[:, :_ROOT], state.base[_ROOT:].expand(len(starts.pose), -1)), -1))
+        )
+        references = starts.root_reference.repeat(2, 1, 1)
+        rough = self._all_registered(state, shape, picture_contours(mask, coarse), poses, coarse, references)
+        best = rough.cost.argsort()[:_PROMISING]
+        picture = picture_contours(mask, search, image=image)
+        return self._registered(state, shape, picture, rough.pose[best], search, rough.root_reference[best])
 
     def _badness(self, shape: Tensor, found: Registration) -> float:
         """Distance of the contours from each other over the one that is bad; infinite where nothing was found."""
@@ -143,19 +185,34 @@ class DistanceTracker(HandTracker[DistanceTrackerSettings]):
         s = self.settings
         if self._badness(shape, found) > s.sudden:
             mask = largest_component(clean(probability > 0.5))
-            pose, reference = self._rebased.pose(state), state.reference
-            model = self._projectors_of(shape)[0].silhouette(pose, reference)
-            starts = turned_hands(pose, reference, model, mask, self.camera)
-            if starts is not None:
-                other_picture = picture_contours(mask, s.search, image=image)
-                other = self._registered(state, shape, other_picture, starts.pose, s.search, starts.root_reference)
-                if float(other.cost) < float(found.cost):
-                    found, picture = other, picture_contours(mask, s.registration, image=image)
+            other = self._found_elsewhere(state, shape, image, mask)
+            if other is not None and float(other.cost) < float(found.cost):
+                found, picture = other, picture_contours(mask, s.registration, image=image)
         if self._badness(shape, found) > 1:
-            poses = other_fingers(found.pose, state.base, s.postures)
+            postures = other_postures(found.pose, state.base, s.postures)
+            poses = torch.cat((postures, other_fingers(found.pose, state.base)))
             other = self._registered(state, shape, picture, poses, s.registration, found.root_reference[None])
             found = other if float(other.cost) < float(found.cost) else found
         return found, picture
+
+    def _reconsidered(
+        self, state: TrackerState, shape: Tensor, picture: PictureContours, found: Registration
+    ) -> Registration:
+        """A registration, or a cheaper one with another finger elsewhere: the outline may bear out both.
+
+        The fingers take turns. A promising one has further to go than a prediction and is registered twice.
+        """
+        s = self.settings
+        starts = other_fingers(found.pose, state.base)
+        due = [(state.turn * s.reconsidered + i) % len(starts) for i in range(min(s.reconsidered, len(starts)))]
+        if not due:
+            return found
+        poses, reference = starts[due], found.root_reference[None]
+        other = self._registered(state, shape, picture, poses, s.registration, reference)
+        if float(other.cost) < s.promising * float(found.cost):
+            reference = other.root_reference[None]
+            other = self._registered(state, shape, picture, other.pose[None], s.registration, reference)
+        return other if float(other.cost) < float(found.cost) else found
 
     # ------------------------------------------------------------------ filter
 
@@ -168,8 +225,11 @@ class DistanceTracker(HandTracker[DistanceTrackerSettings]):
         """A filter that starts at a registered hand."""
         free = self._free_of(state, found)
         spread = start_spread(self._kinds, self.settings.motion.order)
+        covariance = spread.diag_embed()
+        if bool(found.covariance.isfinite().all()):
+            covariance[: len(free), : len(free)] = found.covariance
         mean = torch.cat((free, free.new_zeros(len(spread) - len(free))))
-        return self._rebased(replace(state, belief=Gaussian(mean, spread.diag_embed()), density=None))
+        return self._rebased(replace(state, belief=Gaussian(mean, covariance), density=None))
 
     def _filtered(self, predicted: TrackerState, shape: Tensor, found: Registration) -> TrackerState:
         """The prediction corrected by the segments of the registered hand, and lightly by its parameters.

@@ -29,6 +29,8 @@ class TrackerState:
     """Frames in a row that failed the tests."""
     density: Float[Tensor, "free"] | None = None
     """Of the process noise, as learned so far; None where a tracker does not learn it."""
+    turn: int = 0
+    """Frames followed: whose turn it is where hypotheses take turns."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +91,7 @@ def saved_state(state: TrackerState | None, memory: Memory) -> dict[str, Any]:
     if state is not None:
         saved |= {"mean": state.belief.mean, "covariance": state.belief.covariance, "base": state.base}
         saved |= {"reference": state.reference, "start_reference": state.start_reference, "failures": state.failures}
+        saved["turn"] = state.turn
         saved |= {} if state.density is None else {"density": state.density}
     return saved
 
@@ -111,5 +114,6 @@ def restored_state(saved: dict[str, Any]) -> tuple[TrackerState | None, Memory]:
         start_reference=saved["start_reference"],
         failures=saved["failures"],
         density=saved.get("density"),
+        turn=saved["turn"],
     )
     return state, memory

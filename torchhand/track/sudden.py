@@ -13,7 +13,7 @@ from torchhand.geometry import Camera, rotation_from_vector
 from torchhand.hand import DOFS, FINGERS, posture
 
 _ROOT = 6
-_TURNS = 12  # directions all around
+_TURNS = 24  # directions all around
 _LEAST_SCALE, _MOST_SCALE = 0.7, 1.4  # of the hand's distance from one picture to the next
 _BENT = 0.6  # of a fist
 
@@ -28,20 +28,21 @@ class Starts:
     """cam_from_hand"""
 
 
-def other_fingers(
-    pose: Float[Tensor, "36"], start: Float[Tensor, "36"], postures: tuple[str, ...]
+def other_postures(
+    pose: Float[Tensor, "36"], start: Float[Tensor, "36"], names: tuple[str, ...]
 ) -> Float[Tensor, "starts 36"]:
-    """Joint angles from which a bad registration may be mended, the root left as in `pose`.
+    """The posture of the track's start and the named ones, the root left as in `pose`."""
+    postures = (start, *(posture(name) for name in names))
+    return torch.stack([torch.cat((pose[:_ROOT], angles[_ROOT:].to(pose))) for angles in postures])
 
-    The posture of the track's start and the named ones; then every finger by itself as at the start, and bent.
-    """
-    whole = [torch.cat((pose[:_ROOT], angles[_ROOT:].to(pose))) for angles in (start, *map(posture, postures))]
-    bent = posture("fist").to(pose)
-    single = []
+
+def other_fingers(pose: Float[Tensor, "36"], start: Float[Tensor, "36"]) -> Float[Tensor, "10 36"]:
+    """Every finger by itself as at the track's start, and bent; all else as in `pose`."""
+    bent, starts = posture("fist").to(pose), []
     for finger in FINGERS:
         own = torch.tensor([name.startswith(finger) for name in DOFS], device=pose.device)
-        single += [torch.where(own, start, pose), torch.where(own, _BENT * bent, pose)]
-    return torch.stack((*whole, *single))
+        starts += [torch.where(own, start, pose), torch.where(own, _BENT * bent, pose)]
+    return torch.stack(starts)
 
 
 def turned_hands(
