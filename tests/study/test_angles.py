@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from torchhand.study import flexion_deg, without_offset
-from torchhand.study.angles import FINGER_CHAINS
+from torchhand.study.angles import FINGER_CHAINS, proximal_turns_deg, wrapped_deg
 
 
 def finger(angles_deg: list[float]) -> np.ndarray:
@@ -51,3 +51,14 @@ def test_only_a_constant_is_removed_and_lost_frames_do_not_count() -> None:
     np.testing.assert_allclose(
         without_offset(wobble + [7.0, 0.0]), [[1.0, np.nan], [-1.0, np.nan], [np.nan, np.nan]], atol=1e-15
     )
+
+
+def test_proximal_phalanges_turn_since_the_reference_frame() -> None:
+    turns = np.array([[5.0, -10, 170, 30, 0], [0, 0, 0, 0, 0], [-175, 20, 185, -90, 1]])
+    points = np.random.default_rng(1).normal(size=(3, 21, 2))
+    start = np.radians(np.array([10.0, 80, 179, -120, 0]))
+    for finger, base in enumerate((2, 5, 9, 13, 17)):
+        angle = start[finger] + np.radians(turns[:, finger])
+        points[:, base + 1] = points[:, base] + 3.0 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    np.testing.assert_allclose(proximal_turns_deg(points, 1), wrapped_deg(turns), atol=1e-10)
+    assert wrapped_deg(np.array([185.0, -180, 180, 540])).tolist() == [-175, 180, 180, 180]

@@ -57,12 +57,24 @@ def test_the_truth_itself_has_no_error() -> None:
     assert figures["position_2d_px"]["largest"] < 1e-10
     assert figures["planar_motion"]["displacement_largest_px"] < 1e-10
     assert figures["planar_motion"]["rotation_largest_deg"] < 1e-10
+    assert figures["planar_motion"]["proximal_turn_largest_deg"] < 1e-10
     assert figures["flexion_deg"] == {"mean": 0.0, "raw_mean": 0.0}
     assert figures["tracking"]["followed"] == FRAMES
     assert figures["tracking"]["share_largest_error_below_20mm"] == 1.0
     assert figures["speed"] == {"median_ms_per_frame": 10.0, "largest_ms_per_frame": 500.0}
     assert figures["uncertainty"]["mean_per_dof"] == 0.0
     assert "silhouette" not in figures
+
+
+def test_a_finger_that_spreads_too_far_is_seen_in_its_proximal_phalanx() -> None:
+    track = perfect([0, 1, 2])
+    assert track.keypoints2d is not None
+    points = track.keypoints2d.copy()
+    c, s = np.cos(np.radians(6.0)), np.sin(np.radians(6.0))
+    points[2, 6] = points[2, 5] + (points[2, 6] - points[2, 5]) @ np.array([[c, -s], [s, c]]).T
+    motion = evaluate(replace(track, keypoints2d=points), truth())["planar_motion"]
+    assert motion["proximal_turn_largest_deg"] == pytest.approx(6.0, abs=1e-9)
+    assert motion["proximal_turn_mean_deg"] == pytest.approx(6.0 / 10, abs=1e-9)  # one of five fingers in two frames
 
 
 def test_frames_are_matched_by_number() -> None:

@@ -132,7 +132,9 @@ def _planar_lines(motion: dict[str, Any]) -> list[tuple[str, str]]:
         f"scale RMS {motion['scale_rms_percent']:.2f} % "
         f"(the truth scales by up to {motion['true_scale_largest_change_percent']:.1f} %)"
     )
+    turns = f"mean {motion['proximal_turn_mean_deg']:.2f}°, largest {motion['proximal_turn_largest_deg']:.2f}°"
     return [
+        (f"turn of the proximal phalanges {since}", turns),
         (f"planar rotation {since}", rotation),
         (f"planar displacement {since}", displacement),
         ("the same as a similarity", with_scale),

@@ -23,6 +23,23 @@ def flexion_deg(keypoints: Float[np.ndarray, "*batch 21 d"]) -> Float[np.ndarray
     return np.degrees(2.0 * np.arctan2(apart, together))
 
 
+PROXIMAL = np.array([(first, first + 1) for first in (2, 5, 9, 13, 17)])
+"""Keypoints at the ends of the five proximal phalanges."""
+
+
+def proximal_turns_deg(keypoints_px: Float[np.ndarray, "frames 21 2"], reference: int) -> Float[np.ndarray, "frames 5"]:
+    """How far each proximal phalanx has turned in the picture since a reference frame, degrees in (-180, 180]."""
+    ends = keypoints_px[:, PROXIMAL]
+    bone = ends[:, :, 1] - ends[:, :, 0]
+    turned = np.degrees(np.arctan2(bone[..., 1], bone[..., 0]))
+    return wrapped_deg(turned - turned[reference])
+
+
+def wrapped_deg(angle: Float[np.ndarray, "*sizes"]) -> Float[np.ndarray, "*sizes"]:
+    """The same direction in (-180, 180]."""
+    return 180.0 - np.mod(180.0 - angle, 360.0)
+
+
 def without_offset(errors: Float[np.ndarray, "frames *angles"]) -> Float[np.ndarray, "frames *angles"]:
     """Remove each angle's mean over the frames where it is known: two skeletons call different angles straight.
 

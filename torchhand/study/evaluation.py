@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from torchhand.errors import InputError
 from torchhand.files.track_record import Track
-from torchhand.study.angles import flexion_deg, without_offset
+from torchhand.study.angles import flexion_deg, proximal_turns_deg, without_offset, wrapped_deg
 from torchhand.study.continuity import continuity
 from torchhand.study.finite import is_finite_set, max_finite, mean_finite, median_finite, rms_finite
 from torchhand.study.nees import consistency
@@ -98,7 +98,11 @@ def _planar_motion(track: Track, true_px: Float[np.ndarray, "frames 21 2"]) -> F
     motion = planar_motion_errors(track.keypoints2d, true_px)
     if motion is None:
         return None
+    turns = [proximal_turns_deg(points, motion.reference) for points in (track.keypoints2d, true_px)]
+    spreading = np.delete(np.abs(wrapped_deg(turns[0] - turns[1])), motion.reference, axis=0)
     return {
+        "proximal_turn_mean_deg": mean_finite(spreading),
+        "proximal_turn_largest_deg": max_finite(spreading),
         "reference_frame": int(track.frame[motion.reference]),
         "frames": int(is_finite_set(track.keypoints2d).sum()),
         "rotation_rms_deg": rms_finite(motion.rotation_deg),
