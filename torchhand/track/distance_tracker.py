@@ -5,7 +5,6 @@ the filter observes (section 7.5). What the paper only announces is here: flexio
 learned, and more starts where the motion was sudden.
 """
 
-import math
 from dataclasses import replace
 
 import torch
@@ -29,22 +28,20 @@ from torchhand.numerics import (
 from torchhand.residuals import PostureResiduals
 from torchhand.track.appearance import touching
 from torchhand.track.contour_points import hand_length_px, is_in_picture
+from torchhand.track.distance_search import FrameSearch
 from torchhand.track.distance_settings import DistanceTrackerSettings
 from torchhand.track.measured import Measured
 from torchhand.track.picture_contours import PictureContours, picture_contours
-from torchhand.track.registration import Registration, register
-from torchhand.track.registration_settings import RegistrationSettings
+from torchhand.track.registration import Registration
 from torchhand.track.segment_observation import SCALARS, SegmentObservation
 from torchhand.track.start import Start, StartPoints
 from torchhand.track.state import TrackerState
-from torchhand.track.sudden import other_fingers, other_postures, turned_hands
 from torchhand.track.tracker import HandTracker, start_spread
 from torchhand.view.contours import Contours, PrimitiveContours
 from torchhand.view.mesh_contours import MeshContours
 
 _HOLE = 3e-4  # largest hole of a silhouette that is filled, squares of the hand's length
 _ROOT = 6
-_PROMISING = 6  # starts of a search that are followed up
 _FEWEST = 16  # points of the model's contour
 
 
@@ -71,30 +68,40 @@ class DistanceTracker(HandTracker[DistanceTrackerSettings]):
         self._contours: Contours | None = None
 
     def _settle(self, state: TrackerState, start: Start, image: Tensor, probability: Tensor) -> Measured:
-        shape, search = start.fit.shape, self.settings.search
-        picture = picture_contours(self._silhouette(state, shape, probability), search, image=image)
-        found = self._registered(state, shape, picture, state.base[None], search)
+        shape, settings = start.fit.shape, self.settings.search
+        picture = picture_contours(self._silhouette(state, shape, probability), settings, image=image)
+        found = self._search(state, shape, image).best(picture, state.base[None], settings)
         if not bool(found.cost.isfinite()):
             return Measured(state=state)
         return self._judged(self._at(state, found), shape, picture)
 
     def _measure(self, state: TrackerState, shape: Tensor, image: Tensor, probability: Tensor) -> Measured:
         s, predicted = self.settings, replace(self._predicted(state), turn=state.turn + 1)
-        mask = self._silhouette(predicted, shape, probability)
-        picture = picture_contours(mask, s.registration, image=image)
-        poses = torch.stack((self._rebased.pose(predicted), self._rebased.pose(state)))
-        found = self._registered(state, shape, picture, poses, s.registration)
+        picture = picture_contours(self._silhouette(predicted, shape, probability), s.registration, image=image)
+        search = self._search(state, shape, image)
+        found = search.best(picture, torch.stack((self._rebased.pose(predicted), search.pose)), s.registration)
         if s.hypotheses and bool(self.space.basis[_ROOT:].any()):
-            if self._badness(shape, found) > 1:
-                found, picture = self._mended(state, shape, image, probability, picture, found)
+            if search.badness(found) > 1:
+                found, picture = search.mended(found, picture, largest_component(clean(probability > 0.5)))
             else:
-                found = self._reconsidered(state, shape, picture, found)
+                found = search.reconsidered(found, picture, state.turn)
         if not bool(found.cost.isfinite()):
             return self._judged(self._rebased(predicted), shape, picture)
         following = self._filtered(predicted, shape, found) if s.filter == "extended" else self._at(predicted, found)
         return self._judged(following, shape, picture)
 
-    # ------------------------------------------------------------------ registration
+    def _search(self, state: TrackerState, shape: Tensor, image: Tensor) -> FrameSearch:
+        return FrameSearch(
+            settings=self.settings,
+            space=self.space.about(state.base),
+            contours=self._contours_of(shape),
+            projector=self._projectors_of(shape)[0],
+            constraints=self._constraints,
+            prior=self._prior,
+            image=image,
+            pose=self._rebased.pose(state),
+            reference=state.reference,
+        )
 
     def _silhouette(self, state: TrackerState, shape: Tensor, probability: Tensor) -> Bool[Tensor, "height width"]:
         """The pieces of the picture's silhouette that the predicted hand touches."""
@@ -112,107 +119,6 @@ class DistanceTracker(HandTracker[DistanceTrackerSettings]):
             else:
                 self._contours = PrimitiveContours(self._projectors_of(shape)[0], self.table, self.space.basis)
         return self._contours
-
-    def _registered(
-        self,
-        state: TrackerState,
-        shape: Tensor,
-        picture: PictureContours,
-        poses: Float[Tensor, "hypotheses 36"],
-        settings: RegistrationSettings,
-        references: Float[Tensor, "#hypotheses 3 3"] | None = None,
-    ) -> Registration:
-        """The best of some starts, about the state's reference where no others are given."""
-        found = self._all_registered(state, shape, picture, poses, settings, references)
-        return found.select(found.best)
-
-    def _all_registered(
-        self,
-        state: TrackerState,
-        shape: Tensor,
-        picture: PictureContours,
-        poses: Float[Tensor, "hypotheses 36"],
-        settings: RegistrationSettings,
-        references: Float[Tensor, "#hypotheses 3 3"] | None = None,
-    ) -> Registration:
-        return register(
-            picture,
-            self._contours_of(shape),
-            self.space.about(state.base),
-            poses,
-            state.reference[None] if references is None else references,
-            settings,
-            constraints=self._constraints,
-            prior=self._prior,
-        )
-
-    def _found_elsewhere(self, state: TrackerState, shape: Tensor, image: Tensor, mask: Tensor) -> Registration | None:
-        """The best of many places and directions, with the fingers as they were and as at the start.
-
-        All of them on the coarsest map, the most promising ones on the finer maps as well.
-        """
-        search, pose = self.settings.search, self._rebased.pose(state)
-        model = self._projectors_of(shape)[0].silhouette(pose, state.reference)
-        starts = turned_hands(pose, state.reference, model, mask, self.camera)
-        if starts is None:
-            return None
-        coarse = replace(search, levels=search.levels[:1])
-        poses = torch.cat(
-            (starts.pose, torch.cat((starts.pose[:, :_ROOT], state.base[_ROOT:].expand(len(starts.pose), -1)), -1))
-        )
-        references = starts.root_reference.repeat(2, 1, 1)
-        rough = self._all_registered(state, shape, picture_contours(mask, coarse), poses, coarse, references)
-        best = rough.cost.argsort()[:_PROMISING]
-        picture = picture_contours(mask, search, image=image)
-        return self._registered(state, shape, picture, rough.pose[best], search, rough.root_reference[best])
-
-    def _badness(self, shape: Tensor, found: Registration) -> float:
-        """Distance of the contours from each other over the one that is bad; infinite where nothing was found."""
-        length_px = hand_length_px(self.camera, self.kinematics, found.pose, shape)
-        share = float(found.contour_px) / length_px / self.settings.bad_share
-        return share if math.isfinite(share) else math.inf
-
-    def _mended(
-        self,
-        state: TrackerState,
-        shape: Tensor,
-        image: Tensor,
-        probability: Tensor,
-        picture: PictureContours,
-        found: Registration,
-    ) -> tuple[Registration, PictureContours]:
-        """The better of a bad registration and of those from other places, directions, postures and fingers."""
-        s = self.settings
-        if self._badness(shape, found) > s.sudden:
-            mask = largest_component(clean(probability > 0.5))
-            other = self._found_elsewhere(state, shape, image, mask)
-            if other is not None and float(other.cost) < float(found.cost):
-                found, picture = other, picture_contours(mask, s.registration, image=image)
-        if self._badness(shape, found) > 1:
-            postures = other_postures(found.pose, state.base, s.postures)
-            poses = torch.cat((postures, other_fingers(found.pose, state.base)))
-            other = self._registered(state, shape, picture, poses, s.registration, found.root_reference[None])
-            found = other if float(other.cost) < float(found.cost) else found
-        return found, picture
-
-    def _reconsidered(
-        self, state: TrackerState, shape: Tensor, picture: PictureContours, found: Registration
-    ) -> Registration:
-        """A registration, or a cheaper one with another finger elsewhere: the outline may bear out both.
-
-        The fingers take turns. A promising one has further to go than a prediction and is registered twice.
-        """
-        s = self.settings
-        starts = other_fingers(found.pose, state.base)
-        due = [(state.turn * s.reconsidered + i) % len(starts) for i in range(min(s.reconsidered, len(starts)))]
-        if not due:
-            return found
-        poses, reference = starts[due], found.root_reference[None]
-        other = self._registered(state, shape, picture, poses, s.registration, reference)
-        if float(other.cost) < s.promising * float(found.cost):
-            reference = other.root_reference[None]
-            other = self._registered(state, shape, picture, other.pose[None], s.registration, reference)
-        return other if float(other.cost) < float(found.cost) else found
 
     # ------------------------------------------------------------------ filter
 
