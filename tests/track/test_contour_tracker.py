@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchhand.files import load_hand_model
+from torchhand.geometry import rotation_from_vector
 from torchhand.hand import DOFS
 from torchhand.image import EdgeSettings
 from torchhand.numerics import Gaussian, MotionModel, UnscentedSettings
@@ -417,3 +418,18 @@ def test_the_colours_follow_changing_light(studio: Any, every: int, is_right: bo
     assert ((last.overlap or 0.0) > 0.8) == is_right
     if is_right:
         assert float((last.keypoints_px - film.keypoints_px[-1]).norm(dim=-1).mean()) < 2.0
+
+
+def test_a_correction_does_not_turn_the_hand_over(film: Any, followed: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fresh search that explains more takes over within a track, but not with the hand's other side."""
+    _, memory, _, states = followed
+    better = replace(LossSettings(), doubt_drop=0.0, search_every=1, better_by=0.0)
+    doubting = ContourTracker(film.kinematics, film.camera, 30.0, ContourTrackerSettings(loss=better))
+    memory = replace(memory, overlap=1.0)
+    for axis, takes_over in ((torch.tensor([0.0, 0.0, 0.1]), True), (torch.tensor([0.0, math.pi, 0.0]), False)):
+        turned = replace(states[0], reference=rotation_from_vector(axis.double()) @ states[0].reference)
+        found = Estimate(status="recovered", overlap=1.0)
+        monkeypatch.setattr(doubting, "_restart", lambda *_, t=turned, f=found: (t, memory, f))
+        state, _, estimate = doubting.step(states[0], memory, film.images[1])
+        assert (state is turned) == takes_over
+        assert estimate.status == "tracked"
