@@ -138,6 +138,43 @@ def test_empty_and_full_masks_have_no_boundary() -> None:
         assert float(gradient.abs().max()) == 0
 
 
+@pytest.mark.parametrize(("pitch", "channels"), [(1, 1), (1, 8), (2, 8), (3, 4)])
+def test_what_lies_around_does_not_matter(pitch: int, channels: int) -> None:
+    """The same hand elsewhere in a larger picture: the same field and the same points, moved."""
+    mask = disc(21.0) | disc(14.0).roll(12, 0)
+    step = (6 * 7, 6 * 9)  # of rows and columns, multiples of every pitch
+    larger = torch.zeros(HEIGHT + 130, WIDTH + 150, dtype=torch.bool)
+    larger[step[0] : step[0] + HEIGHT, step[1] : step[1] + WIDTH] = mask
+    moved = torch.tensor((step[1], step[0]), dtype=torch.float64)
+    y, x = torch.meshgrid(torch.arange(4, HEIGHT - 6, 3.7), torch.arange(4, WIDTH - 6, 3.3), indexing="ij")
+    probe = torch.stack((x, y), -1).reshape(-1, 2).double()
+    channel = torch.arange(len(probe)) % channels
+    fields = (boundary_field(one, pitch_px=pitch, channels=channels, reach_px=200.0) for one in (mask, larger))
+    (value, slope), (other, other_slope) = (
+        field.sample(points, channel) for field, points in zip(fields, (probe, probe + moved), strict=True)
+    )
+    torch.testing.assert_close(value, other, atol=1e-4, rtol=0)
+    torch.testing.assert_close(slope, other_slope, atol=1e-4, rtol=0)
+    one, two = (boundary_points(picture, 60) for picture in (mask, larger))
+    torch.testing.assert_close(one.points_px + moved, two.points_px)
+    torch.testing.assert_close(one.normals, two.normals)
+
+
+def test_maps_reach_as_far_as_they_are_asked_to() -> None:
+    """Within the reach nothing changes; the margin is 8 pixels of the map more."""
+    whole, near = boundary_field(disc(12.0)), boundary_field(disc(12.0), reach_px=3.0)
+    assert near.maps.shape[-1] == 26 + 2 * (3 + 8)  # 24 columns of the disc, and those beside it
+    angle = torch.arange(0.0, 6.2, 0.1, dtype=torch.float64)
+    probe = CENTRE + 22 * torch.stack((angle.cos(), angle.sin()), -1)
+    torch.testing.assert_close(near.sample(probe)[0], whole.sample(probe)[0], atol=1e-6, rtol=0)
+    points = torch.tensor([[30.0, 40.0], [42.0, 47.0]])
+    around = point_field(points, WIDTH, HEIGHT, pitch_px=0.5, reach_px=2.0)
+    assert tuple(around.maps.shape[-2:]) == (2 * 7 + 1 + 2 * (4 + 8), 2 * 12 + 1 + 2 * (4 + 8))
+    probe = torch.tensor([[36.0, 41.0], [43.5, 48.5]], dtype=torch.float64)
+    expected = point_field(points, WIDTH, HEIGHT, pitch_px=0.5).sample(probe)[0]
+    torch.testing.assert_close(around.sample(probe)[0], expected, atol=1e-6, rtol=0)
+
+
 def test_refuses_nonsense() -> None:
     with pytest.raises(ValueError, match="expected 1 or more, got 0 and 1"):
         boundary_field(disc(10.0), pitch_px=0)

@@ -1,6 +1,6 @@
 """Residuals of contours: derivatives against autograd, values at hands that are known, what degenerate fits cost."""
 
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -17,7 +17,7 @@ def slope(residual: Any, straight: Any) -> Tensor:
     def of(free: Tensor) -> Tensor:
         return residual(type(straight)(straight.start, straight.slopes, free))[0]
 
-    whole = torch.autograd.functional.jacobian(of, straight.free)
+    whole = cast(Tensor, torch.autograd.functional.jacobian(of, straight.free))
     return torch.stack([whole[i, :, i] for i in range(len(straight.free))])
 
 

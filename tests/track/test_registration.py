@@ -246,6 +246,17 @@ def test_limits_hold_and_small_spaces_keep_the_rest(case: Case, picture: Picture
     assert float(vector_from_rotation(moved.root_reference @ case.reference.T).norm()) < 0.01
 
 
+def test_a_space_s_own_rotation_means_nothing(case: Case, picture: PictureContours) -> None:
+    """The root turns about its reference: a space through a turned pose gives what one through the pose does."""
+    pose, reference = case.starts(2)
+    turned = case.truth.clone()
+    turned[3:6] = torch.tensor((0.3, -0.2, 0.4), dtype=torch.float64)
+    spaces = [SPACE.about(case.truth), SPACE.about(turned)]
+    one, other = (register(picture, case.contours, space, pose, reference) for space in spaces)
+    torch.testing.assert_close(other.pose, one.pose, atol=1e-9, rtol=0)
+    torch.testing.assert_close(other.root_reference, one.root_reference, atol=1e-9, rtol=0)
+
+
 def test_prior_draws_towards_likely_postures(case: Case, picture: PictureContours) -> None:
     """With little contour to go by, the posture prior decides about flexion."""
     prior = PostureResiduals.of(case.model.prior().postures)

@@ -15,6 +15,7 @@ from torchhand.view import mesh_silhouette, outline_table
 from torchhand.view.contour_jacobian import OutlineTracer
 from torchhand.view.contours import ContourLook, Contours, PrimitiveContours
 from torchhand.view.mesh_contours import MeshContours
+from torchhand.view.springs import Springs
 
 STEP = 1e-6
 TABLE = outline_table(4, 5, without=("palm_wrist",))
@@ -74,6 +75,48 @@ def test_edges_of_the_mesh_move_exactly(scene: Any, generator: torch.Generator) 
     expected = (moved * direction[..., None]).sum(-2)
     torch.testing.assert_close(motion.along(direction), expected, atol=1e-4, rtol=0)
     torch.testing.assert_close(motion.points_px, look.points_px, atol=1e-9, rtol=0)
+
+
+@pytest.mark.parametrize("kind", ["pinhole", "orthographic", "lens"])
+@pytest.mark.parametrize("surface", ["primitives", "mesh"])
+def test_springs_pull_as_rows_of_a_jacobian_do(surface: str, kind: str, scene: Any, generator: torch.Generator) -> None:
+    """Normal equations in all DOFs against those of the rows, for two springs at every point."""
+    camera = scene.camera("orthographic" if kind == "orthographic" else "pinhole", lens=5 if kind == "lens" else 0)
+    space = named_pose_space("dof36")
+    hand = load_hand_model().hand(dtype=torch.float64)
+    contours = (
+        MeshContours(hand, camera, space.basis, points=60)
+        if surface == "mesh"
+        else PrimitiveContours(scene.projector(camera), TABLE, space.basis)
+    )
+    pose, reference = hands(scene, generator, space)
+    look = contours.look(pose, reference, beyond_px=3.0)
+    motion = contours.motion(pose, reference, look)
+    count = look.points_px.shape[1]
+    direction = torch.randn(2, 2, 2, count, generator=generator, dtype=torch.float64)
+    stiffness = torch.rand(2, 2, count, generator=generator, dtype=torch.float64)
+    residual = torch.randn(2, 2, count, generator=generator, dtype=torch.float64)
+    springs = Springs(direction=direction, stiffness=stiffness, pull=stiffness * residual)
+    matrix, gradient = motion.equations(springs)
+    rows = torch.cat([motion.along(part.mT) for part in direction.unbind(1)], 1)
+    weighted = stiffness.flatten(1)[..., None] * rows
+    scale = float((rows.mT @ weighted).abs().max())
+    torch.testing.assert_close(matrix, rows.mT @ weighted, atol=1e-12 * scale, rtol=0)
+    expected = (residual.flatten(1)[:, None] @ weighted).squeeze(1)
+    torch.testing.assert_close(gradient, expected, atol=1e-12 * scale, rtol=0)
+
+
+@pytest.mark.parametrize("surface", ["primitives", "mesh"])
+def test_the_motion_at_the_look_is_that_of_its_pose(surface: str, scene: Any, generator: torch.Generator) -> None:
+    contours = surfaces(scene)[surface]
+    pose, reference = hands(scene, generator, named_pose_space("dof36"))
+    look = contours.look(pose, reference, beyond_px=3.0)
+    motion = contours.motion(pose, reference, look)
+    is_real = look.outer | look.inner
+    torch.testing.assert_close(look.points_px[is_real], motion.points_px[is_real], atol=1e-9, rtol=0)
+    if look.motion is not None:
+        torch.testing.assert_close(look.motion.columns_px, motion.columns_px, atol=1e-12, rtol=0)
+        assert look.rows(torch.tensor([1])).motion is None
 
 
 def facing_hand(scene: Any, name: str) -> tuple[Tensor, Tensor]:

@@ -19,7 +19,9 @@ from torchhand.cli.benchmark_hand import (
     kinematics_forward_backward,
     skinning,
 )
+from torchhand.cli.benchmark_iteration import lm_iteration_jacfwd, lm_iteration_pypose
 from torchhand.cli.benchmark_model import keypoints_to_pose, mesh_silhouettes, mesh_volume, pose_projection
+from torchhand.cli.benchmark_registration import many_hypotheses, one_registration
 from torchhand.cli.benchmark_tracking import filter_update, own_environment, track_memory, tracking
 from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.errors import InputError
@@ -39,6 +41,10 @@ Name = Literal[
     "pose_projection",
     "keypoints_to_pose",
     "filter_update",
+    "registration",
+    "registration_many",
+    "lm_iteration_jacfwd",
+    "lm_iteration_pypose",
     "track_planar_360x288",
     "track_full_640x480",
     "track_memory",
@@ -63,11 +69,13 @@ class Arguments:
     only: Annotated[tuple[Name, ...], arg(metavar="NAME")] = ()
     """Measure these alone: kinematics_forward, kinematics_forward_backward, kinematics_compiled, skinning_forward_4096,
     skinning_gradients_64, skinning_gradients_1024, mesh_silhouettes, mesh_volume, pose_projection, keypoints_to_pose,
-    filter_update, track_planar_360x288, track_full_640x480, track_memory."""
+    filter_update, registration, registration_many, lm_iteration_jacfwd, lm_iteration_pypose, track_planar_360x288,
+    track_full_640x480, track_memory."""
     everything: Annotated[bool, arg(name="all")] = False
     """Measure everything; without it track_memory, which takes a minute, is left out."""
     repeats: int | None = None
-    """Repeats of every measurement; 15, for skinning 9, for trackers 5. Memory is measured once."""
+    """Repeats of every measurement; 15, for skinning and iterations 9, for trackers 5, for many hypotheses 3. Memory is
+    measured once."""
     threads: int = 1
     """Threads of torch and numpy, for ours and the peers alike."""
 
@@ -131,6 +139,10 @@ _MEASURES: dict[Name, Callable[[str, int | None], Figure]] = {
     "pose_projection": pose_projection,
     "keypoints_to_pose": keypoints_to_pose,
     "filter_update": filter_update,
+    "registration": one_registration,
+    "registration_many": many_hypotheses,
+    "lm_iteration_jacfwd": lm_iteration_jacfwd,
+    "lm_iteration_pypose": lm_iteration_pypose,
     "track_planar_360x288": partial(
         tracking, config="contour_planar", motion="planar", size=(360, 288), frames=40, must=60.0, aim=150.0
     ),

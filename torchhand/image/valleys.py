@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 _INSIDE = 0.52  # the lowest place may lie this far from the pixel's centre along x and y: half, and rounding
+_REACH_SIGMAS = 4.0  # of the filters
 _HEAVY_SIGMAS = 3.0  # places so near to the region's rim are told by the rim
 
 
@@ -99,11 +100,16 @@ def find_valleys(
     return Valleys(points_px=points, directions=directions, strength=strengths)
 
 
+def valley_reach(settings: ValleySettings) -> int:
+    """How far around a region the picture matters to the valleys within it, px."""
+    return int(np.ceil(_REACH_SIGMAS * settings.sigma_px)) + 1
+
+
 def _derivatives(
     picture: np.ndarray, sigma: float
 ) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Slopes and second derivatives of the picture smoothed by a Gaussian: separable, exact derivatives of it."""
-    reach = int(np.ceil(4 * sigma))
+    reach = int(np.ceil(_REACH_SIGMAS * sigma))
     t = np.arange(-reach, reach + 1, dtype=np.float64)
     bell = np.exp(-0.5 * (t / sigma) ** 2)
     bell /= bell.sum()

@@ -25,27 +25,22 @@ def damped_box_step(
     """
     diagonal = matrix.diagonal(dim1=-2, dim2=-1)
     least = _LEAST_DIAGONAL * diagonal.amax(-1, keepdim=True) + torch.finfo(matrix.dtype).tiny
-    damped = matrix.clone()
-    damped.diagonal(dim1=-2, dim2=-1).add_(damping[:, None] * diagonal.clamp_min(least) + least)
+    damped = matrix + (damping[:, None] * torch.maximum(diagonal, least) + least).diag_embed()
     if room_below is None or room_above is None:
         return _solved(damped, -gradient)
     pinned = ((room_below >= 0) & (gradient > 0)) | ((room_above <= 0) & (gradient < 0))
     step, is_solved = _solved_with_pinned(damped, gradient, pinned, torch.zeros_like(gradient))
-    open_problems = torch.arange(len(step), device=step.device)
+    leads_out = (step < room_below) | (step > room_above)
     for _ in range(_PASSES):
-        tried = step[open_problems]
-        below, above = room_below[open_problems], room_above[open_problems]
-        leads_out = (tried < below) | (tried > above)
         again = leads_out.any(-1).nonzero()[:, 0]
         if not len(again):
-            break
-        open_problems = open_problems[again]
-        pinned_here = pinned[open_problems] | leads_out[again]
-        pinned[open_problems] = pinned_here
-        held = torch.where(pinned_here, tried[again].clamp(below[again], above[again]), 0.0)
-        solved, is_fine = _solved_with_pinned(damped[open_problems], gradient[open_problems], pinned_here, held)
-        step[open_problems] = solved
-        is_solved[open_problems] &= is_fine
+            return step, is_solved
+        pinned = pinned | leads_out
+        held = torch.where(pinned[again], step[again].clamp(room_below[again], room_above[again]), 0.0)
+        solved, is_fine = _solved_with_pinned(damped[again], gradient[again], pinned[again], held)
+        step[again] = solved
+        is_solved[again] &= is_fine
+        leads_out = (step < room_below) | (step > room_above)
     return step.clamp(room_below, room_above), is_solved
 
 

@@ -1,6 +1,7 @@
 """The state of many damped Gauss-Newton iterations: propose a step for each problem, judge it, drop what is done."""
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -22,6 +23,9 @@ class DampedIteration:
     """Where the problems under way stand; every tensor has one row per problem."""
 
     rows: Tensor
+    low: Tensor | None
+    high: Tensor | None
+    """Bounds of the values, both or neither."""
     values: Tensor
     matrix: Tensor
     gradient: Tensor
@@ -38,13 +42,21 @@ class DampedIteration:
 
     @classmethod
     def begin(
-        cls, values: Tensor, rows: Tensor, first: NormalEquations, settings: LevenbergMarquardtSettings
+        cls,
+        values: Tensor,
+        bounds: tuple[Tensor | None, Tensor | None],
+        first: NormalEquations,
+        settings: LevenbergMarquardtSettings,
     ) -> "DampedIteration":
         is_sound = _is_finite(first)
         zero = torch.zeros_like(first.cost)
         status = torch.where(is_sound, Status.STALLED.value, Status.FAILED.value)
+        rows = torch.arange(len(values), device=values.device)
+        low, high = bounds
         return cls(
             rows=rows,
+            low=low,
+            high=high,
             values=values,
             matrix=first.matrix,
             gradient=first.gradient,
@@ -58,33 +70,24 @@ class DampedIteration:
             promised=zero,
         )
 
-    def propose(self, low: Tensor | None, high: Tensor | None, settings: LevenbergMarquardtSettings) -> None:
+    def propose(self, settings: LevenbergMarquardtSettings) -> None:
         """Find the next trial of every open problem; those that have arrived are closed."""
-        chosen = self.is_open.nonzero()[:, 0]
-        whole = len(chosen) == len(self.rows)
-        matrix, gradient, damping, values = (
-            tensor if whole else tensor[chosen] for tensor in (self.matrix, self.gradient, self.damping, self.values)
-        )
-        below, above = (None if bound is None else bound[self.rows[chosen]] for bound in (low, high))
-        rooms = [None if bound is None else bound - values for bound in (below, above)]
-        step, is_solved = damped_box_step(matrix, gradient, damping, *rooms)
-        curvature = (step * (matrix @ step[..., None]).squeeze(-1)).sum(-1)
-        promised = -(gradient * step).sum(-1) - 0.5 * curvature
-        cost = self.cost[chosen]
+        rooms = (None if bound is None else bound - self.values for bound in (self.low, self.high))
+        step, is_solved = damped_box_step(self.matrix, self.gradient, self.damping, *rooms)
+        pull = torch.add(self.gradient, (self.matrix @ step[..., None]).squeeze(-1), alpha=0.5)
+        promised = -(step * pull).sum(-1)
         length = step.norm(dim=-1)
-        rounding = _ROUNDING * torch.finfo(cost.dtype).eps
-        is_small = length <= max(settings.step_tolerance, rounding) * values.norm(dim=-1)
-        is_small = (is_small | (promised <= max(settings.cost_tolerance, rounding) * cost)) & is_solved
-        arrived = (is_small & (damping <= _DAMPING_OF_GAUSS_NEWTON)) | (cost <= settings.cost_floor)
+        rounding = _ROUNDING * torch.finfo(step.dtype).eps
+        is_small = length <= max(settings.step_tolerance, rounding) * self.values.norm(dim=-1)
+        is_small |= promised <= max(settings.cost_tolerance, rounding) * self.cost
         # A zero step at high damping: every variable is held by its bound.
-        arrived |= is_solved & (length == 0)
-        self.status[chosen[arrived]] = Status.CONVERGED.value
-        self.is_open[chosen[arrived | (damping > settings.most_damping)]] = False
-        trial = values + step if below is None else (values + step).clamp(below, above)
-        self.trial[chosen] = torch.where(is_solved[:, None], trial, values)
-        self.promised[chosen] = torch.where(is_solved, promised, torch.inf)
-        closed = (~self.is_open).nonzero()[:, 0]
-        self.trial[closed] = self.values[closed]
+        arrived = is_solved & ((is_small & (self.damping <= _DAMPING_OF_GAUSS_NEWTON)) | (length == 0))
+        arrived = self.is_open & (arrived | (self.cost <= settings.cost_floor))
+        self.status = self.status.masked_fill(arrived, Status.CONVERGED.value)
+        self.is_open = self.is_open & ~arrived & (self.damping <= settings.most_damping)
+        trial = self.values + step if self.low is None else (self.values + step).clamp(self.low, self.high)
+        self.trial = torch.where((self.is_open & is_solved)[:, None], trial, self.values)
+        self.promised = promised.masked_fill(~is_solved, torch.inf)
 
     def judge(self, found: NormalEquations, settings: LevenbergMarquardtSettings) -> None:
         """Take the trials that lower the cost, and set the damping."""
@@ -100,7 +103,6 @@ class DampedIteration:
         self.factor = torch.where(better, _REFUSED, torch.where(refused, 2 * self.factor, self.factor))
         if bool(better.all()):
             self.values, self.matrix, self.gradient, self.cost = self.trial, found.matrix, found.gradient, found.cost
-            self.trial = self.trial.clone()
             return
         self.values = torch.where(better[:, None], self.trial, self.values)
         self.gradient = torch.where(better[:, None], found.gradient, self.gradient)
@@ -109,14 +111,25 @@ class DampedIteration:
 
     def select(self, chosen: Tensor) -> "DampedIteration":
         """The given problems."""
-        return DampedIteration(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
+
+        def own(name: str) -> Any:
+            value = getattr(self, name)
+            return None if value is None else value[chosen]
+
+        return DampedIteration(**{field.name: own(field.name) for field in fields(self)})
 
     @classmethod
     def joined(cls, parts: list["DampedIteration"]) -> "DampedIteration":
         """All problems again, in their first order."""
+        if len(parts) == 1:
+            return parts[0]
         order = torch.cat([part.rows for part in parts]).argsort()
-        columns = {field.name: [getattr(part, field.name) for part in parts] for field in fields(cls)}
-        return cls(**{name: torch.cat(column)[order] for name, column in columns.items()})
+
+        def whole(name: str) -> Any:
+            values = [getattr(part, name) for part in parts]
+            return None if values[0] is None else torch.cat(values)[order]
+
+        return cls(**{field.name: whole(field.name) for field in fields(cls)})
 
 
 def _is_finite(found: NormalEquations) -> Tensor:

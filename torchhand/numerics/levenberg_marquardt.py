@@ -72,12 +72,12 @@ def levenberg_marquardt(
 
     values = start.reshape(-1, size)
     values = values.clone() if low is None else values.clamp(low, high)
-    rows = torch.arange(len(values), device=values.device)
-    begun = evaluate(values, rows) if first is None else _in_a_row(first, size)
-    work = DampedIteration.begin(values, rows, begun, settings)
+    if first is None:
+        first = evaluate(values, torch.arange(len(values), device=values.device))
+    work = DampedIteration.begin(values, (low, high), _in_a_row(first, size), settings)
     done: list[DampedIteration] = []
     for _ in range(settings.iterations):
-        work.propose(low, high, settings)
+        work.propose(settings)
         left = work.is_open.nonzero()[:, 0]
         if not len(left):
             break

@@ -1,10 +1,11 @@
 """Static limits and dynamic constraints of the joint angles as residuals (paper 000, section 3.2; FACTS 2)."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchhand.hand import DOFS, JOINT_DOFS, PoseConstraints
@@ -12,6 +13,7 @@ from torchhand.hand.couplings import ABDUCTIONS, FLEXIONS, TIES
 
 _ROOT = len(DOFS) - len(JOINT_DOFS)
 _COUNT = len(JOINT_DOFS)
+_FINGERS = len(FLEXIONS)
 
 
 def limit_residual(
@@ -45,36 +47,84 @@ class DynamicConstraints:
         return value, slope @ self.basis[_ROOT:].to(joints)
 
     def of_joints(
-        self, pose: Float[Tensor, "*batch 36"]
+        self, pose: Float[Tensor, "*batch 36"], *, has_ties: bool = True
     ) -> tuple[Float[Tensor, "*batch rows"], Float[Tensor, "*batch rows 30"]]:
-        """The same, derived in the joint angles."""
-        joints = pose[..., _ROOT:]
-        settings, skeleton = self.constraints.settings, self.constraints.skeleton
-        softness = math.radians(settings.softness_deg)
-        matrix, bound = (x[2 * _COUNT :].to(joints) for x in (self.constraints.matrix, self.constraints.bound))
-        over = (joints @ matrix.T - bound).clamp_min(0) / softness
-        of_bands = (over > 0).to(joints)[..., None] * (matrix / softness)
+        """The same, derived in the joint angles. has_ties: whether the ties are among the rows."""
+        c, joints = self._constants.to(pose), pose[..., _ROOT:]
+        bent, abduction, flexion = (joints @ c.rows.mT).split((len(c.bound), _FINGERS, _FINGERS), -1)
+        room = 1 - flexion.clamp(0.0, 1.0)  # equation (2)
+        beyond = abduction - torch.minimum(torch.maximum(abduction, c.lower * room), c.upper * room)
+        values = torch.cat(((bent - c.bound).clamp_min(0), beyond), -1)
+        is_over = values != 0
+        slopes = is_over[..., None] * c.rows[:-_FINGERS]
+        # What the room takes from the limit that is exceeded.
+        shrinks = torch.where(beyond > 0, c.upper, c.lower) * ((room > 0) & (room < 1)) * is_over[..., -_FINGERS:]
+        slopes[..., -_FINGERS:, :] += shrinks[..., None] * c.rows[-_FINGERS:]
+        if not has_ties:
+            return values, slopes
+        wanted = c.tie_factor * joints[..., c.sources] + c.tie_offset
+        held = torch.minimum(torch.maximum(wanted, c.tie_lower), c.tie_upper)
+        missed = (joints[..., c.targets] - held) / c.tie_spread
+        of_ties = c.target_rows - (wanted == held)[..., None] * c.source_rows
+        return torch.cat((values, missed), -1), torch.cat((slopes, of_ties), -2)
 
-        flexion, abduction = joints[..., list(FLEXIONS)], joints[..., list(ABDUCTIONS)]
-        low, high = self.constraints.abduction_limits(flexion)
-        beyond = (abduction - torch.minimum(torch.maximum(abduction, low), high)) / softness
-        end = self.constraints.vanishes_at
-        limit = torch.where(beyond > 0, skeleton.upper.to(joints)[list(ABDUCTIONS)], 0.0)
-        limit = torch.where(beyond < 0, skeleton.lower.to(joints)[list(ABDUCTIONS)], limit)
-        shrinks = limit * ((flexion > 0) & (flexion < end)) / (end * softness)  # what the room takes from the limit
-        unit = torch.eye(_COUNT, dtype=joints.dtype, device=joints.device)
-        of_room = ((beyond != 0).to(joints) / softness)[..., None] * unit[list(ABDUCTIONS)]
-        of_room = of_room + shrinks[..., None] * unit[list(FLEXIONS)]
+    @cached_property
+    def _constants(self) -> "_Constants":
+        with torch.inference_mode(False):  # kept for callers in any mode
+            return _Constants.of(self.constraints)
 
-        spread = joints.new_tensor(settings.tie_spread)
-        sources, targets = [tie.source for tie in TIES], [tie.target for tie in TIES]
-        factor, offset = (joints.new_tensor([getattr(tie, name) for tie in TIES]) for name in ("factor", "offset"))
-        wanted = factor * joints[..., sources] + offset
-        held = torch.minimum(
-            torch.maximum(wanted, skeleton.lower.to(joints)[targets]), skeleton.upper.to(joints)[targets]
+
+@dataclass(frozen=True, kw_only=True)
+class _Constants:
+    """Numbers of the constraints, laid out once."""
+
+    rows: Float[Tensor, "rows 30"]
+    """Of the bands and of the abductions, over the softness; then of the flexions, over that which leaves no room."""
+    bound: Float[Tensor, "bands"]
+    """Over the softness, like the limits."""
+    lower: Float[Tensor, "4"]
+    """Limits of the abductions."""
+    upper: Float[Tensor, "4"]
+    sources: Int[Tensor, "ties"]
+    targets: Int[Tensor, "ties"]
+    tie_factor: Float[Tensor, "ties"]
+    tie_offset: Float[Tensor, "ties"]
+    tie_lower: Float[Tensor, "ties"]
+    """Limits of the angles that follow, radians."""
+    tie_upper: Float[Tensor, "ties"]
+    tie_spread: Float[Tensor, "ties"]
+    source_rows: Float[Tensor, "ties 30"]
+    """Times the factors and over the spreads, like those of the targets."""
+    target_rows: Float[Tensor, "ties 30"]
+
+    @classmethod
+    def of(cls, constraints: PoseConstraints) -> "_Constants":
+        skeleton, settings = constraints.skeleton, constraints.settings
+        softness, unit = math.radians(settings.softness_deg), torch.eye(_COUNT, dtype=torch.float64)
+        abductions = torch.tensor(ABDUCTIONS)
+        sources, targets = (torch.tensor([getattr(tie, name) for tie in TIES]) for name in ("source", "target"))
+        factor, offset = (unit.new_tensor([getattr(tie, name) for tie in TIES]) for name in ("factor", "offset"))
+        spread = unit.new_tensor(settings.tie_spread)
+        softened = torch.cat((constraints.matrix[2 * _COUNT :], unit[abductions])) / softness
+        return cls(
+            rows=torch.cat((softened, unit[list(FLEXIONS)] / constraints.vanishes_at)),
+            bound=constraints.bound[2 * _COUNT :] / softness,
+            lower=skeleton.lower[abductions] / softness,
+            upper=skeleton.upper[abductions] / softness,
+            sources=sources,
+            targets=targets,
+            tie_factor=factor,
+            tie_offset=offset,
+            tie_lower=skeleton.lower[targets],
+            tie_upper=skeleton.upper[targets],
+            tie_spread=spread,
+            source_rows=(factor / spread)[:, None] * unit[sources],
+            target_rows=unit[targets] / spread[:, None],
         )
-        missed = (joints[..., targets] - held) / spread
-        of_ties = (
-            unit[targets] / spread[:, None] - ((wanted == held).to(joints) * factor / spread)[..., None] * unit[sources]
-        )
-        return torch.cat((over, beyond, missed), -1), torch.cat((of_bands, of_room, of_ties), -2)
+
+    def to(self, like: Tensor) -> "_Constants":
+        """In the dtype and on the device of a pose."""
+        if self.bound.dtype == like.dtype and self.bound.device == like.device:
+            return self
+        tensors = {f.name: getattr(self, f.name) for f in fields(self)}
+        return _Constants(**{name: x.to(like if x.is_floating_point() else like.device) for name, x in tensors.items()})

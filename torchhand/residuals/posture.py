@@ -48,7 +48,7 @@ class PostureResiduals:
     def likeliest(self, pose: Float[Tensor, "*batch 36"]) -> Int[Tensor, "*batch"]:
         """The posture of highest density at each pose."""
         joints = pose[..., _ROOT:].to(self.matrix)
-        missed = torch.einsum("kij,...j->...ki", self.matrix, joints) - self.offset
+        missed = (joints @ self.matrix.flatten(0, 1).T).unflatten(-1, self.offset.shape) - self.offset
         return (0.5 * missed.square().sum(-1) + self.level).argmin(-1)
 
     def residual(

@@ -49,12 +49,16 @@ class Expectation:
         columns: places of root_rx, root_ry and root_rz in the free parameters, -1 where one is not free.
         """
         free = self.free.expand(*root_reference.shape[:-2], -1).clone()
-        vector = torch.stack([free[..., c] if c >= 0 else torch.zeros_like(free[..., 0]) for c in columns], -1)
-        turned = vector_from_rotation(rotation_from_vector(vector) @ self.root_reference @ root_reference.mT)
-        for axis, column in enumerate(columns):
-            if column >= 0:
-                free[..., column] = turned[..., axis]
+        vector = vector_from_rotation(self._world_from_hand(columns) @ root_reference.mT)
+        own = [(column, axis) for axis, column in enumerate(columns) if column >= 0]
+        if own:
+            free[..., [column for column, _ in own]] = vector[..., [axis for _, axis in own]]
         return Expectation(free=free, root_reference=root_reference, whitening=self.whitening)
+
+    def _world_from_hand(self, columns: tuple[int, ...]) -> Float[Tensor, "*batch 3 3"]:
+        zero = torch.zeros_like(self.free[..., 0])
+        vector = torch.stack([self.free[..., column] if column >= 0 else zero for column in columns], -1)
+        return rotation_from_vector(vector) @ self.root_reference
 
 
 def smoothness_residual(

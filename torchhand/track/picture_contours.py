@@ -1,17 +1,20 @@
 """What registration keeps of a picture: its contour as distance maps from coarse to fine and as points, its valleys."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from torchhand.image.distance_fields import Boundary, DistanceField, boundary_field, boundary_points, point_field
-from torchhand.image.valleys import find_valleys
+from torchhand.image.valleys import find_valleys, valley_reach
+from torchhand.image.windows import Window
 from torchhand.track.registration_settings import RegistrationSettings
 
 _CELLS = 32  # a map is no coarser than the silhouette's size (root of its area) over so many cells
 _FEWEST = 16  # points of a contour
+_REACH = 4.0  # maps go so many robust distances beyond the contour: what is farther away counts for nothing
 _VALLEY_PITCH = 0.5  # px
 _GREY = (0.299, 0.587, 0.114)  # of red, green, blue
 
@@ -46,29 +49,41 @@ def picture_contours(
     picture's edge is no boundary anyway. An empty silhouette gives empty contours.
     """
     settings = settings or RegistrationSettings()
+    window = Window.around(mask.cpu().numpy(), valley_reach(settings.valleys))
+    size_px = math.hypot(window.right - window.left, window.bottom - window.top)
     finest = max(1, math.floor(math.sqrt(float(mask.sum())) / _CELLS))
-    made: dict[int, DistanceField] = {}
-    fields = []
-    for level in settings.levels:
-        pitch = min(level.pitch_px, finest)
-        if pitch not in made:
-            made[pitch] = boundary_field(mask, pitch_px=pitch, channels=settings.directions, ignored=ignored)
-        fields.append(made[pitch])
+    pitches = [min(level.pitch_px, finest) for level in settings.levels]
+    reaches: dict[int, float] = {}
+    for pitch, level in zip(pitches, settings.levels, strict=True):
+        reaches[pitch] = max(reaches.get(pitch, 0.0), _REACH * level.robust_share * size_px)
+    made = {
+        pitch: boundary_field(mask, pitch_px=pitch, channels=settings.directions, ignored=ignored, reach_px=reach)
+        for pitch, reach in reaches.items()
+    }
     valleys = None
     if image is not None and settings.valley_weight > 0:
-        found = find_valleys(_grey(image), settings.valleys, within=mask)
-        if len(found.points_px):
-            height, width = mask.shape
-            valleys = point_field(found.points_px, width, height, pitch_px=_VALLEY_PITCH)
+        valleys = _valleys(image, mask, window, settings, _REACH * settings.valley_robust_share * size_px)
     return PictureContours(
-        fields=tuple(fields),
+        fields=tuple(made[pitch] for pitch in pitches),
         boundary=boundary_points(mask, settings.boundary_points, ignored=ignored),
         valleys=valleys,
     )
 
 
+def _valleys(
+    image: Tensor, mask: Tensor, window: Window, settings: RegistrationSettings, reach_px: float
+) -> DistanceField | None:
+    """Distance from the valleys within the silhouette, found in the window around it."""
+    found = find_valleys(_grey(image[window.slices]), settings.valleys, within=mask[window.slices])
+    if not len(found.points_px):
+        return None
+    width, height = window.right - window.left, window.bottom - window.top
+    field = point_field(found.points_px, width, height, pitch_px=_VALLEY_PITCH, reach_px=reach_px)
+    x, y = field.origin_px
+    return replace(field, origin_px=(x + window.left, y + window.top))
+
+
 def _grey(image: Tensor) -> Float[Tensor, "height width"]:
     if image.ndim == 2:
         return image
-    red, green, blue = image.float().unbind(-1)
-    return _GREY[0] * red + _GREY[1] * green + _GREY[2] * blue
+    return image.float() @ torch.tensor(_GREY, device=image.device)

@@ -16,14 +16,14 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.geometry import Camera, left_jacobian
-from torchhand.hand import BONES, PARENTS, ROOT_DOFS, HandFrames, HandKinematics
-from torchhand.hand.joint_rotations import world_axes
-from torchhand.hand.primitives import CONE_BONES, ELLIPSOID_BONES
-from torchhand.view.outline import OutlineTable, outline_points
+from torchhand.geometry import Camera
+from torchhand.view.carried_parts import CarriedParts
+from torchhand.view.outline import OutlineTable
+from torchhand.view.part_outlines import OutlineColumns, PartOutlines
 from torchhand.view.projector import HandProjector
+from torchhand.view.seen_bones import BonePlacer, SeenBones
+from torchhand.view.springs import Springs
 
-_ROOT = len(ROOT_DOFS)
 _NEAREST = 1e-3  # metres before the camera
 
 
@@ -31,64 +31,90 @@ _NEAREST = 1e-3  # metres before the camera
 class OutlineMotion:
     """Points of the outlines of a batch of hands in the picture, and how they move."""
 
-    points_px: Float[Tensor, "hands points 2"]
-    points_cam: Float[Tensor, "hands points 3"]
+    columns_px: Float[Tensor, "hands 2 points"]
+    """The points; here and below a row for each coordinate, which is faster for many."""
+    columns_cam: Float[Tensor, "hands 3 points"]
     """Metres; of points that are not before the camera, any that are."""
+    columns_plane: Float[Tensor, "hands 2 points"]
+    """On the normalised image plane."""
+    screws: Float[Tensor, "hands 36 6"]
+    """Of the DOFs: turn, then shift of the camera's centre."""
+    moving: Bool[Tensor, "hands 36"] | None
+    """DOFs that follow the free parameters; all where it is None."""
     camera: Camera
-    per_part: tuple[int, int]
-    """Points on every cone and on every ellipsoid."""
-    cone_screws: Float[Tensor, "hands cones 6 free"]
-    """Of each part: turn, then shift of the camera's centre."""
-    ellipsoid_screws: Float[Tensor, "hands ellipsoids 6 free"]
+    outlines: PartOutlines
+    carried: CarriedParts
+    basis: Float[Tensor, "36 free"]
+
+    @property
+    def points_px(self) -> Float[Tensor, "hands points 2"]:
+        return self.columns_px.mT
 
     def along(self, direction: Float[Tensor, "hands points 2"]) -> Float[Tensor, "hands points free"]:
         """Derivative of direction · point in the free parameters, px per unit, the direction held."""
-        force = cam_force(self.camera, self.points_cam, direction)
-        wrench = torch.cat((torch.linalg.cross(self.points_cam, force), force), -1)
-        parts, start = [], 0
-        for per_part, screws in zip(self.per_part, (self.cone_screws, self.ellipsoid_screws), strict=True):
-            count = screws.shape[1]
-            own = wrench[:, start : start + count * per_part].unflatten(1, (count, per_part))
-            parts.append((own @ screws).flatten(1, 2))
-            start += count * per_part
-        return torch.cat(parts, 1)
+        basis = self.basis if self.moving is None else self.moving[..., None] * self.basis
+        wrenches = self.outlines.split(self._wrenches(direction.mT[:, None]).squeeze(1))
+        moved = []
+        for own, wrench in zip(self.carried.by_dof.T.split(self.outlines.counts), wrenches, strict=True):
+            screws = (own[:, :, None] * self.screws[:, None]).mT @ basis[..., None, :, :]
+            moved.append((wrench.mT @ screws).flatten(1, 2))
+        return torch.cat(moved, 1)
+
+    def equations(self, springs: Springs) -> tuple[Float[Tensor, "hands 36 36"], Float[Tensor, "hands 36"]]:
+        """Second derivative (of Gauss and Newton) and first of the springs' cost in the DOFs, all of them moving."""
+        wrench = self._wrenches(springs.direction)
+        rows = torch.cat((wrench, wrench * springs.stiffness[:, :, None], springs.pull[:, :, None]), 2)
+        parts = (part.contiguous() for part in self.outlines.split(rows))
+        moments = [part[..., :6, :] @ part[..., 6:, :].mT for part in parts]
+        return self.carried.equations(torch.cat(moments, 2).sum(1), self.screws)
+
+    def _wrenches(self, direction: Float[Tensor, "hands springs 2 points"]) -> Float[Tensor, "hands springs 6 points"]:
+        """About the camera's centre, of forces along the directions."""
+        points = self.columns_cam[:, None]
+        x, y, z = points.unbind(-2)
+        fx, fy, fz = force = cam_force(self.camera, points, self.columns_plane[:, None], direction)
+        return torch.stack((y * fz - z * fy, z * fx - x * fz, x * fy - y * fx, *force), 2)
 
 
 def cam_force(
-    camera: Camera, points_cam: Float[Tensor, "*batch 3"], direction: Float[Tensor, "*batch 2"]
-) -> Float[Tensor, "*batch 3"]:
-    """Derivative of direction · pixel in the point, camera frame: px per metre."""
+    camera: Camera,
+    columns_cam: Float[Tensor, "*#batch 3 points"],
+    columns_plane: Float[Tensor, "*#batch 2 points"],
+    direction: Float[Tensor, "*batch 2 points"],
+) -> tuple[Float[Tensor, "*batch points"], Float[Tensor, "*batch points"], Float[Tensor, "*batch points"]]:
+    """Derivative of direction · pixel in the point, camera frame: px per metre, coordinate by coordinate."""
     if camera.has_distortion or camera.has_skew:
-        plane = camera.plane_from_cam(points_cam)
-        on_plane = (direction[..., None, :] @ camera.pixel_jacobian(plane)).squeeze(-2)
+        slopes = camera.pixel_jacobian(columns_plane.mT)
+        x, y = (direction.mT[..., None, :] @ slopes).squeeze(-2).unbind(-1)
     else:
-        on_plane = direction * camera.intrinsics.diagonal()[:2]
+        x, y = (direction * camera.intrinsics.diagonal()[:2, None]).unbind(-2)
     if camera.kind == "orthographic":
-        return torch.cat((on_plane, torch.zeros_like(on_plane[..., :1])), -1)
-    x, y, z = points_cam.unbind(-1)
-    nearness = z.reciprocal()
-    scaled = on_plane * nearness[..., None]
-    depth = -(scaled[..., 0] * x + scaled[..., 1] * y) * nearness
-    return torch.cat((scaled, depth[..., None]), -1)
+        return x, y, torch.zeros_like(x)
+    u, v = columns_plane.unbind(-2)
+    nearness = columns_cam[..., 2, :].reciprocal()
+    x, y = x * nearness, y * nearness
+    return x, y, -torch.addcmul(x * u, y, v)
 
 
 class OutlineTracer:
-    """Outlines of many hands with their motion in a pose space, with all that does not change multiplied out once.
+    """Outlines of many hands with their motion in a pose space, with all that does not change laid out once.
 
-    table: with the same number of points on every cone that it has, and on every ellipsoid. basis: (36, free).
+    table: part by part, with the same number of points on every cone that it has, and on every ellipsoid.
     """
 
     def __init__(self, projector: HandProjector, table: OutlineTable, basis: Float[Tensor, "36 free"]) -> None:
+        kinematics, camera = projector.kinematics, projector.camera
         self.projector, self.table = projector, table
-        cones, per_cone = _runs(table.cone)
-        balls, per_ball = _runs(table.ellipsoid)
-        self._per_part = (per_cone, per_ball)
-        bones = [CONE_BONES[i] for i in cones], [ELLIPSOID_BONES[i] for i in balls]
-        carried = _carried(projector.kinematics).to(basis)
-        # (36, parts · free) for both kinds of parts.
-        self._counts = tuple(len(own) for own in bones)
-        self._spread = tuple((carried[own].T[:, :, None] * basis[:, None]).flatten(1) for own in bones)
-        self._free = basis.shape[1]
+        self.outlines = PartOutlines(
+            projector.sizes,
+            table,
+            is_left=kinematics.side == "left",
+            is_orthographic=projector.is_orthographic,
+        )
+        self._placer = BonePlacer(kinematics, camera, projector.shape, basis.dtype)
+        self._carried, self._basis = CarriedParts(kinematics, self.outlines.bones, basis), basis
+        self._focal, self._centre = camera.intrinsics.diagonal()[:2, None], camera.intrinsics[:2, 2:]
+        self._ahead = basis.new_tensor((0.0, 0.0, 1.0))[:, None]
 
     def __call__(
         self,
@@ -100,58 +126,33 @@ class OutlineTracer:
 
         moving: DOFs that follow the free parameters; others are held, such as tied angles at their limits.
         """
-        projector = self.projector
-        camera, kinematics = projector.camera, projector.kinematics
-        frames = kinematics(pose, projector.shape, root_reference=root_reference)
-        primitives = projector.primitives_cam(frames)
-        points = outline_points(primitives, self.table, is_orthographic=projector.is_orthographic).contiguous()
-        is_behind = points[..., 2:] < _NEAREST  # must not become infinite
-        points = torch.where(is_behind, points.new_tensor((0.0, 0.0, 1.0)), points)
-        screws = joint_screws(kinematics, camera, pose, frames)
-        if moving is not None:
-            screws = screws * moving[..., None]
-        of_cones, of_ellipsoids = (
-            (screws.mT @ spread).unflatten(-1, (count, self._free)).transpose(1, 2)
-            for count, spread in zip(self._counts, self._spread, strict=True)
-        )
+        bones = self.place(pose, root_reference)
+        return self.motion(bones, self.outlines(self.outlines.placed(bones.cam_from_bone)), moving)
+
+    def place(self, pose: Float[Tensor, "hands 36"], root_reference: Float[Tensor, "hands 3 3"]) -> SeenBones:
+        """The bones before the camera."""
+        return self._placer(pose, root_reference)
+
+    def motion(
+        self, bones: SeenBones, outline: OutlineColumns, moving: Bool[Tensor, "hands 36"] | None = None
+    ) -> OutlineMotion:
+        """Of an outline that is known."""
+        camera, points = self.projector.camera, outline.points
+        is_behind = points[:, 2:] < _NEAREST  # must not become infinite
+        points = torch.where(is_behind, self._ahead, points)
+        plane = points[:, :2] if self.projector.is_orthographic else points[:, :2] / points[:, 2:]
+        if camera.has_distortion or camera.has_skew:
+            columns_px = camera.pixels_from_plane(plane.mT).mT
+        else:
+            columns_px = torch.addcmul(self._centre, plane, self._focal)
         return OutlineMotion(
-            points_px=camera.pixels_from_plane(camera.plane_from_cam(points)),
-            points_cam=points,
+            columns_px=columns_px,
+            columns_cam=points,
+            columns_plane=plane,
+            screws=bones.screws,
+            moving=moving,
             camera=camera,
-            per_part=self._per_part,
-            cone_screws=of_cones,
-            ellipsoid_screws=of_ellipsoids,
+            outlines=self.outlines,
+            carried=self._carried,
+            basis=self._basis,
         )
-
-
-def joint_screws(
-    kinematics: HandKinematics, camera: Camera, pose: Float[Tensor, "hands 36"], frames: HandFrames
-) -> Float[Tensor, "hands 36 6"]:
-    """What each DOF does to a body that it carries: its turn, and the shift of the camera's centre, camera frame."""
-    axes = world_axes(pose.T, frames.rotation.permute(1, 2, 3, 0), kinematics.chain.constants).permute(2, 0, 1)
-    bones = torch.tensor(kinematics.skeleton.bone, device=pose.device)
-    centres = frames.position.index_select(1, bones)
-    spin = left_jacobian(pose[:, 3:6]).mT
-    turns = torch.cat((spin, axes), 1) @ camera.rotation.T
-    places = torch.cat((frames.position[:, :1].expand(-1, 3, -1), centres), 1) @ camera.rotation.T + camera.translation
-    shifts = torch.linalg.cross(places, turns)
-    still = torch.zeros_like(turns[:, :3])
-    moves = camera.rotation.T.expand(len(pose), 3, 3)  # rows: images of the world's axes
-    return torch.cat((torch.cat((still, moves), -1), torch.cat((turns, shifts), -1)), 1)
-
-
-def _carried(kinematics: HandKinematics) -> Bool[Tensor, "20 36"]:
-    """Whether a DOF moves a bone."""
-    above = torch.eye(len(BONES), dtype=torch.bool)
-    for bone in range(1, len(BONES)):
-        above[bone] |= above[PARENTS[bone]]
-    root = torch.ones(len(BONES), _ROOT, dtype=torch.bool)
-    return torch.cat((root, above[:, list(kinematics.skeleton.bone)]), 1)
-
-
-def _runs(index: Tensor) -> tuple[list[int], int]:
-    """Parts in the order of their points, and how many points each has."""
-    parts, counts = index.unique_consecutive(return_counts=True)
-    if len(parts) != len(index.unique()) or len(counts.unique()) > 1:
-        raise ValueError("table: expected equally many points on every cone, and on every ellipsoid, one after another")
-    return parts.tolist(), int(counts[0]) if len(counts) else 0

@@ -8,22 +8,22 @@ z-buffer (paper 000, section 7.2).
 """
 
 from dataclasses import dataclass, fields
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.geometry import Camera
-from torchhand.hand import HandFrames, HandKinematics
+from torchhand.hand import BONES, HandKinematics
 from torchhand.view.contour_jacobian import OutlineTracer
-from torchhand.view.outline import Outline, OutlineTable, outline_of, pixel_normals
+from torchhand.view.contour_visibility import seen_and_outer
+from torchhand.view.outline import OutlineTable, pixel_normals
 from torchhand.view.projector import HandProjector
-from torchhand.view.visibility import visible_points
+from torchhand.view.springs import Springs
 
 _NEAREST = 1e-3  # metres before the camera
-_FAR = 1e3  # metres: behind any hand
-_WRIST, _MIDDLE = 0, 9  # keypoints
+_WRIST, _MIDDLE_PROXIMAL = BONES.index("wrist"), BONES.index("middle_proximal")
 
 
 @runtime_checkable
@@ -35,6 +35,18 @@ class ContourMotion(Protocol):
 
     def along(self, direction: Float[Tensor, "hands points 2"]) -> Float[Tensor, "hands points free"]:
         """Derivative of direction · point in the free parameters, px per unit, the direction held."""
+        ...
+
+
+@runtime_checkable
+class HandContourMotion(ContourMotion, Protocol):
+    """Contours of hands: also what springs at their points pull them to."""
+
+    @property
+    def columns_px(self) -> Float[Tensor, "hands 2 points"]: ...
+
+    def equations(self, springs: Springs) -> tuple[Float[Tensor, "hands 36 36"], Float[Tensor, "hands 36"]]:
+        """Second derivative (of Gauss and Newton) and first of the springs' cost in the DOFs, all of them moving."""
         ...
 
 
@@ -54,11 +66,17 @@ class ContourLook:
     """From the wrist to the middle finger's knuckle."""
     edges: Int[Tensor, "hands points 2"] | None = None
     """Of a mesh: the vertices at the ends of each point's edge."""
+    motion: HandContourMotion | None = None
+    """At the pose that was looked at, where it is known, every DOF moving."""
 
     def rows(self, rows: Int[Tensor, "k"]) -> "ContourLook":
-        """The given hands."""
-        values = {f.name: getattr(self, f.name)[rows] for f in fields(self) if getattr(self, f.name) is not None}
-        return ContourLook(**values)
+        """The given hands, without their motion."""
+
+        def own(name: str) -> Any:
+            value = getattr(self, name)
+            return value[rows] if isinstance(value, Tensor) else None
+
+        return ContourLook(**{f.name: own(f.name) for f in fields(self)})
 
 
 @runtime_checkable
@@ -86,7 +104,7 @@ class Contours(Protocol):
         root_reference: Float[Tensor, "hands 3 3"],
         look: ContourLook,
         moving: Bool[Tensor, "hands 36"] | None = None,
-    ) -> ContourMotion:
+    ) -> HandContourMotion:
         """The points that were looked at, wherever the hands have moved since. moving: DOFs that are not held."""
         ...
 
@@ -96,16 +114,8 @@ class PrimitiveContours:
 
     def __init__(self, projector: HandProjector, table: OutlineTable, basis: Float[Tensor, "36 free"]) -> None:
         self.projector = projector
-        sizes = projector.sizes  # what they keep is made here, not within somebody's inference mode
-        _ = sizes.placement, sizes.mirrored_placement, sizes.form
-        self._tracer = OutlineTracer(projector, table, basis)
-        self._twice = OutlineTable(
-            cone=table.cone.repeat(2),
-            cone_side=table.cone_side.repeat(2),
-            cone_fraction=table.cone_fraction.repeat(2),
-            ellipsoid=table.ellipsoid.repeat(2),
-            ellipsoid_fraction=table.ellipsoid_fraction.repeat(2),
-        )
+        with torch.inference_mode(False):  # what is kept is for callers in any mode
+            self._tracer = OutlineTracer(projector, table, basis)
 
     @property
     def kinematics(self) -> HandKinematics:
@@ -123,30 +133,32 @@ class PrimitiveContours:
         self, pose: Float[Tensor, "hands 36"], root_reference: Float[Tensor, "hands 3 3"], *, beyond_px: float
     ) -> ContourLook:
         """beyond_px: how far outside a point the picture is asked for the hand."""
-        projector, table, camera = self.projector, self._tracer.table, self.camera
-        frames = projector.kinematics(pose, projector.shape, root_reference=root_reference)
-        primitives = projector.primitives_cam(frames)
-        seen = outline_of(*projector.generators_of(primitives), table, tuple(pose.shape[:-1]))
-        plane = camera.plane_from_cam(seen.points_cam)
-        points, normals = camera.pixels_from_plane(plane), pixel_normals(camera, plane, seen.normals_cam)
-        # A point far behind the picture just outside the outline is seen where no other part is.
-        plane = camera.plane_from_pixels(points + beyond_px * normals)
-        ahead = torch.cat((plane, torch.ones_like(plane[..., :1])), -1)
-        is_orthographic = projector.is_orthographic
-        far = ahead * (ahead.new_tensor((1.0, 1.0, _FAR)) if is_orthographic else _FAR)
-        is_real = seen.is_real & (seen.points_cam[..., 2] > _NEAREST) & points.isfinite().all(-1)
-        both, shown = _side_by_side(seen.points_cam, far, table), _side_by_side(is_real, is_real, table)
-        backdrop = Outline(points_cam=both, normals_cam=both, is_real=shown)
-        is_free = visible_points(primitives, backdrop, self._twice, is_orthographic=is_orthographic)
-        visible, outer = _apart(is_free, table)
-        wrist, fingerwards = wrist_and_axis(frames, camera)
+        tracer, camera = self._tracer, self.camera
+        bones = tracer.place(pose, root_reference)
+        placed = tracer.outlines.placed(bones.cam_from_bone)
+        outline = tracer.outlines(placed, with_normals=True)
+        motion = tracer.motion(bones, outline)
+        assert outline.normals is not None
+        assert outline.is_real is not None
+        normals = pixel_normals(camera, motion.columns_plane.mT, outline.normals.mT)
+        is_real = outline.is_real & (outline.points[:, 2] > _NEAREST) & motion.columns_px.isfinite().all(1)
+        visible, outer = seen_and_outer(
+            tracer.outlines.quadrics(placed),
+            motion.columns_cam,
+            camera.plane_from_pixels(motion.points_px + beyond_px * normals).mT,
+            tracer.table,
+            is_real,
+            is_orthographic=self.projector.is_orthographic,
+        )
+        wrist, fingerwards = wrist_and_axis(bones.cam_from_bone[:, (_WRIST, _MIDDLE_PROXIMAL), :, 3], camera)
         return ContourLook(
-            points_px=points,
+            points_px=motion.points_px,
             normals=normals,
             outer=visible & outer,
             inner=visible & ~outer,
             wrist_px=wrist,
             fingerwards_px=fingerwards,
+            motion=motion,
         )
 
     def motion(
@@ -155,24 +167,14 @@ class PrimitiveContours:
         root_reference: Float[Tensor, "hands 3 3"],
         look: ContourLook,
         moving: Bool[Tensor, "hands 36"] | None = None,
-    ) -> ContourMotion:
+    ) -> HandContourMotion:
         """The points that were looked at, wherever the hands have moved since. moving: DOFs that are not held."""
         return self._tracer(pose, root_reference, moving)
 
 
-def _side_by_side(one: Tensor, other: Tensor, table: OutlineTable) -> Tensor:
-    """Two sets of a table's points as those of a table with every point twice, cones first."""
-    cut = len(table.cone)
-    return torch.cat((one[:, :cut], other[:, :cut], one[:, cut:], other[:, cut:]), 1)
-
-
-def _apart(both: Tensor, table: OutlineTable) -> tuple[Tensor, Tensor]:
-    cones, balls = both.split((2 * len(table.cone), 2 * len(table.ellipsoid)), 1)
-    (one, other), (one_ball, other_ball) = cones.chunk(2, 1), balls.chunk(2, 1)
-    return torch.cat((one, one_ball), 1), torch.cat((other, other_ball), 1)
-
-
-def wrist_and_axis(frames: HandFrames, camera: Camera) -> tuple[Float[Tensor, "hands 2"], Float[Tensor, "hands 2"]]:
-    """The wrist in the picture, and the way from there to the middle finger's knuckle."""
-    ends = camera.project(frames.keypoints[:, (_WRIST, _MIDDLE)])
+def wrist_and_axis(
+    places_cam: Float[Tensor, "hands 2 3"], camera: Camera
+) -> tuple[Float[Tensor, "hands 2"], Float[Tensor, "hands 2"]]:
+    """The wrist in the picture, and the way from there to the middle finger's knuckle; both given in space."""
+    ends = camera.pixels_from_plane(camera.plane_from_cam(places_cam))
     return ends[:, 0], ends[:, 1] - ends[:, 0]

@@ -8,12 +8,14 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.geometry import Camera
-from torchhand.hand import Hand, HandKinematics, skin_jacobian
+from torchhand.hand import KEYPOINTS, Hand, HandKinematics, skin_jacobian
 from torchhand.view.contour_jacobian import cam_force
 from torchhand.view.contours import ContourLook, wrist_and_axis
 from torchhand.view.raster import rasterize
+from torchhand.view.springs import Springs
 
 _INSIDE_PX = 1.5  # where the z-buffer is read for the surface that an edge belongs to
+_WRIST, _KNUCKLE = KEYPOINTS.index("wrist"), KEYPOINTS.index("middle_mcp")
 _SLACK = 0.006  # metres that surface may be nearer there
 
 
@@ -21,18 +23,34 @@ _SLACK = 0.006  # metres that surface may be nearer there
 class EdgeMotion:
     """Middles of edges of a batch of skinned hands in the picture, and how they move."""
 
-    points_px: Float[Tensor, "hands points 2"]
-    points_cam: Float[Tensor, "hands points 3"]
+    columns_px: Float[Tensor, "hands 2 points"]
+    """The points, a row for each coordinate."""
+    columns_cam: Float[Tensor, "hands 3 points"]
     """Metres."""
+    columns_plane: Float[Tensor, "hands 2 points"]
+    """On the normalised image plane."""
     jacobian: Float[Tensor, "hands points 3 36"]
     """Of the points in the camera frame, in the pose."""
     camera: Camera
     basis: Float[Tensor, "36 free"]
 
+    @property
+    def points_px(self) -> Float[Tensor, "hands points 2"]:
+        return self.columns_px.mT
+
     def along(self, direction: Float[Tensor, "hands points 2"]) -> Float[Tensor, "hands points free"]:
         """Derivative of direction · point in the free parameters, px per unit, the direction held."""
-        force = cam_force(self.camera, self.points_cam, direction)
-        return (force[..., None, :] @ self.jacobian).squeeze(-2) @ self.basis
+        return self._slopes(direction.mT[:, None]).squeeze(1) @ self.basis
+
+    def equations(self, springs: Springs) -> tuple[Float[Tensor, "hands 36 36"], Float[Tensor, "hands 36"]]:
+        """Second derivative (of Gauss and Newton) and first of the springs' cost in the DOFs, all of them moving."""
+        slopes = self._slopes(springs.direction).flatten(1, 2)
+        stiffness, pull = springs.stiffness.flatten(1), springs.pull.flatten(1)
+        return slopes.mT @ (stiffness[..., None] * slopes), (pull[:, None] @ slopes).squeeze(1)
+
+    def _slopes(self, direction: Float[Tensor, "hands springs 2 points"]) -> Float[Tensor, "hands springs points 36"]:
+        force = cam_force(self.camera, self.columns_cam[:, None], self.columns_plane[:, None], direction)
+        return (torch.stack(force, -1)[..., None, :] @ self.jacobian[:, None]).squeeze(-2)
 
 
 class MeshContours:
@@ -78,7 +96,8 @@ class MeshContours:
         state = self.hand(pose, self._shape, root_reference=root_reference)
         looks = [self._look(vertices, beyond_px) for vertices in state.vertices]
         points, normals, outer, inner, edges = (torch.stack(part) for part in zip(*looks, strict=True))
-        wrist, fingerwards = wrist_and_axis(state.frames, self._camera)
+        ends = self._camera.cam_from_world(state.frames.keypoints[:, (_WRIST, _KNUCKLE)])
+        wrist, fingerwards = wrist_and_axis(ends, self._camera)
         return ContourLook(
             points_px=points,
             normals=normals,
@@ -102,9 +121,11 @@ class MeshContours:
         points_cam = self._camera.cam_from_world(points)
         if moving is not None:
             jacobian = jacobian * moving[:, None, None]
+        plane = self._camera.plane_from_cam(points_cam)
         return EdgeMotion(
-            points_px=self._camera.pixels_from_plane(self._camera.plane_from_cam(points_cam)),
-            points_cam=points_cam,
+            columns_px=self._camera.pixels_from_plane(plane).mT,
+            columns_cam=points_cam.mT,
+            columns_plane=plane.mT,
             jacobian=self._camera.rotation @ jacobian,
             camera=self._camera,
             basis=self._basis,

@@ -1,0 +1,26 @@
+"""Bounds of the free parameters of a registration."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.hand import DOFS, PoseSpace, Skeleton
+
+_ROOT = 6
+
+
+def own_limits(space: PoseSpace, skeleton: Skeleton) -> tuple[Float[Tensor, "free"], Float[Tensor, "free"]]:
+    """Bounds of the free parameters: each keeps the angle that it is named after within its limits.
+
+    An angle that is tied to another stops at its own limit while the other goes on (as paper 000's equation 4 must be
+    read, FACTS section 2.2). Parameters of the root, and those not named after an angle, have infinite bounds.
+    """
+    basis, rows = space.basis, [DOFS.index(name) if name in DOFS else 0 for name in space.free_names]
+    factor, constant = basis[rows].diagonal(), space.constant[rows]
+    bounds = [
+        (torch.nn.functional.pad(limit.to(basis), (_ROOT, 0))[rows] - constant) / factor
+        for limit in (skeleton.lower, skeleton.upper)
+    ]
+    is_bound = (factor != 0) & (torch.tensor(rows, device=basis.device) >= _ROOT)
+    lower = torch.where(is_bound, torch.minimum(*bounds), -torch.inf)
+    return lower, torch.where(is_bound, torch.maximum(*bounds), torch.inf)
