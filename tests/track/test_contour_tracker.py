@@ -420,16 +420,20 @@ def test_the_colours_follow_changing_light(studio: Any, every: int, is_right: bo
         assert float((last.keypoints_px - film.keypoints_px[-1]).norm(dim=-1).mean()) < 2.0
 
 
-def test_a_correction_does_not_turn_the_hand_over(film: Any, followed: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A fresh search that explains more takes over within a track, but not with the hand's other side."""
+def test_a_correction_that_turns_the_hand_over_must_explain_more(
+    film: Any, followed: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     _, memory, _, states = followed
-    better = replace(LossSettings(), doubt_drop=0.0, search_every=1, better_by=0.0)
-    doubting = ContourTracker(film.kinematics, film.camera, 30.0, ContourTrackerSettings(loss=better))
+    doubting = LossSettings(doubt_drop=0.0, search_every=1, better_by=0.0, turned_by=0.1)
+    tracker = ContourTracker(film.kinematics, film.camera, 30.0, ContourTrackerSettings(loss=doubting))
     memory = replace(memory, overlap=1.0)
-    for axis, takes_over in ((torch.tensor([0.0, 0.0, 0.1]), True), (torch.tensor([0.0, math.pi, 0.0]), False)):
-        turned = replace(states[0], reference=rotation_from_vector(axis.double()) @ states[0].reference)
-        found = Estimate(status="recovered", overlap=1.0)
-        monkeypatch.setattr(doubting, "_restart", lambda *_, t=turned, f=found: (t, memory, f))
-        state, _, estimate = doubting.step(states[0], memory, film.images[1])
+    _, _, (own,) = _run(tracker, film.images[1:2], states[0], memory)
+    assert own.overlap < 0.98
+    for turn, more, takes_over in ((0.1, 0.01, True), (math.pi, 0.01, False), (math.pi, 0.11, True)):
+        axis = torch.tensor([0.0, turn, 0.0], dtype=torch.float64)
+        turned = replace(states[0], reference=rotation_from_vector(axis) @ states[0].reference)
+        found = Estimate(status="recovered", overlap=own.overlap + more)
+        monkeypatch.setattr(tracker, "_restart", lambda *_, t=turned, f=found: (t, memory, f))
+        state, _, estimate = tracker.step(states[0], memory, film.images[1])
         assert (state is turned) == takes_over
         assert estimate.status == "tracked"

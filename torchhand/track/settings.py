@@ -79,11 +79,13 @@ class LossSettings:
     hand's length, has the same effect; 0 or more."""
     better_by: float = 0.02
     """By how much the fresh search must overlap better to take over; 0 to 1."""
+    turned_by: float = 0.1
+    """The same where it shows the hand's other side, which a hand seldom turns from one picture to the next; 0 to 1."""
     search_every: int = 5
     """Frames from one such search to the next; 1 or more."""
 
     def __post_init__(self) -> None:
-        for name in ("min_overlap", "min_found", "min_inside", "start_overlap", "doubt_drop", "better_by"):
+        for name in ("min_overlap", "min_found", "min_inside", "start_overlap", "doubt_drop", "better_by", "turned_by"):
             require(0 <= getattr(self, name) <= 1, f"loss.{name}", "0 to 1", getattr(self, name))
         require(self.doubt_unexplained >= 0, "loss.doubt_unexplained", "0 or more", self.doubt_unexplained)
         for name in ("patience", "search_every"):

@@ -106,9 +106,8 @@ class HandTracker(ABC, Generic[Settings]):
         """The next state, what is remembered, and the estimate of this picture (RGB).
 
         A hand found again after a frame that was lost is `recovered`; the first one ever, and one that a fresh search
-        corrects within an unbroken track, is `tracked`; such a correction does not turn the hand over. A frame that
-        fails the tests is searched afresh at once, a doubtful one when a search is due. Raises ValueError for a picture
-        that is not the camera's size.
+        corrects within an unbroken track, is `tracked`. A frame that fails the tests is searched afresh at once, a
+        doubtful one when a search is due. Raises ValueError for a picture that is not the camera's size.
         """
         if image.shape[:2] != (self.camera.height, self.camera.width):
             expected = f"{self.camera.width}×{self.camera.height} px as the camera says"
@@ -127,9 +126,13 @@ class HandTracker(ABC, Generic[Settings]):
         # Lost, or in doubt: a hand in the posture of the start, seen afresh, takes over where it explains more.
         memory = replace(memory, frames_since_search=0)
         restarted, remembered, found = self._restart(memory, image)
-        margin = 0.0 if following is None else self.settings.loss.better_by
-        is_same_side = following is None or restarted is None or shows_same_side(restarted.reference, state.reference)
-        if is_same_side and restarted is not None and (found.overlap or 0.0) > (estimate.overlap or 0.0) + margin:
+        if restarted is None:
+            return following, memory, estimate
+        margin = 0.0
+        if following is not None:
+            is_same_side = shows_same_side(restarted.reference, state.reference)
+            margin = self.settings.loss.better_by if is_same_side else self.settings.loss.turned_by
+        if (found.overlap or 0.0) > (estimate.overlap or 0.0) + margin:
             return restarted, remembered, replace(found, status="tracked")  # no frame was lost
         return following, memory, estimate
 
