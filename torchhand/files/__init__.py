@@ -10,6 +10,8 @@ from torchhand.files.locations import configs_dir, find_config, models_dir
 from torchhand.files.mesh_file import load_mesh, save_mesh
 from torchhand.files.pictures import read_picture
 from torchhand.files.results import ResumePoint, TrackWriter, check_output_folder
+from torchhand.files.rig import load_rig, rig_notes
+from torchhand.files.rig_source import RigFrame, RigSource, offsets_of, open_rig
 from torchhand.files.settings import load_settings, save_settings, setting_in
 from torchhand.files.track_file import load_track
 from torchhand.files.track_record import FrameRecord, Track, TrackHeader
@@ -22,6 +24,8 @@ __all__ = [
     "FrameRecord",
     "FrameSource",
     "ResumePoint",
+    "RigFrame",
+    "RigSource",
     "Track",
     "TrackHeader",
     "TrackWriter",
@@ -36,12 +40,16 @@ __all__ = [
     "load_hand",
     "load_hand_model",
     "load_mesh",
+    "load_rig",
     "load_settings",
     "load_track",
     "models_dir",
+    "offsets_of",
+    "open_rig",
     "open_source",
     "read_detections",
     "read_picture",
+    "rig_notes",
     "save_cameras",
     "save_hand",
     "save_mesh",
