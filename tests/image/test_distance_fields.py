@@ -167,12 +167,6 @@ def test_maps_reach_as_far_as_they_are_asked_to() -> None:
     angle = torch.arange(0.0, 6.2, 0.1, dtype=torch.float64)
     probe = CENTRE + 22 * torch.stack((angle.cos(), angle.sin()), -1)
     torch.testing.assert_close(near.sample(probe)[0], whole.sample(probe)[0], atol=1e-6, rtol=0)
-    points = torch.tensor([[30.0, 40.0], [42.0, 47.0]])
-    around = point_field(points, WIDTH, HEIGHT, pitch_px=0.5, reach_px=2.0)
-    assert tuple(around.maps.shape[-2:]) == (2 * 7 + 1 + 2 * (4 + 8), 2 * 12 + 1 + 2 * (4 + 8))
-    probe = torch.tensor([[36.0, 41.0], [43.5, 48.5]], dtype=torch.float64)
-    expected = point_field(points, WIDTH, HEIGHT, pitch_px=0.5).sample(probe)[0]
-    torch.testing.assert_close(around.sample(probe)[0], expected, atol=1e-6, rtol=0)
 
 
 def test_refuses_nonsense() -> None:

@@ -77,30 +77,15 @@ def boundary_field(
 
 
 def point_field(
-    points_px: Float[Tensor, "points 2"],
-    width: int,
-    height: int,
-    *,
-    pitch_px: float = 1.0,
-    reach_px: float | None = None,
+    points_px: Float[Tensor, "points 2"], width: int, height: int, *, pitch_px: float = 1.0
 ) -> DistanceField:
-    """Unsigned distance from points of a picture; with a pitch below 1 they keep their place within the pixel.
-
-    reach_px: how far beyond the points' box the map goes; over the whole picture by default.
-    """
-    size = (max(2, math.ceil(height / pitch_px)), max(2, math.ceil(width / pitch_px)))
-    place = np.rint(points_px.detach().cpu().numpy().T[::-1] / pitch_px).astype(int)
-    inside = ((place >= 0) & (place < np.array(size)[:, None])).all(0)
-    reach = math.hypot(width, height) if reach_px is None else reach_px
-    start, stop = _extent([place[:, inside]], size, reach, pitch_px)
-    marked = np.zeros((1, 1, *(stop - start)), dtype=bool)
-    y, x = place[:, inside] - start[:, None]
-    marked[0, 0, y, x] = True
-    return DistanceField(
-        maps=_maps(marked, pitch_px).to(points_px.device),
-        origin_px=_origin(start, pitch_px),
-        pitch_px=pitch_px,
-    )
+    """Unsigned distance from points of a picture; with a pitch below 1 they keep their place within the pixel."""
+    columns, rows = math.ceil(width / pitch_px), math.ceil(height / pitch_px)
+    marked = np.zeros((1, 1, max(rows, 2), max(columns, 2)), dtype=bool)
+    x, y = np.rint(points_px.detach().cpu().numpy().T / pitch_px).astype(int)
+    inside = (x >= 0) & (x < columns) & (y >= 0) & (y < rows)
+    marked[0, 0, y[inside], x[inside]] = True
+    return DistanceField(maps=_maps(marked, pitch_px).to(points_px.device), origin_px=(0.0, 0.0), pitch_px=pitch_px)
 
 
 def _extent(

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import lru_cache
 
 import torch
 from jaxtyping import Float, Int
@@ -50,7 +50,7 @@ class DynamicConstraints:
         self, pose: Float[Tensor, "*batch 36"], *, has_ties: bool = True
     ) -> tuple[Float[Tensor, "*batch rows"], Float[Tensor, "*batch rows 30"]]:
         """The same, derived in the joint angles. has_ties: whether the ties are among the rows."""
-        c, joints = self._constants.to(pose), pose[..., _ROOT:]
+        c, joints = _constants_of(self.constraints, pose.dtype, pose.device), pose[..., _ROOT:]
         bent, abduction, flexion = (joints @ c.rows.mT).split((len(c.bound), _FINGERS, _FINGERS), -1)
         room = 1 - flexion.clamp(0.0, 1.0)  # equation (2)
         beyond = abduction - torch.minimum(torch.maximum(abduction, c.lower * room), c.upper * room)
@@ -67,11 +67,6 @@ class DynamicConstraints:
         missed = (joints[..., c.targets] - held) / c.tie_spread
         of_ties = c.target_rows - (wanted == held)[..., None] * c.source_rows
         return torch.cat((values, missed), -1), torch.cat((slopes, of_ties), -2)
-
-    @cached_property
-    def _constants(self) -> "_Constants":
-        with torch.inference_mode(False):  # kept for callers in any mode
-            return _Constants.of(self.constraints)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,9 +117,13 @@ class _Constants:
             target_rows=unit[targets] / spread[:, None],
         )
 
-    def to(self, like: Tensor) -> "_Constants":
-        """In the dtype and on the device of a pose."""
-        if self.bound.dtype == like.dtype and self.bound.device == like.device:
-            return self
-        tensors = {f.name: getattr(self, f.name) for f in fields(self)}
-        return _Constants(**{name: x.to(like if x.is_floating_point() else like.device) for name, x in tensors.items()})
+    def to(self, dtype: torch.dtype, device: torch.device) -> "_Constants":
+        """The same in another dtype and elsewhere."""
+        tensors = {f.name: getattr(self, f.name).to(device) for f in fields(self)}
+        return _Constants(**{name: x.to(dtype) if x.is_floating_point() else x for name, x in tensors.items()})
+
+
+@lru_cache(maxsize=8)
+def _constants_of(constraints: PoseConstraints, dtype: torch.dtype, device: torch.device) -> _Constants:
+    with torch.inference_mode(False):  # kept for callers in any mode
+        return _Constants.of(constraints).to(dtype, device)

@@ -14,7 +14,7 @@ from torchhand.track.registration_settings import RegistrationSettings
 
 _CELLS = 32  # a map is no coarser than the silhouette's size (root of its area) over so many cells
 _FEWEST = 16  # points of a contour
-_REACH = 4.0  # maps go so many robust distances beyond the contour: what is farther away counts for nothing
+_REACH = 3.0  # maps go so many robust distances beyond the contour's box; what is farther away hardly counts
 _VALLEY_PITCH = 0.5  # px
 _GREY = (0.299, 0.587, 0.114)  # of red, green, blue
 
@@ -62,7 +62,7 @@ def picture_contours(
     }
     valleys = None
     if image is not None and settings.valley_weight > 0:
-        valleys = _valleys(image, mask, window, settings, _REACH * settings.valley_robust_share * size_px)
+        valleys = _valleys(image, mask, window, settings)
     return PictureContours(
         fields=tuple(made[pitch] for pitch in pitches),
         boundary=boundary_points(mask, settings.boundary_points, ignored=ignored),
@@ -70,15 +70,13 @@ def picture_contours(
     )
 
 
-def _valleys(
-    image: Tensor, mask: Tensor, window: Window, settings: RegistrationSettings, reach_px: float
-) -> DistanceField | None:
+def _valleys(image: Tensor, mask: Tensor, window: Window, settings: RegistrationSettings) -> DistanceField | None:
     """Distance from the valleys within the silhouette, found in the window around it."""
     found = find_valleys(_grey(image[window.slices]), settings.valleys, within=mask[window.slices])
     if not len(found.points_px):
         return None
     width, height = window.right - window.left, window.bottom - window.top
-    field = point_field(found.points_px, width, height, pitch_px=_VALLEY_PITCH, reach_px=reach_px)
+    field = point_field(found.points_px, width, height, pitch_px=_VALLEY_PITCH)
     x, y = field.origin_px
     return replace(field, origin_px=(x + window.left, y + window.top))
 

@@ -123,13 +123,10 @@ class _Work:
             beliefs=self.beliefs,
             length_px=hand_length_px(self.contours, start[0]),
         )
-        # Every look takes the rotation into the reference.
-        rotations = torch.tensor([c for c in self.columns if c >= 0], dtype=torch.long, device=pose.device)
 
-        def looked(values: Tensor, reference: Tensor, level: int) -> tuple[Tensor, RegistrationCost]:
-            moved, reference = rebased(self._pose(values), reference)
+        def looked(level: int) -> RegistrationCost:
             about = None if expected is None else expected.about(reference, self.columns)
-            return values.index_fill(-1, rotations, 0.0), looker(moved, reference, level, about)
+            return looker(self._pose(values), reference, level, about)
 
         values, reference = self._free(start[0]).clamp(*self.bounds), start[1]
         iterations = torch.zeros(len(pose), dtype=torch.long, device=pose.device)
@@ -137,20 +134,24 @@ class _Work:
         last = len(self.settings.levels) - 1
         for index, level in enumerate(self.settings.levels):
             for turn in range(level.rounds):
-                values, cost = looked(values, reference, index)
-                reference = cost.held.root_reference
+                cost = looked(index)
                 if index == last and turn == 0:
                     kept = Judged.of(cost, values, looker.robust_px(last))
                     first = kept.equations
                 else:
                     first = cost.at_look(values)
                 found = self._optimised(cost, values, level, first)
-                values, status = found.values, found.status
-                iterations += found.iterations
+                status, iterations = found.status, iterations + found.iterations
+                values, reference = self._settled(found.values, reference)
         assert kept is not None
-        values, cost = looked(values, reference, last)
-        kept = kept.or_better(Judged.of(cost, values, looker.robust_px(last)))
+        kept = kept.or_better(Judged.of(looked(last), values, looker.robust_px(last)))
         return self._finished(kept, start, status, iterations)
+
+    def _settled(self, values: Tensor, reference: Tensor) -> tuple[Tensor, Tensor]:
+        """The same hands, the rotation taken into the reference."""
+        _, reference = rebased(self._pose(values), reference)
+        own = torch.tensor([c for c in self.columns if c >= 0], dtype=torch.long, device=values.device)
+        return values.index_fill(-1, own, 0.0), reference
 
     def _pose(self, values: Tensor) -> Tensor:
         return clamp_to_limits(self.beliefs.space.dof(values), self.contours.kinematics.skeleton)

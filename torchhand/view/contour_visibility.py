@@ -70,7 +70,7 @@ def seen_and_outer(
         enough=torch.cat((enough, nothing), 1),
     )
     parts = follow(quadrics)
-    is_other = torch.arange(parts.scalar.shape[1], device=depth.device)[:, None] != table.primitive.repeat(2)
+    is_other = torch.arange(quadrics.corner.shape[1], device=depth.device)[:, None] != table.primitive.repeat(2)
     groups = (slice(start, start + _HANDS_AT_ONCE) for start in range(0, max(1, len(x)), _HANDS_AT_ONCE))
     free = [_is_free(parts.hands(some), rays.hands(some), is_other, is_orthographic) for some in groups]
     seen, outer = torch.cat(free).chunk(2, 1)
@@ -92,20 +92,16 @@ class _Rays:
 
 @dataclass(frozen=True, kw_only=True)
 class _Parts:
-    """The quadrics along the rays. A part ends where axis · (x, y, 1) + rate t is low and high; of central rays, all of
-    this is over the depth."""
+    """The quadrics along the rays."""
 
     conic: Float[Tensor, "hands 37 6"]
     """Its coefficients of the rays' products."""
-    line: Float[Tensor, "hands 37 3"]
-    axis: Float[Tensor, "hands 37 3"]
-    scalar: Float[Tensor, "hands 37"]
-    rate: Float[Tensor, "hands 37"]
-    low: Float[Tensor, "hands 37"]
-    high: Float[Tensor, "hands 37"]
+    rows: Float[Tensor, "hands 10 37"]
+    """l, then axis, both of (x, y, 1); s; rate, low, high. A part ends where axis + rate t is low and high, all of this
+    over the depth where rays are central."""
 
     def hands(self, some: slice) -> "_Parts":
-        return _Parts(**{f.name: getattr(self, f.name)[some] for f in fields(self)})
+        return _Parts(conic=self.conic[some], rows=self.rows[some])
 
 
 def _along_central_rays(quadrics: Quadrics) -> _Parts:
@@ -124,15 +120,8 @@ def _along_parallel_rays(quadrics: Quadrics) -> _Parts:
 
 def _parts(quadrics: Quadrics, *, form: Tensor, line: Tensor, scalar: Tensor, axis: Tensor, rate: Tensor) -> _Parts:
     conic = line[..., :, None] * line[..., None, :] - scalar[..., None, None] * form
-    return _Parts(
-        conic=conic.flatten(-2) @ conic.new_tensor(_FOLD),
-        line=line,
-        axis=axis,
-        scalar=scalar,
-        rate=rate,
-        low=quadrics.low,
-        high=quadrics.high,
-    )
+    rows = torch.stack((*line.unbind(-1), *axis.unbind(-1), scalar, rate, quadrics.low, quadrics.high), 1)
+    return _Parts(conic=conic.flatten(-2) @ conic.new_tensor(_FOLD), rows=rows)
 
 
 def _is_free(
@@ -141,13 +130,12 @@ def _is_free(
     """Whether no other part hides what is looked at."""
     squares = parts.conic @ rays.products
     place, part, ray = _pairs(squares, is_other)
-    lines = torch.cat((parts.line, parts.axis), 1) @ rays.products[:, 3:]
-    line, height = (x.reshape(-1).index_select(0, place) for x in lines.chunk(2, 1))
-    scalar, rate, low, high = (
-        x.reshape(-1).index_select(0, part) for x in (parts.scalar, parts.rate, parts.low, parts.high)
-    )
+    of_parts = parts.rows.transpose(0, 1).flatten(1)
+    lx, ly, lz, ax, ay, az, scalar, rate, low, high = (row.index_select(0, part) for row in of_parts.unbind())
     limits = (rays.depth, rays.enough) if is_orthographic else (rays.depth.reciprocal(), rays.enough.reciprocal())
-    here, enough = (x.reshape(-1).index_select(0, ray) for x in limits)
+    of_rays = (rays.products[:, 3], rays.products[:, 4], *limits)
+    x, y, here, enough = (row.reshape(-1).index_select(0, ray) for row in of_rays)
+    line, height = (torch.addcmul(torch.addcmul(c, a, x), b, y) for a, b, c in ((lx, ly, lz), (ax, ay, az)))
     root = squares.view(-1).index_select(0, place).sqrt()
     kept, nearer, hiding = [], [], []
     for t in ((root - line) / scalar, (-root - line) / scalar):
