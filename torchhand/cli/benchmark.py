@@ -23,6 +23,7 @@ from torchhand.cli.benchmark_iteration import lm_iteration_jacfwd, lm_iteration_
 from torchhand.cli.benchmark_model import keypoints_to_pose, mesh_silhouettes, mesh_volume, pose_projection
 from torchhand.cli.benchmark_registration import many_hypotheses, one_registration
 from torchhand.cli.benchmark_tracking import filter_update, own_environment, track_memory, tracking
+from torchhand.cli.benchmark_volume import octree
 from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.errors import InputError
 from torchhand.files.safe_write import write_text
@@ -45,6 +46,8 @@ Name = Literal[
     "registration_many",
     "lm_iteration_jacfwd",
     "lm_iteration_pypose",
+    "octree_level7",
+    "octree_level8",
     "track_planar_360x288",
     "track_full_640x480",
     "track_memory",
@@ -69,8 +72,8 @@ class Arguments:
     only: Annotated[tuple[Name, ...], arg(metavar="NAME")] = ()
     """Measure these alone: kinematics_forward, kinematics_forward_backward, kinematics_compiled, skinning_forward_4096,
     skinning_gradients_64, skinning_gradients_1024, mesh_silhouettes, mesh_volume, pose_projection, keypoints_to_pose,
-    filter_update, registration, registration_many, lm_iteration_jacfwd, lm_iteration_pypose, track_planar_360x288,
-    track_full_640x480, track_memory."""
+    filter_update, registration, registration_many, lm_iteration_jacfwd, lm_iteration_pypose, octree_level7,
+    octree_level8, track_planar_360x288, track_full_640x480, track_memory."""
     everything: Annotated[bool, arg(name="all")] = False
     """Measure everything; without it track_memory, which takes a minute, is left out."""
     repeats: int | None = None
@@ -143,6 +146,8 @@ _MEASURES: dict[Name, Callable[[str, int | None], Figure]] = {
     "registration_many": many_hypotheses,
     "lm_iteration_jacfwd": lm_iteration_jacfwd,
     "lm_iteration_pypose": lm_iteration_pypose,
+    "octree_level7": partial(octree, level=7, must=25.0, aim=12.0),
+    "octree_level8": partial(octree, level=8, must=45.0, aim=25.0),
     "track_planar_360x288": partial(
         tracking, config="contour_planar", motion="planar", size=(360, 288), frames=40, must=60.0, aim=150.0
     ),

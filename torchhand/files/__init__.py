@@ -6,6 +6,7 @@ from torchhand.files.detections import read_detections
 from torchhand.files.frames import Frame, FrameSource, open_source, sequences_of
 from torchhand.files.hand_file import FittedHand, load_hand, save_hand
 from torchhand.files.hand_model import load_hand_model
+from torchhand.files.hull_file import save_hull
 from torchhand.files.locations import configs_dir, find_config, models_dir
 from torchhand.files.mesh_file import load_mesh, save_mesh
 from torchhand.files.pictures import read_picture
@@ -52,6 +53,7 @@ __all__ = [
     "rig_notes",
     "save_cameras",
     "save_hand",
+    "save_hull",
     "save_mesh",
     "save_settings",
     "sequences_of",

@@ -1,0 +1,161 @@
+"""Signed distance from a hull's surface on a regular grid, read between its points with the gradient."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchhand.image.distance_maps import distance_map
+from torchhand.volume.octree import Octree
+
+MARGIN = 0.01  # metres
+
+_NOTHING = 1e-24  # m²: keeps the slope of a length finite at zero
+
+
+@dataclass(frozen=True, kw_only=True)
+class HullField:
+    """Distance in metres from the surface of the hull of each frame, negative inside."""
+
+    values: Float[Tensor, "*batch nx ny nz"]
+    """At the centres of finest octants, float32; the grid's diagonal everywhere in a frame without hull."""
+    origin: Float[Tensor, "*batch 3"]
+    """Place of the first value, world frame, metres, float64: every frame has its own."""
+    pitch: float
+    """Distance between values, metres."""
+
+    def sample(
+        self, points_world: Float[Tensor, "*points 3"]
+    ) -> tuple[Float[Tensor, "*values"], Float[Tensor, "*values 3"]]:
+        """Distance at points (*batch, *more, 3) and its gradient (*batch, *more, 3), in the dtype of the points.
+
+        Trilinear: continuous, with a gradient that jumps between cells. The value can also be differentiated by
+        autograd. Outside the grid the distance from the grid is added to the value at its nearest point, so that what
+        is outside is drawn back; that is never less than the true distance. Points that are not finite give NaN.
+
+        Raises ValueError where the points' leading dimensions are not those of the field.
+        """
+        batch, size = self.values.shape[:-3], self.values.shape[-3:]
+        lead = points_world.shape[: len(batch)]
+        if lead != batch or points_world.ndim <= len(batch):
+            raise ValueError(f"points_world: expected the shape ({batch}, ..., 3), got {tuple(points_world.shape)}")
+        flat = points_world.reshape(*batch, -1, 3)
+        place = (flat - self.origin.to(flat)[..., None, :]) / self.pitch
+        last = place.new_tensor(size) - 1
+        held = torch.minimum(place.clamp_min(0), last)
+        cell = torch.minimum(held.detach().nan_to_num().floor(), last - 1)
+        corners = self._corners(cell)
+        x, y, z = (held - cell)[..., None].unbind(-2)
+        # Along z, then y, then x; each step keeps the slope of the ones before.
+        low_z, high_z = corners[..., 0::2], corners[..., 1::2]
+        along_z, slope_z = low_z + z * (high_z - low_z), high_z - low_z
+        low_y, high_y = along_z[..., 0::2], along_z[..., 1::2]
+        along_y, slope_y = low_y + y * (high_y - low_y), high_y - low_y
+        slope_zy = slope_z[..., 0::2] + y * (slope_z[..., 1::2] - slope_z[..., 0::2])
+        low_x, high_x = along_y[..., 0::2], along_y[..., 1::2]
+        value = (low_x + x * (high_x - low_x))[..., 0]
+        slopes = (high_x - low_x, _mixed(slope_y, x), _mixed(slope_zy, x))
+        outside = place - held
+        gradient = torch.where(outside == 0, torch.cat(slopes, -1) / self.pitch, 0.0)
+        beyond = outside * self.pitch
+        length = (beyond.square().sum(-1) + _NOTHING).sqrt()
+        shape = points_world.shape[:-1]
+        return (value + length).reshape(shape), (gradient + beyond / length[..., None]).reshape(*shape, 3)
+
+    def _corners(self, cell: Float[Tensor, "*batch n 3"]) -> Float[Tensor, "*batch n 8"]:
+        """Values around a cell; the last of x, y, z changes first."""
+        nx, ny, nz = self.values.shape[-3:]
+        x, y, z = cell.long().unbind(-1)
+        index = (x * ny + y) * nz + z
+        if self.values.ndim > 3:
+            frames = torch.arange(self.origin[..., 0].numel(), device=index.device)
+            index = index + (frames * (nx * ny * nz)).reshape(*self.values.shape[:-3], 1)
+        steps = torch.cartesian_prod(*3 * [torch.arange(2, device=index.device)])
+        around = (steps[:, 0] * ny + steps[:, 1]) * nz + steps[:, 2]
+        index = index[..., None] + around
+        return self.values.reshape(-1).index_select(0, index.reshape(-1)).to(cell.dtype).reshape(index.shape)
+
+
+def hull_field(octree: Octree, *, margin: float = MARGIN, surface: Literal["outer", "middle"] = "outer") -> HullField:
+    """The field of every frame's hull, on a grid of finest octants around it.
+
+    margin: metres around the hull that the grid reaches at least; at least one octant.
+    surface: "outer", of all octants that make up the hull, which contains the object and is too large by about half the
+        GRAY shell; or "middle", halfway from there to the BLACK octants, for the tests for inside and outside have the
+        same margins. Where BLACK octants are farther away than usual, as in thin parts, the usual distance counts; one
+        octant where there are none.
+
+    Distances between the centres of octants are exact; half an octant is taken off, for the surface runs halfway
+    between the centres on either side of it.
+
+    Raises ValueError for a negative margin or another surface.
+    """
+    if surface not in ("outer", "middle"):
+        raise ValueError(f"surface: expected 'outer' or 'middle', got {surface!r}")
+    if not 0 <= margin < float("inf"):
+        raise ValueError(f"margin: expected 0 or more metres, got {margin}")
+    boxes = [octree.occupancy(frame=frame) for frame in range(octree.frame_count)]
+    rim = max(1, round(margin / octree.leaf_side))
+    nx, ny, nz = (2 * rim + max([1, *(filled.shape[axis] for filled, _ in boxes)]) for axis in range(3))
+    size = (nx, ny, nz)
+    device = octree.levels[0].states.device
+    values = torch.empty(octree.frame_count, *size, device=device)
+    first = torch.zeros(octree.frame_count, 3, dtype=torch.float64)
+    for frame, (filled, start) in enumerate(boxes):
+        start = (start[0] - rim, start[1] - rim, start[2] - rim)
+        first[frame] = torch.tensor(start)
+        whole = torch.zeros(size, dtype=torch.bool, device=device)
+        nx, ny, nz = filled.shape
+        whole[rim : rim + nx, rim : rim + ny, rim : rim + nz] = filled
+        cells = _signed(whole)
+        if surface == "middle" and filled.numel():
+            cells = cells + 0.5 * _shell(cells, octree.occupancy_in(start, size, frame=frame, inner=True))
+        values[frame] = octree.leaf_side * cells
+    corner = torch.tensor(octree.root.corner, dtype=torch.float64)
+    origin = (first + 0.5) * octree.leaf_side + corner
+    return HullField(
+        values=values.reshape(*octree.batch, *size),
+        origin=origin.to(device).reshape(*octree.batch, 3),
+        pitch=octree.leaf_side,
+    )
+
+
+def distance_grid(marked: Bool[Tensor, "nx ny nz"]) -> Float[Tensor, "nx ny nz"]:
+    """Euclidean distance of every cell's centre from that of the nearest marked cell; infinite if there is none.
+
+    Exact: distances within planes, then along the shortest axis the least of (x - x')² + those². Squares of distances
+    are whole numbers, to which they are rounded.
+    """
+    first = min(range(3), key=lambda axis: marked.shape[axis])
+    squared = distance_map(marked.movedim(first, 0)).square_().round_()
+    least = squared.clone()
+    for step in range(1, len(squared)):
+        if step**2 >= float(least.max()):
+            break
+        moved = squared + step**2
+        torch.minimum(least[step:], moved[:-step], out=least[step:])
+        torch.minimum(least[:-step], moved[step:], out=least[:-step])
+    return least.sqrt_().movedim(0, first)
+
+
+def _signed(filled: Bool[Tensor, "nx ny nz"]) -> Float[Tensor, "nx ny nz"]:
+    """Distance from the surface of the marked cells, in cells, negative inside; the diagonal where there are none."""
+    diagonal = torch.tensor(filled.shape, dtype=torch.float64).norm()
+    outside, inside = distance_grid(filled) - 0.5, 0.5 - distance_grid(~filled)
+    return torch.where(filled, inside, outside).clamp_max(float(diagonal))
+
+
+def _shell(
+    outer: Float[Tensor, "nx ny nz"], black: Bool[Tensor, "nx ny nz"]
+) -> Float[Tensor, "nx ny nz"] | Float[Tensor, ""]:
+    """Cells between the outer surface and the BLACK octants, at most as many as usual along the surface."""
+    if not bool(black.any()):
+        return torch.ones((), device=outer.device)
+    shell = _signed(black) - outer
+    return torch.minimum(shell, shell[(outer < 0) & (outer > -1)].median())
+
+
+def _mixed(pair: Float[Tensor, "*batch 2"], share: Float[Tensor, "*batch 1"]) -> Float[Tensor, "*batch 1"]:
+    return pair[..., :1] + share * (pair[..., 1:] - pair[..., :1])
