@@ -7,11 +7,11 @@ import pytest
 
 from torchhand.hand import POSE_SPACES, POSTURES
 from torchhand.track.fit import FitSettings
-from torchhand.track.settings import ContourTrackerSettings, LossSettings, NoiseSettings, PriorSettings
+from torchhand.track.settings import ContourTrackerSettings, LightSettings, LossSettings, NoiseSettings, PriorSettings
 
 _POSITIVE = ("edge_std_px", "gate", "search_share")
 _LEAST = {"passes": 1, "points_per_generator": 2, "points_per_arc": 4, "check_side_px": 64}
-_SHARES = ("min_overlap", "min_found", "min_inside", "start_overlap", "doubt_drop", "better_by")
+_SHARES = ("min_overlap", "min_found", "min_inside", "start_overlap", "doubt_drop", "better_by", "turned_by")
 
 CASES = [
     *[(ContourTrackerSettings, name, 0.0, f"{name}: expected above 0 and finite, got 0.0") for name in _POSITIVE],
@@ -42,6 +42,8 @@ CASES = [
     *[(LossSettings, name, -0.5, f"loss.{name}: expected 0 to 1, got -0.5") for name in _SHARES],
     (LossSettings, "doubt_unexplained", -1.0, "loss.doubt_unexplained: expected 0 or more, got -1.0"),
     *[(LossSettings, name, 0, f"loss.{name}: expected 1 or more, got 0") for name in ("patience", "search_every")],
+    (LightSettings, "every", -1, "light.every: expected 0 or more, got -1"),
+    (LightSettings, "keep", 1.5, "light.keep: expected 0 to 1, got 1.5"),
     *[
         (FitSettings, name, -2.0, f"fit.{name}: expected above 0 and finite, got -2.0")
         for name in ("search_share", "final_search_share", "edge_std_px", "bent_std_rad")
