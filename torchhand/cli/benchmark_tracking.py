@@ -26,7 +26,8 @@ from torchhand.numerics import Gaussian, UnscentedSettings, sigma_points, update
 from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
 from torchhand.study.figures import Figure, against_peer, peer_module
 from torchhand.study.timing import PROC, time_interleaved, watch_memory
-from torchhand.track.contour_tracker import ContourTracker, Memory
+from torchhand.track.state import Memory
+from torchhand.track.trackers import AnyTracker, tracker_of
 
 STATE, OBSERVED, MEASUREMENTS = 81, 27, 800
 FRAMES_PER_SECOND = 30.0
@@ -112,7 +113,7 @@ def tracking(
     """Frames per second of the tracker's steps alone: the pictures are there, the start is made."""
     camera, pictures = _simulated(motion, size, frames, SceneSettings())
     kinematics = load_hand_model().kinematics(dtype=torch.float64)
-    tracker = ContourTracker(kinematics, camera, FRAMES_PER_SECOND, settings_of(config))
+    tracker = tracker_of(kinematics, camera, FRAMES_PER_SECOND, settings_of(config))
     with torch.inference_mode():
         start, memory, _ = tracker.step(None, Memory(), pictures[0])
         statuses = _track_all(tracker, start, memory, pictures[1:])
@@ -136,7 +137,7 @@ def tracking(
 
 
 def _track_all(
-    tracker: ContourTracker, state: Any, memory: Memory, pictures: Sequence[UInt8[Tensor, "height width 3"]]
+    tracker: AnyTracker, state: Any, memory: Memory, pictures: Sequence[UInt8[Tensor, "height width 3"]]
 ) -> list[str]:
     statuses = []
     for picture in pictures:

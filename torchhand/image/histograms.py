@@ -53,5 +53,7 @@ def _spreading(size: int, sigma: float, wraps: bool) -> np.ndarray:
 
 
 def _along(matrix: np.ndarray, counts: np.ndarray, axis: int) -> np.ndarray:
-    product = torch.tensordot(torch.from_numpy(matrix), torch.from_numpy(counts), dims=([1], [axis]))
-    return np.moveaxis(product.numpy(), 0, axis)  # by torch, whose threads the caller chooses
+    first = np.ascontiguousarray(np.moveaxis(counts, axis, 0))
+    flat = torch.from_numpy(first.reshape(len(first), -1))
+    product = torch.from_numpy(matrix) @ flat  # by torch, whose threads the caller chooses
+    return np.moveaxis(product.numpy().reshape(first.shape), 0, axis)

@@ -1,0 +1,100 @@
+"""The cost of a fit into a hull between two looks at the model, as normal equations."""
+
+from dataclasses import dataclass
+
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchhand.numerics import NormalEquations, RobustLoss
+from torchhand.residuals import summed, weighted_equations
+from torchhand.residuals.hull_covered import hull_covered_residual
+from torchhand.residuals.hull_inside import hull_inside_residual
+from torchhand.track.hull_points import HullTarget
+from torchhand.track.hull_skin import SkinLoads, SkinPoints
+from torchhand.track.limits import clamp_to_limits
+from torchhand.track.registration_beliefs import Beliefs, HeldBeliefs
+
+_ROOT = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldHull:
+    """What is held between two looks; a row per hypothesis."""
+
+    root_reference: Float[Tensor, "k 3 3"]
+    match: SkinLoads
+    """The vertex of each point of the hull's surface."""
+    normals: Float[Tensor, "k hull 3"]
+    """Of those vertices, at the look."""
+    covered_weight: Float[Tensor, "k hull"]
+    beliefs: HeldBeliefs
+
+    def rows(self, rows: Int[Tensor, "n"]) -> "HeldHull":
+        """The given hypotheses."""
+        if len(rows) == len(self.root_reference):
+            return self
+        return HeldHull(
+            root_reference=self.root_reference[rows],
+            match=self.match.rows(rows),
+            normals=self.normals[rows],
+            covered_weight=self.covered_weight[rows],
+            beliefs=self.beliefs.rows(rows),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class HullCost:
+    """½ Σ weight ρ(residual) of all kinds; weights are inverse variances, m⁻²."""
+
+    skin: SkinPoints
+    beliefs: Beliefs
+    held: HeldHull
+    target: HullTarget
+    inside: SkinLoads
+    """Vertices that must be inside."""
+    inside_weight: Float[Tensor, "points"]
+    inside_robust: RobustLoss
+    covered_robust: RobustLoss
+    slack_m: float
+
+    def equations(self, values: Float[Tensor, "k free"], rows: Int[Tensor, "k"]) -> NormalEquations:
+        """At free parameters of the given hypotheses, rotations about the references that are held."""
+        held = self.held.rows(rows)
+        wanted = self.beliefs.space.dof(values)
+        pose = clamp_to_limits(wanted, self.skin.hand.kinematics.skeleton)
+        moving = pose == wanted
+        near = self.skin.shape
+        inside, covered = self.skin.motions(
+            pose.to(near), held.root_reference.to(near), (self.inside, held.match), moving
+        )
+        terms = [
+            weighted_equations(
+                *hull_inside_residual(inside, self.target.field, slack=self.slack_m),
+                self.inside_weight,
+                self.inside_robust,
+            ),
+            weighted_equations(
+                *hull_covered_residual(covered, self.target.points, held.normals),
+                held.covered_weight,
+                self.covered_robust,
+            ),
+        ]
+        terms = [_like(term, values) for term in terms]
+        of_joints = self.beliefs.of_joints(pose, held.beliefs)
+        if of_joints is not None:
+            terms.append(_along(of_joints, moving[:, _ROOT:, None] * self.beliefs.space.basis[_ROOT:]))
+        of_free = self.beliefs.of_free(values, held.beliefs)
+        return summed(terms if of_free is None else [*terms, of_free])
+
+
+def _along(term: NormalEquations, basis: Float[Tensor, "k 30 free"]) -> NormalEquations:
+    """Equations in the joint angles as equations in the free parameters."""
+    return NormalEquations(
+        matrix=basis.mT @ term.matrix @ basis,
+        gradient=(term.gradient[:, None] @ basis).squeeze(1),
+        cost=term.cost,
+    )
+
+
+def _like(term: NormalEquations, values: Tensor) -> NormalEquations:
+    return NormalEquations(matrix=term.matrix.to(values), gradient=term.gradient.to(values), cost=term.cost.to(values))

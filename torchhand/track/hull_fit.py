@@ -1,0 +1,333 @@
+"""A skinned hand fitted into a visual hull by least squares, for many hypotheses at once.
+
+Both sides count: the skin must be inside the hull (all that silhouettes say for certain), and the hull's surface should
+be on the skin (robustly: a visual hull has volume that no hand fills). Palm and fingers move together. From coarse to
+fine, each level looks at the posed skins a few times, which vertex belongs to which point of the hull's surface, and
+lets Levenberg-Marquardt run between two looks, with the root's rotation about its place at the look.
+"""
+
+from dataclasses import dataclass, fields
+from enum import IntEnum
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchhand.hand import DOFS, Hand, PoseConstraints, PoseSpace, rebased
+from torchhand.numerics import LeastSquares, LevenbergMarquardtSettings, RobustLoss, Status, levenberg_marquardt
+from torchhand.residuals import DynamicConstraints, Expectation, PostureResiduals
+from torchhand.residuals.hull_covered import match_hull
+from torchhand.track.hull_cost import HeldHull, HullCost
+from torchhand.track.hull_points import HullTarget, spread_vertices
+from torchhand.track.hull_settings import HullFitSettings, HullLevel
+from torchhand.track.hull_skin import SkinPoints
+from torchhand.track.limits import clamp_to_limits
+from torchhand.track.registration_beliefs import Beliefs
+from torchhand.track.registration_bounds import own_limits
+from torchhand.track.registration_judged import covariance_of
+
+_ROTATIONS = ("root_rx", "root_ry", "root_rz")
+_ROOT = 6
+_COST_TOLERANCE = 1e-3  # share of the cost below which a step is not worth taking
+_STEP_TOLERANCE = 1e-5
+_DAMPING = 1e-2
+
+
+class HullStatus(IntEnum):
+    """How a hypothesis ended."""
+
+    CONVERGED = Status.CONVERGED.value
+    """No step promises a noticeable decrease of the cost."""
+    STALLED = Status.STALLED.value
+    """Out of iterations: the best pose found."""
+    FAILED = Status.FAILED.value
+    """The start was not finite: the start."""
+    NO_HULL = 3
+    """The silhouettes leave no volume: the start."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HullFit:
+    """Fitted hands, one per hypothesis, in the world."""
+
+    pose: Float[Tensor, "*hypotheses 36"]
+    """Metres and radians, with a zero rotation vector, within the limits."""
+    root_reference: Float[Tensor, "*hypotheses 3 3"]
+    """world_from_hand"""
+    cost: Float[Tensor, "*hypotheses"]
+    """Half the weighted sum of the robust losses at the finest level: comparable between hypotheses; infinite if
+    failed."""
+    inside_share: Float[Tensor, "*hypotheses"]
+    """Share of the skin's area inside the hull (paper 002's rate of convergence); NaN if failed."""
+    apart_m: Float[Tensor, "*hypotheses"]
+    """Mean distance of the hull's surface from the skin, metres, cut off at the finest level's robust distance;
+    infinite if failed."""
+    status: Int[Tensor, "*hypotheses"]
+    """Numbers of `HullStatus`."""
+    iterations: Int[Tensor, "*hypotheses"]
+    """Evaluations over all looks."""
+    covariance: Float[Tensor, "*hypotheses free free"]
+    """Of the free parameters, the rotation as a left perturbation of the root reference; NaN if failed."""
+
+    @property
+    def best(self) -> int:
+        """Place of the lowest cost among the flattened hypotheses."""
+        return int(self.cost.reshape(-1).argmin())
+
+    def select(self, index: int) -> "HullFit":
+        """One of the flattened hypotheses, without batch dimensions."""
+        return self.rows(torch.tensor([index]))._squeezed()
+
+    def rows(self, rows: Int[Tensor, "n"]) -> "HullFit":
+        """Some of the flattened hypotheses, in the order given."""
+        lead = self.status.ndim
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        flat = {name: value.reshape(-1, *value.shape[lead:]) for name, value in values.items()}
+        return HullFit(**{name: value[rows.to(value.device)] for name, value in flat.items()})
+
+    def _squeezed(self) -> "HullFit":
+        return HullFit(**{f.name: getattr(self, f.name)[0] for f in fields(self)})
+
+
+class HullFitter:
+    """Fits one hand of one shape, in one pose space, to any number of hulls.
+
+    hand: in the dtype to compute its skin in; shape: in place of its own. space: in the dtype to solve in (float64 is
+        meant). Starts are put into it.
+    constraints: paper 000's dynamic constraints as soft walls; the static limits hold in any case. prior: which
+        postures are likely.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        space: PoseSpace,
+        settings: HullFitSettings | None = None,
+        *,
+        shape: Float[Tensor, "shape"] | None = None,
+        constraints: PoseConstraints | None = None,
+        prior: PostureResiduals | None = None,
+    ) -> None:
+        self.settings = settings or HullFitSettings()
+        self.skin = SkinPoints(hand, space.basis, shape)
+        moves_joints = bool(space.basis[_ROOT:].any())
+        weight, prior_weight = self.settings.constraint_weight, self.settings.prior_weight
+        dynamic = None
+        if constraints is not None and moves_joints and weight > 0:
+            dynamic = DynamicConstraints(constraints=constraints, basis=space.basis)
+        self.beliefs = Beliefs(
+            space=space,
+            constraints=dynamic,
+            constraint_weight=weight,
+            prior=prior if moves_joints and prior_weight > 0 else None,
+            prior_weight=prior_weight,
+        )
+        vertices, share = spread_vertices(hand, self.settings.vertices)
+        self.vertices, self._share = vertices, share
+        self._inside = self.skin.loads(vertices)
+        self._inverse = torch.linalg.pinv(space.basis)
+        self._bounds = own_limits(space, hand.kinematics.skeleton)
+        self._columns = tuple(space.free_names.index(name) if name in space.free_names else -1 for name in _ROTATIONS)
+        self._rotations = torch.tensor([c for c in self._columns if c >= 0], dtype=torch.long)
+
+    def __call__(
+        self,
+        target: HullTarget,
+        pose: Float[Tensor, "*hypotheses 36"],
+        root_reference: Float[Tensor, "*#hypotheses 3 3"],
+        *,
+        expected: Expectation | None = None,
+    ) -> HullFit:
+        """Every hypothesis from its own start.
+
+        expected: the pose that is expected, such as a prediction, in the same space, for all hypotheses or for each.
+
+        Never raises for what a hull or a start may be: see `HullStatus`. One hypothesis never touches another.
+        """
+        space, batch = self.beliefs.space, pose.shape[:-1]
+        flat = pose.reshape(-1, len(DOFS)).to(space.basis)
+        reference = root_reference.to(flat).expand(*batch, 3, 3).reshape(-1, 3, 3)
+        if expected is not None:
+            expected = Expectation(
+                free=expected.free.expand(*batch, -1).reshape(-1, space.size),
+                root_reference=expected.root_reference.expand(*batch, 3, 3).reshape(-1, 3, 3),
+                whitening=expected.whitening.expand(*batch, -1, -1).reshape(-1, space.size, space.size),
+            )
+        size = self.settings.hypotheses_at_once
+        done = []
+        for start in range(0, max(1, len(flat)), size):
+            part = slice(start, start + size)
+            own = None
+            if expected is not None:
+                own = Expectation(**{f.name: getattr(expected, f.name)[part] for f in fields(expected)})
+            with torch.inference_mode():
+                done.append(self._fit(target, flat[part], reference[part], own))
+        whole = {f.name: torch.cat([getattr(one, f.name) for one in done]) for f in fields(HullFit)}
+        return HullFit(**{name: value.reshape((*batch, *value.shape[1:])) for name, value in whole.items()})
+
+    def _fit(self, target: HullTarget, pose: Tensor, reference: Tensor, expected: Expectation | None) -> HullFit:
+        start = rebased(pose, reference)
+        if target.is_empty or not len(pose):
+            return self._unmoved(*start, HullStatus.NO_HULL)
+        values, reference = self._free(start[0]).clamp(*self._bounds), start[1]
+        iterations = torch.zeros(len(pose), dtype=torch.long, device=pose.device)
+        lower, upper = self._bounds
+        kept = None
+        for index, level in enumerate(self.settings.levels):
+            newton = LevenbergMarquardtSettings(
+                iterations=level.iterations,
+                damping=_DAMPING,
+                cost_tolerance=_COST_TOLERANCE,
+                step_tolerance=_STEP_TOLERANCE,
+            )
+            for _ in range(level.rounds):
+                cost, _ = self.look(target, self._pose(values), reference, expected, level)
+                found = levenberg_marquardt(
+                    cost.equations, values, lower=lower, upper=upper, settings=newton, takes_rows=True
+                )
+                iterations += found.iterations
+                moved, reference = rebased(self._pose(found.values), reference)
+                values = found.values.index_fill(-1, self._rotations, 0.0).clamp(lower, upper)
+                if index == len(self.settings.levels) - 1:
+                    ended = _Ended.of(found, moved, reference)
+                    kept = ended if kept is None else kept.or_better(ended)
+        assert kept is not None
+        return self._finished(target, kept, start, iterations)
+
+    def _pose(self, values: Tensor) -> Tensor:
+        return clamp_to_limits(self.beliefs.space.dof(values), self.skin.hand.kinematics.skeleton)
+
+    def _free(self, pose: Tensor) -> Tensor:
+        return (pose - self.beliefs.space.constant) @ self._inverse.T
+
+    def look(
+        self,
+        target: HullTarget,
+        pose: Float[Tensor, "k 36"],
+        reference: Float[Tensor, "k 3 3"],
+        expected: Expectation | None,
+        level: HullLevel,
+    ) -> tuple[HullCost, Int[Tensor, "k hull"]]:
+        """The cost about some poses, and the vertex that belongs to each point of the hull's surface."""
+        settings, like = self.settings, self.skin.shape
+        seen = self._seen(target, *self.skin.skin_and_wrist(pose.to(like), reference.to(like)))
+        precision = max(settings.std_m, settings.std_share * level.robust_m) ** -2
+        count = seen.is_hand.sum(-1, keepdim=True).clamp_min(1)
+        held = HeldHull(
+            root_reference=reference,
+            match=self.skin.loads(seen.match),
+            normals=seen.normals,
+            covered_weight=settings.covered_weight * precision / count * seen.is_hand,
+            beliefs=self.beliefs.held(pose, None if expected is None else expected.about(reference, self._columns)),
+        )
+        cost = HullCost(
+            skin=self.skin,
+            beliefs=self.beliefs,
+            held=held,
+            target=target,
+            inside=self._inside,
+            inside_weight=settings.inside_weight * precision * self._share,
+            inside_robust=RobustLoss(kind="huber", scale=settings.inside_robust * precision**-0.5),
+            covered_robust=RobustLoss(kind="geman_mcclure", scale=level.robust_m),
+            slack_m=settings.slack_m,
+        )
+        return cost, seen.match
+
+    def _seen(self, target: HullTarget, vertices: Tensor, wrist_rotation: Tensor, wrist: Tensor) -> "_Seen":
+        points, normals = target.points.to(vertices), self.skin.normals(vertices)
+        match = match_hull(points, target.normals.to(vertices), vertices, normals, turn=self.settings.turn_m)
+        index = match[..., None].expand(-1, -1, 3)
+        normals, place = normals.gather(1, index), vertices.gather(1, index)
+        height = ((points - wrist[:, None]) * wrist_rotation[:, None, :, 1]).sum(-1)
+        return _Seen(
+            match=match,
+            normals=normals,
+            offset=(normals * (place - points)).sum(-1),
+            is_hand=(height > -self.settings.beyond_wrist_m).to(vertices),
+        )
+
+    def _finished(
+        self, target: HullTarget, kept: "_Ended", start: tuple[Tensor, Tensor], iterations: Tensor
+    ) -> HullFit:
+        failed = kept.status == Status.FAILED.value
+        inside, apart = self._measured(target, kept.pose, kept.reference)
+        return HullFit(
+            pose=torch.where(failed[:, None], start[0], kept.pose),
+            root_reference=torch.where(failed[:, None, None], start[1], kept.reference),
+            cost=kept.cost,
+            inside_share=torch.where(failed, torch.nan, inside),
+            apart_m=torch.where(failed, torch.inf, apart),
+            status=kept.status,
+            iterations=iterations,
+            covariance=covariance_of(kept.matrix, ~failed),
+        )
+
+    def _measured(self, target: HullTarget, pose: Tensor, reference: Tensor) -> tuple[Tensor, Tensor]:
+        """Share of the skin inside, and mean distance of the hull's surface from the skin, metres."""
+        like, most = self.skin.shape, self.settings.levels[-1].robust_m
+        vertices, wrist_rotation, wrist = self.skin.skin_and_wrist(pose.to(like), reference.to(like))
+        value, _ = target.field.sample(vertices[:, self.vertices])
+        inside = ((value <= self.settings.slack_m) * self._share).sum(-1)
+        seen = self._seen(target, vertices, wrist_rotation, wrist)
+        apart = seen.offset.abs().clamp_max(most) * seen.is_hand
+        return inside.to(pose), (apart.sum(-1) / seen.is_hand.sum(-1).clamp_min(1)).to(pose)
+
+    def _unmoved(self, pose: Tensor, reference: Tensor, status: HullStatus) -> HullFit:
+        size, count = self.beliefs.space.size, len(pose)
+        nothing = torch.full((count,), torch.inf, dtype=pose.dtype, device=pose.device)
+        zeros = torch.zeros(count, dtype=torch.long, device=pose.device)
+        return HullFit(
+            pose=pose,
+            root_reference=reference,
+            cost=nothing,
+            inside_share=torch.full_like(nothing, torch.nan),
+            apart_m=nothing.clone(),
+            status=zeros + status.value,
+            iterations=zeros,
+            covariance=torch.full((count, size, size), torch.nan, dtype=pose.dtype, device=pose.device),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Seen:
+    """The vertices that belong to the points of a hull's surface; a row per hypothesis."""
+
+    match: Int[Tensor, "k hull"]
+    normals: Float[Tensor, "k hull 3"]
+    """Of those vertices."""
+    offset: Float[Tensor, "k hull"]
+    """How far they are beyond the points, metres."""
+    is_hand: Float[Tensor, "k hull"]
+    """1 for points on the fingers' side of the wrist or as far beyond it as the settings say, 0 for others: there may
+    be a forearm, which the model has not."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Ended:
+    """Where the last optimiser of some hypotheses ended, and what that cost by its look; a row per hypothesis."""
+
+    pose: Float[Tensor, "k 36"]
+    reference: Float[Tensor, "k 3 3"]
+    cost: Float[Tensor, "k"]
+    status: Int[Tensor, "k"]
+    matrix: Float[Tensor, "k free free"]
+
+    @classmethod
+    def of(cls, found: LeastSquares, pose: Tensor, reference: Tensor) -> "_Ended":
+        is_sound = (found.status != Status.FAILED.value) & pose.isfinite().all(-1)
+        return cls(
+            pose=pose,
+            reference=reference,
+            cost=torch.where(is_sound, found.cost, torch.inf),
+            status=torch.where(is_sound, found.status, Status.FAILED.value),
+            matrix=found.matrix,
+        )
+
+    def or_better(self, other: "_Ended") -> "_Ended":
+        """The cheaper of the two, hypothesis by hypothesis."""
+        better = other.cost <= self.cost
+
+        def chosen(one: Tensor, two: Tensor) -> Tensor:
+            return torch.where(better.reshape(-1, *(1,) * (one.ndim - 1)), two, one)
+
+        return _Ended(**{f.name: chosen(getattr(self, f.name), getattr(other, f.name)) for f in fields(_Ended)})

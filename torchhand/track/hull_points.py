@@ -1,0 +1,127 @@
+"""What a fit needs of a hull besides its field: points spread over its surface, with normals."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchhand import volume
+from torchhand.hand import Hand
+from torchhand.residuals.hull_inside import HullField
+
+_NEWTON = 2  # steps onto the surface
+_SPARE = 3  # times the points wanted are put onto it: where two sides meet, some do not get there
+_NEAR = 0.25  # of the pitch: a point that is no nearer to the surface after them is left out
+
+
+@dataclass(frozen=True, kw_only=True)
+class HullTarget:
+    """A hull to fit a hand into, in the world."""
+
+    field: HullField
+    points: Float[Tensor, "hull 3"]
+    """On its surface, metres; none where there is no hull."""
+    normals: Float[Tensor, "hull 3"]
+    """Outward, unit."""
+    inner: Float[Tensor, "inner 3"]
+    """Grid points inside, metres."""
+    depth: Float[Tensor, "inner"]
+    """How deep they are, metres."""
+
+    @property
+    def is_empty(self) -> bool:
+        return not len(self.points)
+
+
+def hull_target(
+    field: HullField,
+    lower: Float[Tensor, "3"],
+    upper: Float[Tensor, "3"],
+    *,
+    pitch: float = 0.004,
+    points: int = 500,
+) -> HullTarget:
+    """The hull within a box, by its field on a grid.
+
+    lower, upper: corners of a box around the hull, metres. pitch: of the grid, metres. points: most points of the
+    surface; they are chosen evenly at random, the same ones for the same hull.
+
+    Raises ValueError for a box without inside, for a pitch that is not positive, and for no points.
+    """
+    if not bool((upper > lower).all()):
+        raise ValueError(f"box: expected upper above lower, got {lower.tolist()} and {upper.tolist()}")
+    if not 0 < pitch < float("inf"):
+        raise ValueError(f"pitch: expected above 0 and finite, got {pitch!r}")
+    if points < 1:
+        raise ValueError(f"points: expected 1 or more, got {points!r}")
+    axes = [
+        torch.arange(int(size) + 2, dtype=lower.dtype, device=lower.device) * pitch + low
+        for size, low in zip(((upper - lower) / pitch).tolist(), lower, strict=True)
+    ]
+    grid = torch.cartesian_prod(*axes)
+    value, _ = field.sample(grid)
+    return _of_grid(field, grid, value, pitch, points)
+
+
+def target_of(field: volume.HullField, *, points: int = 500) -> HullTarget:
+    """The hull of one frame by its own grid: the same without asking the field at every grid point.
+
+    Raises ValueError for the fields of several frames, and for no points.
+    """
+    if field.values.ndim != 3:
+        raise ValueError(f"field: expected that of one frame, got a batch {tuple(field.values.shape[:-3])}")
+    if points < 1:
+        raise ValueError(f"points: expected 1 or more, got {points!r}")
+    is_near = (field.values <= 0.9 * field.pitch).flatten().nonzero()[:, 0]
+    place = torch.stack(torch.unravel_index(is_near, field.values.shape), -1)
+    grid = field.origin + place * field.pitch
+    return _of_grid(field, grid, field.values.flatten()[is_near].to(grid), field.pitch, points)
+
+
+def _of_grid(
+    field: HullField, grid: Float[Tensor, "n 3"], value: Float[Tensor, "n"], pitch: float, points: int
+) -> HullTarget:
+    inside = value < 0
+    near = grid[value.abs() <= 0.9 * pitch]
+    order = torch.randperm(len(near), generator=torch.Generator().manual_seed(0))[: _SPARE * points]
+    near = near[order.to(near.device)]
+    for _ in range(_NEWTON):
+        distance, gradient = field.sample(near)
+        length = gradient.square().sum(-1, keepdim=True)
+        near = near - (distance[:, None] * gradient / length.clamp_min(0.04)).clamp(-pitch, pitch)
+    distance, gradient = field.sample(near)
+    kept = (distance.abs() <= _NEAR * pitch) & (gradient.norm(dim=-1) > 0.2)
+    near, gradient = near[kept][:points], gradient[kept][:points]
+    return HullTarget(
+        field=field,
+        points=near,
+        normals=torch.nn.functional.normalize(gradient, dim=-1),
+        inner=grid[inside],
+        depth=-value[inside],
+    )
+
+
+def spread_vertices(hand: Hand, count: int) -> tuple[Int[Tensor, "points"], Float[Tensor, "points"]]:
+    """Vertices spread evenly over a hand's skin, and the share of its area that each stands for.
+
+    Each is the farthest from those before it, on the open hand of the hand's default shape. At most as many as there
+    are.
+    """
+    device = hand.faces.device
+    vertices = hand.skinning.rest_vertices.T
+    vertices = vertices + (hand.skinning.rest_basis @ hand.kinematics.metres(hand.kinematics.default_shape)).T
+    a, b, c = vertices[hand.faces].unbind(1)
+    of_face = torch.linalg.cross(b - a, c - a).norm(dim=-1) / 6
+    area = torch.zeros(len(vertices), dtype=vertices.dtype, device=device)
+    area = area.index_add(0, hand.faces.flatten(), of_face.repeat_interleave(3))
+    chosen = [int(area.argmax())]
+    nearest = (vertices - vertices[chosen[0]]).norm(dim=-1)
+    owner = torch.zeros(len(vertices), dtype=torch.long, device=device)
+    for index in range(1, min(count, len(vertices))):
+        chosen.append(int(nearest.argmax()))
+        apart = (vertices - vertices[chosen[-1]]).norm(dim=-1)
+        closer = apart < nearest
+        owner, nearest = torch.where(closer, index, owner), torch.minimum(nearest, apart)
+    share = torch.zeros(len(chosen), dtype=vertices.dtype, device=device).index_add(0, owner, area)
+    return torch.tensor(chosen, device=device), share / area.sum()
