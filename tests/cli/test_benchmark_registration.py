@@ -28,6 +28,7 @@ def _small_and_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(benchmark_iteration, "PEER_HYPOTHESES", 1)
     monkeypatch.setattr(benchmark_iteration, "TABLE", outline_table(2, 2, without=("palm_wrist",)))
     monkeypatch.setattr(benchmark_registration, "MANY", 4)
+    monkeypatch.setattr(benchmark_registration, "SIZE_PX", (200, 150))
 
 
 @pytest.fixture
@@ -73,7 +74,8 @@ def test_pypose_takes_the_step_that_ours_takes_with_the_same_derivatives(work: I
         assert float((theirs - ours[index]).norm()) < 1e-3 * float(step.norm())  # ours adds 1e-12 of the largest entry
 
 
-def test_one_registration(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_registration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(benchmark_registration, "SIZE_PX", (640, 480))
     entry = _run(tmp_path / "figures.json", "registration")
     details = entry["details"]
     assert (entry["unit"], entry["must"], entry["aim"]) == ("ms", 40.0, 15.0)
