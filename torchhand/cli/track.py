@@ -11,15 +11,13 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from torchhand.cli.command import DONE, STOPPED_BY_USER, WRONG_INPUT, command, parse, threads
 from torchhand.cli.request import Request, known_hand, settings_of, start_points_of
-from torchhand.cli.tracking import summary_of, track_sequence
+from torchhand.cli.tracking import how_to_go_on, summary_of, track_sequence
 from torchhand.errors import InputError
 from torchhand.files import (
     Track,
     check_output_folder,
     sequences_of,
 )
-from torchhand.files.results import UNFINISHED_NAME
-from torchhand.files.track_file import JSONL_NAME
 from torchhand.hand import Side
 
 
@@ -100,7 +98,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             try:
                 track, _ = track_sequence(source, out_dir, request, say)
             except KeyboardInterrupt:
-                _say(_how_to_go_on(out_dir, overwrite=request.overwrite))
+                _say(how_to_go_on(out_dir, overwrite=request.overwrite))
                 return STOPPED_BY_USER
             except (InputError, OSError) as error:
                 if not has_videos:
@@ -132,14 +130,6 @@ def _request(arguments: Arguments) -> Request:
         has_overlay=arguments.overlay,
         seed=arguments.seed,
     )
-
-
-def _how_to_go_on(out_dir: Path, *, overwrite: bool) -> str:
-    folder = next((place for place in (out_dir / UNFINISHED_NAME, out_dir) if (place / JSONL_NAME).exists()), None)
-    if folder is None:
-        return "stopped by Ctrl-C"
-    option = "--resume in place of --overwrite" if overwrite else "--resume"
-    return f"stopped by Ctrl-C; what is tracked so far is in {folder}, and the same command with {option} goes on"
 
 
 def _warn_without_hand(name: str, track: Track) -> None:

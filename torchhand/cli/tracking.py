@@ -29,7 +29,8 @@ from torchhand.files import (
     save_hand,
     save_settings,
 )
-from torchhand.files.results import CONFIG_NAME, HAND_NAME, OVERLAY_NAME
+from torchhand.files.results import CONFIG_NAME, HAND_NAME, OVERLAY_NAME, UNFINISHED_NAME
+from torchhand.files.track_file import JSONL_NAME
 from torchhand.files.track_record import STATUSES
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandKinematics
@@ -232,3 +233,12 @@ def summary_of(name: str, track: Track, out_dir: Path) -> str:
     if np.isfinite(overlaps).any():
         parts.append(f"median overlap {float(np.nanmedian(overlaps)):.2f}")
     return f"{'; '.join(parts)}; saved in {out_dir}"
+
+
+def how_to_go_on(out_dir: Path, *, overwrite: bool) -> str:
+    """What to tell who has stopped a run."""
+    folder = next((place for place in (out_dir / UNFINISHED_NAME, out_dir) if (place / JSONL_NAME).exists()), None)
+    if folder is None:
+        return "stopped by Ctrl-C"
+    option = "--resume in place of --overwrite" if overwrite else "--resume"
+    return f"stopped by Ctrl-C; what is tracked so far is in {folder}, and the same command with {option} goes on"

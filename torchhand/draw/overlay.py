@@ -64,7 +64,7 @@ def draw_overlay(
     picture = canvas[:height, :width]
     picture[:] = image.cpu().numpy()
     if pose is not None and root_reference is not None:
-        _draw_contour(picture, projector, pose, root_reference)
+        draw_contour(picture, projector, pose, root_reference)
         side = _panel_side(height)
         view = draw_second_view(projector, pose, root_reference, min(side, _LARGEST_CAST)).cpu().numpy()
         view = cv2.resize(view, (side, side), interpolation=cv2.INTER_CUBIC)
@@ -72,7 +72,7 @@ def draw_overlay(
         canvas[top : top + side, width : width + side] = view
     if keypoints_px is not None:
         _draw_dots(picture, keypoints_px)
-    _write_line(picture, frame, status, iou)
+    write_line(picture, frame, status, iou)
     return torch.from_numpy(canvas)
 
 
@@ -92,7 +92,9 @@ def _line_table(dtype: torch.dtype) -> OutlineTable:
     )
 
 
-def _draw_contour(picture: np.ndarray, projector: HandProjector, pose: Tensor, root_reference: Tensor) -> None:
+def draw_contour(
+    picture: np.ndarray, projector: HandProjector, pose: Float[Tensor, "36"], root_reference: Float[Tensor, "3 3"]
+) -> None:
     """Draws a line between neighbouring points of a run that are both visible, in place."""
     contour = projector.contour(pose, root_reference, _line_table(pose.dtype))
     far = 4.0 * max(picture.shape[:2])
@@ -119,7 +121,7 @@ def _fixed_point(points_px: Tensor) -> np.ndarray:
     return (points_px.detach().cpu() * (1 << _SHIFT)).round().to(torch.int32).numpy()
 
 
-def _write_line(picture: np.ndarray, frame: int, status: str, iou: float | None) -> None:
+def write_line(picture: np.ndarray, frame: int, status: str, iou: float | None) -> None:
     """The frame's number, its status and its overlap on a dark strip at the upper left."""
     height = picture.shape[0]
     words = [(f"frame {frame}", (235, 235, 235)), (status.replace("_", " "), STATUS_COLOURS[status])]

@@ -5,14 +5,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from jaxtyping import UInt8
+from jaxtyping import Bool, UInt8
 from torch import Tensor
 
 from torchhand.errors import InputError
 from torchhand.files.json_checks import suggestion
 from torchhand.files.rig_faults import FrozenViews, blackness
 from torchhand.files.rig_view import Picture, RigView, open_view
-from torchhand.files.rig_views import find_views, view_paths
+from torchhand.files.rig_views import find_views, mask_paths, view_paths
 from torchhand.geometry.cameras import Camera
 
 _LEAST_AGREEMENT = 0.5  # share of the shortest view's numbers that all views have
@@ -28,6 +28,8 @@ class RigFrame:
     """RGB; None where a view is missing, unreadable, of another size, black or frozen."""
     problems: tuple[str | None, ...]
     """One line for every picture that is None."""
+    masks: tuple[Bool[Tensor, "_height _width"] | None, ...] | None = None
+    """The given silhouettes, None where one is missing; None where none were asked for."""
 
 
 class RigSource:
@@ -47,8 +49,11 @@ class RigSource:
         max_frames: int | None = None,
         every: int = 1,
         keep_all: bool = False,
+        mask_views: int = 0,
     ) -> None:
         """keep_all: moments count that any view has a numbered picture of, not only those between all views' ends.
+
+        mask_views: so many of the last views are the silhouettes of the others, in their order.
 
         Raises InputError: no view can be used, an offset of an unknown camera, a start after the end.
         """
@@ -60,6 +65,7 @@ class RigSource:
         self.warnings: list[str] = []
         """Lines for the user; more may come while reading."""
         self.names = tuple(view.name for view in views)
+        self._cameras = len(views) - mask_views
         self._offsets = _offsets(self.names, offsets or {})
         self._views = self._aligned(views, keep_all=keep_all)
         usable = [view for view in self._views if view.problem is None]
@@ -105,14 +111,17 @@ class RigSource:
                 return
             images, problems = zip(*(picture for picture in pictures if picture is not None), strict=True)
             problems = [
-                problem or (blackness(name, image) if image is not None else None)
-                for name, image, problem in zip(self.names, images, problems, strict=True)
+                problem or (blackness(name, image) if image is not None and view < self._cameras else None)
+                for view, (name, image, problem) in enumerate(zip(self.names, images, problems, strict=True))
             ]
             problems = frozen.judge(images, problems)
+            good = tuple(None if p else image for p, image in zip(problems, images, strict=True))
+            count = self._cameras
             yield RigFrame(
                 index=index,
-                images=tuple(None if p else image for p, image in zip(problems, images, strict=True)),
-                problems=tuple(problems),
+                images=good[:count],
+                problems=tuple(problems[:count]),
+                masks=None if count == len(good) else tuple(m if m is None else m[..., 0] > 127 for m in good[count:]),
             )
 
     def close(self) -> None:
@@ -212,11 +221,14 @@ def open_rig(
     offsets: Mapping[str, int] | None = None,
     start: int = 0,
     max_frames: int | None = None,
+    masks: bool = False,
 ) -> RigSource:
     """The recording of calibrated cameras: view_K/ or NAME/ pictures, or NAME.mp4, per camera in their order.
 
+    masks: read the silhouettes in masks_K/ too (white is the hand), which have the pictures' numbers.
+
     A view that is missing or of another size than its camera is left out with a warning; its reason stands in every
-    frame. Raises InputError where no view is left.
+    frame. Raises InputError where no view is left, and where there are no masks at all although they are asked for.
     """
     folder = Path(folder).expanduser()
     paths = view_paths(folder, [camera.name for camera in cameras])
@@ -228,7 +240,16 @@ def open_rig(
     views = [
         open_view(camera.name, path, (camera.width, camera.height)) for camera, path in zip(cameras, paths, strict=True)
     ]
-    return RigSource(views, offsets=offsets, start=start, max_frames=max_frames)
+    if not masks:
+        return RigSource(views, offsets=offsets, start=start, max_frames=max_frames)
+    places = mask_paths(folder, len(cameras))
+    if not any(places):
+        raise InputError(f"{folder}: expected silhouettes in masks_0, masks_1, ..., found none")
+    pairs = zip(cameras, places, strict=True)
+    views += [open_view(f"{camera.name} mask", path, (camera.width, camera.height)) for camera, path in pairs]
+    own = dict(offsets or {})
+    own |= {f"{name} mask": frames for name, frames in own.items()}
+    return RigSource(views, offsets=own, start=start, max_frames=max_frames, mask_views=len(cameras))
 
 
 def open_uncalibrated(

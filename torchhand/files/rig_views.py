@@ -29,6 +29,15 @@ def view_paths(folder: Path, names: Sequence[str]) -> list[Path | None]:
     return paths
 
 
+def mask_paths(folder: Path, count: int) -> list[Path | None]:
+    """Folder of silhouettes masks_K/ of each of so many cameras, None where there is none.
+
+    Raises InputError where the folder cannot be read.
+    """
+    by_name = {path.name: path for path in _content(folder) if path.is_dir()}
+    return [by_name.get(f"masks_{view}") for view in range(count)]
+
+
 def find_views(folder: Path) -> dict[str, Path]:
     """Name and place of all views of a folder whose cameras are not known yet, in natural order.
 

@@ -1,0 +1,134 @@
+"""Track a hand through the synchronised pictures of several calibrated cameras."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tqdm import tqdm
+from tyro.conf import Positional, UseAppendAction, arg
+
+from torchhand.cli.changes import changes_of
+from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
+from torchhand.cli.multiview_tracking import RigRequest, track_rig
+from torchhand.cli.request import known_hand
+from torchhand.cli.tracking import how_to_go_on, summary_of
+from torchhand.errors import InputError
+from torchhand.files import find_config, load_settings, setting_in
+from torchhand.files.rig_source import offsets_of
+from torchhand.track.multiview import MultiViewSettings
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Track a hand through the synchronised pictures of several calibrated cameras.
+
+    RIG holds cameras.json (or OpenCV's, COLMAP's or plain text files) and, per camera in its order, view_K/ with
+    pictures, or NAME.mp4; masks_K/ may hold silhouettes. DIR gets track.npz, track.jsonl, hand.json, config.yaml and
+    overlay.mp4, poses in the rig's world frame. The hand is found by itself in any posture, and its proportions are
+    fitted once to frames from all over the sequence before it is followed.
+
+    Example:
+        torchhand track_multiview recording --out out/recording --side left
+    """
+
+    rig: Annotated[Positional[Path], arg(metavar="RIG")]
+    """Folder of the cameras and their pictures."""
+    out: Annotated[Path, arg(metavar="DIR")]
+    """Folder for the results."""
+    config: Annotated[str, arg(metavar="NAME")] = "hull_lm"
+    """Method: hull_lm (least squares, both sides of skin and hull), hull_torque (paper 002 as printed), or a YAML
+    file."""
+    cameras: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Cameras in another place than RIG."""
+    unit: Annotated[str | None, arg(metavar="UNIT")] = None
+    """What the cameras' translations are in: m, cm, mm, inch, a number of metres, or `hand`: not known, and to be
+    fitted so that the hand has its size (that of --hand, or the average)."""
+    silhouettes: Literal["auto", "masks", "skin", "background", "chroma"] = "auto"
+    """Where the silhouettes come from: masks_K/ of RIG, colour of skin, difference from --background, or a coloured
+    screen. auto: masks where RIG holds them, else as the configuration says."""
+    background: Annotated[Path | None, arg(metavar="DIR")] = None
+    """Pictures of the scene without the hand, one per camera: NAME.png or view_K.png."""
+    hand: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Known shape of the hand (hand.json), which is then not fitted."""
+    side: Literal["left", "right"] | None = None
+    """Which hand; right, or that of --hand."""
+    offset: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME=FRAMES")] = ()
+    """A camera that started so many frames before the others; may be repeated."""
+    start: Annotated[int, arg(metavar="N")] = 0
+    """First frame, counted from 0."""
+    max_frames: Annotated[int | None, arg(metavar="N")] = None
+    """Frames to track at most."""
+    resume: bool = False
+    """Go on with an interrupted run."""
+    overwrite: bool = False
+    """Replace an older result in DIR."""
+    overlay: bool = True
+    """Draw overlay.mp4."""
+    changes: Annotated[UseAppendAction[tuple[str, ...]], arg(name="set", metavar="KEY=VALUE")] = ()
+    """Change a single setting, such as octree.level=8; may be repeated. config.yaml of a result lists them all."""
+    threads: int = 1
+    """Threads of torch; its tensors are small, and more than one is slower."""
+
+    def __post_init__(self) -> None:
+        if self.start < 0:
+            raise ValueError(f"--start: expected 0 or more, got {self.start}")
+        if self.max_frames is not None and self.max_frames < 1:
+            raise ValueError(f"--max-frames: expected 1 or more, got {self.max_frames}")
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> int:
+    """Track the hand through one recording."""
+    arguments = parse(Arguments, argv, name="track_multiview")
+    request = _request(arguments)
+    with threads(arguments.threads):
+        try:
+            track = track_rig(arguments.rig, arguments.out, request, _say)
+        except KeyboardInterrupt:
+            _say(how_to_go_on(arguments.out, overwrite=request.overwrite))
+            return STOPPED_BY_USER
+    print(summary_of(arguments.rig.name, track, arguments.out))
+    if len(track) and not any(status in ("tracked", "recovered") for status in track.status):
+        reason = "" if track.reason is None else next((f" ({text})" for text in track.reason if text), "")
+        _say(f"no hand was found{reason}; look at the silhouettes, the cameras' unit and --side")
+    return DONE
+
+
+def _request(arguments: Arguments) -> RigRequest:
+    hand = None if arguments.hand is None else known_hand(arguments.hand)
+    return RigRequest(
+        settings=_settings(arguments),
+        config=arguments.config,
+        side=arguments.side or ("left" if hand is not None and hand.side == "left" else "right"),
+        hand=hand,
+        cameras=arguments.cameras,
+        unit=arguments.unit,
+        masks={"auto": None, "masks": True}.get(arguments.silhouettes, False),
+        background=arguments.background,
+        offsets=offsets_of(arguments.offset),
+        start=arguments.start,
+        max_frames=arguments.max_frames,
+        resume=arguments.resume,
+        overwrite=arguments.overwrite,
+        has_overlay=arguments.overlay,
+    )
+
+
+def _settings(arguments: Arguments) -> MultiViewSettings:
+    overrides = changes_of(arguments.changes, "octree.level=8")
+    if arguments.silhouettes not in ("auto", "masks"):
+        if "silhouette.method" in overrides:
+            raise InputError("--set: expected each field once, got silhouette.method and --silhouettes")
+        overrides["silhouette.method"] = arguments.silhouettes
+    path = find_config(arguments.config)
+    method = setting_in(path, "method")
+    if method != "hull":
+        raise InputError(f"{path}: method: expected hull for several cameras, got {method!r}")
+    return load_settings(MultiViewSettings(), path, overrides)
+
+
+def _say(line: str) -> None:
+    """One line on stderr, beside a progress bar that may run."""
+    tqdm.write(f"torchhand track_multiview: {line}", file=sys.stderr)

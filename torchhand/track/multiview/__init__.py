@@ -1,0 +1,18 @@
+"""Paper 002 as a tracker: several cameras, silhouettes, an octree's hull, and a skinned hand fitted into it."""
+
+from torchhand.track.multiview.acquaintance import Acquaintance, acquaint, moments_of
+from torchhand.track.multiview.settings import HullOctreeSettings, MultiViewLossSettings, MultiViewSettings
+from torchhand.track.multiview.silhouettes import ViewSilhouettes
+from torchhand.track.multiview.tracker import MultiViewMemory, MultiViewTracker
+
+__all__ = [
+    "Acquaintance",
+    "HullOctreeSettings",
+    "MultiViewLossSettings",
+    "MultiViewMemory",
+    "MultiViewSettings",
+    "MultiViewTracker",
+    "ViewSilhouettes",
+    "acquaint",
+    "moments_of",
+]

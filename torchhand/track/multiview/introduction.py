@@ -1,0 +1,115 @@
+"""The first look at a recording: colours of every view, unit of the rig where it is unknown, the hand's proportions."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.hand import Anthropometry, Hand
+from torchhand.track.multiview.acquaintance import Acquaintance, acquaint
+from torchhand.track.multiview.scale import in_unit, moved_anchor, resized_shape, rough_unit, size_factor
+from torchhand.track.multiview.settings import MultiViewSettings
+from torchhand.track.multiview.silhouettes import Images, LearnedSkin, Masks, ViewSilhouettes
+from torchhand.track.multiview.tracker import Anchor, MultiViewTracker
+
+_SIZES = (0.78, 0.88, 1.0, 1.13, 1.27)  # of the generic hand, tried where the unit is known to a quarter only
+
+Moment = tuple[int, Images, Masks | None]
+"""Its number, the pictures of all views, and the silhouettes where they are given."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Introduction(Acquaintance):
+    """What the first look tells."""
+
+    skins: Sequence[LearnedSkin | None]
+    """Of every view; None where none is known."""
+    metres: float | None = None
+    """Of one unit of the rig, where it was to be fitted and a hand was found."""
+
+
+def introduce(
+    hand: Hand,
+    silhouettes: ViewSilhouettes,
+    frames_per_second: float,
+    moments: Sequence[Moment],
+    people: Anthropometry,
+    settings: MultiViewSettings,
+    *,
+    shape: Float[Tensor, "shape"] | None = None,
+    fits_unit: bool = False,
+    done: Callable[[], object] = lambda: None,
+) -> Introduction:
+    """Look at some moments of a recording.
+
+    shape: known proportions. fits_unit: the unit of the cameras' translations is not known and is chosen so that the
+    hand is as large as `shape` or, without it, as the average. done: called after every moment.
+    """
+    skins: list[LearnedSkin | None] = [None] * len(silhouettes.cameras)
+    for _, images, given in moments:
+        if given is None:
+            skins = silhouettes.learn(images, skins)
+    seen = [
+        (moment, silhouettes(images, skins) if given is None else silhouettes.undistorted(given))
+        for moment, images, given in moments
+    ]
+    if fits_unit:
+        return _with_unit(hand, silhouettes, frames_per_second, seen, people, settings, shape, skins, done)
+    tracker = MultiViewTracker(hand, silhouettes.cameras, frames_per_second, settings)
+    return _introduction(_met(tracker, seen, people, settings, shape, done), skins)
+
+
+def _met(
+    tracker: MultiViewTracker,
+    seen: Sequence[tuple[int, Masks]],
+    people: Anthropometry,
+    settings: MultiViewSettings,
+    shape: Tensor | None,
+    done: Callable[[], object],
+) -> Acquaintance:
+    if settings.shape_frames == 0 and shape is None:
+        shape = tracker.hand.kinematics.default_shape
+    return acquaint(tracker, seen, people, shape=shape, done=done)
+
+
+def _with_unit(
+    hand: Hand,
+    silhouettes: ViewSilhouettes,
+    frames_per_second: float,
+    seen: Sequence[tuple[int, Masks]],
+    people: Anthropometry,
+    settings: MultiViewSettings,
+    shape: Tensor | None,
+    skins: Sequence[LearnedSkin | None],
+    done: Callable[[], object],
+) -> Introduction:
+    """The same with a unit that makes the hand as large as it is known, or thought, to be."""
+    space = hand.kinematics.shape_space
+    nominal = rough_unit(silhouettes.cameras, seen)
+    if nominal is None:
+        nothing = Acquaintance(shape=hand.kinematics.default_shape, shape_std=None, anchors={}, learned_from=())
+        return _introduction(nothing, skins)
+    wider = replace(settings, sizes=_SIZES, shape_frames=max(1, settings.shape_frames))
+    tracker = MultiViewTracker(hand, in_unit(silhouettes.cameras, nominal), frames_per_second, wider)
+    met = acquaint(tracker, seen, people, done=done)
+    if not met.anchors:
+        return _introduction(met, skins)
+    known = space.default.to(met.shape) if shape is None else shape
+    factor = size_factor(met.shape, known, space)
+    anchors: dict[int, Anchor] = {moment: moved_anchor(anchor, factor) for moment, anchor in met.anchors.items()}
+    own = resized_shape(met.shape, factor, space) if shape is None else shape
+    return _introduction(replace(met, shape=own, anchors=anchors), skins, metres=factor * nominal)
+
+
+def _introduction(
+    met: Acquaintance, skins: Sequence[LearnedSkin | None], *, metres: float | None = None
+) -> Introduction:
+    return Introduction(
+        shape=met.shape,
+        shape_std=met.shape_std,
+        anchors=met.anchors,
+        learned_from=met.learned_from,
+        skins=skins,
+        metres=metres,
+    )

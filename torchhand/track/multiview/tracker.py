@@ -1,0 +1,345 @@
+"""The tracker of several cameras: predict, carve, fit, judge; search afresh where that fails.
+
+A tracker is a value: `step` takes a state, what is remembered and the silhouettes of a moment, and returns the next
+state and the estimate. Poses are in the world frame of the cameras.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.geometry import Camera, rotation_from_vector, vector_from_rotation
+from torchhand.hand import Hand, HandPrior, PoseConstraints, named_pose_space
+from torchhand.numerics import Gaussian, predict_linear
+from torchhand.numerics.conditioning import with_marginal
+from torchhand.residuals import Expectation, PostureResiduals
+from torchhand.track.hull_fit import HullFit, HullFitter
+from torchhand.track.hull_start import find_in_hull
+from torchhand.track.hull_torque import fit_by_torques
+from torchhand.track.limits import clamp_to_limits
+from torchhand.track.multiview.agreement import ViewAgreement, mean_overlap
+from torchhand.track.multiview.hulls import Hull, Hulls
+from torchhand.track.multiview.settings import MultiViewSettings
+from torchhand.track.multiview.silhouettes import Masks
+from torchhand.track.prior import Kind, kind_of
+from torchhand.track.rebasing import Rebasing
+from torchhand.track.state import Status, TrackerState
+from torchhand.track.tracker import start_spread
+
+_PALM = 9  # keypoint about which the hull is carved: the middle finger's knuckle
+_JOINT_CENTRE_STD = 0.004  # metres: hand models place their joint centres a few millimetres apart under the same skin
+_USUAL = 0.9  # share of the usual overlap that outlasts a frame
+_STEP = 1e-5  # of the numerical derivative, metres and radians
+
+
+@dataclass(frozen=True, kw_only=True)
+class MultiViewMemory:
+    """What outlasts a loss."""
+
+    shape: Float[Tensor, "shape"]
+    overlap: float = 0.0
+    """Usual overlap of the frames so far; 0 before there is one."""
+    frames_since_search: int = 1 << 20
+    has_started: bool = False
+    """Whether a hand was ever found."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MultiViewEstimate:
+    """One moment's result. Where status is lost or no_hand everything but overlap, views and reason is None."""
+
+    status: Status
+    pose: Float[Tensor, "36"] | None = None
+    """Full pose in the world frame with the root's rotation vector; metres and radians."""
+    pose_std: Float[Tensor, "36"] | None = None
+    """Standard deviations, 0 for DOFs that are held; those of the root's rotation are of a small turn in the world's
+    axes."""
+    keypoints: Float[Tensor, "21 3"] | None = None
+    """Metres, world frame."""
+    keypoints_cov: Float[Tensor, "21 3 3"] | None = None
+    """Square metres, world frame."""
+    overlaps: Float[Tensor, "views"] | None = None
+    """Intersection over union with every view's silhouette; NaN in views that are missing."""
+    inside_share: float | None = None
+    """Share of the skin inside the hull (paper 002's rate of convergence)."""
+    views: int = 0
+    """Views that the hull was carved from."""
+    reason: str = ""
+
+    @property
+    def overlap(self) -> float | None:
+        """Mean over the views; None without an estimate."""
+        return None if self.overlaps is None else mean_overlap(self.overlaps)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Anchor:
+    """A hand found in some moment before, to start from there."""
+
+    pose: Float[Tensor, "36"]
+    """With a zero rotation vector; metres and radians, world frame."""
+    root_reference: Float[Tensor, "3 3"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placed:
+    """A fitted hand and how the silhouettes bear it out."""
+
+    fit: HullFit
+    overlaps: Float[Tensor, "views"]
+
+    @property
+    def overlap(self) -> float:
+        return mean_overlap(self.overlaps)
+
+
+class MultiViewTracker:
+    """Follows one hand of a known side through the silhouettes of several cameras.
+
+    Computes on the CPU, in float64 but for the skin's distances. The same silhouettes give the same numbers.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        cameras: Sequence[Camera],
+        frames_per_second: float,
+        settings: MultiViewSettings | None = None,
+    ) -> None:
+        """hand: in float64. cameras: without distortion, as `ViewSilhouettes.cameras`.
+
+        Raises ValueError for a frame rate that cannot be, and for cameras that see no volume together where no cube is
+        given.
+        """
+        if not (math.isfinite(frames_per_second) and frames_per_second > 0):
+            raise ValueError(f"frames_per_second: expected a finite number above 0, got {frames_per_second!r}")
+        self.settings = s = settings or MultiViewSettings()
+        self.hand, self.cameras = hand, tuple(camera.to(dtype=torch.float64) for camera in cameras)
+        self.hulls = Hulls(self.cameras, s.octree, fewest_views=s.loss.fewest_views)
+        self.space = named_pose_space(s.pose_space)
+        skeleton = hand.kinematics.skeleton
+        self._rebased = Rebasing(space=self.space, skeleton=skeleton)
+        self.beliefs: dict[str, Any] = {
+            "constraints": PoseConstraints(skeleton),
+            "prior": PostureResiduals.of(HandPrior(skeleton, hand.kinematics.shape_space).postures),
+        }
+        self._kinds: list[Kind] = [kind_of(name) for name in self.space.free_names]
+        noise = {"translation": s.noise.translation, "rotation": s.noise.rotation, "angle": s.noise.angle}
+        density = torch.tensor([noise[kind] ** 2 for kind in self._kinds], dtype=torch.float64)
+        step_s = 1.0 / frames_per_second
+        self._transition = s.motion.transition(step_s, self.space.size)
+        self._process_noise = s.motion.process_noise(step_s, density)
+        self._made: tuple[HullFitter, HullFitter, ViewAgreement] | None = None
+
+    # ------------------------------------------------------------------ a moment
+
+    def step(
+        self,
+        state: TrackerState | None,
+        memory: MultiViewMemory,
+        masks: Masks,
+        anchor: Anchor | None = None,
+    ) -> tuple[TrackerState | None, MultiViewMemory, MultiViewEstimate]:
+        """The next state, what is remembered, and the estimate of this moment.
+
+        anchor: a hand that was found in the same moment before, such as by `acquaint`; it takes part as a start.
+
+        A frame that fails is searched afresh when a search is due; a hand found again after a lost frame is
+        `recovered`.
+        """
+        memory = replace(memory, frames_since_search=memory.frames_since_search + 1)
+        predicted = None if state is None else self._predicted(state)
+        followed, hull = None, None
+        if predicted is not None:
+            followed, hull = self._followed(predicted, memory, masks)
+        best = followed if anchor is None else self._better(followed, self.anchored(anchor, memory.shape, masks))
+        if self._is_doubtful(best, memory) and memory.frames_since_search >= self.settings.loss.search_every:
+            whole = self.hulls.anywhere(masks)
+            if whole.target is None and hull is None:
+                hull = whole
+            elif whole.target is not None:
+                memory = replace(memory, frames_since_search=0)
+                best = self._better(best, self.searched(whole, memory.shape, masks))
+        if best is None:
+            return self._without(predicted, memory, hull)
+        return self._taken(best, followed, predicted, memory, masks)
+
+    def _followed(self, predicted: TrackerState, memory: MultiViewMemory, masks: Masks) -> tuple[Placed | None, Hull]:
+        """The hand fitted from the prediction; where it fails, once more without the view that agrees least."""
+        pose, reference = self._rebased.pose(predicted), predicted.reference
+        keypoints = self.hand.kinematics(pose, memory.shape, root_reference=reference).keypoints
+        hull = self.hulls.near(masks, keypoints[_PALM])
+        if hull.target is None:
+            return None, hull
+        placed = self._placed(self._fitted(hull, predicted, pose, memory), memory.shape, masks)
+        if not self._is_failing(placed) or len(hull.views) <= self.settings.loss.fewest_views:
+            return placed, hull
+        worst = int(placed.overlaps.nan_to_num(torch.inf).argmin())
+        others = [None if view == worst else mask for view, mask in enumerate(masks)]
+        second = self.hulls.near(others, keypoints[_PALM])
+        if second.target is None:
+            return placed, hull
+        again = self._placed(self._fitted(second, predicted, pose, memory), memory.shape, others)
+        return (again, second) if again.overlap > placed.overlap + self.settings.loss.better_by else (placed, hull)
+
+    def _fitted(self, hull: Hull, predicted: TrackerState, pose: Tensor, memory: MultiViewMemory) -> HullFit:
+        assert hull.target is not None
+        track, _, _ = self._made_for(memory.shape)
+        count = self.space.size
+        if self.settings.fitting == "torque":
+            return self._by_torques(hull, pose, predicted.reference, memory.shape)
+        belief = predicted.belief
+        expected = Expectation.from_covariance(
+            belief.mean[None, :count], predicted.reference[None], belief.covariance[None, :count, :count]
+        )
+        return track(hull.target, pose[None], predicted.reference[None], expected=expected).select(0)
+
+    def _by_torques(self, hull: Hull, pose: Tensor, reference: Tensor, shape: Tensor) -> HullFit:
+        """The paper's own fit; what it costs and how sure it is are those of the other one at its end."""
+        assert hull.target is not None
+        track, _, _ = self._made_for(shape)
+        found = fit_by_torques(
+            hull.target.field, self.hand, self.space, pose[None], reference[None], self.settings.torque, shape=shape
+        )
+        judged = track(hull.target, found.pose, found.root_reference).select(0)
+        return replace(judged, pose=found.pose[0], root_reference=found.root_reference[0])
+
+    def anchored(self, anchor: Anchor, shape: Float[Tensor, "shape"], masks: Masks) -> Placed | None:
+        """The hand fitted from a pose that may be some way off; None where there is no hull."""
+        keypoints = self.hand.kinematics(anchor.pose, shape, root_reference=anchor.root_reference).keypoints
+        hull = self.hulls.near(masks, keypoints[_PALM])
+        if hull.target is None:
+            return None
+        _, broad, _ = self._made_for(shape)
+        fit = broad(hull.target, anchor.pose[None], anchor.root_reference[None]).select(0)
+        return self._placed(fit, shape, masks)
+
+    def searched(self, hull: Hull, shape: Float[Tensor, "shape"], masks: Masks) -> Placed | None:
+        """The best of a search without any guess; None where nothing can be looked for."""
+        s = self.settings
+        if hull.target is None:
+            return None
+        found = find_in_hull(hull.target, self.hand, self.space, shape[None], s.start, s.start_fit, **self.beliefs)
+        placed = [self._placed(start.fit, shape, masks) for start in found]
+        return max(placed, key=lambda one: one.overlap, default=None)
+
+    def _placed(self, fit: HullFit, shape: Float[Tensor, "shape"], masks: Masks) -> Placed:
+        _, _, agreement = self._made_for(shape)
+        return Placed(fit=fit, overlaps=agreement(fit.pose, fit.root_reference, masks))
+
+    def _better(self, first: Placed | None, second: Placed | None) -> Placed | None:
+        if first is None or second is None:
+            return first or second
+        return second if second.overlap > first.overlap + self.settings.loss.better_by else first
+
+    def _is_failing(self, placed: Placed | None) -> bool:
+        return placed is None or placed.overlap < self.settings.loss.min_overlap
+
+    def _is_doubtful(self, placed: Placed | None, memory: MultiViewMemory) -> bool:
+        if placed is None or self._is_failing(placed):
+            return True
+        return placed.overlap < memory.overlap - self.settings.loss.doubt_drop
+
+    # ------------------------------------------------------------------ what follows
+
+    def _without(
+        self, predicted: TrackerState | None, memory: MultiViewMemory, hull: Hull | None
+    ) -> tuple[TrackerState | None, MultiViewMemory, MultiViewEstimate]:
+        reason = "no hand was looked for in this frame" if hull is None else hull.reason or "no hand fits the hull"
+        status: Status = "lost" if memory.has_started and (hull is None or hull.views) else "no_hand"
+        estimate = MultiViewEstimate(status=status, reason=reason, views=0 if hull is None else len(hull.views))
+        return self._given_up(predicted), memory, estimate
+
+    def _given_up(self, predicted: TrackerState | None) -> TrackerState | None:
+        if predicted is None or predicted.failures + 1 >= self.settings.loss.patience:
+            return None
+        return replace(predicted, failures=predicted.failures + 1)
+
+    def _taken(
+        self,
+        best: Placed,
+        followed: Placed | None,
+        predicted: TrackerState | None,
+        memory: MultiViewMemory,
+        masks: Masks,
+    ) -> tuple[TrackerState | None, MultiViewMemory, MultiViewEstimate]:
+        loss, is_new = self.settings.loss, best is not followed
+        views = int(best.overlaps.isfinite().sum())
+        least = loss.start_overlap if is_new else loss.min_overlap
+        if best.overlap < least or not bool(best.fit.covariance.isfinite().all()):
+            reason = f"overlap {best.overlap:.2f} with the silhouettes"
+            status: Status = "lost" if memory.has_started else "no_hand"
+            return self._given_up(predicted), memory, MultiViewEstimate(status=status, reason=reason, views=views)
+        following = self._begun(best.fit) if is_new or predicted is None else self._updated(predicted, best.fit)
+        was_lost = predicted is None and memory.has_started
+        usual = max(best.overlap, _USUAL * memory.overlap + (1 - _USUAL) * best.overlap)
+        memory = replace(memory, overlap=usual, has_started=True)
+        estimate = self._estimate("recovered" if was_lost else "tracked", following, best, memory)
+        return following, memory, replace(estimate, views=views)
+
+    def _predicted(self, state: TrackerState) -> TrackerState:
+        return replace(state, belief=predict_linear(state.belief, self._transition, self._process_noise))
+
+    def _begun(self, fit: HullFit) -> TrackerState:
+        """A filter that starts at a fitted hand."""
+        free = self.space.own(fit.pose)
+        spread = start_spread(self._kinds, self.settings.motion.order)
+        covariance = spread.diag_embed()
+        covariance[: len(free), : len(free)] = fit.covariance
+        mean = torch.cat((free, free.new_zeros(len(spread) - len(free))))
+        state = TrackerState(
+            belief=Gaussian(mean, covariance),
+            base=self.space.constant,
+            reference=fit.root_reference,
+            start_reference=fit.root_reference,
+        )
+        return self._rebased(state)
+
+    def _updated(self, predicted: TrackerState, fit: HullFit) -> TrackerState:
+        """The prediction corrected by the fit, whose prior it was; with the torques, the fit alone."""
+        if self.settings.fitting == "torque":
+            return self._begun(fit)
+        vector = vector_from_rotation(fit.root_reference @ predicted.reference.mT)
+        free = self.space.own(torch.cat((fit.pose[:3], vector, fit.pose[6:])))
+        belief = with_marginal(predicted.belief, free, fit.covariance)
+        return self._rebased(replace(predicted, belief=belief, failures=0))
+
+    def _made_for(self, shape: Float[Tensor, "shape"]) -> tuple[HullFitter, HullFitter, ViewAgreement]:
+        """What depends on the proportions, kept while they stay the same."""
+        if self._made is None or self._made[2].shape is not shape:
+            s = self.settings
+            track, broad = (
+                HullFitter(self.hand, self.space, own, shape=shape, **self.beliefs) for own in (s.fit, s.start_fit)
+            )
+            agreement = ViewAgreement(self.hand.kinematics, self.cameras, shape, side_px=s.check_side_px)
+            self._made = (track, broad, agreement)
+        return self._made
+
+    def _estimate(
+        self, status: Status, state: TrackerState, placed: Placed, memory: MultiViewMemory
+    ) -> MultiViewEstimate:
+        kinematics, shape = self.hand.kinematics, memory.shape
+        space, count = self.space, self.space.size
+        covariance = state.belief.covariance[:count, :count]
+        wanted = space.dof(state.belief.mean[:count])
+        pose = clamp_to_limits(wanted, kinematics.skeleton)
+        basis = (pose == wanted)[:, None] * space.basis
+        shifted = torch.cat((pose[None], pose + _STEP * basis.T))
+        keypoints = kinematics(shifted, shape, root_reference=state.reference).keypoints
+        jacobian = (keypoints[1:] - keypoints[0]).permute(1, 2, 0) / _STEP
+        rotation = rotation_from_vector(pose[3:6]) @ state.reference
+        eye = torch.eye(3, dtype=pose.dtype)
+        return MultiViewEstimate(
+            status=status,
+            pose=torch.cat((pose[:3], vector_from_rotation(rotation), pose[6:])),
+            pose_std=(basis @ covariance @ basis.T).diagonal().clamp_min(0).sqrt(),
+            keypoints=keypoints[0],
+            keypoints_cov=jacobian @ covariance @ jacobian.mT + _JOINT_CENTRE_STD**2 * eye,
+            overlaps=placed.overlaps,
+            inside_share=float(placed.fit.inside_share),
+        )
