@@ -101,6 +101,11 @@ def table(figures: dict[str, Any]) -> str:
         lines.append(("joint position in the picture", _three(figures["position_2d_px"], "px")))
     if "planar_motion" in figures:
         lines += _planar_lines(figures["planar_motion"])
+    if "turn_in_space_deg" in figures:
+        turns = figures["turn_in_space_deg"]
+        worst = ", ".join(f"{finger} {largest:.1f}" for finger, largest in turns["largest"].items())
+        since = f"turn of the proximal phalanges in space since frame {turns['reference_frame']}"
+        lines.append((since, f"mean error {turns['mean']:.2f}°, largest {worst}°"))
     if "flexion_deg" in figures:
         angles = figures["flexion_deg"]
         lines.append(

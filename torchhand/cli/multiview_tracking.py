@@ -132,7 +132,6 @@ class _Run:
             introduction = introduce(
                 self.hand,
                 self.silhouettes,
-                recording.fps,
                 [(frame.index, frame.images, frame.masks) for frame in frames],
                 Anthropometry(self.hand.kinematics.shape_space),
                 settings,
@@ -162,9 +161,7 @@ class _Run:
                 masks = self.silhouettes.undistorted(frame.masks)
             else:
                 masks = self.silhouettes(frame.images, known.skins)
-            state, memory, estimate = self.tracker.step(
-                known.state, known.memory, masks, known.anchors.get(frame.index)
-            )
+            state, memory, estimate = self.tracker.step(known.state, known.memory, masks, known.anchors, frame.index)
         seconds = time.perf_counter() - started
         self.knowledge = replace(known, state=state, memory=memory)
         problems = "; ".join(problem for problem in frame.problems if problem is not None)

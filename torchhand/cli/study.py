@@ -13,6 +13,7 @@ import torch
 from tqdm import tqdm
 from tyro.conf import Positional, UseAppendAction, arg
 
+from torchhand.cli import study_ueda
 from torchhand.cli.changes import changes_of
 from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
 from torchhand.cli.request import known_hand
@@ -47,6 +48,7 @@ class Arguments:
     Example:
         torchhand study --out out/study --starts 10000
         torchhand study out/sequence --out out/study --frames 0,20,40 --surface mesh
+        torchhand study ueda --help     (another study: the evaluation of hands fitted into hulls, paper 002)
     """
 
     input: Annotated[Positional[Path | None], arg(metavar="INPUT")] = None
@@ -114,7 +116,10 @@ class Arguments:
 
 @command
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one study, or go on with it."""
+    """Run one study, or go on with it; `ueda` as the first word asks for that of paper 002."""
+    words = sys.argv[1:] if argv is None else list(argv)
+    if words[:1] == [study_ueda.WORD]:
+        return study_ueda.run(words[1:])
     arguments = parse(Arguments, argv, name="study")
     settings = _settings(arguments)
     check_output_folder(arguments.out, resume=arguments.resume, overwrite=arguments.overwrite)

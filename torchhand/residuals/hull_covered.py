@@ -26,11 +26,21 @@ def match_hull(
     nearest, unless all of a hand's are.
     """
     middle = hull_points.mean(0) if len(hull_points) else hull_points.new_zeros(3)
-    skin = torch.cat((points - middle, turn * normals), -1).to(torch.float32)
-    skin = skin.nan_to_num(nan=1e3, posinf=1e3, neginf=-1e3)
-    skin = torch.cat((-2 * skin, skin.square().sum(-1, keepdim=True)), -1)
-    hull = torch.cat((hull_points - middle, turn * hull_normals), -1).to(skin)
-    apart = torch.cat((hull, torch.ones_like(hull[:, :1])), -1) @ skin.mT
+    skin = torch.cat((points - middle, turn * normals), -1)
+    return nearest_points(torch.cat((hull_points - middle, turn * hull_normals), -1).to(skin), skin)
+
+
+def nearest_points(
+    wanted: Float[Tensor, "wanted n"], points: Float[Tensor, "hands points n"]
+) -> Int[Tensor, "hands wanted"]:
+    """For each wanted place the nearest point of each hand, in single precision.
+
+    Points that are not finite are nobody's nearest, unless all of a hand's are.
+    """
+    points = points.to(torch.float32).nan_to_num(nan=1e3, posinf=1e3, neginf=-1e3)
+    points = torch.cat((-2 * points, points.square().sum(-1, keepdim=True)), -1)
+    wanted = wanted.to(points)
+    apart = torch.cat((wanted, torch.ones_like(wanted[:, :1])), -1) @ points.mT
     if apart.device.type == "cpu":  # ten times faster than torch's own
         return torch.from_numpy(apart.detach().numpy().argmin(-1))
     return apart.argmin(-1)

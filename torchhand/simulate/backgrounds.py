@@ -1,4 +1,4 @@
-"""What a simulated camera sees behind the hand: seeded pictures of four kinds."""
+"""What a simulated camera sees behind the hand: seeded pictures of five kinds."""
 
 from collections.abc import Callable
 from typing import Literal
@@ -9,7 +9,7 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-BackgroundKind = Literal["plain", "dark", "wall", "clutter"]
+BackgroundKind = Literal["plain", "dark", "wall", "clutter", "blue"]
 
 _CLUTTER_SHAPES = 90
 
@@ -20,7 +20,8 @@ def background_picture(
     """An RGB picture.
 
     plain: one cool colour; dark: nearly black; wall: a warm bright wall, unevenly lit, its colour near that of skin;
-    clutter: overlapping shapes of all colours, skin's among them, with strong edges everywhere.
+    clutter: overlapping shapes of all colours, skin's among them, with strong edges everywhere; blue: the boards of
+    paper 002's frame, for a chroma key.
     """
     if kind not in BACKGROUNDS:
         raise ValueError(f"background: expected one of {', '.join(BACKGROUNDS)}, got {kind!r}")
@@ -66,9 +67,17 @@ def _clutter(width: int, height: int, chance: np.random.Generator) -> np.ndarray
     return cv2.GaussianBlur(picture, (0, 0), 0.7).astype(np.float64)
 
 
+def _blue(width: int, height: int, chance: np.random.Generator) -> np.ndarray:
+    y, x = np.mgrid[0:height, 0:width]
+    slope = chance.uniform(-0.1, 0.1, 2)
+    light = 1 + slope[0] * (2 * x / width - 1) + slope[1] * (2 * y / height - 1)
+    return np.array((28.0, 62.0, 190.0)) * light[..., None]
+
+
 BACKGROUNDS: dict[BackgroundKind, Callable[[int, int, np.random.Generator], np.ndarray]] = {
     "plain": _plain,
     "dark": _dark,
     "wall": _wall,
     "clutter": _clutter,
+    "blue": _blue,
 }

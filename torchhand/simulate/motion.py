@@ -90,13 +90,8 @@ def stage_before(
         raise ValueError(f"pace: expected 0 or more, got {pace}")
     focal = [float(f) for f in camera.intrinsics.diagonal()[:2]]
     size = (camera.width, camera.height)
-    if camera.kind == "orthographic":
-        distance, scale = _ORTHOGRAPHIC_DISTANCE, 1.0
-    else:
-        distance = max(
-            hand_length * f / (share * px) for f, share, px in zip(focal, _HAND_IN_PICTURE, size, strict=True)
-        )
-        scale = distance
+    distance = filling_distance(camera, hand_length)
+    scale = 1.0 if camera.kind == "orthographic" else distance
     index = torch.arange(frames, dtype=torch.float64)
     return Stage(
         seconds=index / fps,
@@ -107,6 +102,15 @@ def stage_before(
         height=scale * size[1] / focal[1],
         distance=distance,
     )
+
+
+def filling_distance(camera: Camera, hand_length: float) -> float:
+    """From the camera, in metres, at which a hand of that length fills the picture well; any one if orthographic."""
+    if camera.kind == "orthographic":
+        return _ORTHOGRAPHIC_DISTANCE
+    focal = [float(f) for f in camera.intrinsics.diagonal()[:2]]
+    size = (camera.width, camera.height)
+    return max(hand_length * f / (share * px) for f, share, px in zip(focal, _HAND_IN_PICTURE, size, strict=True))
 
 
 def facing(view: View) -> Float[Tensor, "3 3"]:

@@ -2,31 +2,31 @@
 
 import contextlib
 import json
-import os
-import shutil
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.errors import InputError
 from torchhand.files import save_cameras, write_video
-from torchhand.files.safe_write import explained_errors
 from torchhand.geometry import Camera, rotation_from_vector
 from torchhand.hand import DOFS, HandKinematics
+from torchhand.simulate.folder import (
+    ABOUT_NAME,
+    CAMERAS_NAME,
+    FRAMES_NAME,
+    MASKS_NAME,
+    TRUTH_NAME,
+    VIDEO_NAME,
+    PictureFormat,
+    check_sequence_folder,
+    whole_folder,
+    write_picture,
+)
 from torchhand.simulate.motion import Motion
 from torchhand.simulate.scene import RenderedFrame
-
-PictureFormat = Literal["jpg", "png"]
-
-FRAMES_NAME, MASKS_NAME, TRUTH_NAME = "frames", "masks", "truth.npz"
-CAMERAS_NAME, VIDEO_NAME, ABOUT_NAME = "cameras.json", "video.mp4", "about.json"
-SEQUENCE_NAMES = (FRAMES_NAME, MASKS_NAME, TRUTH_NAME, CAMERAS_NAME, VIDEO_NAME, ABOUT_NAME)
-"""What a sequence folder may hold."""
 
 UNITS = "metres, radians; keypoints2d px; flexion_deg degrees"
 CONVENTION = (
@@ -34,8 +34,6 @@ CONVENTION = (
     " pixel at (0, 0); pose in the world of cameras.json, its rotation vector turns root_reference; masks show the hand"
     " without its forearm"
 )
-
-_JPEG_QUALITY = 95
 
 Measure = Callable[[Float[np.ndarray, "frames 21 3"]], np.ndarray]
 """Makes a further array of the truth from all keypoints."""
@@ -66,7 +64,7 @@ def write_sequence(
     out_dir = Path(out_dir)
     check_sequence_folder(out_dir, overwrite=overwrite)
     points_3d, points_2d, in_view = [], [], []
-    with _whole_folder(out_dir) as folder, contextlib.ExitStack() as stack:
+    with whole_folder(out_dir) as folder, contextlib.ExitStack() as stack:
         (folder / FRAMES_NAME).mkdir()
         (folder / MASKS_NAME).mkdir()
         video = None
@@ -74,8 +72,8 @@ def write_sequence(
             size = {"width": camera.width, "height": camera.height}
             video = stack.enter_context(write_video(folder / VIDEO_NAME, **size, fps=motion.fps))
         for frame in rendered:
-            _write_picture(folder / FRAMES_NAME / f"{frame.index:04d}.{picture_format}", frame.image)
-            _write_picture(folder / MASKS_NAME / f"{frame.index:04d}.png", frame.mask)
+            write_picture(folder / FRAMES_NAME / f"{frame.index:04d}.{picture_format}", frame.image)
+            write_picture(folder / MASKS_NAME / f"{frame.index:04d}.png", frame.mask)
             points_3d.append(frame.keypoints_cam.double().numpy())
             points_2d.append(frame.keypoints_px.double().numpy())
             in_view.append(bool(frame.mask.any()))
@@ -86,37 +84,16 @@ def write_sequence(
         keypoints3d = np.stack(points_3d)
         truth = {"keypoints3d": keypoints3d, "keypoints2d": np.stack(points_2d), "in_view": np.array(in_view)}
         truth |= {name: measure(keypoints3d) for name, measure in (measures or {}).items()}
-        truth |= _pose_truth(motion, kinematics, shape)
+        truth |= pose_truth(motion, kinematics, shape)
         np.savez(folder / TRUTH_NAME, **truth)  # type: ignore[arg-type]
         save_cameras([camera], folder / CAMERAS_NAME)
         (folder / ABOUT_NAME).write_text(json.dumps(dict(about or {}), indent=1) + "\n", encoding="utf-8")
 
 
-def check_sequence_folder(out_dir: str | Path, *, overwrite: bool = False) -> None:
-    """Raise InputError where no sequence may be written: a file, or a folder with something in it.
-
-    With `overwrite` an older sequence may be replaced, but no folder that holds anything else.
-    """
-    path = Path(out_dir)
-    with explained_errors(path):
-        if path.exists() and not path.is_dir():
-            raise InputError(f"{path}: expected a folder for the sequence, got a file")
-        content = sorted(entry.name for entry in path.iterdir()) if path.is_dir() else []
-    if content and not overwrite:
-        names = ", ".join(content[:3]) + (", ..." if content[3:] else "")
-        raise InputError(
-            f"{path}: the output folder exists and is not empty ({names}); give another, or --overwrite to replace the"
-            " sequence in it"
-        )
-    foreign = [name for name in content if name not in SEQUENCE_NAMES]
-    if foreign:
-        raise InputError(
-            f"{path}: cannot be replaced: it holds {foreign[0]}, which is no part of a simulated sequence"
-            f" ({', '.join(SEQUENCE_NAMES)})"
-        )
-
-
-def _pose_truth(motion: Motion, kinematics: HandKinematics, shape: Tensor) -> dict[str, np.ndarray]:
+def pose_truth(
+    motion: Motion, kinematics: HandKinematics, shape: Float[Tensor, "shape"], convention: str = CONVENTION
+) -> dict[str, np.ndarray]:
+    """What truth.npz holds of poses and shape."""
     rotation = rotation_from_vector(motion.poses[:, 3:6]) @ motion.root_reference
     return {
         "frame": np.arange(len(motion.poses)),
@@ -130,36 +107,5 @@ def _pose_truth(motion: Motion, kinematics: HandKinematics, shape: Tensor) -> di
         "side": np.array(kinematics.side),
         "fps": np.array(motion.fps),
         "units": np.array(UNITS),
-        "convention": np.array(CONVENTION),
+        "convention": np.array(convention),
     }
-
-
-def _write_picture(path: Path, picture: UInt8[Tensor, "height width 3"] | Bool[Tensor, "height width"]) -> None:
-    pixels = picture.cpu().numpy()
-    pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR) if pixels.ndim == 3 else pixels.astype(np.uint8) * 255
-    options = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY] if path.suffix == ".jpg" else []
-    _, encoded = cv2.imencode(path.suffix, pixels, options)
-    path.write_bytes(encoded.tobytes())  # so that the system says why it refuses
-
-
-@contextlib.contextmanager
-def _whole_folder(path: Path) -> Iterator[Path]:
-    """A temporary folder beside `path` that takes its place when the block ends well, and is removed otherwise."""
-    temporary, replaced = path.with_name(f".{path.name}.partial"), path.with_name(f".{path.name}.replaced")
-    with explained_errors(path):
-        try:
-            shutil.rmtree(temporary, ignore_errors=True)
-            temporary.mkdir(parents=True)
-            yield temporary
-            if path.exists():
-                shutil.rmtree(replaced, ignore_errors=True)
-                os.replace(path, replaced)
-            os.replace(temporary, path)
-        except BaseException:
-            shutil.rmtree(temporary, ignore_errors=True)
-            raise
-        finally:
-            if path.exists():
-                shutil.rmtree(replaced, ignore_errors=True)
-            elif replaced.exists():
-                os.replace(replaced, path)

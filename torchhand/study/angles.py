@@ -49,3 +49,18 @@ def without_offset(errors: Float[np.ndarray, "frames *angles"]) -> Float[np.ndar
     count = is_known.sum(axis=0)
     offset = np.where(is_known, errors, 0.0).sum(axis=0) / np.maximum(count, 1)
     return np.where(count >= 2, errors - offset, np.nan)
+
+
+def proximal_turns_in_space_deg(
+    keypoints: Float[np.ndarray, "frames 21 3"], reference: int
+) -> Float[np.ndarray, "frames 5"]:
+    """How far each proximal phalanx has turned in space since a reference frame, degrees in [0, 180].
+
+    Two hands that call different angles straight, and other axes theirs, agree on it.
+    """
+    ends = keypoints[:, PROXIMAL]
+    bones = ends[:, :, 1] - ends[:, :, 0]
+    length = np.linalg.norm(bones, axis=-1, keepdims=True)
+    units = bones / np.where(length > 0, length, np.nan)
+    across = np.linalg.norm(np.cross(units, units[reference]), axis=-1)
+    return np.degrees(np.arctan2(across, (units * units[reference]).sum(-1)))

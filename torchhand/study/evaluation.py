@@ -8,7 +8,14 @@ from jaxtyping import Float
 
 from torchhand.errors import InputError
 from torchhand.files.track_record import Track
-from torchhand.study.angles import flexion_deg, proximal_turns_deg, without_offset, wrapped_deg
+from torchhand.hand import FINGERS
+from torchhand.study.angles import (
+    flexion_deg,
+    proximal_turns_deg,
+    proximal_turns_in_space_deg,
+    without_offset,
+    wrapped_deg,
+)
 from torchhand.study.continuity import continuity
 from torchhand.study.finite import is_finite_set, max_finite, mean_finite, median_finite, rms_finite
 from torchhand.study.nees import consistency
@@ -43,6 +50,9 @@ def evaluate(track: Track, truth: Truth, predicted_mask: MaskOfFrame | None = No
     figures: Figures = {"tracking": _tracking(track, truth)}
     if truth.keypoints3d is not None:
         figures["position_mm"] = _positions(track, truth.keypoints3d[rows])
+        turns = _turns_in_space(track, truth.keypoints3d[rows])
+        if turns is not None:
+            figures["turn_in_space_deg"] = turns
     if truth.keypoints2d is not None and track.keypoints2d is not None:
         true_px = truth.keypoints2d[rows]
         figures["position_2d_px"] = _summary(joint_errors(track.keypoints2d, true_px))
@@ -113,6 +123,21 @@ def _planar_motion(track: Track, true_px: Float[np.ndarray, "frames 21 2"]) -> F
         "displacement_with_scale_largest_px": max_finite(motion.displacement_with_scale_px),
         "scale_rms_percent": rms_finite(motion.scale_percent),
         "true_scale_largest_change_percent": max_finite(100.0 * (motion.true_scale - 1.0)),
+    }
+
+
+def _turns_in_space(track: Track, true: Float[np.ndarray, "frames 21 3"]) -> Figures | None:
+    """Turns of the proximal phalanges since the first frame that is known; None with fewer than two such frames."""
+    known = np.flatnonzero(is_finite_set(track.keypoints3d) & is_finite_set(true))
+    if len(known) < 2:
+        return None
+    reference = int(known[0])
+    turns = [proximal_turns_in_space_deg(points, reference) for points in (track.keypoints3d, true)]
+    errors = np.delete(np.abs(turns[0] - turns[1]), reference, axis=0)
+    return {
+        "reference_frame": int(track.frame[reference]),
+        "mean": mean_finite(errors),
+        "largest": {finger: max_finite(errors[:, i]) for i, finger in enumerate(FINGERS)},
     }
 
 

@@ -24,8 +24,10 @@ class HeldHull:
     root_reference: Float[Tensor, "k 3 3"]
     match: SkinLoads
     """The vertex of each point of the hull's surface."""
+    points: Float[Tensor, "hull 3"]
+    """Points of the hull's surface, or of rays that touch the hand."""
     normals: Float[Tensor, "k hull 3"]
-    """Of those vertices, at the look."""
+    """Of those vertices, at the look, or of the rays."""
     covered_weight: Float[Tensor, "k hull"]
     beliefs: HeldBeliefs
 
@@ -36,6 +38,7 @@ class HeldHull:
         return HeldHull(
             root_reference=self.root_reference[rows],
             match=self.match.rows(rows),
+            points=self.points,
             normals=self.normals[rows],
             covered_weight=self.covered_weight[rows],
             beliefs=self.beliefs.rows(rows),
@@ -74,7 +77,7 @@ class HullCost:
                 self.inside_robust,
             ),
             weighted_equations(
-                *hull_covered_residual(covered, self.target.points, held.normals),
+                *hull_covered_residual(covered, held.points, held.normals),
                 held.covered_weight,
                 self.covered_robust,
             ),

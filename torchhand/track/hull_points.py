@@ -1,14 +1,17 @@
 """What a fit needs of a hull besides its field: points spread over its surface, with normals."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand import volume
+from torchhand.geometry import Camera
 from torchhand.hand import Hand
 from torchhand.residuals.hull_inside import HullField
+from torchhand.track.hull_rims import HullRims, rims_of
 
 _NEWTON = 2  # steps onto the surface
 _SPARE = 3  # times the points wanted are put onto it: where two sides meet, some do not get there
@@ -28,10 +31,32 @@ class HullTarget:
     """Grid points inside, metres."""
     depth: Float[Tensor, "inner"]
     """How deep they are, metres."""
+    rims: HullRims | None = None
+    """Rays that touch the object; None where only the hull is known."""
 
     @property
     def is_empty(self) -> bool:
         return not len(self.points)
+
+
+def with_rims(
+    target: HullTarget,
+    cameras: Sequence[Camera],
+    masks: Sequence[Bool[Tensor, "_height _width"] | None],
+    *,
+    rays: int = 300,
+) -> HullTarget:
+    """The hull together with the edges of the silhouettes that it was carved from.
+
+    masks: one per camera, None where a view is missing or not to be trusted. rays: most of them, over all views.
+
+    Raises ValueError where there are not as many masks as cameras.
+    """
+    if len(masks) != len(cameras):
+        raise ValueError(f"masks: expected one per camera, {len(cameras)}, got {len(masks)}")
+    if target.is_empty:
+        return target
+    return replace(target, rims=rims_of(cameras, masks, target.points.mean(0), count=rays))
 
 
 def hull_target(

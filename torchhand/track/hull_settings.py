@@ -1,7 +1,9 @@
 """How a hand is fitted into a visual hull: by torques as in paper 002, or by least squares from coarse to fine."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
+
+TorqueSteps = Literal["largest", "proportional", "equal"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,9 +17,12 @@ class HullTorqueSettings:
     least_step_deg: float = 0.05
     """To which Δα shrinks, as it is halved where an angle's torque turns round; above 0, `step_deg` keeps it as
     printed."""
-    steps: Literal["equal", "proportional"] = "equal"
-    """equal: every angle with a torque takes the whole Δα, as printed. proportional: the angle of the largest torque
-    does, others their share of it; less of a knuckle's turn is then taken for one of the joints after it."""
+    steps: TorqueSteps = "largest"
+    """Whose angles take the step, which the paper leaves open (see `fit_by_torques`).
+
+    largest: in each digit the angle of the largest torque. proportional: the largest of all takes the whole Δα, others
+    their share of it. equal: every angle with a torque takes the whole Δα. The root's coordinates move in any case.
+    """
     root_step_mm: float = 1.0
     """The same as `step_deg` of the root's place, where the root is free; above 0."""
     outside_share: float = 0.002
@@ -33,8 +38,9 @@ class HullTorqueSettings:
         for name in ("step_deg", "least_step_deg", "root_step_mm"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise ValueError(f"hull_torque.{name}: expected above 0 and finite, got {getattr(self, name)!r}")
-        if self.steps not in ("equal", "proportional"):
-            raise ValueError(f"hull_torque.steps: expected equal or proportional, got {self.steps!r}")
+        if self.steps not in get_args(TorqueSteps):
+            allowed = ", ".join(get_args(TorqueSteps))
+            raise ValueError(f"hull_torque.steps: expected one of {allowed}, got {self.steps!r}")
         if self.least_step_deg > self.step_deg:
             raise ValueError(f"hull_torque.least_step_deg: expected at most step_deg, got {self.least_step_deg!r}")
         if not 0 <= self.outside_share < 1:
@@ -55,6 +61,9 @@ class HullLevel:
     """Looks at the model: which of its vertices belong to which points of the hull; 1 or more."""
     iterations: int = 3
     """Most steps of the optimiser after each look; 1 or more."""
+    is_judged: bool = True
+    """Whether a step is taken only if it lowers the cost. Without, there is one step after each look: twice as fast,
+    and enough near the pose."""
 
     def __post_init__(self) -> None:
         for name in ("rounds", "iterations"):
@@ -72,9 +81,9 @@ HULL_LEVELS = (
 )
 """For starts that may be 30 mm and 30° off."""
 HULL_TRACKING_LEVELS = (
-    HullLevel(robust_m=0.010, rounds=1, iterations=2),
-    HullLevel(robust_m=0.004, rounds=1, iterations=2),
-    HullLevel(robust_m=0.002, rounds=1, iterations=2),
+    HullLevel(robust_m=0.008, rounds=1, iterations=1, is_judged=False),
+    HullLevel(robust_m=0.003, rounds=1, iterations=1, is_judged=False),
+    HullLevel(robust_m=0.002, rounds=1, iterations=1, is_judged=False),
 )
 """For starts near the pose, such as a prediction."""
 
@@ -91,11 +100,14 @@ class HullFitSettings:
     """Standard deviation of the hull's surface, metres, at least; above 0."""
     std_share: float = 0.5
     """The same as a share of a level's robust distance; above 0."""
-    inside_weight: float = 400.0
+    inside_weight: float = 100.0
     """Independent measurements that the vertices inside are worth together; 0 or more."""
-    covered_weight: float = 100.0
-    """The same of the points of the hull's surface; 0 or more. Without it a hand folded inside the hull costs
-    nothing."""
+    covered_weight: float = 200.0
+    """The same of the rays through the silhouettes' edges, all of which touch the hand; 0 or more. Without it, and
+    without the next, a hand folded inside the hull costs nothing."""
+    surface_weight: float = 25.0
+    """The same of the points of the hull's surface, where the edges are not known; 0 or more. Less, for much of a
+    hull's surface is no skin."""
     inside_robust: float = 3.0
     """Distance outside the hull, over a level's standard deviation, from which a vertex's cost grows linearly; above
     0."""
@@ -106,10 +118,18 @@ class HullFitSettings:
     silhouettes end at the wrist, which then tells where it is. 0 or more."""
     turn_m: float = 0.012
     """Distance that a turn of the surface by one radian is worth in matching, metres; above 0."""
-    constraint_weight: float = 1.0
+    constraint_weight: float = 0.2
     """Of the dynamic constraints; 0 or more. The static limits hold exactly."""
-    prior_weight: float = 1.0
-    """Of the posture prior, where one is given; 0 or more."""
+    prior_weight: float = 0.2
+    """Of the posture prior, where one is given; 0 or more. With 1 it takes a finger that hands rarely bend alone for
+    one beside another, although both silhouettes and hull tell them apart."""
+    near_m: float = 0.004
+    """Distance up to which skin explains an edge of a silhouette, or is taken as inside, for the verdict, metres; above
+    0."""
+    least_covered: float = 0.85
+    """Share of the edges that the skin must explain for a good fit; 0 to 1."""
+    least_held: float = 0.95
+    """Share of the skin's area that must be inside or near the hull for a good fit; 0 to 1."""
     hypotheses_at_once: int = 16
     """Hypotheses that are worked on together; bounds the memory. 1 or more."""
 
@@ -119,12 +139,22 @@ class HullFitSettings:
         for name in ("vertices", "hypotheses_at_once"):
             if getattr(self, name) < 1:
                 raise ValueError(f"hull_fit.{name}: expected 1 or more, got {getattr(self, name)!r}")
-        for name in ("std_m", "std_share", "inside_robust", "turn_m"):
+        for name in ("std_m", "std_share", "inside_robust", "turn_m", "near_m"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise ValueError(f"hull_fit.{name}: expected above 0 and finite, got {getattr(self, name)!r}")
-        for name in ("inside_weight", "covered_weight", "constraint_weight", "prior_weight", "beyond_wrist_m"):
+        for name in (
+            "inside_weight",
+            "covered_weight",
+            "surface_weight",
+            "constraint_weight",
+            "prior_weight",
+            "beyond_wrist_m",
+        ):
             if not 0 <= getattr(self, name) < float("inf"):
                 raise ValueError(f"hull_fit.{name}: expected 0 or more and finite, got {getattr(self, name)!r}")
+        for name in ("least_covered", "least_held"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"hull_fit.{name}: expected 0 to 1, got {getattr(self, name)!r}")
         if not -float("inf") < self.slack_m < float("inf"):
             raise ValueError(f"hull_fit.slack_m: expected a finite number, got {self.slack_m!r}")
 
@@ -149,13 +179,17 @@ class HullStartSettings:
     """Hypotheses of each size that are fitted coarsely; 1 or more."""
     fine: int = 5
     """Hypotheses of each size that are fitted finely; 1 or more."""
-    finger_rounds: int = 3
-    """Most rounds in which single digits of the best fit are tried in other postures; 0 or more."""
+    rays: int = 200
+    """Rays through the silhouettes' edges where single digits are tried, where the edges are known; 1 or more."""
+    varied: int = 2
+    """Best hypotheses of each size of which single digits are tried in other postures; 1 or more."""
+    finger_rounds: int = 4
+    """Most rounds in which single digits are tried in other postures; 0 or more."""
     judged_at_once: int = 64
     """Hypotheses that are judged together; bounds the memory. 1 or more."""
 
     def __post_init__(self) -> None:
-        for name in ("places", "rolls", "vertices", "points", "coarse", "fine", "judged_at_once"):
+        for name in ("places", "rolls", "vertices", "points", "coarse", "fine", "rays", "varied", "judged_at_once"):
             if getattr(self, name) < 1:
                 raise ValueError(f"hull_start.{name}: expected 1 or more, got {getattr(self, name)!r}")
         if self.finger_rounds < 0:

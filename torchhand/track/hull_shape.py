@@ -58,8 +58,10 @@ def fit_shape(
 ) -> HullShapeFit:
     """Shape and poses from fits of the poses with some shape.
 
-    targets: the hulls of the frames, none empty. hand: in float64; shape: to start from, the hand's own where it is
-        None. people: the anthropometric prior. fit: sizes and weights as for the poses alone; its levels do not count.
+    targets: the hulls of the frames, none empty, with the edges of their silhouettes (`with_rims`): fitted to the
+    surface alone, the palm grows into what of a hull no hand fills. Leave out frames whose start is not good. hand: in
+    float64; shape: to start from, the hand's own where it is None. people: the anthropometric prior. fit: sizes and
+    weights as for the poses alone; its levels do not count.
 
     Raises ValueError where the numbers of hulls and poses differ or a hull is empty.
     """
@@ -186,7 +188,7 @@ class _Problem:
             value, slope = target.field.sample(motion.points[:, :inside])
             over = (value - look.slack_m).clamp_min(0)
             directions = torch.cat(((over > 0)[..., None] * slope, look.held.normals), 1)
-            apart = (look.held.normals * (motion.points[:, inside:] - target.points)).sum(-1)
+            apart = (look.held.normals * (motion.points[:, inside:] - look.held.points)).sum(-1)
             of_shape = shape_rows(hand, pose[0], reference[0], shape, vertices, directions[0], spread)
             rows = torch.cat((motion.along(directions)[0], of_shape), 1)
             terms = [

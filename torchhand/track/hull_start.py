@@ -5,9 +5,10 @@ turned about that direction in any way (so either facing), in a few postures and
 the best is fitted coarsely, and the best of that finely.
 """
 
+import copy
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
@@ -26,13 +27,18 @@ _LEAST_BALL = 0.7  # smallest radius of a ball over that of the largest
 _FEWEST = 8  # grid points inside a hull in which something can be looked for
 _ALIKE = math.cos(math.radians(25.0) / 2)  # hypotheses turned by less count as the same
 _COARSE = (HullLevel(robust_m=0.030, rounds=3, iterations=2), HullLevel(robust_m=0.012, rounds=1, iterations=2))
+_VARIED = (
+    HullLevel(robust_m=0.012, rounds=2, iterations=2),
+    HullLevel(robust_m=0.005, rounds=2, iterations=2),
+    HullLevel(robust_m=0.003, rounds=1, iterations=2),
+)
 _WORTH_TRYING = 0.005  # share of the cost that another round of digits must have gained
 _FINGERS = (
-    {"mcp_fe": 0.0, "pip_fe": 5.0, "dip_fe": 3.0},
-    {"mcp_fe": 5.0, "pip_fe": 80.0, "dip_fe": 55.0},
-    {"mcp_fe": 65.0, "pip_fe": 15.0, "dip_fe": 10.0},
-    {"mcp_fe": 80.0, "pip_fe": 95.0, "dip_fe": 60.0},
-    {"mcp_fe": 35.0, "pip_fe": 45.0, "dip_fe": 30.0},
+    {"mcp_aa": 0.0, "mcp_fe": 0.0, "pip_fe": 5.0, "dip_fe": 3.0},
+    {"mcp_aa": 0.0, "mcp_fe": 5.0, "pip_fe": 80.0, "dip_fe": 55.0},
+    {"mcp_aa": 0.0, "mcp_fe": 65.0, "pip_fe": 15.0, "dip_fe": 10.0},
+    {"mcp_aa": 0.0, "mcp_fe": 80.0, "pip_fe": 95.0, "dip_fe": 60.0},
+    {"mcp_aa": 0.0, "mcp_fe": 35.0, "pip_fe": 45.0, "dip_fe": 30.0},
 )
 _THUMBS = (
     {"cmc_fe": -10.0, "cmc_aa": 28.0, "mcp_fe": 0.0, "ip_fe": 0.0},
@@ -65,31 +71,38 @@ def find_in_hull(
 ) -> list[HullStart]:
     """The best fits of a hand to a hull, best first, those of all sizes together.
 
-    shapes: the sizes tried, such as one known shape. space, constraints, prior: as in `HullFitter`; fit: how the last
-    hypotheses are fitted.
+    target: with the edges of its silhouettes (`with_rims`) wherever these are known: several hands fill a hull equally
+    well, and only the edges tell them apart. shapes: the sizes tried, such as one known shape. space, constraints,
+    prior: as in `HullFitter`; fit: how the last hypotheses are fitted.
 
-    An empty list where there is no hull, or one too small to hold anything.
+    An empty list where there is no hull, or one too small to hold anything. Whether the best is a hand at all, rather
+    than the least bad way to fill the hull of something else, `HullFit.is_good` tells.
     """
     settings, fit = settings or HullStartSettings(), fit or HullFitSettings()
     if target.is_empty or len(target.inner) < _FEWEST:
         return []
     coarse_fit = HullFitSettings(levels=_COARSE, vertices=settings.vertices, hypotheses_at_once=32)
+    varied_fit = replace(fit, levels=_VARIED, vertices=settings.vertices, hypotheses_at_once=32)
     few = _thinned(target, settings.points)
+    some = target if target.rims is None else replace(target, rims=target.rims.thinned(settings.rays))
+    quick = copy.deepcopy(hand).to(torch.float32)
     found: list[HullStart] = []
     for size, shape in enumerate(shapes):
         pose, reference = hypotheses(target, hand, shape, settings)
         with torch.inference_mode():
-            cost = _judged(few, hand, shape, pose, reference, settings)
+            cost = _judged(few, quick, shape.float(), pose.float(), reference.float(), settings)
         chosen = _distinct(cost, reference, pose, settings.coarse)
-        coarse = HullFitter(hand, space, coarse_fit, shape=shape, constraints=constraints, prior=prior)
+        coarse = HullFitter(quick, space, coarse_fit, shape=shape.float(), constraints=constraints, prior=prior)
+        varied = HullFitter(quick, space, varied_fit, shape=shape.float(), constraints=constraints, prior=prior)
+        fine = HullFitter(hand, space, fit, shape=shape, constraints=constraints, prior=prior)
         rough = coarse(few, pose[chosen], reference[chosen])
         chosen = _distinct(rough.cost, rough.root_reference, rough.pose, settings.fine)
-        fine = HullFitter(hand, space, fit, shape=shape, constraints=constraints, prior=prior)
-        ended = fine(target, rough.pose[chosen], rough.root_reference[chosen])
+        ended = varied(some, rough.pose[chosen], rough.root_reference[chosen])
         own = [ended.select(index) for index in ended.cost.argsort().tolist()]
-        if own and settings.finger_rounds:
-            own[0] = with_other_fingers(target, own[0], fine, settings.finger_rounds)
-        found += [HullStart(fit=one, size=size) for one in own]
+        own = [with_other_fingers(some, one, varied, settings.finger_rounds) for one in own[: settings.varied]]
+        if own:
+            last = fine(target, torch.stack([x.pose for x in own]), torch.stack([x.root_reference for x in own]))
+            found += [HullStart(fit=last.select(index), size=size) for index in range(len(own))]
     found = [one for one in found if bool(one.fit.cost.isfinite())]
     return sorted(found, key=lambda one: float(one.fit.cost))
 
@@ -98,7 +111,7 @@ def with_other_fingers(target: HullTarget, best: HullFit, fitter: HullFitter, ro
     """The best fit when one digit at a time is tried in other postures: a digit in the wrong part of the hull stays
     there by itself."""
     for _ in range(rounds):
-        tried = _varied(best.pose)
+        tried = varied_digits(best.pose)
         found = fitter(target, tried, best.root_reference.expand(len(tried), 3, 3))
         other = found.select(found.best)
         if not float(other.cost) < (1 - _WORTH_TRYING) * float(best.cost):
@@ -107,7 +120,7 @@ def with_other_fingers(target: HullTarget, best: HullFit, fitter: HullFitter, ro
     return best
 
 
-def _varied(pose: Float[Tensor, "36"]) -> Float[Tensor, "n 36"]:
+def varied_digits(pose: Float[Tensor, "36"]) -> Float[Tensor, "n 36"]:
     """The pose with each digit in each of its other postures."""
     tried = []
     for finger in FINGERS:
@@ -174,13 +187,7 @@ def _balls(target: HullTarget, most: int) -> Float[Tensor, "balls 3"]:
 
 
 def _thinned(target: HullTarget, count: int) -> HullTarget:
-    return HullTarget(
-        field=target.field,
-        points=target.points[:count],
-        normals=target.normals[:count],
-        inner=target.inner,
-        depth=target.depth,
-    )
+    return replace(target, points=target.points[:count], normals=target.normals[:count], rims=None)
 
 
 def _judged(

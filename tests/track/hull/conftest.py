@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 
+import cv2
 import pytest
 import torch
 from torch import Tensor
@@ -10,8 +11,9 @@ from torch import Tensor
 from torchhand.files import load_hand_model
 from torchhand.geometry import Camera, rotation_from_vector
 from torchhand.hand import Hand, HandModel, PoseConstraints
+from torchhand.image.distance_maps import distance_map
 from torchhand.residuals import PostureResiduals
-from torchhand.track.hull_points import HullTarget, target_of
+from torchhand.track.hull_points import HullTarget, target_of, with_rims
 from torchhand.view import mesh_silhouette
 from torchhand.volume import Carver, CarvingSettings, RootCube, hull_field
 
@@ -60,6 +62,22 @@ class Rig:
         root = RootCube(centre=(0.0, 0.0, 0.0), side=0.512)
         carver = Carver(self.cameras, root, CarvingSettings(level=level))
         return target_of(hull_field(carver.carve(masks), surface="middle"), points=points)
+
+    def with_edges(self, masks: list[Tensor], *, rays: int = 300) -> HullTarget:
+        """The hull with the edges of its silhouettes."""
+        return with_rims(self.target_of_masks(masks), self.cameras, masks, rays=rays)
+
+    def noisy(self, masks: list[Tensor], seed: int, *, std_px: float = 1.0) -> list[Tensor]:
+        """The silhouettes with edges that are off by smooth noise."""
+        generator = torch.Generator().manual_seed(seed)
+        found = []
+        for mask in masks:
+            noise = torch.randn(mask.shape, generator=generator, dtype=torch.float64).numpy()
+            noise = cv2.GaussianBlur(noise, (0, 0), 1.5)
+            outside, inside = distance_map(mask), distance_map(~mask)
+            signed = torch.where(mask, 0.5 - inside, outside - 0.5)
+            found.append(signed + std_px * torch.from_numpy(noise / noise.std()) < 0)
+        return found
 
     def person(self, seed: int, *, turn: float = 0.4) -> tuple[Tensor, Tensor, Tensor]:
         """Pose, reference and shape of a random person's hand in the middle of the rig."""

@@ -12,6 +12,11 @@ from torchhand.track.hull_points import hull_target
 from torchhand.track.hull_settings import HULL_TRACKING_LEVELS, HullFitSettings, HullLevel
 
 SPACE = named_pose_space("dof36")
+LEVELS = (
+    HullLevel(robust_m=0.010, rounds=1, iterations=2),
+    HullLevel(robust_m=0.004, rounds=1, iterations=2),
+    HullLevel(robust_m=0.002, rounds=1, iterations=2),
+)
 FEW = HullFitSettings(levels=(HullLevel(robust_m=0.01, rounds=1, iterations=2),), vertices=100)
 
 
@@ -54,7 +59,7 @@ def test_without_the_covered_side_a_folded_hand_fits(rig: Any) -> None:
     start[flexions] = rig.model.skeleton.within_limits(start[6:] + 0.25)[torch.tensor(flexions) - 6]
     errors = []
     for weight in (0.0, 100.0):
-        settings = HullFitSettings(covered_weight=weight, levels=HULL_TRACKING_LEVELS)
+        settings = HullFitSettings(surface_weight=weight, levels=LEVELS)
         found = HullFitter(rig.hand, SPACE, settings, shape=shape)(target, start, reference)
         errors.append(rig.error_mm((found.pose, found.root_reference), (pose, reference), shape))
     assert errors[1] < 0.6 * errors[0]

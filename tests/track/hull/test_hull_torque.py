@@ -29,6 +29,16 @@ def pulled(rig: Any, free: tuple[str, ...], level: int, **settings: Any) -> Hull
     return fit_by_torques(target.field, rig.hand, space, flat(0), rig.upright, HullTorqueSettings(**settings))
 
 
+class Behind:
+    """A hull far behind the back of the hand."""
+
+    def __init__(self, back: Tensor) -> None:
+        self.back = back
+
+    def sample(self, points: Tensor, /) -> tuple[Tensor, Tensor]:
+        return (0.3 - points @ self.back), -self.back.expand_as(points)
+
+
 KNUCKLES = tuple(name for name in DOFS if name.endswith(("mcp_fe", "mcp_aa")))
 
 
@@ -43,9 +53,20 @@ def test_index_bent_by_ten_degrees(rig: Any, level: int, most_deg: float) -> Non
     assert found.inside_share.shape == (21,)
 
 
+FINGERS = tuple(name for name in named_pose_space("dof31").free_names if not name.startswith("root"))
+
+
+@pytest.mark.parametrize(("level", "most_deg"), [(7, 1.0), (8, 0.5)])
+def test_index_bent_by_ten_degrees_with_all_joints_free(rig: Any, level: int, most_deg: float) -> None:
+    found = pulled(rig, FINGERS, level)
+    error = (found.pose - flat(10)).rad2deg().abs()
+    assert float(error[INDEX]) <= most_deg
+    assert float(error[6:].mean()) <= 0.8
+
+
 def test_printed_steps_turn_every_angle_by_the_same(rig: Any) -> None:
     joints = ("index_mcp_fe", "index_pip_fe", "index_dip_fe")
-    found = pulled(rig, joints, 7, iterations=3, step_deg=0.5, least_step_deg=0.5)
+    found = pulled(rig, joints, 7, iterations=3, steps="equal", step_deg=0.5, least_step_deg=0.5)
     columns = [DOFS.index(name) for name in joints]
     steps = found.poses[:, columns].rad2deg().diff(dim=0)
     assert torch.allclose(steps, torch.full((3, 3), 0.5, dtype=torch.float64))
@@ -53,11 +74,31 @@ def test_printed_steps_turn_every_angle_by_the_same(rig: Any) -> None:
     assert torch.equal(found.poses[:, fixed], flat(0)[fixed].expand(4, -1))
 
 
-def test_proportional_steps_leave_more_to_the_knuckle(rig: Any) -> None:
-    fingers = tuple(name for name in named_pose_space("dof31").free_names if not name.startswith("root"))
-    equal, proportional = (pulled(rig, fingers, 7, steps=steps) for steps in ("equal", "proportional"))
-    errors = [abs(float(found.pose[INDEX].rad2deg()) - 10) for found in (equal, proportional)]
-    assert errors[1] < errors[0] < 5
+def test_the_largest_torque_of_each_digit_moves_alone(rig: Any) -> None:
+    found = pulled(rig, FINGERS, 7, iterations=1)
+    moved = [DOFS[i] for i in (found.poses[1] != found.poses[0]).nonzero()[:, 0].tolist()]
+    assert "index_mcp_fe" in moved
+    digits = [name.partition("_")[0] for name in moved]
+    assert len(digits) == len(set(digits))
+    assert float(found.poses[1, INDEX].rad2deg()) == pytest.approx(1.0)
+
+
+def test_a_digit_at_its_limit_lets_its_other_angles_move(rig: Any) -> None:
+    """Or the knuckle, whose torque stays the largest, would keep the finger where it is."""
+    start = flat(0)
+    start[INDEX] = rig.model.skeleton.lower[INDEX - 6]
+    space = pose_space("free", FINGERS).about(start)
+    settings = HullTorqueSettings(iterations=2)
+    found = fit_by_torques(Behind(rig.upright[:, 0]), rig.hand, space, start, rig.upright, settings)
+    turned = (found.pose - found.poses[0]).rad2deg()
+    assert float(turned[INDEX]) == 0
+    assert float(turned[DOFS.index("index_pip_fe")]) == pytest.approx(-2.0)
+
+
+def test_the_knuckle_by_each_reading(rig: Any) -> None:
+    found = {steps: pulled(rig, FINGERS, 7, steps=steps) for steps in ("equal", "proportional", "largest")}
+    errors = [abs(float(fit.pose[INDEX].rad2deg()) - 10) for fit in found.values()]
+    assert errors[2] < errors[1] < errors[0] < 5
 
 
 def test_stops_when_hardly_a_vertex_is_outside_and_stays(rig: Any) -> None:
@@ -76,14 +117,9 @@ def test_stops_when_hardly_a_vertex_is_outside_and_stays(rig: Any) -> None:
 def test_limits_hold(rig: Any) -> None:
     """The field's force would bend the finger backwards without end."""
 
-    class Behind:
-        def sample(self, points: Tensor, /) -> tuple[Tensor, Tensor]:
-            back = rig.upright[:, 0]  # out of the back of the hand
-            return (0.3 - points @ back), -back.expand_as(points)
-
     space = pose_space("index", ("index_mcp_fe",)).about(flat(0))
     settings = HullTorqueSettings(step_deg=5.0, iterations=30)
-    found = fit_by_torques(Behind(), rig.hand, space, flat(0), rig.upright, settings)
+    found = fit_by_torques(Behind(rig.upright[:, 0]), rig.hand, space, flat(0), rig.upright, settings)
     lower = rig.model.skeleton.lower[INDEX - 6]
     assert float(found.pose[INDEX]) == pytest.approx(float(lower))
     assert not bool(found.converged)

@@ -9,12 +9,14 @@ from torch import Tensor
 
 from torchhand.hand import Anthropometry
 from torchhand.track.hull_points import HullTarget
-from torchhand.track.hull_shape import fit_shape
+from torchhand.track.hull_shape import HullShapeFit, fit_shape
+from torchhand.track.multiview.fitting import Anchor, MomentFitter, Placed, chosen
+from torchhand.track.multiview.hulls import Hull
 from torchhand.track.multiview.silhouettes import Masks
-from torchhand.track.multiview.tracker import Anchor, MultiViewTracker, Placed
 
-_NEARLY = 0.02  # overlap that a hand followed from another moment may lack for one found afresh
-_WORST = 0.10  # overlap that a moment may lack for the best one and still teach proportions
+_NEARLY = 0.02  # overlap that a hand followed from other moments may lack for one found afresh
+_WORST = 0.08  # overlap that a moment may lack for the best one and still teach proportions
+_MOST = 8  # hands of other moments that are tried
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,15 +34,15 @@ class Acquaintance:
 
 @dataclass(frozen=True, kw_only=True)
 class _Seen:
-    """A moment in which the hand was found."""
+    """A moment, and the hand in it where it was found."""
 
     moment: int
-    target: HullTarget
-    placed: Placed
+    masks: Masks
+    hull: Hull
+    placed: Placed | None = None
 
-    @property
-    def anchor(self) -> Anchor:
-        return Anchor(pose=self.placed.fit.pose, root_reference=self.placed.fit.root_reference)
+    def at(self, placed: Placed | None) -> "_Seen":
+        return _Seen(moment=self.moment, masks=self.masks, hull=self.hull, placed=placed)
 
 
 def moments_of(count: int, frames: int) -> tuple[int, ...]:
@@ -52,7 +54,7 @@ def moments_of(count: int, frames: int) -> tuple[int, ...]:
 
 
 def acquaint(
-    tracker: MultiViewTracker,
+    fits: MomentFitter,
     moments: Sequence[tuple[int, Masks]],
     people: Anthropometry,
     *,
@@ -61,30 +63,34 @@ def acquaint(
 ) -> Acquaintance:
     """Find the hand in the moments, and fit its proportions to all those in which it was found well.
 
+    First every moment by itself, or from the hands of those before where these do as well; then with the proportions
+    that all tell together from all of them, and the proportions once more.
+
     shape: known proportions, which are then only used. done: called after every moment.
 
     Without any moment in which a hand is found the proportions are the generic hand's, or those given.
     """
-    seen: list[_Seen] = []
-    own = shape
+    known, seen = shape, []
     for moment, masks in moments:
-        found = _found(tracker, moment, masks, own, seen)
-        if found is not None:
-            if own is None:
-                own = _fitted(tracker, [found], people).shape
-                again = tracker.anchored(found.anchor, own, masks)
-                found = found if again is None else _Seen(moment=moment, target=found.target, placed=again)
-            seen.append(found)
+        one = _Seen(moment=moment, masks=masks, hull=fits.hulls.anywhere(masks))
+        one = one.at(_found(fits, one, shape, _anchors_of(seen)))
+        if one.placed is not None and shape is None:
+            shape = _fitted(fits, [one], people).shape
+            one = one.at(fits.from_anchors(one.hull, [one.placed.anchor], shape, masks))
+        seen.append(one)
         done()
-    generic = tracker.hand.kinematics.default_shape if own is None else own
-    if not seen:
+    if shape is None or not _anchors_of(seen):
+        generic = fits.hand.kinematics.default_shape if shape is None else shape
         return Acquaintance(shape=generic, shape_std=None, anchors={}, learned_from=())
-    anchors = {one.moment: one.anchor for one in seen}
-    if shape is not None:
-        return Acquaintance(shape=shape, shape_std=None, anchors=anchors, learned_from=())
-    best = max(one.placed.overlap for one in seen)
-    good = [one for one in seen if one.placed.overlap >= best - _WORST]
-    fit = _fitted(tracker, good, people, generic)
+    fit: HullShapeFit | None = None
+    if known is None:
+        shape = _fitted(fits, _good(seen), people, shape).shape
+    seen = [one.at(_again(fits, one, shape, _anchors_of(seen))) for one in seen]
+    anchors = {one.moment: one.placed.anchor for one in seen if one.placed is not None}
+    if known is not None:
+        return Acquaintance(shape=known, shape_std=None, anchors=anchors, learned_from=())
+    good = _good(seen)
+    fit = _fitted(fits, good, people, shape)
     poses = zip(good, fit.pose, fit.root_reference, strict=True)
     anchors |= {one.moment: Anchor(pose=pose, root_reference=reference) for one, pose, reference in poses}
     return Acquaintance(
@@ -95,47 +101,77 @@ def acquaint(
     )
 
 
-def _found(
-    tracker: MultiViewTracker, moment: int, masks: Masks, shape: Tensor | None, seen: Sequence[_Seen]
-) -> _Seen | None:
-    """The hand followed from the moment before, where that explains as much as was ever found; else searched."""
-    hull = tracker.hulls.anywhere(masks)
-    if hull.target is None:
+def _found(fits: MomentFitter, one: _Seen, shape: Tensor | None, anchors: Sequence[tuple[Anchor, float]]):
+    """The hand from those of other moments, where that explains as much as was ever found; else searched."""
+    if one.hull.target is None:
         return None
-    placed = None
-    if shape is not None and seen:
-        usual = max(one.placed.overlap for one in seen)
-        placed = tracker.anchored(seen[-1].anchor, shape, masks)
-        if placed is not None and placed.overlap >= usual - _NEARLY:
-            return _Seen(moment=moment, target=hull.target, placed=placed)
-    sizes = _sizes(tracker) if shape is None else [shape]
-    tried = [placed, *(tracker.searched(hull, size, masks) for size in sizes)]
-    best = max((one for one in tried if one is not None), key=lambda one: one.overlap, default=None)
-    if best is None or best.overlap < tracker.settings.loss.start_overlap:
-        return None
-    return _Seen(moment=moment, target=hull.target, placed=best)
+    near: Placed | None = None
+    if shape is not None and anchors:
+        near = fits.from_anchors(one.hull, [anchor for anchor, _ in anchors[-_MOST:]], shape, one.masks)
+        if near is not None and near.overlap >= max(overlap for _, overlap in anchors) - _NEARLY:
+            return near
+    sizes = _sizes(fits) if shape is None else [shape]
+    return _believed(fits, chosen([near, *(fits.searched(one.hull, size, one.masks) for size in sizes)]))
 
 
-def _sizes(tracker: MultiViewTracker) -> list[Tensor]:
+def _again(fits: MomentFitter, one: _Seen, shape: Tensor, anchors: Sequence[tuple[Anchor, float]]) -> Placed | None:
+    """With better proportions: from the hand that was found and, where that is doubtful, from those of others."""
+    if one.hull.target is None:
+        return None
+    own = None
+    if one.placed is not None:
+        own = fits.from_anchors(one.hull, [one.placed.anchor], shape, one.masks)
+        if own is not None and own.overlap >= max(overlap for _, overlap in anchors) - _NEARLY:
+            return own
+    best = sorted(anchors, key=lambda pair: -pair[1])[:_MOST]
+    tried = [own, fits.from_anchors(one.hull, [anchor for anchor, _ in best], shape, one.masks)]
+    tried.append(fits.searched(one.hull, shape, one.masks))
+    best_placed = chosen(tried)
+    if best_placed is not None:
+        postures = [anchor for anchor, _ in best]
+        other = fits.with_other_digits(one.hull, best_placed.anchor, postures, shape, one.masks)
+        best_placed = chosen([best_placed, other])
+    return _believed(fits, best_placed)
+
+
+def _believed(fits: MomentFitter, placed: Placed | None) -> Placed | None:
+    return None if placed is None or placed.overlap < fits.settings.loss.start_overlap else placed
+
+
+def _anchors_of(seen: Sequence[_Seen]) -> list[tuple[Anchor, float]]:
+    return [(one.placed.anchor, one.placed.overlap) for one in seen if one.placed is not None]
+
+
+def _good(seen: Sequence[_Seen]) -> list[_Seen]:
+    """The moments that may teach proportions."""
+    best = max(one.placed.overlap for one in seen if one.placed is not None)
+    return [one for one in seen if one.placed is not None and one.placed.overlap >= best - _WORST]
+
+
+def _sizes(fits: MomentFitter) -> list[Tensor]:
     """The generic hand in several sizes."""
-    space = tracker.hand.kinematics.shape_space
+    space = fits.hand.kinematics.shape_space
     metric = torch.tensor([unit == "m" for unit in space.units])
     default = space.default.to(torch.float64)
-    scaled = [torch.where(metric, size * default, default) for size in tracker.settings.sizes]
+    scaled = [torch.where(metric, size * default, default) for size in fits.settings.sizes]
     return [shape.clamp(space.lower.to(shape), space.upper.to(shape)) for shape in scaled]
 
 
-def _fitted(tracker: MultiViewTracker, seen: Sequence[_Seen], people: Anthropometry, shape: Tensor | None = None):
-    settings = tracker.settings
+def _fitted(
+    fits: MomentFitter, seen: Sequence[_Seen], people: Anthropometry, shape: Tensor | None = None
+) -> HullShapeFit:
+    found: list[tuple[HullTarget, Placed]] = [
+        (one.hull.target, one.placed) for one in seen if one.hull.target is not None and one.placed is not None
+    ]
     return fit_shape(
-        [one.target for one in seen],
-        tracker.hand,
-        tracker.space,
-        torch.stack([one.placed.fit.pose for one in seen]),
-        torch.stack([one.placed.fit.root_reference for one in seen]),
+        [target for target, _ in found],
+        fits.hand,
+        fits.space,
+        torch.stack([placed.fit.pose for _, placed in found]),
+        torch.stack([placed.fit.root_reference for _, placed in found]),
         people,
-        settings.shape,
-        settings.start_fit,
+        fits.settings.shape,
+        fits.settings.shape_fit,
         shape=shape,
-        **tracker.beliefs,
+        **fits.beliefs,
     )

@@ -32,9 +32,19 @@ class Hull:
 class Hulls:
     """Carves the hulls of a rig."""
 
-    def __init__(self, cameras: Sequence[Camera], settings: HullOctreeSettings, *, fewest_views: int = 2) -> None:
-        """Raises ValueError where the cameras see no volume together and no cube is given."""
+    def __init__(
+        self,
+        cameras: Sequence[Camera],
+        settings: HullOctreeSettings,
+        *,
+        fewest_views: int = 2,
+        contours: bool = True,
+    ) -> None:
+        """contours: with the edges of the silhouettes.
+
+        Raises ValueError where the cameras see no volume together and no cube is given."""
         self.cameras, self.settings, self._fewest = tuple(cameras), settings, fewest_views
+        self._contours = contours
         self.root = (
             root_cube(cameras) if settings.side is None else RootCube(centre=settings.centre, side=settings.side)
         )
@@ -73,6 +83,8 @@ class Hulls:
         if self._volume(octree) <= least_volume:
             return Hull(target=None, views=views, reason="the silhouettes of the views do not meet")
         target = target_of(hull_field(octree, surface="middle"))
+        if not self._contours:
+            return Hull(target=target, views=views)
         cameras, seen = [self.cameras[view] for view in views], [masks[view] for view in views]
         return Hull(target=with_rims(target, cameras, [mask for mask in seen if mask is not None]), views=views)
 

@@ -8,12 +8,10 @@ from torch import Tensor
 
 from torchhand.hand import Anthropometry, Hand
 from torchhand.track.multiview.acquaintance import Acquaintance, acquaint
-from torchhand.track.multiview.scale import in_unit, moved_anchor, resized_shape, rough_unit, size_factor
+from torchhand.track.multiview.fitting import Anchor, MomentFitter
+from torchhand.track.multiview.scale import in_unit, moved_anchor, resized_shape, rough_units, size_factor
 from torchhand.track.multiview.settings import MultiViewSettings
 from torchhand.track.multiview.silhouettes import Images, LearnedSkin, Masks, ViewSilhouettes
-from torchhand.track.multiview.tracker import Anchor, MultiViewTracker
-
-_SIZES = (0.78, 0.88, 1.0, 1.13, 1.27)  # of the generic hand, tried where the unit is known to a quarter only
 
 Moment = tuple[int, Images, Masks | None]
 """Its number, the pictures of all views, and the silhouettes where they are given."""
@@ -32,7 +30,6 @@ class Introduction(Acquaintance):
 def introduce(
     hand: Hand,
     silhouettes: ViewSilhouettes,
-    frames_per_second: float,
     moments: Sequence[Moment],
     people: Anthropometry,
     settings: MultiViewSettings,
@@ -55,13 +52,13 @@ def introduce(
         for moment, images, given in moments
     ]
     if fits_unit:
-        return _with_unit(hand, silhouettes, frames_per_second, seen, people, settings, shape, skins, done)
-    tracker = MultiViewTracker(hand, silhouettes.cameras, frames_per_second, settings)
-    return _introduction(_met(tracker, seen, people, settings, shape, done), skins)
+        return _with_unit(hand, silhouettes, seen, people, settings, shape, skins, done)
+    fits = MomentFitter(hand, silhouettes.cameras, settings)
+    return _introduction(_met(fits, seen, people, settings, shape, done), skins)
 
 
 def _met(
-    tracker: MultiViewTracker,
+    fits: MomentFitter,
     seen: Sequence[tuple[int, Masks]],
     people: Anthropometry,
     settings: MultiViewSettings,
@@ -69,14 +66,13 @@ def _met(
     done: Callable[[], object],
 ) -> Acquaintance:
     if settings.shape_frames == 0 and shape is None:
-        shape = tracker.hand.kinematics.default_shape
-    return acquaint(tracker, seen, people, shape=shape, done=done)
+        shape = fits.hand.kinematics.default_shape
+    return acquaint(fits, seen, people, shape=shape, done=done)
 
 
 def _with_unit(
     hand: Hand,
     silhouettes: ViewSilhouettes,
-    frames_per_second: float,
     seen: Sequence[tuple[int, Masks]],
     people: Anthropometry,
     settings: MultiViewSettings,
@@ -86,13 +82,19 @@ def _with_unit(
 ) -> Introduction:
     """The same with a unit that makes the hand as large as it is known, or thought, to be."""
     space = hand.kinematics.shape_space
-    nominal = rough_unit(silhouettes.cameras, seen)
-    if nominal is None:
-        nothing = Acquaintance(shape=hand.kinematics.default_shape, shape_std=None, anchors={}, learned_from=())
+    units, clearest = rough_units(silhouettes.cameras, seen)
+    fits = {unit: MomentFitter(hand, in_unit(silhouettes.cameras, unit), settings) for unit in units}
+    tried: dict[float, float] = {}
+    for unit, own in fits.items():
+        assert clearest is not None
+        hull = own.hulls.anywhere(clearest[1])
+        found = own.searched(hull, hand.kinematics.default_shape, clearest[1])
+        tried[unit] = 0.0 if found is None else found.overlap
+    nothing = Acquaintance(shape=hand.kinematics.default_shape, shape_std=None, anchors={}, learned_from=())
+    if not tried:
         return _introduction(nothing, skins)
-    wider = replace(settings, sizes=_SIZES, shape_frames=max(1, settings.shape_frames))
-    tracker = MultiViewTracker(hand, in_unit(silhouettes.cameras, nominal), frames_per_second, wider)
-    met = acquaint(tracker, seen, people, done=done)
+    nominal = max(tried, key=lambda unit: tried[unit])
+    met = acquaint(fits[nominal], seen, people, done=done)
     if not met.anchors:
         return _introduction(met, skins)
     known = space.default.to(met.shape) if shape is None else shape

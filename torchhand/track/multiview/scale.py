@@ -11,14 +11,16 @@ from torch import Tensor
 from torchhand.geometry import Camera
 from torchhand.geometry.rig import rig_size
 from torchhand.hand import ShapeSpace
+from torchhand.track.multiview.fitting import Anchor
 from torchhand.track.multiview.hulls import Hulls
 from torchhand.track.multiview.settings import HullOctreeSettings
 from torchhand.track.multiview.silhouettes import Masks
-from torchhand.track.multiview.tracker import Anchor
 
-_BALL = 0.028
-"""Metres: radius of the largest ball in the hull of a hand, between half the thickness of a palm and half its breadth;
-the fewer the cameras, the nearer to the latter."""
+_BALL = 0.030
+"""Metres: radius of the largest ball in the hull of a fist or a relaxed hand."""
+_SCALES = (0.6, 0.72, 0.86, 1.0, 1.17)
+"""Tried about the unit that makes the largest ball so large: in a hand that stays flat it is half of that."""
+_OPEN = 0.25  # quantile of the balls of all moments at which a hand is likely to be open, which tells its size best
 _FIRST_SIZE = 0.6  # metres between the cameras in the first carving, which only tells the ball
 
 
@@ -27,21 +29,26 @@ def in_unit(cameras: Sequence[Camera], metres: float) -> list[Camera]:
     return [replace(camera, translation=metres * camera.translation) for camera in cameras]
 
 
-def rough_unit(cameras: Sequence[Camera], moments: Sequence[tuple[int, Masks]]) -> float | None:
-    """Metres of the cameras' unit, to within a quarter or so, by the thickness of what all silhouettes show.
+def rough_units(
+    cameras: Sequence[Camera], moments: Sequence[tuple[int, Masks]]
+) -> tuple[tuple[float, ...], tuple[int, Masks] | None]:
+    """Candidates for the metres of the cameras' unit by the thickness of what all silhouettes show, one of them good
+    to a tenth or so, and the moment that is likely to tell which.
 
-    None where no moment has a hull.
+    None and no candidates where no moment has a hull.
     """
     first = _FIRST_SIZE / rig_size(cameras)
     hulls = Hulls(in_unit(cameras, first), HullOctreeSettings(start_leaf=0.006))
-    depths = []
-    for _, masks in moments:
+    balls: list[tuple[float, int]] = []
+    for place, (_, masks) in enumerate(moments):
         hull = hulls.anywhere(masks, least_volume=0.0)
         if hull.target is not None and len(hull.target.depth):
-            depths.append(float(hull.target.depth.max()))
-    if not depths:
-        return None
-    return first * _BALL / float(torch.tensor(depths).median())
+            balls.append((float(hull.target.depth.max()), place))
+    if not balls:
+        return (), None
+    balls.sort()
+    unit = first * _BALL / balls[-1][0]
+    return tuple(unit * scale for scale in _SCALES), moments[balls[int(_OPEN * len(balls))][1]]
 
 
 def resized_shape(shape: Float[Tensor, "shape"], factor: float, space: ShapeSpace) -> Float[Tensor, "shape"]:

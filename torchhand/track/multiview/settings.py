@@ -26,7 +26,7 @@ class HullOctreeSettings:
     """Side of the cube that is divided, metres; null: what all cameras see together."""
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Its centre where a side is given, world frame, metres."""
-    follow: float | None = 0.36
+    follow: float | None = 0.512
     """Side of a smaller cube about the hand while it is followed, metres; null: always the whole cube."""
     start_leaf: float = 0.004
     """Side of the finest octants where a hand is looked for, metres at most; above 0."""
@@ -62,7 +62,9 @@ class MultiViewLossSettings:
     better_by: float = 0.02
     """By how much the fresh search must overlap better to take over; 0 to 1."""
     search_every: int = 10
-    """Frames from one such search to the next; 1 or more."""
+    """Frames from one search without any guess to the next where the last one found a hand; 1 or more."""
+    search_seldom: int = 60
+    """The same where searches keep finding nothing; `search_every` or more."""
     fewest_views: int = 2
     """Views with a silhouette that a frame needs; 2 or more."""
 
@@ -71,6 +73,8 @@ class MultiViewLossSettings:
             require(0 <= getattr(self, name) <= 1, f"loss.{name}", "0 to 1", getattr(self, name))
         for name, least in (("patience", 1), ("search_every", 1), ("fewest_views", 2)):
             require(getattr(self, name) >= least, f"loss.{name}", f"{least} or more", getattr(self, name))
+        is_rarer = self.search_seldom >= self.search_every
+        require(is_rarer, "loss.search_seldom", "search_every or more", self.search_seldom)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,6 +89,9 @@ class MultiViewSettings:
     silhouette: SilhouetteSettings = field(default_factory=SilhouetteSettings)
     """How the hand is told from its surroundings in every view where no masks are given."""
     octree: HullOctreeSettings = field(default_factory=HullOctreeSettings)
+    contours: bool = True
+    """The edges of all views' silhouettes must touch the skin; without them the hull's surface must be on it, which in
+    part is volume that no hand fills."""
     fit: HullFitSettings = field(default_factory=lambda: HullFitSettings(levels=HULL_TRACKING_LEVELS))
     """While a hand is followed."""
     torque: HullTorqueSettings = field(default_factory=HullTorqueSettings)
@@ -93,13 +100,15 @@ class MultiViewSettings:
     start_fit: HullFitSettings = field(default_factory=HullFitSettings)
     """The last step of the search."""
     shape: HullShapeSettings = field(default_factory=HullShapeSettings)
+    shape_fit: HullFitSettings = field(default_factory=lambda: HullFitSettings(prior_weight=0.1, constraint_weight=0.1))
+    """While proportions are fitted: many frames together need less belief in likely postures."""
     shape_frames: int = 12
     """Frames, evenly over the sequence, to which the proportions are fitted once where they are not given; 0 keeps
     those of the generic hand."""
-    sizes: tuple[float, ...] = (0.9, 1.0, 1.1)
+    sizes: tuple[float, ...] = (1.0,)
     """Sizes of the generic hand that are tried before the proportions are known; above 0."""
     motion: MotionModel = field(default_factory=lambda: MotionModel(order=1, velocity_decay_s=0.1))
-    noise: NoiseSettings = field(default_factory=lambda: NoiseSettings(translation=2.0, rotation=15.0, angle=20.0))
+    noise: NoiseSettings = field(default_factory=lambda: NoiseSettings(translation=2.0, rotation=30.0, angle=60.0))
     loss: MultiViewLossSettings = field(default_factory=MultiViewLossSettings)
     check_side_px: int = 320
     """Longer side of the reduced pictures in which silhouettes are compared; 64 or more."""

@@ -5,25 +5,22 @@ state and the estimate. Poses are in the world frame of the cameras.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.geometry import Camera, rotation_from_vector, vector_from_rotation
-from torchhand.hand import Hand, HandPrior, PoseConstraints, named_pose_space
+from torchhand.hand import Hand
 from torchhand.numerics import Gaussian, predict_linear
 from torchhand.numerics.conditioning import with_marginal
-from torchhand.residuals import Expectation, PostureResiduals
-from torchhand.track.hull_fit import HullFit, HullFitter
-from torchhand.track.hull_start import find_in_hull
-from torchhand.track.hull_torque import fit_by_torques
+from torchhand.track.hull_fit import HullFit
 from torchhand.track.limits import clamp_to_limits
-from torchhand.track.multiview.agreement import ViewAgreement, mean_overlap
-from torchhand.track.multiview.hulls import Hull, Hulls
+from torchhand.track.multiview.agreement import mean_overlap
+from torchhand.track.multiview.fitting import Anchor, MomentFitter, Placed
+from torchhand.track.multiview.hulls import Hull
 from torchhand.track.multiview.settings import MultiViewSettings
 from torchhand.track.multiview.silhouettes import Masks
 from torchhand.track.prior import Kind, kind_of
@@ -31,9 +28,10 @@ from torchhand.track.rebasing import Rebasing
 from torchhand.track.state import Status, TrackerState
 from torchhand.track.tracker import start_spread
 
-_PALM = 9  # keypoint about which the hull is carved: the middle finger's knuckle
 _JOINT_CENTRE_STD = 0.004  # metres: hand models place their joint centres a few millimetres apart under the same skin
 _USUAL = 0.9  # share of the usual overlap that outlasts a frame
+_EVERY = 3  # frames from one try of other postures to the next while a track is in doubt
+_NEAREST = 6  # hands of other moments that are tried
 _STEP = 1e-5  # of the numerical derivative, metres and radians
 
 
@@ -44,7 +42,9 @@ class MultiViewMemory:
     shape: Float[Tensor, "shape"]
     overlap: float = 0.0
     """Usual overlap of the frames so far; 0 before there is one."""
-    frames_since_search: int = 1 << 20
+    frames_since_search: int = 0
+    search_after: int = 0
+    """Frames after which a search without any guess is due."""
     has_started: bool = False
     """Whether a hand was ever found."""
 
@@ -77,27 +77,6 @@ class MultiViewEstimate:
         return None if self.overlaps is None else mean_overlap(self.overlaps)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Anchor:
-    """A hand found in some moment before, to start from there."""
-
-    pose: Float[Tensor, "36"]
-    """With a zero rotation vector; metres and radians, world frame."""
-    root_reference: Float[Tensor, "3 3"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Placed:
-    """A fitted hand and how the silhouettes bear it out."""
-
-    fit: HullFit
-    overlaps: Float[Tensor, "views"]
-
-    @property
-    def overlap(self) -> float:
-        return mean_overlap(self.overlaps)
-
-
 class MultiViewTracker:
     """Follows one hand of a known side through the silhouettes of several cameras.
 
@@ -119,22 +98,15 @@ class MultiViewTracker:
         if not (math.isfinite(frames_per_second) and frames_per_second > 0):
             raise ValueError(f"frames_per_second: expected a finite number above 0, got {frames_per_second!r}")
         self.settings = s = settings or MultiViewSettings()
-        self.hand, self.cameras = hand, tuple(camera.to(dtype=torch.float64) for camera in cameras)
-        self.hulls = Hulls(self.cameras, s.octree, fewest_views=s.loss.fewest_views)
-        self.space = named_pose_space(s.pose_space)
-        skeleton = hand.kinematics.skeleton
-        self._rebased = Rebasing(space=self.space, skeleton=skeleton)
-        self.beliefs: dict[str, Any] = {
-            "constraints": PoseConstraints(skeleton),
-            "prior": PostureResiduals.of(HandPrior(skeleton, hand.kinematics.shape_space).postures),
-        }
+        self.fits = MomentFitter(hand, cameras, s)
+        self.hand, self.space = hand, self.fits.space
+        self._rebased = Rebasing(space=self.space, skeleton=hand.kinematics.skeleton)
         self._kinds: list[Kind] = [kind_of(name) for name in self.space.free_names]
         noise = {"translation": s.noise.translation, "rotation": s.noise.rotation, "angle": s.noise.angle}
         density = torch.tensor([noise[kind] ** 2 for kind in self._kinds], dtype=torch.float64)
         step_s = 1.0 / frames_per_second
         self._transition = s.motion.transition(step_s, self.space.size)
         self._process_noise = s.motion.process_noise(step_s, density)
-        self._made: tuple[HullFitter, HullFitter, ViewAgreement] | None = None
 
     # ------------------------------------------------------------------ a moment
 
@@ -143,94 +115,81 @@ class MultiViewTracker:
         state: TrackerState | None,
         memory: MultiViewMemory,
         masks: Masks,
-        anchor: Anchor | None = None,
+        anchors: Mapping[int, Anchor] | None = None,
+        moment: int | None = None,
     ) -> tuple[TrackerState | None, MultiViewMemory, MultiViewEstimate]:
         """The next state, what is remembered, and the estimate of this moment.
 
-        anchor: a hand that was found in the same moment before, such as by `acquaint`; it takes part as a start.
+        anchors: hands that were found before, such as by `acquaint`, by their moments. One of this `moment` always
+        takes part as a start; the nearest ones do where the hand is lost or doubtful, their postures too.
 
-        A frame that fails is searched afresh when a search is due; a hand found again after a lost frame is
-        `recovered`.
+        A search without any guess comes last, and the less often the longer it finds nothing. A hand found again after
+        a lost frame is `recovered`.
         """
+        anchors = anchors or {}
         memory = replace(memory, frames_since_search=memory.frames_since_search + 1)
         predicted = None if state is None else self._predicted(state)
+        here = None if moment is None else anchors.get(moment)
         followed, hull = None, None
         if predicted is not None:
-            followed, hull = self._followed(predicted, memory, masks)
-        best = followed if anchor is None else self._better(followed, self.anchored(anchor, memory.shape, masks))
-        if self._is_doubtful(best, memory) and memory.frames_since_search >= self.settings.loss.search_every:
-            whole = self.hulls.anywhere(masks)
-            if whole.target is None and hull is None:
-                hull = whole
-            elif whole.target is not None:
-                memory = replace(memory, frames_since_search=0)
-                best = self._better(best, self.searched(whole, memory.shape, masks))
+            followed, hull = self._followed(predicted, here, memory, masks)
+        best = followed
+        if here is not None:
+            hull = self.fits.hull_about(here, memory.shape, masks)
+            best = self._better(best, self.fits.from_anchors(hull, [here], memory.shape, masks))
+        if self._is_doubtful(best, memory):
+            near = [anchors[key] for key in sorted(anchors, key=lambda key: abs(key - (moment or 0)))][:_NEAREST]
+            best, hull, memory = self._reconsidered(best, hull, near, memory, masks)
         if best is None:
             return self._without(predicted, memory, hull)
-        return self._taken(best, followed, predicted, memory, masks)
+        return self._taken(best, followed, predicted, memory)
 
-    def _followed(self, predicted: TrackerState, memory: MultiViewMemory, masks: Masks) -> tuple[Placed | None, Hull]:
+    def _reconsidered(
+        self,
+        best: Placed | None,
+        hull: Hull | None,
+        anchors: Sequence[Anchor],
+        memory: MultiViewMemory,
+        masks: Masks,
+    ) -> tuple[Placed | None, Hull | None, MultiViewMemory]:
+        """Other postures, other moments' hands, and when it is time a search, until the hand is no longer in doubt."""
+        loss, shape = self.settings.loss, memory.shape
+        is_failing = self._is_failing(best)
+        if best is not None and hull is not None and (is_failing or memory.frames_since_search % _EVERY == 0):
+            best = self._better(best, self.fits.with_other_digits(hull, best.anchor, anchors, shape, masks))
+        if is_failing or hull is None:  # it may be anywhere
+            hull = self.fits.hulls.anywhere(masks)
+            best = self._better(best, self.fits.from_anchors(hull, anchors, shape, masks))
+        is_due = memory.frames_since_search >= memory.search_after
+        if hull.target is None or not is_due or not self._is_doubtful(best, memory):
+            return best, hull, memory
+        found = self.fits.searched(hull, shape, masks)
+        has_found = found is not None and found.overlap >= loss.start_overlap
+        after = loss.search_every if has_found else min(max(2 * memory.search_after, 1), loss.search_seldom)
+        memory = replace(memory, frames_since_search=0, search_after=after)
+        return self._better(best, found), hull, memory
+
+    def _followed(
+        self, predicted: TrackerState, here: Anchor | None, memory: MultiViewMemory, masks: Masks
+    ) -> tuple[Placed | None, Hull]:
         """The hand fitted from the prediction; where it fails, once more without the view that agrees least."""
-        pose, reference = self._rebased.pose(predicted), predicted.reference
-        keypoints = self.hand.kinematics(pose, memory.shape, root_reference=reference).keypoints
-        hull = self.hulls.near(masks, keypoints[_PALM])
-        if hull.target is None:
-            return None, hull
-        placed = self._placed(self._fitted(hull, predicted, pose, memory), memory.shape, masks)
-        if not self._is_failing(placed) or len(hull.views) <= self.settings.loss.fewest_views:
+        own = Anchor(pose=self._rebased.pose(predicted), root_reference=predicted.reference)
+        starts = [own] if here is None else [own, here]
+        placed, hull = self._fitted(predicted, starts, memory, masks)
+        if placed is None or not self._is_failing(placed) or len(hull.views) <= self.settings.loss.fewest_views:
             return placed, hull
         worst = int(placed.overlaps.nan_to_num(torch.inf).argmin())
         others = [None if view == worst else mask for view, mask in enumerate(masks)]
-        second = self.hulls.near(others, keypoints[_PALM])
-        if second.target is None:
-            return placed, hull
-        again = self._placed(self._fitted(second, predicted, pose, memory), memory.shape, others)
-        return (again, second) if again.overlap > placed.overlap + self.settings.loss.better_by else (placed, hull)
+        again, second = self._fitted(predicted, starts, memory, others)
+        return (placed, hull) if self._better(placed, again) is placed else (again, second)
 
-    def _fitted(self, hull: Hull, predicted: TrackerState, pose: Tensor, memory: MultiViewMemory) -> HullFit:
-        assert hull.target is not None
-        track, _, _ = self._made_for(memory.shape)
-        count = self.space.size
-        if self.settings.fitting == "torque":
-            return self._by_torques(hull, pose, predicted.reference, memory.shape)
-        belief = predicted.belief
-        expected = Expectation.from_covariance(
-            belief.mean[None, :count], predicted.reference[None], belief.covariance[None, :count, :count]
-        )
-        return track(hull.target, pose[None], predicted.reference[None], expected=expected).select(0)
-
-    def _by_torques(self, hull: Hull, pose: Tensor, reference: Tensor, shape: Tensor) -> HullFit:
-        """The paper's own fit; what it costs and how sure it is are those of the other one at its end."""
-        assert hull.target is not None
-        track, _, _ = self._made_for(shape)
-        found = fit_by_torques(
-            hull.target.field, self.hand, self.space, pose[None], reference[None], self.settings.torque, shape=shape
-        )
-        judged = track(hull.target, found.pose, found.root_reference).select(0)
-        return replace(judged, pose=found.pose[0], root_reference=found.root_reference[0])
-
-    def anchored(self, anchor: Anchor, shape: Float[Tensor, "shape"], masks: Masks) -> Placed | None:
-        """The hand fitted from a pose that may be some way off; None where there is no hull."""
-        keypoints = self.hand.kinematics(anchor.pose, shape, root_reference=anchor.root_reference).keypoints
-        hull = self.hulls.near(masks, keypoints[_PALM])
-        if hull.target is None:
-            return None
-        _, broad, _ = self._made_for(shape)
-        fit = broad(hull.target, anchor.pose[None], anchor.root_reference[None]).select(0)
-        return self._placed(fit, shape, masks)
-
-    def searched(self, hull: Hull, shape: Float[Tensor, "shape"], masks: Masks) -> Placed | None:
-        """The best of a search without any guess; None where nothing can be looked for."""
-        s = self.settings
-        if hull.target is None:
-            return None
-        found = find_in_hull(hull.target, self.hand, self.space, shape[None], s.start, s.start_fit, **self.beliefs)
-        placed = [self._placed(start.fit, shape, masks) for start in found]
-        return max(placed, key=lambda one: one.overlap, default=None)
-
-    def _placed(self, fit: HullFit, shape: Float[Tensor, "shape"], masks: Masks) -> Placed:
-        _, _, agreement = self._made_for(shape)
-        return Placed(fit=fit, overlaps=agreement(fit.pose, fit.root_reference, masks))
+    def _fitted(
+        self, predicted: TrackerState, starts: Sequence[Anchor], memory: MultiViewMemory, masks: Masks
+    ) -> tuple[Placed | None, Hull]:
+        count, belief = self.space.size, predicted.belief
+        hull = self.fits.hull_about(starts[0], memory.shape, masks)
+        mean, covariance = belief.mean[:count], belief.covariance[:count, :count]
+        return self.fits.expected(hull, starts, mean, covariance, memory.shape, masks), hull
 
     def _better(self, first: Placed | None, second: Placed | None) -> Placed | None:
         if first is None or second is None:
@@ -243,7 +202,7 @@ class MultiViewTracker:
     def _is_doubtful(self, placed: Placed | None, memory: MultiViewMemory) -> bool:
         if placed is None or self._is_failing(placed):
             return True
-        return placed.overlap < memory.overlap - self.settings.loss.doubt_drop
+        return not bool(placed.fit.is_good) or placed.overlap < memory.overlap - self.settings.loss.doubt_drop
 
     # ------------------------------------------------------------------ what follows
 
@@ -266,7 +225,6 @@ class MultiViewTracker:
         followed: Placed | None,
         predicted: TrackerState | None,
         memory: MultiViewMemory,
-        masks: Masks,
     ) -> tuple[TrackerState | None, MultiViewMemory, MultiViewEstimate]:
         loss, is_new = self.settings.loss, best is not followed
         views = int(best.overlaps.isfinite().sum())
@@ -308,17 +266,6 @@ class MultiViewTracker:
         free = self.space.own(torch.cat((fit.pose[:3], vector, fit.pose[6:])))
         belief = with_marginal(predicted.belief, free, fit.covariance)
         return self._rebased(replace(predicted, belief=belief, failures=0))
-
-    def _made_for(self, shape: Float[Tensor, "shape"]) -> tuple[HullFitter, HullFitter, ViewAgreement]:
-        """What depends on the proportions, kept while they stay the same."""
-        if self._made is None or self._made[2].shape is not shape:
-            s = self.settings
-            track, broad = (
-                HullFitter(self.hand, self.space, own, shape=shape, **self.beliefs) for own in (s.fit, s.start_fit)
-            )
-            agreement = ViewAgreement(self.hand.kinematics, self.cameras, shape, side_px=s.check_side_px)
-            self._made = (track, broad, agreement)
-        return self._made
 
     def _estimate(
         self, status: Status, state: TrackerState, placed: Placed, memory: MultiViewMemory

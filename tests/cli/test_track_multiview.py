@@ -1,0 +1,263 @@
+"""`torchhand track_multiview`: what a run leaves, going on after a stop, bad views and wrong input."""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+import yaml
+
+from torchhand.cli import multiview_tracking
+from torchhand.cli.track_multiview import main
+from torchhand.files import load_hand_model, load_track, read_picture, save_cameras, save_hand, write_video
+from torchhand.geometry import rotation_from_vector
+from torchhand.hand import posture
+from torchhand.simulate.rigs import named_rig
+from torchhand.view import mesh_silhouette
+
+FRAMES, SIZE = 5, (240, 180)
+RESULT_NAMES = {"checkpoint.pt", "config.yaml", "hand.json", "overlay.mp4", "track.jsonl", "track.npz"}
+SKIN, WALL = (125, 150, 205), (120, 70, 40)  # BGR
+FAST = (
+    *("--set", "shape_frames=1"),
+    *("--set", "start.places=1"),
+    *("--set", "start.rolls=4"),
+    *("--set", "start.postures=[open]"),
+    *("--set", "start.coarse=6"),
+    *("--set", "start.fine=2"),
+    *("--set", "start.finger_rounds=0"),
+)
+Rig = Callable[..., Path]
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A moving hand before four cameras: pictures, silhouettes, cameras and the generic hand's file."""
+    folder = tmp_path_factory.mktemp("rig")
+    model = load_hand_model()
+    hand, cameras = model.hand(side="right", dtype=torch.float64), named_rig("frame4", size=SIZE)
+    save_cameras(cameras, folder / "cameras.json")
+    space = hand.kinematics.shape_space
+    save_hand(folder / "hand.json", space.names, space.default.tolist(), "right", {}, units=space.units)
+    upright = torch.diag(torch.tensor((1.0, -1.0, -1.0), dtype=torch.float64))
+    truth, noise = [], np.random.default_rng(0)
+    for view in range(len(cameras)):
+        (folder / f"view_{view}").mkdir()
+        (folder / f"masks_{view}").mkdir()
+    for frame in range(FRAMES):
+        turn = rotation_from_vector(torch.tensor((0.0, 0.3 + 0.02 * frame, 0.0), dtype=torch.float64))
+        pose = posture("open", dtype=torch.float64).clone()
+        pose[:3] = torch.tensor((0.003 * frame, 0.08, 0.0))
+        state = hand(pose, root_reference=turn @ upright)
+        truth.append(state.keypoints.numpy())
+        for view, camera in enumerate(cameras):
+            mask = mesh_silhouette(state.vertices, hand.faces, camera).numpy()
+            picture = np.where(mask[..., None], SKIN, WALL) + noise.integers(-6, 7, (*mask.shape, 3))
+            cv2.imwrite(str(folder / f"view_{view}" / f"{frame:04d}.png"), picture.astype(np.uint8))
+            cv2.imwrite(str(folder / f"masks_{view}" / f"{frame:04d}.png"), mask.astype(np.uint8) * 255)
+    np.savez(folder / "truth.npz", keypoints3d=np.stack(truth))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def result(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a run makes of it; for reading only."""
+    out = tmp_path_factory.mktemp("out") / "result"
+    assert main([str(recording), "--out", str(out), "--hand", str(recording / "hand.json"), *FAST]) == 0
+    return out
+
+
+@pytest.fixture
+def copied(recording: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(recording, tmp_path / "rig")
+
+
+def run(folder: Path, out: Path, *more: str) -> int:
+    return main([str(folder), "--out", str(out), "--hand", str(folder / "hand.json"), *FAST, *more])
+
+
+def line_of(capsys: pytest.CaptureFixture[str]) -> str:
+    """The one error line of the command."""
+    errors = [line for line in capsys.readouterr().err.splitlines() if "error:" in line]
+    assert len(errors) == 1
+    return errors[0]
+
+
+def test_result_folder(result: Path, recording: Path) -> None:
+    assert {path.name for path in result.iterdir()} == RESULT_NAMES
+    track = load_track(result)
+    assert track.status.tolist() == ["tracked"] * FRAMES
+    assert track.keypoints2d is None
+    truth = np.load(recording / "truth.npz")["keypoints3d"]
+    assert np.linalg.norm(track.keypoints3d - truth, axis=-1).mean() < 0.004
+    assert {"overlap", "overlap_front", "overlap_top45", "inside", "views"} <= set(track.measures)
+    assert np.all(track.measures["views"] == 4)
+    assert "world frame" in track.convention
+    config = yaml.safe_load((result / "config.yaml").read_text())
+    assert config["run"]["silhouettes"] == "given"
+    assert [camera["name"] for camera in config["run"]["cameras_used"]] == ["front", "side", "top", "top45"]
+    overlay = cv2.VideoCapture(str(result / "overlay.mp4"))
+    assert overlay.get(cv2.CAP_PROP_FRAME_COUNT) == FRAMES
+    assert overlay.get(cv2.CAP_PROP_FRAME_WIDTH) == 2 * SIZE[0]
+
+
+def test_skin_in_place_of_masks_and_videos_in_place_of_pictures(recording: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "videos"
+    folder.mkdir()
+    for name in ("cameras.json", "hand.json"):
+        shutil.copy(recording / name, folder)
+    for view, name in enumerate(("front", "side", "top", "top45")):
+        with write_video(folder / f"{name}.mp4", width=SIZE[0], height=SIZE[1]) as video:
+            for path in sorted((recording / f"view_{view}").iterdir()):
+                video.write(read_picture(path))
+    assert run(folder, tmp_path / "out", "--max-frames", "3", "--no-overlay") == 0
+    track = load_track(tmp_path / "out")
+    assert track.status.tolist() == ["tracked"] * 3
+    truth = np.load(recording / "truth.npz")["keypoints3d"][:3]
+    assert np.linalg.norm(track.keypoints3d - truth, axis=-1).mean() < 0.006
+
+
+def test_stopped_run_goes_on_to_the_same_end(
+    result: Path, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(multiview_tracking, "CHECKPOINT_EVERY", 2)
+    step, seen = multiview_tracking._Run.step, []
+
+    def stopping(self, frame):
+        seen.append(frame.index)
+        if len(seen) == 4:
+            raise KeyboardInterrupt
+        return step(self, frame)
+
+    monkeypatch.setattr(multiview_tracking._Run, "step", stopping)
+    out = tmp_path / "out"
+    assert run(recording, out) == 130
+    seen[:] = [0] * 4
+    assert run(recording, out, "--resume") == 0
+    assert seen[4:] == [2, 3, 4]
+    whole, resumed = load_track(result), load_track(out)
+    np.testing.assert_array_equal(whole.pose, resumed.pose)
+    np.testing.assert_array_equal(whole.keypoints3d_cov, resumed.keypoints3d_cov)
+
+
+def test_finished_run_is_resumed_without_work(result: Path, recording: Path, tmp_path: Path) -> None:
+    out = shutil.copytree(result, tmp_path / "out")
+    assert run(recording, out, "--resume") == 0
+    assert len(load_track(out)) == FRAMES
+
+
+def test_resuming_with_other_settings_is_refused(result: Path, recording: Path, tmp_path: Path, capsys) -> None:
+    out = shutil.copytree(result, tmp_path / "out")
+    assert run(recording, out, "--resume", "--set", "octree.level=6") == 2
+    assert "made_with.settings.octree.level was 7, is now 6" in line_of(capsys)
+
+
+def test_hand_can_be_met_at_the_first_look(recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert main([str(recording), "--out", str(out), "--max-frames", "1", "--no-overlay", *FAST]) == 0
+    hand = json.loads((out / "hand.json").read_text())
+    assert hand["provenance"]["method"] == "visual hulls"
+    assert hand["provenance"]["frames"] == [0]
+    assert 0.17 < hand["shape"]["hand_length"] < 0.21
+
+
+@pytest.mark.parametrize("kind", ["missing", "black", "size", "frozen"])
+def test_bad_view_does_not_spoil_the_others(kind: str, copied: Path, tmp_path: Path, capsys) -> None:
+    pictures = sorted((copied / "view_1").iterdir())
+    if kind == "missing":
+        shutil.rmtree(copied / "view_1")
+    for path in pictures if kind != "missing" else []:
+        image = np.ascontiguousarray(read_picture(pictures[0]).numpy()[..., ::-1])
+        image = {"black": image * 0, "size": cv2.resize(image, (120, 90)), "frozen": image}[kind]
+        cv2.imwrite(str(path), image)
+    for view in range(4):
+        shutil.rmtree(copied / f"masks_{view}")
+    assert run(copied, tmp_path / "out", "--max-frames", "2", "--no-overlay") == 0
+    track = load_track(tmp_path / "out")
+    assert track.status.tolist() == ["tracked", "tracked"]
+    if kind != "frozen":  # which is told only after some frames
+        assert np.all(track.measures["views"] == 3)
+        assert "side" in capsys.readouterr().err
+
+
+def test_moment_without_pictures_is_told_and_the_next_one_found(copied: Path, tmp_path: Path) -> None:
+    for view in range(1, 4):
+        cv2.imwrite(str(copied / f"masks_{view}" / "0001.png"), np.zeros(SIZE[::-1], np.uint8))
+    assert run(copied, tmp_path / "out", "--max-frames", "3", "--no-overlay") == 0
+    track = load_track(tmp_path / "out")
+    assert track.status.tolist() == ["tracked", "lost", "tracked"]
+    assert track.reason is not None
+    assert "a silhouette in 1 of 4 views" in track.reason[1]
+    assert not np.isfinite(track.pose[1]).any()
+
+
+def test_unit_from_the_hand(copied: Path, tmp_path: Path, capsys) -> None:
+    cameras = [replace(c, translation=c.translation / 0.0254) for c in named_rig("frame4", size=SIZE)]
+    save_cameras(cameras, copied / "cameras.json")
+    out = tmp_path / "out"
+    assert run(copied, out, "--unit", "hand", "--max-frames", "2", "--no-overlay") == 0
+    unit = yaml.safe_load((out / "config.yaml").read_text())["run"]["cameras_used"][0]["t"][2] / 0.4
+    assert unit == pytest.approx(1.0, abs=0.05)
+    assert "one unit of the rig is" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--unit", "furlong"), "unit: expected one of m, cm, mm, inch or a number of metres"),
+        (("--silhouettes", "background"), "expected --background with pictures of the empty scene, got none"),
+        (("--background", "x"), "--background: expected --silhouettes background with it"),
+        (("--config", "contour_full"), "method: expected hull for several cameras"),
+        (("--set", "octree.depth=3"), "unknown key octree.depth"),
+        (("--set", "octree.level=99"), "octree.level: expected 1 to 10, got 99"),
+        (("--offset", "left=3"), "'left' is no camera; allowed: front, side, top, top45"),
+        (("--cameras", "nowhere.json"), "nowhere.json: no such file or folder"),
+        (("--start", "-1"), "--start: expected 0 or more"),
+        (("--start", "50"), "start 50 lies after the last moment (4)"),
+        (("--max-frames", "0"), "--max-frames: expected 1 or more"),
+    ],
+)
+def test_wrong_options(options, words: str, recording: Path, tmp_path: Path, capsys) -> None:
+    assert run(recording, tmp_path / "out", *options) == 2
+    assert words in line_of(capsys)
+    assert not (tmp_path / "out").exists()
+
+
+def test_wrong_rigs(copied: Path, tmp_path: Path, capsys) -> None:
+    entries = json.loads((copied / "cameras.json").read_text())["cameras"]
+
+    def refused(changed, words: str) -> None:
+        (copied / "cameras.json").write_text(json.dumps({"cameras": changed}))
+        assert run(copied, tmp_path / "out") == 2
+        assert words in line_of(capsys)
+
+    metres = [{**entry, "t": [1000 * value for value in entry["t"]]} for entry in entries]
+    refused(metres, "unit mm makes it")
+    away = [{**entry, "t": [0.0, 0.0, -0.4]} for entry in entries]
+    refused(away, "look away")
+    broken = [{**entries[0], "R": [[1, 0, 0], [0, 1, 0], [0, 0.4, 1]]}, *entries[1:]]
+    refused(broken, "R")
+    refused(entries[:1], "expected two cameras or more, got 1")
+    (copied / "cameras.json").unlink()
+    assert run(copied, tmp_path / "out") == 2
+    assert "holds no cameras" in line_of(capsys)
+
+
+def test_folder_without_pictures(copied: Path, tmp_path: Path, capsys) -> None:
+    for view in range(3):
+        shutil.rmtree(copied / f"view_{view}")
+    assert run(copied, tmp_path / "out") == 2
+    assert "expected pictures of two cameras or more" in line_of(capsys)
+    assert run(copied / "nowhere", tmp_path / "out") == 2
+
+
+def test_older_result_is_kept(result: Path, recording: Path, capsys) -> None:
+    before = (result / "track.npz").read_bytes()
+    assert run(recording, result) == 2
+    assert "is not empty" in line_of(capsys)
+    assert (result / "track.npz").read_bytes() == before

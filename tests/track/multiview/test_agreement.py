@@ -1,0 +1,50 @@
+import math
+
+import torch
+
+from torchhand.geometry import rotation_from_vector
+from torchhand.track.multiview.agreement import ViewAgreement, mean_overlap
+
+
+def test_own_silhouettes_agree_and_others_less(rig_hand, rig, pose_at, masks_of):
+    agree = ViewAgreement(rig_hand.kinematics, rig, rig_hand.kinematics.default_shape)
+    pose, reference = pose_at()
+    overlaps = agree(pose, reference, masks_of((pose, reference)))
+    assert bool((overlaps > 0.8).all())
+    moved = pose.clone()
+    moved[0] += 0.03
+    fist, _ = pose_at("fist")
+    for other in (moved, fist):
+        assert mean_overlap(agree(other, reference, masks_of((pose, reference)))) < mean_overlap(overlaps) - 0.15
+
+
+def test_forearm_does_not_count(rig_hand, rig, pose_at, masks_of):
+    agree = ViewAgreement(rig_hand.kinematics, rig[:1], rig_hand.kinematics.default_shape)
+    pose, reference = pose_at()
+    mask = masks_of((pose, reference))[0]
+    rows, columns = mask.nonzero().unbind(1)
+    arm = mask.clone()
+    below = columns[rows == rows.max()]
+    arm[int(rows.max()) - 3 :, int(below.min()) : int(below.max()) + 1] = True
+    alone, with_arm = (float(agree(pose, reference, [seen])[0]) for seen in (mask, arm))
+    assert abs(alone - with_arm) < 0.03
+
+
+def test_view_along_the_palm_is_compared_too(rig_hand, rig, masks_of, pose_at):
+    agree = ViewAgreement(rig_hand.kinematics, rig, rig_hand.kinematics.default_shape)
+    pose, reference = pose_at()
+    tilt = rotation_from_vector(torch.tensor((math.pi / 2, 0.0, 0.0), dtype=torch.float64)) @ reference
+    pose = pose.clone()
+    pose[:3] = torch.tensor((0.0, 0.0, 0.06))
+    overlaps = agree(pose, tilt, masks_of((pose, tilt)))
+    assert bool((overlaps > 0.7).all())
+
+
+def test_missing_views_have_no_overlap(rig_hand, rig, pose_at, masks_of):
+    agree = ViewAgreement(rig_hand.kinematics, rig, rig_hand.kinematics.default_shape)
+    pose, reference = pose_at()
+    masks = masks_of((pose, reference))
+    overlaps = agree(pose, reference, [None, *masks[1:]])
+    assert bool(overlaps[0].isnan())
+    assert mean_overlap(overlaps) == float(overlaps[1:].mean())
+    assert mean_overlap(torch.full((2,), math.nan)) == 0.0

@@ -1,0 +1,98 @@
+from dataclasses import replace
+
+import pytest
+import torch
+
+from torchhand.geometry import Camera
+from torchhand.image import SilhouetteSettings, learn_background
+from torchhand.simulate.rigs import named_rig
+from torchhand.track.multiview import ViewSilhouettes
+
+SKIN, WALL = (205, 150, 125), (40, 70, 120)
+
+
+def _picture(camera: Camera, hand: torch.Tensor) -> torch.Tensor:
+    picture = torch.tensor(WALL, dtype=torch.uint8).expand(camera.height, camera.width, 3).clone()
+    noise = torch.Generator().manual_seed(3)
+    picture[hand] = torch.tensor(SKIN, dtype=torch.uint8)
+    jitter = torch.randint(-6, 7, picture.shape, generator=noise, dtype=torch.int16)
+    return (picture.to(torch.int16) + jitter).clamp(0, 255).to(torch.uint8)
+
+
+def _disc(camera: Camera, centre: tuple[float, float], radius: float) -> torch.Tensor:
+    x, y = torch.arange(camera.width)[None], torch.arange(camera.height)[:, None]
+    return (x - centre[0]) ** 2 + (y - centre[1]) ** 2 < radius**2
+
+
+def _iou(a: torch.Tensor, b: torch.Tensor) -> float:
+    return float((a & b).sum() / (a | b).sum())
+
+
+@pytest.fixture(scope="module")
+def cameras() -> list[Camera]:
+    return named_rig("frame2", size=(320, 240))
+
+
+def test_skin_is_learned_in_every_view_and_found_in_later_pictures(cameras):
+    makes = ViewSilhouettes(cameras)
+    first = [_disc(camera, (100, 90), 40) for camera in cameras]
+    skins = makes.learn([_picture(c, m) for c, m in zip(cameras, first, strict=True)], [None, None])
+    later = [_disc(camera, (200, 140), 35) for camera in cameras]
+    masks = makes([_picture(c, m) for c, m in zip(cameras, later, strict=True)], skins)
+    for mask, expected in zip(masks, later, strict=True):
+        assert mask is not None
+        assert _iou(mask, expected) > 0.95
+
+
+def test_clearest_lesson_counts(cameras):
+    makes = ViewSilhouettes(cameras)
+    pictures = [_picture(camera, _disc(camera, (100, 90), 40)) for camera in cameras]
+    clear = makes.learn(pictures, [None, None])
+    noise = torch.Generator().manual_seed(4)
+    pale = [(0.5 * p.float() + 90 * torch.rand(p.shape, generator=noise)).to(torch.uint8) for p in pictures]
+    again = makes.learn(pale, clear)
+    assert [skin is old for skin, old in zip(again, clear, strict=True)] == [True, True]
+
+
+def test_views_that_are_missing_or_unknown_have_no_silhouette(cameras):
+    makes = ViewSilhouettes(cameras)
+    picture = _picture(cameras[0], _disc(cameras[0], (100, 90), 40))
+    skins = makes.learn([picture, None], [None, None])
+    assert skins[1] is None
+    masks = makes([None, picture], skins)
+    assert masks == [None, None]
+
+
+def test_difference_from_the_empty_scene(cameras):
+    empty = [_picture(camera, torch.zeros(camera.height, camera.width, dtype=torch.bool)) for camera in cameras]
+    plates = [learn_background(picture[None]) for picture in empty]
+    makes = ViewSilhouettes(cameras, SilhouetteSettings(method="background"), plates=plates)
+    expected = [_disc(camera, (150, 100), 40) for camera in cameras]
+    masks = makes([_picture(c, m) for c, m in zip(cameras, expected, strict=True)], [None, None])
+    for mask, true in zip(masks, expected, strict=True):
+        assert mask is not None
+        assert _iou(mask, true) > 0.9
+
+
+def test_plates_are_needed_for_every_camera(cameras):
+    with pytest.raises(ValueError, match="plate of the empty scene for every camera"):
+        ViewSilhouettes(cameras, SilhouetteSettings(method="background"))
+
+
+def test_distortion_is_taken_away(cameras):
+    lens = torch.tensor((-0.25, 0.08, 0.0, 0.0, 0.0), dtype=torch.float64)
+    bent = [replace(camera, distortion=lens) for camera in cameras]
+    makes = ViewSilhouettes(bent)
+    assert not any(camera.has_distortion for camera in makes.cameras)
+    # A ball near the corner, as the lens shows it and as the camera without it would.
+    y, x = torch.meshgrid(torch.arange(240.0), torch.arange(320.0), indexing="ij")
+    pixels = torch.stack((x, y), -1).double()
+    seen = [
+        ((camera.plane_from_pixels(pixels) - torch.tensor((0.35, 0.25), dtype=torch.float64)).norm(dim=-1) < 0.1)
+        for camera in (bent[0], makes.cameras[0])
+    ]
+    found = makes.undistorted([seen[0], None])
+    assert found[1] is None
+    assert found[0] is not None
+    assert _iou(found[0], seen[1]) > 0.97
+    assert _iou(seen[0], seen[1]) < 0.9

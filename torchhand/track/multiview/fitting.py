@@ -1,0 +1,168 @@
+"""Hands fitted to the silhouettes of one moment: from a prediction, from hands of other moments, or without a guess."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.geometry import Camera
+from torchhand.hand import Hand, HandPrior, PoseConstraints, named_pose_space
+from torchhand.residuals import Expectation, PostureResiduals
+from torchhand.track.hull_fit import HullFit, HullFitter
+from torchhand.track.hull_start import find_in_hull, varied_digits
+from torchhand.track.hull_torque import fit_by_torques
+from torchhand.track.multiview.agreement import ViewAgreement, mean_overlap
+from torchhand.track.multiview.hulls import Hull, Hulls
+from torchhand.track.multiview.settings import MultiViewSettings
+from torchhand.track.multiview.silhouettes import Masks
+
+_PALM = 9  # keypoint about which the hull is carved: the middle finger's knuckle
+_ALIKE = 0.01  # overlaps that differ by less are alike: the cost of the fit decides
+
+
+@dataclass(frozen=True, kw_only=True)
+class Anchor:
+    """A hand found in some moment, to start from there in others."""
+
+    pose: Float[Tensor, "36"]
+    """With a zero rotation vector; metres and radians, world frame."""
+    root_reference: Float[Tensor, "3 3"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placed:
+    """A fitted hand and how the silhouettes bear it out."""
+
+    fit: HullFit
+    overlaps: Float[Tensor, "views"]
+    """Intersection over union in every view, NaN where one is missing."""
+
+    @property
+    def overlap(self) -> float:
+        """Mean over the views."""
+        return mean_overlap(self.overlaps)
+
+    @property
+    def anchor(self) -> Anchor:
+        return Anchor(pose=self.fit.pose, root_reference=self.fit.root_reference)
+
+
+class MomentFitter:
+    """Everything that fits one hand to the silhouettes of one moment, for a fixed rig."""
+
+    def __init__(self, hand: Hand, cameras: Sequence[Camera], settings: MultiViewSettings) -> None:
+        """hand: in float64. cameras: without distortion.
+
+        Raises ValueError for cameras that see no volume together where no cube is given.
+        """
+        self.hand, self.settings = hand, settings
+        self.cameras = tuple(camera.to(dtype=torch.float64) for camera in cameras)
+        self.hulls = Hulls(
+            self.cameras, settings.octree, fewest_views=settings.loss.fewest_views, contours=settings.contours
+        )
+        self.space = named_pose_space(settings.pose_space)
+        skeleton = hand.kinematics.skeleton
+        self.beliefs: dict[str, Any] = {
+            "constraints": PoseConstraints(skeleton),
+            "prior": PostureResiduals.of(HandPrior(skeleton, hand.kinematics.shape_space).postures),
+        }
+        self._made: tuple[HullFitter, HullFitter, ViewAgreement] | None = None
+
+    def hull_about(self, anchor: Anchor, shape: Float[Tensor, "shape"], masks: Masks) -> Hull:
+        """The hull where a hand is, or is expected."""
+        hand = self.hand.kinematics(anchor.pose, shape, root_reference=anchor.root_reference)
+        return self.hulls.near(masks, hand.keypoints[_PALM])
+
+    def expected(
+        self,
+        hull: Hull,
+        starts: Sequence[Anchor],
+        mean: Float[Tensor, "free"],
+        covariance: Float[Tensor, "free free"],
+        shape: Float[Tensor, "shape"],
+        masks: Masks,
+    ) -> Placed | None:
+        """The hand fitted with a prediction, the best of some starts; None without a hull.
+
+        starts: the first is the prediction itself. mean, covariance: of the prediction in the free parameters, about
+        the root reference of the first start.
+        """
+        if hull.target is None:
+            return None
+        track, _, _ = self._made_for(shape)
+        if self.settings.fitting == "torque":
+            settings, pose, reference = self.settings.torque, starts[0].pose[None], starts[0].root_reference[None]
+            found = fit_by_torques(hull.target.field, self.hand, self.space, pose, reference, settings, shape=shape)
+            judged = track(hull.target, found.pose, found.root_reference)  # how sure it is, and how good
+            fit = replace(judged, pose=found.pose, root_reference=found.root_reference)
+        else:
+            expectation = Expectation.from_covariance(mean[None], starts[0].root_reference[None], covariance[None])
+            fit = track(hull.target, *_stacked(starts), expected=expectation)
+        return self._placed(fit.select(fit.best), shape, masks)
+
+    def from_anchors(
+        self, hull: Hull, anchors: Sequence[Anchor], shape: Float[Tensor, "shape"], masks: Masks
+    ) -> Placed | None:
+        """The best of the hands fitted from some that may be a good way off; None without a hull or an anchor."""
+        _, broad, _ = self._made_for(shape)
+        return self._best(broad, hull, anchors, shape, masks)
+
+    def with_other_digits(
+        self, hull: Hull, anchor: Anchor, others: Sequence[Anchor], shape: Float[Tensor, "shape"], masks: Masks
+    ) -> Placed | None:
+        """The best of the hands in one place, with single digits in other postures or in the postures of others."""
+        track, _, _ = self._made_for(shape)
+        postures = [torch.cat((anchor.pose[:6], other.pose[6:])) for other in others]
+        poses = [*varied_digits(anchor.pose), *postures]
+        tried = [Anchor(pose=pose, root_reference=anchor.root_reference) for pose in poses]
+        return self._best(track, hull, tried, shape, masks)
+
+    def searched(self, hull: Hull, shape: Float[Tensor, "shape"], masks: Masks) -> Placed | None:
+        """The best of a search without any guess; None where nothing can be looked for."""
+        if hull.target is None:
+            return None
+        start, fit = self.settings.start, self.settings.start_fit
+        found = find_in_hull(hull.target, self.hand, self.space, shape[None], start, fit, **self.beliefs)
+        return chosen([self._placed(one.fit, shape, masks) for one in found])
+
+    def _best(
+        self, fitter: HullFitter, hull: Hull, anchors: Sequence[Anchor], shape: Tensor, masks: Masks
+    ) -> Placed | None:
+        if hull.target is None or not anchors:
+            return None
+        found = fitter(hull.target, *_stacked(anchors))
+        best = found.cost.argsort()[: self.settings.start.fine]
+        return chosen([self._placed(found.select(int(index)), shape, masks) for index in best])
+
+    def _placed(self, fit: HullFit, shape: Tensor, masks: Masks) -> Placed:
+        _, _, agreement = self._made_for(shape)
+        return Placed(fit=fit, overlaps=agreement(fit.pose, fit.root_reference, masks))
+
+    def _made_for(self, shape: Tensor) -> tuple[HullFitter, HullFitter, ViewAgreement]:
+        """What depends on the proportions, kept while they stay the same: the fitter near a pose, the one for starts
+        that are farther off, the judge."""
+        if self._made is None or self._made[2].shape is not shape:
+            s = self.settings
+            near, broad = (
+                HullFitter(self.hand, self.space, own, shape=shape, **self.beliefs) for own in (s.fit, s.start_fit)
+            )
+            agreement = ViewAgreement(self.hand.kinematics, self.cameras, shape, side_px=s.check_side_px)
+            self._made = (near, broad, agreement)
+        return self._made
+
+
+def _stacked(anchors: Sequence[Anchor]) -> tuple[Float[Tensor, "n 36"], Float[Tensor, "n 3 3"]]:
+    """Poses and references."""
+    return torch.stack([one.pose for one in anchors]), torch.stack([one.root_reference for one in anchors])
+
+
+def chosen(tried: Sequence[Placed | None]) -> Placed | None:
+    """The one that the silhouettes bear out best; among those that they bear out alike, that of the lowest cost."""
+    good = [one for one in tried if one is not None and bool(one.fit.cost.isfinite())]
+    if not good:
+        return None
+    best = max(one.overlap for one in good)
+    return min((one for one in good if one.overlap >= best - _ALIKE), key=lambda one: float(one.fit.cost))
