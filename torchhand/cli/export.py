@@ -1,0 +1,108 @@
+"""Write a tracked or fitted hand in other programs' formats: GLB, BVH, URDF, MJCF, X3D, BAP, OBJ and more."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import OmitArgPrefixes, Positional, arg
+
+from torchhand.cli.command import DONE, command, parse, threads
+from torchhand.errors import InputError
+from torchhand.files.exports import ExportOptions, FormatName, MotionClip, format_of, load_clip
+from torchhand.files.results import CHECKPOINT_NAME, CONFIG_NAME, HAND_NAME, OVERLAY_NAME
+from torchhand.files.track_file import JSONL_NAME, NPZ_NAME
+
+_MOST_NAMED = 3
+RESULT_NAMES = (HAND_NAME, CONFIG_NAME, OVERLAY_NAME, CHECKPOINT_NAME, JSONL_NAME, NPZ_NAME)
+"""Files of a result folder, which an export never replaces."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Write a tracked or fitted hand in other programs' formats.
+
+    The ending of --to says which: .glb (skin and animation), .bvh, .urdf and .xml (MuJoCo) with a folder of link
+    meshes, .obj and .ply (one file per frame), .mano.npz, .openxr.json, .keypoints.json/.npz and .csv (21 points),
+    .bap (MPEG-4), .x3d (H-Anim). A hand.json alone gives the open hand at rest.
+
+    Example:
+        torchhand export out/clip --to hand.glb
+    """
+
+    result: Annotated[Positional[Path], arg(metavar="RESULT")]
+    """Result folder of `torchhand track`, its track.npz or track.jsonl, or a hand.json."""
+    to: Annotated[Path, arg(metavar="FILE")]
+    """File to write."""
+    format: FormatName | None = None
+    """Format, where the ending leaves it open."""
+    gaps: Literal["hold", "cut"] = "hold"
+    """Lost frames: hold repeats the last pose before them (at the beginning the first after them), cut leaves them
+    out."""
+    frame: int | None = None
+    """Only the frame of this number."""
+    fps: float | None = None
+    """Frames per second; those of the tracked video if it is still there, else 30."""
+    hand: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Another hand.json than the one beside the track."""
+    up: Literal["y", "-y", "z", "-z"] = "-y"
+    """Which axis of the track's frame points up: -y for one camera, that of the rig's world for several."""
+    options: OmitArgPrefixes[ExportOptions] = ExportOptions()  # noqa: RUF009 - frozen
+    """What only some formats ask."""
+    overwrite: bool = False
+    """Replace files that exist."""
+
+    def __post_init__(self) -> None:
+        if self.fps is not None and not 0 < self.fps <= 1e6:
+            raise ValueError(f"--fps: expected more than 0, 1e6 at most, got {self.fps:g}")
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> int:
+    """Write one file, or one per frame."""
+    arguments = parse(Arguments, argv, name="export")
+    target = arguments.to.expanduser()
+    kind = format_of(target, arguments.format)
+    if target.is_dir():
+        raise InputError(f"--to: expected a file, got the folder {target}")
+    if not target.absolute().parent.is_dir():
+        raise InputError(f"--to: expected a file in an existing folder, got {target}")
+    with threads(1):
+        clip = load_clip(arguments.result, gaps=arguments.gaps, fps=arguments.fps, hand=arguments.hand, up=arguments.up)
+        if arguments.frame is not None:
+            clip = _only(arguments, clip)
+        files = kind.files(clip, target)
+        _check_free(arguments, files)
+        notes = kind.write(clip, target, arguments.options)
+    print(_summary(clip, kind.name, files))
+    for note in notes:
+        print(f"note: {note}")
+    return DONE
+
+
+def _only(arguments: Arguments, clip: MotionClip) -> MotionClip:
+    assert arguments.frame is not None
+    try:
+        return clip.only(arguments.frame)
+    except ValueError as error:
+        cut = " (lost frames are cut)" if arguments.gaps == "cut" else ""
+        raise InputError(f"--{error}{cut}") from error
+
+
+def _check_free(arguments: Arguments, files: Sequence[Path]) -> None:
+    result = arguments.result.expanduser()
+    folder = result if result.is_dir() else result.parent
+    kept = {result.resolve(), *((folder / name).resolve() for name in RESULT_NAMES)}
+    kept |= {arguments.hand.expanduser().resolve()} if arguments.hand is not None else set()
+    for file in files:
+        if file.resolve() in kept:
+            raise InputError(f"--to: expected a name other than those of the result, got {file}")
+        if file.exists() and not arguments.overwrite:
+            raise InputError(f"{file}: exists already; give another name, or --overwrite")
+
+
+def _summary(clip: MotionClip, kind: str, files: Sequence[Path]) -> str:
+    frames = f"{len(clip)} frames at {clip.fps:g} per second" if len(clip) > 1 else "one frame"
+    held = f", {len(clip.held)} of them lost and held" if clip.held else ""
+    named = ", ".join(map(str, files[:_MOST_NAMED])) + (f", … {files[-1]}" if len(files) > _MOST_NAMED else "")
+    return f"{clip.side} hand, {frames}{held}; saved {kind}: {named}"
