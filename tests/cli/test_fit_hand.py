@@ -72,6 +72,7 @@ def test_writes_a_hand_that_loads(folder: Path, tmp_path: Path, mask: str | None
     assert tuple(facts["std"]) == names
     assert all(math.isfinite(value) and value > 0 for value in facts["std"].values())
     assert facts["overlap"] > 0.9
+    assert facts["from_shading"] is True
     drawn, plain = (read_picture(path).numpy() for path in (overlay, folder / "open.png"))
     assert drawn.shape[1] > plain.shape[1]
     assert int((drawn[:260, :320] != plain).any(-1).sum()) > 300

@@ -13,6 +13,7 @@ from typing import Annotated, Literal, get_args
 from tyro.conf import arg
 
 import torchhand
+from torchhand.cli.benchmark_fit_hand import fit_hand_bones
 from torchhand.cli.benchmark_hand import (
     kinematics_compiled,
     kinematics_forward,
@@ -21,6 +22,7 @@ from torchhand.cli.benchmark_hand import (
 )
 from torchhand.cli.benchmark_iteration import lm_iteration_jacfwd, lm_iteration_pypose
 from torchhand.cli.benchmark_model import keypoints_to_pose, mesh_silhouettes, mesh_volume, pose_projection
+from torchhand.cli.benchmark_multiview import track_views, track_views_memory
 from torchhand.cli.benchmark_registration import many_hypotheses, one_registration
 from torchhand.cli.benchmark_tracking import filter_update, own_environment, track_memory, tracking
 from torchhand.cli.benchmark_volume import octree
@@ -50,9 +52,12 @@ Name = Literal[
     "octree_level8",
     "track_planar_360x288",
     "track_full_640x480",
+    "track_views_640x480",
     "track_memory",
+    "track_views_memory",
+    "fit_hand_bones",
 ]
-SLOW: tuple[Name, ...] = ("track_memory",)
+SLOW: tuple[Name, ...] = ("track_memory", "track_views_memory", "fit_hand_bones")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,12 +78,14 @@ class Arguments:
     """Measure these alone: kinematics_forward, kinematics_forward_backward, kinematics_compiled, skinning_forward_4096,
     skinning_gradients_64, skinning_gradients_1024, mesh_silhouettes, mesh_volume, pose_projection, keypoints_to_pose,
     filter_update, registration, registration_many, lm_iteration_jacfwd, lm_iteration_pypose, octree_level7,
-    octree_level8, track_planar_360x288, track_full_640x480, track_memory."""
+    octree_level8, track_planar_360x288, track_full_640x480, track_views_640x480, track_memory, track_views_memory,
+    fit_hand_bones."""
     everything: Annotated[bool, arg(name="all")] = False
-    """Measure everything; without it track_memory, which takes a minute, is left out."""
+    """Measure everything; without it track_memory, track_views_memory and fit_hand_bones, which take minutes, are
+    left out."""
     repeats: int | None = None
-    """Repeats of every measurement; 15, for skinning and iterations 9, for trackers 5, for many hypotheses 3. Memory is
-    measured once."""
+    """Repeats of every measurement; 15, for skinning and iterations 9, for trackers 5, for many hypotheses 3; people
+    of fit_hand_bones, 50. Memory is measured once."""
     threads: int = 1
     """Threads of torch and numpy, for ours and the peers alike."""
 
@@ -154,5 +161,8 @@ _MEASURES: dict[Name, Callable[[str, int | None], Figure]] = {
     "track_full_640x480": partial(
         tracking, config="contour_full", motion="free", size=(640, 480), frames=20, must=20.0, aim=60.0
     ),
+    "track_views_640x480": partial(track_views, must=15.0, aim=30.0),
     "track_memory": track_memory,
+    "track_views_memory": track_views_memory,
+    "fit_hand_bones": fit_hand_bones,
 }

@@ -92,10 +92,10 @@ def _simulated(motion: str, size: tuple[int, int], frames: int, look: SceneSetti
     generator = torch.Generator().manual_seed(0)
     course = scripted_motion(motion, frames, kinematics, camera, generator, fps=FRAMES_PER_SECOND)
     rendered = render_sequence(kinematics, course, camera, look, generator)
-    return camera, [frame.image for frame in _with_bar(rendered, frames, "rendering")]
+    return camera, [frame.image for frame in with_bar(rendered, frames, "rendering")]
 
 
-def _with_bar(steps: Any, total: int, what: str) -> Any:
+def with_bar(steps: Any, total: int, what: str) -> Any:
     return tqdm(steps, total=total, desc=what, unit="frame", leave=False, disable=not sys.stderr.isatty())
 
 
@@ -159,16 +159,16 @@ def track_memory(name: str, repeats: int | None) -> Figure:
         save_cameras([camera], Path(folder) / "cameras.json")
         with write_video(video, width=width, height=height, fps=FRAMES_PER_SECOND) as writer:
             repeated = islice((picture for _ in count() for picture in there_and_back), MEMORY_FRAMES)
-            for picture in _with_bar(repeated, MEMORY_FRAMES, "writing"):
+            for picture in with_bar(repeated, MEMORY_FRAMES, "writing"):
                 writer.write(picture)
         del pictures, there_and_back
         options = ["--config", "contour_planar", "--no-overlay", "--threads", str(torch.get_num_threads())]
         call = [sys.executable, "-m", "torchhand.cli", "track", str(video), "--out", str(out), *options]
         call += ["--camera", str(Path(folder) / "cameras.json")]
-        with _with_bar(None, MEMORY_FRAMES, "tracking") as bar:
+        with with_bar(None, MEMORY_FRAMES, "tracking") as bar:
             used = watch_memory(
                 call,
-                partial(_lines_of, out),
+                partial(lines_of, out),
                 skip=MEMORY_SKIP,
                 environment=own_environment(),
                 progress=lambda frames: bar.update(frames - bar.n),
@@ -191,7 +191,7 @@ def track_memory(name: str, repeats: int | None) -> Figure:
     )
 
 
-def _lines_of(out: Path) -> int:
+def lines_of(out: Path) -> int:
     """Frames that a run has written down."""
     for folder in (out / UNFINISHED_NAME, out):
         try:

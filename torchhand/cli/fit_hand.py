@@ -92,7 +92,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     camera = replace(camera, rotation=torch.eye(3).double(), translation=torch.zeros(3).double())
     with threads(arguments.threads):
         mask, source = _silhouette(arguments, image)
-        hand, side, notes = _fitted(arguments, mask, camera)
+        hand, side, notes = _fitted(arguments, image, mask, camera)
         kinematics = load_hand_model().kinematics(side, dtype=torch.float64)
         size = _size(arguments, hand.fit, kinematics, camera)
         fit = sized(hand.fit, kinematics.shape_space, size)
@@ -152,12 +152,12 @@ def _check_found(path: Path, found: HandSilhouette) -> None:
 
 
 def _fitted(
-    arguments: Arguments, mask: Bool[Tensor, "height width"], camera: Camera
+    arguments: Arguments, image: UInt8[Tensor, "height width 3"], mask: Bool[Tensor, "height width"], camera: Camera
 ) -> tuple[OpenHand, Side, list[str]]:
     """The fit, the side, and what the user should know about them."""
     side: Side = arguments.side or "right"
     model = load_hand_model()
-    hand = fit_open_hand(mask, model.kinematics(side, dtype=torch.float64), camera)
+    hand = fit_open_hand(mask, model.kinematics(side, dtype=torch.float64), camera, image=image)
     if isinstance(hand, NoRegions):
         raise InputError(f"{arguments.image}: {hand.reason}")
     notes: list[str] = []
@@ -175,7 +175,7 @@ def _fitted(
                 " check --side and --facing, or whether the picture is mirrored"
             )
         side = "left"
-        mirrored = fit_open_hand(mask, model.kinematics(side, dtype=torch.float64), camera)
+        mirrored = fit_open_hand(mask, model.kinematics(side, dtype=torch.float64), camera, image=image)
         if isinstance(mirrored, NoRegions):
             raise InputError(f"{arguments.image}: {mirrored.reason}")
         hand = mirrored
@@ -248,6 +248,7 @@ def _save(
         "median_residual_px": fit.residual_px,
         "edges_found": fit.found_share,
         "edge_std_px": hand.edge_std_px,
+        "from_shading": hand.is_shaded,
         "corrected": list(hand.corrected),
         "notes": notes,
         "std": dict(zip(space.names, fit.shape_std.tolist(), strict=True)),

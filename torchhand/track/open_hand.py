@@ -2,15 +2,17 @@
 
 The digits are measured, the unknowns placed by them, and the model's outline registered on the silhouette's, all under
 what is known of people's hands. Then the digits of the model's own silhouette are measured in the same way, which tells
-what the measuring adds by itself, and the outline is registered once more. Hand length is that of the mean person;
+what the measuring adds by itself, and the outline is registered once more. Given the picture, its shading is used where
+one light explains it (open_hand_shading_fit), which tells where the joints are. Hand length is that of the mean person;
 `sized` of the module hand_size gives the hand a metric size.
 """
 
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import cv2
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from torchhand.geometry import Camera
@@ -18,14 +20,19 @@ from torchhand.hand import DOFS, Anthropometry, HandKinematics, ShapeSpace, reba
 from torchhand.image.hand_regions import HandRegions, NoRegions, divide_hand
 from torchhand.track.appearance import mask_plane
 from torchhand.track.fit import Fit
-from torchhand.track.open_hand_contour import fit_outline
+from torchhand.track.open_hand_contour import OutlineFit, fit_outline
+from torchhand.track.open_hand_edges import Outline
 from torchhand.track.open_hand_problem import OpenHandProblem
 from torchhand.track.open_hand_settings import OpenHandSettings
+from torchhand.track.open_hand_shading_fit import ShadingFit, fit_shading
+from torchhand.track.open_hand_soft import soft_silhouette
 from torchhand.track.open_hand_start import DigitResiduals, fit_digits, placed_open_hand
 from torchhand.track.start import fit_overlap
 from torchhand.view import HandProjector
 
 Facing = Literal["palm", "back"]
+
+_SOFT_BLUR_PX = 0.7  # of a silhouette that is soft by itself
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +47,8 @@ class OpenHand:
     """Intersection over union of the fitted hand and the silhouette, forearm cut at the wrist."""
     edge_std_px: float
     """What one edge of the outline was trusted to, px."""
+    is_shaded: bool
+    """Whether the shading was used."""
     corrected: tuple[str, ...]
     """Measures that the anthropometric constraints moved into their intervals."""
 
@@ -54,10 +63,12 @@ def fit_open_hand(
     kinematics: HandKinematics,
     camera: Camera,
     settings: OpenHandSettings | None = None,
+    *,
+    image: UInt8[Tensor, "height width 3"] | None = None,
 ) -> OpenHand | NoRegions:
     """Measures the digits of a silhouette and fits pose and shape; or says why it shows no open hand.
 
-    The camera's frame is the world.
+    The camera's frame is the world. With the picture itself, shading is used too where it is as simple as the model's.
     """
     settings = settings or OpenHandSettings()
     regions = divide_hand(mask)
@@ -68,9 +79,12 @@ def fit_open_hand(
     pose, root_reference = placed_open_hand(regions, kinematics, camera, facing)
     problem = OpenHandProblem.about(kinematics, people, pose)
     digits = DigitResiduals(regions, problem, kinematics, camera, root_reference, settings)
-    values = fit_digits(digits, problem)
-    plane = mask_plane(regions.mask)
-    found = fit_outline(plane, problem, kinematics, camera, root_reference, values, settings, digits=digits)
+
+    def outline_of(plane: Float[Tensor, "height width"]) -> Outline:
+        return Outline(plane, problem, kinematics, camera, root_reference, settings)
+
+    outline = outline_of(mask_plane(regions.mask))
+    found = fit_outline(outline, problem, fit_digits(digits, problem), settings, digits=digits)
     if found is not None:
         pose, shape = problem.split(found.values)
         drawn = divide_hand(HandProjector(kinematics, camera, shape).silhouette(pose, root_reference))
@@ -82,10 +96,32 @@ def fit_open_hand(
                 iterations=settings.more_iterations,
                 search_share=settings.final_search_share,
             )
-            found = fit_outline(plane, problem, kinematics, camera, root_reference, found.values, sure, digits=digits)
+            found = fit_outline(outline, problem, found.values, sure, digits=digits)
     if found is None:
         return NoRegions(
             reason="the fitted hand has hardly any edge in the picture", found=tuple(d.name for d in regions.digits)
+        )
+    shaded: ShadingFit | None = None
+    if image is not None:
+        soft = soft_silhouette(image, regions.mask)
+        shaded = fit_shading(
+            image,
+            regions.mask,
+            camera,
+            problem,
+            kinematics,
+            root_reference,
+            found.values,
+            outline if soft is None else outline_of(_smoothed(soft)),
+            settings,
+        )
+    if shaded is not None:
+        found = OutlineFit(
+            values=shaded.values,
+            covariance=shaded.covariance,
+            residual_px=shaded.outline.residual_px,
+            found_share=shaded.outline.found_share,
+            edge_std_px=shaded.outline.edge_std_px,
         )
     pose, shape = problem.split(found.values)
     broken = people.violation(shape)
@@ -110,10 +146,15 @@ def fit_open_hand(
         facing=facing,
         overlap=fit_overlap(regions.mask, kinematics, camera, fit),
         edge_std_px=found.edge_std_px,
+        is_shaded=shaded is not None,
         corrected=tuple(
             name for name, amount in zip(broken.names, broken.amount.tolist(), strict=True) if amount > 1e-6
         ),
     )
+
+
+def _smoothed(plane: Float[Tensor, "height width"]) -> Float[Tensor, "height width"]:
+    return torch.from_numpy(cv2.GaussianBlur(plane.numpy(), (0, 0), _SOFT_BLUR_PX))
 
 
 def _with_thickness(space: ShapeSpace, shape: Tensor, std: Tensor) -> tuple[Tensor, Tensor]:

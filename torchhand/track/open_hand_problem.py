@@ -98,6 +98,20 @@ class OpenHandProblem:
         shape = self.shape.expand(*batch, -1).index_add(-1, self.free_shape, change[..., count:])
         return pose, shape
 
+    def enlarged(self, values: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
+        """Change of the scaled unknowns with the logarithm of a factor on the hand's size and its distance.
+
+        The picture stays as it is.
+        """
+        space = self.people.space
+        pose, shape = self.split(values)
+        names = [DOFS[i] for i in self.free_pose.tolist()]
+        place = torch.tensor([name.startswith("root_t") for name in names])
+        units = [(space.names[i], space.units[i]) for i in self.free_shape.tolist()]
+        length = torch.tensor([unit == "/HL" or name == "hand_breadth" for name, unit in units])
+        grown = torch.cat((place * pose[self.free_pose], length * shape[self.free_shape]))
+        return grown / self.std
+
     def clamped(self, values: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
         return values.clamp(self.lower, self.upper)
 

@@ -6,7 +6,7 @@ from math import inf
 
 @dataclass(frozen=True, kw_only=True)
 class OpenHandSettings:
-    """How the digits that were measured and the outline are weighed against what people's hands are like."""
+    """How measured digits, outline and shading are weighed against what people's hands are like."""
 
     tip_std: float = 0.008
     """Standard deviation of a measured fingertip, share of the hand's length; above 0."""
@@ -32,6 +32,19 @@ class OpenHandSettings:
     """Least standard deviation that is believed of an edge, whatever the residuals say; above 0."""
     most_edge_std: float = 0.005
     """Greatest, as a share of the hand's length; above 0."""
+    squares_along: int = 140
+    """Squares of pixels along the hand, as which shading is compared; 20 or more."""
+    shading_iterations: int = 5
+    """Most steps of each of the four fits to the shading; 1 or more."""
+    most_shading_misfit: float = 0.5
+    """Residuals of the shading before it is fitted, over its contrast, beyond which it is left alone; above 0."""
+    most_shading_rest: float = 0.2
+    """The same once it is fitted coarsely; above 0."""
+    most_shading_excess: float = 2.0
+    """Residuals after that, over what neighbours differ by, beyond which it is not believed; above 1."""
+    shading_std_factor: float = 1.8
+    """What the noise of the shading is multiplied by for the deviations of the result: parts meet less sharply than
+    the formulas say; 1 or more."""
     points_per_generator: int = 10
     """Outline points compared on each straight side of a primitive; 2 or more."""
     points_per_arc: int = 8
@@ -46,10 +59,10 @@ class OpenHandSettings:
             "search_share",
             "final_search_share",
             "most_edge_std",
+            "least_edge_std_px",
+            "most_shading_misfit",
+            "most_shading_rest",
         ):
-            if not 0 < getattr(self, name) < inf:
-                raise ValueError(f"{name}: expected above 0 and finite, got {getattr(self, name)!r}")
-        for name in ("least_edge_std_px",):
             if not 0 < getattr(self, name) < inf:
                 raise ValueError(f"{name}: expected above 0 and finite, got {getattr(self, name)!r}")
         for name in ("digit_share", "corrected_share"):
@@ -58,3 +71,11 @@ class OpenHandSettings:
         for name in ("iterations", "more_iterations", "points_per_generator", "points_per_arc"):
             if not getattr(self, name) >= 2:
                 raise ValueError(f"{name}: expected 2 or more, got {getattr(self, name)!r}")
+        if not self.squares_along >= 20:
+            raise ValueError(f"squares_along: expected 20 or more, got {self.squares_along!r}")
+        if not self.shading_iterations >= 1:
+            raise ValueError(f"shading_iterations: expected 1 or more, got {self.shading_iterations!r}")
+        if not 1 < self.most_shading_excess < inf:
+            raise ValueError(f"most_shading_excess: expected above 1 and finite, got {self.most_shading_excess!r}")
+        if not 1 <= self.shading_std_factor < inf:
+            raise ValueError(f"shading_std_factor: expected 1 or more and finite, got {self.shading_std_factor!r}")

@@ -1,0 +1,81 @@
+"""The brightness of a hand in a picture, on a grid of squares of pixels within its silhouette."""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from torchhand.geometry import Camera
+
+_MARGIN_PX = 2  # from the silhouette's edge, where pixels mix
+_LUMA = np.array((0.299, 0.587, 0.114), np.float32)  # of red, green and blue, as in JPEG, whose luminance is sharpest
+_FEWEST = 200  # squares that show enough of a hand
+
+
+@dataclass(frozen=True, kw_only=True)
+class PixelGrid:
+    """Squares of pixels; the grid is as tall and wide as the silhouette."""
+
+    camera: Camera
+    """Whose pixels the squares are, in its own frame."""
+    value: Float[Tensor, "squares"]
+    """Mean luminance, grey levels of 255, row by row."""
+    is_inside: Bool[Tensor, "squares"]
+    """Whether all of the square shows the hand."""
+    origin: Float[Tensor, "squares 3"]
+    direction: Float[Tensor, "squares 3"]
+    """Of the ray through the middle of a square; z = 1."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.camera.height, self.camera.width
+
+    def image(self, values: Float[Tensor, "squares"]) -> Float[Tensor, "rows columns"]:
+        return values.reshape(self.size)
+
+
+def pixel_grid(
+    image: UInt8[Tensor, "height width 3"], mask: Bool[Tensor, "height width"], camera: Camera, step: int
+) -> PixelGrid | None:
+    """The grid of squares of step x step pixels; None where hardly any of them lies within the mask."""
+    rows, columns = (length // step for length in mask.shape)
+    if rows == 0 or columns == 0:
+        return None
+    shrunk = cv2.erode(mask.numpy().astype(np.uint8), np.ones((2 * _MARGIN_PX + 1,) * 2, np.uint8))
+    luma = image.numpy().astype(np.float32) @ _LUMA
+    inside, value = (_means(plane.astype(np.float32), rows, columns, step) for plane in (shrunk, luma))
+    y, x = np.nonzero(inside >= 1.0)
+    if len(y) < _FEWEST:
+        return None
+    top, left, bottom, right = int(y.min()), int(x.min()), int(y.max()) + 1, int(x.max()) + 1
+    smaller = camera.resized(1.0 / step)
+    intrinsics = smaller.intrinsics.clone()
+    intrinsics[:2, 2] -= torch.tensor((left, top), dtype=intrinsics.dtype)
+    eye = torch.eye(3, dtype=intrinsics.dtype)
+    own = replace(
+        smaller,
+        intrinsics=intrinsics,
+        width=right - left,
+        height=bottom - top,
+        rotation=eye,
+        translation=torch.zeros_like(eye[0]),
+    )
+    grid = torch.meshgrid(torch.arange(own.height), torch.arange(own.width), indexing="ij")
+    origin, direction = own.rays(torch.stack((grid[1], grid[0]), -1).reshape(-1, 2).to(intrinsics))
+    window = (slice(top, bottom), slice(left, right))
+    return PixelGrid(
+        camera=own,
+        value=torch.from_numpy(value[window].astype(np.float64)).flatten(),
+        is_inside=torch.from_numpy(inside[window] >= 1.0).flatten(),
+        origin=origin,
+        direction=direction,
+    )
+
+
+def _means(plane: np.ndarray, rows: int, columns: int, step: int) -> np.ndarray:
+    """Means over the squares; what is left over at the right and below is cut off."""
+    return plane[: rows * step, : columns * step].reshape(rows, step, columns, step).mean((1, 3))

@@ -1,0 +1,116 @@
+"""Brightness of a hand's surface as a measurement of pose and shape: shape from shading under an unknown light.
+
+The outline of a finger hardly tells where its joints are; its shading does: the slope of the surface changes there.
+Lambert's law with one distant light and one reflectance (as in de La Gorce, Fleet and Paragios 2011) holds for few
+photographs to the noise: whoever uses these residuals asks first whether they are noise.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchhand.hand import PRIMITIVE_NAMES, HandKinematics
+from torchhand.track.open_hand_creases import IS_JOINT, creases, without_flat_joints
+from torchhand.track.open_hand_light import fit_light
+from torchhand.track.open_hand_parts import NearestParts
+from torchhand.track.open_hand_pixels import PixelGrid
+from torchhand.track.open_hand_problem import OpenHandProblem
+from torchhand.track.open_hand_surface import meet, quadric_numbers
+from torchhand.view import HandProjector
+
+_STEP = 1e-4  # of the numerical derivative, prior standard deviations
+_HIDDEN = torch.tensor([PRIMITIVE_NAMES.index("palm_wrist")])  # the forearm goes on there
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShadingRows:
+    """Grey levels of 255, one row for each square that can be explained."""
+
+    residual: Float[Tensor, "rows"]
+    """Picture minus model, under the light that explains most."""
+    jacobian: Float[Tensor, "rows n"]
+    """Of the model in the scaled unknowns."""
+    light: Float[Tensor, "rows 4"]
+    """Of the model in the light."""
+    variance: Float[Tensor, "rows"]
+    """What the formula for creases adds to the noise's."""
+    square: Int[Tensor, "rows"]
+    candidates: int
+    """Squares that show the hand, those that cannot be explained included."""
+
+    @property
+    def noise(self) -> float:
+        """Robust standard deviation of the residuals."""
+        return 1.4826 * float(self.residual.abs().median()) if len(self.residual) else float("inf")
+
+
+class Shading:
+    """The rows as a function of the scaled unknowns of an open hand."""
+
+    def __init__(
+        self,
+        grid: PixelGrid,
+        problem: OpenHandProblem,
+        kinematics: HandKinematics,
+        root_reference: Float[Tensor, "3 3"],
+    ) -> None:
+        self.grid, self._problem, self._kinematics, self._root_reference = grid, problem, kinematics, root_reference
+        self._nearest: NearestParts | None = None
+
+    def __call__(self, values: Float[Tensor, "n"]) -> ShadingRows:
+        grid = self.grid
+        pose, shape = self._problem.split(values)
+        projector = HandProjector(self._kinematics, grid.camera, shape)
+        numbers = quadric_numbers(projector.primitives_cam(projector.frames(pose, self._root_reference)))[..., 0]
+        self._nearest = self._nearest or NearestParts(grid, numbers)
+        part = self._nearest(numbers)
+        is_used = (part >= 0) & ~torch.isin(part, _HIDDEN)
+        part = without_flat_joints(grid, numbers, part, is_used)
+        square = is_used.nonzero()[:, 0]
+        seen = meet(numbers, part[square], grid.origin[square], grid.direction[square])
+        is_sound = seen.depth.isfinite() & (seen.is_kept() | IS_JOINT[part[square]])
+        light = fit_light(seen.normal[is_sound], grid.value[square][is_sound])
+        found = creases(grid, numbers, part, is_used, light)
+        is_sound &= ~found.is_unclear[square]
+        square, seen = square[is_sound], seen.select(is_sound)
+        normal = seen.normal
+        # d brightness = light · dn, and n is the gradient over its length
+        along = light.slope(normal)
+        across = (along - (along * normal).sum(-1, keepdim=True) * normal) / seen.gradient.norm(dim=-1, keepdim=True)
+        row = torch.full_like(part, -1)
+        row[square] = torch.arange(len(square))
+        change = self._change_of_numbers(values)
+        is_row = row[found.square] >= 0
+        at_creases = _chained(change, found.part[is_row], found.slope[is_row])
+        jacobian = _chained(change, part[square], seen.gradient_slope(across))
+        return ShadingRows(
+            residual=grid.value[square] - light.brightness(normal) - found.correction[square],
+            jacobian=jacobian.index_add_(0, row[found.square[is_row]], at_creases),
+            light=light.basis(normal),
+            variance=found.variance[square],
+            square=square,
+            candidates=int(is_used.sum()),
+        )
+
+    def _change_of_numbers(self, values: Float[Tensor, "n"]) -> Float[Tensor, "37 18 n"]:
+        """By central differences."""
+        steps = _STEP * torch.eye(len(values), dtype=values.dtype)
+        poses, shapes = self._problem.split(torch.cat((values + steps, values - steps)))
+        projector = HandProjector(self._kinematics, self.grid.camera, shapes)
+        frames = projector.frames(poses, self._root_reference)
+        plus, minus = quadric_numbers(projector.primitives_cam(frames)).chunk(2, -1)
+        return (plus - minus) / (2 * _STEP)
+
+
+def _chained(
+    change: Float[Tensor, "37 18 n"], part: Int[Tensor, "rows"], slope: Float[Tensor, "rows 18"]
+) -> Float[Tensor, "rows n"]:
+    """Chain rule from the numbers of each row's part to the unknowns."""
+    order = part.argsort()
+    sorted_slope = slope[order]
+    counts = part.bincount(minlength=len(change)).tolist()
+    blocks = sorted_slope.split(counts)
+    found = torch.cat([block @ change[number] for number, block in enumerate(blocks) if len(block)] or [slope[:, :0]])
+    return torch.empty_like(found).index_copy_(0, order, found)
