@@ -19,7 +19,7 @@ from torchhand.study.timing import THREAD_VARIABLES
 def _small_and_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in THREAD_VARIABLES:
         monkeypatch.setenv(name, "1")
-    monkeypatch.setattr(benchmark_fit_hand, "SIZE_PX", (400, 300))
+    monkeypatch.setattr(benchmark_fit_hand, "SIZE_PX", (320, 240))
 
 
 def test_bones_are_the_shape_s_own() -> None:

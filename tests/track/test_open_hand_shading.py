@@ -12,14 +12,16 @@ from torch import Tensor
 from torchhand.files import load_hand_model
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import Anthropometry, HandKinematics, posture
+from torchhand.hand.skeleton import FINGERS
 from torchhand.simulate import SceneSettings, render_sequence, sample_shape
 from torchhand.simulate.motion import Motion
 from torchhand.track import open_hand_shading
 from torchhand.track.facing import facing_rotation
 from torchhand.track.open_hand import OpenHand, fit_open_hand
+from torchhand.track.open_hand_joints import moved_joints
 from torchhand.track.open_hand_light import Light, fit_light
 from torchhand.track.open_hand_parts import NearestParts
-from torchhand.track.open_hand_pixels import PixelGrid, pixel_grid
+from torchhand.track.open_hand_pixels import PixelGrid, pixel_grid, thinned
 from torchhand.track.open_hand_problem import OpenHandProblem
 from torchhand.track.open_hand_settings import OpenHandSettings
 from torchhand.track.open_hand_shading import Shading
@@ -28,6 +30,7 @@ from torchhand.track.open_hand_surface import meet, quadric_numbers
 from torchhand.view import HandProjector, raycast
 
 CAMERA = replace(assumed_camera(360, 320), is_assumed=False)
+SETTINGS = OpenHandSettings(iterations=6, more_iterations=2, points_per_generator=5, points_per_arc=4)
 BONES = [(4 * finger + 1 + k, 4 * finger + 2 + k) for finger in range(5) for k in range(3)]
 
 
@@ -59,7 +62,7 @@ class Scene:
         return quadric_numbers(projector.primitives_cam(projector.frames(pose, self.rotation)))[..., 0]
 
     def fitted(self, image: Tensor | None) -> OpenHand:
-        hand = fit_open_hand(self.mask, self.kinematics, self.camera, image=image)
+        hand = fit_open_hand(self.mask, self.kinematics, self.camera, SETTINGS, image=image)
         assert isinstance(hand, OpenHand), hand
         return hand
 
@@ -180,6 +183,44 @@ def test_jacobian_is_the_change_of_the_brightness(monkeypatch: pytest.MonkeyPatc
         error = (measured - predicted)[both].abs() / predicted[both].std()
         assert float(error.median()) < 0.01
         assert float((error < 0.05).double().mean()) > 0.85  # another part came into sight in the others
+
+
+def test_thinned_squares_are_means_of_nine_or_single() -> None:
+    case = scene(1, noise=0.0)
+    grid = case.grid()
+    near = torch.zeros_like(grid.is_inside).reshape(grid.size)
+    near[40:60] = True
+    thin = thinned(grid, near.flatten())
+    assert bool((thin.is_inside & near.flatten() == grid.is_inside & near.flatten()).all())
+    single = thin.is_inside & (thin.count == 1)
+    assert bool((thin.value == grid.value)[single].all())
+    assert not bool((single & ~near.flatten()).any())
+    mean = torch.from_numpy(cv2.blur(grid.image(grid.value).numpy(), (3, 3))).flatten()
+    cell = thin.is_inside & (thin.count == 9)
+    torch.testing.assert_close(thin.value[cell], mean[cell])
+    inner = cv2.erode(grid.is_inside.reshape(grid.size).numpy().astype(np.uint8), np.ones((3, 3), np.uint8))
+    assert bool(torch.from_numpy(inner).bool().flatten()[cell].all())
+    outside = int((grid.is_inside & ~near.flatten()).sum())
+    assert 0.5 < 9 * int(cell.sum()) / outside < 1
+
+
+def test_joints_far_from_their_places_are_moved_back() -> None:
+    """The last ones of the fingers by 3 mm, where all else is right."""
+    case = scene(3)
+    problem = case.problem
+    shading = Shading(case.grid(), problem, case.kinematics, case.rotation)
+    names = [case.kinematics.shape_space.names[i] for i in problem.free_shape.tolist()]
+    middle, distal = (
+        torch.tensor([len(problem.free_pose) + names.index(f"{finger}_{bone}") for finger in FINGERS[1:]])
+        for bone in ("middle", "distal")
+    )
+    off = torch.zeros(problem.size, dtype=torch.float64)
+    off[middle], off[distal] = 0.015 / problem.std[middle], -0.015 / problem.std[distal]
+    moved = moved_joints(shading, problem, off, shading(off, with_slopes=False), 2.0)
+    assert float((moved[middle].abs() / off[middle]).mean()) < 0.5
+    assert float((moved[distal].abs() / off[distal].abs()).mean()) < 0.5
+    still = torch.zeros_like(off)
+    torch.testing.assert_close(moved_joints(shading, problem, still, shading(still), 2.0), still)
 
 
 def test_joints_are_where_the_shading_has_them_and_deviations_are_honest() -> None:

@@ -132,10 +132,12 @@ class HullFitter:
             constraint_weight=weight,
             prior=prior if moves_joints and prior_weight > 0 else None,
             prior_weight=prior_weight,
+            prior_tail=self.settings.prior_tail,
         )
         vertices, share = spread_vertices(hand, self.settings.vertices)
         self.vertices, self._share = vertices, share
         self._inside = self.skin.loads(vertices)
+        self._firm = hand.skinning.weights.amax(0) ** self.settings.firmness
         self._inverse = torch.linalg.pinv(space.basis)
         self._bounds = own_limits(space, hand.kinematics.skeleton)
         self._columns = tuple(space.free_names.index(name) if name in space.free_names else -1 for name in _ROTATIONS)
@@ -252,10 +254,11 @@ class HullFitter:
         settings, like = self.settings, self.skin.shape
         skin, wrist_rotation, wrist = self.skin.skin_and_wrist(pose.to(like), reference.to(like))
         seen = self._seen(target, skin, wrist_rotation, wrist)
-        inside, share = self._inside, self._share
+        inside, share, firm = self._inside, self._share, self._firm[self.vertices]
         if not level.is_judged and len(pose) == 1:  # asked nowhere else: what is within the hull there costs nothing
             is_outside = target.field.sample(skin[0, self.vertices])[0] > settings.slack_m
             inside, share = self.skin.loads(self.vertices[is_outside]), share[is_outside]
+            firm = firm[is_outside]
         precision = max(settings.std_m, settings.std_share * level.robust_m) ** -2
         count = seen.is_hand.sum(-1, keepdim=True).clamp_min(1)
         weight = settings.surface_weight if target.rims is None else settings.covered_weight
@@ -264,7 +267,7 @@ class HullFitter:
             match=self.skin.loads(seen.match),
             points=seen.points,
             normals=seen.normals,
-            covered_weight=weight * precision / count * seen.is_hand,
+            covered_weight=weight * precision / count * seen.is_hand * self._firm[seen.match],
             beliefs=self.beliefs.held(pose, None if expected is None else expected.about(reference, self._columns)),
         )
         cost = HullCost(
@@ -273,7 +276,7 @@ class HullFitter:
             held=held,
             target=target,
             inside=inside,
-            inside_weight=settings.inside_weight * precision * share,
+            inside_weight=settings.inside_weight * precision * share * firm,
             inside_robust=RobustLoss(kind="huber", scale=settings.inside_robust * precision**-0.5),
             covered_robust=RobustLoss(kind="geman_mcclure", scale=level.robust_m),
             slack_m=settings.slack_m,

@@ -1,5 +1,6 @@
 """How a hand is fitted into a visual hull: by torques as in paper 002, or by least squares from coarse to fine."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -121,8 +122,15 @@ class HullFitSettings:
     constraint_weight: float = 0.2
     """Of the dynamic constraints; 0 or more. The static limits hold exactly."""
     prior_weight: float = 0.2
-    """Of the posture prior, where one is given; 0 or more. With 1 it takes a finger that hands rarely bend alone for
-    one beside another, although both silhouettes and hull tell them apart."""
+    """Of the posture prior, where one is given; 0 or more. What cameras do not see, such as how a finger that hides
+    among others shares its turn between its joints, only the prior tells; with 1 it takes a finger that hands rarely
+    bend alone for one beside another."""
+    prior_tail: float = math.inf
+    """Degrees of freedom of that prior as a Student's t distribution: the fewer, the less an unusual posture is pulled
+    to usual ones; above 0, infinite for a normal one."""
+    firmness: float = 0.0
+    """How much less the skin counts that no bone carries alone, such as the webs between fingers, where people (and
+    models) differ more: power of the largest share of a bone in it; 0 or more, 0 counts all alike."""
     near_m: float = 0.004
     """Distance up to which skin explains an edge of a silhouette, or is taken as inside, for the verdict, metres; above
     0."""
@@ -155,6 +163,8 @@ class HullFitSettings:
         for name in ("least_covered", "least_held"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"hull_fit.{name}: expected 0 to 1, got {getattr(self, name)!r}")
+        if not self.prior_tail > 0:
+            raise ValueError(f"hull_fit.prior_tail: expected above 0, got {self.prior_tail!r}")
         if not -float("inf") < self.slack_m < float("inf"):
             raise ValueError(f"hull_fit.slack_m: expected a finite number, got {self.slack_m!r}")
 

@@ -51,7 +51,7 @@ def creases(
     light: Light,
 ) -> Creases:
     """The boundaries between neighbouring used squares of different parts, joints' balls left out."""
-    first, second, beside = _boundaries(grid, part, is_used)
+    first, second, beside = boundaries(grid, part, is_used)
     near, far = part[first], part[second]
     owner = torch.cat((near, far, near, far, near, far))
     square = torch.cat((first, first, second, second, beside, beside))
@@ -98,7 +98,7 @@ def creases(
     )
 
 
-def _boundaries(
+def boundaries(
     grid: PixelGrid, part: Int[Tensor, "squares"], is_used: Bool[Tensor, "squares"]
 ) -> tuple[Int[Tensor, "pairs"], Int[Tensor, "pairs"], Int[Tensor, "pairs"]]:
     """Pairs of neighbouring squares of different parts, and the neighbour of the first to the other direction."""

@@ -34,9 +34,15 @@ class Light:
         return torch.cat((torch.ones_like(normal[..., :1]), is_lit[..., None] * normal), -1)
 
 
-def fit_light(normal: Float[Tensor, "pixels 3"], value: Float[Tensor, "pixels"]) -> Light:
-    """The light that explains most pixels: least squares, again and again with less weight for what lies far off."""
-    weight, is_lit = torch.ones_like(value), torch.ones_like(value)
+def fit_light(
+    normal: Float[Tensor, "pixels 3"], value: Float[Tensor, "pixels"], count: Float[Tensor, "pixels"] | None = None
+) -> Light:
+    """The light that explains most pixels: least squares, again and again with less weight for what lies far off.
+
+    `count` tells how many pixels a value is the mean of.
+    """
+    count = torch.ones_like(value) if count is None else count
+    weight, is_lit = count, torch.ones_like(value)
     one = torch.ones_like(normal[:, :1])
     ridge = _RIDGE * len(value) * torch.eye(4).to(normal)
     found = torch.zeros(4).to(normal)
@@ -46,6 +52,6 @@ def fit_light(normal: Float[Tensor, "pixels 3"], value: Float[Tensor, "pixels"])
         found = torch.linalg.solve(weighted.T @ basis + ridge, weighted.T @ value)
         residual = value - basis @ found
         scale = _GROSS * max(1.4826 * float(residual.abs().median()), _LEAST_STD)
-        weight = (1 + (residual / scale).square()).square().reciprocal()
+        weight = count * (1 + (residual / scale).square()).square().reciprocal()
         is_lit = ((normal @ found[1:]) > 0).to(normal)
     return Light(ambient=float(found[0]), towards=found[1:])

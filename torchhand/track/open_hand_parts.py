@@ -1,5 +1,7 @@
 """Which part of a hand each square of a grid shows, for a hand that moves a little: only parts nearby are asked."""
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 import torch
@@ -21,49 +23,84 @@ class NearestParts:
 
     def __init__(self, grid: PixelGrid, numbers: Float[Tensor, "37 18"]) -> None:
         """`numbers` are those of `quadric_numbers` at the start."""
-        inside = grid.is_inside.nonzero()[:, 0]
-        every = torch.arange(len(numbers)).repeat_interleave(len(inside))
-        depth = _depths(
-            numbers, every, *(rays[inside].repeat(len(numbers), 1) for rays in (grid.origin, grid.direction))
-        )
+        self._square = grid.is_inside.nonzero()[:, 0]
+        rays = grid.origin[self._square], grid.direction[self._square]
+        every = _Rays(*rays, [torch.arange(len(self._square))] * len(numbers))
         is_met = torch.zeros(len(numbers), len(grid.value), dtype=torch.uint8)
-        is_met[:, inside] = depth.isfinite().reshape(len(numbers), -1).byte()
+        is_met[:, self._square] = every.depths(numbers).isfinite().reshape(len(numbers), -1).byte()
         kernel = np.ones((2 * _AROUND + 1,) * 2, np.uint8)
         wide = [cv2.dilate(plane.reshape(grid.size).numpy(), kernel).ravel() for plane in is_met]
-        is_near = torch.from_numpy(np.stack(wide)).bool() & grid.is_inside
-        self._part, self._square = is_near.nonzero().unbind(1)
-        self._origin, self._direction = grid.origin[self._square], grid.direction[self._square]
+        columns = [torch.from_numpy(plane).bool()[self._square].nonzero()[:, 0] for plane in wide]
+        self._rays = _Rays(*rays, columns)
+        self._column = torch.cat(columns)
+        counts = torch.tensor([len(column) for column in columns])
+        self._part = torch.arange(len(columns)).repeat_interleave(counts)
         self._count = len(grid.value)
 
     def __call__(self, numbers: Float[Tensor, "37 18"]) -> Int[Tensor, "squares"]:
         """-1 where there is nothing, or where the silhouette does not reach."""
-        depth = _depths(numbers, self._part, self._origin, self._direction)
-        nearest = depth.new_full((self._count,), torch.inf).scatter_reduce_(0, self._square, depth, "amin")
-        is_first = (depth == nearest[self._square]) & depth.isfinite()
+        depth = self._rays.depths(numbers)
+        nearest = depth.new_full((len(self._square),), torch.inf).scatter_reduce_(0, self._column, depth, "amin")
+        is_first = (depth == nearest[self._column]) & depth.isfinite()
         part = torch.full((self._count,), -1)
-        part[self._square[is_first]] = self._part[is_first]
+        part[self._square[self._column[is_first]]] = self._part[is_first]
         return part
 
 
-def _depths(
-    numbers: Float[Tensor, "37 18"],
-    part: Int[Tensor, "pairs"],
-    origin: Float[Tensor, "pairs 3"],
-    direction: Float[Tensor, "pairs 3"],
-) -> Float[Tensor, "pairs"]:
-    """Of the first point of a part on a ray that is not cut off; infinite where there is none."""
-    own = numbers[part]
-    upper, edge, axis = own[:, :9].unflatten(-1, (3, 3)), own[:, _EDGE], own[:, _AXIS]
-    turned = (upper * direction[:, None, :]).sum(-1)
-    base = (upper * origin[:, None, :]).sum(-1) + edge
-    quadratic, linear = (turned * direction).sum(-1), (base * direction).sum(-1)
-    constant = ((base + edge) * origin).sum(-1) + own[:, _CORNER]
-    power = linear.square() - quadratic * constant
-    root = power.clamp_min(0).sqrt()
-    start, rise = (axis * origin).sum(-1), (axis * direction).sum(-1)
-    nearest = torch.full_like(linear, torch.inf)
-    for depth in ((-linear - root) / quadratic, (root - linear) / quadratic):
-        level = start + depth * rise
-        is_kept = (depth > 0) & (level >= own[:, _LOW]) & (level <= own[:, _HIGH]) & (power > 0)
-        nearest = torch.where(is_kept, torch.minimum(depth, nearest), nearest)
-    return nearest
+class _Rays:
+    """Products of rays' coordinates, by which a product with a part's numbers evaluates its quadric on its rays."""
+
+    def __init__(
+        self, origin: Float[Tensor, "rays 3"], direction: Float[Tensor, "rays 3"], columns: Sequence[Tensor]
+    ) -> None:
+        """`columns` tells the rays of every part, one part after the other."""
+        pinhole = not bool(origin.any())  # all rays start at the frame's origin
+        twice = _products(direction, direction)
+        once, never = (None, None) if pinhole else (_products(direction, origin), _products(origin, origin))
+        self._parts = [
+            (
+                direction.T[:, own],
+                twice[:, own],
+                origin.T[:, own],
+                None if once is None else once[:, own],
+                None if never is None else never[:, own],
+            )
+            for own in columns
+        ]
+
+    def depths(self, numbers: Float[Tensor, "37 18"]) -> Float[Tensor, "pairs"]:
+        """Of the first point of each part on its rays that is not cut off; infinite where there is none."""
+        planes = [self._of_part(own, *part) for own, part in zip(numbers, self._parts, strict=True)]
+        quadratic, linear, constant, start, rise, low, high = (torch.cat(plane) for plane in zip(*planes, strict=True))
+        power = linear.square() - quadratic * constant
+        root = power.clamp_min(0).sqrt()
+        nearest = torch.full_like(linear, torch.inf)
+        for depth in ((-linear - root) / quadratic, (root - linear) / quadratic):
+            level = start + depth * rise
+            is_kept = (depth > 0) & (level >= low) & (level <= high) & (power > 0)
+            nearest = torch.where(is_kept, torch.minimum(depth, nearest), nearest)
+        return nearest
+
+    @staticmethod
+    def _of_part(
+        own: Float[Tensor, "18"],
+        direction: Tensor,
+        twice: Tensor,
+        origin: Tensor,
+        once: Tensor | None,
+        never: Tensor | None,
+    ) -> tuple[Tensor, ...]:
+        """Terms of the quadratic in a ray's depth, the depth's part in the axis's, and both ends."""
+        upper, edge, axis = own[:9], own[_EDGE], own[_AXIS]
+        linear, rise = torch.stack((edge, axis)) @ direction
+        constant, start = own[_CORNER].expand_as(linear), torch.zeros_like(linear)
+        if once is not None and never is not None:
+            linear = linear + upper @ once
+            constant = constant + upper @ never + 2 * edge @ origin
+            start = axis @ origin
+        low, high = own[_LOW].expand_as(linear), own[_HIGH].expand_as(linear)
+        return upper @ twice, linear, constant, start, rise, low, high
+
+
+def _products(first: Float[Tensor, "rays 3"], second: Float[Tensor, "rays 3"]) -> Float[Tensor, "9 rays"]:
+    return (first[:, :, None] * second[:, None, :]).flatten(1).T.contiguous()

@@ -12,6 +12,7 @@ from torchhand.geometry import Camera
 
 _MARGIN_PX = 2  # from the silhouette's edge, where pixels mix
 _LUMA = np.array((0.299, 0.587, 0.114), np.float32)  # of red, green and blue, as in JPEG, whose luminance is sharpest
+_CELL = 3  # squares to a side of those that become one
 _FEWEST = 200  # squares that show enough of a hand
 
 
@@ -28,6 +29,8 @@ class PixelGrid:
     origin: Float[Tensor, "squares 3"]
     direction: Float[Tensor, "squares 3"]
     """Of the ray through the middle of a square; z = 1."""
+    count: Float[Tensor, "squares"]
+    """Squares that a value is the mean of: its noise is that much smaller in variance."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -73,6 +76,31 @@ def pixel_grid(
         is_inside=torch.from_numpy(inside[window] >= 1.0).flatten(),
         origin=origin,
         direction=direction,
+        count=torch.ones(len(origin), dtype=intrinsics.dtype),
+    )
+
+
+def thinned(grid: PixelGrid, near: Bool[Tensor, "squares"]) -> PixelGrid:
+    """The same squares where `near`; elsewhere every third to both directions, with the mean of its nine."""
+    rows, columns = (length // _CELL * _CELL for length in grid.size)
+
+    def cells(plane: Tensor) -> Tensor:
+        whole = plane.reshape(grid.size)[:rows, :columns]
+        return whole.reshape(rows // _CELL, _CELL, columns // _CELL, _CELL).transpose(1, 2).flatten(2)
+
+    is_whole = cells(grid.is_inside & ~near).all(-1)
+    middle = torch.zeros(_CELL, _CELL, dtype=torch.bool)
+    middle[_CELL // 2, _CELL // 2] = True
+    is_middle = torch.zeros(grid.size, dtype=torch.bool)
+    is_middle[:rows, :columns] = torch.kron(is_whole.byte(), middle.byte()).bool()
+    means = torch.zeros(grid.size, dtype=grid.value.dtype)
+    means[:rows, :columns] = torch.kron(cells(grid.value).mean(-1), middle.to(grid.value))
+    is_middle = is_middle.flatten()
+    return replace(
+        grid,
+        value=torch.where(is_middle, means.flatten(), grid.value),
+        is_inside=grid.is_inside & (near | is_middle),
+        count=torch.where(is_middle, grid.count * _CELL**2, grid.count),
     )
 
 

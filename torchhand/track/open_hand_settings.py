@@ -33,14 +33,14 @@ class OpenHandSettings:
     most_edge_std: float = 0.005
     """Greatest, as a share of the hand's length; above 0."""
     squares_along: int = 140
-    """Squares of pixels along the hand, as which shading is compared; 20 or more."""
+    """Squares of pixels along the hand, as which shading is compared, near creases twice as many; 20 or more."""
     shading_iterations: int = 5
-    """Most steps of each of the four fits to the shading; 1 or more."""
+    """Most steps of each of the five fits to the shading; 1 or more."""
     most_shading_misfit: float = 0.5
     """Residuals of the shading before it is fitted, over its contrast, beyond which it is left alone; above 0."""
     most_shading_rest: float = 0.2
     """The same once it is fitted coarsely; above 0."""
-    most_shading_excess: float = 2.0
+    most_shading_excess: float = 4.0
     """Residuals after that, over what neighbours differ by, beyond which it is not believed; above 1."""
     shading_std_factor: float = 1.8
     """What the noise of the shading is multiplied by for the deviations of the result: parts meet less sharply than

@@ -5,15 +5,17 @@ Lambert's law with one distant light and one reflectance (as in de La Gorce, Fle
 photographs to the noise: whoever uses these residuals asks first whether they are noise.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
+import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.hand import PRIMITIVE_NAMES, HandKinematics
-from torchhand.track.open_hand_creases import IS_JOINT, creases, without_flat_joints
-from torchhand.track.open_hand_light import fit_light
+from torchhand.track.open_hand_creases import IS_JOINT, boundaries, creases, without_flat_joints
+from torchhand.track.open_hand_light import Light, fit_light
 from torchhand.track.open_hand_parts import NearestParts
 from torchhand.track.open_hand_pixels import PixelGrid
 from torchhand.track.open_hand_problem import OpenHandProblem
@@ -21,6 +23,7 @@ from torchhand.track.open_hand_surface import meet, quadric_numbers
 from torchhand.view import HandProjector
 
 _STEP = 1e-4  # of the numerical derivative, prior standard deviations
+_NEAR = 2  # squares about a crease
 _HIDDEN = torch.tensor([PRIMITIVE_NAMES.index("palm_wrist")])  # the forearm goes on there
 
 
@@ -32,18 +35,24 @@ class ShadingRows:
     """Picture minus model, under the light that explains most."""
     jacobian: Float[Tensor, "rows n"]
     """Of the model in the scaled unknowns."""
+    under: Light
+    """That one."""
     light: Float[Tensor, "rows 4"]
     """Of the model in the light."""
     variance: Float[Tensor, "rows"]
     """What the formula for creases adds to the noise's."""
+    count: Float[Tensor, "rows"]
+    """Squares that a residual is the mean of."""
     square: Int[Tensor, "rows"]
     candidates: int
     """Squares that show the hand, those that cannot be explained included."""
 
     @property
     def noise(self) -> float:
-        """Robust standard deviation of the residuals."""
-        return 1.4826 * float(self.residual.abs().median()) if len(self.residual) else float("inf")
+        """Robust standard deviation of a single square's residual."""
+        if len(self.residual) == 0:
+            return float("inf")
+        return 1.4826 * float((self.count.sqrt() * self.residual.abs()).median())
 
 
 class Shading:
@@ -58,8 +67,74 @@ class Shading:
     ) -> None:
         self.grid, self._problem, self._kinematics, self._root_reference = grid, problem, kinematics, root_reference
         self._nearest: NearestParts | None = None
+        self._light: Light | None = None
 
-    def __call__(self, values: Float[Tensor, "n"]) -> ShadingRows:
+    def __call__(self, values: Float[Tensor, "n"], *, with_slopes: bool = True) -> ShadingRows:
+        """Without slopes the Jacobian has no columns, which takes a third of the time."""
+        grid = self.grid
+        numbers, part, is_used = self._parts(values)
+        square = is_used.nonzero()[:, 0]
+        seen = meet(numbers, part[square], grid.origin[square], grid.direction[square])
+        is_sound = seen.depth.isfinite() & (seen.is_kept() | IS_JOINT[part[square]])
+        light = self._light or fit_light(
+            seen.normal[is_sound], grid.value[square][is_sound], grid.count[square][is_sound]
+        )
+        found = creases(grid, numbers, part, is_used, light)
+        is_sound &= ~found.is_unclear[square]
+        square, seen = square[is_sound], seen.select(is_sound)
+        normal = seen.normal
+        jacobian = normal[:, :0]
+        if with_slopes:
+            # d brightness = light · dn, and n is the gradient over its length
+            along = light.slope(normal)
+            length = seen.gradient.norm(dim=-1, keepdim=True)
+            across = (along - (along * normal).sum(-1, keepdim=True) * normal) / length
+            change = self._change_of_numbers(values)
+            jacobian = _chained(change, part[square], seen.gradient_slope(across))
+            row = torch.full_like(part, -1)
+            row[square] = torch.arange(len(square))
+            is_row = row[found.square] >= 0
+            at_creases = _chained(change, found.part[is_row], found.slope[is_row])
+            jacobian.index_add_(0, row[found.square[is_row]], at_creases)
+        return ShadingRows(
+            residual=grid.value[square] - light.brightness(normal) - found.correction[square],
+            jacobian=jacobian,
+            under=light,
+            light=light.basis(normal),
+            variance=found.variance[square],
+            count=grid.count[square],
+            square=square,
+            candidates=int(is_used.sum()),
+        )
+
+    def restricted(self, keep: Bool[Tensor, "squares"], rows: ShadingRows) -> "Shading":
+        """To some squares, under the light of the rows."""
+        grid = replace(self.grid, is_inside=self.grid.is_inside & keep)
+        other = Shading(grid, self._problem, self._kinematics, self._root_reference)
+        other._light = rows.under
+        return other
+
+    def parts(self, values: Float[Tensor, "n"]) -> Int[Tensor, "squares"]:
+        """What every square shows; -1 where it is not compared."""
+        _, part, is_used = self._parts(values)
+        return torch.where(is_used, part, -1)
+
+    def near_creases(self, values: Float[Tensor, "n"], finer: PixelGrid) -> Bool[Tensor, "finer"]:
+        """Of a finer grid the squares near a boundary between parts, joints' balls left out."""
+        _, part, is_used = self._parts(values)
+        first, second, _ = boundaries(self.grid, part, is_used)
+        plane = np.zeros(len(part), np.uint8)
+        plane[first.numpy()] = plane[second.numpy()] = 1
+        kernel = np.ones((2 * _NEAR + 1,) * 2, np.uint8)
+        near = torch.from_numpy(cv2.dilate(plane.reshape(self.grid.size), kernel)).bool()
+        column, row = self.grid.camera.project(finer.origin + finer.direction).round().long().unbind(-1)
+        height, width = self.grid.size
+        return near[row.clamp(0, height - 1), column.clamp(0, width - 1)]
+
+    def _parts(
+        self, values: Float[Tensor, "n"]
+    ) -> tuple[Float[Tensor, "37 18"], Int[Tensor, "squares"], Bool[Tensor, "squares"]]:
+        """Numbers of every part, what every square shows, and whether it is compared."""
         grid = self.grid
         pose, shape = self._problem.split(values)
         projector = HandProjector(self._kinematics, grid.camera, shape)
@@ -67,32 +142,7 @@ class Shading:
         self._nearest = self._nearest or NearestParts(grid, numbers)
         part = self._nearest(numbers)
         is_used = (part >= 0) & ~torch.isin(part, _HIDDEN)
-        part = without_flat_joints(grid, numbers, part, is_used)
-        square = is_used.nonzero()[:, 0]
-        seen = meet(numbers, part[square], grid.origin[square], grid.direction[square])
-        is_sound = seen.depth.isfinite() & (seen.is_kept() | IS_JOINT[part[square]])
-        light = fit_light(seen.normal[is_sound], grid.value[square][is_sound])
-        found = creases(grid, numbers, part, is_used, light)
-        is_sound &= ~found.is_unclear[square]
-        square, seen = square[is_sound], seen.select(is_sound)
-        normal = seen.normal
-        # d brightness = light · dn, and n is the gradient over its length
-        along = light.slope(normal)
-        across = (along - (along * normal).sum(-1, keepdim=True) * normal) / seen.gradient.norm(dim=-1, keepdim=True)
-        row = torch.full_like(part, -1)
-        row[square] = torch.arange(len(square))
-        change = self._change_of_numbers(values)
-        is_row = row[found.square] >= 0
-        at_creases = _chained(change, found.part[is_row], found.slope[is_row])
-        jacobian = _chained(change, part[square], seen.gradient_slope(across))
-        return ShadingRows(
-            residual=grid.value[square] - light.brightness(normal) - found.correction[square],
-            jacobian=jacobian.index_add_(0, row[found.square[is_row]], at_creases),
-            light=light.basis(normal),
-            variance=found.variance[square],
-            square=square,
-            candidates=int(is_used.sum()),
-        )
+        return numbers, without_flat_joints(grid, numbers, part, is_used), is_used
 
     def _change_of_numbers(self, values: Float[Tensor, "n"]) -> Float[Tensor, "37 18 n"]:
         """By central differences."""

@@ -1,29 +1,30 @@
 """Pose and shape of an open hand from its shading and its outline together.
 
 Levenberg-Marquardt from the fit to the outline alone, on coarse squares first and on blurred residuals, which let a
-joint that is squares away from its place find the way. Most photographs of hands are no case for it, skin being no
+joint that is squares away from its place find the way; then joints are moved by trial, and at last single pixels near
+the creases tell where each joint is. Most photographs of hands are no case for it, skin being no
 Lambertian surface of one reflectance and the primitives no skin. So the residuals decide: only where they end up as
 noise, about equal in size to the differences of neighbours, is the result believed.
 """
 
 from dataclasses import dataclass
 
-import cv2
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics
-from torchhand.numerics.least_squares import LevenbergMarquardtSettings, NormalEquations
+from torchhand.numerics.least_squares import LevenbergMarquardtSettings
 from torchhand.numerics.levenberg_marquardt import levenberg_marquardt
 from torchhand.track.contour_points import hand_length_px
 from torchhand.track.open_hand_edges import Outline, OutlineTerm
-from torchhand.track.open_hand_pixels import PixelGrid, pixel_grid
+from torchhand.track.open_hand_joints import moved_joints
+from torchhand.track.open_hand_pixels import PixelGrid, pixel_grid, thinned
 from torchhand.track.open_hand_problem import OpenHandProblem
 from torchhand.track.open_hand_settings import OpenHandSettings
 from torchhand.track.open_hand_shading import Shading, ShadingRows
+from torchhand.track.open_hand_shading_cost import JointCost, ShadingStage, ridge
 
 _LEAST_NOISE = 0.5  # grey levels that are believed of a square
 _BLOCK = 8  # squares to a side of the blocks whose means tell whether neighbours err alike
@@ -31,20 +32,11 @@ _DAMPING = 1e-3  # first, of Levenberg-Marquardt
 _COST_TOLERANCE = 1e-4
 
 
-@dataclass(frozen=True)
-class _Stage:
-    """One minimisation."""
-
-    coarseness: int
-    """Side of the squares over that of the finest."""
-    blur: float
-    """Standard deviation of the Gaussian over the residuals, squares."""
-    most: float
-    """Residuals beyond so many grey levels hardly count."""
-
-
-_COARSE, _FINE = _Stage(2, 1.5, 10.0), _Stage(1, 0.0, 6.0)
-_REPEATS = 2  # of each: the noise, by which outline and prior are weighed, is only known where the fit is nearly right
+_COARSE, _MIDDLE, _FINE = (
+    ShadingStage(side=2.0, blur=1.5, most=10.0, repeats=2),
+    ShadingStage(side=1.0),
+    ShadingStage(side=0.5, is_thinned=True),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,21 +64,73 @@ def fit_shading(
     settings: OpenHandSettings,
 ) -> ShadingFit | None:
     """The most probable unknowns, or None where shading under one light does not explain the picture to its noise."""
-    length_px = hand_length_px(camera, kinematics, *problem.split(start))
-    finest = max(1, round(length_px / settings.squares_along))
-    values, most_misfit = start, settings.most_shading_misfit
-    best: tuple[ShadingRows, PixelGrid, OutlineTerm] | None = None
-    for stage in (_COARSE, _FINE):
-        grid = pixel_grid(image, mask, camera, stage.coarseness * finest)
+    minimise = _Minimiser(image, mask, camera, problem, kinematics, root_reference, outline, settings)
+    found = minimise(start, _COARSE)
+    found = found and minimise(found.values, _MIDDLE)
+    if found is None:
+        return None
+    moved = moved_joints(found.shading, problem, found.values, found.rows, max(found.rows.noise, _LEAST_NOISE))
+    found = minimise(moved, _MIDDLE)
+    if found is None or not _is_noise(found.rows, found.shading.grid, settings):
+        return None
+    found = minimise(found.values, _FINE, found.shading)
+    if found is None:
+        return None
+    return ShadingFit(
+        values=found.values,
+        covariance=_covariance(found.values, found.rows, problem, found.term, settings),
+        noise=found.rows.noise,
+        outline=found.term,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Found:
+    """What one stage ended with."""
+
+    values: Float[Tensor, "n"]
+    rows: ShadingRows
+    shading: Shading
+    term: OutlineTerm
+
+
+class _Minimiser:
+    """Carries out stages on one picture."""
+
+    def __init__(
+        self,
+        image: UInt8[Tensor, "height width 3"],
+        mask: Bool[Tensor, "height width"],
+        camera: Camera,
+        problem: OpenHandProblem,
+        kinematics: HandKinematics,
+        root_reference: Float[Tensor, "3 3"],
+        outline: Outline,
+        settings: OpenHandSettings,
+    ) -> None:
+        self._image, self._mask, self._camera, self._problem = image, mask, camera, problem
+        self._kinematics, self._root_reference = kinematics, root_reference
+        self._outline, self._settings = outline, settings
+        self._most_misfit = settings.most_shading_misfit
+
+    def __call__(self, values: Float[Tensor, "n"], stage: ShadingStage, known: Shading | None = None) -> _Found | None:
+        """None where the model does not fit; `known` tells a thinned stage where the creases are."""
+        settings, problem = self._settings, self._problem
+        length_px = hand_length_px(self._camera, self._kinematics, *problem.split(values))
+        step = max(1, round(stage.side * max(1, round(length_px / settings.squares_along))))
+        grid = pixel_grid(self._image, self._mask, self._camera, step)
         if grid is None:
             return None
-        shading = Shading(grid, problem, kinematics, root_reference)
+        if stage.is_thinned and known is not None:
+            grid = thinned(grid, known.near_creases(values, grid))
+        shading = Shading(grid, problem, self._kinematics, self._root_reference)
         rows = shading(values)
-        for _ in range(_REPEATS):
-            term = outline.term(values, settings.final_search_share, is_fine=True)
-            if term is None or rows.noise > most_misfit * _contrast(grid):
+        found: _Found | None = None
+        for _ in range(stage.repeats):
+            term = self._outline.term(values, settings.final_search_share, is_fine=True)
+            if term is None or rows.noise > self._most_misfit * _contrast(grid):
                 return None
-            joint = _Joint(shading, stage, problem, term, max(rows.noise, _LEAST_NOISE))
+            joint = JointCost(shading, stage, problem, term, max(rows.noise, _LEAST_NOISE))
             values = levenberg_marquardt(
                 joint,
                 values,
@@ -97,76 +141,9 @@ def fit_shading(
                 ),
                 first=joint.equations(values, rows),
             ).values
-            rows, most_misfit = joint.best, settings.most_shading_rest
-            best = rows, grid, term
-    if best is None or not _is_noise(best[0], best[1], settings):
-        return None
-    rows, _, term = best
-    covariance = _covariance(values, rows, problem, term, settings)
-    return ShadingFit(values=values, covariance=covariance, noise=rows.noise, outline=term)
-
-
-class _Joint:
-    """Cost of shading, outline and prior together, and its quadratic model."""
-
-    def __init__(
-        self, shading: Shading, stage: _Stage, problem: OpenHandProblem, outline: OutlineTerm, noise: float
-    ) -> None:
-        self._shading, self._stage, self._problem, self._outline = shading, stage, problem, outline
-        self._noise = noise
-        self._least = float("inf")
-        self.best: ShadingRows
-        """Of the values with the least cost so far."""
-
-    def __call__(self, values: Float[Tensor, "n"]) -> NormalEquations:
-        return self.equations(values, self._shading(values))
-
-    def equations(self, values: Float[Tensor, "n"], rows: ShadingRows) -> NormalEquations:
-        outline, apart = self._outline, values - self._outline.values
-        known, slope = self._problem.prior(values)
-        seen = self._of_shading(rows)
-        drag = outline.information @ apart
-        cost = seen.cost + 0.5 * known.square().sum() + 0.5 * apart @ drag - apart @ outline.pull
-        if float(cost) < self._least:
-            self._least, self.best = float(cost), rows
-        return NormalEquations(
-            matrix=seen.matrix + slope.T @ slope + outline.information,
-            gradient=seen.gradient + slope.T @ known + drag - outline.pull,
-            cost=cost,
-        )
-
-    def _of_shading(self, rows: ShadingRows) -> NormalEquations:
-        """The light is solved for on the way; squares that cannot be explained cost as much as others on average."""
-        noise, most = self._noise, self._stage.most
-        trust = (noise**2 + rows.variance).rsqrt()
-        far = 1 + (rows.residual / most).square()
-        residual = trust * rows.residual / far.sqrt()
-        slope = (trust * far**-1.5)[:, None] * torch.cat((rows.jacobian, rows.light), -1)
-        if self._stage.blur > 0:
-            residual, slope = self._blurred(rows, residual, slope)
-        share = rows.candidates / max(len(residual), 1)
-        matrix, pull = slope.T @ slope, slope.T @ residual
-        count = rows.jacobian.shape[-1]
-        light = matrix[count:, count:] + _ridge(matrix[count:, count:])
-        solved = torch.linalg.solve(light, torch.cat((matrix[count:, :count], pull[count:, None]), -1))
-        return NormalEquations(
-            matrix=share * (matrix[:count, :count] - matrix[:count, count:] @ solved[:, :-1]),
-            gradient=-share * (pull[:count] - matrix[:count, count:] @ solved[:, -1]),
-            cost=0.5 * share * residual.square().sum(),
-        )
-
-    def _blurred(self, rows: ShadingRows, residual: Tensor, slope: Tensor) -> tuple[Tensor, Tensor]:
-        height, width = self._shading.grid.size
-        square = rows.square.numpy()
-        layers = np.zeros((height * width, slope.shape[1] + 1), np.float32)
-        layers[square] = torch.cat((slope, residual[:, None]), -1).numpy()
-        soft = cv2.GaussianBlur(layers.reshape(height, width, -1), (0, 0), self._stage.blur)
-        found = torch.from_numpy(soft.reshape(height * width, -1)[square]).to(residual)
-        return found[:, -1], found[:, :-1]
-
-
-def _ridge(matrix: Tensor) -> Tensor:
-    return 1e-9 * (matrix.diagonal().sum() + 1) * torch.eye(len(matrix), dtype=matrix.dtype)
+            rows, self._most_misfit = joint.best, settings.most_shading_rest
+            found = _Found(values=values, rows=rows, shading=shading, term=term)
+        return found
 
 
 def _contrast(grid: PixelGrid) -> float:
@@ -205,12 +182,12 @@ def _covariance(
     """Of the values, plus that of the hand's size: some offsets of the model follow hand length by a fixed share, and
     would tell it, but not of a real hand."""
     joint = torch.cat((rows.jacobian, rows.light), -1)
-    variance = settings.shading_std_factor**2 * (max(rows.noise, _LEAST_NOISE) ** 2 + rows.variance)
+    variance = settings.shading_std_factor**2 * (max(rows.noise, _LEAST_NOISE) ** 2 / rows.count + rows.variance)
     matrix = joint.T @ (joint / variance[:, None])
     _, slope = problem.prior(values)
     count = len(values)
     matrix[:count, :count] += slope.T @ slope + outline.information
-    matrix[count:, count:] += _ridge(matrix[count:, count:])
+    matrix[count:, count:] += ridge(matrix[count:, count:])
     covariance = torch.linalg.inv(matrix)[:count, :count]
     larger = problem.enlarged(values)
     return covariance + torch.outer(larger, larger) / larger.square().sum()

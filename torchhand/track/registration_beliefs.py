@@ -1,8 +1,10 @@
 """What registration believes of a pose besides the picture: constraints, the posture prior, an expected pose."""
 
+import math
 from dataclasses import dataclass, fields
 from typing import Any
 
+import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
@@ -47,6 +49,9 @@ class Beliefs:
     constraint_weight: float
     prior: PostureResiduals | None
     prior_weight: float
+    prior_tail: float = math.inf
+    """Degrees of freedom of the prior as a Student's t distribution: the fewer, the less an unusual posture is pulled;
+    infinite for a normal one."""
 
     @classmethod
     def of(
@@ -73,8 +78,11 @@ class Beliefs:
         """Those of hypotheses in such poses. expected: with the rotations about the references that are held."""
         posture = offset = matrix = None
         if self.prior is not None:
-            kind, scale = self.prior.likeliest(pose.nan_to_num()), self.prior_weight**0.5
-            posture, offset = scale * self.prior.matrix.to(pose)[kind], scale * self.prior.offset.to(pose)[kind]
+            known = pose.nan_to_num()
+            kind = self.prior.likeliest(known)
+            posture, offset = self.prior.matrix.to(pose)[kind], self.prior.offset.to(pose)[kind]
+            scale = (self.prior_weight * self._tail_weight(posture, offset, known)).sqrt()
+            posture, offset = scale[:, None, None] * posture, scale[:, None] * offset
             matrix = posture.mT @ posture
         return HeldBeliefs(
             posture=posture,
@@ -83,6 +91,13 @@ class Beliefs:
             expected=None if expected is None else expected.free,
             expected_matrix=None if expected is None else expected.whitening.mT @ expected.whitening,
         )
+
+    def _tail_weight(self, posture: Tensor, offset: Tensor, pose: Tensor) -> Float[Tensor, "k"]:
+        """What the prior counts at a posture: 1 where it is about as unusual as its own samples are."""
+        if math.isinf(self.prior_tail):
+            return torch.ones_like(pose[:, 0])
+        away = ((posture @ pose[:, _ROOT:, None]).squeeze(-1) - offset).square().sum(-1)
+        return (self.prior_tail + offset.shape[-1]) / (self.prior_tail + away)
 
     def of_joints(self, pose: Float[Tensor, "k 36"], held: HeldBeliefs) -> NormalEquations | None:
         """Constraints and prior, in the thirty joint angles; None if there are none of them."""

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchhand.geometry import Camera
 from torchhand.hand import Hand, HandPrior, PoseConstraints, named_pose_space
+from torchhand.hand.constraints import ConstraintSettings
 from torchhand.residuals import Expectation, PostureResiduals
 from torchhand.track.hull_fit import HullFit, HullFitter
 from torchhand.track.hull_start import find_in_hull, varied_digits
@@ -66,7 +67,8 @@ class MomentFitter:
         self.space = named_pose_space(settings.pose_space)
         skeleton = hand.kinematics.skeleton
         self.beliefs: dict[str, Any] = {
-            "constraints": PoseConstraints(skeleton),
+            # One finger bent beside straight ones is told by the silhouettes; equation (3) would forbid it.
+            "constraints": PoseConstraints(skeleton, ConstraintSettings(bands="none")),
             "prior": PostureResiduals.of(HandPrior(skeleton, hand.kinematics.shape_space).postures),
         }
         self._made: tuple[HullFitter, HullFitter, ViewAgreement] | None = None

@@ -82,18 +82,12 @@ def _with_unit(
 ) -> Introduction:
     """The same with a unit that makes the hand as large as it is known, or thought, to be."""
     space = hand.kinematics.shape_space
-    units, clearest = rough_units(silhouettes.cameras, seen)
+    units, telling = rough_units(silhouettes.cameras, seen)
     fits = {unit: MomentFitter(hand, in_unit(silhouettes.cameras, unit), settings) for unit in units}
-    tried: dict[float, float] = {}
-    for unit, own in fits.items():
-        assert clearest is not None
-        hull = own.hulls.anywhere(clearest[1])
-        found = own.searched(hull, hand.kinematics.default_shape, clearest[1])
-        tried[unit] = 0.0 if found is None else found.overlap
-    nothing = Acquaintance(shape=hand.kinematics.default_shape, shape_std=None, anchors={}, learned_from=())
-    if not tried:
+    if not fits:
+        nothing = Acquaintance(shape=hand.kinematics.default_shape, shape_std=None, anchors={}, learned_from=())
         return _introduction(nothing, skins)
-    nominal = max(tried, key=lambda unit: tried[unit])
+    nominal = max(fits, key=lambda unit: sum(_agreement(fits[unit], masks) for _, masks in telling))
     met = acquaint(fits[nominal], seen, people, done=done)
     if not met.anchors:
         return _introduction(met, skins)
@@ -102,6 +96,13 @@ def _with_unit(
     anchors: dict[int, Anchor] = {moment: moved_anchor(anchor, factor) for moment, anchor in met.anchors.items()}
     own = resized_shape(met.shape, factor, space) if shape is None else shape
     return _introduction(replace(met, shape=own, anchors=anchors), skins, metres=factor * nominal)
+
+
+def _agreement(fits: MomentFitter, masks: Masks) -> float:
+    """How well a generic hand explains the silhouettes of a moment, 0 to 1: the overlap times the share of their edges
+    that it explains."""
+    found = fits.searched(fits.hulls.anywhere(masks), fits.hand.kinematics.default_shape, masks)
+    return 0.0 if found is None else found.overlap * float(found.fit.covered_share)
 
 
 def _introduction(

@@ -20,7 +20,7 @@ _BALL = 0.030
 """Metres: radius of the largest ball in the hull of a fist or a relaxed hand."""
 _SCALES = (0.6, 0.72, 0.86, 1.0, 1.17)
 """Tried about the unit that makes the largest ball so large: in a hand that stays flat it is half of that."""
-_OPEN = 0.25  # quantile of the balls of all moments at which a hand is likely to be open, which tells its size best
+_TELLING = (0.2, 0.45, 0.7)  # quantiles of the balls of all moments whose moments are asked for the size
 _FIRST_SIZE = 0.6  # metres between the cameras in the first carving, which only tells the ball
 
 
@@ -31,11 +31,11 @@ def in_unit(cameras: Sequence[Camera], metres: float) -> list[Camera]:
 
 def rough_units(
     cameras: Sequence[Camera], moments: Sequence[tuple[int, Masks]]
-) -> tuple[tuple[float, ...], tuple[int, Masks] | None]:
+) -> tuple[tuple[float, ...], list[tuple[int, Masks]]]:
     """Candidates for the metres of the cameras' unit by the thickness of what all silhouettes show, one of them good
-    to a tenth or so, and the moment that is likely to tell which.
+    to a tenth or so, and moments that are likely to tell which: from open hands to fists.
 
-    None and no candidates where no moment has a hull.
+    No candidates where no moment has a hull.
     """
     first = _FIRST_SIZE / rig_size(cameras)
     hulls = Hulls(in_unit(cameras, first), HullOctreeSettings(start_leaf=0.006))
@@ -45,10 +45,11 @@ def rough_units(
         if hull.target is not None and len(hull.target.depth):
             balls.append((float(hull.target.depth.max()), place))
     if not balls:
-        return (), None
+        return (), []
     balls.sort()
     unit = first * _BALL / balls[-1][0]
-    return tuple(unit * scale for scale in _SCALES), moments[balls[int(_OPEN * len(balls))][1]]
+    places = sorted({balls[int(share * len(balls))][1] for share in _TELLING})
+    return tuple(unit * scale for scale in _SCALES), [moments[place] for place in places]
 
 
 def resized_shape(shape: Float[Tensor, "shape"], factor: float, space: ShapeSpace) -> Float[Tensor, "shape"]:

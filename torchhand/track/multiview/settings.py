@@ -92,16 +92,25 @@ class MultiViewSettings:
     contours: bool = True
     """The edges of all views' silhouettes must touch the skin; without them the hull's surface must be on it, which in
     part is volume that no hand fills."""
-    fit: HullFitSettings = field(default_factory=lambda: HullFitSettings(levels=HULL_TRACKING_LEVELS))
+    fit: HullFitSettings = field(
+        default_factory=lambda: HullFitSettings(
+            levels=HULL_TRACKING_LEVELS, prior_weight=0.4, prior_tail=3.0, firmness=1.5
+        )
+    )
     """While a hand is followed."""
     torque: HullTorqueSettings = field(default_factory=HullTorqueSettings)
     start: HullStartSettings = field(default_factory=HullStartSettings)
     """Where a hand is looked for."""
-    start_fit: HullFitSettings = field(default_factory=HullFitSettings)
+    start_fit: HullFitSettings = field(
+        default_factory=lambda: HullFitSettings(prior_weight=0.4, prior_tail=3.0, firmness=1.5)
+    )
     """The last step of the search."""
     shape: HullShapeSettings = field(default_factory=HullShapeSettings)
-    shape_fit: HullFitSettings = field(default_factory=lambda: HullFitSettings(prior_weight=0.1, constraint_weight=0.1))
-    """While proportions are fitted: many frames together need less belief in likely postures."""
+    shape_fit: HullFitSettings = field(
+        default_factory=lambda: HullFitSettings(prior_weight=0.8, prior_tail=3.0, firmness=1.5)
+    )
+    """Sizes and weights meanwhile; its levels do not count. The less each frame's posture may deviate, the more the
+    frames tell of the proportions."""
     shape_frames: int = 12
     """Frames, evenly over the sequence, to which the proportions are fitted once where they are not given; 0 keeps
     those of the generic hand."""
