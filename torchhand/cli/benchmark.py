@@ -24,6 +24,7 @@ from torchhand.cli.benchmark_iteration import lm_iteration_jacfwd, lm_iteration_
 from torchhand.cli.benchmark_model import keypoints_to_pose, mesh_silhouettes, mesh_volume, pose_projection
 from torchhand.cli.benchmark_multiview import track_views, track_views_memory
 from torchhand.cli.benchmark_registration import many_hypotheses, one_registration
+from torchhand.cli.benchmark_stream import recorded_stream, synthetic_stream
 from torchhand.cli.benchmark_tracking import filter_update, own_environment, track_memory, tracking
 from torchhand.cli.benchmark_volume import octree
 from torchhand.cli.command import DONE, command, parse, threads
@@ -56,6 +57,8 @@ Name = Literal[
     "track_memory",
     "track_views_memory",
     "fit_hand_bones",
+    "pose_stream",
+    "pose_stream_recorded",
 ]
 SLOW: tuple[Name, ...] = ("track_memory", "track_views_memory", "fit_hand_bones")
 
@@ -79,7 +82,9 @@ class Arguments:
     skinning_gradients_64, skinning_gradients_1024, mesh_silhouettes, mesh_volume, pose_projection, keypoints_to_pose,
     filter_update, registration, registration_many, lm_iteration_jacfwd, lm_iteration_pypose, octree_level7,
     octree_level8, track_planar_360x288, track_full_640x480, track_views_640x480, track_memory, track_views_memory,
-    fit_hand_bones."""
+    fit_hand_bones, pose_stream, pose_stream_recorded."""
+    recording: Annotated[tuple[Path, ...], arg(metavar="FILE")] = ()
+    """Recordings of a sensing glove (rows of 7 time columns and 23 angles), which pose_stream_recorded needs."""
     everything: Annotated[bool, arg(name="all")] = False
     """Measure everything; without it track_memory, track_views_memory and fit_hand_bones, which take minutes, are
     left out."""
@@ -119,7 +124,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
         figures = []
         for name in arguments.chosen:
-            figures.append(_MEASURES[name](name, arguments.repeats))
+            figures.append(_measure(name, arguments))
             print(line_of(figures[-1]), flush=True)
     if arguments.out is not None:
         entries = [asdict(figure) | {"meets": figure.meets} for figure in figures]
@@ -127,6 +132,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         write_text(arguments.out, json.dumps(found, indent=2) + "\n")
         print(f"saved {arguments.out}")
     return DONE
+
+
+def _measure(name: Name, arguments: Arguments) -> Figure:
+    measure = _MEASURES[name]
+    if measure is recorded_stream:
+        measure = partial(recorded_stream, recordings=arguments.recording)
+    return measure(name, arguments.repeats)
 
 
 def _measured_anew(thread_count: int, argv: Sequence[str] | None) -> int:
@@ -165,4 +177,6 @@ _MEASURES: dict[Name, Callable[[str, int | None], Figure]] = {
     "track_memory": track_memory,
     "track_views_memory": track_views_memory,
     "fit_hand_bones": fit_hand_bones,
+    "pose_stream": synthetic_stream,
+    "pose_stream_recorded": recorded_stream,
 }

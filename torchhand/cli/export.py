@@ -24,14 +24,15 @@ class Arguments:
 
     The ending of --to says which: .glb (skin and animation), .bvh, .urdf and .xml (MuJoCo) with a folder of link
     meshes, .obj and .ply (one file per frame), .mano.npz, .openxr.json, .keypoints.json/.npz and .csv (21 points),
-    .bap (MPEG-4), .x3d (H-Anim). A hand.json alone gives the open hand at rest.
+    .bap (MPEG-4), .x3d (H-Anim), .thp (a pose stream of a few hundred bits a second). A hand.json alone gives the open
+    hand at rest; a .thp is read back.
 
     Example:
         torchhand export out/clip --to hand.glb
     """
 
     result: Annotated[Positional[Path], arg(metavar="RESULT")]
-    """Result folder of `torchhand track`, its track.npz or track.jsonl, or a hand.json."""
+    """Result folder of `torchhand track`, its track.npz or track.jsonl, a hand.json, or a pose stream (.thp)."""
     to: Annotated[Path, arg(metavar="FILE")]
     """File to write."""
     format: FormatName | None = None

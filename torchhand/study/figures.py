@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from torchhand.study.timing import time_interleaved
 
-AT_MOST = ("MiB", "%", "rad", "ms")
+AT_MOST = ("MiB", "%", "rad", "ms", "kbit/s")
 """Units of which less is better."""
 
 
@@ -18,7 +18,7 @@ class Figure:
     name: str
     value: float | None
     """What `must` and `aim` are about; None where it could not be measured."""
-    unit: Literal["ratio", "frames/s", "IoU", "MiB", "%", "rad", "ms"]
+    unit: Literal["ratio", "frames/s", "IoU", "MiB", "%", "rad", "ms", "kbit/s"]
     """Of value, must and aim. A ratio says how many times faster than the peer ours is."""
     must: float
     """At least this; at most, where less is better (AT_MOST)."""

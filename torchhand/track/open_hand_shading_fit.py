@@ -30,6 +30,9 @@ _LEAST_NOISE = 0.5  # grey levels that are believed of a square
 _BLOCK = 8  # squares to a side of the blocks whose means tell whether neighbours err alike
 _DAMPING = 1e-3  # first, of Levenberg-Marquardt
 _COST_TOLERANCE = 1e-4
+_SCANS = 3  # of the joints at most, while one seems to be in the wrong place yet
+_HOPELESS = 4.0  # times the excess that is believed: no joint in the wrong place makes so much
+_WORTH_MORE = 0.9  # share of the excess that another scan must have left at most
 
 
 _COARSE, _MIDDLE, _FINE = (
@@ -69,9 +72,18 @@ def fit_shading(
     found = found and minimise(found.values, _MIDDLE)
     if found is None:
         return None
-    moved = moved_joints(found.shading, problem, found.values, found.rows, max(found.rows.noise, _LEAST_NOISE))
-    found = minimise(moved, _MIDDLE)
-    if found is None or not _is_noise(found.rows, found.shading.grid, settings):
+    excess = float("inf")
+    for _ in range(_SCANS):
+        moved = moved_joints(found.shading, problem, found.values, found.rows, max(found.rows.noise, _LEAST_NOISE))
+        found = minimise(moved, _MIDDLE)
+        if found is None:
+            return None
+        before, excess = excess, _excess(found.rows, found.shading.grid)
+        if excess < settings.most_shading_excess or excess > _HOPELESS * settings.most_shading_excess:
+            break
+        if excess > _WORTH_MORE * before:
+            break
+    if excess >= settings.most_shading_excess:
         return None
     found = minimise(found.values, _FINE, found.shading)
     if found is None:
@@ -151,8 +163,9 @@ def _contrast(grid: PixelGrid) -> float:
     return float(grid.value[grid.is_inside].std())
 
 
-def _is_noise(rows: ShadingRows, grid: PixelGrid, settings: OpenHandSettings) -> bool:
-    """Whether neighbours differ as much as the residuals' size lets expect, and blocks of them average out."""
+def _excess(rows: ShadingRows, grid: PixelGrid) -> float:
+    """Size of the residuals, or of what blocks of them share, over what neighbours' differences let expect: about 1
+    for noise; infinite where there is too little to tell."""
     height, width = grid.size
     field = torch.full((height * width,), torch.nan, dtype=torch.float64)
     field[rows.square] = rows.residual.clamp(-4 * rows.noise, 4 * rows.noise)
@@ -160,16 +173,16 @@ def _is_noise(rows: ShadingRows, grid: PixelGrid, settings: OpenHandSettings) ->
     steps = torch.cat([(field[1:] - field[:-1]).flatten(), (field[:, 1:] - field[:, :-1]).flatten()])
     steps = steps[steps.isfinite()]
     if len(steps) < _BLOCK**2:
-        return False
+        return float("inf")
     of_neighbours = 1.4826 * float(steps.abs().median()) / 2**0.5
     tall, wide = height // _BLOCK, width // _BLOCK
     blocks = field[: tall * _BLOCK, : wide * _BLOCK].reshape(tall, _BLOCK, wide, _BLOCK).transpose(1, 2).flatten(2)
     count = blocks.isfinite().sum(-1)
     full = count >= _BLOCK**2 // 3
     if not bool(full.any()):
-        return False
+        return float("inf")
     shared = float((blocks.nan_to_num().sum(-1)[full].square() / count[full]).mean()) ** 0.5
-    return max(rows.noise, shared) < settings.most_shading_excess * of_neighbours
+    return max(rows.noise, shared) / max(of_neighbours, 1e-9)
 
 
 def _covariance(

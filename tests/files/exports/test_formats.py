@@ -13,6 +13,7 @@ import torch
 import trimesh
 
 from torchhand.errors import InputError
+from torchhand.files import load_hand_model
 from torchhand.files.exports import (
     FORMATS,
     ExportOptions,
@@ -23,6 +24,7 @@ from torchhand.files.exports import (
     load_clip,
     write,
 )
+from torchhand.files.exports.pose_stream import clip_of_stream
 
 ONE_NAME_EACH = {
     "glb": "hand.glb",
@@ -36,6 +38,7 @@ ONE_NAME_EACH = {
     "keypoints": "hand.keypoints.json",
     "bap": "hand.bap",
     "x3d": "hand.x3d",
+    "stream": "hand.thp",
 }
 
 
@@ -89,6 +92,8 @@ def _numbers(path: Path) -> np.ndarray:
         mesh = trimesh.load_mesh(path, process=False)
         assert isinstance(mesh, trimesh.Trimesh)
         return np.asarray(mesh.vertices).reshape(-1)
+    if path.suffix == ".thp":
+        return clip_of_stream(path, load_hand_model()).poses.numpy().reshape(-1)
     text = path.read_text()
     if path.suffix == ".json":
         json.loads(text, parse_constant=_refuse)

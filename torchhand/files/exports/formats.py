@@ -18,13 +18,14 @@ from torchhand.files.exports.mesh_frames import mesh_paths, write_mesh_frames
 from torchhand.files.exports.mjcf import write_mjcf
 from torchhand.files.exports.motion_clip import MotionClip
 from torchhand.files.exports.openxr_file import write_openxr
+from torchhand.files.exports.pose_stream import StreamSettings, write_stream
 from torchhand.files.exports.robot_meshes import meshes_folder
 from torchhand.files.exports.robot_urdf import write_urdf
 from torchhand.files.exports.x3d import X3DSkin, write_x3d
 from torchhand.hand import JOINT_DOFS
 from torchhand.hand.baps import Numbering
 
-FormatName = Literal["glb", "bvh", "urdf", "mjcf", "obj", "ply", "mano", "openxr", "keypoints", "bap", "x3d"]
+FormatName = Literal["glb", "bvh", "urdf", "mjcf", "obj", "ply", "mano", "openxr", "keypoints", "bap", "x3d", "stream"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +42,12 @@ class ExportOptions:
     """bap: version in the header."""
     x3d_skin: X3DSkin = "weights"
     """x3d: skin moved by its joints, or every frame's points as they are."""
+    stream_step_deg: float = 3.5
+    """stream: step of the joint angles, degrees. Smaller is finer and takes more bits."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.stream_step_deg <= 30:
+            raise ValueError(f"--stream-step-deg: expected more than 0, 30 at most, got {self.stream_step_deg:g}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,6 +117,20 @@ def _x3d(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
     return []
 
 
+def _stream(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
+    step = options.stream_step_deg
+    default = StreamSettings()
+    finer = min(1.0, step / default.step_deg)  # the root with the joints, never coarser than usual
+    settings = StreamSettings(
+        step_deg=step, root_step_deg=finer * default.root_step_deg, root_step_mm=finer * default.root_step_mm
+    )
+    figures = write_stream(clip, path, settings)
+    return [
+        f"{figures.motion_kbit_per_s:.2f} kbit/s and a header of {figures.header_bytes} bytes; joint angles off by"
+        f" {figures.mean_deg:.2f} degrees on average, {figures.worst_deg:.1f} at most"
+    ]
+
+
 FORMATS: tuple[Format, ...] = (
     Format(name="glb", suffixes=(".glb",), write=_glb),
     Format(name="bvh", suffixes=(".bvh",), write=_bvh),
@@ -133,6 +154,7 @@ FORMATS: tuple[Format, ...] = (
     ),
     Format(name="bap", suffixes=(".bap",), write=_bap),
     Format(name="x3d", suffixes=(".x3d",), write=_x3d),
+    Format(name="stream", suffixes=(".thp",), write=_stream),
 )
 
 

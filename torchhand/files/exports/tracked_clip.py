@@ -1,5 +1,6 @@
 """A result of tracking, or a fitted hand alone, as a clip: gaps held or cut, never written as NaN."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal, cast
 
@@ -8,6 +9,7 @@ import torch
 
 from torchhand.errors import InputError
 from torchhand.files.exports.motion_clip import MotionClip, Up, rest_clip
+from torchhand.files.exports.pose_stream import clip_of_stream
 from torchhand.files.frames import ASSUMED_FPS, open_source
 from torchhand.files.hand_file import load_hand
 from torchhand.files.hand_model import load_hand_model
@@ -29,7 +31,8 @@ def load_clip(
     up: Up = "-y",
     model: HandModel | None = None,
 ) -> MotionClip:
-    """The clip of a result folder, of a track.npz or track.jsonl with hand.json beside it, or of a hand.json alone.
+    """The clip of a result folder, of a track.npz or track.jsonl with hand.json beside it, of a hand.json alone, or of
+    a pose stream (.thp), which has its own side, shape, fps and direction up.
 
     gaps: frames without an estimate repeat the last one before them ("hold"; those at the beginning the first after
         them) or are left out ("cut").
@@ -48,9 +51,15 @@ def load_clip(
             raise InputError(f"{path}: expected a track with another hand file, got a hand file itself")
         side, shape = _hand_of(path, model)
         return rest_clip(model, side, shape, name=_plain(path.stem), fps=fps or ASSUMED_FPS)
+    if path.is_file() and path.suffix == ".thp":
+        if hand is not None:
+            raise InputError(f"{path}: expected a track with another hand file, got a pose stream, which has its own")
+        clip = clip_of_stream(path, model)
+        return clip if fps is None else replace(clip, fps=fps)
     if path.is_file() and path.suffix not in (".npz", ".jsonl"):
         raise InputError(
-            f"{path}: expected a result folder, track.npz, track.jsonl or hand.json, got {path.suffix or path.name!r}"
+            f"{path}: expected a result folder, track.npz, track.jsonl, hand.json or a pose stream (.thp), got"
+            f" {path.suffix or path.name!r}"
         )
     folder = path if path.is_dir() else path.parent
     track = load_track(path)

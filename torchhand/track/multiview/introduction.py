@@ -87,7 +87,7 @@ def _with_unit(
     if not fits:
         nothing = Acquaintance(shape=hand.kinematics.default_shape, shape_std=None, anchors={}, learned_from=())
         return _introduction(nothing, skins)
-    nominal = max(fits, key=lambda unit: sum(_agreement(fits[unit], masks) for _, masks in telling))
+    nominal = max(fits, key=lambda unit: max(_agreement(fits[unit], masks) for _, masks in telling))
     met = acquaint(fits[nominal], seen, people, done=done)
     if not met.anchors:
         return _introduction(met, skins)

@@ -7,13 +7,18 @@ from torchhand.hand import POSE_SPACES
 from torchhand.image import SilhouetteSettings
 from torchhand.numerics import MotionModel
 from torchhand.track.hull_settings import (
-    HULL_TRACKING_LEVELS,
     HullFitSettings,
+    HullLevel,
     HullShapeSettings,
     HullStartSettings,
     HullTorqueSettings,
 )
 from torchhand.track.settings import NoiseSettings, require, require_positive
+
+_TRACKING_LEVELS = tuple(
+    HullLevel(robust_m=robust_m, rounds=1, iterations=1, is_judged=False) for robust_m in (0.006, 0.002)
+)
+"""For predictions: as good as the three steps for starts that are farther off."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,9 +98,7 @@ class MultiViewSettings:
     """The edges of all views' silhouettes must touch the skin; without them the hull's surface must be on it, which in
     part is volume that no hand fills."""
     fit: HullFitSettings = field(
-        default_factory=lambda: HullFitSettings(
-            levels=HULL_TRACKING_LEVELS, prior_weight=0.4, prior_tail=3.0, firmness=1.5
-        )
+        default_factory=lambda: HullFitSettings(levels=_TRACKING_LEVELS, prior_weight=0.4, prior_tail=3.0, firmness=1.5)
     )
     """While a hand is followed."""
     torque: HullTorqueSettings = field(default_factory=HullTorqueSettings)
@@ -119,7 +122,7 @@ class MultiViewSettings:
     motion: MotionModel = field(default_factory=lambda: MotionModel(order=1, velocity_decay_s=0.1))
     noise: NoiseSettings = field(default_factory=lambda: NoiseSettings(translation=2.0, rotation=30.0, angle=60.0))
     loss: MultiViewLossSettings = field(default_factory=MultiViewLossSettings)
-    check_side_px: int = 320
+    check_side_px: int = 160
     """Longer side of the reduced pictures in which silhouettes are compared; 64 or more."""
 
     def __post_init__(self) -> None:

@@ -1,0 +1,97 @@
+"""Solve the joint angles of the manual alphabet's signs, and draw them all on one sheet."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import torch
+from jaxtyping import Float64, UInt8
+from torch import Tensor
+from tyro.conf import arg
+
+from torchhand.cli.animate_video import spelling_camera
+from torchhand.cli.command import DONE, command, parse, threads
+from torchhand.draw import contact_sheet
+from torchhand.draw.hand_picture import HandPainter, draw_trace, write_sign
+from torchhand.errors import InputError
+from torchhand.files import load_hand_model, models_dir
+from torchhand.files.safe_write import replacing
+from torchhand.files.sign_file import SIGNS_NAME, load_signs, save_signs
+from torchhand.hand import KEYPOINTS, HandModel
+from torchhand.simulate.sign_fit import solve_signs
+from torchhand.simulate.sign_paths import TRACERS
+from torchhand.simulate.sign_table import SIGNS
+from torchhand.simulate.spelling import standing_pose, traced_poses
+
+SHEET_NAME = "signs.png"
+_COLUMNS, _TILE_PX, _SMOOTHING = 9, 128, 2
+_ROOM = 0.25  # metres that a tile shows
+_TRACE_PLACES = 60
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Solve the joint angles of the manual alphabet's signs, and draw them all on one sheet.
+
+    Writes signs.json (which `torchhand animate` reads) and signs.png into the folder of the model. About half a minute.
+
+    Example:
+        torchhand build_signs
+    """
+
+    out: Annotated[Path | None, arg(metavar="DIR")] = None
+    """Folder for both files; that of the generic hand without it."""
+    sheet_only: bool = False
+    """Draw signs.png from the signs.json that is there."""
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> int:
+    """Solve, save, draw."""
+    arguments = parse(Arguments, argv, name="build_signs")
+    folder = models_dir() / "generic_hand" if arguments.out is None else arguments.out.expanduser()
+    if not folder.is_dir():
+        raise InputError(f"--out: expected an existing folder, got {folder}")
+    model = load_hand_model()
+    with threads(1):
+        if not arguments.sheet_only:
+            solved = solve_signs(model.kinematics(dtype=torch.float64), SIGNS)
+            save_signs(folder / SIGNS_NAME, SIGNS, solved.joints)
+            deepest, off = (1e3 * float(x.max()) for x in (solved.overlap.depth, solved.contact))
+            print(f"{len(SIGNS)} signs: parts overlap by {deepest:.2f} mm at most, contacts within {off:.1f} mm")
+        sheet = sign_sheet(model, load_signs(folder / SIGNS_NAME))
+        written, encoded = cv2.imencode(
+            ".png", cv2.cvtColor(sheet.numpy(), cv2.COLOR_RGB2BGR), (cv2.IMWRITE_PNG_COMPRESSION, 9)
+        )
+        assert written
+        with replacing(folder / SHEET_NAME) as temporary:
+            temporary.write_bytes(encoded.tobytes())
+    print(f"saved {folder / SIGNS_NAME} and {folder / SHEET_NAME}")
+    return DONE
+
+
+def sign_sheet(model: HandModel, joints: dict[str, Float64[Tensor, "30"]]) -> UInt8[Tensor, "height width 3"]:
+    """All signs side by side, as a viewer sees the right hand."""
+    hand = model.hand(dtype=torch.float32)
+    length = float(model.shape_space.metric(model.shape_space.default)["hand_length"])
+    camera = spelling_camera(_TILE_PX, _TILE_PX, length, room=_ROOM)
+    painter = HandPainter(hand, camera, smoothing=_SMOOTHING)
+    surfaces = painter.surfaces(torch.stack([standing_pose(sign, joints[sign], model) for sign in SIGNS]))
+    tiles = []
+    for i, sign in enumerate(SIGNS):
+        tile = painter.paint(surfaces.select(i))
+        if sign in TRACERS:
+            draw_trace(tile, camera.project(_trace(model, sign, joints[sign])))
+        write_sign(tile, sign)
+        tiles.append(tile)
+    return contact_sheet(tiles, _COLUMNS, gap_px=2)
+
+
+def _trace(model: HandModel, sign: str, joints: Float64[Tensor, "30"]) -> Float64[Tensor, "places 3"]:
+    """Where the fingertip that draws a traced sign goes, as far as the hand starts where the sheet shows it."""
+    poses = traced_poses(sign, joints, model, torch.linspace(0, 1, _TRACE_PLACES, dtype=torch.float64))
+    tip = model.kinematics(dtype=torch.float64)(poses).keypoints[:, KEYPOINTS.index(TRACERS[sign])]
+    start = model.kinematics(dtype=torch.float64)(standing_pose(sign, joints, model)).keypoints
+    return tip + (start[KEYPOINTS.index(TRACERS[sign])] - tip[0])
