@@ -34,7 +34,7 @@ class OpenHandSettings:
     """Greatest, as a share of the hand's length; above 0."""
     squares_along: int = 140
     """Squares of pixels along the hand, as which shading is compared, near creases twice as many; 20 or more."""
-    shading_iterations: int = 4
+    shading_iterations: int = 5
     """Most steps of each of the five fits to the shading; 1 or more."""
     most_shading_misfit: float = 0.5
     """Residuals of the shading before it is fitted, over its contrast, beyond which it is left alone; above 0."""
