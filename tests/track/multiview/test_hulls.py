@@ -26,7 +26,7 @@ def skin(rig_hand, pose_at):
 
 
 def test_hull_holds_the_hand_anywhere_and_near(rig, pose_at, masks_of, skin):
-    hulls, masks = Hulls(rig, HullOctreeSettings()), masks_of(pose_at())
+    hulls, masks = Hulls(rig, HullOctreeSettings(follow=0.512)), masks_of(pose_at())
     whole, near = hulls.anywhere(masks), hulls.near(masks, skin.mean(0))
     for hull in (whole, near):
         assert hull.views == (0, 1, 2, 3)

@@ -31,7 +31,7 @@ class HullOctreeSettings:
     """Side of the cube that is divided, metres; null: what all cameras see together."""
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Its centre where a side is given, world frame, metres."""
-    follow: float | None = 0.512
+    follow: float | None = 0.75
     """Side of a smaller cube about the hand while it is followed, metres; null: always the whole cube."""
     start_leaf: float = 0.004
     """Side of the finest octants where a hand is looked for, metres at most; above 0."""
@@ -98,7 +98,9 @@ class MultiViewSettings:
     """The edges of all views' silhouettes must touch the skin; without them the hull's surface must be on it, which in
     part is volume that no hand fills."""
     fit: HullFitSettings = field(
-        default_factory=lambda: HullFitSettings(levels=_TRACKING_LEVELS, prior_weight=0.4, prior_tail=3.0, firmness=1.5)
+        default_factory=lambda: HullFitSettings(
+            levels=_TRACKING_LEVELS, vertices=250, prior_weight=0.4, prior_tail=3.0, firmness=1.5
+        )
     )
     """While a hand is followed."""
     torque: HullTorqueSettings = field(default_factory=HullTorqueSettings)
