@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from torchhand.study import flexion_deg, without_offset
-from torchhand.study.angles import FINGER_CHAINS, proximal_turns_deg, wrapped_deg
+from torchhand.study.angles import FINGER_CHAINS, proximal_turns_deg, proximal_turns_in_space_deg, wrapped_deg
 
 
 def finger(angles_deg: list[float]) -> np.ndarray:
@@ -62,3 +62,17 @@ def test_proximal_phalanges_turn_since_the_reference_frame() -> None:
         points[:, base + 1] = points[:, base] + 3.0 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     np.testing.assert_allclose(proximal_turns_deg(points, 1), wrapped_deg(turns), atol=1e-10)
     assert wrapped_deg(np.array([185.0, -180, 180, 540])).tolist() == [-175, 180, 180, 180]
+
+
+def test_turns_in_space_are_those_of_each_proximal_phalanx_about_any_axis() -> None:
+    generator = np.random.default_rng(5)
+    points = generator.normal(size=(1, 21, 3)).repeat(3, 0)
+    bone = points[0, 6] - points[0, 5]
+    axis = np.cross(bone, generator.normal(size=3))
+    axis /= np.linalg.norm(axis)
+    for frame, angle in ((1, np.radians(10.0)), (2, np.radians(75.0))):
+        turned = bone * np.cos(angle) + np.cross(axis, bone) * np.sin(angle)
+        points[frame, 6] = points[frame, 5] + 2.0 * turned  # a longer bone turns as far
+    expected = np.zeros((3, 5))
+    expected[:, 1] = 0.0, 10.0, 75.0
+    np.testing.assert_allclose(proximal_turns_in_space_deg(points, 0), expected, atol=1e-6)

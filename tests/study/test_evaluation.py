@@ -120,7 +120,7 @@ def test_a_hand_that_was_never_found() -> None:
 
 def test_sections_without_their_truth_are_missing() -> None:
     figures = evaluate(perfect([0, 1]), truth(keypoints2d=None, flexion_deg=None))
-    assert set(figures) == {"tracking", "position_mm", "uncertainty", "speed"}
+    assert set(figures) == {"tracking", "position_mm", "turn_in_space_deg", "uncertainty", "speed"}
     figures = evaluate(perfect([0]), truth(keypoints3d=None, keypoints2d=None))
     assert set(figures) == {"tracking", "flexion_deg", "speed"}
 
