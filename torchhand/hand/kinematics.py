@@ -42,7 +42,7 @@ class HandKinematics(nn.Module):
         self.side: Side = side
         self.skeleton = skeleton
         self.shape_space = shape_space
-        self.chain = ChainBuffers(chain_constants(skeleton if side == "right" else _mirrored(skeleton)))
+        self.chain = ChainBuffers(chain_constants(skeleton if side == "right" else mirrored(skeleton)))
         offsets = offset_matrix(shape_space, skeleton.rest_rotation[1:6]).to(skeleton.axis)
         if side == "left":
             offsets = offsets * _mirror(offsets)[:, None]
@@ -106,8 +106,9 @@ def _mirror(like: Tensor) -> Tensor:
     return torch.tensor((1.0, 1.0, -1.0), dtype=like.dtype, device=like.device)
 
 
-def _mirrored(skeleton: Skeleton) -> Skeleton:
-    """The mirror image in z = 0. Axes are axial vectors: a mirror reverses them and reflects them."""
+def mirrored(skeleton: Skeleton) -> Skeleton:
+    """The mirror image in z = 0. Axes are axial vectors: a mirror reverses them and reflects them, so the same angles
+    bend both hands alike."""
     mirror = _mirror(skeleton.axis)
     return replace(
         skeleton,

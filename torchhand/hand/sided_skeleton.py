@@ -2,11 +2,10 @@
 
 from dataclasses import replace
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.hand.kinematics import Side
+from torchhand.hand.kinematics import Side, mirrored
 from torchhand.hand.shape import ShapeSpace, bone_offsets
 from torchhand.hand.skeleton import Skeleton
 
@@ -14,22 +13,9 @@ from torchhand.hand.skeleton import Skeleton
 def sided_skeleton(
     skeleton: Skeleton, side: Side, *, space: ShapeSpace | None = None, shape: Float[Tensor, "shape"] | None = None
 ) -> Skeleton:
-    """The right hand's skeleton with the offsets of a shape (the default ones without), mirrored for a left hand.
-
-    The mirror is the plane z = 0. Axes are axial vectors: it reverses and reflects them, so the same angles bend both
-    hands alike.
-    """
+    """The right hand's skeleton with the offsets of a shape (the default ones without), mirrored for a left hand."""
     own = skeleton
     if shape is not None and space is not None:
         offsets, tips = bone_offsets(space.to(dtype=shape.dtype), shape, skeleton.rest_rotation[1:6].to(shape))
         own = replace(own, rest_offset=offsets.to(own.axis), tip_offset=tips.to(own.axis))
-    if side == "right":
-        return own
-    mirror = torch.tensor((1.0, 1.0, -1.0), dtype=own.axis.dtype, device=own.axis.device)
-    return replace(
-        own,
-        rest_rotation=own.rest_rotation * mirror[:, None] * mirror,
-        rest_offset=own.rest_offset * mirror,
-        tip_offset=own.tip_offset * mirror,
-        axis=-own.axis * mirror,
-    )
+    return own if side == "right" else mirrored(own)

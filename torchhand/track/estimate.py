@@ -1,5 +1,7 @@
 """From the tracker's belief to what is told of a frame: pose, keypoints and their covariances."""
 
+from dataclasses import dataclass
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -33,6 +35,41 @@ def estimate_of(
     scale_std: standard deviation of the hand's size and distance in common, as a share, which no picture of one camera
     tells (`unknown_scale_std`).
     """
+    posed = posed_belief(state, kinematics, space, shape)
+    return Estimate(
+        status=status,
+        pose=posed.pose,
+        pose_std=posed.pose_std,
+        root_rotation=posed.root_rotation,
+        keypoints=posed.keypoints,
+        keypoints_px=camera.project(posed.keypoints),
+        keypoints_cov=posed.keypoints_cov + _scale_covariance(posed.keypoints, scale_std),
+        overlap=agreement.overlap,
+        unexplained=agreement.unexplained,
+        found=found,
+        nis=nis,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PosedBelief:
+    """What a belief says of the hand, in the frame that the belief is in."""
+
+    pose: Float[Tensor, "36"]
+    """With the root's whole rotation vector; metres and radians."""
+    pose_std: Float[Tensor, "36"]
+    """0 for DOFs that are held; those of the root's rotation are of a small turn in the frame's axes."""
+    root_rotation: Float[Tensor, "3 3"]
+    keypoints: Float[Tensor, "21 3"]
+    """Metres."""
+    keypoints_cov: Float[Tensor, "21 3 3"]
+    """Square metres: of the belief, and of joint centres within the flesh, which no filter knows."""
+
+
+def posed_belief(
+    state: TrackerState, kinematics: HandKinematics, space: PoseSpace, shape: Float[Tensor, "shape"]
+) -> PosedBelief:
+    """Pose and keypoints of a tracker's state with their covariances, first order."""
     count = space.size
     space = space.about(state.base)
     covariance = state.belief.covariance[:count, :count]
@@ -44,18 +81,13 @@ def estimate_of(
     keypoints = kinematics(shifted, shape, root_reference=state.reference).keypoints
     jacobian = (keypoints[1:] - keypoints[0]).permute(1, 2, 0) / _STEP  # 21 3 free
     rotation = rotation_from_vector(pose[3:6]) @ state.reference
-    return Estimate(
-        status=status,
+    eye = torch.eye(3, dtype=pose.dtype)
+    return PosedBelief(
         pose=torch.cat((pose[:3], vector_from_rotation(rotation), pose[6:])),
         pose_std=(basis @ covariance @ basis.T).diagonal().clamp_min(0).sqrt(),
         root_rotation=rotation,
         keypoints=keypoints[0],
-        keypoints_px=camera.project(keypoints[0]),
-        keypoints_cov=jacobian @ covariance @ jacobian.mT + _model_covariance(keypoints[0], scale_std),
-        overlap=agreement.overlap,
-        unexplained=agreement.unexplained,
-        found=found,
-        nis=nis,
+        keypoints_cov=jacobian @ covariance @ jacobian.mT + _JOINT_CENTRE_STD**2 * eye,
     )
 
 
@@ -67,8 +99,6 @@ def unknown_scale_std(space: ShapeSpace, camera: Camera, *, is_shape_known: bool
     return float(space.std[index] / space.default[index])
 
 
-def _model_covariance(keypoints: Float[Tensor, "21 3"], scale_std: float) -> Float[Tensor, "21 3 3"]:
-    """What the filter cannot know: joint centres within the flesh, and scale where hand length is not measured."""
-    eye = torch.eye(3, dtype=keypoints.dtype)
-    outer = keypoints[:, :, None] * keypoints[:, None, :]
-    return _JOINT_CENTRE_STD**2 * eye + scale_std**2 * outer
+def _scale_covariance(keypoints: Float[Tensor, "21 3"], scale_std: float) -> Float[Tensor, "21 3 3"]:
+    """What scale adds where hand length is not measured."""
+    return scale_std**2 * (keypoints[:, :, None] * keypoints[:, None, :])

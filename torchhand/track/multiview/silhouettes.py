@@ -1,7 +1,6 @@
 """The hand's silhouette in every view, without the lens's distortion: given, or told by colour, plate or screen."""
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import cv2
@@ -12,8 +11,6 @@ from torch import Tensor
 
 from torchhand.geometry import Camera
 from torchhand.image import BackgroundPlate, SilhouetteSettings, SkinModel, bootstrap_skin, segment
-
-_MOST_THREADS = 4
 
 Images = Sequence[UInt8[Tensor, "_height _width 3"] | None]
 """One per view; None where it is missing."""
@@ -67,16 +64,13 @@ class ViewSilhouettes:
     def __call__(self, images: Images, skins: Sequence[LearnedSkin | None]) -> list[Tensor | None]:
         """Silhouettes of hand and bare forearm; None of views that are missing or whose skin is not known."""
         views = range(len(images))
-        with ThreadPoolExecutor(min(len(images), _MOST_THREADS)) as pool:  # OpenCV works without Python's lock
-            masks = list(pool.map(lambda view: self._segmented(view, images[view], skins[view]), views))
-        return self.undistorted(masks)
+        return self.undistorted([self._segmented(view, images[view], skins[view]) for view in views])
 
     def _segmented(self, view: int, image: Tensor | None, skin: LearnedSkin | None) -> Tensor | None:
         if image is None or (self.settings.method == "skin" and skin is None):
             return None
         plate = None if self._plates is None else self._plates[view]
-        with torch.inference_mode():
-            return segment(image, self.settings, skin=None if skin is None else skin.model, plate=plate)
+        return segment(image, self.settings, skin=None if skin is None else skin.model, plate=plate)
 
     def undistorted(self, masks: Masks) -> list[Tensor | None]:
         """Masks as `cameras` would see them. What lies outside the picture is taken for what is at its edge."""

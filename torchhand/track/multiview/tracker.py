@@ -12,12 +12,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.geometry import Camera, rotation_from_vector, vector_from_rotation
+from torchhand.geometry import Camera, vector_from_rotation
 from torchhand.hand import Hand
 from torchhand.numerics import Gaussian, predict_linear
 from torchhand.numerics.conditioning import with_marginal
+from torchhand.track.estimate import posed_belief
 from torchhand.track.hull_fit import HullFit
-from torchhand.track.limits import clamp_to_limits
 from torchhand.track.multiview.agreement import mean_overlap
 from torchhand.track.multiview.fitting import Anchor, MomentFitter, Placed
 from torchhand.track.multiview.hulls import Hull
@@ -28,11 +28,9 @@ from torchhand.track.rebasing import Rebasing
 from torchhand.track.state import Status, TrackerState
 from torchhand.track.tracker import start_spread
 
-_JOINT_CENTRE_STD = 0.004  # metres: hand models place their joint centres a few millimetres apart under the same skin
 _USUAL = 0.9  # share of the usual overlap that outlasts a frame
 _EVERY = 3  # frames from one try of other postures to the next while a track is in doubt
 _NEAREST = 6  # hands of other moments that are tried
-_STEP = 1e-5  # of the numerical derivative, metres and radians
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -270,23 +268,13 @@ class MultiViewTracker:
     def _estimate(
         self, status: Status, state: TrackerState, placed: Placed, memory: MultiViewMemory
     ) -> MultiViewEstimate:
-        kinematics, shape = self.hand.kinematics, memory.shape
-        space, count = self.space, self.space.size
-        covariance = state.belief.covariance[:count, :count]
-        wanted = space.dof(state.belief.mean[:count])
-        pose = clamp_to_limits(wanted, kinematics.skeleton)
-        basis = (pose == wanted)[:, None] * space.basis
-        shifted = torch.cat((pose[None], pose + _STEP * basis.T))
-        keypoints = kinematics(shifted, shape, root_reference=state.reference).keypoints
-        jacobian = (keypoints[1:] - keypoints[0]).permute(1, 2, 0) / _STEP
-        rotation = rotation_from_vector(pose[3:6]) @ state.reference
-        eye = torch.eye(3, dtype=pose.dtype)
+        posed = posed_belief(state, self.hand.kinematics, self.space, memory.shape)
         return MultiViewEstimate(
             status=status,
-            pose=torch.cat((pose[:3], vector_from_rotation(rotation), pose[6:])),
-            pose_std=(basis @ covariance @ basis.T).diagonal().clamp_min(0).sqrt(),
-            keypoints=keypoints[0],
-            keypoints_cov=jacobian @ covariance @ jacobian.mT + _JOINT_CENTRE_STD**2 * eye,
+            pose=posed.pose,
+            pose_std=posed.pose_std,
+            keypoints=posed.keypoints,
+            keypoints_cov=posed.keypoints_cov,
             overlaps=placed.overlaps,
             inside_share=float(placed.fit.inside_share),
         )
