@@ -3,8 +3,6 @@
 from pathlib import Path
 from typing import Literal
 
-import trimesh
-
 from torchhand.errors import InputError
 from torchhand.files.safe_write import replacing
 from torchhand.volume.octree import Octree
@@ -26,6 +24,8 @@ def save_hull(
         raise InputError(f"{path}: expected a name that ends with {' or '.join(HULL_SUFFIXES)}, got {path.suffix!r}")
     if what not in ("surface", "points"):
         raise ValueError(f"what: expected 'surface' or 'points', got {what!r}")
+    import trimesh  # half a second, which the commands that write no meshes need not wait for
+
     leaves = octree.leaves(frame=frame)
     if not len(leaves.sides):
         raise InputError(f"{path}: frame {frame} has no hull to write: its silhouettes do not meet")

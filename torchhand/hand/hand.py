@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from torchhand.geometry.batch_last import batch_last
+from torchhand.geometry.batch_last import batch_last, common_shape
 from torchhand.hand.kinematics import HandFrames, Side
 from torchhand.hand.model import HandModel
 from torchhand.hand.primitives import Primitives, place_primitives
@@ -113,9 +113,8 @@ class Hand(nn.Module):
         """
         self.check_sizes(pose, shape)
         shape = self.shape if shape is None else shape
-        batch = torch.broadcast_shapes(pose.shape[:-1], shape.shape[:-1])
-        if root_reference is not None:
-            batch = torch.broadcast_shapes(batch, root_reference.shape[:-2])
+        rotations = () if root_reference is None else (root_reference[..., 0, 0],)
+        batch = common_shape(pose[..., 0], shape[..., 0], *rotations)
         pose = pose.expand(*batch, len(DOFS))
         is_shared = all(size == 1 for size in shape.shape[:-1])
         one_or_many = shape.reshape(-1) if is_shared else shape

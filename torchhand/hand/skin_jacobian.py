@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchhand.geometry import left_jacobian
-from torchhand.geometry.batch_last import batch_first, batch_last
+from torchhand.geometry.batch_last import batch_first, batch_last, common_shape
 from torchhand.hand.hand import Hand
 from torchhand.hand.joint_rotations import world_axes
 from torchhand.hand.skeleton import DOFS, ROOT_DOFS
@@ -36,17 +36,15 @@ def skin_jacobian(
         weights = torch.full_like(vertices, 1 / vertices.shape[-1], dtype=pose.dtype)
     hand.check_sizes(pose, shape)
     shape = hand.shape if shape is None else shape
-    batches = [pose.shape[:-1], shape.shape[:-1], vertices.shape[:-2], weights.shape[:-2]]
-    if root_reference is not None:
-        batches.append(root_reference.shape[:-2])
-    batch = torch.broadcast_shapes(*batches)
+    rotations = () if root_reference is None else (root_reference[..., 0, 0],)
+    batch = common_shape(pose[..., 0], shape[..., 0], vertices[..., 0, 0], weights[..., 0, 0], *rotations)
     pose = pose.expand(*batch, len(DOFS))
     frames = hand.kinematics(pose, shape, root_reference=root_reference)
     rotation, position = batch_last(frames.rotation, 3, batch), batch_last(frames.position, 2, batch)
     flat_pose, metres = batch_last(pose, 1, batch), batch_last(hand.kinematics.metres(shape), 1, batch)
 
     corners = batch_last(vertices, 2, batch)
-    shares = batch_last(weights.expand(torch.broadcast_shapes(weights.shape, vertices.shape)), 2, batch)
+    shares = batch_last(weights.expand(common_shape(weights, vertices)), 2, batch)
     loads = hand.skinning.loads_at(corners.flatten(0, 1), metres)
     places, bone_shares, offsets = ((x.unflatten(-2, corners.shape[:2]) * shares).sum(-2) for x in loads)
 

@@ -11,7 +11,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import trimesh
 from jaxtyping import Float64, Int
 
 from torchhand.files.exports.closed_parts import above_plane, closed_part
@@ -108,6 +107,8 @@ def _palm(palm: _Piece, frames: HandFrames) -> dict[int, _Piece]:
 
 
 def _solid(vertices: np.ndarray, faces: np.ndarray, density: float) -> LinkSolid:
+    import trimesh  # half a second, which the commands that write no meshes need not wait for
+
     properties = trimesh.triangles.mass_properties(vertices[faces], density=density)
     return LinkSolid(
         vertices=np.ascontiguousarray(vertices),

@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-import trimesh
-
 from torchhand.files.exports.motion_clip import MotionClip
 from torchhand.files.safe_write import replacing
 
@@ -20,6 +18,8 @@ def mesh_paths(clip: MotionClip, path: str | Path) -> list[Path]:
 
 def write_mesh_frames(clip: MotionClip, path: str | Path) -> list[Path]:
     """Write the files, each whole or not at all; returns their names. The ending says which format."""
+    import trimesh  # half a second, which the commands that write no meshes need not wait for
+
     paths = mesh_paths(clip, path)
     faces = clip.hand.faces.numpy()
     for place, target in enumerate(paths):

@@ -5,8 +5,6 @@ import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import trimesh
-
 from torchhand.files.exports.link_solids import LinkSolid
 from torchhand.files.safe_write import explained_errors
 from torchhand.hand import BONES
@@ -25,6 +23,8 @@ def written_meshes(path: Path, solids: Sequence[LinkSolid]) -> Iterator[str]:
 
     The folder takes its place when the block ends well; the robot file is to be written as the last thing in it.
     """
+    import trimesh  # half a second, which the commands that write no meshes need not wait for
+
     folder = meshes_folder(path)
     new, old = folder.with_name(f".{folder.name}.partial"), folder.with_name(f".{folder.name}.old")
     with explained_errors(folder):
