@@ -1,35 +1,12 @@
 """The hull's surface against the skin: the nearest vertex by place and direction, distances and derivatives."""
 
-from dataclasses import dataclass
+from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchhand.residuals.hull_covered import hull_covered_residual, match_hull
-
-
-@dataclass(frozen=True)
-class Straight:
-    """Points that move linearly with the free parameters."""
-
-    start: Tensor
-    slopes: Tensor
-    """hands, points, 3, free"""
-    free: Tensor
-
-    @property
-    def points(self) -> Tensor:
-        return self.start + (self.slopes @ self.free[:, None, :, None]).squeeze(-1)
-
-    def along(self, direction: Tensor) -> Tensor:
-        return (direction[..., None, :] @ self.slopes).squeeze(-2)
-
-
-def some(generator: torch.Generator, hands: int = 3, points: int = 40) -> Straight:
-    def normal(*sizes: int) -> Tensor:
-        return torch.randn(*sizes, generator=generator, dtype=torch.float64)
-
-    return Straight(normal(hands, points, 3), normal(hands, points, 3, 4), 0.1 * normal(hands, 4))
 
 
 def test_match_is_the_nearest_in_place_and_direction(generator: torch.Generator) -> None:
@@ -66,23 +43,23 @@ def test_points_that_are_not_finite_are_nobodys_match(generator: torch.Generator
     assert bool(((found >= 0) & (found < 20)).all())
 
 
-def test_covered_is_positive_where_skin_is_beyond() -> None:
+def test_covered_is_positive_where_skin_is_beyond(skin: Any) -> None:
     up = torch.tensor((((0.0, 0.0, 1.0),),), dtype=torch.float64)
     nothing = torch.zeros(1, 1, 3, 1, dtype=torch.float64)
-    motion = Straight(torch.tensor((((0.3, 0.1, 0.02),),), dtype=torch.float64), nothing, nothing[:, 0, :1, 0])
+    place = torch.tensor((((0.3, 0.1, 0.02),),), dtype=torch.float64)
+    motion = replace(skin, start=place, slopes=nothing, free=nothing[:, 0, :1, 0])
     value, rows = hull_covered_residual(motion, torch.zeros(1, 3, dtype=torch.float64), up)
     assert float(value) == 0.02  # sliding sideways costs nothing
     assert float(rows) == 0
 
 
-def test_derivative(generator: torch.Generator) -> None:
-    motion = some(generator)
+def test_derivative(skin: Any, generator: torch.Generator) -> None:
     normals = torch.nn.functional.normalize(torch.randn(3, 40, 3, generator=generator, dtype=torch.float64), dim=-1)
     surface = torch.randn(40, 3, generator=generator, dtype=torch.float64)
 
     def at(free: Tensor) -> Tensor:
-        return hull_covered_residual(Straight(motion.start, motion.slopes, free), surface, normals)[0]
+        return hull_covered_residual(replace(skin, free=free), surface, normals)[0]
 
-    exact = torch.func.jacrev(at)(motion.free)
+    exact = torch.func.jacrev(at)(skin.free)
     own = torch.stack([exact[hand, :, hand] for hand in range(3)])
-    assert torch.allclose(hull_covered_residual(motion, surface, normals)[1], own, atol=1e-12)
+    assert torch.allclose(hull_covered_residual(skin, surface, normals)[1], own, atol=1e-12)

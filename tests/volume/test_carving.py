@@ -316,6 +316,28 @@ def test_batches_equal_a_loop(batch: tuple[int, ...], rigs: Any) -> None:
         assert len(alone.leaves().sides) == len(together.leaves(frame=frame).sides)
 
 
+@pytest.mark.parametrize("lens", [None, (-0.25, 0.08, 0.001, -0.001)])
+def test_a_carver_moved_is_one_made_there(lens: tuple[float, ...] | None, rigs: Any) -> None:
+    """Also where the cube reaches behind a camera there, or a view is missing."""
+    cameras = rigs.random(torch.Generator().manual_seed(3), 3)
+    if lens is not None:
+        cameras[1] = replace(cameras[1], distortion=torch.tensor(lens, dtype=torch.float64))
+    masks = [rigs.ball(camera, CENTRE, 0.04) for camera in cameras]
+    settings = CarvingSettings(level=5, least_views=1)
+    carver = Carver(cameras, CUBE, settings)
+    behind = (-cameras[0].rotation.T @ cameras[0].translation).tolist()
+    for centre in ((0.03, -0.04, 0.02), tuple(behind), CUBE.centre):
+        root = RootCube(centre=centre, side=CUBE.side)
+        for seen in (masks, [masks[0], None, masks[2]]):
+            one, other = carver.moved(root).carve(seen), Carver(cameras, root, settings).carve(seen)
+            assert one.root == root
+            for ours, theirs in zip(one.levels, other.levels, strict=True):
+                assert torch.equal(ours.cells, theirs.cells)
+                assert torch.equal(ours.states, theirs.states)
+    with pytest.raises(ValueError, match=r"root: expected a side of 0.256 m, got 0.3 m"):
+        carver.moved(RootCube(centre=CUBE.centre, side=0.3))
+
+
 def test_silhouettes_that_do_not_meet_are_a_frame_without_hull(rigs: Any) -> None:
     cameras = [rigs.looking((0.0, 0.0, -0.5)), rigs.looking((0.5, 0.0, 0.0))]
     apart = torch.tensor((0.0, 0.06, 0.0), dtype=torch.float64)

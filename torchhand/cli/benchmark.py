@@ -24,8 +24,9 @@ from torchhand.cli.benchmark_iteration import lm_iteration_jacfwd, lm_iteration_
 from torchhand.cli.benchmark_model import keypoints_to_pose, mesh_silhouettes, mesh_volume, pose_projection
 from torchhand.cli.benchmark_multiview import track_views, track_views_memory
 from torchhand.cli.benchmark_registration import many_hypotheses, one_registration
+from torchhand.cli.benchmark_runs import own_environment
 from torchhand.cli.benchmark_stream import recorded_stream, synthetic_stream
-from torchhand.cli.benchmark_tracking import filter_update, own_environment, track_memory, tracking
+from torchhand.cli.benchmark_tracking import filter_update, track_memory, tracking
 from torchhand.cli.benchmark_volume import octree
 from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.errors import InputError

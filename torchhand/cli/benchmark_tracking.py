@@ -1,12 +1,9 @@
 """Measures of `torchhand benchmark` on tracking: the filter's update, frames per second, memory."""
 
-import os
-import sys
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import count, islice
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -14,25 +11,20 @@ import numpy as np
 import torch
 from jaxtyping import UInt8
 from torch import Tensor
-from tqdm import tqdm
 
-import torchhand
+from torchhand.cli.benchmark_runs import FRAMES_PER_SECOND, memory_figure, speed_figure, there_and_back, with_bar
 from torchhand.cli.request import settings_of
-from torchhand.files import load_hand_model, load_track, save_cameras, write_video
-from torchhand.files.results import UNFINISHED_NAME
-from torchhand.files.track_file import JSONL_NAME
+from torchhand.files import load_hand_model, save_cameras, write_video
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.numerics import Gaussian, UnscentedSettings, sigma_points, update
 from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
 from torchhand.study.figures import Figure, against_peer, peer_module
-from torchhand.study.timing import PROC, time_interleaved, watch_memory
 from torchhand.track.state import Memory
 from torchhand.track.trackers import AnyTracker, tracker_of
 
 STATE, OBSERVED, MEASUREMENTS = 81, 27, 800
-FRAMES_PER_SECOND = 30.0
 FOV_DEG = 48.0
-MEMORY_SIZE_PX, MEMORY_FRAMES, MEMORY_RENDERED, MEMORY_SKIP = (1280, 720), 621, 40, 100
+MEMORY_SIZE_PX, MEMORY_FRAMES, MEMORY_RENDERED = (1280, 720), 621, 40
 MEMORY_MUST_MIB = 1536.0
 FILTER_ROUNDS, TRACKING_ROUNDS = 15, 5
 """Repeats unless --repeats says otherwise."""
@@ -95,10 +87,6 @@ def _simulated(motion: str, size: tuple[int, int], frames: int, look: SceneSetti
     return camera, [frame.image for frame in with_bar(rendered, frames, "rendering")]
 
 
-def with_bar(steps: Any, total: int, what: str) -> Any:
-    return tqdm(steps, total=total, desc=what, unit="frame", leave=False, disable=not sys.stderr.isatty())
-
-
 def tracking(
     name: str,
     repeats: int | None,
@@ -116,24 +104,14 @@ def tracking(
     tracker = tracker_of(kinematics, camera, FRAMES_PER_SECOND, settings_of(config))
     with torch.inference_mode():
         start, memory, _ = tracker.step(None, Memory(), pictures[0])
-        statuses = _track_all(tracker, start, memory, pictures[1:])
-        run = partial(_track_all, tracker, start, memory, pictures[1:])
-        repeats = repeats or TRACKING_ROUNDS
-        [timing] = time_interleaved({"ours": run}, repeats, warm_up=0).values()
-    per_frame = timing.median / len(statuses)
-    tracked = statuses.count("tracked")
-    return Figure(
-        name=name,
-        value=1e3 / per_frame,
-        unit="frames/s",
-        must=must,
-        aim=aim,
-        ours_ms=per_frame,
-        repeats=repeats,
-        note="" if tracked == len(statuses) else f"only {tracked} of {len(statuses)} frames were tracked",
-        details={"config": config, "motion": motion, "frames": len(statuses), "tracked": tracked}
-        | {"ours_fastest_ms": timing.fastest / len(statuses)},
-    )
+        return speed_figure(
+            name,
+            partial(_track_all, tracker, start, memory, pictures[1:]),
+            repeats or TRACKING_ROUNDS,
+            must=must,
+            aim=aim,
+            details={"config": config, "motion": motion},
+        )
 
 
 def _track_all(
@@ -147,61 +125,17 @@ def _track_all(
 
 
 def track_memory(name: str, repeats: int | None) -> Figure:
-    """Resident memory of `torchhand track` over a long video; nothing may grow with its length."""
-    if not PROC.is_dir():
-        note = f"resident memory is read from {PROC}, which this system does not have"
-        return Figure(name=name, value=None, unit="MiB", must=MEMORY_MUST_MIB, repeats=0, note=note)
-    width, height = MEMORY_SIZE_PX
+    """Resident memory of `torchhand track` over a long video."""
+    frames, size = MEMORY_FRAMES, MEMORY_SIZE_PX
+    return memory_figure(name, _long_video, must=MEMORY_MUST_MIB, frames=frames, size=size)
+
+
+def _long_video(folder: Path) -> list[str]:
+    """Written into a folder; the command that tracks it."""
     camera, pictures = _simulated("planar", MEMORY_SIZE_PX, MEMORY_RENDERED, SceneSettings(supersampling=1))
-    there_and_back = pictures + pictures[-2:0:-1]
-    with tempfile.TemporaryDirectory() as folder:
-        video, out = Path(folder) / "hand.mp4", Path(folder) / "out"
-        save_cameras([camera], Path(folder) / "cameras.json")
-        with write_video(video, width=width, height=height, fps=FRAMES_PER_SECOND) as writer:
-            repeated = islice((picture for _ in count() for picture in there_and_back), MEMORY_FRAMES)
-            for picture in with_bar(repeated, MEMORY_FRAMES, "writing"):
-                writer.write(picture)
-        del pictures, there_and_back
-        options = ["--config", "contour_planar", "--no-overlay", "--threads", str(torch.get_num_threads())]
-        call = [sys.executable, "-m", "torchhand.cli", "track", str(video), "--out", str(out), *options]
-        call += ["--camera", str(Path(folder) / "cameras.json")]
-        with with_bar(None, MEMORY_FRAMES, "tracking") as bar:
-            used = watch_memory(
-                call,
-                partial(lines_of, out),
-                skip=MEMORY_SKIP,
-                environment=own_environment(),
-                progress=lambda frames: bar.update(frames - bar.n),
-            )
-        tracked = int((load_track(out).status == "tracked").sum())
-    growth = "unknown" if used.growth is None else f"{used.growth:+.2f} MiB per 100 frames"
-    return Figure(
-        name=name,
-        value=used.peak,
-        unit="MiB",
-        must=MEMORY_MUST_MIB,
-        repeats=1,
-        note=f"growth from frame {MEMORY_SKIP} on: {growth}",
-        details={
-            "growth_mib_per_100_frames": used.growth,
-            "frames": used.frames,
-            "tracked": tracked,
-            "picture": [width, height],
-        },
-    )
-
-
-def lines_of(out: Path) -> int:
-    """Frames that a run has written down."""
-    for folder in (out / UNFINISHED_NAME, out):
-        try:
-            return max(0, (folder / JSONL_NAME).read_bytes().count(b"\n") - 1)  # the first line is the header
-        except OSError:
-            continue
-    return 0
-
-
-def own_environment() -> dict[str, str]:
-    """Of a process that shall find this package, installed or not."""
-    package = str(Path(torchhand.__file__).resolve().parents[1])
-    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, (package, os.environ.get("PYTHONPATH"))))}
+    video, (width, height) = folder / "hand.mp4", MEMORY_SIZE_PX
+    save_cameras([camera], folder / "cameras.json")
+    with write_video(video, width=width, height=height, fps=FRAMES_PER_SECOND) as writer:
+        for picture in there_and_back(pictures, MEMORY_FRAMES, "writing"):
+            writer.write(picture)
+    return ["track", str(video), "--config", "contour_planar", "--camera", str(folder / "cameras.json")]

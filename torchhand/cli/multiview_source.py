@@ -3,8 +3,8 @@
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from torchhand.cli.multiview_request import RigRequest
 from torchhand.errors import InputError
 from torchhand.files import load_rig, open_rig, read_picture, rig_notes
 from torchhand.files.pictures import PICTURE_SUFFIXES
@@ -13,16 +13,13 @@ from torchhand.files.rig_views import mask_paths
 from torchhand.image import BackgroundPlate, learn_background
 from torchhand.track.multiview import moments_of
 
-if TYPE_CHECKING:
-    from torchhand.cli.multiview_tracking import RigRequest
-
 _UNKNOWN_LENGTH = 300  # moments among which samples are taken where nobody knows how many there are
 
 
 class RigRecording:
     """The folder, checked: raises InputError for wrong cameras, missing pictures, options that do not fit."""
 
-    def __init__(self, folder: Path, request: "RigRequest") -> None:
+    def __init__(self, folder: Path, request: RigRequest) -> None:
         self.folder, self._request = folder.expanduser(), request
         place = self.folder if request.cameras is None else request.cameras
         if not self.folder.is_dir():

@@ -4,8 +4,8 @@ import json
 import math
 import sys
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,11 @@ from tqdm import tqdm
 
 import torchhand
 from torchhand.cli.multiview_overlay import write_views
+from torchhand.cli.multiview_request import RigRequest
 from torchhand.cli.multiview_source import RigRecording
 from torchhand.cli.tracking import CHECKPOINT_EVERY, PROBLEMS_SHOWN, Say
 from torchhand.errors import InputError
 from torchhand.files import (
-    FittedHand,
     FrameRecord,
     Track,
     TrackHeader,
@@ -35,8 +35,8 @@ from torchhand.files.results import CONFIG_NAME, HAND_NAME, OVERLAY_NAME
 from torchhand.files.rig_source import RigFrame
 from torchhand.files.track_record import STATUSES
 from torchhand.geometry import Camera
-from torchhand.hand import DOFS, Anthropometry, Side
-from torchhand.track.multiview import MultiViewMemory, MultiViewSettings, MultiViewTracker, ViewSilhouettes
+from torchhand.hand import DOFS, Anthropometry
+from torchhand.track.multiview import MultiViewMemory, MultiViewTracker, ViewSilhouettes
 from torchhand.track.multiview.introduction import Introduction, introduce
 from torchhand.track.multiview.saved import Knowledge, restored, saved
 from torchhand.track.multiview.scale import in_unit
@@ -47,28 +47,6 @@ CONVENTION = (
     " rotation is a rotation vector of length pi at most, whose sign may change from frame to frame where it is pi;"
     " flexion is positive; keypoints: wrist, then thumb, index, middle, ring, little from base to tip"
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class RigRequest:
-    """What a run on several cameras is asked for."""
-
-    settings: MultiViewSettings
-    config: str
-    side: Side = "right"
-    hand: FittedHand | None = None
-    cameras: Path | None = None
-    unit: str | None = None
-    """`hand`: to be fitted."""
-    masks: bool | None = None
-    """Silhouettes are given; None: where the rig holds them."""
-    background: Path | None = None
-    offsets: Mapping[str, int] = field(default_factory=dict)
-    start: int = 0
-    max_frames: int | None = None
-    resume: bool = False
-    overwrite: bool = False
-    has_overlay: bool = True
 
 
 class _Run:

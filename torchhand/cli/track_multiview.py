@@ -11,7 +11,8 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from torchhand.cli.changes import changes_of
 from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
-from torchhand.cli.multiview_tracking import RigRequest, track_rig
+from torchhand.cli.multiview_request import RigRequest
+from torchhand.cli.multiview_tracking import track_rig
 from torchhand.cli.request import known_hand
 from torchhand.cli.tracking import how_to_go_on, summary_of
 from torchhand.errors import InputError

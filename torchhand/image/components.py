@@ -63,6 +63,8 @@ def largest_component(mask: Bool[Tensor, "height width"]) -> Bool[Tensor, "heigh
     kept = torch.zeros_like(mask)
     x, y, width, height = cv2.boundingRect(_bytes(mask))
     rows, columns = slice(y, y + height), slice(x, x + width)
+    if not width or _number(_bytes(mask[rows, columns]), connectivity=8) == 1:
+        return mask.clone()
     labels, stats, _ = _label(mask[rows, columns])
     if len(stats) > 1:
         largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
@@ -78,6 +80,9 @@ def fill_holes(mask: Bool[Tensor, "height width"], max_area: int | None = None) 
     filled = mask.clone()
     x, y, width, height = cv2.boundingRect(_bytes(mask))  # a hole lies inside the mask's box
     box = filled[y : y + height, x : x + width]
+    around = cv2.copyMakeBorder(_bytes(~box), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=1)
+    if not width or _number(around, connectivity=4) == 1:
+        return filled
     labels, stats, _ = _label(~box, connectivity=4)
     left, top, wide, high, area = stats.T
     fill = (left > 0) & (top > 0) & (left + wide < width) & (top + high < height)
@@ -108,6 +113,12 @@ def clean(mask: Bool[Tensor, "height width"], radius_px: int | None = None) -> B
 
 def _bytes(mask: Tensor) -> np.ndarray:
     return mask.cpu().contiguous().view(torch.uint8).numpy()
+
+
+def _number(pixels: np.ndarray, *, connectivity: int) -> int:
+    """Of connected pieces; without their areas, which take most of the time of labels."""
+    count, _ = cv2.connectedComponentsWithAlgorithm(pixels, connectivity, cv2.CV_32S, cv2.CCL_WU)
+    return count - 1
 
 
 def _label(mask: Tensor, connectivity: int = 8) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

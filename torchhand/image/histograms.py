@@ -38,9 +38,20 @@ def probability_u8(log_ratios: np.ndarray) -> np.ndarray:
 
 def look_up(picture: np.ndarray, table: np.ndarray, ends: tuple[int, ...]) -> np.ndarray:
     """8-bit values of `table` at a picture's first channels, channel k being divided evenly over 0..ends[k]."""
+    if len(ends) == 2:
+        return _look_up_pairs(picture, table, ends)
     ranges = [bound for end in ends for bound in (0, end)]
     cells = cv2.Mat(table, wrap_channels=False)  # or else a third axis is taken for channels
     return cv2.calcBackProject([picture], list(range(len(ends))), cells, ranges, 1)
+
+
+def _look_up_pairs(picture: np.ndarray, table: np.ndarray, ends: tuple[int, ...]) -> np.ndarray:
+    """The same for two channels: the table, spread over their values, is read as a picture; in half the time."""
+    first, second = (np.arange(end) * size // end for size, end in zip(table.shape, ends, strict=True))
+    spread = np.ascontiguousarray(table.T.astype(np.uint8)[second].take(first, 1))
+    place = np.empty((*picture.shape[:2], 2), np.uint8)
+    cv2.mixChannels([picture], [place], [0, 0, 1, 1])
+    return cv2.remap(spread, place.astype(np.int16), None, cv2.INTER_NEAREST)  # pyright: ignore[reportCallIssue, reportArgumentType]
 
 
 def _spreading(size: int, sigma: float, wraps: bool) -> np.ndarray:

@@ -1,5 +1,6 @@
 """One clean mask of the hand per frame, by skin colour, against a known background, or before a coloured screen."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -102,7 +103,7 @@ def _foreground(
         raise ValueError("segment by skin needs skin=learn_skin(...) or bootstrap_skin(image).model")
     if image.device.type != "cpu":
         return skin_probability_torch(image, skin) > settings.skin_threshold
-    return torch.from_numpy(skin_probability_u8(image, skin) > 255.0 * settings.skin_threshold)
+    return torch.from_numpy(skin_probability_u8(image, skin) > math.floor(255.0 * settings.skin_threshold))
 
 
 def _resized(picture: Tensor, size: tuple[int, int]) -> Tensor:

@@ -10,7 +10,7 @@ from torchhand.residuals import summed, weighted_equations
 from torchhand.residuals.hull_covered import hull_covered_residual
 from torchhand.residuals.hull_inside import hull_inside_residual
 from torchhand.track.hull_points import HullTarget
-from torchhand.track.hull_skin import SkinLoads, SkinPoints
+from torchhand.track.hull_skin import PosedBones, SkinLoads, SkinPoints
 from torchhand.track.limits import clamp_to_limits
 from torchhand.track.registration_beliefs import Beliefs, HeldBeliefs
 
@@ -60,16 +60,20 @@ class HullCost:
     covered_robust: RobustLoss
     slack_m: float
 
-    def equations(self, values: Float[Tensor, "k free"], rows: Int[Tensor, "k"]) -> NormalEquations:
-        """At free parameters of the given hypotheses, rotations about the references that are held."""
+    def equations(
+        self, values: Float[Tensor, "k free"], rows: Int[Tensor, "k"], bones: PosedBones | None = None
+    ) -> NormalEquations:
+        """At free parameters of the given hypotheses, rotations about the references that are held.
+
+        bones: there, if they are known.
+        """
         held = self.held.rows(rows)
         wanted = self.beliefs.space.dof(values)
         pose = clamp_to_limits(wanted, self.skin.hand.kinematics.skeleton)
         moving = pose == wanted
         near = self.skin.shape
-        inside, covered = self.skin.motions(
-            pose.to(near), held.root_reference.to(near), (self.inside, held.match), moving
-        )
+        bones = bones or self.skin.posed(pose.to(near), held.root_reference.to(near))
+        inside, covered = self.skin.motions(bones, (self.inside, held.match), moving)
         terms = [
             weighted_equations(
                 *hull_inside_residual(inside, self.target.field, slack=self.slack_m),

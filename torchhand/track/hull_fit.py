@@ -20,9 +20,10 @@ from torchhand.numerics.box_step import damped_box_step
 from torchhand.residuals import DynamicConstraints, Expectation, PostureResiduals
 from torchhand.residuals.hull_covered import match_hull
 from torchhand.track.hull_cost import HeldHull, HullCost
+from torchhand.track.hull_look import EndedFits, HullLook, SeenHull
 from torchhand.track.hull_points import HullTarget, spread_vertices
 from torchhand.track.hull_settings import HullFitSettings, HullLevel
-from torchhand.track.hull_skin import SkinPoints
+from torchhand.track.hull_skin import PosedBones, SkinPoints
 from torchhand.track.limits import clamp_to_limits
 from torchhand.track.registration_beliefs import Beliefs
 from torchhand.track.registration_bounds import own_limits
@@ -185,29 +186,29 @@ class HullFitter:
         values, reference = self._free(start[0]).clamp(*self._bounds), start[1]
         iterations = torch.zeros(len(pose), dtype=torch.long, device=pose.device)
         lower, upper = self._bounds
-        kept: _Ended | None = None
+        kept: EndedFits | None = None
         for index, level in enumerate(self.settings.levels):
             for _ in range(level.rounds):
-                found, after = self._moved(target, values, reference, expected, level)
+                found, after, look = self._moved(target, values, reference, expected, level)
                 iterations += found.iterations
                 if index == len(self.settings.levels) - 1:
-                    ended = _Ended.of(found, *rebased(self._pose(found.values), reference))
+                    ended = self._ended(target, found, reference, None if level.is_judged else look)
                     kept = ended if kept is None else kept.or_better(ended)
                 reference = rebased(self._pose(after), reference)[1]
                 values = after.index_fill(-1, self._rotations, 0.0).clamp(lower, upper)
         if not self.settings.levels[-1].is_judged:  # where the last step led to
-            found, _ = self._moved(target, values, reference, expected, self.settings.levels[-1])
-            ended = _Ended.of(found, *rebased(self._pose(values), reference))
+            found, _, look = self._moved(target, values, reference, expected, self.settings.levels[-1])
+            ended = self._ended(target, found, reference, look)
             kept = ended if kept is None else kept.or_better(ended)
         assert kept is not None
-        return self._finished(target, kept, start, iterations)
+        return self._finished(kept, start, iterations)
 
     def _moved(
         self, target: HullTarget, values: Tensor, reference: Tensor, expected: Expectation | None, level: HullLevel
-    ) -> tuple[LeastSquares, Tensor]:
-        """What was found about some values, and the values to go on with."""
+    ) -> tuple[LeastSquares, Tensor, HullLook]:
+        """What was found about some values, the values to go on with, and the look at the model there."""
         lower, upper = self._bounds
-        cost, _ = self.look(target, self._pose(values), reference, expected, level)
+        look = self.look(target, self._pose(values), reference, expected, level)
         if level.is_judged:
             newton = LevenbergMarquardtSettings(
                 iterations=level.iterations,
@@ -216,10 +217,10 @@ class HullFitter:
                 step_tolerance=_STEP_TOLERANCE,
             )
             found = levenberg_marquardt(
-                cost.equations, values, lower=lower, upper=upper, settings=newton, takes_rows=True
+                look.cost.equations, values, lower=lower, upper=upper, settings=newton, takes_rows=True
             )
-            return found, found.values
-        here = cost.equations(values, torch.arange(len(values), device=values.device))
+            return found, found.values, look
+        here = look.cost.equations(values, torch.arange(len(values), device=values.device), look.bones)
         damping = torch.full_like(here.cost, _DAMPING)
         step, is_solved = damped_box_step(here.matrix, here.gradient, damping, lower - values, upper - values)
         is_sound = is_solved & here.cost.isfinite() & step.isfinite().all(-1)
@@ -234,7 +235,7 @@ class HullFitter:
             gradient=here.gradient,
             on_bound=(values <= lower) | (values >= upper),
         )
-        return found, torch.where(is_sound[:, None], values + step, values)
+        return found, torch.where(is_sound[:, None], values + step, values), look
 
     def _pose(self, values: Tensor) -> Tensor:
         return clamp_to_limits(self.beliefs.space.dof(values), self.skin.hand.kinematics.skeleton)
@@ -249,16 +250,19 @@ class HullFitter:
         reference: Float[Tensor, "k 3 3"],
         expected: Expectation | None,
         level: HullLevel,
-    ) -> tuple[HullCost, Int[Tensor, "k hull"]]:
-        """The cost about some poses, and the vertex that belongs to each point of the hull's surface."""
+    ) -> HullLook:
+        """The model in some poses, and the cost about them."""
         settings, like = self.settings, self.skin.shape
-        skin, wrist_rotation, wrist = self.skin.skin_and_wrist(pose.to(like), reference.to(like))
-        seen = self._seen(target, skin, wrist_rotation, wrist)
-        inside, share, firm = self._inside, self._share, self._firm[self.vertices]
-        if not level.is_judged and len(pose) == 1:  # asked nowhere else: what is within the hull there costs nothing
-            is_outside = target.field.sample(skin[0, self.vertices])[0] > settings.slack_m
-            inside, share = self.skin.loads(self.vertices[is_outside]), share[is_outside]
-            firm = firm[is_outside]
+        bones = self.skin.posed(pose.to(like), reference.to(like))
+        skin = self.skin.skin_on(bones)
+        seen = self._seen(target, skin, bones)
+        inside, share, firm, beyond = self._inside, self._share, self._firm[self.vertices], None
+        if not level.is_judged:
+            beyond = target.field.sample(skin[:, self.vertices])[0]
+            if len(pose) == 1:  # asked nowhere else: what is within the hull there costs nothing
+                is_outside = beyond[0] > settings.slack_m
+                inside, share = self.skin.loads(self.vertices[is_outside]), share[is_outside]
+                firm = firm[is_outside]
         precision = max(settings.std_m, settings.std_share * level.robust_m) ** -2
         count = seen.is_hand.sum(-1, keepdim=True).clamp_min(1)
         weight = settings.surface_weight if target.rims is None else settings.covered_weight
@@ -281,9 +285,9 @@ class HullFitter:
             covered_robust=RobustLoss(kind="geman_mcclure", scale=level.robust_m),
             slack_m=settings.slack_m,
         )
-        return cost, seen.match
+        return HullLook(cost=cost, bones=bones, seen=seen, beyond=beyond)
 
-    def _seen(self, target: HullTarget, vertices: Tensor, wrist_rotation: Tensor, wrist: Tensor) -> "_Seen":
+    def _seen(self, target: HullTarget, vertices: Tensor, bones: PosedBones) -> SeenHull:
         skin_normals, turn = self.skin.normals(vertices), self.settings.turn_m
         if target.rims is None:
             points, outward = target.points.to(vertices), target.normals.to(vertices)
@@ -299,8 +303,8 @@ class HullFitter:
             near = target.rims.near(place)
         across = (normals * (place - near)).sum(-1).abs()
         beside = ((place - near).square().sum(-1) - across.square()).clamp_min(0).sqrt()
-        height = ((near - wrist[:, None]) * wrist_rotation[:, None, :, 1]).sum(-1)
-        return _Seen(
+        height = ((near - bones.position[:, :1]) * bones.rotation[:, :1, :, 1]).sum(-1)
+        return SeenHull(
             match=match,
             points=points,
             normals=normals,
@@ -308,38 +312,45 @@ class HullFitter:
             is_hand=(height > -self.settings.beyond_wrist_m).to(vertices),
         )
 
-    def _finished(
-        self, target: HullTarget, kept: "_Ended", start: tuple[Tensor, Tensor], iterations: Tensor
-    ) -> HullFit:
+    def _ended(self, target: HullTarget, found: LeastSquares, reference: Tensor, look: HullLook | None) -> EndedFits:
+        """look: at the values that were found, where there is one."""
+        pose, reference = rebased(self._pose(found.values), reference)
+        if look is None or look.beyond is None:
+            bones = self.skin.posed(pose.to(self.skin.shape), reference.to(self.skin.shape))
+            vertices = self.skin.skin_on(bones)
+            beyond, seen = target.field.sample(vertices[:, self.vertices])[0], self._seen(target, vertices, bones)
+        else:
+            beyond, seen = look.beyond, look.seen
+        most, near = self.settings.levels[-1].robust_m, self.settings.near_m
+        count = seen.is_hand.sum(-1).clamp_min(1)
+        is_sound = (found.status != Status.FAILED.value) & pose.isfinite().all(-1)
+        return EndedFits(
+            pose=pose,
+            reference=reference,
+            cost=torch.where(is_sound, found.cost, torch.inf),
+            status=torch.where(is_sound, found.status, Status.FAILED.value),
+            matrix=found.matrix,
+            inside=((beyond <= self.settings.slack_m) * self._share).sum(-1).to(pose),
+            held=((beyond <= near) * self._share).sum(-1).to(pose),
+            apart=((seen.apart.clamp_max(most) * seen.is_hand).sum(-1) / count).to(pose),
+            covered=(((seen.apart <= near) * seen.is_hand).sum(-1) / count).to(pose),
+        )
+
+    def _finished(self, kept: EndedFits, start: tuple[Tensor, Tensor], iterations: Tensor) -> HullFit:
         failed = kept.status == Status.FAILED.value
-        inside, apart, covered, held = self._measured(target, kept.pose, kept.reference)
-        is_good = (covered >= self.settings.least_covered) & (held >= self.settings.least_held)
+        is_good = (kept.covered >= self.settings.least_covered) & (kept.held >= self.settings.least_held)
         return HullFit(
             pose=torch.where(failed[:, None], start[0], kept.pose),
             root_reference=torch.where(failed[:, None, None], start[1], kept.reference),
             cost=kept.cost,
-            inside_share=torch.where(failed, torch.nan, inside),
-            apart_m=torch.where(failed, torch.inf, apart),
-            covered_share=torch.where(failed, 0.0, covered),
+            inside_share=torch.where(failed, torch.nan, kept.inside),
+            apart_m=torch.where(failed, torch.inf, kept.apart),
+            covered_share=torch.where(failed, 0.0, kept.covered),
             is_good=is_good & ~failed,
             status=kept.status,
             iterations=iterations,
             covariance=covariance_of(kept.matrix, ~failed),
         )
-
-    def _measured(self, target: HullTarget, pose: Tensor, reference: Tensor) -> tuple[Tensor, ...]:
-        """Share of the skin inside, mean distance of edges or surface from the skin in metres, share of them that is
-        near it, and share of the skin that is near the hull or inside."""
-        like, most, near = self.skin.shape, self.settings.levels[-1].robust_m, self.settings.near_m
-        vertices, wrist_rotation, wrist = self.skin.skin_and_wrist(pose.to(like), reference.to(like))
-        value, _ = target.field.sample(vertices[:, self.vertices])
-        inside = ((value <= self.settings.slack_m) * self._share).sum(-1)
-        held = ((value <= near) * self._share).sum(-1)
-        seen = self._seen(target, vertices, wrist_rotation, wrist)
-        count = seen.is_hand.sum(-1).clamp_min(1)
-        apart = (seen.apart.clamp_max(most) * seen.is_hand).sum(-1) / count
-        covered = ((seen.apart <= near) * seen.is_hand).sum(-1) / count
-        return inside.to(pose), apart.to(pose), covered.to(pose), held.to(pose)
 
     def _unmoved(self, pose: Tensor, reference: Tensor, status: HullStatus) -> HullFit:
         size, count = self.beliefs.space.size, len(pose)
@@ -357,50 +368,3 @@ class HullFitter:
             iterations=zeros,
             covariance=torch.full((count, size, size), torch.nan, dtype=pose.dtype, device=pose.device),
         )
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Seen:
-    """The vertices that belong to the points of a hull's surface; a row per hypothesis."""
-
-    match: Int[Tensor, "k hull"]
-    points: Float[Tensor, "hull 3"]
-    """Of the hull's surface, or of the rays."""
-    normals: Float[Tensor, "k hull 3"]
-    """Of those vertices, or of the rays."""
-    apart: Float[Tensor, "k hull"]
-    """Their distance across the surface, metres; infinite where they are beside it."""
-    is_hand: Float[Tensor, "k hull"]
-    """1 for points on the fingers' side of the wrist or as far beyond it as the settings say, 0 for others: there may
-    be a forearm, which the model has not."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Ended:
-    """Where the last optimiser of some hypotheses ended, and what that cost by its look; a row per hypothesis."""
-
-    pose: Float[Tensor, "k 36"]
-    reference: Float[Tensor, "k 3 3"]
-    cost: Float[Tensor, "k"]
-    status: Int[Tensor, "k"]
-    matrix: Float[Tensor, "k free free"]
-
-    @classmethod
-    def of(cls, found: LeastSquares, pose: Tensor, reference: Tensor) -> "_Ended":
-        is_sound = (found.status != Status.FAILED.value) & pose.isfinite().all(-1)
-        return cls(
-            pose=pose,
-            reference=reference,
-            cost=torch.where(is_sound, found.cost, torch.inf),
-            status=torch.where(is_sound, found.status, Status.FAILED.value),
-            matrix=found.matrix,
-        )
-
-    def or_better(self, other: "_Ended") -> "_Ended":
-        """The cheaper of the two, hypothesis by hypothesis."""
-        better = other.cost <= self.cost
-
-        def chosen(one: Tensor, two: Tensor) -> Tensor:
-            return torch.where(better.reshape(-1, *(1,) * (one.ndim - 1)), two, one)
-
-        return _Ended(**{f.name: chosen(getattr(self, f.name), getattr(other, f.name)) for f in fields(_Ended)})

@@ -1,6 +1,6 @@
 """What a fit needs of a hull besides its field: points spread over its surface, with normals."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -12,6 +12,7 @@ from torchhand.geometry import Camera
 from torchhand.hand import Hand
 from torchhand.residuals.hull_inside import HullField
 from torchhand.track.hull_rims import HullRims, rims_of
+from torchhand.volume.octree import places_of
 
 _NEWTON = 2  # steps onto the surface
 _SPARE = 3  # times the points wanted are put onto it: where two sides meet, some do not get there
@@ -33,6 +34,20 @@ class HullTarget:
     """How deep they are, metres."""
     rims: HullRims | None = None
     """Rays that touch the object; None where only the hull is known."""
+
+    def where(self, may_be: Callable[[Tensor], Tensor]) -> "HullTarget":
+        """The same with only those points, on the surface and inside, of which something is true; field and rays stay
+        whole. The whole target where nothing inside is left."""
+        surface, inside = may_be(self.points), may_be(self.inner)
+        if not bool(inside.any()) or not bool(surface.any()):
+            return self
+        return replace(
+            self,
+            points=self.points[surface],
+            normals=self.normals[surface],
+            inner=self.inner[inside],
+            depth=self.depth[inside],
+        )
 
     @property
     def is_empty(self) -> bool:
@@ -85,8 +100,7 @@ def hull_target(
         for size, low in zip(((upper - lower) / pitch).tolist(), lower, strict=True)
     ]
     grid = torch.cartesian_prod(*axes)
-    value, _ = field.sample(grid)
-    return _of_grid(field, grid, value, pitch, points)
+    return _of_grid(field, field.sample(grid)[0], grid.__getitem__, pitch, points)
 
 
 def target_of(field: volume.HullField, *, points: int = 500) -> HullTarget:
@@ -98,32 +112,33 @@ def target_of(field: volume.HullField, *, points: int = 500) -> HullTarget:
         raise ValueError(f"field: expected that of one frame, got a batch {tuple(field.values.shape[:-3])}")
     if points < 1:
         raise ValueError(f"points: expected 1 or more, got {points!r}")
-    is_near = (field.values <= 0.9 * field.pitch).flatten().nonzero()[:, 0]
-    place = torch.stack(torch.unravel_index(is_near, field.values.shape), -1)
-    grid = field.origin + place * field.pitch
-    return _of_grid(field, grid, field.values.flatten()[is_near].to(grid), field.pitch, points)
+
+    def grid(places: Int[Tensor, "n"]) -> Float[Tensor, "n 3"]:
+        return field.origin + torch.stack(torch.unravel_index(places, field.values.shape), -1) * field.pitch
+
+    return _of_grid(field, field.values.flatten(), grid, field.pitch, points)
 
 
 def _of_grid(
-    field: HullField, grid: Float[Tensor, "n 3"], value: Float[Tensor, "n"], pitch: float, points: int
+    field: HullField, value: Float[Tensor, "n"], grid: Callable[[Tensor], Tensor], pitch: float, points: int
 ) -> HullTarget:
-    inside = value < 0
-    near = grid[value.abs() <= 0.9 * pitch]
-    order = torch.randperm(len(near), generator=torch.Generator().manual_seed(0))[: _SPARE * points]
-    near = near[order.to(near.device)]
+    """From the field's values at grid points; grid: where those with some numbers are."""
+    inside, around = places_of(value < 0), places_of(value.abs() <= 0.9 * pitch)
+    order = torch.randperm(len(around), generator=torch.Generator().manual_seed(0))[: _SPARE * points]
+    near = grid(around[order.to(around.device)])
     for _ in range(_NEWTON):
         distance, gradient = field.sample(near)
         length = gradient.square().sum(-1, keepdim=True)
         near = near - (distance[:, None] * gradient / length.clamp_min(0.04)).clamp(-pitch, pitch)
     distance, gradient = field.sample(near)
-    kept = (distance.abs() <= _NEAR * pitch) & (gradient.norm(dim=-1) > 0.2)
-    near, gradient = near[kept][:points], gradient[kept][:points]
+    kept = places_of((distance.abs() <= _NEAR * pitch) & (gradient.norm(dim=-1) > 0.2))[:points]
+    near, gradient = near[kept], gradient[kept]
     return HullTarget(
         field=field,
         points=near,
         normals=torch.nn.functional.normalize(gradient, dim=-1),
-        inner=grid[inside],
-        depth=-value[inside],
+        inner=grid(inside),
+        depth=-value[inside].to(near),
     )
 
 

@@ -9,6 +9,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -16,7 +17,7 @@ from torch import Tensor
 
 from torchhand.geometry import Camera
 from torchhand.image.boundaries import boundary_points
-from torchhand.residuals.hull_covered import nearest_points
+from torchhand.residuals.hull_covered import nearest_columns
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,30 +50,77 @@ class HullRims:
 
         normals: of the vertices. turn: metres that a turn of the surface by one radian is worth.
         """
-        found, first = [], 0
-        for view in self.views:
-            own = slice(first, first + len(view.plane))
-            first = own.stop
-            in_view = view.camera.plane_from_cam(view.camera.cam_from_world(vertices.double()))
-            skin = torch.cat((view.scale * in_view.to(vertices), turn * normals), -1)
-            rays = torch.cat((view.scale * view.plane.to(vertices), turn * self.normals[own].to(vertices)), -1)
-            found.append(nearest_points(rays, skin))
-        return torch.cat(found, -1)
+        rays = self._stacked
+        in_cam = rays.rotation @ vertices.to(rays.rotation).mT[:, None] + rays.translation  # hands views 3 points
+        in_view = rays.scale * in_cam[:, :, :2] / torch.where(rays.is_orthographic, 1.0, in_cam[:, :, 2:])
+        facing = (turn * normals).mT[:, None].expand(-1, len(self.views), -1, -1)
+        skin = torch.cat((in_view.to(torch.float32), facing.to(torch.float32)), 2)
+        wanted = torch.cat((rays.plane, turn * rays.normals), -1).to(torch.float32)
+        found = nearest_columns(wanted, skin).flatten(1)
+        return found if rays.kept is None else found.index_select(1, rays.kept)
+
+    @cached_property
+    def _stacked(self) -> "_StackedRays":
+        return _StackedRays.of(self.views, self.normals)
 
     def thinned(self, count: int) -> "HullRims":
         """About so many of the rays, evenly over all; at least one of each view."""
         step = max(1, math.ceil(len(self.points) / count))
-        lengths = [len(view.plane) for view in self.views]
-        chosen = [torch.arange(0, length, step) for length in lengths]
-        starts = itertools.accumulate(lengths, initial=0)
-        kept = torch.cat([start + own for start, own in zip(starts, chosen, strict=False)]).to(self.points.device)
-        views = tuple(replace(view, plane=view.plane[::step]) for view in self.views)
+        return self.chosen([torch.arange(0, len(view.plane), step) for view in self.views])
+
+    def chosen(self, rays: Sequence[Int[Tensor, "_kept"]]) -> "HullRims":
+        """Some rays of each view, by their numbers in it. Views of which none is wanted drop out."""
+        starts = itertools.accumulate((len(view.plane) for view in self.views), initial=0)
+        own = [kept.to(self.points.device) for kept in rays]
+        kept = torch.cat([start + numbers for start, numbers in zip(starts, own, strict=False)])
+        views = tuple(
+            replace(view, plane=view.plane[numbers])
+            for view, numbers in zip(self.views, own, strict=True)
+            if len(numbers)
+        )
         return HullRims(points=self.points[kept], along=self.along[kept], normals=self.normals[kept], views=views)
 
     def near(self, places: Float[Tensor, "*batch rays 3"]) -> Float[Tensor, "*batch rays 3"]:
         """The point of each ray that is nearest to a place of its own."""
         points, along = self.points.to(places), self.along.to(places)
         return points + ((places - points) * along).sum(-1, keepdim=True) * along
+
+
+@dataclass(frozen=True, kw_only=True)
+class _StackedRays:
+    """The rays of all views side by side, padded to as many as the view with most of them has; in float64."""
+
+    rotation: Float[Tensor, "views 3 3"]
+    translation: Float[Tensor, "views 3 1"]
+    is_orthographic: Bool[Tensor, "views 1 1"]
+    scale: Float[Tensor, "views 1 1"]
+    plane: Float[Tensor, "views most 2"]
+    """Times the scale."""
+    normals: Float[Tensor, "views most 3"]
+    kept: Int[Tensor, "rays"] | None
+    """Those that are rays; None where all are."""
+
+    @classmethod
+    def of(cls, views: Sequence[RimView], normals: Float[Tensor, "rays 3"]) -> "_StackedRays":
+        counts = [len(view.plane) for view in views]
+        most = max(counts)
+        scale = normals.new_tensor([view.scale for view in views], dtype=torch.float64)[:, None, None]
+        kept = None
+        if min(counts) < most:
+            kept = torch.cat([torch.arange(most * row, most * row + n) for row, n in enumerate(counts)])
+            kept = kept.to(normals.device)
+        pad = torch.nn.utils.rnn.pad_sequence
+        return cls(
+            rotation=torch.stack([view.camera.rotation for view in views]).to(scale),
+            translation=torch.stack([view.camera.translation for view in views]).to(scale)[..., None],
+            is_orthographic=torch.tensor([view.camera.kind == "orthographic" for view in views])[:, None, None].to(
+                normals.device
+            ),
+            scale=scale,
+            plane=scale * pad([view.plane for view in views], batch_first=True).to(scale),
+            normals=pad(list(normals.split(counts)), batch_first=True).to(scale),
+            kept=kept,
+        )
 
 
 def rims_of(
@@ -99,19 +147,18 @@ def rims_of(
         if not len(place):
             continue
         tangent = torch.stack((-outward[:, 1], outward[:, 0]), -1)
-        origin, along = camera.rays(place)
-        on_plane = origin + along
-        sideways, beyond = (sum(camera.rays(place + step)) - on_plane for step in (tangent, outward))
-        normal = torch.linalg.cross(along, sideways)
-        normal = torch.nn.functional.normalize(normal * (normal * beyond).sum(-1, keepdim=True).sign(), dim=-1)
-        along = torch.nn.functional.normalize(along, dim=-1)
-        centre = camera.cam_from_world(middle.to(origin))
-        point = origin + ((centre - origin) * along).sum(-1, keepdim=True) * along
-        rotation = camera.rotation.to(origin)
-        parts.append(((point - camera.translation.to(origin)) @ rotation, along @ rotation, normal @ rotation))
-        scale = 1.0 if camera.kind == "orthographic" else float(centre[2])
-        views.append(RimView(camera=camera, scale=scale, plane=camera.plane_from_pixels(place)))
+        origin, along = camera.rays(torch.stack((place, place + tangent, place + outward)))
+        rotation, translation = camera.rotation.to(along), camera.translation.to(along)
+        parts.append(((origin - translation) @ rotation, along @ rotation))
+        scale = 1.0 if camera.kind == "orthographic" else float(camera.cam_from_world(middle.to(along))[2])
+        views.append(RimView(camera=camera, scale=scale, plane=(origin + along)[0, :, :2]))
     if not parts:
         return None
-    points, along, normals = (torch.cat(one) for one in zip(*parts, strict=True))
-    return HullRims(points=points, along=along, normals=normals, views=tuple(views))
+    origin, along = (torch.cat(one, 1) for one in zip(*parts, strict=True))
+    on_plane = origin + along
+    sideways, beyond = on_plane[1:] - on_plane[0]
+    normal = torch.linalg.cross(along[0], sideways)
+    normal = torch.nn.functional.normalize(normal * (normal * beyond).sum(-1, keepdim=True).sign(), dim=-1)
+    along = torch.nn.functional.normalize(along[0], dim=-1)
+    point = origin[0] + ((middle.to(along) - origin[0]) * along).sum(-1, keepdim=True) * along
+    return HullRims(points=point, along=along, normals=normal, views=tuple(views))

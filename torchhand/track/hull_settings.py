@@ -182,7 +182,7 @@ class HullStartSettings:
     vertices: int = 150
     """Vertices of the skin in the coarse fit; twice as many in the judgement before. 1 or more."""
     points: int = 150
-    """Points of the hull's surface in both; 1 or more."""
+    """Points of the hull's surface in both, where the silhouettes' edges are not known; 1 or more."""
     far_m: float = 0.03
     """Distance at which both kinds of points are cut off in the judgement, metres; above 0."""
     coarse: int = 60
@@ -190,7 +190,7 @@ class HullStartSettings:
     fine: int = 5
     """Hypotheses of each size that are fitted finely; 1 or more."""
     rays: int = 200
-    """Rays through the silhouettes' edges where single digits are tried, where the edges are known; 1 or more."""
+    """Rays through the silhouettes' edges in all but the last fit; 1 or more."""
     varied: int = 2
     """Best hypotheses of each size of which single digits are tried in other postures; 1 or more."""
     finger_rounds: int = 4

@@ -130,9 +130,9 @@ class _Problem:
         pose = clamp_to_limits(fitter.beliefs.space.dof(free), fitter.skin.hand.kinematics.skeleton)
         looks, matches = [], []
         for index, target in enumerate(targets):
-            cost, match = fitter.look(target, pose[index : index + 1], reference[index : index + 1], None, level)
-            looks.append(cost)
-            matches.append(match[0])
+            look = fitter.look(target, pose[index : index + 1], reference[index : index + 1], None, level)
+            looks.append(look.cost)
+            matches.append(look.seen.match[0])
         return cls(
             fitter=fitter,
             targets=targets,

@@ -37,6 +37,22 @@ class SkinLoads:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PosedBones:
+    """The bones of a batch of hands, and what their angles make of the skin's correctives."""
+
+    pose: Float[Tensor, "hands 36"]
+    rotation: Float[Tensor, "hands 20 3 3"]
+    """world_from_bone"""
+    position: Float[Tensor, "hands 20 3"]
+    """Origins in the world, metres."""
+    carriers: Float[Tensor, "hands c 3 3"]
+    """world_from_bone of the correctives."""
+    features: Float[Tensor, "c 2 hands"]
+    slopes: Float[Tensor, "c 2 hands"]
+    """Derivatives of the features in their angles."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class SkinMotion:
     """Vertices of a batch of hands in the world, and how they move."""
 
@@ -64,7 +80,7 @@ class SkinMotion:
     def in_pose(self, direction: Float[Tensor, "hands points 3"]) -> Float[Tensor, "hands points 36"]:
         """Derivative of direction · point in the pose: per metre, per radian."""
         force = direction.mT
-        torque = torch.linalg.cross(self.levers, force[:, None], dim=2)
+        torque = _cross(self.levers, force[:, None])
         of_turns = (self.turns[..., None] * torque.index_select(1, self.bones)).sum(2)
         of_shift = force * self.share[:, None]
         found = torch.cat((of_shift, of_turns), 1)
@@ -88,13 +104,10 @@ class SkinPoints:
         self.basis = basis.to(self.shape)
         metres = hand.kinematics.metres(self.shape)
         loads = hand.skinning.loads(metres)
-        self._all = SkinLoads(
-            places=loads[:60].unflatten(0, (20, 3))[None],
-            weights=loads[60:80][None],
-            correctives=loads[80:].unflatten(0, (-1, 2, 3)).movedim(1, 0)[:, None].contiguous(),
-        )
-        of_bones = torch.cat((self._all.places[0], self._all.weights[0][:, None]), 1)  # 20 4 vertices
-        self._together = torch.cat((of_bones.flatten(0, 1), self._all.correctives[:, 0].flatten(0, 2)))
+        correctives = loads[80:].unflatten(0, (-1, 2, 3)).movedim(1, 0)  # 2 c 3 vertices
+        self._rows = torch.cat((loads[:80], correctives.flatten(0, 2))).T.contiguous()
+        of_bones = torch.cat((loads[:60].unflatten(0, (20, 3)), loads[60:80, None]), 1)  # 20 4 vertices
+        self._together = torch.cat((of_bones.flatten(0, 1), correctives.flatten(0, 2)))
         self._metres = metres[:, None]
         self._corners = hand.faces.T.flatten()
         self._around = _faces_around(hand.faces, self._together.shape[1])
@@ -103,37 +116,39 @@ class SkinPoints:
 
     def loads(self, vertices: Int[Tensor, "points"] | Int[Tensor, "hands points"]) -> SkinLoads:
         """What the shape makes of some vertices, the same ones of all hands or others of each."""
-        if vertices.ndim == 1:
-            return SkinLoads(
-                places=self._all.places[..., vertices],
-                weights=self._all.weights[..., vertices],
-                correctives=self._all.correctives[..., vertices],
-            )
+        each = vertices if vertices.ndim > 1 else vertices[None]
+        own = self._rows.index_select(0, each.flatten()).unflatten(0, each.shape).mT.contiguous()  # hands k points
         return SkinLoads(
-            places=self._all.places[0][..., vertices].movedim(2, 0),
-            weights=self._all.weights[0][..., vertices].movedim(1, 0),
-            correctives=self._all.correctives[:, 0][..., vertices].movedim(3, 1),
+            places=own[:, :60].unflatten(1, (20, 3)),
+            weights=own[:, 60:80],
+            correctives=own[:, 80:].unflatten(1, (2, -1, 3)).movedim(1, 0),
+        )
+
+    def posed(self, pose: Float[Tensor, "hands 36"], root_reference: Float[Tensor, "hands 3 3"]) -> PosedBones:
+        """The bones of some hands."""
+        frames = self.hand.kinematics(pose, self.shape, root_reference=root_reference)
+        features, slopes = self.hand.skinning.corrective_features(pose.T, self._metres)
+        return PosedBones(
+            pose=pose,
+            rotation=frames.rotation,
+            position=frames.position,
+            carriers=frames.rotation.index_select(1, self.hand.skinning.corrective_bones),
+            features=features,
+            slopes=slopes,
         )
 
     def vertices(
         self, pose: Float[Tensor, "hands 36"], root_reference: Float[Tensor, "hands 3 3"]
     ) -> Float[Tensor, "hands vertices 3"]:
         """The whole skin in the world."""
-        return self.skin_and_wrist(pose, root_reference)[0]
+        return self.skin_on(self.posed(pose, root_reference))
 
-    def skin_and_wrist(
-        self, pose: Float[Tensor, "hands 36"], root_reference: Float[Tensor, "hands 3 3"]
-    ) -> tuple[Float[Tensor, "hands vertices 3"], Float[Tensor, "hands 3 3"], Float[Tensor, "hands 3"]]:
-        """The whole skin, and the wrist's rotation (world_from_hand) and origin."""
-        frames = self.hand.kinematics(pose, self.shape, root_reference=root_reference)
-        rotation, position = frames.rotation, frames.position
-        features, _ = self.hand.skinning.corrective_features(pose.T, self._metres)
-        carriers = rotation.index_select(1, self.hand.skinning.corrective_bones)
-        bending = carriers[:, None] * features.permute(2, 1, 0)[..., None, None]  # hands 2 c 3 3
-        columns = torch.cat((rotation, position[..., None]), -1)  # hands 20 3 4
+    def skin_on(self, bones: PosedBones) -> Float[Tensor, "hands vertices 3"]:
+        """The whole skin in the world."""
+        bending = bones.carriers[:, None] * bones.features.permute(2, 1, 0)[..., None, None]  # hands 2 c 3 3
+        columns = torch.cat((bones.rotation, bones.position[..., None]), -1)  # hands 20 3 4
         coefficients = torch.cat((columns.mT.flatten(1, 2), bending.mT.flatten(1, 3)), 1).mT  # hands 3 k
-        vertices = (coefficients.flatten(0, 1) @ self._together).unflatten(0, (-1, 3))
-        return vertices.mT, rotation[:, 0], position[:, 0]
+        return (coefficients.flatten(0, 1) @ self._together).unflatten(0, (-1, 3)).mT
 
     def normals(self, vertices: Float[Tensor, "hands vertices 3"]) -> Float[Tensor, "hands vertices 3"]:
         """Unit normals of whole skins, outward."""
@@ -151,32 +166,24 @@ class SkinPoints:
     ) -> SkinMotion:
         """Some vertices and how they move. moving: DOFs that follow the free parameters; others are held, such as tied
         angles at their limits."""
-        return self.motions(pose, root_reference, (loads,), moving)[0]
+        return self.motions(self.posed(pose, root_reference), (loads,), moving)[0]
 
     def motions(
-        self,
-        pose: Float[Tensor, "hands 36"],
-        root_reference: Float[Tensor, "hands 3 3"],
-        loads: tuple[SkinLoads, ...],
-        moving: Bool[Tensor, "hands 36"] | None = None,
+        self, bones: PosedBones, loads: tuple[SkinLoads, ...], moving: Bool[Tensor, "hands 36"] | None = None
     ) -> tuple[SkinMotion, ...]:
         """The same of several sets of vertices of the same hands."""
-        kinematics, skinning = self.hand.kinematics, self.hand.skinning
-        frames = kinematics(pose, self.shape, root_reference=root_reference)
-        rotation, position = frames.rotation, frames.position
-        flat = pose.T
-        axes = world_axes(flat, rotation.permute(1, 2, 3, 0), kinematics.chain.constants).permute(2, 0, 1)
-        turns = torch.cat((left_jacobian(pose[:, 3:6]).mT, axes), 1)
-        features, slopes = skinning.corrective_features(flat, self._metres)
-        carriers = rotation.index_select(1, skinning.corrective_bones)
-        basis = self.basis.expand(len(pose), -1, -1)
+        skinning, rotation, position = self.hand.skinning, bones.rotation, bones.position
+        constants = self.hand.kinematics.chain.constants
+        axes = world_axes(bones.pose.T, rotation.permute(1, 2, 3, 0), constants).permute(2, 0, 1)
+        turns = torch.cat((left_jacobian(bones.pose[:, 3:6]).mT, axes), 1)
+        basis = self.basis.expand(len(bones.pose), -1, -1)
         if moving is not None:
             basis = basis * moving[..., None]
 
         def of(own: SkinLoads) -> SkinMotion:
-            bent = _weighted(own.correctives, features)
+            bent = _weighted(own.correctives, bones.features)
             parts = rotation @ own.places + own.weights[:, :, None] * position[..., None]
-            parts = parts.index_add(1, skinning.corrective_bones, carriers @ bent)
+            parts = parts.index_add(1, skinning.corrective_bones, bones.carriers @ bent)
             beyond, share = _beyond(parts), _beyond(own.weights)
             return SkinMotion(
                 points=beyond[:, 0].mT,
@@ -184,13 +191,19 @@ class SkinPoints:
                 share=share[:, 0],
                 turns=turns,
                 bones=self._bones,
-                carriers=carriers,
-                bends=_weighted(own.correctives, slopes),
+                carriers=bones.carriers,
+                bends=_weighted(own.correctives, bones.slopes),
                 bend_rows=skinning.corrective_rows,
                 basis=basis,
             )
 
         return tuple(of(own) for own in loads)
+
+
+def _cross(one: Float[Tensor, "*#batch 3 n"], other: Float[Tensor, "*#batch 3 n"]) -> Float[Tensor, "*batch 3 n"]:
+    """The cross product along the last but one dimension, faster than torch's own."""
+    (a, b, c), (x, y, z) = one.unbind(-2), other.unbind(-2)
+    return torch.stack((b * z - c * y, c * x - a * z, a * y - b * x), -2)
 
 
 def _weighted(correctives: Tensor, factors: Tensor) -> Tensor:

@@ -2,7 +2,8 @@
 
 The palm is where the largest balls inside the hull are; the hand may point along any axis of the hull or between them,
 turned about that direction in any way (so either facing), in a few postures and sizes. All of that is judged coarsely,
-the best is fitted coarsely, and the best of that finely.
+the best is fitted coarsely, and the best of that finely. Where the edges of the silhouettes are known, they count in
+place of the hull's surface, most of which is no skin where few cameras look.
 """
 
 import copy
@@ -16,12 +17,14 @@ from torch import Tensor
 
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import DOFS, FINGERS, Hand, PoseConstraints, PoseSpace, posture
+from torchhand.hand.posed_mesh import posed_mesh
 from torchhand.residuals import PostureResiduals
 from torchhand.track.hull_fit import HullFit, HullFitter
 from torchhand.track.hull_points import HullTarget, spread_vertices
 from torchhand.track.hull_settings import HullFitSettings, HullLevel, HullStartSettings
 
 _PALM = 0.6  # from the wrist to the middle finger's knuckle: where the ball in the palm is
+_TURN = 0.012  # metres that a turn of the surface by one radian is worth in matching
 _BLANKED = 1.0  # no two balls have centres nearer than so many radii of the larger
 _LEAST_BALL = 0.7  # smallest radius of a ball over that of the largest
 _FEWEST = 8  # grid points inside a hull in which something can be looked for
@@ -83,8 +86,8 @@ def find_in_hull(
         return []
     coarse_fit = HullFitSettings(levels=_COARSE, vertices=settings.vertices, hypotheses_at_once=32)
     varied_fit = replace(fit, levels=_VARIED, vertices=settings.vertices, hypotheses_at_once=32)
-    few = _thinned(target, settings.points)
     some = target if target.rims is None else replace(target, rims=target.rims.thinned(settings.rays))
+    few = _thinned(target, settings.points) if target.rims is None else some
     quick = copy.deepcopy(hand).to(torch.float32)
     found: list[HullStart] = []
     for size, shape in enumerate(shapes):
@@ -198,18 +201,26 @@ def _judged(
     reference: Tensor,
     settings: HullStartSettings,
 ) -> Float[Tensor, "n"]:
-    """Mean distance of the skin outside the hull plus that of the hull's surface from the skin, cut off, metres."""
+    """Mean distance of the skin outside the hull plus that of the silhouettes' edges, or else of the hull's surface,
+    from the skin, cut off, metres."""
     vertices, share = spread_vertices(hand, 2 * settings.vertices)
     kinds, which = pose[:, 6:].unique(dim=0, return_inverse=True)
     still = torch.cat((torch.zeros_like(kinds[:, :6]), kinds), -1)
-    skins = hand(still, shape.to(pose)).vertices[:, vertices]
+    state = hand(still, shape.to(pose))
+    skins, normals = state.vertices[:, vertices], posed_mesh(hand, state).vertex_normals()[:, vertices]
     surface = target.points.to(pose)
     costs = []
     for some in torch.arange(len(pose)).split(settings.judged_at_once):
-        placed = skins[which[some]] @ reference[some].mT + pose[some, None, :3]
+        turned = reference[some].mT
+        placed, facing = skins[which[some]] @ turned + pose[some, None, :3], normals[which[some]] @ turned
         value, _ = target.field.sample(placed)
         outside = (value.clamp(0, settings.far_m) * share).sum(-1)
-        apart = torch.cdist(surface.float().expand(len(some), -1, 3), placed.float()).amin(-1)
+        if target.rims is None:
+            apart = torch.cdist(surface.float().expand(len(some), -1, 3), placed.float()).amin(-1)
+        else:
+            match = target.rims.match(placed, facing, turn=_TURN)
+            touched = placed.gather(1, match[..., None].expand(-1, -1, 3))
+            apart = (touched - target.rims.near(touched)).norm(dim=-1)
         costs.append(outside + apart.clamp_max(settings.far_m).mean(-1).to(pose))
     return torch.cat(costs)
 

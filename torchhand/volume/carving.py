@@ -1,9 +1,9 @@
 """Hulls from silhouettes: an octree carved level by level (paper 002, section 3.2; Szeliski 1993)."""
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
@@ -12,7 +12,7 @@ from torchhand.geometry import Camera
 from torchhand.volume.carving_settings import DENSE_LEVELS, CarvingSettings
 from torchhand.volume.cube import RootCube, root_cube
 from torchhand.volume.octant_views import OctantViews
-from torchhand.volume.octree import GRAY, UNKNOWN, WHITE, Octree, OctreeLevel
+from torchhand.volume.octree import GRAY, UNKNOWN, WHITE, Octree, OctreeLevel, places_of
 from torchhand.volume.silhouettes import SumTables
 
 _AT_ONCE = 1 << 15  # octants times views tested together: what they need stays in the processor's cache
@@ -43,7 +43,7 @@ class Carver:
         self.cameras = tuple(cameras)
         self.root = root_cube(cameras) if root is None else root
         self._device = cameras[0].rotation.device
-        self._views: dict[tuple[int, ...], OctantViews] = {}
+        self._views = {tuple(range(len(cameras))): self._seen_by(cameras)}
         self._least = min(settings.least_views, len(cameras) - settings.tolerated_views)
         self._children = torch.cartesian_prod(*3 * [torch.arange(2.0)]).T.contiguous().to(self._device)
         self._coarse = torch.zeros(3, 1, device=self._device)
@@ -64,6 +64,17 @@ class Carver:
         with torch.no_grad():
             levels = self._levels(self._silhouettes(masks, is_there))
         return Octree(root=self.root, batch=batch, levels=tuple(levels))
+
+    def moved(self, root: RootCube) -> "Carver":
+        """The same for another cube of the same size, such as one that follows something; quick.
+
+        Raises ValueError for one of another size.
+        """
+        if root.side != self.root.side:
+            raise ValueError(f"root: expected a side of {self.root.side} m, got {root.side} m")
+        carver = copy.copy(self)
+        carver.root, carver._views = root, {chosen: views.moved(root) for chosen, views in self._views.items()}
+        return carver
 
     def dense(
         self, masks: Masks, is_there: Bool[Tensor, "*batch views"] | None = None
@@ -113,19 +124,17 @@ class Carver:
         """Those of the views that there are."""
         chosen = tuple(index for index, mask in enumerate(masks) if mask is not None)
         if chosen not in self._views:
-            self._views[chosen] = OctantViews(
-                [self.cameras[index] for index in chosen],
-                self.root,
-                margin_px=self.settings.margin_px,
-                levels=self.settings.level,
-                device=self._device,
-            )
+            self._views[chosen] = self._seen_by([self.cameras[index] for index in chosen])
         flat = [mask.to(self._device).reshape(-1, *mask.shape[-2:]) for mask in masks if mask is not None]
         views = self._views[chosen]
         there = None if is_there is None else is_there.to(self._device).reshape(-1, len(masks)).T[list(chosen)]
         if there is not None and bool(there.all()):
             there = None
         return _Silhouettes(views=views, count=len(chosen), tables=views.tables(flat), is_there=there)
+
+    def _seen_by(self, cameras: Sequence[Camera]) -> OctantViews:
+        margin_px, level = self.settings.margin_px, self.settings.level
+        return OctantViews(cameras, self.root, margin_px=margin_px, levels=level, device=self._device)
 
     def _levels(self, seen: "_Silhouettes") -> list[OctreeLevel]:
         coarse, frame_count = min(DENSE_LEVELS, self.settings.level), len(seen.tables.entries)
@@ -134,7 +143,7 @@ class Carver:
         levels = _merged(cells, self._states(seen, cells, frames, coarse), frames, coarse)
         cells, states, frames = levels[-1].cells.T.float(), levels[-1].states, levels[-1].frames
         for level in range(coarse + 1, self.settings.level + 1):
-            gray = _places(states == GRAY)
+            gray = places_of(states == GRAY)
             if 8 * len(gray) > self.settings.most_octants:
                 break
             cells = self._divided(cells.index_select(1, gray))
@@ -199,7 +208,7 @@ def _merged(
         whole.insert(0, (cells, eight[:, 0].masked_fill(is_alike.logical_not(), GRAY), frames))
     levels, is_kept = [], torch.ones_like(whole[0][1], dtype=torch.bool)
     for depth, (cells, states, frames) in enumerate(whole):
-        kept = _places(is_kept)
+        kept = places_of(is_kept)
         levels.append(_level(depth, cells.index_select(1, kept), states[kept], frames[kept]))
         is_kept = (is_kept & (states == GRAY))[:, None].expand(-1, 8).reshape(-1)
     return levels
@@ -212,10 +221,3 @@ def _level(level: int, cells: Tensor, states: Tensor, frames: Tensor) -> OctreeL
 def _number(verdicts: Bool[Tensor, "views n"]) -> Int[Tensor, "n"]:
     """Of views, for every octant."""
     return verdicts.sum(0, dtype=torch.int16)
-
-
-def _places(condition: Bool[Tensor, "n"]) -> Int[Tensor, "true"]:
-    """Where a condition holds; numpy is ten times as fast on a CPU."""
-    if condition.device.type == "cpu":
-        return torch.from_numpy(np.flatnonzero(condition.numpy()))
-    return condition.nonzero()[:, 0]

@@ -7,6 +7,7 @@ level by level finds the same hull as testing every finest octant. Rounding in f
 shrinks from level to level.
 """
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -43,7 +44,6 @@ class _Level:
 
     matrix: Float[Tensor, "axes_views 3"]
     """From cells to camera coordinates, x and y of all views first, then z."""
-    start: Float[Tensor, "axes_views 1"]
     reach: Float[Tensor, "2 views 1"]
     reach_z: Float[Tensor, "views 1"]
     before: Float[Tensor, "2 views 1"]
@@ -67,47 +67,55 @@ class OctantViews:
         self, cameras: Sequence[Camera], root: RootCube, *, margin_px: int, levels: int, device: torch.device
     ) -> None:
         lenses = [LensCorrection(camera, device) if camera.has_distortion else None for camera in cameras]
-        hidden = [
-            torch.zeros(camera.height, camera.width, dtype=torch.bool, device=device)
-            if lens is None
-            else ~lens.is_shown
-            for camera, lens in zip(cameras, lenses, strict=True)
-        ]
-        self._lenses, self._hidden = lenses, sum_tables([mask[None] for mask in hidden], frame=True)
-        self._finest = levels
+        self._lenses, self._shown = lenses, _shown(cameras, lenses, device)
+        self._finest, self._device = levels, device
         margin = torch.tensor([margin_px + (lens is not None) for lens in lenses], dtype=torch.float64)
         exact = [camera.to(dtype=torch.float64, device="cpu") for camera in cameras]
         for camera in exact:
             if camera.rotation.ndim != 2:
                 raise ValueError(f"cameras: expected single cameras, got a batch {tuple(camera.rotation.shape[:-2])}")
-        self._root, self._margin = root, margin[:, None]
+        self._side, self._margin = root.side, margin[:, None]
         self._sizes = torch.tensor([(c.width, c.height) for c in cameras], dtype=torch.float64).T[..., None]
         self._middle = torch.stack([camera.intrinsics[:2, 2] for camera in exact], -1)[..., None]
         # An orthographic camera sees everything at the same depth.
         linear, self._near = torch.eye(3, dtype=torch.float64).repeat(len(exact), 1, 1), []
-        matrix, start = [], []
+        matrix, origin = [], []
         for camera, own in zip(exact, linear, strict=True):
             own[:2, :2] = camera.intrinsics[:2, :2]
             own[2, 2] = float(camera.kind == "pinhole")
             matrix.append(own @ camera.rotation)
-            start.append(matrix[-1] @ torch.tensor(root.corner, dtype=torch.float64) + own @ camera.translation)
-            start[-1][2] += float(camera.kind == "orthographic")
+            origin.append(own @ camera.translation)
+            origin[-1][2] += float(camera.kind == "orthographic")
             self._near.append(_NEAR * root.side if camera.kind == "pinhole" else 0.5)
-        self._matrix, self._start = torch.stack(matrix, 1), torch.stack(start, 1)  # (axes, views, ...)
-        depth = self._start[2] + root.side * self._matrix[2].clamp_max(0).sum(-1)  # of the nearest corner
-        self._is_in_front = bool((depth > 2 * torch.tensor(self._near, dtype=torch.float64)).all())
+        self._matrix, self._origin = torch.stack(matrix, 1), torch.stack(origin, 1)  # (axes, views, ...)
         sizes = self._sizes.to(device, torch.float32)
-        self._last_before, self._last_after = sizes + 1, sizes + 2
-        self._levels = [self._constants(level, 1 + levels - level, device) for level in range(levels + 1)]
+        self._first, self._last = torch.zeros_like(sizes), sizes + 1  # columns and rows of the framed pictures
+        self._ends = (sizes + 1).int()  # of the pictures in them
+        self._levels = [self._constants(level, 1 + levels - level) for level in range(levels + 1)]
+        self._place(root)
 
-    def _constants(self, level: int, finer: int, device: torch.device) -> _Level:
-        matrix = self._root.side / 2**level * self._matrix
+    def moved(self, root: RootCube) -> "OctantViews":
+        """The same views of another cube of the same size."""
+        views = copy.copy(self)
+        views._place(root)
+        return views
+
+    def _place(self, root: RootCube) -> None:
+        start = self._matrix @ torch.tensor(root.corner, dtype=torch.float64) + self._origin
+        depth = start[2] + root.side * self._matrix[2].clamp_max(0).sum(-1)  # of the nearest corner
+        self._is_in_front = bool((depth > 2 * torch.tensor(self._near, dtype=torch.float64)).all())
+        halves = 0.5 * root.side * self._matrix.sum(-1).flatten()
+        shares = 0.5 ** torch.arange(self._finest + 1, dtype=torch.float64)
+        middles = torch.addcmul(start.flatten(), shares[:, None], halves)  # of each level's first octant
+        self._starts = middles.to(self._device, torch.float32)[..., None]
+
+    def _constants(self, level: int, finer: int) -> _Level:
+        matrix = self._side / 2**level * self._matrix
         reach = 0.5 * matrix.abs().sum(-1, keepdim=True)
         rounding = _ROUNDING * finer * self._sizes.amax(0)
         near = torch.tensor(self._near, dtype=torch.float64)[:, None]
         values = {
             "matrix": matrix.flatten(0, 1),
-            "start": (self._start + 0.5 * matrix.sum(-1)).reshape(-1, 1),
             "reach": reach[:2],
             "reach_z": reach[2],
             # The pixel of x is floor(x + ½); the table's first column is that of the pixel at -1.
@@ -116,12 +124,12 @@ class OctantViews:
             "cut_below": near * (1 + _NEAR_ROUNDING * finer),
             "behind_below": near * (1 - _NEAR_ROUNDING * finer),
         }
-        return _Level(**{name: value.to(device, torch.float32).contiguous() for name, value in values.items()})
+        return _Level(**{name: value.to(self._device, torch.float32).contiguous() for name, value in values.items()})
 
     def tables(self, masks: Sequence[Bool[Tensor, "frames _height _width"]]) -> SumTables:
         """Tables of the silhouettes, one per camera, freed from the lens."""
         pairs = zip(masks, self._lenses, strict=True)
-        return sum_tables([mask if lens is None else lens(mask) for mask, lens in pairs], frame=False)
+        return sum_tables([mask if lens is None else lens(mask) for mask, lens in pairs])
 
     def verdicts(
         self,
@@ -138,7 +146,7 @@ class OctantViews:
         is_there: the views that are not missing; None where none is.
         """
         at = self._levels[level]
-        place = torch.addmm(at.start, at.matrix, cells).reshape(3, -1, cells.shape[1])
+        place = torch.addmm(self._starts[level], at.matrix, cells).reshape(3, -1, cells.shape[1])
         front, back = place[2] - at.reach_z, place[2] + at.reach_z
         is_cut = is_behind = None
         if not self._is_in_front:
@@ -149,13 +157,14 @@ class OctantViews:
         low, high = place[:2] - at.reach, place[:2].add_(at.reach)
         low = torch.minimum(low * near, low.mul_(far)).add_(at.before).floor_()
         high = torch.maximum(high * near, high.mul_(far)).add_(at.after).floor_()
-        left, top = torch.minimum(low.clamp_min_(0), self._last_before, out=low).int()
-        right, bottom = torch.minimum(high.clamp_min_(1), self._last_after, out=high).int()
-        area = (right - left).mul_(bottom - top)
-        places = silhouettes.places(left, right, top, bottom)
-        marked, hidden = silhouettes.counts(places, frames), self._hidden.counts(places, None)
-        is_bare, is_in, is_unseen = marked == 0, marked == area, hidden == area
-        is_out = (hidden == 0).logical_and_(is_bare)
+        begin = torch.clamp(low, self._first, self._last, out=low).int()
+        beyond = torch.clamp(high, self._first + 1, self._last + 1, out=high).int()
+        width, height = beyond - begin
+        area = width.mul_(height)
+        marked = silhouettes.counts(silhouettes.places(begin, beyond), frames)
+        shown = self._number_shown(begin, beyond)
+        is_bare, is_in, is_unseen = marked == 0, marked == area, shown == 0
+        is_out = (shown == area).logical_and_(is_bare)
         if is_cut is not None and is_behind is not None:
             is_in &= ~is_cut
             is_out &= ~is_cut
@@ -167,3 +176,24 @@ class OctantViews:
             is_in, is_out = is_in & ~is_missing, is_out & ~is_missing
             is_unseen, is_bare = is_unseen | is_missing, is_bare | is_missing
         return Verdicts(is_out=is_out, is_in=is_in, is_unseen=is_unseen, is_bare=is_bare)
+
+    def _number_shown(
+        self, begin: Int[Tensor, "2 views n"], beyond: Int[Tensor, "2 views n"]
+    ) -> Int[Tensor, "views n"]:
+        """Pixels of rectangles in the framed pictures that show something: not the frame, nor what the lens hides."""
+        if self._shown is not None:
+            return self._shown.counts(self._shown.places(begin, beyond), None)
+        first = torch.ones_like(self._ends)
+        width, height = torch.clamp(beyond, first, self._ends).sub_(torch.clamp(begin, first, self._ends))
+        return width.mul_(height)
+
+
+def _shown(
+    cameras: Sequence[Camera], lenses: Sequence[LensCorrection | None], device: torch.device
+) -> SumTables | None:
+    """Tables of the pixels that show something; None where all of all pictures do."""
+    if all(lens is None for lens in lenses):
+        return None
+    whole = [torch.ones(camera.height, camera.width, dtype=torch.bool, device=device) for camera in cameras]
+    masks = [mask if lens is None else lens.is_shown for mask, lens in zip(whole, lenses, strict=True)]
+    return sum_tables([mask[None] for mask in masks])

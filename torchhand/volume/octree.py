@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
@@ -102,8 +103,9 @@ class Octree:
         if frame is not None:
             if not 0 <= frame < self.frame_count:
                 raise ValueError(f"frame: expected 0 to {self.frame_count - 1}, got {frame}")
-            is_leaf &= octants.frames == frame
-        return is_leaf.nonzero()[:, 0]
+            if self.frame_count > 1:
+                is_leaf &= octants.frames == frame
+        return places_of(is_leaf)
 
     @cached_property
     def _finest_cells(self) -> Int[Tensor, "frames states"]:
@@ -133,39 +135,50 @@ class Octree:
 
         inner: only the BLACK octants. A frame without hull gives an array without cells.
         """
-        cells, sizes = self._filled(frame, unknown, inner)
-        if not len(cells):
-            return torch.zeros(0, 0, 0, dtype=torch.bool, device=cells.device), (0, 0, 0)
-        first, beyond = cells.amin(0), (cells + sizes[:, None]).amax(0)
-        return self._painted(cells - first, sizes, tuple((beyond - first).tolist())), tuple(first.tolist())
+        filled = self._filled(frame, unknown, inner)
+        if not filled:
+            device = self.levels[0].states.device
+            return torch.zeros(0, 0, 0, dtype=torch.bool, device=device), (0, 0, 0)
+        first = torch.stack([cells.amin(0) for cells, _ in filled]).amin(0)
+        beyond = torch.stack([cells.amax(0) + scale for cells, scale in filled]).amax(0)
+        return self._painted(filled, first, tuple((beyond - first).tolist())), tuple(first.tolist())
 
     def occupancy_in(
         self, first: tuple[int, int, int], size: tuple[int, int, int], *, frame: int = 0, inner: bool = False
     ) -> Bool[Tensor, "nx ny nz"]:
         """The same within a given box of finest cells, which has to contain the hull."""
-        cells, sizes = self._filled(frame, False, inner)
-        return self._painted(cells - cells.new_tensor(first), sizes, size)
+        start = torch.tensor(first, device=self.levels[0].states.device)
+        return self._painted(self._filled(frame, False, inner), start, size)
 
-    def _filled(self, frame: int, unknown: bool, inner: bool) -> tuple[Int[Tensor, "leaves 3"], Int[Tensor, "leaves"]]:
-        """First finest cell of each leaf, and how many it has along a side."""
-        cells, sizes = [], []
+    def _filled(self, frame: int, unknown: bool, inner: bool) -> list[tuple[Int[Tensor, "_leaves 3"], int]]:
+        """First finest cell of each leaf, and how many it has along a side, of the levels that have any."""
+        found = []
         for octants in self.levels:
             at = self._leaves_of(octants, frame, unknown)
             if inner:
                 at = at[octants.states[at] == BLACK]
             scale = 2 ** (self.level - octants.level)
-            cells.append(octants.cells[at].long() * scale)
-            sizes.append(torch.full((len(at),), scale, dtype=torch.long, device=at.device))
-        return torch.cat(cells), torch.cat(sizes)
+            if len(at):
+                found.append((octants.cells.index_select(0, at).long() * scale, scale))
+        return found
 
-    @staticmethod
-    def _painted(cells: Tensor, sizes: Tensor, size: tuple[int, ...]) -> Bool[Tensor, "nx ny nz"]:
-        filled = torch.zeros(size, dtype=torch.bool, device=cells.device)
-        flat = filled.view(-1)
-        for scale in sizes.unique().tolist():
-            start = cells[sizes == scale]
-            step = torch.arange(scale, device=cells.device)
-            x, y, z = (start[:, k, None] + step for k in range(3))
-            index = (x[:, :, None, None] * size[1] + y[:, None, :, None]) * size[2] + z[:, None, None, :]
-            flat[index.reshape(-1)] = True
-        return filled
+    def _painted(
+        self, filled: list[tuple[Int[Tensor, "_leaves 3"], int]], first: Int[Tensor, "3"], size: tuple[int, ...]
+    ) -> Bool[Tensor, "nx ny nz"]:
+        device = self.levels[0].states.device
+        canvas = torch.zeros(size, dtype=torch.bool, device=device)
+        flat = canvas.view(-1)
+        for cells, scale in filled:
+            step = torch.arange(scale, device=device)
+            within = (step[:, None, None] * size[1] + step[:, None]) * size[2] + step
+            x, y, z = (cells - first).unbind(-1)
+            index = ((x * size[1] + y) * size[2] + z)[:, None] + within.flatten()
+            flat[index.flatten()] = True
+        return canvas
+
+
+def places_of(condition: Bool[Tensor, "n"]) -> Int[Tensor, "true"]:
+    """Where a condition holds; numpy is ten times as fast on a CPU."""
+    if condition.device.type == "cpu":
+        return torch.from_numpy(np.flatnonzero(condition.numpy()))
+    return condition.nonzero()[:, 0]

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Int, UInt8
 from torch import Tensor
 
 from torchhand.geometry import Camera
@@ -18,26 +18,29 @@ _ROUND_TRIP = 0.01  # px by which a lens model may fail to be undone where it is
 class SumTables:
     """How many pixels of a mask lie above and to the left, of several views (Crow 1984; FACTS section 6).
 
-    A picture gets a frame one pixel wide, and a table one more row and column: entry (i, j) counts the marked pixels in
-    the rows before i and the columns before j of the framed picture, whose pixel (0, 0) is that at (-1, -1).
+    A picture gets a frame one pixel wide, whose pixel (0, 0) is that at (-1, -1). The table of a view covers a window
+    with all marked pixels, and has one more row and column: entry (i, j) counts those in the window's first i rows and
+    first j columns.
     """
 
     entries: Int[Tensor, "frames entries"]
     """The tables of all views one after the other, int32."""
-    strides: Int[Tensor, "views 1"]
-    """Entries of a row."""
+    corners: Int[Tensor, "2 views 1"]
+    """First column and row of each window in the framed picture."""
+    sizes: Int[Tensor, "2 views 1"]
+    """Columns and rows of each window."""
     starts: Int[Tensor, "views 1"]
     """Where a view's table starts."""
 
     def places(
-        self,
-        left: Int[Tensor, "views n"],
-        right: Int[Tensor, "views n"],
-        top: Int[Tensor, "views n"],
-        bottom: Int[Tensor, "views n"],
+        self, begin: Int[Tensor, "2 views n"], beyond: Int[Tensor, "2 views n"]
     ) -> tuple[Int[Tensor, "views n"], ...]:
-        """Entries from which the pixels in rectangles are counted: first row and column within and first beyond."""
-        top, bottom = (top * self.strides).add_(self.starts), (bottom * self.strides).add_(self.starts)
+        """Entries from which the pixels in rectangles of framed pictures are counted: first column and row within and
+        first beyond."""
+        nothing, stride = torch.zeros_like(self.sizes), self.sizes[0] + 1
+        left, top = torch.clamp(begin - self.corners, nothing, self.sizes)
+        right, bottom = torch.clamp(beyond - self.corners, nothing, self.sizes)
+        top, bottom = top.mul_(stride).add_(self.starts), bottom.mul_(stride).add_(self.starts)
         return bottom + right, top + right, bottom + left, top + left
 
     def counts(
@@ -52,29 +55,47 @@ class SumTables:
         return count.sub_(minus).sub_(also_minus).add_(plus).reshape(places[0].shape)
 
 
-def sum_tables(masks: Sequence[Bool[Tensor, "frames _height _width"]], *, frame: bool) -> SumTables:
-    """The tables of some views; frame: whether the frame around the pictures is marked."""
-    device = masks[0].device
-    strides = [mask.shape[2] + 3 for mask in masks]
-    sizes = [(mask.shape[1] + 3) * stride for mask, stride in zip(masks, strides, strict=True)]
-    starts = [sum(sizes[:view]) for view in range(len(sizes))]
-    entries = torch.empty(len(masks[0]), sum(sizes), dtype=torch.int32, device=device)
-    for mask, start, size, stride in zip(masks, starts, sizes, strides, strict=True):
-        _count(mask, entries[:, start : start + size].unflatten(1, (-1, stride)), frame)
-    column = [torch.tensor(values, dtype=torch.int32, device=device)[:, None] for values in (strides, starts)]
-    return SumTables(entries=entries, strides=column[0], starts=column[1])
+def sum_tables(masks: Sequence[Bool[Tensor, "frames _height _width"]]) -> SumTables:
+    """The tables of some views."""
+    device, n = masks[0].device, len(masks[0])
+    cut = [_cut_out(mask) for mask in masks]
+    sizes = [(grid.shape[2], grid.shape[1]) for grid, _ in cut]
+    entries = [(width + 1) * (height + 1) for width, height in sizes]
+    starts = [sum(entries[:view]) for view in range(len(entries))]
+    tables = torch.empty(n, sum(entries), dtype=torch.int32, device=device)
+    for (grid, _), start, count, (width, _) in zip(cut, starts, entries, sizes, strict=True):
+        _count(grid, tables[:, start : start + count].unflatten(1, (-1, width + 1)))
+
+    def columns(values: list[tuple[int, int]]) -> Int[Tensor, "2 views 1"]:
+        return torch.tensor(values, dtype=torch.int32, device=device).T[..., None].contiguous()
+
+    return SumTables(
+        entries=tables,
+        corners=columns([corner for _, corner in cut]),
+        sizes=columns(sizes),
+        starts=torch.tensor(starts, dtype=torch.int32, device=device)[:, None],
+    )
 
 
-def _count(masks: Bool[Tensor, "frames height width"], tables: Int[Tensor, "frames rows columns"], frame: bool) -> None:
-    n, height, width = masks.shape
-    framed = torch.full((n, height + 2, width + 2), int(frame), dtype=torch.uint8, device=masks.device)
-    framed[:, 1:-1, 1:-1] = masks.view(torch.uint8)
-    if masks.device.type == "cpu":
-        for source, target in zip(framed.numpy(), tables.numpy(), strict=True):
+def _cut_out(
+    mask: Bool[Tensor, "frames height width"],
+) -> tuple[UInt8[Tensor, "frames rows columns"], tuple[int, int]]:
+    """The window that holds all marked pixels of a view, and its first column and row in the framed picture."""
+    pixels = mask.view(torch.uint8)
+    if mask.device.type != "cpu" or not mask.numel():
+        return pixels, (1, 1)
+    marked = pixels[0] if len(pixels) == 1 else pixels.amax(0)
+    left, top, width, height = cv2.boundingRect(marked.contiguous().numpy())
+    return pixels[:, top : top + height, left : left + width], (left + 1, top + 1)
+
+
+def _count(grids: UInt8[Tensor, "frames height width"], tables: Int[Tensor, "frames rows columns"]) -> None:
+    if grids.device.type == "cpu" and grids.numel():
+        for source, target in zip(grids.contiguous().numpy(), tables.numpy(), strict=True):
             cv2.integral(source, sum=target, sdepth=cv2.CV_32S)
     else:
         tables.zero_()
-        tables[:, 1:, 1:] = framed.cumsum(1, dtype=torch.int32).cumsum(2, dtype=torch.int32)
+        tables[:, 1:, 1:] = grids.cumsum(1, dtype=torch.int32).cumsum(2, dtype=torch.int32)
 
 
 class LensCorrection:

@@ -97,6 +97,25 @@ def test_small_chunks_change_nothing(rig: Any) -> None:
     assert torch.allclose(one.pose, other.pose, atol=1e-9)
 
 
+def test_equations_at_a_look_are_those_about_it(rig: Any) -> None:
+    """With the bones that are known there; and its distances from the hull are those of the vertices."""
+    pose, reference, shape = rig.person(5)
+    target = rig.target(pose, reference, shape)
+    own = fitter(rig, shape=shape)
+    starts = [rig.moved(pose, reference, seed, deg=3, mm=4) for seed in (1, 2)]
+    pose, reference = (torch.stack(parts) for parts in zip(*starts, strict=True))
+    values = SPACE.free(pose)
+    level = HullLevel(robust_m=0.004, rounds=1, iterations=1, is_judged=False)
+    look = own.look(target, SPACE.dof(values), reference, None, level)
+    rows = torch.arange(2)
+    plain, quick = look.cost.equations(values, rows), look.cost.equations(values, rows, look.bones)
+    for name in ("matrix", "gradient", "cost"):
+        torch.testing.assert_close(getattr(quick, name), getattr(plain, name), rtol=1e-12, atol=1e-12)
+    skin = own.skin.vertices(SPACE.dof(values), reference)
+    assert look.beyond is not None
+    torch.testing.assert_close(look.beyond, target.field.sample(skin[:, own.vertices])[0], rtol=0, atol=1e-12)
+
+
 def test_no_hull_keeps_the_start(rig: Any) -> None:
     pose, reference, _ = rig.person(4)
     ends = torch.full((3,), -0.1, dtype=torch.float64), torch.full((3,), 0.1, dtype=torch.float64)

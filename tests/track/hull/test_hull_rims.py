@@ -73,6 +73,36 @@ def test_a_ray_belongs_to_the_skin_that_faces_across_it(rig: Any) -> None:
     assert torch.equal(match, single)
 
 
+@pytest.mark.parametrize("kinds", [("pinhole",) * 4, ("pinhole", "orthographic", "pinhole", "orthographic")])
+def test_match_equals_a_loop_over_views(rig: Any, kinds: tuple[Any, ...]) -> None:
+    """With other numbers of rays in each view, and hands that are no hands."""
+    scaled = torch.tensor(((1300.0, 0, 319.5), (0, 1300.0, 239.5), (0, 0, 1)), dtype=torch.float64)
+    cameras = [
+        camera if kind == "pinhole" else replace(camera, intrinsics=scaled, kind=kind)
+        for camera, kind in zip(rig.cameras, kinds, strict=True)
+    ]
+    masks = [ball(camera) for camera in cameras]
+    masks[1] = torch.zeros_like(masks[1])
+    masks[1][200:204, 300:306] = True
+    rays = rims_of(cameras, masks, CENTRE, count=200)
+    assert rays is not None
+    lengths = [len(view.plane) for view in rays.views]
+    assert len(set(lengths)) > 1
+    generator = torch.Generator().manual_seed(4)
+    vertices = CENTRE + 0.05 * torch.randn(2, 300, 3, generator=generator, dtype=torch.float64)
+    vertices[0, 7] = torch.nan
+    normals = torch.nn.functional.normalize(torch.randn(2, 300, 3, generator=generator, dtype=torch.float64), dim=-1)
+    found = rays.match(vertices, normals, turn=0.01).split(lengths, -1)
+    facing = rays.normals.split(lengths)
+    for view, own, out in zip(rays.views, found, facing, strict=True):
+        in_view = view.scale * view.camera.plane_from_cam(view.camera.cam_from_world(vertices))
+        apart = (view.scale * view.plane[:, None] - in_view[:, None]).square().sum(-1)
+        apart = apart + (0.01 * (out[:, None] - normals[:, None])).square().sum(-1)
+        least = apart.nan_to_num(torch.inf)
+        chosen = least.gather(-1, own[..., None]).squeeze(-1)
+        assert float((chosen - least.amin(-1)).max()) < 1e-8  # square metres: single precision
+
+
 def test_thinned_rays_are_some_of_them(rig: Any) -> None:
     rays = rays_of(rig, rig.cameras)
     few = rays.thinned(50)

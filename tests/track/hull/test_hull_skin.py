@@ -42,16 +42,18 @@ def test_same_as_the_hand_and_its_jacobian(model: HandModel, side: str, generato
         assert torch.allclose(motion.along(direction), exact @ SPACE.basis, atol=1e-13)
 
 
-def test_whole_skin_normals_and_wrist(model: HandModel, generator: torch.Generator) -> None:
+def test_whole_skin_normals_and_bones(model: HandModel, generator: torch.Generator) -> None:
     hand = model.hand(dtype=torch.float64)
     skin, (pose, reference) = SkinPoints(hand, SPACE.basis), posed(model, 2, generator)
     state = hand(pose, root_reference=reference)
     mesh: PosedMesh = posed_mesh(hand, state)
-    vertices, rotation, wrist = skin.skin_and_wrist(pose, reference)
+    bones = skin.posed(pose, reference)
+    vertices = skin.skin_on(bones)
     assert torch.allclose(vertices, state.vertices, atol=1e-14)
+    assert torch.equal(skin.vertices(pose, reference), vertices)
     assert torch.allclose(skin.normals(vertices), mesh.vertex_normals(), atol=1e-10)
-    assert torch.allclose(rotation, state.frames.rotation[:, 0], atol=1e-14)
-    assert torch.allclose(wrist, state.frames.position[:, 0], atol=1e-14)
+    assert torch.allclose(bones.rotation, state.frames.rotation, atol=1e-14)
+    assert torch.allclose(bones.position, state.frames.position, atol=1e-14)
 
 
 def test_angles_that_are_held_do_not_move(model: HandModel, generator: torch.Generator) -> None:

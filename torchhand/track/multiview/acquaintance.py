@@ -14,8 +14,9 @@ from torchhand.track.multiview.fitting import Anchor, MomentFitter, Placed, chos
 from torchhand.track.multiview.hulls import Hull
 from torchhand.track.multiview.silhouettes import Masks
 
-_NEARLY = 0.02  # overlap that a hand followed from other moments may lack for one found afresh
-_WORST = 0.08  # overlap that a moment may lack for the best one and still teach proportions
+_NEARLY = 0.03  # score that a hand followed from other moments may lack for one found afresh
+_WORST = 0.08  # score that a moment may lack for the best one and still teach proportions
+_UNLIKELY = 0.15  # score that a moment may lack for the best one and still count as found
 _MOST = 8  # hands of other moments that are tried
 
 
@@ -72,7 +73,7 @@ def acquaint(
     """
     known, seen = shape, []
     for moment, masks in moments:
-        one = _Seen(moment=moment, masks=masks, hull=fits.hulls.anywhere(masks))
+        one = _Seen(moment=moment, masks=masks, hull=fits.hull_anywhere(shape, masks))
         one = one.at(_found(fits, one, shape, _anchors_of(seen)))
         if one.placed is not None and shape is None:
             shape = _fitted(fits, [one], people).shape
@@ -86,7 +87,7 @@ def acquaint(
     if known is None:
         shape = _fitted(fits, _good(seen), people, shape).shape
     seen = [one.at(_again(fits, one, shape, _anchors_of(seen))) for one in seen]
-    anchors = {one.moment: one.placed.anchor for one in seen if one.placed is not None}
+    anchors = {one.moment: one.placed.anchor for one in _within(seen, _UNLIKELY) if one.placed is not None}
     if known is not None:
         return Acquaintance(shape=known, shape_std=None, anchors=anchors, learned_from=())
     good = _good(seen)
@@ -108,7 +109,7 @@ def _found(fits: MomentFitter, one: _Seen, shape: Tensor | None, anchors: Sequen
     near: Placed | None = None
     if shape is not None and anchors:
         near = fits.from_anchors(one.hull, [anchor for anchor, _ in anchors[-_MOST:]], shape, one.masks)
-        if near is not None and near.overlap >= max(overlap for _, overlap in anchors) - _NEARLY:
+        if near is not None and near.score >= max(score for _, score in anchors) - _NEARLY:
             return near
     sizes = _sizes(fits) if shape is None else [shape]
     return _believed(fits, chosen([near, *(fits.searched(one.hull, size, one.masks) for size in sizes)]))
@@ -121,7 +122,7 @@ def _again(fits: MomentFitter, one: _Seen, shape: Tensor, anchors: Sequence[tupl
     own = None
     if one.placed is not None:
         own = fits.from_anchors(one.hull, [one.placed.anchor], shape, one.masks)
-        if own is not None and own.overlap >= max(overlap for _, overlap in anchors) - _NEARLY:
+        if own is not None and own.score >= max(score for _, score in anchors) - _NEARLY:
             return own
     best = sorted(anchors, key=lambda pair: -pair[1])[:_MOST]
     tried = [own, fits.from_anchors(one.hull, [anchor for anchor, _ in best], shape, one.masks)]
@@ -139,13 +140,19 @@ def _believed(fits: MomentFitter, placed: Placed | None) -> Placed | None:
 
 
 def _anchors_of(seen: Sequence[_Seen]) -> list[tuple[Anchor, float]]:
-    return [(one.placed.anchor, one.placed.overlap) for one in seen if one.placed is not None]
+    """The hands that were found, with their scores."""
+    return [(one.placed.anchor, one.placed.score) for one in seen if one.placed is not None]
 
 
 def _good(seen: Sequence[_Seen]) -> list[_Seen]:
     """The moments that may teach proportions."""
-    best = max(one.placed.overlap for one in seen if one.placed is not None)
-    return [one for one in seen if one.placed is not None and one.placed.overlap >= best - _WORST]
+    return _within(seen, _WORST)
+
+
+def _within(seen: Sequence[_Seen], lack: float) -> list[_Seen]:
+    """The moments whose score lacks no more for the best one."""
+    best = max(one.placed.score for one in seen if one.placed is not None)
+    return [one for one in seen if one.placed is not None and one.placed.score >= best - lack]
 
 
 def _sizes(fits: MomentFitter) -> list[Tensor]:

@@ -10,10 +10,12 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics
+from torchhand.hand import HandFrames, HandKinematics, Primitives, place_primitives
 from torchhand.track.appearance import hand_region, overlap, touching
 from torchhand.track.multiview.silhouettes import Masks
 from torchhand.view import HandProjector
+from torchhand.view.generators import generators
+from torchhand.view.projector import Generators
 
 _REACH = 1.3  # silhouettes are compared so far from the wrist, hand lengths
 _STEEP = 0.25  # a palm seen shorter than this, hand lengths, has no direction in the picture
@@ -36,6 +38,10 @@ class ViewAgreement:
         reduced = [camera.resized(min(1.0, side_px / max(camera.width, camera.height))) for camera in cameras]
         self._projectors = [HandProjector(kinematics, camera, shape) for camera in reduced]
         self._length = float(kinematics.shape_space.metric(shape)["hand_length"])
+        kinds = [[v for v, p in enumerate(self._projectors) if p.is_orthographic == kind] for kind in (False, True)]
+        self._alike = [views for views in kinds if views]
+        self._rotation = torch.stack([camera.rotation for camera in reduced])
+        self._translation = torch.stack([camera.translation for camera in reduced])
 
     def __call__(
         self, pose: Float[Tensor, "36"], root_reference: Float[Tensor, "3 3"], masks: Masks
@@ -43,23 +49,42 @@ class ViewAgreement:
         """Intersection over union in every view, NaN in views without a mask; the forearm, cut off at the wrist where
         the view shows it, does not count, nor does what is apart from the hand."""
         frames = self._projectors[0].frames(pose, root_reference)
-        found = [self._overlap(p, frames, mask) for p, mask in zip(self._projectors, masks, strict=True)]
+        parts = zip(self._projectors, self._seen_by_all(frames), masks, strict=True)
+        found = [self._overlap(projector, seen, frames.keypoints, mask) for projector, seen, mask in parts]
         return torch.tensor(found, dtype=torch.float64)
 
-    def _overlap(self, projector: HandProjector, frames, mask: Tensor | None) -> float:
+    def _seen_by_all(self, frames: HandFrames) -> list[tuple[Primitives, Generators]]:
+        """The primitives as each camera sees them, with their generators; those of like cameras are found together."""
+        first = self._projectors[0]
+        placed = place_primitives(frames, first.sizes, is_left=first.kinematics.side == "left")
+        rotation = self._rotation[:, None] @ placed.rotation
+        position = placed.position @ self._rotation.mT + self._translation[:, None]
+        found: list[tuple[Primitives, Generators]] = [()] * len(rotation)  # pyright: ignore[reportAssignmentType]
+        for views in self._alike:
+            seen = Primitives(sizes=placed.sizes, rotation=rotation[views], position=position[views])
+            is_orthographic = self._projectors[views[0]].is_orthographic
+            cones, arcs = generators(seen, is_orthographic=is_orthographic, with_normals=False)
+            for place, view in enumerate(views):
+                found[view] = (seen.select(place), (cones.of_hand(place), arcs.of_hand(place)))
+        return found
+
+    def _overlap(
+        self, projector: HandProjector, seen: tuple[Primitives, Generators], keypoints: Tensor, mask: Tensor | None
+    ) -> float:
         if mask is None:
             return math.nan
         camera = projector.camera
-        model = projector.silhouette_of(projector.primitives_cam(frames))
+        model = projector.silhouette_of(*seen)
         pixels = cv2.resize(
             mask.cpu().numpy().view(np.uint8) * 255, (camera.width, camera.height), interpolation=cv2.INTER_AREA
         )
         picture = touching(torch.from_numpy(pixels > 127), model)
-        return overlap(model, picture, self._region(camera, frames.keypoints, model))
+        return overlap(model, picture, self._region(camera, keypoints, model))
 
     def _region(self, camera: Camera, keypoints: Tensor, model: Tensor) -> Bool[Tensor, "height width"]:
-        wrist, knuckle = camera.project(keypoints[0]), camera.project(keypoints[9])
-        depth = float(camera.cam_from_world(keypoints[0])[2])
+        in_cam = camera.cam_from_world(keypoints[[0, 9]])
+        wrist, knuckle = camera.pixels_from_plane(camera.plane_from_cam(in_cam))
+        depth = float(in_cam[0, 2])
         focal = float(camera.intrinsics[0, 0])
         length_px = self._length * focal / (max(depth, 1e-3) if camera.kind == "pinhole" else 1.0)
         if float((knuckle - wrist).norm()) > _STEEP * length_px:

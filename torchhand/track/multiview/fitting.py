@@ -8,11 +8,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.geometry import Camera
+from torchhand.geometry import Camera, rotation_from_vector
 from torchhand.hand import Hand, HandPrior, PoseConstraints, named_pose_space
 from torchhand.hand.constraints import ConstraintSettings
 from torchhand.residuals import Expectation, PostureResiduals
 from torchhand.track.hull_fit import HullFit, HullFitter
+from torchhand.track.hull_settings import HullLevel
 from torchhand.track.hull_start import find_in_hull, varied_digits
 from torchhand.track.hull_torque import fit_by_torques
 from torchhand.track.multiview.agreement import ViewAgreement, mean_overlap
@@ -20,8 +21,20 @@ from torchhand.track.multiview.hulls import Hull, Hulls
 from torchhand.track.multiview.settings import MultiViewSettings
 from torchhand.track.multiview.silhouettes import Masks
 
-_PALM = 9  # keypoint about which the hull is carved: the middle finger's knuckle
-_ALIKE = 0.01  # overlaps that differ by less are alike: the cost of the fit decides
+_KNUCKLE = 9  # keypoint about which the hull is carved: the middle finger's
+_PALM_SHARE = 0.6  # from the wrist to that knuckle: what stays in place when the hand turns
+_TURN_LEVELS = (
+    HullLevel(robust_m=0.012, rounds=2, iterations=2),
+    HullLevel(robust_m=0.005, rounds=2, iterations=2),
+    HullLevel(robust_m=0.002, rounds=1, iterations=3),
+)
+_TURNS = (
+    *((0.0, angle, 0.0) for angle in (-90.0, -60.0, -30.0, 30.0, 60.0, 90.0)),
+    *((angle, 0.0, 0.0) for angle in (-30.0, 30.0)),
+    *((0.0, 0.0, angle) for angle in (-25.0, 25.0)),
+)
+"""Degrees about the hand's axes: mostly about that of the forearm."""
+_ALIKE = 0.04  # scores that differ by less are alike: the cost of the fit decides
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,8 +60,25 @@ class Placed:
         return mean_overlap(self.overlaps)
 
     @property
+    def score(self) -> float:
+        """How much of the pictures it explains, 0 to 1: the silhouettes' areas and their edges, in equal shares."""
+        return 0.5 * (self.overlap + float(self.fit.covered_share))
+
+    @property
     def anchor(self) -> Anchor:
         return Anchor(pose=self.fit.pose, root_reference=self.fit.root_reference)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Made:
+    """What fits a hand of some proportions."""
+
+    near: HullFitter
+    """From a prediction, or a pose that differs by one digit."""
+    turned: HullFitter
+    broad: HullFitter
+    """From starts that may be farther off."""
+    agreement: ViewAgreement
 
 
 class MomentFitter:
@@ -71,12 +101,21 @@ class MomentFitter:
             "constraints": PoseConstraints(skeleton, ConstraintSettings(bands="none")),
             "prior": PostureResiduals.of(HandPrior(skeleton, hand.kinematics.shape_space).postures),
         }
-        self._made: tuple[HullFitter, HullFitter, ViewAgreement] | None = None
+        self._made: _Made | None = None
 
     def hull_about(self, anchor: Anchor, shape: Float[Tensor, "shape"], masks: Masks) -> Hull:
         """The hull where a hand is, or is expected."""
         hand = self.hand.kinematics(anchor.pose, shape, root_reference=anchor.root_reference)
-        return self.hulls.near(masks, hand.keypoints[_PALM])
+        return self.hulls.near(masks, hand.keypoints[_KNUCKLE])
+
+    def hull_anywhere(self, shape: Float[Tensor, "shape"] | None, masks: Masks) -> Hull:
+        """What may be the hand in all that the silhouettes show, arm included; for a shape, or the largest tried."""
+        space = self.hand.kinematics.shape_space
+        if shape is None:
+            length = max(self.settings.sizes) * float(space.metric(self.hand.kinematics.default_shape)["hand_length"])
+        else:
+            length = float(space.metric(shape)["hand_length"])
+        return self.hulls.anywhere(masks, hand_length=length)
 
     def expected(
         self,
@@ -94,7 +133,7 @@ class MomentFitter:
         """
         if hull.target is None:
             return None
-        track, _, _ = self._made_for(shape)
+        track = self._made_for(shape).near
         if self.settings.fitting == "torque":
             settings, pose, reference = self.settings.torque, starts[0].pose[None], starts[0].root_reference[None]
             found = fit_by_torques(hull.target.field, self.hand, self.space, pose, reference, settings, shape=shape)
@@ -109,18 +148,29 @@ class MomentFitter:
         self, hull: Hull, anchors: Sequence[Anchor], shape: Float[Tensor, "shape"], masks: Masks
     ) -> Placed | None:
         """The best of the hands fitted from some that may be a good way off; None without a hull or an anchor."""
-        _, broad, _ = self._made_for(shape)
-        return self._best(broad, hull, anchors, shape, masks)
+        return self._best(self._made_for(shape).broad, hull, anchors, shape, masks)
 
     def with_other_digits(
         self, hull: Hull, anchor: Anchor, others: Sequence[Anchor], shape: Float[Tensor, "shape"], masks: Masks
     ) -> Placed | None:
         """The best of the hands in one place, with single digits in other postures or in the postures of others."""
-        track, _, _ = self._made_for(shape)
         postures = [torch.cat((anchor.pose[:6], other.pose[6:])) for other in others]
         poses = [*varied_digits(anchor.pose), *postures]
         tried = [Anchor(pose=pose, root_reference=anchor.root_reference) for pose in poses]
-        return self._best(track, hull, tried, shape, masks)
+        return self._best(self._made_for(shape).near, hull, tried, shape, masks)
+
+    def turned(self, hull: Hull, anchor: Anchor, shape: Float[Tensor, "shape"], masks: Masks) -> Placed | None:
+        """The best of the hands turned about the palm from where one is, such as after a fast turn of the forearm."""
+        points = self.hand.kinematics(anchor.pose, shape, root_reference=anchor.root_reference).keypoints
+        palm = points[0] + _PALM_SHARE * (points[_KNUCKLE] - points[0])
+        turns = torch.deg2rad(torch.tensor(_TURNS, dtype=anchor.pose.dtype))
+        references = rotation_from_vector(turns @ anchor.root_reference.mT) @ anchor.root_reference
+        moved = palm + references @ (anchor.root_reference.mT @ (anchor.pose[:3] - palm))
+        tried = [
+            Anchor(pose=torch.cat((place, anchor.pose[3:])), root_reference=reference)
+            for place, reference in zip(moved, references, strict=True)
+        ]
+        return self._best(self._made_for(shape).turned, hull, tried, shape, masks)
 
     def searched(self, hull: Hull, shape: Float[Tensor, "shape"], masks: Masks) -> Placed | None:
         """The best of a search without any guess; None where nothing can be looked for."""
@@ -140,19 +190,18 @@ class MomentFitter:
         return chosen([self._placed(found.select(int(index)), shape, masks) for index in best])
 
     def _placed(self, fit: HullFit, shape: Tensor, masks: Masks) -> Placed:
-        _, _, agreement = self._made_for(shape)
-        return Placed(fit=fit, overlaps=agreement(fit.pose, fit.root_reference, masks))
+        return Placed(fit=fit, overlaps=self._made_for(shape).agreement(fit.pose, fit.root_reference, masks))
 
-    def _made_for(self, shape: Tensor) -> tuple[HullFitter, HullFitter, ViewAgreement]:
-        """What depends on the proportions, kept while they stay the same: the fitter near a pose, the one for starts
-        that are farther off, the judge."""
-        if self._made is None or self._made[2].shape is not shape:
+    def _made_for(self, shape: Tensor) -> "_Made":
+        """What depends on the proportions, kept while they stay the same."""
+        if self._made is None or self._made.agreement.shape is not shape:
             s = self.settings
-            near, broad = (
-                HullFitter(self.hand, self.space, own, shape=shape, **self.beliefs) for own in (s.fit, s.start_fit)
+            near, turned, broad = (
+                HullFitter(self.hand, self.space, own, shape=shape, **self.beliefs)
+                for own in (s.fit, replace(s.fit, levels=_TURN_LEVELS), s.start_fit)
             )
             agreement = ViewAgreement(self.hand.kinematics, self.cameras, shape, side_px=s.check_side_px)
-            self._made = (near, broad, agreement)
+            self._made = _Made(near=near, turned=turned, broad=broad, agreement=agreement)
         return self._made
 
 
@@ -166,5 +215,5 @@ def chosen(tried: Sequence[Placed | None]) -> Placed | None:
     good = [one for one in tried if one is not None and bool(one.fit.cost.isfinite())]
     if not good:
         return None
-    best = max(one.overlap for one in good)
-    return min((one for one in good if one.overlap >= best - _ALIKE), key=lambda one: float(one.fit.cost))
+    best = max(one.score for one in good)
+    return min((one for one in good if one.score >= best - _ALIKE), key=lambda one: float(one.fit.cost))

@@ -1,19 +1,24 @@
 """From the silhouettes of one moment to the hull that a hand is fitted into."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.geometry import Camera
 from torchhand.track.hull_points import HullTarget, target_of, with_rims
+from torchhand.track.multiview.hand_end import HandEnd
 from torchhand.track.multiview.settings import HullOctreeSettings
 from torchhand.track.multiview.silhouettes import Masks
 from torchhand.volume import Carver, CarvingSettings, Octree, RootCube, hull_field, root_cube
 
 _FINEST = 10
+_COARSE_LEAF = 0.016  # metres: of the hull that tells where a hand may be
+_RAYS, _SPARE = 300, 3  # through edges; as many times more are there to choose from
+_AROUND = 1.5  # its leaves about that place
 _LEAST_HULL = 3e-5  # cubic metres: what is smaller is no hand (a child's has five times that)
 
 
@@ -27,6 +32,15 @@ class Hull:
     """That it was carved from."""
     reason: str = ""
     """Why there is none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Carved:
+    """An octree, the views it was carved from, or why there is none."""
+
+    views: tuple[int, ...]
+    octree: Octree | None = None
+    reason: str = ""
 
 
 class Hulls:
@@ -45,17 +59,43 @@ class Hulls:
         Raises ValueError where the cameras see no volume together and no cube is given."""
         self.cameras, self.settings, self._fewest = tuple(cameras), settings, fewest_views
         self._contours = contours
+        self._carvers: dict[tuple[tuple[int, ...], float, CarvingSettings], Carver] = {}
         self.root = (
             root_cube(cameras) if settings.side is None else RootCube(centre=settings.centre, side=settings.side)
         )
 
-    def anywhere(self, masks: Masks, *, least_volume: float = _LEAST_HULL) -> Hull:
+    def anywhere(self, masks: Masks, *, hand_length: float | None = None, least_volume: float = _LEAST_HULL) -> Hull:
         """The hull in the whole cube, fine enough to look for a hand in it.
 
-        least_volume: cubic metres below which there is none.
+        hand_length: metres; then only what may be a hand at the end of an arm. least_volume: cubic metres below which
+        there is none.
         """
-        level = math.ceil(math.log2(self.root.side / self.settings.start_leaf))
-        return self._hull(masks, self.root, max(1, min(_FINEST, level)), least_volume)
+        if hand_length is None:
+            return self._hull(masks, self.root, self._level(self.root, math.ceil), least_volume)
+        level = max(1, math.ceil(math.log2(self.root.side / _COARSE_LEAF)))
+        carved = self._carved(masks, self.root, level, least_volume)
+        if carved.octree is None:
+            return Hull(target=None, views=carved.views, reason=carved.reason)
+        kept = [mask if view in carved.views else None for view, mask in enumerate(masks)]
+        end = HandEnd(self.cameras, kept, hand_length)
+        root = self._cube_of(end, carved.octree)
+        return self._hull(kept, root, self._level(root, round), least_volume, end)
+
+    def _level(self, root: RootCube, rounded: Callable[[float], int]) -> int:
+        return max(1, min(_FINEST, rounded(math.log2(root.side / self.settings.start_leaf))))
+
+    def _cube_of(self, end: HandEnd, octree: Octree) -> RootCube:
+        """A cube around what may be a hand; the whole one where nothing may."""
+        filled, first = octree.occupancy()
+        corner = torch.tensor(self.root.corner, dtype=torch.float64)
+        places = corner + octree.leaf_side * (filled.nonzero().cpu() + torch.tensor(first) + 0.5)
+        places = places[end(places)]
+        if not len(places):
+            return self.root
+        around = _AROUND * octree.leaf_side
+        low, high = places.amin(0) - around, places.amax(0) + around
+        x, y, z = (0.5 * (low + high)).tolist()
+        return RootCube(centre=(x, y, z), side=min(self.root.side, float((high - low).max())))
 
     def near(self, masks: Masks, place: Float[Tensor, "3"]) -> Hull:
         """The hull about a place, world frame, metres, where a hand is followed."""
@@ -66,29 +106,47 @@ class Hulls:
         x, y, z = (leaf * round(float(value) / leaf) for value in place)
         return self._hull(masks, RootCube(centre=(x, y, z), side=side), self.settings.level)
 
-    def _hull(self, masks: Masks, root: RootCube, level: int, least_volume: float = _LEAST_HULL) -> Hull:
-        views = tuple(view for view, mask in enumerate(masks) if mask is not None and bool(mask.any()))
+    def _hull(
+        self,
+        masks: Masks,
+        root: RootCube,
+        level: int,
+        least_volume: float = _LEAST_HULL,
+        end: HandEnd | None = None,
+    ) -> Hull:
+        carved = self._carved(masks, root, level, least_volume)
+        if carved.octree is None:
+            return Hull(target=None, views=carved.views, reason=carved.reason)
+        target = target_of(hull_field(carved.octree, surface="middle"))
+        if end is not None:
+            target = target.where(end)
+        if self._contours:
+            cameras, seen = [self.cameras[view] for view in carved.views], [masks[view] for view in carved.views]
+            target = with_rims(target, cameras, seen, rays=_RAYS if end is None else _SPARE * _RAYS)
+            if end is not None and target.rims is not None:
+                target = replace(target, rims=end.rays(target.rims, _RAYS))
+        return Hull(target=target, views=carved.views)
+
+    def _carved(self, masks: Masks, root: RootCube, level: int, least_volume: float) -> "_Carved":
+        """From all views or, where these do not meet, from all but the one without which most is left."""
+        views = tuple(view for view, mask in enumerate(masks) if mask is not None and mask.cpu().numpy().any())
         if len(views) < self._fewest:
             missing = sum(mask is None for mask in masks)
             reason = (
                 f"a silhouette in {len(views)} of {len(masks)} views ({missing} missing), {self._fewest} are needed"
             )
-            return Hull(target=None, views=views, reason=reason)
-        octree = self._carved(masks, views, root, level)
-        if self._volume(octree) <= least_volume and len(views) > self._fewest:
+            return _Carved(views=views, reason=reason)
+        octree = self._octree(masks, views, root, level)
+        if float(octree.volume()) <= least_volume and len(views) > self._fewest:
             others = [tuple(v for v in views if v != left_out) for left_out in views]
-            trees = [self._carved(masks, some, root, level) for some in others]
-            best = max(range(len(trees)), key=lambda i: self._volume(trees[i]))
+            trees = [self._octree(masks, some, root, level) for some in others]
+            best = max(range(len(trees)), key=lambda i: float(trees[i].volume()))
             views, octree = others[best], trees[best]
-        if self._volume(octree) <= least_volume:
-            return Hull(target=None, views=views, reason="the silhouettes of the views do not meet")
-        target = target_of(hull_field(octree, surface="middle"))
-        if not self._contours:
-            return Hull(target=target, views=views)
-        cameras, seen = [self.cameras[view] for view in views], [masks[view] for view in views]
-        return Hull(target=with_rims(target, cameras, [mask for mask in seen if mask is not None]), views=views)
+        if float(octree.volume()) <= least_volume:
+            return _Carved(views=views, reason="the silhouettes of the views do not meet")
+        return _Carved(views=views, octree=octree)
 
-    def _carved(self, masks: Masks, views: Sequence[int], root: RootCube, level: int) -> Octree:
+    def _octree(self, masks: Masks, views: Sequence[int], root: RootCube, level: int) -> Octree:
         s, count = self.settings, len(views)
         tolerated = min(s.tolerated_views, count - 2) if count > 2 else 0
         settings = CarvingSettings(
@@ -97,8 +155,14 @@ class Hulls:
             tolerated_views=tolerated,
             least_views=min(s.least_views or max(2, math.ceil(0.75 * count)), count),
         )
-        return Carver([self.cameras[view] for view in views], root, settings).carve([masks[view] for view in views])
+        return self._carver(tuple(views), root, settings).carve([masks[view] for view in views])
 
-    @staticmethod
-    def _volume(octree: Octree) -> float:
-        return float(octree.volume())
+    def _carver(self, views: tuple[int, ...], root: RootCube, settings: CarvingSettings) -> Carver:
+        """Those of the cubes that come again and again are kept."""
+        key = (views, root.side, settings)
+        if key in self._carvers:
+            return self._carvers[key].moved(root)
+        made = Carver([self.cameras[view] for view in views], root, settings)
+        if root.side in (self.root.side, self.settings.follow):
+            self._carvers[key] = made
+        return made

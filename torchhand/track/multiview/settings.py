@@ -34,7 +34,8 @@ class HullOctreeSettings:
     follow: float | None = 0.75
     """Side of a smaller cube about the hand while it is followed, metres; null: always the whole cube."""
     start_leaf: float = 0.004
-    """Side of the finest octants where a hand is looked for, metres at most; above 0."""
+    """Side of the finest octants where a hand is looked for, metres; above 0. A little more (1.4 times) in what is left
+    of a hull without the arm."""
     margin_px: int = 1
     """As in `CarvingSettings`."""
     tolerated_views: int = 0

@@ -12,6 +12,8 @@ from torch import Tensor
 from torchhand.geometry import Camera
 from torchhand.image import BackgroundPlate, SilhouetteSettings, SkinModel, bootstrap_skin, segment
 
+_DARKER = 0.2  # of the pictures have darker skin than is believed: one may be mistaken
+
 Images = Sequence[UInt8[Tensor, "_height _width 3"] | None]
 """One per view; None where it is missing."""
 Masks = Sequence[Bool[Tensor, "_height _width"] | None]
@@ -24,6 +26,8 @@ class LearnedSkin:
 
     model: SkinModel
     separability: float
+    dark_values: tuple[int, ...] = ()
+    """Of all pictures that showed skin: how dark it gets in any of them."""
 
 
 class ViewSilhouettes:
@@ -51,14 +55,20 @@ class ViewSilhouettes:
         self._maps = [_undistorting(camera) if camera.has_distortion else None for camera in cameras]
 
     def learn(self, images: Images, known: Sequence[LearnedSkin | None]) -> list[LearnedSkin | None]:
-        """What is known of every view's skin with what these pictures teach: the clearest lesson counts."""
+        """What is known of every view's skin with what these pictures teach: the clearest lesson counts, but skin is
+        believed as dark as in the darker ones, where parts of the hand were in the shade."""
         learned = list(known)
         for view, image in enumerate(images):
             if image is None or self.settings.method != "skin":
                 continue
             start, old = bootstrap_skin(image), learned[view]
-            if start.has_skin and (old is None or start.separability > old.separability):
-                learned[view] = LearnedSkin(model=start.model, separability=start.separability)
+            if not start.has_skin:
+                continue
+            dark = (start.model.dark_value, *(() if old is None else old.dark_values))
+            if old is None or start.separability > old.separability:
+                old = LearnedSkin(model=start.model, separability=start.separability)
+            dark_value = sorted(dark)[int(_DARKER * len(dark))]
+            learned[view] = replace(old, model=replace(old.model, dark_value=dark_value), dark_values=dark)
         return learned
 
     def __call__(self, images: Images, skins: Sequence[LearnedSkin | None]) -> list[Tensor | None]:

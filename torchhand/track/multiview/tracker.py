@@ -29,7 +29,7 @@ from torchhand.track.state import Status, TrackerState
 from torchhand.track.tracker import start_spread
 
 _USUAL = 0.9  # share of the usual overlap that outlasts a frame
-_EVERY = 3  # frames from one try of other postures to the next while a track is in doubt
+_TURNED = 0.12  # score that a hand turned by half a turn must be ahead
 _NEAREST = 6  # hands of other moments that are tried
 
 
@@ -131,13 +131,13 @@ class MultiViewTracker:
         followed, hull = None, None
         if predicted is not None:
             followed, hull = self._followed(predicted, here, memory, masks)
-        best = followed
+        best, facing = followed, None if predicted is None else predicted.reference
         if here is not None:
             hull = self.fits.hull_about(here, memory.shape, masks)
-            best = self._better(best, self.fits.from_anchors(hull, [here], memory.shape, masks))
+            best = self._better(best, self.fits.from_anchors(hull, [here], memory.shape, masks), facing)
         if self._is_doubtful(best, memory):
             near = [anchors[key] for key in sorted(anchors, key=lambda key: abs(key - (moment or 0)))][:_NEAREST]
-            best, hull, memory = self._reconsidered(best, hull, near, memory, masks)
+            best, hull, memory = self._reconsidered(best, hull, near, memory, masks, facing)
         if best is None:
             return self._without(predicted, memory, hull)
         return self._taken(best, followed, predicted, memory)
@@ -149,23 +149,27 @@ class MultiViewTracker:
         anchors: Sequence[Anchor],
         memory: MultiViewMemory,
         masks: Masks,
+        facing: Tensor | None,
     ) -> tuple[Placed | None, Hull | None, MultiViewMemory]:
-        """Other postures, other moments' hands, and when it is time a search, until the hand is no longer in doubt."""
-        loss, shape = self.settings.loss, memory.shape
+        """Other turns, other postures, other moments' hands, and when it is time a search, until the hand is no longer
+        in doubt."""
+        loss, shape, fits = self.settings.loss, memory.shape, self.fits
         is_failing = self._is_failing(best)
-        if best is not None and hull is not None and (is_failing or memory.frames_since_search % _EVERY == 0):
-            best = self._better(best, self.fits.with_other_digits(hull, best.anchor, anchors, shape, masks))
+        if best is not None and hull is not None:
+            best = self._better(best, fits.turned(hull, best.anchor, shape, masks), facing)
+            if best is not None and self._is_doubtful(best, memory):
+                best = self._better(best, fits.with_other_digits(hull, best.anchor, anchors, shape, masks), facing)
         if is_failing or hull is None:  # it may be anywhere
-            hull = self.fits.hulls.anywhere(masks)
-            best = self._better(best, self.fits.from_anchors(hull, anchors, shape, masks))
+            hull = fits.hull_anywhere(shape, masks)
+            best = self._better(best, fits.from_anchors(hull, anchors, shape, masks), facing)
         is_due = memory.frames_since_search >= memory.search_after
         if hull.target is None or not is_due or not self._is_doubtful(best, memory):
             return best, hull, memory
-        found = self.fits.searched(hull, shape, masks)
+        found = fits.searched(hull if is_failing else fits.hull_anywhere(shape, masks), shape, masks)
         has_found = found is not None and found.overlap >= loss.start_overlap
         after = loss.search_every if has_found else min(max(2 * memory.search_after, 1), loss.search_seldom)
         memory = replace(memory, frames_since_search=0, search_after=after)
-        return self._better(best, found), hull, memory
+        return self._better(best, found, facing), hull, memory
 
     def _followed(
         self, predicted: TrackerState, here: Anchor | None, memory: MultiViewMemory, masks: Masks
@@ -179,7 +183,7 @@ class MultiViewTracker:
         worst = int(placed.overlaps.nan_to_num(torch.inf).argmin())
         others = [None if view == worst else mask for view, mask in enumerate(masks)]
         again, second = self._fitted(predicted, starts, memory, others)
-        return (placed, hull) if self._better(placed, again) is placed else (again, second)
+        return (placed, hull) if self._better(placed, again, None) is placed else (again, second)
 
     def _fitted(
         self, predicted: TrackerState, starts: Sequence[Anchor], memory: MultiViewMemory, masks: Masks
@@ -189,10 +193,16 @@ class MultiViewTracker:
         mean, covariance = belief.mean[:count], belief.covariance[:count, :count]
         return self.fits.expected(hull, starts, mean, covariance, memory.shape, masks), hull
 
-    def _better(self, first: Placed | None, second: Placed | None) -> Placed | None:
+    def _better(self, first: Placed | None, second: Placed | None, facing: Tensor | None) -> Placed | None:
+        """The second where it explains enough more than the first: the more, the farther it is turned from where the
+        hand is expected to face, for a hand and its mirror image fill a hull nearly alike."""
         if first is None or second is None:
             return first or second
-        return second if second.overlap > first.overlap + self.settings.loss.better_by else first
+        margin = self.settings.loss.better_by
+        if facing is not None:
+            traces = [float((facing * one.fit.root_reference).sum()) for one in (first, second)]
+            margin += _TURNED * max(0.0, traces[0] - traces[1]) / 4  # of half a turn: 4
+        return second if second.score > first.score + margin else first
 
     def _is_failing(self, placed: Placed | None) -> bool:
         return placed is None or placed.overlap < self.settings.loss.min_overlap

@@ -1,0 +1,70 @@
+import pytest
+import torch
+
+from torchhand.geometry import rotation_from_vector
+from torchhand.track.hull_settings import HullStartSettings
+from torchhand.track.multiview import MultiViewSettings
+from torchhand.track.multiview.fitting import Anchor, MomentFitter, Placed, chosen
+
+SETTINGS = MultiViewSettings(
+    start=HullStartSettings(places=1, rolls=8, postures=("open", "point"), coarse=12, fine=2, finger_rounds=0)
+)
+
+
+@pytest.fixture(scope="module")
+def fits(rig_hand, rig) -> MomentFitter:
+    return MomentFitter(rig_hand, rig, SETTINGS)
+
+
+def _error_mm(rig_hand, placed: Placed | None, pose) -> float:
+    assert placed is not None
+    found = rig_hand.kinematics(placed.fit.pose, root_reference=placed.fit.root_reference).keypoints
+    truth = rig_hand.kinematics(pose[0], root_reference=pose[1]).keypoints
+    return 1e3 * float((found - truth).norm(dim=-1).mean())
+
+
+def test_hand_that_turned_fast_about_its_forearm_is_followed(fits, rig_hand, pose_at, masks_of):
+    pose, reference = pose_at("point")
+    masks, shape = masks_of((pose, reference)), rig_hand.kinematics.default_shape
+    about = reference @ torch.tensor((0.0, 1.0, 0.0), dtype=torch.float64)
+    before = Anchor(pose=pose, root_reference=rotation_from_vector(1.1 * about) @ reference)
+    with torch.inference_mode():
+        hull = fits.hull_about(before, shape, masks)
+        near = fits.from_anchors(hull, [before], shape, masks)
+        turned = fits.turned(hull, before, shape, masks)
+    assert _error_mm(rig_hand, turned, (pose, reference)) < 5.0
+    assert turned.score > near.score + 0.05
+
+
+def test_search_finds_the_hand_at_the_end_of_an_arm(fits, rig_hand, rig, pose_at, masks_of):
+    """Two silhouettes with a forearm that leaves the pictures: most of their hull is arm."""
+    pose, reference = pose_at("point")
+    masks, shape = masks_of((pose, reference)), rig_hand.kinematics.default_shape
+    points = rig_hand.kinematics(pose, shape, root_reference=reference).keypoints
+    along = torch.nn.functional.normalize(points[0] - points[9], dim=0)
+    arm = points[0] + torch.arange(0.0, 0.4, 0.001, dtype=torch.float64)[:, None] * along
+    masks = [*masks[:2], None, None]
+    for camera, mask in zip(rig[:2], masks[:2], strict=True):
+        x, y = torch.arange(camera.width)[None], torch.arange(camera.height)[:, None]
+        places, depths = camera.project(arm), camera.cam_from_world(arm)[:, 2]
+        for (column, row), depth in zip(places.tolist(), depths.tolist(), strict=True):
+            if depth > 0.1:
+                radius = 0.028 * float(camera.intrinsics[0, 0]) / depth
+                mask |= (x - column) ** 2 + (y - row) ** 2 < radius**2
+    with torch.inference_mode():
+        found = fits.searched(fits.hull_anywhere(shape, masks), shape, masks)
+    assert _error_mm(rig_hand, found, (pose, reference)) < 12.0
+
+
+def test_the_likelier_of_those_that_explain_alike_is_chosen(fits, rig_hand, pose_at, masks_of):
+    masks, shape = masks_of(pose_at()), rig_hand.kinematics.default_shape
+    with torch.inference_mode():
+        anchors = [Anchor(pose=p, root_reference=r) for p, r in (pose_at(), pose_at(turn=0.5))]
+        hull = fits.hull_about(anchors[0], shape, masks)
+        good, other = (fits.from_anchors(hull, [anchor], shape, masks) for anchor in anchors)
+        far = fits.with_other_digits(
+            hull, Anchor(pose=pose_at("fist")[0], root_reference=pose_at()[1]), [], shape, masks
+        )
+    assert chosen([None, far, good]) is good
+    assert chosen([other, good]).fit.cost == min(good.fit.cost, other.fit.cost)
+    assert chosen([None]) is None
