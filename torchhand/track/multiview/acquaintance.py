@@ -1,7 +1,7 @@
 """Getting to know a hand before it is followed: where it is in some moments, and its proportions over all of them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -76,7 +76,7 @@ def acquaint(
         one = _Seen(moment=moment, masks=masks, hull=fits.hull_anywhere(shape, masks))
         one = one.at(_found(fits, one, shape, _anchors_of(seen)))
         if one.placed is not None and shape is None:
-            shape = _fitted(fits, [one], people).shape
+            shape = _fitted(fits, [one], people, rough=True).shape
             one = one.at(fits.from_anchors(one.hull, [one.placed.anchor], shape, masks))
         seen.append(one)
         done()
@@ -85,7 +85,7 @@ def acquaint(
         return Acquaintance(shape=generic, shape_std=None, anchors={}, learned_from=())
     fit: HullShapeFit | None = None
     if known is None:
-        shape = _fitted(fits, _good(seen), people, shape).shape
+        shape = _fitted(fits, _good(seen), people, shape, rough=True).shape
     seen = [one.at(_again(fits, one, shape, _anchors_of(seen))) for one in seen]
     anchors = {one.moment: one.placed.anchor for one in _within(seen, _UNLIKELY) if one.placed is not None}
     if known is not None:
@@ -165,8 +165,17 @@ def _sizes(fits: MomentFitter) -> list[Tensor]:
 
 
 def _fitted(
-    fits: MomentFitter, seen: Sequence[_Seen], people: Anthropometry, shape: Tensor | None = None
+    fits: MomentFitter,
+    seen: Sequence[_Seen],
+    people: Anthropometry,
+    shape: Tensor | None = None,
+    *,
+    rough: bool = False,
 ) -> HullShapeFit:
+    """rough: with half the looks, where more will follow."""
+    settings = fits.settings.shape
+    if rough:
+        settings = replace(settings, rounds=max(1, settings.rounds // 2))
     found: list[tuple[HullTarget, Placed]] = [
         (one.hull.target, one.placed) for one in seen if one.hull.target is not None and one.placed is not None
     ]
@@ -177,7 +186,7 @@ def _fitted(
         torch.stack([placed.fit.pose for _, placed in found]),
         torch.stack([placed.fit.root_reference for _, placed in found]),
         people,
-        fits.settings.shape,
+        settings,
         fits.settings.shape_fit,
         shape=shape,
         **fits.beliefs,

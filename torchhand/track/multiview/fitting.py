@@ -34,7 +34,7 @@ _TURNS = (
     *((0.0, 0.0, angle) for angle in (-25.0, 25.0)),
 )
 """Degrees about the hand's axes: mostly about that of the forearm."""
-_ALIKE = 0.04  # scores that differ by less are alike: the cost of the fit decides
+_ALIKE = 0.25  # of what the best leaves unexplained: scores that differ by less are alike, and the cost decides
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -216,4 +216,4 @@ def chosen(tried: Sequence[Placed | None]) -> Placed | None:
     if not good:
         return None
     best = max(one.score for one in good)
-    return min((one for one in good if one.score >= best - _ALIKE), key=lambda one: float(one.fit.cost))
+    return min((one for one in good if one.score >= best - _ALIKE * (1 - best)), key=lambda one: float(one.fit.cost))

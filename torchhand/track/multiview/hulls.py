@@ -1,7 +1,7 @@
 """From the silhouettes of one moment to the hull that a hand is fitted into."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -71,18 +71,15 @@ class Hulls:
         there is none.
         """
         if hand_length is None:
-            return self._hull(masks, self.root, self._level(self.root, math.ceil), least_volume)
+            level = math.ceil(math.log2(self.root.side / self.settings.start_leaf))
+            return self._hull(masks, self.root, max(1, min(_FINEST, level)), least_volume)
         level = max(1, math.ceil(math.log2(self.root.side / _COARSE_LEAF)))
         carved = self._carved(masks, self.root, level, least_volume)
         if carved.octree is None:
             return Hull(target=None, views=carved.views, reason=carved.reason)
         kept = [mask if view in carved.views else None for view, mask in enumerate(masks)]
         end = HandEnd(self.cameras, kept, hand_length)
-        root = self._cube_of(end, carved.octree)
-        return self._hull(kept, root, self._level(root, round), least_volume, end)
-
-    def _level(self, root: RootCube, rounded: Callable[[float], int]) -> int:
-        return max(1, min(_FINEST, rounded(math.log2(root.side / self.settings.start_leaf))))
+        return self._hull(kept, self._cube_of(end, carved.octree), self.settings.level, least_volume, end)
 
     def _cube_of(self, end: HandEnd, octree: Octree) -> RootCube:
         """A cube around what may be a hand; the whole one where nothing may."""

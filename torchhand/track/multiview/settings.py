@@ -34,8 +34,7 @@ class HullOctreeSettings:
     follow: float | None = 0.75
     """Side of a smaller cube about the hand while it is followed, metres; null: always the whole cube."""
     start_leaf: float = 0.004
-    """Side of the finest octants where a hand is looked for, metres; above 0. A little more (1.4 times) in what is left
-    of a hull without the arm."""
+    """Side of the finest octants in the whole cube, metres at most; above 0."""
     margin_px: int = 1
     """As in `CarvingSettings`."""
     tolerated_views: int = 0
@@ -100,7 +99,7 @@ class MultiViewSettings:
     part is volume that no hand fills."""
     fit: HullFitSettings = field(
         default_factory=lambda: HullFitSettings(
-            levels=_TRACKING_LEVELS, vertices=250, prior_weight=0.4, prior_tail=3.0, firmness=1.5
+            levels=_TRACKING_LEVELS, vertices=250, prior_weight=0.5, prior_tail=3.0, firmness=1.5
         )
     )
     """While a hand is followed."""
@@ -108,7 +107,7 @@ class MultiViewSettings:
     start: HullStartSettings = field(default_factory=HullStartSettings)
     """Where a hand is looked for."""
     start_fit: HullFitSettings = field(
-        default_factory=lambda: HullFitSettings(prior_weight=0.4, prior_tail=3.0, firmness=1.5)
+        default_factory=lambda: HullFitSettings(prior_weight=0.5, prior_tail=3.0, firmness=1.5)
     )
     """The last step of the search."""
     shape: HullShapeSettings = field(default_factory=HullShapeSettings)
