@@ -11,13 +11,15 @@ from torch import Tensor
 
 from torchhand.files import load_hand_model
 from torchhand.geometry import Camera, assumed_camera
-from torchhand.hand import Anthropometry, HandKinematics, posture
+from torchhand.hand import DOFS, Anthropometry, HandKinematics, posture
 from torchhand.hand.skeleton import FINGERS
 from torchhand.simulate import SceneSettings, render_sequence, sample_shape
 from torchhand.simulate.motion import Motion
 from torchhand.track import open_hand_shading
+from torchhand.track.appearance import mask_plane
 from torchhand.track.facing import facing_rotation
 from torchhand.track.open_hand import OpenHand, fit_open_hand
+from torchhand.track.open_hand_edges import Outline
 from torchhand.track.open_hand_joints import moved_joints
 from torchhand.track.open_hand_light import Light, fit_light
 from torchhand.track.open_hand_parts import NearestParts
@@ -25,6 +27,7 @@ from torchhand.track.open_hand_pixels import PixelGrid, pixel_grid, thinned
 from torchhand.track.open_hand_problem import OpenHandProblem
 from torchhand.track.open_hand_settings import OpenHandSettings
 from torchhand.track.open_hand_shading import Shading
+from torchhand.track.open_hand_shading_cost import JointCost, ShadingStage
 from torchhand.track.open_hand_soft import soft_silhouette
 from torchhand.track.open_hand_surface import meet, quadric_numbers
 from torchhand.view import HandProjector, raycast
@@ -216,11 +219,64 @@ def test_joints_far_from_their_places_are_moved_back() -> None:
     )
     off = torch.zeros(problem.size, dtype=torch.float64)
     off[middle], off[distal] = 0.015 / problem.std[middle], -0.015 / problem.std[distal]
-    moved = moved_joints(shading, problem, off, shading(off, with_slopes=False), 2.0)
+    moved = moved_joints(shading, problem, off, next(shading.without_slopes(off[None])), 2.0)
     assert float((moved[middle].abs() / off[middle]).mean()) < 0.5
     assert float((moved[distal].abs() / off[distal].abs()).mean()) < 0.5
     still = torch.zeros_like(off)
     torch.testing.assert_close(moved_joints(shading, problem, still, shading(still), 2.0), still)
+
+
+def test_rows_are_the_same_without_slopes() -> None:
+    case = scene(3)
+    shading = Shading(case.grid(2), case.problem, case.kinematics, case.rotation)
+    values = 0.05 * torch.stack((torch.zeros(case.problem.size).double(), torch.ones(case.problem.size).double()))
+    for rows, own in zip(shading.without_slopes(values), values, strict=True):
+        expected = shading(own)
+        assert rows.jacobian.shape == (len(expected.residual), 0)
+        torch.testing.assert_close(rows.square, expected.square)
+        torch.testing.assert_close(rows.residual, expected.residual, rtol=0, atol=1e-9)
+
+
+def bent(case: Scene, radians: float) -> Tensor:
+    """Values with the index finger bent at its middle joint."""
+    problem = case.problem
+    number = problem.free_pose.tolist().index(DOFS.index("index_pip_fe"))
+    values = torch.zeros(problem.size, dtype=torch.float64)
+    values[number] = radians / problem.std[number]
+    return values
+
+
+def test_squares_that_a_bent_finger_has_left_cost_as_much_as_the_grossest() -> None:
+    case = scene(3)
+    problem = case.problem
+    shading = Shading(case.grid(2), problem, case.kinematics, case.rotation)
+    straight, off = (shading(values) for values in (bent(case, 0.0), bent(case, 1.2)))
+    assert straight.lost == 0
+    assert off.lost > 10
+    outline = Outline(mask_plane(case.mask), problem, case.kinematics, case.camera, case.rotation, SETTINGS)
+    term = outline.term(bent(case, 0.0), SETTINGS.final_search_share, is_fine=True)
+    assert term is not None
+    cost = JointCost(shading, ShadingStage(side=1.0, most=6.0), problem, term, 2.0)
+    with_lost, without = (cost.equations(bent(case, 1.2), replace(off, lost=lost)) for lost in (off.lost, 0.0))
+    assert float(with_lost.cost - without.cost) == pytest.approx(0.5 * off.lost * 3.0**2)
+
+
+def test_outline_away_from_where_its_edges_were_found(generator: torch.Generator) -> None:
+    """The cost's gradient is that of the edges found; bending, which the linear model hardly sees, costs."""
+    case = scene(3)
+    outline = Outline(mask_plane(case.mask), case.problem, case.kinematics, case.camera, case.rotation, SETTINGS)
+    start = bent(case, 0.0)
+    term = outline.term(start, SETTINGS.final_search_share, is_fine=True)
+    assert term is not None
+    here = term.equations(start)
+    torch.testing.assert_close(here.gradient, -term.pull)
+    torch.testing.assert_close(here.matrix, term.information)
+    way = 1e-4 * torch.randn(len(start), generator=generator, dtype=torch.float64)
+    change = 0.5 * (term.equations(start + way).cost - term.equations(start - way).cost)
+    torch.testing.assert_close(change, here.gradient @ way, rtol=1e-3, atol=1e-6)
+    off = bent(case, 1.2)
+    linear = here.cost + here.gradient @ off + 0.5 * off @ (here.matrix @ off)
+    assert float(term.equations(off).cost) > 2 * float(linear)
 
 
 def test_joints_are_where_the_shading_has_them_and_deviations_are_honest() -> None:

@@ -18,6 +18,7 @@ from torchhand.image.fingers import FingerSearch, FingerSettings, find_fingers
 from torchhand.image.skin_start import bootstrap_skin
 
 _LEAST_SHARE, _MOST_SHARE = 0.02, 0.75  # of the picture that a hand may cover
+_MOST_BORDER = 0.75  # of the picture's border that a hand may take up: more is what is behind it
 _FAIR_FINGERS = 3  # a guess that shows fewer is not refined
 _REFINED = 3  # guesses refined
 _QUICK = FingerSettings(sizes=8, work_side_px=200)
@@ -99,16 +100,17 @@ def find_open_hand(
     hand-like of them are refined, and of all the one with most fingers in an open hand's order, on edges, is taken.
     """
     settings = settings or RefinementSettings()
+    edges = _edges(image)
     guesses = [
         candidate
         for name, mask in _guesses(image, settings.max_side_px)
-        if (candidate := _judged(image, mask, name)) is not None
+        if (candidate := _judged(image, edges, mask, name)) is not None
     ]
     guesses.sort(key=_merit, reverse=True)
     refined = []
     for guess in guesses[:_REFINED]:
         if _fingers(guess) >= _FAIR_FINGERS:
-            cut = _judged(image, refine_silhouette(image, guess.mask, settings), f"{guess.source}, graph cut")
+            cut = _judged(image, edges, refine_silhouette(image, guess.mask, settings), f"{guess.source}, graph cut")
             refined += [] if cut is None else [cut]
     everything = guesses + refined
     if not everything:
@@ -119,6 +121,10 @@ def find_open_hand(
 
 def edge_share(image: UInt8[Tensor, "height width 3"], mask: Bool[Tensor, "height width"]) -> float:
     """Share of a silhouette's outline that lies on edges of the picture; the picture's border counts for neither."""
+    return _share_on(_edges(image), mask)
+
+
+def _share_on(edges: np.ndarray, mask: Tensor) -> float:
     height, width = mask.shape
     outlines, _ = cv2.findContours(mask.cpu().numpy().astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not outlines:
@@ -128,13 +134,17 @@ def edge_share(image: UInt8[Tensor, "height width 3"], mask: Bool[Tensor, "heigh
     points = points[inner]
     if not len(points):
         return 0.0
+    return float((edges[points[:, 1], points[:, 0]] > _LEAST_GRADIENT).mean())
+
+
+def _edges(image: Tensor) -> np.ndarray:
+    """Steepest change of any channel within 2 px of each pixel, shares of white per px."""
     soft = cv2.GaussianBlur(image.cpu().contiguous().numpy(), (0, 0), 1.0).astype(np.float32) / 255.0
-    strength = np.zeros(mask.shape, np.float32)
+    strength = np.zeros(soft.shape[:2], np.float32)
     for channel in cv2.split(soft):
         gradient = cv2.magnitude(cv2.Sobel(channel, cv2.CV_32F, 1, 0), cv2.Sobel(channel, cv2.CV_32F, 0, 1)) / 8.0
         strength = np.maximum(strength, gradient)
-    near = cv2.dilate(strength, np.ones((5, 5), np.uint8))
-    return float((near[points[:, 1], points[:, 0]] > _LEAST_GRADIENT).mean())
+    return cv2.dilate(strength, np.ones((5, 5), np.uint8))
 
 
 def _cut(pixels: np.ndarray, guess: np.ndarray, settings: RefinementSettings) -> np.ndarray | None:
@@ -169,18 +179,19 @@ def _guesses(image: Tensor, max_side_px: int) -> list[tuple[str, Tensor]]:
     return found
 
 
-def _judged(image: Tensor, mask: Tensor, source: str) -> HandSilhouette | None:
+def _judged(image: Tensor, edges: np.ndarray, mask: Tensor, source: str) -> HandSilhouette | None:
     piece = largest_component(clean(mask.cpu()))
     piece = fill_holes(piece, max_area=max(1, piece.numel() // 500))
     share = float(piece.double().mean())
-    if not _LEAST_SHARE < share < _MOST_SHARE:
+    border = torch.cat((piece[0], piece[-1], piece[:, 0], piece[:, -1])).double().mean()
+    if not _LEAST_SHARE < share < _MOST_SHARE or float(border) > _MOST_BORDER:
         return None
     search = find_fingers(piece, _QUICK)
     return HandSilhouette(
         mask=piece.to(image.device),
         source=source,
         search=search,
-        edge_share=edge_share(image, piece),
+        edge_share=_share_on(edges, piece),
         odd_digits=odd_digits(image, search),
     )
 

@@ -102,18 +102,16 @@ def boundaries(
     grid: PixelGrid, part: Int[Tensor, "squares"], is_used: Bool[Tensor, "squares"]
 ) -> tuple[Int[Tensor, "pairs"], Int[Tensor, "pairs"], Int[Tensor, "pairs"]]:
     """Pairs of neighbouring squares of different parts, and the neighbour of the first to the other direction."""
-    is_plain = is_used & ~IS_JOINT[part.clamp_min(0)]
-    rows, columns = grid.size
-    index = torch.arange(len(part)).reshape(rows, columns)
-    pairs = [
-        (index[:, :-1].flatten(), index[:, 1:].flatten(), columns),
-        (index[:-1].flatten(), index[1:].flatten(), 1),
-    ]
+    plain = grid.image(torch.where(is_used & ~IS_JOINT[part.clamp_min(0)], part, -1))
+    columns = plain.shape[1]
     found = []
-    for first, second, ahead in pairs:
-        is_boundary = is_plain[first] & is_plain[second] & (part[first] != part[second])
-        first = first[is_boundary]
-        found.append((first, second[is_boundary], (first + ahead).clamp_max(len(part) - 1)))
+    for here, there, ahead, aside in (
+        (plain[:, :-1], plain[:, 1:], 1, columns),
+        (plain[:-1], plain[1:], columns, 1),
+    ):
+        row, column = ((here != there) & (here >= 0) & (there >= 0)).nonzero(as_tuple=True)
+        first = row * columns + column
+        found.append((first, first + ahead, (first + aside).clamp_max(len(part) - 1)))
     first, second, beside = (torch.cat(both) for both in zip(*found, strict=True))
     return first, second, beside
 

@@ -5,6 +5,7 @@ residuals that agree count as one, so a surface unlike the model's leaves the pr
 hand like the model's let faint changes of taper tell where the joints are.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -17,6 +18,7 @@ from torchhand.geometry import Camera
 from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, HandKinematics
 from torchhand.hand.skeleton import FINGERS
 from torchhand.image import EdgeSettings, sample_bilinear, search_edges
+from torchhand.numerics.least_squares import NormalEquations
 from torchhand.track.contour_points import hand_length_px, is_outer
 from torchhand.track.open_hand_problem import OpenHandProblem
 from torchhand.track.open_hand_settings import OpenHandSettings
@@ -45,6 +47,21 @@ class OutlineTerm:
     residual_px: float
     found_share: float
     edge_std_px: float
+    distance: Callable[[Tensor], Tensor]
+    """Of the edges from the same points of the contour at other values (n) -> (points), px along the normals."""
+    jacobian: Float[Tensor, "points n"]
+    """Of those points along their normals, at `values`."""
+    weight: Float[Tensor, "points"]
+
+    def equations(self, values: Float[Tensor, "n"]) -> NormalEquations:
+        """The cost at other values: there the contour's points are moved, but edges and derivative stay.
+
+        What a linear model would miss is that a finger that bends gets shorter in the picture.
+        """
+        distance = self.distance(values)
+        pull = self.weight * distance
+        cost = 0.5 * (pull * distance).sum()
+        return NormalEquations(matrix=self.information, gradient=-(self.jacobian.T @ pull), cost=cost)
 
 
 class Outline:
@@ -108,6 +125,13 @@ class Outline:
         else:
             std = torch.full_like(offset, _ROUGH_STD)
         weight = weight / std**2
+        edges = points + offset[:, None] * normals
+
+        def distance(values: Tensor) -> Tensor:
+            pose, shape = problem.split(values)
+            projector = HandProjector(self._kinematics, self._camera, shape)
+            return ((edges - projector.outline_px(pose, self._root_reference, chosen)) * normals).sum(-1)
+
         return OutlineTerm(
             values=values,
             information=jacobian.T @ (weight[:, None] * jacobian),
@@ -115,6 +139,9 @@ class Outline:
             residual_px=float(offset[found].abs().median()) if bool(found.any()) else float("inf"),
             found_share=float(found.double().mean()),
             edge_std_px=float(std.median()),
+            distance=distance,
+            jacobian=jacobian,
+            weight=weight,
         )
 
 
@@ -154,12 +181,11 @@ def _jacobian(
     values: Tensor,
     normals: Float[Tensor, "points 2"],
 ) -> Float[Tensor, "points n"]:
-    """Change of the contour points along their normals with the unknowns, px, by central differences."""
+    """Change of the contour points along their normals with the unknowns, px, by forward differences."""
     steps = _STEP * torch.eye(problem.size, dtype=values.dtype)
-    poses, shapes = problem.split(torch.cat((values + steps, values - steps)))
+    poses, shapes = problem.split(torch.cat((values[None], values + steps)))
     points = HandProjector(kinematics, camera, shapes).outline_px(poses, root_reference, table)
-    plus, minus = points.chunk(2)
-    return ((plus - minus) * normals).sum(-1).T / (2 * _STEP)
+    return ((points[1:] - points[0]) * normals).sum(-1).T / _STEP
 
 
 def _noise(

@@ -14,6 +14,7 @@ from torchhand.track.open_hand_problem import OpenHandProblem
 from torchhand.track.open_hand_shading import Shading, ShadingRows
 
 _MOVES = (-6, -4, -2, -1, 1, 2, 4, 6)
+_LEVELS = (1, 0)  # the last joint of every digit, and the one before
 _STEP = 0.005  # of one move, share of the hand's length
 _LEAST_GAIN = 8.0  # of the cost, half squared standard deviations, for which a joint is moved
 _GROSS = 6.0  # grey levels
@@ -29,18 +30,15 @@ def moved_joints(
     """The values with those joints moved whose digits' shading fits clearly better so; `rows` are theirs."""
     digit = _DIGIT[shading.parts(values)]
     shading = shading.restricted(digit < len(FINGERS), rows)
-    here = _costs(shading(values, with_slopes=False), digit, noise)
+    ways = [[_along(problem, finger, level) for finger in FINGERS] for level in _LEVELS]
+    tried = [problem.clamped(values + move * _STEP * torch.stack(way).sum(0)) for way in ways for move in _MOVES]
+    here, *there = (_costs(rows, digit, noise) for rows in shading.without_slopes(torch.stack((values, *tried))))
     result = values
-    for level in (1, 0):  # the last joint of every digit, and the one before
-        ways = [_along(problem, finger, level) for finger in FINGERS]
-        least, best = here - _LEAST_GAIN, torch.zeros(len(FINGERS), dtype=torch.long)
-        for move in _MOVES:
-            tried = problem.clamped(values + move * _STEP * torch.stack(ways).sum(0))
-            cost = _costs(shading(tried, with_slopes=False), digit, noise)
-            is_less = cost < least
-            least, best = torch.where(is_less, cost, least), torch.where(is_less, move, best)
-        for way, move in zip(ways, best.tolist(), strict=True):
-            result = result + move * _STEP * way
+    for way, costs in zip(ways, torch.stack(there).chunk(len(_LEVELS)), strict=True):
+        least, best = costs.min(0)
+        for finger, along in enumerate(way):
+            if least[finger] < here[finger] - _LEAST_GAIN:
+                result = result + _MOVES[int(best[finger])] * _STEP * along
     return problem.clamped(result)
 
 

@@ -10,7 +10,8 @@ from torch import Tensor
 
 from torchhand.track.open_hand_pixels import PixelGrid
 
-_AROUND = 6  # squares that a part may move by
+_EVERY = 3  # squares from one that is asked at the start to the next, both ways
+_AROUND = 2  # such steps that a part may move by
 
 _EDGE, _CORNER, _AXIS, _LOW, _HIGH = slice(9, 12), 12, slice(13, 16), 16, 17
 
@@ -18,20 +19,25 @@ _EDGE, _CORNER, _AXIS, _LOW, _HIGH = slice(9, 12), 12, slice(13, 16), 16, 17
 class NearestParts:
     """For every square within the silhouette the part that its ray meets first, as `raycast` finds it.
 
-    The parts that a ray may meet are those that it or a neighbour met at the start, hidden ones included.
+    The parts that a ray may meet are those that some ray nearby met at the start, hidden ones included; the start asks
+    every third ray of a row and column.
     """
 
     def __init__(self, grid: PixelGrid, numbers: Float[Tensor, "37 18"]) -> None:
         """`numbers` are those of `quadric_numbers` at the start."""
         self._square = grid.is_inside.nonzero()[:, 0]
-        rays = grid.origin[self._square], grid.direction[self._square]
-        every = _Rays(*rays, [torch.arange(len(self._square))] * len(numbers))
-        is_met = torch.zeros(len(numbers), len(grid.value), dtype=torch.uint8)
-        is_met[:, self._square] = every.depths(numbers).isfinite().reshape(len(numbers), -1).byte()
+        rows, width = grid.size
+        lattice = torch.arange(rows * width).reshape(rows, width)[::_EVERY, ::_EVERY]
+        asked = lattice.flatten()
+        every = _Rays(grid.origin[asked], grid.direction[asked], [torch.arange(len(asked))] * len(numbers))
+        is_met = every.depths(numbers).isfinite().reshape(-1, *lattice.shape).byte().numpy()
         kernel = np.ones((2 * _AROUND + 1,) * 2, np.uint8)
-        wide = [cv2.dilate(plane.reshape(grid.size).numpy(), kernel).ravel() for plane in is_met]
-        columns = [torch.from_numpy(plane).bool()[self._square].nonzero()[:, 0] for plane in wide]
-        self._rays = _Rays(*rays, columns)
+        wide = [torch.from_numpy(cv2.dilate(plane, kernel)).flatten() > 0 for plane in is_met]
+        row, column = self._square // width, self._square % width
+        tall, broad = lattice.shape
+        nearest = ((row + 1) // _EVERY).clamp_max(tall - 1) * broad + ((column + 1) // _EVERY).clamp_max(broad - 1)
+        columns = [plane[nearest].nonzero()[:, 0] for plane in wide]
+        self._rays = _Rays(grid.origin[self._square], grid.direction[self._square], columns)
         self._column = torch.cat(columns)
         counts = torch.tensor([len(column) for column in columns])
         self._part = torch.arange(len(columns)).repeat_interleave(counts)
@@ -55,18 +61,10 @@ class _Rays:
     ) -> None:
         """`columns` tells the rays of every part, one part after the other."""
         pinhole = not bool(origin.any())  # all rays start at the frame's origin
-        twice = _products(direction, direction)
-        once, never = (None, None) if pinhole else (_products(direction, origin), _products(origin, origin))
-        self._parts = [
-            (
-                direction.T[:, own],
-                twice[:, own],
-                origin.T[:, own],
-                None if once is None else once[:, own],
-                None if never is None else never[:, own],
-            )
-            for own in columns
-        ]
+        planes = [direction.T.contiguous(), _products(direction, direction)]
+        if not pinhole:
+            planes += [origin.T.contiguous(), _products(direction, origin), _products(origin, origin)]
+        self._parts = [[plane.index_select(1, own) for plane in planes] for own in columns]
 
     def depths(self, numbers: Float[Tensor, "37 18"]) -> Float[Tensor, "pairs"]:
         """Of the first point of each part on its rays that is not cut off; infinite where there is none."""
@@ -86,15 +84,15 @@ class _Rays:
         own: Float[Tensor, "18"],
         direction: Tensor,
         twice: Tensor,
-        origin: Tensor,
-        once: Tensor | None,
-        never: Tensor | None,
+        origin: Tensor | None = None,
+        once: Tensor | None = None,
+        never: Tensor | None = None,
     ) -> tuple[Tensor, ...]:
         """Terms of the quadratic in a ray's depth, the depth's part in the axis's, and both ends."""
         upper, edge, axis = own[:9], own[_EDGE], own[_AXIS]
         linear, rise = torch.stack((edge, axis)) @ direction
         constant, start = own[_CORNER].expand_as(linear), torch.zeros_like(linear)
-        if once is not None and never is not None:
+        if origin is not None and once is not None and never is not None:
             linear = linear + upper @ once
             constant = constant + upper @ never + 2 * edge @ origin
             start = axis @ origin

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Shaped, UInt8
 from torch import Tensor
 
 from torchhand.geometry import Camera
@@ -37,7 +37,7 @@ class PixelGrid:
         """Rows and columns."""
         return self.camera.height, self.camera.width
 
-    def image(self, values: Float[Tensor, "squares"]) -> Float[Tensor, "rows columns"]:
+    def image(self, values: Shaped[Tensor, "squares"]) -> Shaped[Tensor, "rows columns"]:
         return values.reshape(self.size)
 
 

@@ -22,7 +22,7 @@ class OpenHandSettings:
     """The same factor once the digits are corrected by those of the model's own silhouette; 0 or more."""
     more_iterations: int = 8
     """Steps of that second fit; 2 or more."""
-    iterations: int = 14
+    iterations: int = 9
     """Steps of the fit to the outline; 2 or more."""
     search_share: float = 0.04
     """First half length of the edge search, as a share of the hand's length in the picture; above 0."""

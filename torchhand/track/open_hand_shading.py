@@ -5,6 +5,7 @@ Lambert's law with one distant light and one reflectance (as in de La Gorce, Fle
 photographs to the noise: whoever uses these residuals asks first whether they are noise.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import cv2
@@ -23,7 +24,7 @@ from torchhand.track.open_hand_surface import meet, quadric_numbers
 from torchhand.view import HandProjector
 
 _STEP = 1e-4  # of the numerical derivative, prior standard deviations
-_NEAR = 2  # squares about a crease
+_NEAR = 1  # squares about a crease
 _HIDDEN = torch.tensor([PRIMITIVE_NAMES.index("palm_wrist")])  # the forearm goes on there
 
 
@@ -46,6 +47,8 @@ class ShadingRows:
     square: Int[Tensor, "rows"]
     candidates: int
     """Squares that show the hand, those that cannot be explained included."""
+    lost: float
+    """Squares that showed the hand when this `Shading` was first asked, and where the model has nothing now."""
 
     @property
     def noise(self) -> float:
@@ -68,11 +71,24 @@ class Shading:
         self.grid, self._problem, self._kinematics, self._root_reference = grid, problem, kinematics, root_reference
         self._nearest: NearestParts | None = None
         self._light: Light | None = None
+        self._shown: Bool[Tensor, "squares"] | None = None
 
-    def __call__(self, values: Float[Tensor, "n"], *, with_slopes: bool = True) -> ShadingRows:
-        """Without slopes the Jacobian has no columns, which takes a third of the time."""
+    def __call__(self, values: Float[Tensor, "n"]) -> ShadingRows:
+        """With the Jacobian, by forward differences of the parts' numbers."""
+        steps = _STEP * torch.eye(len(values), dtype=values.dtype)
+        numbers = self._numbers(torch.cat((values[None], values + steps)))
+        return self._rows(numbers[..., 0], (numbers[..., 1:] - numbers[..., :1]) / _STEP)
+
+    def without_slopes(self, values: Float[Tensor, "hands n"]) -> Iterator[ShadingRows]:
+        """The same for one hand after the other, but the Jacobian has no columns: a third of the time."""
+        for numbers in self._numbers(values).unbind(-1):
+            yield self._rows(numbers, None)
+
+    def _rows(self, numbers: Float[Tensor, "37 18"], change: Float[Tensor, "37 18 n"] | None) -> ShadingRows:
+        """`change` is that of the numbers with the unknowns."""
         grid = self.grid
-        numbers, part, is_used = self._parts(values)
+        part, is_used = self._parts(numbers)
+        self._shown = is_used if self._shown is None else self._shown
         square = is_used.nonzero()[:, 0]
         seen = meet(numbers, part[square], grid.origin[square], grid.direction[square])
         is_sound = seen.depth.isfinite() & (seen.is_kept() | IS_JOINT[part[square]])
@@ -84,12 +100,11 @@ class Shading:
         square, seen = square[is_sound], seen.select(is_sound)
         normal = seen.normal
         jacobian = normal[:, :0]
-        if with_slopes:
+        if change is not None:
             # d brightness = light · dn, and n is the gradient over its length
             along = light.slope(normal)
             length = seen.gradient.norm(dim=-1, keepdim=True)
             across = (along - (along * normal).sum(-1, keepdim=True) * normal) / length
-            change = self._change_of_numbers(values)
             jacobian = _chained(change, part[square], seen.gradient_slope(across))
             row = torch.full_like(part, -1)
             row[square] = torch.arange(len(square))
@@ -105,6 +120,7 @@ class Shading:
             count=grid.count[square],
             square=square,
             candidates=int(is_used.sum()),
+            lost=float(grid.count[self._shown & (part < 0)].sum()),
         )
 
     def restricted(self, keep: Bool[Tensor, "squares"], rows: ShadingRows) -> "Shading":
@@ -116,12 +132,12 @@ class Shading:
 
     def parts(self, values: Float[Tensor, "n"]) -> Int[Tensor, "squares"]:
         """What every square shows; -1 where it is not compared."""
-        _, part, is_used = self._parts(values)
+        part, is_used = self._parts(self._numbers(values[None])[..., 0])
         return torch.where(is_used, part, -1)
 
     def near_creases(self, values: Float[Tensor, "n"], finer: PixelGrid) -> Bool[Tensor, "finer"]:
         """Of a finer grid the squares near a boundary between parts, joints' balls left out."""
-        _, part, is_used = self._parts(values)
+        part, is_used = self._parts(self._numbers(values[None])[..., 0])
         first, second, _ = boundaries(self.grid, part, is_used)
         plane = np.zeros(len(part), np.uint8)
         plane[first.numpy()] = plane[second.numpy()] = 1
@@ -131,27 +147,18 @@ class Shading:
         height, width = self.grid.size
         return near[row.clamp(0, height - 1), column.clamp(0, width - 1)]
 
-    def _parts(
-        self, values: Float[Tensor, "n"]
-    ) -> tuple[Float[Tensor, "37 18"], Int[Tensor, "squares"], Bool[Tensor, "squares"]]:
-        """Numbers of every part, what every square shows, and whether it is compared."""
-        grid = self.grid
-        pose, shape = self._problem.split(values)
-        projector = HandProjector(self._kinematics, grid.camera, shape)
-        numbers = quadric_numbers(projector.primitives_cam(projector.frames(pose, self._root_reference)))[..., 0]
-        self._nearest = self._nearest or NearestParts(grid, numbers)
+    def _parts(self, numbers: Float[Tensor, "37 18"]) -> tuple[Int[Tensor, "squares"], Bool[Tensor, "squares"]]:
+        """What every square shows, and whether it is compared."""
+        self._nearest = self._nearest or NearestParts(self.grid, numbers)
         part = self._nearest(numbers)
         is_used = (part >= 0) & ~torch.isin(part, _HIDDEN)
-        return numbers, without_flat_joints(grid, numbers, part, is_used), is_used
+        return without_flat_joints(self.grid, numbers, part, is_used), is_used
 
-    def _change_of_numbers(self, values: Float[Tensor, "n"]) -> Float[Tensor, "37 18 n"]:
-        """By central differences."""
-        steps = _STEP * torch.eye(len(values), dtype=values.dtype)
-        poses, shapes = self._problem.split(torch.cat((values + steps, values - steps)))
+    def _numbers(self, values: Float[Tensor, "hands n"]) -> Float[Tensor, "37 18 hands"]:
+        """Numbers of every part of every hand."""
+        poses, shapes = self._problem.split(values)
         projector = HandProjector(self._kinematics, self.grid.camera, shapes)
-        frames = projector.frames(poses, self._root_reference)
-        plus, minus = quadric_numbers(projector.primitives_cam(frames)).chunk(2, -1)
-        return (plus - minus) / (2 * _STEP)
+        return quadric_numbers(projector.primitives_cam(projector.frames(poses, self._root_reference)))
 
 
 def _chained(

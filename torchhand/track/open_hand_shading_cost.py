@@ -26,6 +26,8 @@ class ShadingStage:
     """Residuals beyond so many grey levels hardly count."""
     repeats: int = 1
     """The noise, by which outline and prior are weighed, is only known where the fit is nearly right."""
+    tolerance: float = 1e-4
+    """It ends when a step promises to lower the cost by no more than this share."""
     is_thinned: bool = False
     """Whether only squares near creases are compared singly: those tell most."""
 
@@ -46,21 +48,24 @@ class JointCost:
         return self.equations(values, self._shading(values))
 
     def equations(self, values: Float[Tensor, "n"], rows: ShadingRows) -> NormalEquations:
-        outline, apart = self._outline, values - self._outline.values
+        edges = self._outline.equations(values)
         known, slope = self._problem.prior(values)
         seen = self._of_shading(rows)
-        drag = outline.information @ apart
-        cost = seen.cost + 0.5 * known.square().sum() + 0.5 * apart @ drag - apart @ outline.pull
+        cost = seen.cost + 0.5 * known.square().sum() + edges.cost
         if float(cost) < self._least:
             self._least, self.best = float(cost), rows
         return NormalEquations(
-            matrix=seen.matrix + slope.T @ slope + outline.information,
-            gradient=seen.gradient + slope.T @ known + drag - outline.pull,
+            matrix=seen.matrix + slope.T @ slope + edges.matrix,
+            gradient=seen.gradient + slope.T @ known + edges.gradient,
             cost=cost,
         )
 
     def _of_shading(self, rows: ShadingRows) -> NormalEquations:
-        """The light is solved for on the way; squares that cannot be explained cost as much as others on average."""
+        """The light is solved for on the way.
+
+        Squares that cannot be explained cost as much as others on average, and those that the hand has left as much as
+        the grossest: it would leave what it cannot explain at once.
+        """
         noise, most = self._noise, self._stage.most
         trust = (noise**2 / rows.count + rows.variance).rsqrt()
         far = 1 + (rows.residual / most).square()
@@ -73,10 +78,11 @@ class JointCost:
         count = rows.jacobian.shape[-1]
         light = matrix[count:, count:] + ridge(matrix[count:, count:])
         solved = torch.linalg.solve(light, torch.cat((matrix[count:, :count], pull[count:, None]), -1))
+        left = rows.lost * (most / noise) ** 2
         return NormalEquations(
             matrix=share * (matrix[:count, :count] - matrix[:count, count:] @ solved[:, :-1]),
             gradient=-share * (pull[:count] - matrix[:count, count:] @ solved[:, -1]),
-            cost=0.5 * share * residual.square().sum(),
+            cost=0.5 * (share * residual.square().sum() + left),
         )
 
     def _blurred(self, rows: ShadingRows, residual: Tensor, slope: Tensor) -> tuple[Tensor, Tensor]:

@@ -29,17 +29,16 @@ from torchhand.track.open_hand_shading_cost import JointCost, ShadingStage, ridg
 _LEAST_NOISE = 0.5  # grey levels that are believed of a square
 _BLOCK = 8  # squares to a side of the blocks whose means tell whether neighbours err alike
 _DAMPING = 1e-3  # first, of Levenberg-Marquardt
-_COST_TOLERANCE = 1e-4
 _SCANS = 3  # of the joints at most, while one seems to be in the wrong place yet
 _HOPELESS = 4.0  # times the excess that is believed: no joint in the wrong place makes so much
+_SETTLED = 1.6  # excess that noise and the formulas make by themselves
 _WORTH_MORE = 0.9  # share of the excess that another scan must have left at most
 
 
-_COARSE, _MIDDLE, _FINE = (
-    ShadingStage(side=2.0, blur=1.5, most=10.0, repeats=2),
-    ShadingStage(side=1.0),
-    ShadingStage(side=0.5, is_thinned=True),
-)
+_COARSE = tuple(ShadingStage(side=2.0, blur=blur, most=10.0, repeats=2, tolerance=2e-2) for blur in (1.5, 0.7))
+"""The second where the first does not lead to where all joints are right: to some hands blur does no good."""
+_MIDDLE = ShadingStage(side=1.0, tolerance=1e-3)
+_FINE = ShadingStage(side=0.5, tolerance=3e-4, is_thinned=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,24 +66,17 @@ def fit_shading(
     settings: OpenHandSettings,
 ) -> ShadingFit | None:
     """The most probable unknowns, or None where shading under one light does not explain the picture to its noise."""
-    minimise = _Minimiser(image, mask, camera, problem, kinematics, root_reference, outline, settings)
-    found = minimise(start, _COARSE)
-    found = found and minimise(found.values, _MIDDLE)
-    if found is None:
-        return None
-    excess = float("inf")
-    for _ in range(_SCANS):
-        moved = moved_joints(found.shading, problem, found.values, found.rows, max(found.rows.noise, _LEAST_NOISE))
-        found = minimise(moved, _MIDDLE)
-        if found is None:
-            return None
-        before, excess = excess, _excess(found.rows, found.shading.grid)
-        if excess < settings.most_shading_excess or excess > _HOPELESS * settings.most_shading_excess:
+    best: tuple[float, _Found, _Minimiser] | None = None
+    for coarse in _COARSE:
+        minimise = _Minimiser(image, mask, camera, problem, kinematics, root_reference, outline, settings)
+        found, excess = _settled(minimise, start, coarse)
+        if found is not None and (best is None or excess < best[0]):
+            best = (excess, found, minimise)
+        if found is None or excess < _SETTLED or excess > _HOPELESS * settings.most_shading_excess:
             break
-        if excess > _WORTH_MORE * before:
-            break
-    if excess >= settings.most_shading_excess:
+    if best is None or best[0] >= settings.most_shading_excess:
         return None
+    _, found, minimise = best
     found = minimise(found.values, _FINE, found.shading)
     if found is None:
         return None
@@ -94,6 +86,26 @@ def fit_shading(
         noise=found.rows.noise,
         outline=found.term,
     )
+
+
+def _settled(minimise: "_Minimiser", start: Tensor, coarse: ShadingStage) -> "tuple[_Found | None, float]":
+    """Coarse squares, then finer ones while joints that seem to be in the wrong place are moved; and the excess."""
+    found = minimise(start, coarse)
+    found = found and minimise(found.values, _MIDDLE)
+    excess = float("inf")
+    for _ in range(_SCANS):
+        if found is None:
+            break
+        noise = max(found.rows.noise, _LEAST_NOISE)
+        found = minimise(moved_joints(found.shading, minimise.problem, found.values, found.rows, noise), _MIDDLE)
+        if found is None:
+            break
+        before, excess = excess, _excess(found.rows, found.shading.grid)
+        if excess < _SETTLED or excess > _WORTH_MORE * before:
+            break
+        if excess > _HOPELESS * minimise.settings.most_shading_excess:
+            break
+    return found, excess
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,14 +132,14 @@ class _Minimiser:
         outline: Outline,
         settings: OpenHandSettings,
     ) -> None:
-        self._image, self._mask, self._camera, self._problem = image, mask, camera, problem
+        self._image, self._mask, self._camera, self.problem = image, mask, camera, problem
         self._kinematics, self._root_reference = kinematics, root_reference
-        self._outline, self._settings = outline, settings
+        self._outline, self.settings = outline, settings
         self._most_misfit = settings.most_shading_misfit
 
     def __call__(self, values: Float[Tensor, "n"], stage: ShadingStage, known: Shading | None = None) -> _Found | None:
         """None where the model does not fit; `known` tells a thinned stage where the creases are."""
-        settings, problem = self._settings, self._problem
+        settings, problem = self.settings, self.problem
         length_px = hand_length_px(self._camera, self._kinematics, *problem.split(values))
         step = max(1, round(stage.side * max(1, round(length_px / settings.squares_along))))
         grid = pixel_grid(self._image, self._mask, self._camera, step)
@@ -149,7 +161,7 @@ class _Minimiser:
                 lower=problem.lower,
                 upper=problem.upper,
                 settings=LevenbergMarquardtSettings(
-                    iterations=settings.shading_iterations, damping=_DAMPING, cost_tolerance=_COST_TOLERANCE
+                    iterations=settings.shading_iterations, damping=_DAMPING, cost_tolerance=stage.tolerance
                 ),
                 first=joint.equations(values, rows),
             ).values

@@ -100,11 +100,10 @@ class DigitResiduals:
         return tips, bases, camera.project(digits[..., 1:3, :]), camera.project(points[..., 0, :])
 
     def linearised(self, values: Float[Tensor, "n"]) -> tuple[Float[Tensor, "rows"], Float[Tensor, "rows n"]]:
-        """Residuals and their Jacobian, by central differences."""
+        """Residuals and their Jacobian, by forward differences."""
         steps = _STEP * torch.eye(len(values), dtype=values.dtype)
-        measured = self(torch.cat((values[None], values + steps, values - steps)))
-        plus, minus = measured[1:].chunk(2)
-        return measured[0], (plus - minus).T / (2 * _STEP)
+        measured = self(torch.cat((values[None], values + steps)))
+        return measured[0], (measured[1:] - measured[0]).T / _STEP
 
 
 def fit_digits(digits: DigitResiduals, problem: OpenHandProblem) -> Float[Tensor, "n"]:

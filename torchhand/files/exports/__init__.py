@@ -13,6 +13,7 @@ from torchhand.files.exports.mesh_frames import write_mesh_frames
 from torchhand.files.exports.mjcf import write_mjcf
 from torchhand.files.exports.motion_clip import MotionClip, rest_clip
 from torchhand.files.exports.openxr_file import clip_of_openxr, write_openxr
+from torchhand.files.exports.pose_stream import StreamSettings, clip_of_stream, encode_clip, write_stream
 from torchhand.files.exports.robot_urdf import write_urdf
 from torchhand.files.exports.tracked_clip import clip_of_track, load_clip
 from torchhand.files.exports.x3d import write_x3d
@@ -26,12 +27,15 @@ __all__ = [
     "FormatName",
     "LinkSolid",
     "MotionClip",
+    "StreamSettings",
     "bvh_names",
     "clip_of_bap",
     "clip_of_bvh",
     "clip_of_mano",
     "clip_of_openxr",
+    "clip_of_stream",
     "clip_of_track",
+    "encode_clip",
     "format_of",
     "link_solids",
     "load_clip",
@@ -47,6 +51,7 @@ __all__ = [
     "write_mesh_frames",
     "write_mjcf",
     "write_openxr",
+    "write_stream",
     "write_urdf",
     "write_x3d",
 ]
