@@ -12,8 +12,9 @@ from torchhand.hand import Hand, PoseConstraints, PoseSpace
 from torchhand.residuals import PostureResiduals
 from torchhand.track.hull_fit import HullFitter
 from torchhand.track.hull_points import HullTarget
-from torchhand.track.hull_settings import HULL_TRACKING_LEVELS, HullFitSettings, HullTorqueSettings, TorqueSteps
+from torchhand.track.hull_settings import HullTorqueSettings, TorqueSteps
 from torchhand.track.hull_torque import fit_by_torques
+from torchhand.track.multiview.settings import MultiViewSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +58,7 @@ def by_torques(problem: FitProblem, steps: TorqueSteps = "largest") -> FoundHand
 
 
 def by_least_squares(problem: FitProblem, *, contours: bool) -> FoundHand:
-    """Skin inside the hull, limits and prior, by Levenberg-Marquardt, as while a hand is followed.
+    """Skin inside the hull, limits and prior, by Levenberg-Marquardt, as where the tracker finds a hand.
 
     contours: the edges of all silhouettes must touch the skin; without them the hull's surface must be on it.
     """
@@ -65,7 +66,7 @@ def by_least_squares(problem: FitProblem, *, contours: bool) -> FoundHand:
     fitter = HullFitter(
         problem.hand,
         problem.space,
-        HullFitSettings(levels=HULL_TRACKING_LEVELS),
+        MultiViewSettings().start_fit,
         shape=problem.shape,
         constraints=problem.constraints,
         prior=problem.prior,
