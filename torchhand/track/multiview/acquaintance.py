@@ -10,6 +10,7 @@ from torch import Tensor
 from torchhand.hand import Anthropometry
 from torchhand.track.hull_points import HullTarget
 from torchhand.track.hull_shape import HullShapeFit, fit_shape
+from torchhand.track.multiview.continuity import most_consistent
 from torchhand.track.multiview.fitting import Anchor, MomentFitter, Placed, chosen
 from torchhand.track.multiview.hulls import Hull
 from torchhand.track.multiview.silhouettes import Masks
@@ -65,7 +66,8 @@ def acquaint(
     """Find the hand in the moments, and fit its proportions to all those in which it was found well.
 
     First every moment by itself, or from the hands of those before where these do as well; then with the proportions
-    that all tell together from all of them, and the proportions once more.
+    that all tell together from all of them, such that they agree about how the hand faces, and the proportions once
+    more.
 
     shape: known proportions, which are then only used. done: called after every moment.
 
@@ -87,6 +89,7 @@ def acquaint(
     if known is None:
         shape = _fitted(fits, _good(seen), people, shape, rough=True).shape
     seen = [one.at(_again(fits, one, shape, _anchors_of(seen))) for one in seen]
+    seen = _agreed(fits, seen, shape)
     anchors = {one.moment: one.placed.anchor for one in _within(seen, _UNLIKELY) if one.placed is not None}
     if known is not None:
         return Acquaintance(shape=known, shape_std=None, anchors=anchors, learned_from=())
@@ -133,6 +136,21 @@ def _again(fits: MomentFitter, one: _Seen, shape: Tensor, anchors: Sequence[tupl
         other = fits.with_other_digits(one.hull, best_placed.anchor, postures, shape, one.masks)
         best_placed = chosen([best_placed, other])
     return _believed(fits, best_placed)
+
+
+def _agreed(fits: MomentFitter, seen: Sequence[_Seen], shape: Tensor) -> list[_Seen]:
+    """Every moment explained so that the hand faces alike in those that follow each other, where both ways will do."""
+    found = [(place, one, one.placed) for place, one in enumerate(seen) if one.placed is not None]
+    ways = []
+    for _, one, placed in found:
+        others = [other.anchor for _, _, other in found if other is not placed]
+        ways.append([placed, *fits.in_place(one.hull, placed.anchor, others, shape, one.masks)])
+    scores = [torch.tensor([way.score for way in own]) for own in ways]
+    facing = [torch.stack([way.fit.root_reference for way in own]) for own in ways]
+    agreed = list(seen)
+    for (place, one, _), own, way in zip(found, ways, most_consistent(scores, facing), strict=True):
+        agreed[place] = one.at(own[way])
+    return agreed
 
 
 def _believed(fits: MomentFitter, placed: Placed | None) -> Placed | None:

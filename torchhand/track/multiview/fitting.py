@@ -150,6 +150,25 @@ class MomentFitter:
         """The best of the hands fitted from some that may be a good way off; None without a hull or an anchor."""
         return self._best(self._made_for(shape).broad, hull, anchors, shape, masks)
 
+    def in_place(
+        self, hull: Hull, anchor: Anchor, others: Sequence[Anchor], shape: Float[Tensor, "shape"], masks: Masks
+    ) -> list[Placed]:
+        """Hands fitted from one, and from where others would be if their palms were where its is."""
+        if hull.target is None:
+            return []
+        palm = self._palm(anchor, shape)
+        moved = [
+            replace(other, pose=torch.cat((other.pose[:3] + palm - self._palm(other, shape), other.pose[3:])))
+            for other in others
+        ]
+        found = self._made_for(shape).broad(hull.target, *_stacked([anchor, *moved]))
+        whole = found.cost.isfinite().nonzero()[:, 0].tolist()
+        return [self._placed(found.select(index), shape, masks) for index in whole]
+
+    def _palm(self, anchor: Anchor, shape: Tensor) -> Float[Tensor, "3"]:
+        points = self.hand.kinematics(anchor.pose, shape, root_reference=anchor.root_reference).keypoints
+        return points[0] + _PALM_SHARE * (points[_KNUCKLE] - points[0])
+
     def with_other_digits(
         self, hull: Hull, anchor: Anchor, others: Sequence[Anchor], shape: Float[Tensor, "shape"], masks: Masks
     ) -> Placed | None:
@@ -161,8 +180,7 @@ class MomentFitter:
 
     def turned(self, hull: Hull, anchor: Anchor, shape: Float[Tensor, "shape"], masks: Masks) -> Placed | None:
         """The best of the hands turned about the palm from where one is, such as after a fast turn of the forearm."""
-        points = self.hand.kinematics(anchor.pose, shape, root_reference=anchor.root_reference).keypoints
-        palm = points[0] + _PALM_SHARE * (points[_KNUCKLE] - points[0])
+        palm = self._palm(anchor, shape)
         turns = torch.deg2rad(torch.tensor(_TURNS, dtype=anchor.pose.dtype))
         references = rotation_from_vector(turns @ anchor.root_reference.mT) @ anchor.root_reference
         moved = palm + references @ (anchor.root_reference.mT @ (anchor.pose[:3] - palm))
