@@ -18,6 +18,8 @@ from torchhand.track.multiview.silhouettes import Masks
 _NEARLY = 0.03  # score that a hand followed from other moments may lack for one found afresh
 _WORST = 0.08  # score that a moment may lack for the best one and still teach proportions
 _UNLIKELY = 0.15  # score that a moment may lack for the best one and still count as found
+_COST = 1e-3  # score that a unit of a fit's cost is worth between ways that explain alike
+_CLEAREST = 4  # moments that teach the first proportions
 _MOST = 8  # hands of other moments that are tried
 
 
@@ -66,35 +68,32 @@ def acquaint(
     """Find the hand in the moments, and fit its proportions to all those in which it was found well.
 
     First every moment by itself, or from the hands of those before where these do as well; then with the proportions
-    that all tell together from all of them, such that they agree about how the hand faces, and the proportions once
-    more.
+    that the clearest tell together from all of them, such that they agree about how the hand faces, and the
+    proportions once more.
 
     shape: known proportions, which are then only used. done: called after every moment.
 
     Without any moment in which a hand is found the proportions are the generic hand's, or those given.
     """
-    known, seen = shape, []
+    seen: list[_Seen] = []
     for moment, masks in moments:
         one = _Seen(moment=moment, masks=masks, hull=fits.hull_anywhere(shape, masks))
-        one = one.at(_found(fits, one, shape, _anchors_of(seen)))
-        if one.placed is not None and shape is None:
-            shape = _fitted(fits, [one], people, rough=True).shape
-            one = one.at(fits.from_anchors(one.hull, [one.placed.anchor], shape, masks))
-        seen.append(one)
+        seen.append(one.at(_found(fits, one, shape, _anchors_of(seen))))
         done()
-    if shape is None or not _anchors_of(seen):
+    if not _anchors_of(seen):
         generic = fits.hand.kinematics.default_shape if shape is None else shape
         return Acquaintance(shape=generic, shape_std=None, anchors={}, learned_from=())
-    fit: HullShapeFit | None = None
-    if known is None:
-        shape = _fitted(fits, _good(seen), people, shape, rough=True).shape
-    seen = [one.at(_again(fits, one, shape, _anchors_of(seen))) for one in seen]
-    seen = _agreed(fits, seen, shape)
+    own = shape
+    if own is None:
+        clearest = sorted(_good(seen), key=lambda one: -one.placed.score if one.placed else 0.0)[:_CLEAREST]
+        own = _fitted(fits, clearest, people, rough=True).shape
+    seen = [one.at(_again(fits, one, own, _anchors_of(seen))) for one in seen]
+    seen = _agreed(fits, seen, own)
     anchors = {one.moment: one.placed.anchor for one in _within(seen, _UNLIKELY) if one.placed is not None}
-    if known is not None:
-        return Acquaintance(shape=known, shape_std=None, anchors=anchors, learned_from=())
+    if shape is not None:
+        return Acquaintance(shape=shape, shape_std=None, anchors=anchors, learned_from=())
     good = _good(seen)
-    fit = _fitted(fits, good, people, shape)
+    fit = _fitted(fits, good, people, own)
     poses = zip(good, fit.pose, fit.root_reference, strict=True)
     anchors |= {one.moment: Anchor(pose=pose, root_reference=reference) for one, pose, reference in poses}
     return Acquaintance(
@@ -110,11 +109,11 @@ def _found(fits: MomentFitter, one: _Seen, shape: Tensor | None, anchors: Sequen
     if one.hull.target is None:
         return None
     near: Placed | None = None
-    if shape is not None and anchors:
-        near = fits.from_anchors(one.hull, [anchor for anchor, _ in anchors[-_MOST:]], shape, one.masks)
+    sizes = _sizes(fits) if shape is None else [shape]
+    if len(sizes) == 1 and anchors:
+        near = fits.from_anchors(one.hull, [anchor for anchor, _ in anchors[-_MOST:]], sizes[0], one.masks)
         if near is not None and near.score >= max(score for _, score in anchors) - _NEARLY:
             return near
-    sizes = _sizes(fits) if shape is None else [shape]
     return _believed(fits, chosen([near, *(fits.searched(one.hull, size, one.masks) for size in sizes)]))
 
 
@@ -145,7 +144,7 @@ def _agreed(fits: MomentFitter, seen: Sequence[_Seen], shape: Tensor) -> list[_S
     for _, one, placed in found:
         others = [other.anchor for _, _, other in found if other is not placed]
         ways.append([placed, *fits.in_place(one.hull, placed.anchor, others, shape, one.masks)])
-    scores = [torch.tensor([way.score for way in own]) for own in ways]
+    scores = [torch.tensor([way.score - _COST * float(way.fit.cost) for way in own]) for own in ways]
     facing = [torch.stack([way.fit.root_reference for way in own]) for own in ways]
     agreed = list(seen)
     for (place, one, _), own, way in zip(found, ways, most_consistent(scores, facing), strict=True):
