@@ -214,7 +214,7 @@ class HullStartSettings:
 class HullShapeSettings:
     """How the proportions of a hand are fitted to the hulls of several frames."""
 
-    rounds: int = 16
+    rounds: int = 24
     """Looks at all frames: which vertices belong to which points of the hulls; 1 or more."""
     iterations: int = 3
     """Most steps of the optimiser after each look; 1 or more."""

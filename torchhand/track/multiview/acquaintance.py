@@ -121,20 +121,21 @@ def _again(fits: MomentFitter, one: _Seen, shape: Tensor, anchors: Sequence[tupl
     """With better proportions: from the hand that was found and, where that is doubtful, from those of others."""
     if one.hull.target is None:
         return None
+    best = [anchor for anchor, _ in sorted(anchors, key=lambda pair: -pair[1])[:_MOST]]
+
+    def varied(placed: Placed | None) -> Placed | None:
+        if placed is None:
+            return None
+        other = fits.with_other_digits(one.hull, placed.anchor, best, shape, one.masks)
+        return chosen([placed, other and fits.settled(one.hull, other.anchor, shape, one.masks)])
+
     own = None
     if one.placed is not None:
-        own = fits.from_anchors(one.hull, [one.placed.anchor], shape, one.masks)
+        own = varied(fits.settled(one.hull, one.placed.anchor, shape, one.masks))
         if own is not None and own.score >= max(score for _, score in anchors) - _NEARLY:
             return own
-    best = sorted(anchors, key=lambda pair: -pair[1])[:_MOST]
-    tried = [own, fits.from_anchors(one.hull, [anchor for anchor, _ in best], shape, one.masks)]
-    tried.append(fits.searched(one.hull, shape, one.masks))
-    best_placed = chosen(tried)
-    if best_placed is not None:
-        postures = [anchor for anchor, _ in best]
-        other = fits.with_other_digits(one.hull, best_placed.anchor, postures, shape, one.masks)
-        best_placed = chosen([best_placed, other])
-    return _believed(fits, best_placed)
+    tried = [own, fits.from_anchors(one.hull, best, shape, one.masks), fits.searched(one.hull, shape, one.masks)]
+    return _believed(fits, varied(chosen(tried)))
 
 
 def _agreed(fits: MomentFitter, seen: Sequence[_Seen], shape: Tensor) -> list[_Seen]:

@@ -23,7 +23,7 @@ from torchhand.track.multiview.silhouettes import Masks
 
 _KNUCKLE = 9  # keypoint about which the hull is carved: the middle finger's
 _PALM_SHARE = 0.6  # from the wrist to that knuckle: what stays in place when the hand turns
-_TURN_LEVELS = (
+_SETTLING = (
     HullLevel(robust_m=0.012, rounds=2, iterations=2),
     HullLevel(robust_m=0.005, rounds=2, iterations=2),
     HullLevel(robust_m=0.002, rounds=1, iterations=3),
@@ -75,7 +75,8 @@ class _Made:
 
     near: HullFitter
     """From a prediction, or a pose that differs by one digit."""
-    turned: HullFitter
+    settling: HullFitter
+    """From one that may be 10 mm off."""
     broad: HullFitter
     """From starts that may be farther off."""
     agreement: ViewAgreement
@@ -150,6 +151,12 @@ class MomentFitter:
         """The best of the hands fitted from some that may be a good way off; None without a hull or an anchor."""
         return self._best(self._made_for(shape).broad, hull, anchors, shape, masks)
 
+    def settled(self, hull: Hull, anchor: Anchor, shape: Float[Tensor, "shape"], masks: Masks) -> Placed | None:
+        """The hand fitted from one that is nearly right, the better of small steps, after which digits stay where they
+        are, and large ones."""
+        made = self._made_for(shape)
+        return chosen([self._best(own, hull, [anchor], shape, masks) for own in (made.settling, made.broad)])
+
     def in_place(
         self, hull: Hull, anchor: Anchor, others: Sequence[Anchor], shape: Float[Tensor, "shape"], masks: Masks
     ) -> list[Placed]:
@@ -188,7 +195,7 @@ class MomentFitter:
             Anchor(pose=torch.cat((place, anchor.pose[3:])), root_reference=reference)
             for place, reference in zip(moved, references, strict=True)
         ]
-        return self._best(self._made_for(shape).turned, hull, tried, shape, masks)
+        return self._best(self._made_for(shape).settling, hull, tried, shape, masks)
 
     def searched(self, hull: Hull, shape: Float[Tensor, "shape"], masks: Masks) -> Placed | None:
         """The best of a search without any guess; None where nothing can be looked for."""
@@ -214,12 +221,12 @@ class MomentFitter:
         """What depends on the proportions, kept while they stay the same."""
         if self._made is None or self._made.agreement.shape is not shape:
             s = self.settings
-            near, turned, broad = (
+            near, settling, broad = (
                 HullFitter(self.hand, self.space, own, shape=shape, **self.beliefs)
-                for own in (s.fit, replace(s.fit, levels=_TURN_LEVELS), s.start_fit)
+                for own in (s.fit, replace(s.fit, levels=_SETTLING), s.start_fit)
             )
             agreement = ViewAgreement(self.hand.kinematics, self.cameras, shape, side_px=s.check_side_px)
-            self._made = _Made(near=near, turned=turned, broad=broad, agreement=agreement)
+            self._made = _Made(near=near, settling=settling, broad=broad, agreement=agreement)
         return self._made
 
 

@@ -134,7 +134,7 @@ class MultiViewTracker:
         best, facing = followed, None if predicted is None else predicted.reference
         if here is not None:
             hull = self.fits.hull_about(here, memory.shape, masks)
-            best = self._better(best, self.fits.from_anchors(hull, [here], memory.shape, masks), facing)
+            best = self._better(best, self.fits.settled(hull, here, memory.shape, masks), facing)
         if self._is_doubtful(best, memory):
             near = [anchors[key] for key in sorted(anchors, key=lambda key: abs(key - (moment or 0)))][:_NEAREST]
             best, hull, memory = self._reconsidered(best, hull, near, memory, masks, facing)
