@@ -65,7 +65,7 @@ class MultiViewLossSettings:
     doubt_drop: float = 0.05
     """An overlap that is lower than usual by this much has the track compared with a fresh search; 0 to 1."""
     better_by: float = 0.02
-    """By how much the fresh search must overlap better to take over; 0 to 1."""
+    """By how much another fit must explain more, in areas and edges of the silhouettes, to take over; 0 to 1."""
     search_every: int = 10
     """Frames from one search without any guess to the next where the last one found a hand; 1 or more."""
     search_seldom: int = 60
