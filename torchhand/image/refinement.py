@@ -21,6 +21,7 @@ _LEAST_SHARE, _MOST_SHARE = 0.02, 0.75  # of the picture that a hand may cover
 _MOST_BORDER = 0.75  # of the picture's border that a hand may take up: more is what is behind it
 _FAIR_FINGERS = 3  # a guess that shows fewer is not refined
 _REFINED = 3  # guesses refined
+_SAME = 0.97  # intersection over union of guesses of which one is refined for both
 _QUICK = FingerSettings(sizes=8, work_side_px=200)
 _LUMA_RANGE = (0.55, 1.6)  # of a digit over the palm: shadows are darker
 _MOST_CHROMA = 14.0  # distance of a digit's mean (Cr, Cb) from the palm's, 8-bit levels
@@ -107,11 +108,14 @@ def find_open_hand(
         if (candidate := _judged(image, edges, mask, name)) is not None
     ]
     guesses.sort(key=_merit, reverse=True)
-    refined = []
+    refined: list[HandSilhouette] = []
+    tried: list[HandSilhouette] = []
     for guess in guesses[:_REFINED]:
-        if _fingers(guess) >= _FAIR_FINGERS:
-            cut = _judged(image, edges, refine_silhouette(image, guess.mask, settings), f"{guess.source}, graph cut")
-            refined += [] if cut is None else [cut]
+        if _fingers(guess) < _FAIR_FINGERS or any(_alike(guess.mask, other.mask) for other in tried):
+            continue
+        tried.append(guess)
+        cut = _judged(image, edges, refine_silhouette(image, guess.mask, settings), f"{guess.source}, graph cut")
+        refined += [] if cut is None else [cut]
     everything = guesses + refined
     if not everything:
         nothing = torch.zeros(image.shape[:2], dtype=torch.bool, device=image.device)
@@ -218,6 +222,11 @@ def _mean_along(pixels: np.ndarray, start: tuple[float, float], end: tuple[float
     ends = [(round(x), round(y)) for x, y in (start, end)]
     cv2.line(mask, ends[0], ends[1], 1, max(1, round(2 * radius)))
     return np.array(cv2.mean(pixels, mask)[:3])
+
+
+def _alike(first: Tensor, second: Tensor) -> bool:
+    """Whether a cut about one mask would end where one about the other does."""
+    return float((first & second).sum()) >= _SAME * float((first | second).sum())
 
 
 def _fingers(found: HandSilhouette) -> int:

@@ -15,7 +15,7 @@ from torchhand.hand import PRIMITIVE_NAMES
 from torchhand.hand.skeleton import FINGERS
 from torchhand.track.open_hand_light import Light
 from torchhand.track.open_hand_pixels import PixelGrid
-from torchhand.track.open_hand_surface import Meeting, meet
+from torchhand.track.open_hand_surface import Meeting, dot, meet
 
 _BALLS = ("pip", "dip", "ip")
 IS_JOINT = torch.tensor([name.rsplit("_", 1)[-1] in _BALLS or name == "thumb_mcp" for name in PRIMITIVE_NAMES])
@@ -73,7 +73,7 @@ def creases(
     unclear[second[~crosses]] = True
     # Each boundary is counted once: along the direction in which it is the steeper.
     is_steep = (beyond - at).abs() >= (aside - at).abs().nan_to_num()
-    cosine = (here.normal * there.normal).sum(-1)
+    cosine = dot(here.normal, there.normal)
     keep = (crosses & is_steep & (cosine > _LEAST_COSINE)).nonzero()[:, 0]
     here, there, is_near_cut, is_far_cut = here.select(keep), there.select(keep), is_near_cut[keep], is_far_cut[keep]
     step = (at - beyond)[keep]
@@ -142,6 +142,6 @@ def without_flat_joints(
     places = square.repeat(3)
     met = meet(numbers, torch.cat((own, one, other)), grid.origin[places], grid.direction[places])
     seen, first, second = met.split(3)
-    is_line = (first.normal * second.normal).sum(-1) > 1 - 0.5 * _STRAIGHT**2
-    is_first = (seen.point * numbers[one, 13:16]).sum(-1) <= numbers[one, 17]
+    is_line = dot(first.normal, second.normal) > 1 - 0.5 * _STRAIGHT**2
+    is_first = dot(seen.point, numbers[one, 13:16]) <= numbers[one, 17]
     return part.index_copy(0, square, torch.where(is_line, torch.where(is_first, one, other), own))

@@ -185,7 +185,7 @@ def _jacobian(
     steps = _STEP * torch.eye(problem.size, dtype=values.dtype)
     poses, shapes = problem.split(torch.cat((values[None], values + steps)))
     points = HandProjector(kinematics, camera, shapes).outline_px(poses, root_reference, table)
-    return ((points[1:] - points[0]) * normals).sum(-1).T / _STEP
+    return torch.einsum("npi,pi->pn", points[1:] - points[0], normals) / _STEP
 
 
 def _noise(

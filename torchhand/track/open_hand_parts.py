@@ -60,16 +60,23 @@ class _Rays:
         self, origin: Float[Tensor, "rays 3"], direction: Float[Tensor, "rays 3"], columns: Sequence[Tensor]
     ) -> None:
         """`columns` tells the rays of every part, one part after the other."""
-        pinhole = not bool(origin.any())  # all rays start at the frame's origin
-        planes = [direction.T.contiguous(), _products(direction, direction)]
-        if not pinhole:
-            planes += [origin.T.contiguous(), _products(direction, origin), _products(origin, origin)]
-        self._parts = [[plane.index_select(1, own) for plane in planes] for own in columns]
+        self._is_pinhole = not bool(origin.any())  # all rays start at the frame's origin
+        planes = [direction.T, _products(direction, direction)]
+        if not self._is_pinhole:
+            planes += [origin.T, _products(direction, origin), _products(origin, origin)]
+        whole = torch.cat(planes)
+        self._planes = [whole.index_select(1, own) for own in columns]
+        self._part = torch.arange(len(columns)).repeat_interleave(torch.tensor([len(own) for own in columns]))
 
     def depths(self, numbers: Float[Tensor, "37 18"]) -> Float[Tensor, "pairs"]:
         """Of the first point of each part on its rays that is not cut off; infinite where there is none."""
-        planes = [self._of_part(own, *part) for own, part in zip(numbers, self._parts, strict=True)]
-        quadratic, linear, constant, start, rise, low, high = (torch.cat(plane) for plane in zip(*planes, strict=True))
+        terms = self._terms(numbers)
+        found = torch.cat([own @ planes for own, planes in zip(terms, self._planes, strict=True)], 1)
+        corner, low, high = numbers[:, [_CORNER, _LOW, _HIGH]].T.index_select(1, self._part)
+        quadratic, linear, rise = found[:3]
+        constant, start = corner, torch.zeros_like(linear)
+        if not self._is_pinhole:
+            constant, start = corner + found[3], found[4]
         power = linear.square() - quadratic * constant
         root = power.clamp_min(0).sqrt()
         nearest = torch.full_like(linear, torch.inf)
@@ -79,26 +86,16 @@ class _Rays:
             nearest = torch.where(is_kept, torch.minimum(depth, nearest), nearest)
         return nearest
 
-    @staticmethod
-    def _of_part(
-        own: Float[Tensor, "18"],
-        direction: Tensor,
-        twice: Tensor,
-        origin: Tensor | None = None,
-        once: Tensor | None = None,
-        never: Tensor | None = None,
-    ) -> tuple[Tensor, ...]:
-        """Terms of the quadratic in a ray's depth, the depth's part in the axis's, and both ends."""
-        upper, edge, axis = own[:9], own[_EDGE], own[_AXIS]
-        linear, rise = torch.stack((edge, axis)) @ direction
-        constant, start = own[_CORNER].expand_as(linear), torch.zeros_like(linear)
-        if origin is not None and once is not None and never is not None:
-            linear = linear + upper @ once
-            constant = constant + upper @ never + 2 * edge @ origin
-            start = axis @ origin
-        low, high = own[_LOW].expand_as(linear), own[_HIGH].expand_as(linear)
-        return upper @ twice, linear, constant, start, rise, low, high
+    def _terms(self, numbers: Float[Tensor, "37 18"]) -> Float[Tensor, "37 terms planes"]:
+        """What the planes are multiplied by: terms of the quadratic in a ray's depth (square, half the linear one) and
+        the depth's part in the axis's level; for rays from anywhere the constants too, the corner left out."""
+        upper, edge, axis = numbers[:, :9], numbers[:, _EDGE], numbers[:, _AXIS]
+        terms = numbers.new_zeros(len(numbers), *((3, 12) if self._is_pinhole else (5, 33)))
+        terms[:, 0, 3:12], terms[:, 1, :3], terms[:, 2, :3] = upper, edge, axis
+        if not self._is_pinhole:
+            terms[:, 1, 15:24], terms[:, 3, 24:], terms[:, 3, 12:15], terms[:, 4, 12:15] = upper, upper, 2 * edge, axis
+        return terms
 
 
 def _products(first: Float[Tensor, "rays 3"], second: Float[Tensor, "rays 3"]) -> Float[Tensor, "9 rays"]:
-    return (first[:, :, None] * second[:, None, :]).flatten(1).T.contiguous()
+    return (first[:, :, None] * second[:, None, :]).flatten(1).T

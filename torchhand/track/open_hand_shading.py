@@ -20,7 +20,7 @@ from torchhand.track.open_hand_light import Light, fit_light
 from torchhand.track.open_hand_parts import NearestParts
 from torchhand.track.open_hand_pixels import PixelGrid
 from torchhand.track.open_hand_problem import OpenHandProblem
-from torchhand.track.open_hand_surface import meet, quadric_numbers
+from torchhand.track.open_hand_surface import dot, meet, quadric_numbers
 from torchhand.view import HandProjector
 
 _STEP = 1e-4  # of the numerical derivative, prior standard deviations
@@ -104,7 +104,7 @@ class Shading:
             # d brightness = light · dn, and n is the gradient over its length
             along = light.slope(normal)
             length = seen.gradient.norm(dim=-1, keepdim=True)
-            across = (along - (along * normal).sum(-1, keepdim=True) * normal) / length
+            across = (along - dot(along, normal)[:, None] * normal) / length
             jacobian = _chained(change, part[square], seen.gradient_slope(across))
             row = torch.full_like(part, -1)
             row[square] = torch.arange(len(square))

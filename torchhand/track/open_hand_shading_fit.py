@@ -32,7 +32,8 @@ _DAMPING = 1e-3  # first, of Levenberg-Marquardt
 _SCANS = 3  # of the joints at most, while one seems to be in the wrong place yet
 _HOPELESS = 4.0  # times the excess that is believed: no joint in the wrong place makes so much
 _SETTLED = 1.6  # excess that noise and the formulas make by themselves
-_WORTH_MORE = 0.9  # share of the excess that another scan must have left at most
+_ASTRAY = 2.0  # excess from which another way in may lead elsewhere
+_WORTH_MORE = 0.95  # share of the excess that another scan must have left at most
 
 
 _COARSE = tuple(ShadingStage(side=2.0, blur=blur, most=10.0, repeats=2, tolerance=2e-2) for blur in (1.5, 0.7))
@@ -69,11 +70,16 @@ def fit_shading(
     best: tuple[float, _Found, _Minimiser] | None = None
     for coarse in _COARSE:
         minimise = _Minimiser(image, mask, camera, problem, kinematics, root_reference, outline, settings)
-        found, excess = _settled(minimise, start, coarse)
-        if found is not None and (best is None or excess < best[0]):
-            best = (excess, found, minimise)
-        if found is None or excess < _SETTLED or excess > _HOPELESS * settings.most_shading_excess:
+        found = minimise(start, coarse)
+        found = found and minimise(found.values, _MIDDLE)
+        if found is None:
             break
+        excess = _excess(found.rows, found.shading.grid)
+        if best is None or excess < best[0]:
+            best = (excess, found, minimise)
+        if excess < _ASTRAY or excess > _HOPELESS * settings.most_shading_excess:
+            break
+    best = best and _settled(*best)
     if best is None or best[0] >= settings.most_shading_excess:
         return None
     _, found, minimise = best
@@ -88,24 +94,20 @@ def fit_shading(
     )
 
 
-def _settled(minimise: "_Minimiser", start: Tensor, coarse: ShadingStage) -> "tuple[_Found | None, float]":
-    """Coarse squares, then finer ones while joints that seem to be in the wrong place are moved; and the excess."""
-    found = minimise(start, coarse)
-    found = found and minimise(found.values, _MIDDLE)
-    excess = float("inf")
+def _settled(excess: float, found: "_Found", minimise: "_Minimiser") -> "tuple[float, _Found, _Minimiser]":
+    """With joints that seem to be in the wrong place moved by trial: once in any case, and for as long as one does."""
     for _ in range(_SCANS):
-        if found is None:
-            break
-        noise = max(found.rows.noise, _LEAST_NOISE)
-        found = minimise(moved_joints(found.shading, minimise.problem, found.values, found.rows, noise), _MIDDLE)
-        if found is None:
-            break
-        before, excess = excess, _excess(found.rows, found.shading.grid)
-        if excess < _SETTLED or excess > _WORTH_MORE * before:
-            break
         if excess > _HOPELESS * minimise.settings.most_shading_excess:
             break
-    return found, excess
+        noise = max(found.rows.noise, _LEAST_NOISE)
+        moved = minimise(moved_joints(found.shading, minimise.problem, found.values, found.rows, noise), _MIDDLE)
+        if moved is None:
+            break
+        before, found = excess, moved
+        excess = _excess(moved.rows, moved.shading.grid)
+        if excess < _SETTLED or excess > _WORTH_MORE * before:
+            break
+    return excess, found, minimise
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,6 +6,7 @@ a hand.
 """
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -27,6 +28,12 @@ def quadric_numbers(primitives: Primitives) -> Float[Tensor, "37 18 hands"]:
     scalars = (parts.corner, *ends)
     corner, low, high = (scalar[:, None] for scalar in scalars)
     return torch.cat((parts.upper.flatten(1, 2), parts.edge, corner, parts.axis, low, high), 1)
+
+
+def dot(first: Float[Tensor, "rays 3"], second: Float[Tensor, "rays 3"]) -> Float[Tensor, "rays"]:
+    """Of every row: several times as fast as to sum so short ones."""
+    found = first[:, 0] * second[:, 0]
+    return found.addcmul_(first[:, 1], second[:, 1]).addcmul_(first[:, 2], second[:, 2])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,32 +60,32 @@ class Meeting:
         lots = [getattr(self, field.name).chunk(parts) for field in fields(self)]
         return [Meeting(**dict(zip(_FIELDS, lot, strict=True))) for lot in zip(*lots, strict=True)]
 
-    @property
+    @cached_property
     def normal(self) -> Float[Tensor, "rays 3"]:
         return self.gradient / self.gradient.norm(dim=-1, keepdim=True)
 
     def depth_slope(self) -> Float[Tensor, "rays 18"]:
         """Derivative of the depth: a change δf of the quadric's value there moves it by -δf / (2 D · gradient)."""
-        return -0.5 / (self.direction * self.gradient).sum(-1, keepdim=True) * self._value_slope()
+        return (-0.5 / dot(self.direction, self.gradient))[:, None] * self._value_slope()
 
     def gradient_slope(self, weight: Float[Tensor, "rays 3"]) -> Float[Tensor, "rays 18"]:
         """Derivative of weight · gradient."""
         direct = torch.zeros_like(self.numbers)
         direct[:, :9] = (weight[:, :, None] * self.point[:, None, :]).flatten(1)
         direct[:, 9:_CORNER] = weight
-        return direct + (weight * self.turned).sum(-1, keepdim=True) * self.depth_slope()
+        return direct + dot(weight, self.turned)[:, None] * self.depth_slope()
 
     def room(self) -> Float[Tensor, "rays"]:
         """Distance to the nearer of the part's two ends along its axis, metres; negative where it is cut off."""
-        return self._end() * (self._limit() - self._level())
+        return self._end * (self._limit() - self._level)
 
     def room_slope(self) -> Float[Tensor, "rays 18"]:
-        end, axis = self._end(), self.numbers[:, _AXIS]
+        end, axis = self._end, self.numbers[:, _AXIS]
         direct = torch.zeros_like(self.numbers)
         direct[:, _AXIS] = -end[:, None] * self.point
         direct[:, _LOW] = torch.where(end < 0, -1.0, 0.0)
         direct[:, _HIGH] = torch.where(end > 0, 1.0, 0.0)
-        return direct - (end * (axis * self.direction).sum(-1))[:, None] * self.depth_slope()
+        return direct - (end * dot(axis, self.direction))[:, None] * self.depth_slope()
 
     def is_kept(self) -> Bool[Tensor, "rays"]:
         """Whether there is such a point and the part is not cut off there."""
@@ -91,17 +98,19 @@ class Meeting:
         slope[:, _CORNER] = 1.0
         return slope
 
+    @cached_property
     def _level(self) -> Tensor:
-        return (self.numbers[:, _AXIS] * self.point).sum(-1)
+        return dot(self.numbers[:, _AXIS], self.point)
 
+    @cached_property
     def _end(self) -> Tensor:
         """+1 where the upper end is the nearer one, -1 where the lower."""
-        level = self._level()
+        level = self._level
         is_upper = (level - self.numbers[:, _HIGH]).abs() < (level - self.numbers[:, _LOW]).abs()
         return torch.where(is_upper, 1.0, -1.0).to(level)
 
     def _limit(self) -> Tensor:
-        return torch.where(self._end() > 0, self.numbers[:, _HIGH], self.numbers[:, _LOW])
+        return torch.where(self._end > 0, self.numbers[:, _HIGH], self.numbers[:, _LOW])
 
 
 _FIELDS = tuple(field.name for field in fields(Meeting))
@@ -114,12 +123,12 @@ def meet(
     direction: Float[Tensor, "rays 3"],
 ) -> Meeting:
     """The rays at the parts that `part` numbers; no derivative flows."""
-    own = numbers[part]
+    own = numbers.index_select(0, part)
     upper, edge = own[:, :9].unflatten(-1, (3, 3)), own[:, 9:_CORNER]
-    turned = (upper * direction[:, None, :]).sum(-1)
-    base = (upper * origin[:, None, :]).sum(-1) + edge
-    quadratic, linear = (turned * direction).sum(-1), (base * direction).sum(-1)
-    constant = ((base + edge) * origin).sum(-1) + own[:, _CORNER]
+    turned = (upper @ direction[..., None]).squeeze(-1)
+    base = (upper @ origin[..., None]).squeeze(-1) + edge
+    quadratic, linear = dot(turned, direction), dot(base, direction)
+    constant = dot(base + edge, origin) + own[:, _CORNER]
     power = linear.square() - quadratic * constant
     depth = (-linear - power.clamp_min(0).sqrt()) / quadratic
     depth = torch.where((power > 0) & (quadratic > 0) & (depth > 0), depth, torch.nan)
