@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from torchhand.image import refinement
 from torchhand.image.refinement import (
     RefinementSettings,
     edge_share,
@@ -74,6 +75,21 @@ def test_hand_before_plain_and_skin_coloured_walls(
     assert found.odd_digits == ()
     assert found.edge_share > 0.9
     assert overlap(found.mask, hand_mask()) > 0.93
+
+
+def test_guesses_alike_are_cut_once(generator: torch.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    cuts: list[torch.Tensor] = []
+
+    def counted(image: torch.Tensor, guess: torch.Tensor, settings: RefinementSettings) -> torch.Tensor:
+        cuts.append(guess)
+        return refine_silhouette(image, guess, settings)
+
+    monkeypatch.setattr(refinement, "refine_silhouette", counted)
+    found = find_open_hand(scene((40, 60, 120), generator))
+    assert found.search is not None
+    assert found.search.order is not None
+    assert len(found.search.order.fingers) == 5
+    assert len(cuts) == 1  # skin, redness and blueness all show the same hand on blue
 
 
 def test_shadow_of_a_finger_is_an_odd_digit(generator: torch.Generator) -> None:
