@@ -23,8 +23,7 @@ from torchhand.track.hull_fit import HullFit, HullFitter
 from torchhand.track.hull_points import HullTarget, spread_vertices
 from torchhand.track.hull_settings import HullFitSettings, HullLevel, HullStartSettings
 
-_PALM = 0.6  # from the wrist to the middle finger's knuckle: where the ball in the palm is
-_TURN = 0.012  # metres that a turn of the surface by one radian is worth in matching
+_KNUCKLE, _PALM = 9, 0.6  # the middle finger's, and how far from the wrist to it the palm's middle is
 _BLANKED = 1.0  # no two balls have centres nearer than so many radii of the larger
 _LEAST_BALL = 0.7  # smallest radius of a ball over that of the largest
 _FEWEST = 8  # grid points inside a hull in which something can be looked for
@@ -61,6 +60,12 @@ class HullStart:
     """Which of the given shapes it has."""
 
 
+def palm_of(keypoints: Float[Tensor, "*batch 21 3"]) -> Float[Tensor, "*batch 3"]:
+    """The middle of the palm, which stays in place when the hand turns, and where its largest ball is."""
+    wrist, knuckle = keypoints[..., 0, :], keypoints[..., _KNUCKLE, :]
+    return wrist + _PALM * (knuckle - wrist)
+
+
 def find_in_hull(
     target: HullTarget,
     hand: Hand,
@@ -93,7 +98,7 @@ def find_in_hull(
     for size, shape in enumerate(shapes):
         pose, reference = hypotheses(target, hand, shape, settings)
         with torch.inference_mode():
-            cost = _judged(few, quick, shape.float(), pose.float(), reference.float(), settings)
+            cost = _judged(few, quick, shape.float(), pose.float(), reference.float(), settings, fit.turn_m)
         chosen = _distinct(cost, reference, pose, settings.coarse)
         coarse = HullFitter(quick, space, coarse_fit, shape=shape.float(), constraints=constraints, prior=prior)
         varied = HullFitter(quick, space, varied_fit, shape=shape.float(), constraints=constraints, prior=prior)
@@ -146,7 +151,7 @@ def hypotheses(
     turns = _turns(_axes(target.inner).to(like), settings.rolls)
     postures = torch.stack([posture(name, dtype=like.dtype) for name in settings.postures]).to(like.device)
     points = hand.kinematics(postures, shape.to(like)).keypoints
-    palm = points[:, 0] + _PALM * (points[:, 9] - points[:, 0])
+    palm = palm_of(points)
     count = (len(centres), len(turns), len(postures))
     place, turn, kind = (x.flatten() for x in torch.meshgrid(*map(torch.arange, count), indexing="ij"))
     pose, reference = postures[kind].clone(), turns[turn]
@@ -200,6 +205,7 @@ def _judged(
     pose: Tensor,
     reference: Tensor,
     settings: HullStartSettings,
+    turn_m: float,
 ) -> Float[Tensor, "n"]:
     """Mean distance of the skin outside the hull plus that of the silhouettes' edges, or else of the hull's surface,
     from the skin, cut off, metres."""
@@ -218,7 +224,7 @@ def _judged(
         if target.rims is None:
             apart = torch.cdist(surface.float().expand(len(some), -1, 3), placed.float()).amin(-1)
         else:
-            match = target.rims.match(placed, facing, turn=_TURN)
+            match = target.rims.match(placed, facing, turn=turn_m)
             touched = placed.gather(1, match[..., None].expand(-1, -1, 3))
             apart = (touched - target.rims.near(touched)).norm(dim=-1)
         costs.append(outside + apart.clamp_max(settings.far_m).mean(-1).to(pose))

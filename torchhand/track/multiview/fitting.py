@@ -14,7 +14,7 @@ from torchhand.hand.constraints import ConstraintSettings
 from torchhand.residuals import Expectation, PostureResiduals
 from torchhand.track.hull_fit import HullFit, HullFitter
 from torchhand.track.hull_settings import HullLevel
-from torchhand.track.hull_start import find_in_hull, varied_digits
+from torchhand.track.hull_start import find_in_hull, palm_of, varied_digits
 from torchhand.track.hull_torque import fit_by_torques
 from torchhand.track.multiview.agreement import ViewAgreement, mean_overlap
 from torchhand.track.multiview.hulls import Hull, Hulls
@@ -22,7 +22,6 @@ from torchhand.track.multiview.settings import MultiViewSettings
 from torchhand.track.multiview.silhouettes import Masks
 
 _KNUCKLE = 9  # keypoint about which the hull is carved: the middle finger's
-_PALM_SHARE = 0.6  # from the wrist to that knuckle: what stays in place when the hand turns
 _SETTLING = (
     HullLevel(robust_m=0.012, rounds=2, iterations=2),
     HullLevel(robust_m=0.005, rounds=2, iterations=2),
@@ -174,7 +173,7 @@ class MomentFitter:
 
     def _palm(self, anchor: Anchor, shape: Tensor) -> Float[Tensor, "3"]:
         points = self.hand.kinematics(anchor.pose, shape, root_reference=anchor.root_reference).keypoints
-        return points[0] + _PALM_SHARE * (points[_KNUCKLE] - points[0])
+        return palm_of(points)
 
     def with_other_digits(
         self, hull: Hull, anchor: Anchor, others: Sequence[Anchor], shape: Float[Tensor, "shape"], masks: Masks

@@ -18,7 +18,7 @@ from torchhand.volume import Carver, CarvingSettings, Octree, RootCube, hull_fie
 _FINEST = 10
 _COARSE_LEAF = 0.016  # metres: of the hull that tells where a hand may be
 _AROUND = 1.5  # its leaves about that place
-_RAYS, _SPARE = 300, 3  # through edges, and how many times as many there are to choose from
+_RAYS, _SPARE = 600, 2  # through edges, and how many times as many there are to choose from
 _LEAST_HULL = 3e-5  # cubic metres: what is smaller is no hand (a child's has five times that)
 
 

@@ -122,7 +122,7 @@ class MultiViewSettings:
     sizes: tuple[float, ...] = (1.0,)
     """Sizes of the generic hand that are tried before the proportions are known; above 0."""
     motion: MotionModel = field(default_factory=lambda: MotionModel(order=1, velocity_decay_s=0.1))
-    noise: NoiseSettings = field(default_factory=lambda: NoiseSettings(translation=2.0, rotation=30.0, angle=60.0))
+    noise: NoiseSettings = field(default_factory=lambda: NoiseSettings(translation=2.0, rotation=30.0, angle=120.0))
     loss: MultiViewLossSettings = field(default_factory=MultiViewLossSettings)
     check_side_px: int = 160
     """Longer side of the reduced pictures in which silhouettes are compared; 64 or more."""
