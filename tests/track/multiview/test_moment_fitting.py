@@ -36,6 +36,19 @@ def test_hand_that_turned_fast_about_its_forearm_is_followed(fits, rig_hand, pos
     assert turned.score > near.score + 0.05
 
 
+def test_digit_is_found_though_the_hand_is_some_way_off(fits, rig_hand, pose_at, masks_of):
+    pose, reference = pose_at("point")
+    masks, shape = masks_of((pose, reference)), rig_hand.kinematics.default_shape
+    fist = torch.cat((pose[:6], pose_at("fist")[0][6:]))
+    fist[:3] += torch.tensor((0.006, -0.006, 0.004))
+    about = reference @ torch.tensor((0.0, 0.35, 0.1), dtype=torch.float64)
+    before = Anchor(pose=fist, root_reference=rotation_from_vector(about) @ reference)
+    with torch.inference_mode():
+        hull = fits.hull_about(before, shape, masks)
+        found = fits.with_other_digits(hull, before, [], shape, masks)
+    assert _error_mm(rig_hand, found, (pose, reference)) < 4.0
+
+
 def test_search_finds_the_hand_at_the_end_of_an_arm(fits, rig_hand, rig, pose_at, masks_of):
     """Three silhouettes with a forearm that leaves the pictures: most of their hull is arm."""
     pose, reference = pose_at("point")

@@ -106,6 +106,19 @@ def test_view_that_shows_something_else_does_not_pull_the_hand_away(run, tracker
     assert _error_mm(rig_hand, estimate, poses[2]) < 6.0
 
 
+def test_hand_that_turns_and_changes_its_digits_at_once_is_followed(rig_hand, rig, pose_at, masks_of):
+    tracker = MultiViewTracker(rig_hand, rig, 30.0, replace(SETTINGS, loss=MultiViewLossSettings()))
+    memory = MultiViewMemory(shape=rig_hand.kinematics.default_shape, overlap=0.92)
+    before, after = pose_at("fist", turn=0.0), pose_at("shaka", turn=1.2)
+    with torch.inference_mode():
+        anchors = {0: Anchor(pose=before[0], root_reference=before[1])}
+        state, memory, _ = tracker.step(None, memory, masks_of(before), anchors, 0)
+        memory = replace(memory, frames_since_search=0, search_after=10)  # no search without a guess is due
+        _, _, estimate = tracker.step(state, memory, masks_of(after), {}, 1)
+    assert estimate.status == "tracked"
+    assert _error_mm(rig_hand, estimate, after) < 5.0
+
+
 def test_something_that_is_no_hand_is_not_tracked(tracker, rig_hand, rig):
     masks = []
     for camera in rig:

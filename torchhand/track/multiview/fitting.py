@@ -178,11 +178,21 @@ class MomentFitter:
     def with_other_digits(
         self, hull: Hull, anchor: Anchor, others: Sequence[Anchor], shape: Float[Tensor, "shape"], masks: Masks
     ) -> Placed | None:
-        """The best of the hands in one place, with single digits in other postures or in the postures of others."""
+        """The best of the hands in one place, with single digits in other postures or in the postures of others; the
+        cheapest after small steps go on from there."""
+        if hull.target is None:
+            return None
         postures = [torch.cat((anchor.pose[:6], other.pose[6:])) for other in others]
         poses = [*varied_digits(anchor.pose), *postures]
         tried = [Anchor(pose=pose, root_reference=anchor.root_reference) for pose in poses]
-        return self._best(self._made_for(shape).near, hull, tried, shape, masks)
+        made = self._made_for(shape)
+        found = made.near(hull.target, *_stacked(tried))
+        cheapest = found.rows(found.cost.argsort()[: self.settings.start.fine])
+        tried = [
+            Anchor(pose=pose, root_reference=reference)
+            for pose, reference in zip(cheapest.pose, cheapest.root_reference, strict=True)
+        ]
+        return self._best(made.settling, hull, tried, shape, masks)
 
     def turned(self, hull: Hull, anchor: Anchor, shape: Float[Tensor, "shape"], masks: Masks) -> Placed | None:
         """The best of the hands turned about the palm from where one is, such as after a fast turn of the forearm."""

@@ -30,6 +30,7 @@ from torchhand.track.tracker import start_spread
 
 _USUAL = 0.9  # share of the usual overlap that outlasts a frame
 _TURNED = 0.12  # score that a hand turned by half a turn must be ahead
+_MOST_VARIED = 6  # times that turns and digits of a doubtful hand are varied at most
 _NEAREST = 6  # hands of other moments that are tried
 
 
@@ -156,9 +157,7 @@ class MultiViewTracker:
         loss, shape, fits = self.settings.loss, memory.shape, self.fits
         is_failing = self._is_failing(best)
         if best is not None and hull is not None:
-            best = self._better(best, fits.turned(hull, best.anchor, shape, masks), facing)
-            if best is not None and self._is_doubtful(best, memory):
-                best = self._better(best, fits.with_other_digits(hull, best.anchor, anchors, shape, masks), facing)
+            best = self._varied(best, hull, anchors, memory, masks, facing)
         if is_failing or hull is None:  # it may be anywhere
             hull = fits.hull_anywhere(shape, masks)
             best = self._better(best, fits.from_anchors(hull, anchors, shape, masks), facing)
@@ -170,6 +169,29 @@ class MultiViewTracker:
         after = loss.search_every if has_found else min(max(2 * memory.search_after, 1), loss.search_seldom)
         memory = replace(memory, frames_since_search=0, search_after=after)
         return self._better(best, found, facing), hull, memory
+
+    def _varied(
+        self,
+        best: Placed,
+        hull: Hull,
+        anchors: Sequence[Anchor],
+        memory: MultiViewMemory,
+        masks: Masks,
+        facing: Tensor | None,
+    ) -> Placed:
+        """Other turns and other digits in alternation, each from the best so far, as after a fast turn one leads to the
+        other; until neither helps or the hand is no longer in doubt."""
+        fits, shape, in_vain = self.fits, memory.shape, 0
+        for time in range(_MOST_VARIED):
+            if time % 2 == 0:
+                other = fits.turned(hull, best.anchor, shape, masks)
+            else:
+                other = fits.with_other_digits(hull, best.anchor, anchors, shape, masks)
+            before, best = best, self._better(best, other, facing) or best
+            in_vain = in_vain + 1 if best is before else 0
+            if in_vain == 2 or not self._is_doubtful(best, memory):
+                break
+        return best
 
     def _followed(
         self, predicted: TrackerState, here: Anchor | None, memory: MultiViewMemory, masks: Masks
