@@ -114,7 +114,7 @@ class _Problem:
     people_weight: float
     looks: list[HullCost]
     """Of every frame."""
-    matches: list[Int[Tensor, "hull"]]
+    matches: list[Int[Tensor, "_hull"]]
 
     @classmethod
     def look(
