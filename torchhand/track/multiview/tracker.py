@@ -30,7 +30,7 @@ from torchhand.track.tracker import start_spread
 
 _USUAL = 0.9  # share of the usual overlap that outlasts a frame
 _TURNED = 0.12  # score that a hand turned by half a turn must be ahead
-_MOST_VARIED = 3  # times that digits and turns of a doubtful hand are varied at most
+_MOST_VARIED = 6  # times that turns and digits of a doubtful hand are varied at most
 _NEAREST = 6  # hands of other moments that are tried
 
 
@@ -179,18 +179,17 @@ class MultiViewTracker:
         masks: Masks,
         facing: Tensor | None,
     ) -> Placed:
-        """Other digits and other turns, and on from the best of them, until neither helps or the doubt is gone.
-
-        After a fast turn one leads to the other. Where both explain alike, the hand is taken not to have turned.
-        """
-        fits, shape = self.fits, memory.shape
-        for _ in range(_MOST_VARIED):
-            bent = fits.with_other_digits(hull, best.anchor, anchors, shape, masks)
-            turned = fits.turned(hull, best.anchor, shape, masks)
-            before = best
-            for other in (bent, turned):
-                best = self._better(best, other, facing) or best
-            if best is before or not self._is_doubtful(best, memory):
+        """Other turns and other digits in alternation, each from the best so far, as after a fast turn one leads to the
+        other; until neither helps or the hand is no longer in doubt."""
+        fits, shape, in_vain = self.fits, memory.shape, 0
+        for time in range(_MOST_VARIED):
+            if time % 2 == 0:
+                other = fits.turned(hull, best.anchor, shape, masks)
+            else:
+                other = fits.with_other_digits(hull, best.anchor, anchors, shape, masks)
+            before, best = best, self._better(best, other, facing) or best
+            in_vain = in_vain + 1 if best is before else 0
+            if in_vain == 2 or not self._is_doubtful(best, memory):
                 break
         return best
 
