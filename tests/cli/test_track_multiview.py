@@ -18,6 +18,8 @@ from torchhand.files import load_hand_model, load_track, read_picture, save_came
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import posture
 from torchhand.simulate.rigs import named_rig
+from torchhand.track.multiview import MultiViewTracker
+from torchhand.track.multiview.tracker import MultiViewEstimate
 from torchhand.view import mesh_silhouette
 
 FRAMES, SIZE = 5, (240, 180)
@@ -95,7 +97,7 @@ def test_result_folder(result: Path, recording: Path) -> None:
     assert track.keypoints2d is None
     truth = np.load(recording / "truth.npz")["keypoints3d"]
     assert np.linalg.norm(track.keypoints3d - truth, axis=-1).mean() < 0.004
-    assert {"overlap", "overlap_front", "overlap_top45", "inside", "views"} <= set(track.measures)
+    assert {"overlap", "overlap_front", "overlap_top45", "inside", "covered", "views"} <= set(track.measures)
     assert np.all(track.measures["views"] == 4)
     assert "world frame" in track.convention
     config = yaml.safe_load((result / "config.yaml").read_text())
@@ -143,6 +145,48 @@ def test_stopped_run_goes_on_to_the_same_end(
     whole, resumed = load_track(result), load_track(out)
     np.testing.assert_array_equal(whole.pose, resumed.pose)
     np.testing.assert_array_equal(whole.keypoints3d_cov, resumed.keypoints3d_cov)
+
+
+def test_moments_that_were_lost_are_filled_in_once_the_hand_is_found(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(multiview_tracking, "CHECKPOINT_EVERY", 2)
+    step, run_step = MultiViewTracker.step, multiview_tracking._Run.step
+    stops_at: list[int] = []
+
+    def losing(self, state, memory, masks, anchors=None, moment=None):
+        if moment in (1, 2):
+            return None, memory, MultiViewEstimate(status="lost", reason="looked away")
+        return step(self, state, memory, masks, anchors, moment)
+
+    def stopping(self, frame):
+        if frame.index in stops_at:
+            raise KeyboardInterrupt
+        return run_step(self, frame)
+
+    monkeypatch.setattr(MultiViewTracker, "step", losing)
+    monkeypatch.setattr(multiview_tracking._Run, "step", stopping)
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    assert run(recording, whole, "--no-overlay") == 0
+    track = load_track(whole)
+    assert track.frame.tolist() == list(range(FRAMES))
+    assert track.status.tolist() == ["tracked", "tracked", "tracked", "recovered", "tracked"]
+    truth = np.load(recording / "truth.npz")["keypoints3d"]
+    assert np.linalg.norm(track.keypoints3d - truth, axis=-1).mean() < 0.004
+    stops_at[:] = [4]  # after moments 1 and 2 were corrected, with the last checkpoint behind 3
+    assert run(recording, broken, "--no-overlay") == 130
+    assert load_track(broken).status.tolist() == ["tracked", "tracked", "tracked", "recovered"]
+    stops_at[:] = []
+    assert run(recording, broken, "--no-overlay", "--resume") == 0
+    for name in ("pose", "keypoints3d_cov", "status"):
+        np.testing.assert_array_equal(getattr(load_track(broken), name), getattr(track, name))
+    other = tmp_path / "other"
+    stops_at[:] = [3]  # with the last checkpoint behind 1, which is yet to be corrected
+    assert run(recording, other, "--no-overlay") == 130
+    stops_at[:] = []
+    assert run(recording, other, "--no-overlay", "--resume") == 0
+    for name in ("pose", "keypoints3d_cov", "status"):
+        np.testing.assert_array_equal(getattr(load_track(other), name), getattr(track, name))
 
 
 def test_finished_run_is_resumed_without_work(result: Path, recording: Path, tmp_path: Path) -> None:

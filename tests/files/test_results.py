@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -189,6 +190,52 @@ def test_resuming_after_a_crash(tmp_path: Path, damage: str):
     _run(tmp_path / "broken", 24, resume=True)
     for name in ("track.jsonl", "track.npz"):
         assert (tmp_path / "broken" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+
+
+def _run_with_corrections(folder: Path, *, stop_after: int | None = None, **options: Any) -> TrackWriter:
+    """Every fifth frame corrects the three before it."""
+    with TrackWriter(folder, _header(), checkpoint_every=4, **options) as writer:
+        point = writer.resume_point
+        tracker = _Tracker(point.state if point else None)
+        for frame in range(point.last_frame + 1 if point else 0, 21):
+            record = tracker.step(frame)
+            if frame % 5 == 0 and frame:
+                for back in (1, 2, 3):
+                    writer.correct(replace(record, frame=frame - back, status="tracked", seconds=100.0 + back))
+            writer.append(record, tracker.state)
+            if frame == stop_after:
+                raise _Stop
+    return writer
+
+
+def test_corrected_frames_take_the_place_of_the_first_ones(tmp_path: Path):
+    _run_with_corrections(tmp_path)
+    lines = [json.loads(line) for line in (tmp_path / "track.jsonl").read_text().splitlines()[1:]]
+    assert [line["frame"] for line in lines] == list(range(21))
+    track = load_track(tmp_path)
+    assert track.frame.tolist() == list(range(21))
+    assert track.seconds[17:20].tolist() == [103.0, 102.0, 101.0]
+    assert track.seconds[16] < 100
+    np.testing.assert_array_equal(track.pose[17], track.pose[20])
+
+
+@pytest.mark.parametrize("stop_after", [3, 5, 7, 10, 11, 15, 19])
+def test_a_resumed_run_with_corrections_equals_an_uninterrupted_one(tmp_path: Path, stop_after: int):
+    _run_with_corrections(tmp_path / "whole")
+    with pytest.raises(_Stop):
+        _run_with_corrections(tmp_path / "broken", stop_after=stop_after)
+    stopped = load_track(tmp_path / "broken")
+    assert stopped.frame.tolist() == list(range(stop_after + 1))
+    _run_with_corrections(tmp_path / "broken", resume=True)
+    for name in ("track.jsonl", "track.npz"):
+        assert (tmp_path / "broken" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+
+
+def test_only_earlier_frames_are_corrected(tmp_path: Path):
+    with TrackWriter(tmp_path, _header()) as writer:
+        writer.append(_Tracker().step(3))
+        with pytest.raises(ValueError, match="frame: expected at most 3, got 4"):
+            writer.correct(_Tracker().step(4))
 
 
 def test_resuming_where_nothing_is_yet_starts(tmp_path: Path):

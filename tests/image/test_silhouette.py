@@ -62,6 +62,22 @@ def test_nothing_there_is_an_empty_mask(generator: torch.Generator) -> None:
     assert not segment(wall, skin=skin).any()
 
 
+def test_skin_in_the_shade_is_found_but_no_rim_of_its_hue(generator: torch.Generator) -> None:
+    image, truth = frame(generator)
+    skin = learn_skin(image, truth)
+    assert skin.dark_value > 90
+    dark = torch.full_like(image, 20)
+    dark[60:120, 80:200] = torch.tensor(SKIN, dtype=torch.uint8)
+    dark[120:150, 100:160] = (torch.tensor(SKIN) * 0.4).to(torch.uint8)  # a finger in the shade
+    dark[60:120, 200:203] = (torch.tensor(SKIN) * 0.4).to(torch.uint8)  # colour that bled over an edge
+    lit = segment(dark, SilhouetteSettings(), skin=skin)
+    assert not lit[125:145, 105:155].any()
+    mask = segment(dark, SilhouetteSettings(shaded_skin=0.5), skin=skin)
+    assert mask[124:146, 104:156].all()
+    assert not mask[65:115, 201:].any()
+    assert not segment(dark, SilhouetteSettings(shaded_skin=0.9), skin=skin)[125:145, 105:155].any()
+
+
 def test_missing_models_are_named() -> None:
     image = torch.zeros(20, 20, 3, dtype=torch.uint8)
     with pytest.raises(ValueError, match=r"needs skin=learn_skin"):
@@ -75,6 +91,7 @@ def test_missing_models_are_named() -> None:
     [
         ("method", "magic", "method must be one of skin, background, chroma, got 'magic'"),
         ("skin_threshold", 1.2, "skin_threshold must lie in 0..1, got 1.2"),
+        ("shaded_skin", 1.5, "shaded_skin must lie in 0..1, got 1.5"),
         ("darkest_shadow", 0.0, "darkest_shadow must lie in 0.01..1"),
         ("background_threshold", 0.0, "background_threshold must be > 0"),
         ("key_hue_deg", 500.0, "key_hue_deg must lie in 0..360"),

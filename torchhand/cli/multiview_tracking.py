@@ -33,13 +33,16 @@ from torchhand.files import (
 )
 from torchhand.files.results import CONFIG_NAME, HAND_NAME, OVERLAY_NAME
 from torchhand.files.rig_source import RigFrame
+from torchhand.files.track_file import JSONL_NAME
 from torchhand.files.track_record import STATUSES
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, Anthropometry
 from torchhand.track.multiview import MultiViewMemory, MultiViewTracker, ViewSilhouettes
+from torchhand.track.multiview.hindsight import Hindsight, SeenMoment
 from torchhand.track.multiview.introduction import Introduction, introduce
 from torchhand.track.multiview.saved import Knowledge, restored, saved
 from torchhand.track.multiview.scale import in_unit
+from torchhand.track.multiview.silhouettes import Masks
 from torchhand.track.multiview.tracker import MultiViewEstimate
 
 CONVENTION = (
@@ -63,6 +66,7 @@ class _Run:
         self.knowledge: Knowledge | None = None
         self.introduction: Introduction | None = None
         self._tracker: MultiViewTracker | None = None
+        self._hindsight: Hindsight | None = None
 
     @property
     def cameras(self) -> list[Camera]:
@@ -76,6 +80,12 @@ class _Run:
             cameras = in_unit(self.silhouettes.cameras, self.knowledge.metres)
             self._tracker = MultiViewTracker(self.hand, cameras, self.recording.fps, self.request.settings)
         return self._tracker
+
+    @property
+    def hindsight(self) -> Hindsight:
+        if self._hindsight is None:
+            self._hindsight = Hindsight(self.tracker)
+        return self._hindsight
 
     def header(self) -> TrackHeader:
         """What must be equal in a run that is to be resumed."""
@@ -130,20 +140,52 @@ class _Run:
             metres=introduction.metres or 1.0,
         )
 
-    def step(self, frame: RigFrame) -> FrameRecord:
-        """Track one moment."""
+    def recall(self, track: Track, done: int) -> None:
+        """Remember the last moments before those that are to be tracked, as they stand in an interrupted run."""
+        first = max(0, done - self.tracker.moments_back)
+        rows = {int(frame): row for row, frame in enumerate(track.frame)}
+        with self.recording.opened(first) as frames:
+            for frame in frames or ():
+                if frame.index >= self.request.start + done:
+                    break
+                row = rows[frame.index]
+                score = 0.5 * float(track.measures["overlap"][row] + track.measures["covered"][row])
+                is_lost = math.isnan(score)
+                self.hindsight.remember(
+                    SeenMoment(
+                        moment=frame.index,
+                        masks=self._masks(frame),
+                        keypoints=None if is_lost else torch.from_numpy(track.keypoints3d[row]),
+                        score=0.0 if is_lost else score,
+                        seconds=float(track.seconds[row]),
+                    )
+                )
+
+    def step(self, frame: RigFrame) -> tuple[FrameRecord, list[FrameRecord]]:
+        """Track one moment; its record, and those of earlier ones that it corrects."""
         assert self.knowledge is not None
-        known, started = self.knowledge, time.perf_counter()
+        known, started, names = self.knowledge, time.perf_counter(), self.recording.names
         with torch.inference_mode():
-            if frame.masks is not None:
-                masks = self.silhouettes.undistorted(frame.masks)
-            else:
-                masks = self.silhouettes(frame.images, known.skins)
+            masks = self._masks(frame)
             state, memory, estimate = self.tracker.step(known.state, known.memory, masks, known.anchors, frame.index)
+            better = self.hindsight.look_back(frame.index, state, memory, estimate)
         seconds = time.perf_counter() - started
+        self.hindsight.remember(
+            SeenMoment(
+                moment=frame.index, masks=masks, keypoints=estimate.keypoints, score=estimate.score, seconds=seconds
+            )
+        )
         self.knowledge = replace(known, state=state, memory=memory)
         problems = "; ".join(problem for problem in frame.problems if problem is not None)
-        return record_of(frame.index, estimate, self.recording.names, seconds=seconds, problems=problems)
+        corrected = [record_of(seen.moment, earlier, names, seconds=seen.seconds) for seen, earlier in better]
+        return record_of(frame.index, estimate, names, seconds=seconds, problems=problems), corrected
+
+    def _masks(self, frame: RigFrame) -> Masks:
+        assert self.knowledge is not None
+        with torch.inference_mode():
+            if frame.masks is not None:
+                return self.silhouettes.undistorted(frame.masks)
+            return self.silhouettes(frame.images, self.knowledge.skins)
 
     def save_hand(self, folder: Path) -> None:
         assert self.knowledge is not None
@@ -202,6 +244,7 @@ def track_rig(folder: Path, out_dir: Path, request: RigRequest, say: Say) -> Tra
         if writer.resume_point is not None:
             run.knowledge = restored(writer.resume_point.state)
             done = writer.resume_point.last_frame + 1 - request.start
+            run.recall(load_track(writer.folder / JSONL_NAME), done)
         else:
             run.meet(say)
             run.save_hand(writer.folder)
@@ -229,7 +272,9 @@ def _track_moments(run: _Run, done: int, writer: TrackWriter, say: Say) -> None:
         ) as bar,
     ):
         for frame in frames or ():
-            record = run.step(frame)
+            record, corrected = run.step(frame)
+            for earlier in corrected:
+                writer.correct(earlier)
             writer.append(record, lambda: saved(run.knowledge))  # pyright: ignore[reportArgumentType]
             for problem in frame.problems:
                 if problem is not None and problem not in shown and len(shown) < PROBLEMS_SHOWN:
@@ -250,6 +295,7 @@ def record_of(
     measures = {
         "overlap": math.nan if estimate.overlap is None else estimate.overlap,
         "inside": math.nan if estimate.inside_share is None else estimate.inside_share,
+        "covered": math.nan if estimate.covered_share is None else estimate.covered_share,
         "views": float(estimate.views),
         **{f"overlap_{name}": overlap for name, overlap in zip(names, overlaps, strict=True)},
     }

@@ -14,7 +14,16 @@ import torch
 from torchhand.errors import InputError
 from torchhand.files.json_checks import short
 from torchhand.files.safe_write import explained_errors, replacing
-from torchhand.files.track_file import JSONL_NAME, NPZ_NAME, LineFile, load_track, read_header, read_lines, write_npz
+from torchhand.files.track_file import (
+    JSONL_NAME,
+    NPZ_NAME,
+    LineFile,
+    keep_last_lines,
+    load_track,
+    read_header,
+    read_lines,
+    write_npz,
+)
 from torchhand.files.track_record import FrameRecord, TrackHeader
 
 HAND_NAME = "hand.json"
@@ -61,8 +70,9 @@ def check_output_folder(out_dir: str | Path, *, resume: bool = False, overwrite:
 class TrackWriter:
     """Writes the result folder of one sequence; use it as a context manager around the whole run.
 
-    track.jsonl grows by a line per frame. Leaving the block well writes track.npz from it. Leaving it by an exception
-    (Ctrl-C, a full disk) keeps the lines, and writes track.npz from them where the disk allows.
+    track.jsonl grows by a line per frame, and by one for each that is corrected: a frame's last line counts. Leaving
+    the block well leaves one line per frame and writes track.npz from them. Leaving it by an exception (Ctrl-C, a full
+    disk) keeps the lines, and writes track.npz from them where the disk allows.
 
     Where the folder already holds a result (`overwrite`), the new run grows in the sub-folder `unfinished`, and its
     files take the place of the old ones only when the block ends well with at least one frame. Everything else that
@@ -94,6 +104,7 @@ class TrackWriter:
         self._header, self._every = header.as_json(), checkpoint_every
         self._last_frame = -1
         self._frames = 0
+        self._has_corrections = False
         self._pending_state: Callable[[], State] | None = None
         with explained_errors(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -115,14 +126,28 @@ class TrackWriter:
         """
         if record.frame <= self._last_frame:
             raise ValueError(f"frame: expected more than {self._last_frame}, got {record.frame}")
-        if len(record.pose) != len(self._header["dof_names"]):
-            raise ValueError(f"pose: expected {len(self._header['dof_names'])} DOFs, got {len(record.pose)}")
-        self._lines.append(record.as_json())
+        self._write(record)
         self._last_frame = record.frame
         self._frames += 1
         self._pending_state = state
         if state is not None and self._frames % self._every == 0:
             self._save_checkpoint(state)
+
+    def correct(self, record: FrameRecord) -> None:
+        """Put another record in the place of that of an earlier frame.
+
+        What is corrected because of a later frame is to be written before that one is added: a run that is resumed
+        after it then has it.
+        """
+        if record.frame > self._last_frame:
+            raise ValueError(f"frame: expected at most {self._last_frame}, got {record.frame}")
+        self._write(record)
+        self._has_corrections = True
+
+    def _write(self, record: FrameRecord) -> None:
+        if len(record.pose) != len(self._header["dof_names"]):
+            raise ValueError(f"pose: expected {len(self._header['dof_names'])} DOFs, got {len(record.pose)}")
+        self._lines.append(record.as_json())
 
     def __enter__(self) -> "TrackWriter":
         return self
@@ -149,6 +174,9 @@ class TrackWriter:
         if self._pending_state is not None:
             self._save_checkpoint(self._pending_state)
         self._lines.sync()
+        self._lines.close()
+        if self._has_corrections:
+            keep_last_lines(self.folder / JSONL_NAME)
         write_npz(load_track(self.folder / JSONL_NAME), self.folder / NPZ_NAME)
         if self.folder == self.out_dir:
             return
@@ -194,12 +222,16 @@ class TrackWriter:
         checkpoint = _load_checkpoint(self.folder / CHECKPOINT_NAME)
         if checkpoint is None:
             return size
-        frames = 0
+        frames: set[int] = set()
         for i, (record, end) in enumerate(read_lines(path)):
-            frames += i > 0
-            if i > 0 and record.get("frame") == checkpoint.last_frame:
-                self.resume_point, self._last_frame, self._frames = checkpoint, checkpoint.last_frame, frames
+            if i == 0:
+                continue
+            self._has_corrections |= record.get("frame") in frames
+            frames.add(record.get("frame", -1))
+            if record.get("frame") == checkpoint.last_frame:
+                self.resume_point, self._last_frame, self._frames = checkpoint, checkpoint.last_frame, len(frames)
                 return end
+        self._has_corrections = False
         return size
 
     def _save_checkpoint(self, state: Callable[[], State]) -> None:

@@ -84,6 +84,20 @@ def read_header(path: Path) -> tuple[dict[str, Any], int]:
     return header, end
 
 
+def keep_last_lines(path: Path) -> None:
+    """Leave the header and the last line of every frame, in the frames' order; or the file as it was, and raise
+    InputError."""
+    start, last = 0, dict[int, tuple[int, int]]()
+    for i, (record, end) in enumerate(read_lines(path)):
+        last[record["frame"] if i else -1] = (start, end)
+        start = end
+    with replacing(path) as temporary, path.open("rb") as file, temporary.open("wb") as kept:
+        for frame in sorted(last):
+            start, end = last[frame]
+            file.seek(start)
+            kept.write(file.read(end - start))
+
+
 def load_track(folder: str | Path) -> Track:
     """The track in a result folder, or that of a track.npz or track.jsonl.
 

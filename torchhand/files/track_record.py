@@ -157,7 +157,7 @@ class Track:
 
 
 def track_of(header: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> Track:
-    """The track of a header and of frames as they stand in track.jsonl.
+    """The track of a header and of frames as they stand in track.jsonl; a frame's last row counts.
 
     Raises ValueError, KeyError or TypeError where they do not have that form.
     """
@@ -179,6 +179,12 @@ def track_of(header: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> Tr
             # np.float64 of None is NaN; arrays are made row by row because they are far smaller than lists of numbers.
             is_array = name in ARRAY_FIELDS and row[name] is not None
             column.append(np.asarray(row[name], dtype=np.float64).reshape(shapes[name]) if is_array else row[name])
+    last = {int(frame): place for place, frame in enumerate(columns["frame"])}
+    if list(last) != sorted(last) or len(last) < len(reasons):
+        places = [last[frame] for frame in sorted(last)]
+        columns = {name: [column[place] for place in places] for name, column in columns.items()}
+        measures = {name: [values[place] for place in places] for name, values in measures.items()}
+        reasons = [reasons[place] for place in places]
     has_keypoints2d = not any(array is None for array in columns["keypoints2d"])
     arrays: dict[str, Any] = {
         name: np.stack(columns[name]) if columns[name] else np.empty((0, *shape))

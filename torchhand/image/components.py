@@ -94,6 +94,11 @@ def fill_holes(mask: Bool[Tensor, "height width"], max_area: int | None = None) 
     return filled
 
 
+def opened(mask: Bool[Tensor, "height width"], radius_px: int) -> Bool[Tensor, "height width"]:
+    """Only what a disc of a radius of at least 1 px fits into; the picture's border removes nothing."""
+    return torch.from_numpy(cv2.morphologyEx(_bytes(mask), cv2.MORPH_OPEN, _disc(radius_px)).view(bool)).to(mask.device)
+
+
 def clean(mask: Bool[Tensor, "height width"], radius_px: int | None = None) -> Bool[Tensor, "height width"]:
     """Specks and slits removed: opening, then closing, by a disc of `radius_px`.
 
@@ -105,10 +110,12 @@ def clean(mask: Bool[Tensor, "height width"], radius_px: int | None = None) -> B
         raise ValueError(f"clean: radius_px must be >= 0, got {radius}")
     if radius == 0:
         return mask.clone()
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
-    opened = cv2.morphologyEx(_bytes(mask), cv2.MORPH_OPEN, disc)
-    closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, disc)
+    closed = cv2.morphologyEx(_bytes(opened(mask, radius)), cv2.MORPH_CLOSE, _disc(radius))
     return torch.from_numpy(closed.view(bool)).to(mask.device)
+
+
+def _disc(radius_px: int) -> np.ndarray:
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius_px + 1, 2 * radius_px + 1))
 
 
 def _bytes(mask: Tensor) -> np.ndarray:

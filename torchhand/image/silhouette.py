@@ -1,7 +1,7 @@
 """One clean mask of the hand per frame, by skin colour, against a known background, or before a coloured screen."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import cv2
@@ -10,8 +10,11 @@ from jaxtyping import Bool, UInt8
 from torch import Tensor
 
 from torchhand.image.background import BackgroundPlate, background_mask, chroma_mask
-from torchhand.image.components import clean, fill_holes, largest_component
+from torchhand.image.components import clean, fill_holes, largest_component, opened
 from torchhand.image.skin import SkinModel, skin_probability_torch, skin_probability_u8
+
+_SHADED = 0.7  # of the least probability of skin: what is enough beside lit skin, of a hue that was hardly seen
+_RIM = 200  # as a share of the picture's longer side, half the width of a rim of wrong hue beside skin
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,6 +23,9 @@ class SilhouetteSettings:
     """By a skin model, by a plate of the empty scene, or by the hue of a coloured screen."""
     skin_threshold: float = 0.5
     """Least probability of skin; between 0 and 1."""
+    shaded_skin: float = 1.0
+    """Brightness down to which patches of skin's hue are skin in the shade, as a share of the skin model's dark value;
+    0..1, 1 believes in none. Rims of that hue, which coarse colour coding leaves beside skin, are no patches."""
     background_threshold: float = 6.0
     """Difference from the plate, in standard deviations of its noise; > 0."""
     darkest_shadow: float = 0.5
@@ -43,6 +49,7 @@ class SilhouetteSettings:
             raise ValueError(f"SilhouetteSettings.method must be one of {allowed}, got {self.method!r}")
         bounds = {
             "skin_threshold": (0.0, 1.0),
+            "shaded_skin": (0.0, 1.0),
             "darkest_shadow": (0.01, 1.0),
             "key_hue_deg": (0.0, 360.0),
             "max_hole_fraction": (0.0, 1.0),
@@ -101,9 +108,18 @@ def _foreground(
         )
     if skin is None:
         raise ValueError("segment by skin needs skin=learn_skin(...) or bootstrap_skin(image).model")
+    lit = _is_skin(image, skin, settings.skin_threshold)
+    if settings.shaded_skin == 1.0:
+        return lit
+    dimmer = replace(skin, dark_value=round(settings.shaded_skin * skin.dark_value))
+    shaded = _is_skin(image, dimmer, _SHADED * settings.skin_threshold) & ~lit
+    return lit | opened(shaded, max(1, round(max(image.shape[:2]) / _RIM)))
+
+
+def _is_skin(image: Tensor, skin: SkinModel, threshold: float) -> Tensor:
     if image.device.type != "cpu":
-        return skin_probability_torch(image, skin) > settings.skin_threshold
-    return torch.from_numpy(skin_probability_u8(image, skin) > math.floor(255.0 * settings.skin_threshold))
+        return skin_probability_torch(image, skin) > threshold
+    return torch.from_numpy(skin_probability_u8(image, skin) > math.floor(255.0 * threshold))
 
 
 def _resized(picture: Tensor, size: tuple[int, int]) -> Tensor:

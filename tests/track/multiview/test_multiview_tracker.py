@@ -108,7 +108,7 @@ def test_view_that_shows_something_else_does_not_pull_the_hand_away(run, tracker
 
 def test_hand_that_turns_and_changes_its_digits_at_once_is_followed(rig_hand, rig, pose_at, masks_of):
     tracker = MultiViewTracker(rig_hand, rig, 30.0, replace(SETTINGS, loss=MultiViewLossSettings()))
-    memory = MultiViewMemory(shape=rig_hand.kinematics.default_shape, overlap=0.92)
+    memory = MultiViewMemory(shape=rig_hand.kinematics.default_shape, score=0.92)
     before, after = pose_at("fist", turn=0.0), pose_at("shaka", turn=1.2)
     with torch.inference_mode():
         anchors = {0: Anchor(pose=before[0], root_reference=before[1])}

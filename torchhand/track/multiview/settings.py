@@ -91,7 +91,7 @@ class MultiViewSettings:
     """Both sides of skin and hull with prediction and filter, or the paper's torques."""
     pose_space: str = "dof28"
     """Free DOFs: a name of torchhand.hand.POSE_SPACES."""
-    silhouette: SilhouetteSettings = field(default_factory=SilhouetteSettings)
+    silhouette: SilhouetteSettings = field(default_factory=lambda: SilhouetteSettings(shaded_skin=0.5))
     """How the hand is told from its surroundings in every view where no masks are given."""
     octree: HullOctreeSettings = field(default_factory=HullOctreeSettings)
     contours: bool = True
@@ -124,6 +124,8 @@ class MultiViewSettings:
     motion: MotionModel = field(default_factory=lambda: MotionModel(order=1, velocity_decay_s=0.1))
     noise: NoiseSettings = field(default_factory=lambda: NoiseSettings(translation=2.0, rotation=30.0, angle=120.0))
     loss: MultiViewLossSettings = field(default_factory=MultiViewLossSettings)
+    look_back_s: float = 0.5
+    """How far a hand that was found anew is followed back, to correct the frames before, seconds; 0 or more."""
     check_side_px: int = 160
     """Longer side of the reduced pictures in which silhouettes are compared; 64 or more."""
 
@@ -134,4 +136,5 @@ class MultiViewSettings:
         require(self.pose_space in POSE_SPACES, "pose_space", f"one of {', '.join(POSE_SPACES)}", self.pose_space)
         require(self.shape_frames >= 0, "shape_frames", "0 or more", self.shape_frames)
         require(len(self.sizes) > 0 and min(self.sizes) > 0, "sizes", "at least one, all above 0", self.sizes)
+        require(0 <= self.look_back_s < float("inf"), "look_back_s", "0 or more and finite", self.look_back_s)
         require(self.check_side_px >= 64, "check_side_px", "64 or more", self.check_side_px)

@@ -28,7 +28,7 @@ from torchhand.track.rebasing import Rebasing
 from torchhand.track.state import Status, TrackerState
 from torchhand.track.tracker import start_spread
 
-_USUAL = 0.9  # share of the usual overlap that outlasts a frame
+_USUAL = 0.9  # share of the usual score that outlasts a frame
 _TURNED = 0.12  # score that a hand turned by half a turn must be ahead
 _MOST_VARIED = 6  # times that turns and digits of a doubtful hand are varied at most
 _NEAREST = 6  # hands of other moments that are tried
@@ -39,8 +39,8 @@ class MultiViewMemory:
     """What outlasts a loss."""
 
     shape: Float[Tensor, "shape"]
-    overlap: float = 0.0
-    """Usual overlap of the frames so far; 0 before there is one."""
+    score: float = 0.0
+    """Usual score of the frames so far, as `Placed.score`; 0 before there is one."""
     frames_since_search: int = 0
     search_after: int = 0
     """Frames after which a search without any guess is due."""
@@ -66,14 +66,23 @@ class MultiViewEstimate:
     """Intersection over union with every view's silhouette; NaN in views that are missing."""
     inside_share: float | None = None
     """Share of the skin inside the hull (paper 002's rate of convergence)."""
+    covered_share: float | None = None
+    """Share of the silhouettes' edges that the skin explains."""
     views: int = 0
     """Views that the hull was carved from."""
     reason: str = ""
+    is_new: bool = False
+    """Whether the hand was found otherwise than by following it from the moment before."""
 
     @property
     def overlap(self) -> float | None:
         """Mean over the views; None without an estimate."""
         return None if self.overlaps is None else mean_overlap(self.overlaps)
+
+    @property
+    def score(self) -> float:
+        """As `Placed.score`; 0 without an estimate."""
+        return 0.0 if self.overlap is None or self.covered_share is None else 0.5 * (self.overlap + self.covered_share)
 
 
 class MultiViewTracker:
@@ -106,6 +115,8 @@ class MultiViewTracker:
         step_s = 1.0 / frames_per_second
         self._transition = s.motion.transition(step_s, self.space.size)
         self._process_noise = s.motion.process_noise(step_s, density)
+        self.moments_back = round(s.look_back_s * frames_per_second)
+        """How many moments may be seen again, by `Hindsight`."""
 
     # ------------------------------------------------------------------ a moment
 
@@ -142,6 +153,20 @@ class MultiViewTracker:
         if best is None:
             return self._without(predicted, memory, hull)
         return self._taken(best, followed, predicted, memory)
+
+    def follow(
+        self, state: TrackerState, memory: MultiViewMemory, masks: Masks
+    ) -> tuple[TrackerState, MultiViewEstimate] | None:
+        """The hand of a state in the next moment, with nothing else looked for; None where it does not fit there.
+
+        The same in either direction of time: a state says little of speed where the hand was just found.
+        """
+        predicted = self._predicted(state)
+        placed, _ = self._followed(predicted, None, memory, masks)
+        if placed is None or self._is_failing(placed) or not bool(placed.fit.covariance.isfinite().all()):
+            return None
+        following = self._updated(predicted, placed.fit)
+        return following, self._estimate("tracked", following, placed, memory)
 
     def _reconsidered(
         self,
@@ -232,7 +257,7 @@ class MultiViewTracker:
     def _is_doubtful(self, placed: Placed | None, memory: MultiViewMemory) -> bool:
         if placed is None or self._is_failing(placed):
             return True
-        return not bool(placed.fit.is_good) or placed.overlap < memory.overlap - self.settings.loss.doubt_drop
+        return not bool(placed.fit.is_good) or placed.score < memory.score - self.settings.loss.doubt_drop
 
     # ------------------------------------------------------------------ what follows
 
@@ -265,10 +290,10 @@ class MultiViewTracker:
             return self._given_up(predicted), memory, MultiViewEstimate(status=status, reason=reason, views=views)
         following = self._begun(best.fit) if is_new or predicted is None else self._updated(predicted, best.fit)
         was_lost = predicted is None and memory.has_started
-        usual = max(best.overlap, _USUAL * memory.overlap + (1 - _USUAL) * best.overlap)
-        memory = replace(memory, overlap=usual, has_started=True)
+        usual = max(best.score, _USUAL * memory.score + (1 - _USUAL) * best.score)
+        memory = replace(memory, score=usual, has_started=True)
         estimate = self._estimate("recovered" if was_lost else "tracked", following, best, memory)
-        return following, memory, replace(estimate, views=views)
+        return following, memory, replace(estimate, is_new=is_new)
 
     def _predicted(self, state: TrackerState) -> TrackerState:
         return replace(state, belief=predict_linear(state.belief, self._transition, self._process_noise))
@@ -309,4 +334,6 @@ class MultiViewTracker:
             keypoints_cov=posed.keypoints_cov,
             overlaps=placed.overlaps,
             inside_share=float(placed.fit.inside_share),
+            covered_share=float(placed.fit.covered_share),
+            views=int(placed.overlaps.isfinite().sum()),
         )
