@@ -107,11 +107,27 @@ def test_hand_that_was_followed_says_nothing_new(tracker, rig_hand, poses, masks
     state, memory, first = _found(tracker, rig_hand, masks, 0, poses[0])
     assert first.is_new
     hindsight = Hindsight(tracker)
-    hindsight.remember(SeenMoment(moment=0, masks=masks[0], keypoints=None, score=0.0))
+    hindsight.remember(SeenMoment(moment=0, masks=masks[0], keypoints=first.keypoints, score=0.5))
     with torch.inference_mode():
         state, memory, second = tracker.step(state, memory, masks[1], {}, 1)
         assert not second.is_new
         assert hindsight.look_back(1, state, memory, second) == []
+
+
+def test_hand_that_leapt_is_followed_back(tracker, rig_hand, poses, masks):
+    state, memory, first = _found(tracker, rig_hand, masks, 0, poses[0])
+    hindsight = Hindsight(tracker)
+    pose, reference = poses[0]
+    beside = pose.clone()
+    beside[0] += 0.03
+    points = _points(rig_hand, (beside, reference))
+    hindsight.remember(SeenMoment(moment=0, masks=masks[0], keypoints=points, score=0.5))
+    with torch.inference_mode():
+        state, memory, second = tracker.step(state, memory, masks[1], {}, 1)
+        assert not second.is_new
+        better = hindsight.look_back(1, state, memory, second)
+    assert [old.moment for old, _ in better] == [0]
+    assert float((better[0][1].keypoints - first.keypoints).norm(dim=-1).mean()) < 0.002
 
 
 def test_moments_that_do_not_follow_each_other_are_left_alone(tracker, rig_hand, poses, masks):

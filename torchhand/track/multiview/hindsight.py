@@ -20,6 +20,7 @@ from torchhand.track.state import TrackerState
 
 _MOTION = 3.0  # score that a metre of motion is worth, in the mean over the keypoints
 _HOPELESS = 0.1  # gain less than with fewer moments, from which on no more are looked at
+_LEAP = 0.015  # metres from one moment to the next, in the mean over the keypoints, that few hands move
 _SAME = 0.002  # metres between two hands, in the same mean, that are one
 
 
@@ -54,10 +55,13 @@ class Hindsight:
     ) -> list[tuple[SeenMoment, MultiViewEstimate]]:
         """Earlier moments with better estimates than those so far, the latest first; mostly none.
 
+        Only a hand that was found anew, or that leapt to where it is, is followed back.
+
         state, memory, estimate: as `MultiViewTracker.step` returned them for this moment, which is not remembered yet.
         """
-        if not estimate.is_new or state is None or estimate.keypoints is None:
+        if state is None or estimate.keypoints is None or not self._is_news(estimate):
             return []
+        state = self._tracker.at_rest(state)
         before: list[SeenMoment] = []
         after: list[MultiViewEstimate] = []
         gains = [0.0]
@@ -78,6 +82,9 @@ class Hindsight:
         for place, (seen, found) in enumerate(better):
             self._seen[-1 - place] = replace(seen, keypoints=found.keypoints, score=found.score)
         return better
+
+    def _is_news(self, estimate: MultiViewEstimate) -> bool:
+        return estimate.is_new or (len(self._seen) > 0 and _apart(self._seen[-1].keypoints, estimate.keypoints) > _LEAP)
 
     def _gain(self, before: list[SeenMoment], after: list[MultiViewEstimate], now: Tensor) -> float:
         """By how much the last moments are explained better by the hand that was followed back through them."""

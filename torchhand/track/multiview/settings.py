@@ -124,7 +124,7 @@ class MultiViewSettings:
     motion: MotionModel = field(default_factory=lambda: MotionModel(order=1, velocity_decay_s=0.1))
     noise: NoiseSettings = field(default_factory=lambda: NoiseSettings(translation=2.0, rotation=30.0, angle=120.0))
     loss: MultiViewLossSettings = field(default_factory=MultiViewLossSettings)
-    look_back_s: float = 0.5
+    look_back_s: float = 1.0
     """How far a hand that was found anew is followed back, to correct the frames before, seconds; 0 or more."""
     check_side_px: int = 160
     """Longer side of the reduced pictures in which silhouettes are compared; 64 or more."""

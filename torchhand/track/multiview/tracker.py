@@ -154,13 +154,15 @@ class MultiViewTracker:
             return self._without(predicted, memory, hull)
         return self._taken(best, followed, predicted, memory)
 
+    def at_rest(self, state: TrackerState) -> TrackerState:
+        """The same hand with speeds of which nothing is known, from where it can be followed into either time."""
+        count, belief = self.space.size, state.belief
+        return replace(state, belief=self._at_rest(belief.mean[:count], belief.covariance[:count, :count]))
+
     def follow(
         self, state: TrackerState, memory: MultiViewMemory, masks: Masks
     ) -> tuple[TrackerState, MultiViewEstimate] | None:
-        """The hand of a state in the next moment, with nothing else looked for; None where it does not fit there.
-
-        The same in either direction of time: a state says little of speed where the hand was just found.
-        """
+        """The hand of a state in the next moment, with nothing else looked for; None where it does not fit there."""
         predicted = self._predicted(state)
         placed, _ = self._followed(predicted, None, memory, masks)
         if placed is None or self._is_failing(placed) or not bool(placed.fit.covariance.isfinite().all()):
@@ -300,18 +302,20 @@ class MultiViewTracker:
 
     def _begun(self, fit: HullFit) -> TrackerState:
         """A filter that starts at a fitted hand."""
-        free = self.space.own(fit.pose)
-        spread = start_spread(self._kinds, self.settings.motion.order)
-        covariance = spread.diag_embed()
-        covariance[: len(free), : len(free)] = fit.covariance
-        mean = torch.cat((free, free.new_zeros(len(spread) - len(free))))
         state = TrackerState(
-            belief=Gaussian(mean, covariance),
+            belief=self._at_rest(self.space.own(fit.pose), fit.covariance),
             base=self.space.constant,
             reference=fit.root_reference,
             start_reference=fit.root_reference,
         )
         return self._rebased(state)
+
+    def _at_rest(self, free: Float[Tensor, "free"], covariance: Float[Tensor, "free free"]) -> Gaussian:
+        """A belief of a pose, with speeds of which nothing is known."""
+        spread = start_spread(self._kinds, self.settings.motion.order)
+        whole = spread.diag_embed()
+        whole[: len(free), : len(free)] = covariance
+        return Gaussian(torch.cat((free, free.new_zeros(len(spread) - len(free)))), whole)
 
     def _updated(self, predicted: TrackerState, fit: HullFit) -> TrackerState:
         """The prediction corrected by the fit, whose prior it was; with the torques, the fit alone."""
