@@ -1,7 +1,7 @@
 """One clean mask of the hand per frame, by skin colour, against a known background, or before a coloured screen."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import cv2
@@ -11,9 +11,10 @@ from torch import Tensor
 
 from torchhand.image.background import BackgroundPlate, background_mask, chroma_mask
 from torchhand.image.components import clean, fill_holes, largest_component, opened
-from torchhand.image.skin import SkinModel, skin_probability_torch, skin_probability_u8
+from torchhand.image.skin import SkinModel, dark_probability_u8, hue_probability_u8
 
 _SHADED = 0.7  # of the least probability of skin: what is enough beside lit skin, of a hue that was hardly seen
+_DARKEST = 16  # largest channel below which hue means nothing
 _RIM = 200  # as a share of the picture's longer side, half the width of a rim of wrong hue beside skin
 
 
@@ -108,18 +109,21 @@ def _foreground(
         )
     if skin is None:
         raise ValueError("segment by skin needs skin=learn_skin(...) or bootstrap_skin(image).model")
-    lit = _is_skin(image, skin, settings.skin_threshold)
-    if settings.shaded_skin == 1.0:
-        return lit
-    dimmer = replace(skin, dark_value=round(settings.shaded_skin * skin.dark_value))
-    shaded = _is_skin(image, dimmer, _SHADED * settings.skin_threshold) & ~lit
-    return lit | opened(shaded, max(1, round(max(image.shape[:2]) / _RIM)))
+    return _skin_pixels(image, settings, skin)
 
 
-def _is_skin(image: Tensor, skin: SkinModel, threshold: float) -> Tensor:
-    if image.device.type != "cpu":
-        return skin_probability_torch(image, skin) > threshold
-    return torch.from_numpy(skin_probability_u8(image, skin) > math.floor(255.0 * threshold))
+def _skin_pixels(image: Tensor, settings: SilhouetteSettings, skin: SkinModel) -> Tensor:
+    """What is lit as the skin that the model learned, and patches of its hue that are in the shade."""
+    found, value = hue_probability_u8(image, skin)
+    least, is_dark = 255.0 * settings.skin_threshold, value < skin.dark_value
+    lit = found > math.floor(least)
+    lit[is_dark] = dark_probability_u8(skin) > math.floor(least)
+    mask = torch.from_numpy(lit)
+    if settings.shaded_skin < 1.0:
+        darkest = max(_DARKEST, settings.shaded_skin * skin.dark_value)
+        shaded = is_dark & (value >= darkest) & (found > math.floor(_SHADED * least))
+        mask |= opened(torch.from_numpy(shaded), max(1, round(max(shaded.shape) / _RIM)))
+    return mask.to(image.device)
 
 
 def _resized(picture: Tensor, size: tuple[int, int]) -> Tensor:

@@ -71,14 +71,22 @@ def skin_probability(image: UInt8[Tensor, "height width 3"], model: SkinModel) -
 
 
 def skin_probability_u8(image: UInt8[Tensor, "height width 3"], model: SkinModel) -> np.ndarray:
-    """`skin_probability` times 255 as an 8-bit array, what per-frame work on a CPU goes on with."""
+    """`skin_probability` times 255 as an 8-bit array."""
+    found, value = hue_probability_u8(image, model)
+    return np.where(value < model.dark_value, dark_probability_u8(model), found)
+
+
+def hue_probability_u8(image: UInt8[Tensor, "height width 3"], model: SkinModel) -> tuple[np.ndarray, np.ndarray]:
+    """The same by hue and saturation alone, however dark a pixel is, and every pixel's largest channel; what per-frame
+    work on a CPU goes on with."""
     hsv = _hsv(image)
     found = look_up(hsv, probability_u8(model.log_ratio.cpu().numpy()), HUE_SATURATION_ENDS)
-    if model.dark_value > 0:
-        bright = cv2.extractChannel(hsv, 2) >= model.dark_value
-        dark = probability_u8(np.array([model.dark_log_ratio])).astype(np.uint8)
-        np.copyto(found, dark, where=~bright)
-    return found
+    return found, cv2.extractChannel(hsv, 2)
+
+
+def dark_probability_u8(model: SkinModel) -> np.uint8:
+    """The same of a pixel that is dark."""
+    return probability_u8(np.array([model.dark_log_ratio])).astype(np.uint8)[0]
 
 
 def skin_probability_torch(image: UInt8[Tensor, "height width 3"], model: SkinModel) -> Float[Tensor, "height width"]:
