@@ -28,7 +28,9 @@ from torchhand.track.rebasing import Rebasing
 from torchhand.track.state import Status, TrackerState
 from torchhand.track.tracker import start_spread
 
-_USUAL = 0.9  # share of the usual score that outlasts a frame
+_USUAL, _AT_BEST = 0.9, 0.99  # shares of the usual score, and of the one at best, that outlast a frame
+_UNEASY = 0.03  # score less than at best, from which on a followed hand is fitted once more as if it were off
+_SETTLE_EVERY = 10  # frames from one such fit to the next at least
 _TURNED = 0.12  # score that a hand turned by half a turn must be ahead
 _MOST_VARIED = 6  # times that turns and digits of a doubtful hand are varied at most
 _NEAREST = 6  # hands of other moments that are tried
@@ -41,6 +43,10 @@ class MultiViewMemory:
     shape: Float[Tensor, "shape"]
     score: float = 0.0
     """Usual score of the frames so far, as `Placed.score`; 0 before there is one."""
+    best_score: float = 0.0
+    """The same at best, which is forgotten slowly."""
+    frames_since_settled: int = 0
+    """Frames since a followed hand was fitted once more as if it were off."""
     frames_since_search: int = 0
     search_after: int = 0
     """Frames after which a search without any guess is due."""
@@ -137,7 +143,11 @@ class MultiViewTracker:
         a lost frame is `recovered`.
         """
         anchors = anchors or {}
-        memory = replace(memory, frames_since_search=memory.frames_since_search + 1)
+        memory = replace(
+            memory,
+            frames_since_search=memory.frames_since_search + 1,
+            frames_since_settled=memory.frames_since_settled + 1,
+        )
         predicted = None if state is None else self._predicted(state)
         here = None if moment is None else anchors.get(moment)
         followed, hull = None, None
@@ -150,6 +160,9 @@ class MultiViewTracker:
         if self._is_doubtful(best, memory):
             near = [anchors[key] for key in sorted(anchors, key=lambda key: abs(key - (moment or 0)))][:_NEAREST]
             best, hull, memory = self._reconsidered(best, hull, near, memory, masks, facing)
+        elif best is not None and hull is not None and self._is_uneasy(best, memory):
+            memory = replace(memory, frames_since_settled=0)
+            best = self._better(best, self.fits.settled(hull, best.anchor, memory.shape, masks), facing)
         if best is None:
             return self._without(predicted, memory, hull)
         return self._taken(best, followed, predicted, memory)
@@ -207,8 +220,11 @@ class MultiViewTracker:
         facing: Tensor | None,
     ) -> Placed:
         """Other turns and other digits in alternation, each from the best so far, as after a fast turn one leads to the
-        other; until neither helps or the hand is no longer in doubt."""
+        other; until neither helps or the hand is no longer in doubt. Before that, the hand itself with larger steps."""
         fits, shape, in_vain = self.fits, memory.shape, 0
+        best = self._better(best, fits.settled(hull, best.anchor, shape, masks), facing) or best
+        if not self._is_doubtful(best, memory):
+            return best
         for time in range(_MOST_VARIED):
             if time % 2 == 0:
                 other = fits.turned(hull, best.anchor, shape, masks)
@@ -261,6 +277,9 @@ class MultiViewTracker:
             return True
         return not bool(placed.fit.is_good) or placed.score < memory.score - self.settings.loss.doubt_drop
 
+    def _is_uneasy(self, placed: Placed, memory: MultiViewMemory) -> bool:
+        return memory.frames_since_settled >= _SETTLE_EVERY and placed.score < memory.best_score - _UNEASY
+
     # ------------------------------------------------------------------ what follows
 
     def _without(
@@ -292,8 +311,11 @@ class MultiViewTracker:
             return self._given_up(predicted), memory, MultiViewEstimate(status=status, reason=reason, views=views)
         following = self._begun(best.fit) if is_new or predicted is None else self._updated(predicted, best.fit)
         was_lost = predicted is None and memory.has_started
-        usual = max(best.score, _USUAL * memory.score + (1 - _USUAL) * best.score)
-        memory = replace(memory, score=usual, has_started=True)
+        usual, at_best = (
+            max(best.score, share * before + (1 - share) * best.score)
+            for share, before in ((_USUAL, memory.score), (_AT_BEST, memory.best_score))
+        )
+        memory = replace(memory, score=usual, best_score=at_best, has_started=True)
         estimate = self._estimate("recovered" if was_lost else "tracked", following, best, memory)
         return following, memory, replace(estimate, is_new=is_new)
 
