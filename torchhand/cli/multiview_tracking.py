@@ -152,11 +152,11 @@ class _Run:
                 score = 0.5 * float(track.measures["overlap"][row] + track.measures["covered"][row])
                 is_lost = math.isnan(score)
                 self.hindsight.remember(
-                    SeenMoment(
-                        moment=frame.index,
-                        masks=self._masks(frame),
-                        keypoints=None if is_lost else torch.from_numpy(track.keypoints3d[row]),
-                        score=0.0 if is_lost else score,
+                    SeenMoment.of(
+                        frame.index,
+                        self._masks(frame),
+                        None if is_lost else torch.from_numpy(track.keypoints3d[row]),
+                        0.0 if is_lost else score,
                         seconds=float(track.seconds[row]),
                     )
                 )
@@ -170,11 +170,7 @@ class _Run:
             state, memory, estimate = self.tracker.step(known.state, known.memory, masks, known.anchors, frame.index)
             better = self.hindsight.look_back(frame.index, state, memory, estimate)
         seconds = time.perf_counter() - started
-        self.hindsight.remember(
-            SeenMoment(
-                moment=frame.index, masks=masks, keypoints=estimate.keypoints, score=estimate.score, seconds=seconds
-            )
-        )
+        self.hindsight.remember(SeenMoment.of(frame.index, masks, estimate.keypoints, estimate.score, seconds=seconds))
         self.knowledge = replace(known, state=state, memory=memory)
         problems = "; ".join(problem for problem in frame.problems if problem is not None)
         corrected = [record_of(seen.moment, earlier, names, seconds=seen.seconds) for seen, earlier in better]

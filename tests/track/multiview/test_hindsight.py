@@ -52,11 +52,11 @@ def _with_thumb_folded(pose):
 def _seen(rig_hand, masks, poses, wrong):
     """The moments before the last as a tracker that lost the thumb in some of them would have left them."""
     return [
-        SeenMoment(
-            moment=moment,
-            masks=masks[moment],
-            keypoints=_points(rig_hand, _with_thumb_folded(pose) if moment in wrong else pose),
-            score=0.88 if moment in wrong else 0.96,
+        SeenMoment.of(
+            moment,
+            masks[moment],
+            _points(rig_hand, _with_thumb_folded(pose) if moment in wrong else pose),
+            0.88 if moment in wrong else 0.96,
         )
         for moment, pose in enumerate(poses[:-1])
     ]
@@ -107,7 +107,7 @@ def test_hand_that_was_followed_says_nothing_new(tracker, rig_hand, poses, masks
     state, memory, first = _found(tracker, rig_hand, masks, 0, poses[0])
     assert first.is_new
     hindsight = Hindsight(tracker)
-    hindsight.remember(SeenMoment(moment=0, masks=masks[0], keypoints=first.keypoints, score=0.5))
+    hindsight.remember(SeenMoment.of(0, masks[0], first.keypoints, 0.5))
     with torch.inference_mode():
         state, memory, second = tracker.step(state, memory, masks[1], {}, 1)
         assert not second.is_new
@@ -121,7 +121,7 @@ def test_hand_that_leapt_is_followed_back(tracker, rig_hand, poses, masks):
     beside = pose.clone()
     beside[0] += 0.03
     points = _points(rig_hand, (beside, reference))
-    hindsight.remember(SeenMoment(moment=0, masks=masks[0], keypoints=points, score=0.5))
+    hindsight.remember(SeenMoment.of(0, masks[0], points, 0.5))
     with torch.inference_mode():
         state, memory, second = tracker.step(state, memory, masks[1], {}, 1)
         assert not second.is_new

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from torchhand.geometry import rotation_from_vector
+from torchhand.hand import posture
 from torchhand.track.hull_settings import HullStartSettings
 from torchhand.track.multiview import MultiViewLossSettings, MultiViewMemory, MultiViewSettings, MultiViewTracker
 from torchhand.track.multiview.fitting import Anchor
@@ -117,6 +118,27 @@ def test_hand_that_turns_and_changes_its_digits_at_once_is_followed(rig_hand, ri
         _, _, estimate = tracker.step(state, memory, masks_of(after), {}, 1)
     assert estimate.status == "tracked"
     assert _error_mm(rig_hand, estimate, after) < 5.0
+
+
+def test_digit_that_was_left_behind_is_fetched_now_and_then(tracker, rig_hand, pose_at, masks_of):
+    right = pose_at("open")
+    astray = right[0].clone()
+    little = slice(30, 36)
+    astray[little] = 0.4 * astray[little] + 0.6 * posture("fist", dtype=torch.float64)[little]
+    memory = MultiViewMemory(shape=rig_hand.kinematics.default_shape)
+    errors_mm = []
+    with torch.inference_mode():
+        anchors = {0: Anchor(pose=astray, root_reference=right[1])}
+        state, memory, _ = tracker.step(None, memory, masks_of((astray, right[1])), anchors, 0)
+        memory = replace(memory, score=0.9, best_score=0.98)  # as after some frames without that digit
+        for since in (0, 20):
+            memory = replace(memory, frames_since_settled=since)
+            _, after, estimate = tracker.step(state, memory, masks_of(right), {}, 1)
+            errors_mm.append(_error_mm(rig_hand, estimate, right))
+            assert estimate.is_new == (since > 0)
+            assert after.frames_since_settled == (0 if since else 1)
+    assert errors_mm[0] > 4.0
+    assert errors_mm[1] < 1.5
 
 
 def test_something_that_is_no_hand_is_not_tracked(tracker, rig_hand, rig):

@@ -7,6 +7,7 @@ from torchhand.geometry import Camera
 from torchhand.image import SilhouetteSettings, learn_background
 from torchhand.simulate.rigs import named_rig
 from torchhand.track.multiview import ViewSilhouettes
+from torchhand.track.multiview.silhouettes import PackedMask
 
 SKIN, WALL = (205, 150, 125), (40, 70, 120)
 
@@ -114,3 +115,10 @@ def test_distortion_is_taken_away(cameras):
     assert found[0] is not None
     assert _iou(found[0], seen[1]) > 0.97
     assert _iou(seen[0], seen[1]) < 0.9
+
+
+def test_packed_mask_comes_back_as_it_was(generator) -> None:
+    mask = torch.rand((13, 21), generator=generator) > 0.5
+    packed = PackedMask.of(mask)
+    assert packed.bits.nbytes <= mask.numel() // 8 + 1
+    torch.testing.assert_close(packed.mask(), mask)

@@ -9,12 +9,13 @@ that was found, followed backwards. That moment is where the silhouettes of all 
 import itertools
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.track.multiview.silhouettes import Masks
+from torchhand.track.multiview.silhouettes import Masks, PackedMask
 from torchhand.track.multiview.tracker import MultiViewEstimate, MultiViewMemory, MultiViewTracker
 from torchhand.track.state import TrackerState
 
@@ -29,13 +30,28 @@ class SeenMoment:
     """A moment that may be seen again."""
 
     moment: int
-    masks: Masks
+    masks: Sequence[PackedMask | None]
+    """One per view; None where nothing is known of it."""
     keypoints: Float[Tensor, "21 3"] | None
     """Of the hand as it was found, metres; None where it was lost."""
     score: float
     """How much of the silhouettes that explains, 0 to 1; 0 where the hand was lost."""
     seconds: float = 0.0
     """What it took to find it."""
+
+    @classmethod
+    def of(
+        cls,
+        moment: int,
+        masks: Masks,
+        keypoints: Float[Tensor, "21 3"] | None,
+        score: float,
+        *,
+        seconds: float = 0.0,
+    ) -> "SeenMoment":
+        """With its masks packed."""
+        packed = [None if mask is None else PackedMask.of(mask) for mask in masks]
+        return cls(moment=moment, masks=packed, keypoints=keypoints, score=score, seconds=seconds)
 
 
 class Hindsight:
@@ -70,7 +86,7 @@ class Hindsight:
             seen = self._seen[-1 - place]
             if seen.moment != moment - place - 1 or gains[-1] < max(gains) - _HOPELESS:
                 break
-            followed = self._tracker.follow(state, memory, seen.masks)
+            followed = self._tracker.follow(state, memory, [mask and mask.mask() for mask in seen.masks])
             if followed is None or _apart(followed[1].keypoints, seen.keypoints) < _SAME:
                 break
             state, found = followed

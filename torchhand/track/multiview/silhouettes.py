@@ -21,6 +21,24 @@ Masks = Sequence[Bool[Tensor, "_height _width"] | None]
 
 
 @dataclass(frozen=True, kw_only=True)
+class PackedMask:
+    """A mask in an eighth of its memory."""
+
+    bits: UInt8[np.ndarray, "bytes"]
+    shape: tuple[int, int]
+    """Height and width."""
+
+    @classmethod
+    def of(cls, mask: Bool[Tensor, "height width"]) -> "PackedMask":
+        return cls(bits=np.packbits(mask.cpu().numpy()), shape=(mask.shape[0], mask.shape[1]))
+
+    def mask(self) -> Bool[Tensor, "height width"]:
+        """As it was, on the CPU."""
+        flat = np.unpackbits(self.bits, count=self.shape[0] * self.shape[1])
+        return torch.from_numpy(flat.view(bool).reshape(self.shape))
+
+
+@dataclass(frozen=True, kw_only=True)
 class LearnedSkin:
     """The skin of one view, and how far it stood out of the picture that taught it."""
 
