@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from torch.nn.functional import max_pool2d
 
 from torchhand.hand import posture
 from torchhand.track.hull_settings import HullStartSettings
@@ -92,6 +93,16 @@ def test_moment_in_which_the_hand_was_lost_is_filled_in(tracker, rig_hand, poses
     better, _, _ = _looked_back(tracker, rig_hand, masks, seen, poses[-1])
     assert [old.moment for old, _ in better] == [3]
     assert float((better[0][1].keypoints - _points(rig_hand, poses[3])).norm(dim=-1).mean()) < 0.004
+
+
+@pytest.mark.parametrize(("grown_px", "filled"), [(1, [3]), (4, [])])
+def test_lost_moment_is_filled_in_only_where_a_hand_could_be_found(grown_px, filled, tracker, rig_hand, poses, masks):
+    seen = _seen(rig_hand, masks, poses, wrong=set())
+    side = 2 * grown_px + 1
+    grown = [max_pool2d(mask[None].double(), side, 1, grown_px)[0] > 0 for mask in masks[3]]
+    seen[3] = SeenMoment.of(3, grown, None, 0.0)
+    better, _, _ = _looked_back(tracker, rig_hand, masks, seen, poses[-1])
+    assert [old.moment for old, _ in better] == filled
 
 
 def test_hand_that_turned_at_once_is_not_carried_back(tracker, rig_hand, poses, masks, pose_at, masks_of):

@@ -90,6 +90,8 @@ class Hindsight:
             if followed is None or _apart(followed[1].keypoints, seen.keypoints) < _SAME:
                 break
             state, found = followed
+            if seen.keypoints is None and (found.overlap or 0.0) < self._tracker.settings.loss.start_overlap:
+                break  # too little to say that there is a hand
             before.append(seen)
             after.append(found)
             gains.append(self._gain(before, after, now))
