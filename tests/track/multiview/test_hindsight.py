@@ -95,7 +95,7 @@ def test_moment_in_which_the_hand_was_lost_is_filled_in(tracker, rig_hand, poses
     assert float((better[0][1].keypoints - _points(rig_hand, poses[3])).norm(dim=-1).mean()) < 0.004
 
 
-@pytest.mark.parametrize(("grown_px", "filled"), [(1, [3]), (4, [])])
+@pytest.mark.parametrize(("grown_px", "filled"), [(1, [3]), (2, []), (4, [])])
 def test_lost_moment_is_filled_in_only_where_a_hand_could_be_found(grown_px, filled, tracker, rig_hand, poses, masks):
     seen = _seen(rig_hand, masks, poses, wrong=set())
     side = 2 * grown_px + 1

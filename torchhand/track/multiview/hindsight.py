@@ -90,8 +90,8 @@ class Hindsight:
             if followed is None or _apart(followed[1].keypoints, seen.keypoints) < _SAME:
                 break
             state, found = followed
-            if seen.keypoints is None and (found.overlap or 0.0) < self._tracker.settings.loss.start_overlap:
-                break  # too little to say that there is a hand
+            if seen.keypoints is None and not self._is_sure(found):
+                break
             before.append(seen)
             after.append(found)
             gains.append(self._gain(before, after, now))
@@ -103,6 +103,12 @@ class Hindsight:
 
     def _is_news(self, estimate: MultiViewEstimate) -> bool:
         return estimate.is_new or (len(self._seen) > 0 and _apart(self._seen[-1].keypoints, estimate.keypoints) > _LEAP)
+
+    def _is_sure(self, found: MultiViewEstimate) -> bool:
+        """Whether that much is explained that there is a hand, and no arm or half a hand."""
+        settings = self._tracker.settings
+        covered = found.covered_share or 0.0
+        return (found.overlap or 0.0) >= settings.loss.start_overlap and covered >= settings.fit.least_covered
 
     def _gain(self, before: list[SeenMoment], after: list[MultiViewEstimate], now: Tensor) -> float:
         """By how much the last moments are explained better by the hand that was followed back through them."""
