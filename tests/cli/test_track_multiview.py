@@ -166,27 +166,25 @@ def test_moments_that_were_lost_are_filled_in_once_the_hand_is_found(
 
     monkeypatch.setattr(MultiViewTracker, "step", losing)
     monkeypatch.setattr(multiview_tracking._Run, "step", stopping)
-    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    whole = tmp_path / "whole"
     assert run(recording, whole, "--no-overlay") == 0
     track = load_track(whole)
     assert track.frame.tolist() == list(range(FRAMES))
     assert track.status.tolist() == ["tracked", "tracked", "tracked", "recovered", "tracked"]
     truth = np.load(recording / "truth.npz")["keypoints3d"]
     assert np.linalg.norm(track.keypoints3d - truth, axis=-1).mean() < 0.004
-    stops_at[:] = [4]  # after moments 1 and 2 were corrected, with the last checkpoint behind 3
-    assert run(recording, broken, "--no-overlay") == 130
-    assert load_track(broken).status.tolist() == ["tracked", "tracked", "tracked", "recovered"]
-    stops_at[:] = []
-    assert run(recording, broken, "--no-overlay", "--resume") == 0
-    for name in ("pose", "keypoints3d_cov", "status"):
-        np.testing.assert_array_equal(getattr(load_track(broken), name), getattr(track, name))
-    other = tmp_path / "other"
-    stops_at[:] = [3]  # with the last checkpoint behind 1, which is yet to be corrected
-    assert run(recording, other, "--no-overlay") == 130
-    stops_at[:] = []
-    assert run(recording, other, "--no-overlay", "--resume") == 0
-    for name in ("pose", "keypoints3d_cov", "status"):
-        np.testing.assert_array_equal(getattr(load_track(other), name), getattr(track, name))
+    for stop, left in (
+        (4, ["tracked", "tracked", "tracked", "recovered"]),  # 1 and 2 are corrected, the last checkpoint is behind 3
+        (3, ["tracked", "lost", "lost"]),  # the last checkpoint is behind 1, which is yet to be corrected
+    ):
+        broken = tmp_path / f"broken_{stop}"
+        stops_at[:] = [stop]
+        assert run(recording, broken, "--no-overlay") == 130
+        assert load_track(broken).status.tolist() == left
+        stops_at[:] = []
+        assert run(recording, broken, "--no-overlay", "--resume") == 0
+        for name in ("pose", "keypoints3d_cov", "status"):
+            np.testing.assert_array_equal(getattr(load_track(broken), name), getattr(track, name))
 
 
 def test_finished_run_is_resumed_without_work(result: Path, recording: Path, tmp_path: Path) -> None:

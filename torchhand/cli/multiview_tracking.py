@@ -37,8 +37,8 @@ from torchhand.files.track_file import JSONL_NAME
 from torchhand.files.track_record import STATUSES
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, Anthropometry
-from torchhand.track.multiview import MultiViewMemory, MultiViewTracker, ViewSilhouettes
-from torchhand.track.multiview.hindsight import Hindsight, SeenMoment
+from torchhand.track.multiview import Hindsight, MultiViewMemory, MultiViewTracker, SeenMoment, ViewSilhouettes
+from torchhand.track.multiview.agreement import score_of
 from torchhand.track.multiview.introduction import Introduction, introduce
 from torchhand.track.multiview.saved import Knowledge, restored, saved
 from torchhand.track.multiview.scale import in_unit
@@ -149,7 +149,7 @@ class _Run:
                 if frame.index >= self.request.start + done:
                     break
                 row = rows[frame.index]
-                score = 0.5 * float(track.measures["overlap"][row] + track.measures["covered"][row])
+                score = score_of(float(track.measures["overlap"][row]), float(track.measures["covered"][row]))
                 is_lost = math.isnan(score)
                 self.hindsight.remember(
                     SeenMoment.of(
@@ -240,7 +240,6 @@ def track_rig(folder: Path, out_dir: Path, request: RigRequest, say: Say) -> Tra
         if writer.resume_point is not None:
             run.knowledge = restored(writer.resume_point.state)
             done = writer.resume_point.last_frame + 1 - request.start
-            run.recall(load_track(writer.folder / JSONL_NAME), done)
         else:
             run.meet(say)
             run.save_hand(writer.folder)
@@ -267,6 +266,8 @@ def _track_moments(run: _Run, done: int, writer: TrackWriter, say: Say) -> None:
             disable=not sys.stderr.isatty(),
         ) as bar,
     ):
+        if frames is not None and done:
+            run.recall(load_track(writer.folder / JSONL_NAME), done)
         for frame in frames or ():
             record, corrected = run.step(frame)
             for earlier in corrected:

@@ -223,15 +223,15 @@ class TrackWriter:
         if checkpoint is None:
             return size
         frames: set[int] = set()
-        for i, (record, end) in enumerate(read_lines(path)):
-            if i == 0:
+        for lines, (record, end) in enumerate(read_lines(path)):
+            frame = record.get("frame")
+            if not isinstance(frame, int):  # the header
                 continue
-            self._has_corrections |= record.get("frame") in frames
-            frames.add(record.get("frame", -1))
-            if record.get("frame") == checkpoint.last_frame:
-                self.resume_point, self._last_frame, self._frames = checkpoint, checkpoint.last_frame, len(frames)
+            frames.add(frame)
+            if frame == checkpoint.last_frame:
+                self.resume_point, self._last_frame, self._frames = checkpoint, frame, len(frames)
+                self._has_corrections = lines > len(frames)
                 return end
-        self._has_corrections = False
         return size
 
     def _save_checkpoint(self, state: Callable[[], State]) -> None:

@@ -117,7 +117,7 @@ def load_track(folder: str | Path) -> Track:
         return _read_npz(npz)
     if npz.is_file():
         track = _read_npz(npz)
-        if len(track) >= sum(1 for _ in read_lines(jsonl)) - 1:
+        if len(track) >= len({str(record.get("frame")) for record, _ in read_lines(jsonl)}) - 1:
             return track
     return _read_jsonl(jsonl)
 

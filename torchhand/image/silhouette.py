@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchhand.image.background import BackgroundPlate, background_mask, chroma_mask
 from torchhand.image.components import clean, fill_holes, largest_component, opened
-from torchhand.image.skin import SkinModel, dark_probability_u8, hue_probability_u8
+from torchhand.image.skin import SkinModel, hue_probability_u8, with_dark_u8
 
 _SHADED = 0.7  # of the least probability of skin: what is enough beside lit skin, of a hue that was hardly seen
 _DARKEST = 16  # largest channel below which hue means nothing
@@ -115,13 +115,12 @@ def _foreground(
 def _skin_pixels(image: Tensor, settings: SilhouetteSettings, skin: SkinModel) -> Tensor:
     """What is lit as the skin that the model learned, and patches of its hue that are in the shade."""
     found, value = hue_probability_u8(image, skin)
-    least, is_dark = 255.0 * settings.skin_threshold, value < skin.dark_value
-    lit = found > math.floor(least)
-    lit[is_dark] = dark_probability_u8(skin) > math.floor(least)
-    mask = torch.from_numpy(lit)
+    least = 255.0 * settings.skin_threshold
+    mask = torch.from_numpy(with_dark_u8(found, value, skin) > math.floor(least))
     if settings.shaded_skin < 1.0:
         darkest = max(_DARKEST, settings.shaded_skin * skin.dark_value)
-        shaded = is_dark & (value >= darkest) & (found > math.floor(_SHADED * least))
+        is_dim = (value < skin.dark_value) & (value >= darkest)
+        shaded = is_dim & (found > math.floor(_SHADED * least))
         mask |= opened(torch.from_numpy(shaded), max(1, round(max(shaded.shape) / _RIM)))
     return mask.to(image.device)
 

@@ -73,7 +73,7 @@ def skin_probability(image: UInt8[Tensor, "height width 3"], model: SkinModel) -
 def skin_probability_u8(image: UInt8[Tensor, "height width 3"], model: SkinModel) -> np.ndarray:
     """`skin_probability` times 255 as an 8-bit array."""
     found, value = hue_probability_u8(image, model)
-    return np.where(value < model.dark_value, dark_probability_u8(model), found)
+    return with_dark_u8(found, value, model)
 
 
 def hue_probability_u8(image: UInt8[Tensor, "height width 3"], model: SkinModel) -> tuple[np.ndarray, np.ndarray]:
@@ -84,9 +84,10 @@ def hue_probability_u8(image: UInt8[Tensor, "height width 3"], model: SkinModel)
     return found, cv2.extractChannel(hsv, 2)
 
 
-def dark_probability_u8(model: SkinModel) -> np.uint8:
-    """The same of a pixel that is dark."""
-    return probability_u8(np.array([model.dark_log_ratio])).astype(np.uint8)[0]
+def with_dark_u8(found: np.ndarray, value: np.ndarray, model: SkinModel) -> np.ndarray:
+    """What `hue_probability_u8` gives, with the model's one probability where a pixel is dark."""
+    dark = probability_u8(np.array([model.dark_log_ratio])).astype(np.uint8)[0]
+    return np.where(value < model.dark_value, dark, found)
 
 
 def skin_probability_torch(image: UInt8[Tensor, "height width 3"], model: SkinModel) -> Float[Tensor, "height width"]:

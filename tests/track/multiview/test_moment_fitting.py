@@ -49,9 +49,10 @@ def test_digit_is_found_though_the_hand_is_some_way_off(fits, rig_hand, pose_at,
     assert _error_mm(rig_hand, found, (pose, reference)) < 4.0
 
 
-def _before_arm(masks, rig, points, views: int) -> list[torch.Tensor | None]:
-    """Some of the silhouettes of a hand (its keypoints), with a forearm that leaves the pictures: most of their hull is
-    arm."""
+def _before_arm(pose, rig_hand, rig, masks_of, views: int) -> tuple[list[torch.Tensor | None], torch.Tensor]:
+    """Some of a posed hand's silhouettes with a forearm that leaves the pictures, most of whose hull is arm; and its
+    keypoints."""
+    masks, points = masks_of(pose), rig_hand.kinematics(pose[0], root_reference=pose[1]).keypoints
     along = torch.nn.functional.normalize(points[0] - points[9], dim=0)
     arm = points[0] + torch.arange(0.0, 0.4, 0.001, dtype=torch.float64)[:, None] * along
     for camera, mask in zip(rig[:views], masks[:views], strict=True):
@@ -61,25 +62,21 @@ def _before_arm(masks, rig, points, views: int) -> list[torch.Tensor | None]:
             if depth > 0.1:
                 radius = 0.028 * float(camera.intrinsics[0, 0]) / depth
                 mask |= (x - column) ** 2 + (y - row) ** 2 < radius**2
-    return [*masks[:views], *[None] * (len(rig) - views)]
+    return [*masks[:views], *[None] * (len(rig) - views)], points
 
 
 def test_search_finds_the_hand_at_the_end_of_an_arm(fits, rig_hand, rig, pose_at, masks_of):
-    pose, reference = pose_at("point")
-    shape = rig_hand.kinematics.default_shape
-    points = rig_hand.kinematics(pose, shape, root_reference=reference).keypoints
-    masks = _before_arm(masks_of((pose, reference)), rig, points, views=3)
+    pose, shape = pose_at("point"), rig_hand.kinematics.default_shape
+    masks, _ = _before_arm(pose, rig_hand, rig, masks_of, views=3)
     with torch.inference_mode():
         found = fits.searched(fits.hull_anywhere(shape, masks), shape, masks)
-    assert _error_mm(rig_hand, found, (pose, reference)) < 12.0
+    assert _error_mm(rig_hand, found, pose) < 12.0
 
 
 def test_two_views_of_an_arm_tell_the_hand_and_then_its_digits(fits, rig_hand, rig, pose_at, masks_of):
     """How far the fingers in the fist are bent hardly shows: the search leaves it open, and other digits settle it."""
-    pose, reference = pose_at("point")
-    shape = rig_hand.kinematics.default_shape
-    points = rig_hand.kinematics(pose, shape, root_reference=reference).keypoints
-    masks = _before_arm(masks_of((pose, reference)), rig, points, views=2)
+    pose, shape = pose_at("point"), rig_hand.kinematics.default_shape
+    masks, points = _before_arm(pose, rig_hand, rig, masks_of, views=2)
     with torch.inference_mode():
         hull = fits.hull_anywhere(shape, masks)
         found = fits.searched(hull, shape, masks)
@@ -88,7 +85,7 @@ def test_two_views_of_an_arm_tell_the_hand_and_then_its_digits(fits, rig_hand, r
         settled = fits.with_other_digits(hull, found.anchor, [], shape, masks)
     seen = [0, 5, 6, 7, 8, 9, 13, 17]  # wrist, knuckles and the finger that points
     assert float((places - points).norm(dim=-1)[seen].max()) < 0.012
-    assert _error_mm(rig_hand, settled, (pose, reference)) < 12.0
+    assert _error_mm(rig_hand, settled, pose) < 12.0
 
 
 def test_the_likelier_of_those_that_explain_alike_is_chosen(fits, rig_hand, pose_at, masks_of):

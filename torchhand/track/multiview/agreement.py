@@ -94,6 +94,11 @@ class ViewAgreement:
         return torch.from_numpy(cv2.dilate(model.numpy().view(np.uint8), kernel) > 0)
 
 
+def score_of(overlap: float, covered_share: float) -> float:
+    """How much of the pictures a hand explains, 0 to 1: the silhouettes' areas and their edges, in equal shares."""
+    return 0.5 * (overlap + covered_share)
+
+
 def mean_overlap(overlaps: Float[Tensor, "views"]) -> float:
     """Over the views that there are; 0 where there is none."""
     known = overlaps[overlaps.isfinite()]

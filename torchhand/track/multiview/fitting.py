@@ -16,7 +16,7 @@ from torchhand.track.hull_fit import HullFit, HullFitter
 from torchhand.track.hull_settings import HullLevel
 from torchhand.track.hull_start import find_in_hull, palm_of, varied_digits
 from torchhand.track.hull_torque import fit_by_torques
-from torchhand.track.multiview.agreement import ViewAgreement, mean_overlap
+from torchhand.track.multiview.agreement import ViewAgreement, mean_overlap, score_of
 from torchhand.track.multiview.hulls import Hull, Hulls
 from torchhand.track.multiview.settings import MultiViewSettings
 from torchhand.track.multiview.silhouettes import Masks
@@ -60,8 +60,13 @@ class Placed:
 
     @property
     def score(self) -> float:
-        """How much of the pictures it explains, 0 to 1: the silhouettes' areas and their edges, in equal shares."""
-        return 0.5 * (self.overlap + float(self.fit.covered_share))
+        """How much of the pictures it explains, as `score_of`."""
+        return score_of(self.overlap, float(self.fit.covered_share))
+
+    @property
+    def views(self) -> int:
+        """How many views it is compared with."""
+        return int(self.overlaps.isfinite().sum())
 
     @property
     def anchor(self) -> Anchor:

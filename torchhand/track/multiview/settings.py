@@ -63,7 +63,8 @@ class MultiViewLossSettings:
     start_overlap: float = 0.70
     """Least overlap with which a hand is taken as found; 0 to 1."""
     doubt_drop: float = 0.05
-    """An overlap that is lower than usual by this much has the track compared with a fresh search; 0 to 1."""
+    """A hand that explains less than usual by this much, in areas and edges of the silhouettes, is compared with other
+    turns, postures and a fresh search; 0 to 1."""
     better_by: float = 0.02
     """By how much another fit must explain more, in areas and edges of the silhouettes, to take over; 0 to 1."""
     search_every: int = 10

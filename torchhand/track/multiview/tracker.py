@@ -18,7 +18,7 @@ from torchhand.numerics import Gaussian, predict_linear
 from torchhand.numerics.conditioning import with_marginal
 from torchhand.track.estimate import posed_belief
 from torchhand.track.hull_fit import HullFit
-from torchhand.track.multiview.agreement import mean_overlap
+from torchhand.track.multiview.agreement import mean_overlap, score_of
 from torchhand.track.multiview.fitting import Anchor, MomentFitter, Placed
 from torchhand.track.multiview.hulls import Hull
 from torchhand.track.multiview.settings import MultiViewSettings
@@ -88,7 +88,8 @@ class MultiViewEstimate:
     @property
     def score(self) -> float:
         """As `Placed.score`; 0 without an estimate."""
-        return 0.0 if self.overlap is None or self.covered_share is None else 0.5 * (self.overlap + self.covered_share)
+        overlap, covered = self.overlap, self.covered_share
+        return 0.0 if overlap is None or covered is None else score_of(overlap, covered)
 
 
 class MultiViewTracker:
@@ -303,12 +304,11 @@ class MultiViewTracker:
         memory: MultiViewMemory,
     ) -> tuple[TrackerState | None, MultiViewMemory, MultiViewEstimate]:
         loss, is_new = self.settings.loss, best is not followed
-        views = int(best.overlaps.isfinite().sum())
         least = loss.start_overlap if is_new else loss.min_overlap
         if best.overlap < least or not bool(best.fit.covariance.isfinite().all()):
             reason = f"overlap {best.overlap:.2f} with the silhouettes"
             status: Status = "lost" if memory.has_started else "no_hand"
-            return self._given_up(predicted), memory, MultiViewEstimate(status=status, reason=reason, views=views)
+            return self._given_up(predicted), memory, MultiViewEstimate(status=status, reason=reason, views=best.views)
         following = self._begun(best.fit) if is_new or predicted is None else self._updated(predicted, best.fit)
         was_lost = predicted is None and memory.has_started
         usual, at_best = (
@@ -361,5 +361,5 @@ class MultiViewTracker:
             overlaps=placed.overlaps,
             inside_share=float(placed.fit.inside_share),
             covered_share=float(placed.fit.covered_share),
-            views=int(placed.overlaps.isfinite().sum()),
+            views=placed.views,
         )
