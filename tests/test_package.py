@@ -67,7 +67,7 @@ def test_the_wheel_holds_models_and_configs(wheel: Path) -> None:
 def test_models_and_configs_are_found_where_the_wheel_is_installed(environment: Path, tmp_path: Path) -> None:
     program = (
         "import torchhand\n"
-        "from torchhand.files.locations import configs_dir, models_dir\n"
+        "from torchhand.files import configs_dir, models_dir\n"
         "print(torchhand.__file__, models_dir(), configs_dir(), sep='\\n')\n"
         "print(len(list(models_dir().rglob('*.urdf'))), len(list(configs_dir().glob('*.yaml'))))\n"
     )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import torch
 
-    import torchhand.hand.hand
+    import torchhand.hand
 
 __version__ = "0.1.0"
 
@@ -23,12 +23,12 @@ def Hand(
     side: "torchhand.hand.Side" = "right",
     model: str = "generic_hand",
     dtype: "torch.dtype | None" = None,
-) -> "torchhand.hand.hand.Hand":
+) -> "torchhand.hand.Hand":
     """The hand of a shipped model, or of a model folder given by path, as a torch module: `Hand(shape)(pose)`.
 
     shape: parameters of the model's shape space, (52,) or (*batch, 52) for the generic hand; a tensor, an nn.Parameter
         to learn, or None for the default proportions. side: "right" or "left". dtype: float32 if not given and not the
-        shape's. See `torchhand.hand.hand.Hand`.
+        shape's. See `torchhand.hand.Hand`.
 
     Raises InputError for an unknown model, ValueError for a shape that is not finite or outside its bounds.
     """

@@ -11,11 +11,11 @@ import torch
 
 from torchhand.cli import build_signs
 from torchhand.cli.animate import main
-from torchhand.cli.animate_video import spelling_camera
 from torchhand.cli.main import command_descriptions
+from torchhand.draw import spelling_camera
+from torchhand.export import clip_of_bap, clip_of_bvh, load_clip
 from torchhand.files import load_hand_model, models_dir, save_hand
-from torchhand.files.exports import clip_of_bap, clip_of_bvh, load_clip
-from torchhand.files.sign_file import load_signs
+from torchhand.signs import load_signs
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 QUICK = ("--fps", "10", "--seconds", "0.6")

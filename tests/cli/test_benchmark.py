@@ -12,14 +12,18 @@ from typing import Any
 import pytest
 import torch
 
-from torchhand.cli import benchmark, benchmark_hand, benchmark_runs, benchmark_tracking
+from torchhand.cli import benchmark
 from torchhand.cli.benchmark import Arguments, main
+from torchhand.cli.benchmarks import Figure, line_of
+from torchhand.cli.benchmarks import hand as benchmark_hand
+from torchhand.cli.benchmarks import runs as benchmark_runs
+from torchhand.cli.benchmarks import tracking as benchmark_tracking
+from torchhand.evaluate import PROC, THREAD_VARIABLES, Timing, memory_growth, time_interleaved, watch_memory
 from torchhand.files import load_hand_model
 from torchhand.geometry import assumed_camera
 from torchhand.hand import BONES
-from torchhand.study.figures import Figure, line_of
-from torchhand.study.timing import PROC, THREAD_VARIABLES, Timing, memory_growth, time_interleaved, watch_memory
-from torchhand.track.contour_tracker import ContourTracker, Estimate, Memory
+from torchhand.track import Estimate, Memory
+from torchhand.track.unscented import ContourTracker
 
 KEYS = {"name", "ours_ms", "peer", "peer_ms", "ratio", "repeats", "unit", "value", "must", "aim", "meets", "details"}
 

@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 import torch
 
-from torchhand.cli import benchmark_fit_hand
 from torchhand.cli.benchmark import Arguments, main
-from torchhand.cli.benchmark_fit_hand import BONES, bone_lengths, fit_hand_bones, pictures
+from torchhand.cli.benchmarks import fit_hand as benchmark_fit_hand
+from torchhand.cli.benchmarks.fit_hand import BONES, bone_lengths, fit_hand_bones, pictures
+from torchhand.evaluate import THREAD_VARIABLES
 from torchhand.files import load_hand_model
 from torchhand.hand import posture
-from torchhand.image.hand_regions import NoRegions
-from torchhand.study.timing import THREAD_VARIABLES
+from torchhand.image import NoRegions
 
 
 @pytest.fixture(autouse=True)

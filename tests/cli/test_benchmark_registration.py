@@ -8,12 +8,13 @@ from typing import Any
 import pytest
 import torch
 
-from torchhand.cli import benchmark_iteration, benchmark_registration
 from torchhand.cli.benchmark import main
-from torchhand.cli.benchmark_iteration import TABLE, Iteration, pypose_step
-from torchhand.cli.benchmark_registration import SPACE, Case
+from torchhand.cli.benchmarks import iteration as benchmark_iteration
+from torchhand.cli.benchmarks import registration as benchmark_registration
+from torchhand.cli.benchmarks.iteration import TABLE, Iteration, pypose_step
+from torchhand.cli.benchmarks.registration import SPACE, Case
+from torchhand.evaluate import THREAD_VARIABLES
 from torchhand.numerics.least_squares import normal_equations
-from torchhand.study.timing import THREAD_VARIABLES
 from torchhand.view import outline_table
 
 # torch's own, where forward derivatives are first asked for, and pypose's.

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from torchhand.cli import benchmark_stream
-from torchhand.cli.benchmark_stream import recorded_poses, recorded_stream, synthetic_stream
+from torchhand.cli.benchmarks import stream as benchmark_stream
+from torchhand.cli.benchmarks.stream import recorded_poses, recorded_stream, synthetic_stream
 from torchhand.files import load_hand_model
 from torchhand.hand import DOFS
 

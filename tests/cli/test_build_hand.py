@@ -9,10 +9,8 @@ import pytest
 import torch
 
 from torchhand.cli.build_hand import main, mesh_preview, primitive_preview
-from torchhand.files.hand_model import load_hand_model
-from torchhand.files.locations import models_dir
-from torchhand.files.mesh_file import load_mesh
-from torchhand.files.urdf import read_skeleton
+from torchhand.files import load_hand_model, load_mesh, models_dir
+from torchhand.files.hands import read_skeleton
 
 FOLDER = models_dir() / "generic_hand"
 PICTURES = ("preview.png", "mesh.png", "prior.png")

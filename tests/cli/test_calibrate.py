@@ -12,15 +12,11 @@ import numpy as np
 import pytest
 import torch
 
+from torchhand.calibration import Board, Pose, draw_board, find_board
 from torchhand.cli import calibrate
 from torchhand.cli.calibrate import main
-from torchhand.files import load_cameras, read_picture
-from torchhand.files.rig import load_rig, rig_notes
-from torchhand.files.rig_source import open_rig
-from torchhand.geometry import Camera, rotation_from_vector, vector_from_rotation
-from torchhand.geometry.calibration import Pose
-from torchhand.geometry.cameras import undistort
-from torchhand.image.board import Board, draw_board, find_board
+from torchhand.files import load_cameras, load_rig, open_rig, read_picture, rig_notes
+from torchhand.geometry import Camera, rotation_from_vector, undistort, vector_from_rotation
 
 WIDTH, HEIGHT = 400, 300
 MOMENTS = 8

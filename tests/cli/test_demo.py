@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from torchhand.cli.demo import main
+from torchhand.evaluate import evaluate, load_truth
 from torchhand.files import load_track, open_source, read_picture
-from torchhand.study import evaluate, load_truth
 
 FRAMES = 6
 

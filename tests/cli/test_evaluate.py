@@ -11,11 +11,10 @@ import torch
 
 from torchhand.cli.evaluate import main
 from torchhand.cli.simulate import main as simulate
-from torchhand.files import load_hand_model, save_hand
-from torchhand.files.track_record import Track
+from torchhand.evaluate import flexion_deg
+from torchhand.files import Track, load_hand_model, save_hand
 from torchhand.geometry import rotation_from_vector, vector_from_rotation
 from torchhand.hand import DOFS
-from torchhand.study import flexion_deg
 
 FRAMES = 5
 

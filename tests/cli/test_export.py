@@ -15,10 +15,9 @@ from torchhand.cli.export import main
 from torchhand.cli.main import command_descriptions
 from torchhand.cli.simulate import main as simulate
 from torchhand.cli.track import main as track
-from torchhand.files import load_hand_model, load_track, save_hand
-from torchhand.files.exports import clip_of_bap, clip_of_bvh, clip_of_mano, clip_of_openxr
-from torchhand.files.track_file import write_npz
-from torchhand.files.track_record import CONVENTION, UNITS, Track
+from torchhand.export import clip_of_bap, clip_of_bvh, clip_of_mano, clip_of_openxr
+from torchhand.files import Track, load_hand_model, load_track, save_hand
+from torchhand.files.results import CONVENTION, UNITS, write_npz
 from torchhand.hand import DOFS
 
 FRAMES = 5

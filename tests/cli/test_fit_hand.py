@@ -13,13 +13,11 @@ import torch
 from torchhand.cli import fit_hand
 from torchhand.cli.fit_hand import main
 from torchhand.files import load_hand, load_hand_model, read_picture, save_cameras
+from torchhand.fit.detect import facing_rotation
+from torchhand.fit.open_hand import OpenHandSettings, fit_open_hand
 from torchhand.geometry import assumed_camera
 from torchhand.hand import posture
-from torchhand.simulate import SceneSettings, render_sequence
-from torchhand.simulate.motion import Motion
-from torchhand.track.facing import facing_rotation
-from torchhand.track.open_hand import fit_open_hand
-from torchhand.track.open_hand_settings import OpenHandSettings
+from torchhand.simulate import Motion, SceneSettings, render_sequence
 
 CAMERA = assumed_camera(320, 260)
 DISTANCE = 0.45

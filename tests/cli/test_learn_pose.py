@@ -13,8 +13,8 @@ import torch
 
 from torchhand.cli import learn_pose
 from torchhand.cli.learn_pose import main
-from torchhand.files.hand_model import load_hand_model
-from torchhand.hand.prior import HandPrior
+from torchhand.files import load_hand_model
+from torchhand.hand import HandPrior
 from torchhand.learn import SampleSettings, draw_samples, hand_pool, load_record
 
 SMALL = ("--steps", "50", "--pool", "100", "--batch", "16")

@@ -13,10 +13,10 @@ import torch
 from torchhand.cli import simulate
 from torchhand.cli.command import threads
 from torchhand.cli.simulate import main
+from torchhand.evaluate import flexion_deg, load_truth
 from torchhand.files import load_cameras, load_hand_model, open_source, save_cameras, save_hand
 from torchhand.geometry import assumed_camera
 from torchhand.simulate import render_sequence
-from torchhand.study import flexion_deg, load_truth
 
 SMALL = ("--size", "64x48", "--frames", "2")
 

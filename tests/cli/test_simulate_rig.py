@@ -10,11 +10,9 @@ import pytest
 import torch
 
 from torchhand.cli.simulate import main
-from torchhand.files import load_hand_model, save_cameras
-from torchhand.files.rig import load_rig
-from torchhand.files.rig_source import open_rig
+from torchhand.evaluate import flexion_deg, load_truth
+from torchhand.files import load_hand_model, load_rig, open_rig, save_cameras
 from torchhand.simulate import named_rig, noisy_mask
-from torchhand.study import flexion_deg, load_truth
 from torchhand.volume import CarvingSettings, RootCube, carve, hull_field
 
 SMALL = ("--size", "96x72", "--noise", "0")

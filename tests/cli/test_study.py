@@ -18,12 +18,10 @@ import yaml
 
 from torchhand.cli import simulate
 from torchhand.cli.study import main
-from torchhand.cli.study_cases import frames_of
 from torchhand.errors import InputError
 from torchhand.files import load_hand_model, read_picture, save_hand
 from torchhand.hand import DOFS
-from torchhand.study.hypotheses import CaseStudy, StudyBatch
-from torchhand.study.hypothesis_record import Hypotheses
+from torchhand.study.hypotheses import CaseStudy, Hypotheses, StudyBatch, frames_of
 
 RESULT_NAMES = {"study.csv", "study.png", "hypotheses.npz", "config.yaml"}
 QUICK = (

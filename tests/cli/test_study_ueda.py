@@ -13,11 +13,10 @@ from torchhand.cli import study_ueda
 from torchhand.cli.simulate import main as simulate
 from torchhand.cli.study import main
 from torchhand.cli.study_ueda import numbers_of
-from torchhand.cli.study_ueda_results import comparison_rows
 from torchhand.errors import InputError
 from torchhand.files import save_cameras
 from torchhand.simulate import named_rig
-from torchhand.study.ueda_stages import STAGES
+from torchhand.study.ueda import STAGES, comparison_rows
 
 SMALL = ("--levels", "6", "--iterations", "4", "--people", "1", "--cameras", "2", "--level", "5")
 

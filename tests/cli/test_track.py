@@ -15,9 +15,7 @@ import torch
 import yaml
 
 import torchhand
-from torchhand.cli import tracking
 from torchhand.cli.command import threads
-from torchhand.cli.request import settings_of
 from torchhand.cli.track import main
 from torchhand.files import (
     Frame,
@@ -35,11 +33,11 @@ from torchhand.files import (
 )
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import DOFS
+from torchhand.runs import settings_of
 from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
-from torchhand.track.contour_tracker import ContourTracker
-from torchhand.track.distance_settings import DistanceTrackerSettings
-from torchhand.track.distance_tracker import DistanceTracker
-from torchhand.track.settings import ContourTrackerSettings
+from torchhand.track import ContourTrackerSettings
+from torchhand.track.extended import DistanceTracker, DistanceTrackerSettings
+from torchhand.track.unscented import ContourTracker
 
 FRAMES, WIDTH, HEIGHT = 10, 200, 160
 RESULT_NAMES = {"checkpoint.pt", "config.yaml", "hand.json", "overlay.mp4", "track.jsonl", "track.npz"}
@@ -285,7 +283,7 @@ def test_ctrl_c_keeps_what_is_tracked_and_resume_gives_the_uninterrupted_result(
     clip: Clip, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out"
-    monkeypatch.setattr(tracking, "CHECKPOINT_EVERY", 4)
+    monkeypatch.setattr("torchhand.runs.tracking.CHECKPOINT_EVERY", 4)
     with monkeypatch.context() as patch:
         _stop_after(patch, 6, KeyboardInterrupt())
         stopped = run(clip.frames, "--out", out, *clip.options)
@@ -325,7 +323,7 @@ def test_the_distance_map_tracker_is_chosen_saved_and_resumed(
     assert settings == settings_of("distance_abduction")
     assert settings_of(str(whole / "config.yaml")) == settings
 
-    monkeypatch.setattr(tracking, "CHECKPOINT_EVERY", 2)
+    monkeypatch.setattr("torchhand.runs.tracking.CHECKPOINT_EVERY", 2)
     with monkeypatch.context() as patch:
         _stop_after(patch, 3, KeyboardInterrupt(), DistanceTracker)
         assert run(clip.frames, "--out", parts, *options).code == 130
@@ -381,7 +379,7 @@ def test_a_webcam_ends_well_with_ctrl_c_and_draws_live(
         opened.append(source)
         return _Webcam(clip.frames)
 
-    monkeypatch.setattr(tracking, "open_source", open_webcam)
+    monkeypatch.setattr("torchhand.runs.tracking.open_source", open_webcam)
     monkeypatch.chdir(tmp_path)
     outcome = run("0", "--out", "out", "--camera", clip.camera, "--config", "contour_planar")
     assert outcome.code == 0
@@ -680,7 +678,7 @@ def test_a_full_disk_under_the_overlay_keeps_the_track(
     def full(*_: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", "overlay.mp4")
 
-    monkeypatch.setattr(tracking, "write_overlay", full)
+    monkeypatch.setattr("torchhand.runs.tracking.write_overlay", full)
     out = tmp_path / "out"
     options = ["--camera", clip.camera, "--config", "contour_planar", "--max-frames", "2"]
     _assert_refused(run(clip.frames, "--out", out, *options), "overlay.mp4: No space left on device")

@@ -12,14 +12,13 @@ import pytest
 import torch
 import yaml
 
-from torchhand.cli import multiview_tracking
 from torchhand.cli.track_multiview import main
 from torchhand.files import load_hand_model, load_track, read_picture, save_cameras, save_hand, write_video
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import posture
-from torchhand.simulate.rigs import named_rig
-from torchhand.track.multiview import MultiViewTracker
-from torchhand.track.multiview.tracker import MultiViewEstimate
+from torchhand.runs.multiview import MultiViewRun
+from torchhand.simulate import named_rig
+from torchhand.track.multiview import MultiViewEstimate, MultiViewTracker
 from torchhand.view import mesh_silhouette
 
 FRAMES, SIZE = 5, (240, 180)
@@ -127,8 +126,8 @@ def test_skin_in_place_of_masks_and_videos_in_place_of_pictures(recording: Path,
 def test_stopped_run_goes_on_to_the_same_end(
     result: Path, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(multiview_tracking, "CHECKPOINT_EVERY", 2)
-    step, seen = multiview_tracking._Run.step, []
+    monkeypatch.setattr("torchhand.runs.multiview.tracking.CHECKPOINT_EVERY", 2)
+    step, seen = MultiViewRun.step, []
 
     def stopping(self, frame):
         seen.append(frame.index)
@@ -136,7 +135,7 @@ def test_stopped_run_goes_on_to_the_same_end(
             raise KeyboardInterrupt
         return step(self, frame)
 
-    monkeypatch.setattr(multiview_tracking._Run, "step", stopping)
+    monkeypatch.setattr(MultiViewRun, "step", stopping)
     out = tmp_path / "out"
     assert run(recording, out) == 130
     seen[:] = [0] * 4
@@ -150,8 +149,8 @@ def test_stopped_run_goes_on_to_the_same_end(
 def test_moments_that_were_lost_are_filled_in_once_the_hand_is_found(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(multiview_tracking, "CHECKPOINT_EVERY", 2)
-    step, run_step = MultiViewTracker.step, multiview_tracking._Run.step
+    monkeypatch.setattr("torchhand.runs.multiview.tracking.CHECKPOINT_EVERY", 2)
+    step, run_step = MultiViewTracker.step, MultiViewRun.step
     stops_at: list[int] = []
 
     def losing(self, state, memory, masks, anchors=None, moment=None):
@@ -165,7 +164,7 @@ def test_moments_that_were_lost_are_filled_in_once_the_hand_is_found(
         return run_step(self, frame)
 
     monkeypatch.setattr(MultiViewTracker, "step", losing)
-    monkeypatch.setattr(multiview_tracking._Run, "step", stopping)
+    monkeypatch.setattr(MultiViewRun, "step", stopping)
     whole = tmp_path / "whole"
     assert run(recording, whole, "--no-overlay") == 0
     track = load_track(whole)

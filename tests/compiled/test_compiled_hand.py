@@ -13,10 +13,10 @@ import torch
 from torch import Tensor
 from torch._dynamo.testing import CompileCounter
 
-from torchhand.files.hand_model import load_hand_model
+from torchhand.files import load_hand_model
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand.chain_compiled import place_chain_plainly
-from torchhand.hand.hand import Hand, HandState
+from torchhand.hand import Hand, HandState
+from torchhand.hand.kinematics import place_chain_plainly
 
 pytestmark = [
     pytest.mark.skipif(

@@ -10,8 +10,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from torchhand.files.hand_model import load_hand_model
-from torchhand.hand.hand import Hand
+from torchhand.files import load_hand_model
+from torchhand.hand import Hand
 
 pytestmark = [
     pytest.mark.skipif(

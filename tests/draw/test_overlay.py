@@ -6,8 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchhand.draw import STATUS_COLOURS, draw_overlay, overlay_size
-from torchhand.draw.overlay import CONTOUR_COLOUR, KEYPOINT_COLOUR
+from torchhand.draw.overlay import CONTOUR_COLOUR, KEYPOINT_COLOUR, STATUS_COLOURS, draw_overlay, overlay_size
 from torchhand.draw.second_view import PAPER
 from torchhand.files import load_hand_model
 from torchhand.geometry import assumed_camera

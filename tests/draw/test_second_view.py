@@ -7,8 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchhand.draw import draw_second_view
-from torchhand.draw.second_view import PAPER
+from torchhand.draw.second_view import PAPER, draw_second_view
 from torchhand.files import load_hand_model
 from torchhand.geometry import assumed_camera, rotation_from_vector
 from torchhand.hand import posture

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from torchhand.draw import contact_sheet
+from torchhand.draw.sheet import contact_sheet
 
 
 def test_pictures_stand_row_by_row() -> None:

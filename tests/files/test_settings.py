@@ -9,7 +9,7 @@ import yaml
 
 from torchhand import __version__
 from torchhand.errors import InputError
-from torchhand.files import configs_dir, find_config, load_settings, locations, models_dir, save_settings
+from torchhand.files.settings import load_settings, save_settings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,33 +139,6 @@ def test_saved_settings_are_complete_and_load_again(tmp_path: Path):
     assert list(stored) == ["space", "steps", "range_deg", "fingers", "background", "weights", "filter", "stages"]
     assert stored["filter"] == {"order": 0, "noise_px": 1e-7, "is_robust": False, "gate": None}
     assert load_settings(Options(), tmp_path / "config.yaml") == settings
-
-
-def test_named_configurations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    shipped = tmp_path / "shipped"
-    shipped.mkdir()
-    for name in ("contour_planar", "contour_full"):
-        (shipped / f"{name}.yaml").write_text("")
-    monkeypatch.setattr(locations, "configs_dir", lambda: shipped)
-    monkeypatch.chdir(tmp_path)
-    for name in ("contour_planar", "contour_planar.yaml", "configs/contour_planar.yaml"):
-        assert find_config(name) == shipped / "contour_planar.yaml"
-    own = _write(tmp_path / "contour_planar.yaml", "steps: 1")
-    assert find_config("contour_planar.yaml").resolve() == own
-    for name in ("contour_planer", "elsewhere/contour_planar.yaml"):
-        with pytest.raises(
-            InputError, match="no such configuration; expected a YAML file or one of contour_full, contour_planar"
-        ):
-            find_config(name)
-
-
-def test_shipped_folders_are_found_in_the_package_before_the_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    package = tmp_path / "torchhand"
-    package.mkdir()
-    monkeypatch.setattr(locations, "_PACKAGE", package)
-    assert (models_dir(), configs_dir()) == (tmp_path / "models", tmp_path / "configs")
-    (package / "models").mkdir()
-    assert (models_dir(), configs_dir()) == (package / "models", tmp_path / "configs")
 
 
 def test_records_in_a_list_come_back_and_their_mistakes_are_named(tmp_path: Path):

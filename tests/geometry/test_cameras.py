@@ -9,8 +9,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchhand.geometry import Camera, assumed_camera, rotation_from_vector
-from torchhand.geometry.cameras import DISTORTION_LENGTHS, distort, distortion_jacobian, undistort
+from torchhand.geometry.cameras import (
+    DISTORTION_LENGTHS,
+    Camera,
+    assumed_camera,
+    distort,
+    distortion_jacobian,
+    undistort,
+)
+from torchhand.geometry.rotations import rotation_from_vector
 
 COEFFICIENTS = (
     *(0.11, -0.07, 0.0021, -0.0013, 0.013),  # k1 k2 p1 p2 k3

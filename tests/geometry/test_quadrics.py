@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchhand.geometry import (
+from torchhand.geometry.quadrics import (
     cone,
     conic_of_quadric,
     ellipsoid,
@@ -19,9 +19,9 @@ from torchhand.geometry import (
     quadratic_roots,
     ray_coefficients,
     ray_table,
-    rotation_from_vector,
     slab,
 )
+from torchhand.geometry.rotations import rotation_from_vector
 
 
 def _number(*values: float) -> Tensor:

@@ -7,7 +7,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from torchhand.geometry import left_jacobian, rotation_from_vector, skew, vector_from_rotation
+from torchhand.geometry.rotations import left_jacobian, rotation_from_vector, skew, vector_from_rotation
 
 
 def _vectors(generator: torch.Generator, count: int = 200) -> Tensor:

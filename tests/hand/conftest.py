@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from torchhand.files.hand_model import load_hand_model
-from torchhand.hand.mesh import HandMesh
+from torchhand.files import load_hand_model
+from torchhand.hand.kinematics import BONES, JOINT_DOFS
 from torchhand.hand.model import HandModel
-from torchhand.hand.skeleton import BONES, JOINT_DOFS
+from torchhand.hand.skin import HandMesh
 
 CORRECTIVES = ("index_mcp_aa", "thumb_cmc_fe", "index_mcp_fe", "little_dip_fe", "ring_cmc_fe")
 

@@ -9,11 +9,11 @@ from torch import Tensor
 
 from torchhand.files import load_hand_model
 from torchhand.geometry import assumed_camera
-from torchhand.hand import BONES, posture
 from torchhand.hand.hand import Hand
-from torchhand.hand.mesh import HandMesh
+from torchhand.hand.kinematics import BONES, posture
 from torchhand.hand.posed_mesh import posed_mesh
-from torchhand.view.surface import silhouette
+from torchhand.hand.skin import HandMesh
+from torchhand.view import silhouette
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor, nn
 
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand import place_primitives, primitive_sizes
 from torchhand.hand.hand import Hand, HandState
+from torchhand.hand.kinematics import JOINT_DOFS
 from torchhand.hand.model import HandModel
-from torchhand.hand.skeleton import JOINT_DOFS
+from torchhand.hand.primitives import place_primitives, primitive_sizes
 
 SIDES = ("right", "left")
 MIRROR = torch.tensor((1.0, 1.0, -1.0), dtype=torch.float64)
@@ -131,7 +131,7 @@ def test_frames_and_primitives_are_those_of_the_kinematics(small_model: HandMode
 
 def test_the_shape_is_the_default_one_or_the_given_one(small_model: HandModel, generator: torch.Generator) -> None:
     pose, shape = _pose(generator), _shape(small_model, generator)
-    own, given = Hand(shape, model=small_model), _hand(small_model)
+    own, given = small_model.hand(shape), _hand(small_model)
     torch.testing.assert_close(own(pose).vertices, given(pose, shape).vertices, atol=0, rtol=0)
     default = given(pose, small_model.shape_space.default)
     torch.testing.assert_close(given(pose).vertices, default.vertices, atol=0, rtol=0)
@@ -139,16 +139,16 @@ def test_the_shape_is_the_default_one_or_the_given_one(small_model: HandModel, g
 
 def test_the_shape_is_all_that_is_saved(small_model: HandModel, generator: torch.Generator) -> None:
     pose, shape = _pose(generator), _shape(small_model, generator)
-    for saved in (Hand(shape, model=small_model), Hand(nn.Parameter(shape), model=small_model)):
+    for saved in (small_model.hand(shape), small_model.hand(nn.Parameter(shape))):
         state = copy.deepcopy(saved.state_dict())
         assert list(state) == ["shape"]
         loaded = _hand(small_model)
         loaded.load_state_dict(state)
         assert torch.equal(loaded(pose).vertices, saved(pose).vertices)
         assert not torch.equal(loaded(pose).vertices, _hand(small_model)(pose).vertices)
-    [parameter] = Hand(nn.Parameter(shape), model=small_model).parameters()
+    [parameter] = small_model.hand(nn.Parameter(shape)).parameters()
     assert parameter.shape == shape.shape
-    assert not list(Hand(shape, model=small_model).parameters())
+    assert not list(small_model.hand(shape).parameters())
 
 
 def test_loading_does_not_change_the_model(small_model: HandModel) -> None:
@@ -163,7 +163,7 @@ def test_a_parameter_is_fitted_by_an_optimiser(small_model: HandModel, generator
     """Nothing of an earlier call may be kept: every step makes its own graph."""
     pose, truth = _pose(generator, 6), _shape(small_model, generator)
     target = _hand(small_model)(pose, truth).vertices
-    hand = Hand(nn.Parameter(small_model.shape_space.default.clone()), model=small_model)
+    hand = small_model.hand(nn.Parameter(small_model.shape_space.default.clone()))
     optimiser = torch.optim.LBFGS(hand.parameters(), max_iter=60, line_search_fn="strong_wolfe")
 
     def loss() -> Tensor:
@@ -179,7 +179,7 @@ def test_a_parameter_is_fitted_by_an_optimiser(small_model: HandModel, generator
 
 def test_gradients_flow_to_a_tensor_given_as_shape(small_model: HandModel, generator: torch.Generator) -> None:
     shape = _shape(small_model, generator).requires_grad_()
-    Hand(shape, model=small_model)(_pose(generator)).vertices.sum().backward()
+    small_model.hand(shape)(_pose(generator)).vertices.sum().backward()
     assert shape.grad is not None
     assert bool((shape.grad != 0).all())
 
@@ -319,14 +319,14 @@ def test_wrong_dimensions_and_dtypes(small_model: HandModel) -> None:
     ):
         hand(pose.float())
     with pytest.raises(ValueError, match=r"shape: expected \d+ numbers in the last dimension, got shape \(4,\)"):
-        Hand(torch.zeros(4), model=small_model)
+        small_model.hand(torch.zeros(4))
     with pytest.raises(ValueError, match=r"dtype: expected torch.float32, that of the parameter"):
-        Hand(nn.Parameter(small_model.shape_space.default.float()), model=small_model, dtype=torch.float64)
+        small_model.hand(nn.Parameter(small_model.shape_space.default.float()), dtype=torch.float64)
 
 
 def test_a_model_without_mesh_is_refused(small_model: HandModel) -> None:
     with pytest.raises(ValueError, match=r"model: expected one with a mesh, 'generic_hand' has none"):
-        Hand(model=replace(small_model, mesh=None))
+        replace(small_model, mesh=None).hand()
 
 
 def test_a_shape_outside_its_bounds_is_named(small_model: HandModel) -> None:
@@ -334,15 +334,15 @@ def test_a_shape_outside_its_bounds_is_named(small_model: HandModel) -> None:
     shape = space.default.repeat(2, 1)
     shape[1, space.names.index("hand_length")] = 0.5
     with pytest.raises(ValueError, match=r"shape: hand_length: expected 0\.\d+ to 0\.\d+ m, got 0.5"):
-        Hand(shape, model=small_model)
+        small_model.hand(shape)
     hand = _hand(small_model)
     with pytest.raises(ValueError, match="shape: hand_length"):
         hand.check(shape=shape)
     shape[1, 3] = torch.nan
     with pytest.raises(ValueError, match=f"shape: {space.names[3]}: expected finite numbers, got nan"):
-        Hand(shape, model=small_model)
+        small_model.hand(shape)
     for bound in (space.lower, space.upper):
-        Hand(bound.float(), model=small_model)  # rounding is no violation
+        small_model.hand(bound.float())  # rounding is no violation
 
 
 def test_a_pose_that_is_not_finite_is_named_by_check_and_goes_through_forward(small_model: HandModel) -> None:

@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from torchhand.files.hand_model import load_hand_model
+from torchhand.files import load_hand_model
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand import BONES, posture
+from torchhand.hand.kinematics import BONES, posture
 from torchhand.hand.posed_mesh import PosedMesh, posed_mesh
 
 HAND = load_hand_model().hand(dtype=torch.float64)

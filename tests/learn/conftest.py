@@ -2,8 +2,8 @@
 
 import pytest
 
-from torchhand.files.hand_model import load_hand_model
-from torchhand.learn import TrainingData, TrainingSettings, training_data
+from torchhand.files import load_hand_model
+from torchhand.learn.training import TrainingData, TrainingSettings, training_data
 
 SMALL = TrainingSettings(steps=40, batch=32, pool=200, held_out=100, energy_hands=8, width=32, blocks=1)
 

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 import torch
 
-from torchhand.files.hand_model import load_hand_model
-from torchhand.hand.prior import HandPrior
-from torchhand.learn import HandPool, SampleSettings, draw_samples, hand_pool
+from torchhand.files import load_hand_model
+from torchhand.hand import HandPrior
+from torchhand.learn.data import HandPool, SampleSettings, draw_samples, hand_pool
 
 EXACT = SampleSettings(scale=0.0, definition=0.0, noise=0.0, focal=0.0, missing=0.0)
 

@@ -4,10 +4,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchhand.files.hand_model import load_hand_model
+from torchhand.files import load_hand_model
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import JOINT_DOFS, Side
-from torchhand.learn import PoseNetwork, estimate_hands, observe, rotation_from_columns
+from torchhand.learn.estimate import estimate_hands
+from torchhand.learn.network import PoseNetwork, rotation_from_columns
+from torchhand.learn.observation import observe
 
 MODEL = load_hand_model()
 

@@ -4,9 +4,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchhand.files.hand_model import load_hand_model
+from torchhand.files import load_hand_model
 from torchhand.geometry import assumed_camera, rotation_from_vector
-from torchhand.learn import mirrored, observe
+from torchhand.learn.observation import mirrored, observe
 
 ALL = torch.ones(21, dtype=torch.bool)
 

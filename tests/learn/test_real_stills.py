@@ -4,17 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from torchhand.files.hand_model import load_hand_model
-from torchhand.learn import (
-    TrainingSettings,
-    baseline_of,
-    estimate_hands,
-    figures_of,
-    load_stills,
-    new_training,
-    train,
-    training_data,
-)
+from torchhand.files import load_hand_model
+from torchhand.learn.estimate import estimate_hands
+from torchhand.learn.figures import baseline_of, figures_of
+from torchhand.learn.stills import load_stills
+from torchhand.learn.training import TrainingSettings, new_training, train, training_data
 
 
 @pytest.mark.slow

@@ -7,19 +7,11 @@ import pytest
 import torch
 
 from torchhand.errors import InputError
-from torchhand.files.hand_model import load_hand_model
-from torchhand.learn import (
-    CURVE_NAME,
-    MODEL_NAME,
-    SampleSettings,
-    TrainingData,
-    TrainingSettings,
-    estimate_hands,
-    load_record,
-    new_training,
-    save_record,
-    train,
-)
+from torchhand.files import load_hand_model
+from torchhand.learn.data import SampleSettings
+from torchhand.learn.estimate import estimate_hands
+from torchhand.learn.record import CURVE_NAME, MODEL_NAME, load_record, save_record
+from torchhand.learn.training import TrainingData, TrainingSettings, new_training, train
 
 MODEL = load_hand_model()
 

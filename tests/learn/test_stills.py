@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from torchhand.errors import InputError
-from torchhand.learn import load_stills
+from torchhand.learn.stills import load_stills
 
 
 def _arrays(count: int = 3) -> dict[str, Any]:

@@ -8,17 +8,16 @@ from typing import Any
 import pytest
 import torch
 
-from torchhand.files.hand_model import load_hand_model
-from torchhand.learn import (
-    HandEstimate,
+from torchhand.files import load_hand_model
+from torchhand.learn.data import Samples
+from torchhand.learn.estimate import estimate_hands
+from torchhand.learn.figures import baseline_of, figures_of
+from torchhand.learn.network import HandEstimate
+from torchhand.learn.training import (
     LossWeights,
-    Samples,
     Training,
     TrainingData,
     TrainingSettings,
-    baseline_of,
-    estimate_hands,
-    figures_of,
     learning_rate,
     loss_terms,
     new_training,

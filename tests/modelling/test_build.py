@@ -11,10 +11,7 @@ pytest.importorskip("gpytoolbox", reason="building meshes needs torchhand[build]
 pytest.importorskip("skimage", reason="building meshes needs torchhand[build]")
 
 from torchhand.files import load_hand_model
-from torchhand.hand import BONES, JOINT_DOFS, HandFrames, posture
-from torchhand.hand.hand import Hand
-from torchhand.hand.mesh import HandMesh
-from torchhand.hand.model import HandModel
+from torchhand.hand import BONES, JOINT_DOFS, Hand, HandFrames, HandMesh, HandModel, posture
 from torchhand.modelling.build import BIND_POSTURE
 from torchhand.modelling.correctives import with_correctives
 from torchhand.modelling.field import HandField

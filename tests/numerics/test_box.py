@@ -5,7 +5,8 @@ import pytest
 import torch
 from scipy.optimize import lsq_linear
 
-from torchhand.numerics import Gaussian, mode_in_box
+from torchhand.numerics.box import mode_in_box
+from torchhand.numerics.filters import Gaussian
 
 
 def _gaussian(seed: int, n: int = 6, batch: tuple[int, ...] = ()) -> Gaussian:

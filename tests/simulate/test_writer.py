@@ -9,11 +9,13 @@ import pytest
 import torch
 
 from torchhand.errors import InputError
+from torchhand.evaluate import flexion_deg, load_truth
 from torchhand.files import load_cameras, load_hand_model, open_source
 from torchhand.geometry import assumed_camera
 from torchhand.hand import DOFS
-from torchhand.simulate import RenderedFrame, SceneSettings, render_sequence, scripted_motion, write_sequence
-from torchhand.study import flexion_deg, load_truth
+from torchhand.simulate.motion import scripted_motion
+from torchhand.simulate.scene import RenderedFrame, SceneSettings, render_sequence
+from torchhand.simulate.writer import write_sequence
 
 CAMERA = assumed_camera(64, 48, horizontal_fov_deg=48.0)
 KINEMATICS = load_hand_model().kinematics("right", dtype=torch.float64)

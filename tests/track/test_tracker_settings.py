@@ -5,8 +5,8 @@ import math
 
 import pytest
 
+from torchhand.fit.detect import FitSettings
 from torchhand.hand import POSE_SPACES, POSTURES
-from torchhand.track.fit import FitSettings
 from torchhand.track.settings import ContourTrackerSettings, LightSettings, LossSettings, NoiseSettings, PriorSettings
 
 _POSITIVE = ("edge_std_px", "gate", "search_share")

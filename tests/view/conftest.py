@@ -4,10 +4,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchhand.files.hand_model import load_hand_model
+from torchhand.files import load_hand_model
 from torchhand.geometry import Camera, rotation_from_vector
 from torchhand.hand import Primitives
-from torchhand.view import HandProjector
+from torchhand.view.outlines import HandProjector
 
 LENSES = {0: (), 5: (0.08, -0.05, 0.002, -0.001, 0.01), 8: (0.08, -0.05, 0.002, -0.001, 0.01, 0.02, 0.01, -0.004)}
 DISTANCE = 0.5  # metres

@@ -9,11 +9,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchhand.files.hand_model import load_hand_model
+from torchhand.files import load_hand_model
 from torchhand.geometry import Camera
 from torchhand.hand import posed_mesh
 from torchhand.view import silhouette
-from torchhand.volume import BLACK, GRAY, UNKNOWN, WHITE, Carver, CarvingSettings, Octree, RootCube, carve
+from torchhand.volume.carving import Carver, carve
+from torchhand.volume.carving_settings import CarvingSettings
+from torchhand.volume.cube import RootCube
+from torchhand.volume.octree import BLACK, GRAY, UNKNOWN, WHITE, Octree
 
 CUBE = RootCube(centre=(0.01, -0.02, 0.005), side=0.256)
 CENTRE = torch.tensor((0.02, -0.01, 0.0), dtype=torch.float64)

@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 import torch
 
-from torchhand.volume import Carver, RootCube, common_volume, root_cube
+from torchhand.volume.carving import Carver
+from torchhand.volume.cube import RootCube, common_volume, root_cube
 
 
 def seen_by(camera: Any, points: torch.Tensor, nearest: float, farthest: float) -> torch.Tensor:

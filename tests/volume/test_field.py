@@ -7,7 +7,11 @@ import pytest
 import scipy.ndimage
 import torch
 
-from torchhand.volume import CarvingSettings, HullField, Octree, RootCube, carve, distance_grid, hull_field
+from torchhand.volume.carving import carve
+from torchhand.volume.carving_settings import CarvingSettings
+from torchhand.volume.cube import RootCube
+from torchhand.volume.field import HullField, distance_grid, hull_field
+from torchhand.volume.octree import Octree
 
 CUBE = RootCube(centre=(0.01, -0.02, 0.005), side=0.256)
 CENTRE = torch.tensor((0.02, -0.01, 0.0), dtype=torch.float64)

@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from torchhand.cli.benchmark_volume import frame_cameras, octree
+from torchhand.cli.benchmarks import frame_cameras, octree
 from torchhand.files import load_cameras
-from torchhand.volume import Carver, CarvingSettings, RootCube, hull_field
+from torchhand.volume.carving import Carver
+from torchhand.volume.carving_settings import CarvingSettings
+from torchhand.volume.cube import RootCube
+from torchhand.volume.field import hull_field
 
 
 def test_cameras_of_the_frame_look_at_its_middle() -> None:

@@ -9,10 +9,14 @@ import torch
 import trimesh
 
 from torchhand.errors import InputError
-from torchhand.files.hull_file import save_hull
+from torchhand.files import save_hull
 from torchhand.view import mesh_silhouette, rasterize
-from torchhand.volume import CarvingSettings, Octree, RootCube, carve, draw_hull, hull_mesh, hull_quads
-from torchhand.volume.picture import BACKGROUND, COLOUR
+from torchhand.volume.carving import carve
+from torchhand.volume.carving_settings import CarvingSettings
+from torchhand.volume.cube import RootCube
+from torchhand.volume.octree import Octree
+from torchhand.volume.picture import BACKGROUND, COLOUR, draw_hull
+from torchhand.volume.surface import hull_mesh, hull_quads
 
 CUBE = RootCube(centre=(0.01, -0.02, 0.005), side=0.256)
 CENTRE = torch.tensor((0.02, -0.01, 0.0), dtype=torch.float64)

@@ -9,14 +9,13 @@ from typing import Annotated, Literal
 import torch
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from torchhand.cli.animate_video import paint_spelling
 from torchhand.cli.command import DONE, command, parse, threads
+from torchhand.draw import paint_spelling
 from torchhand.errors import InputError
+from torchhand.export import FORMATS, ExportOptions, FormatName, MotionClip, format_of
 from torchhand.files import load_hand, load_hand_model
-from torchhand.files.exports import FORMATS, ExportOptions, FormatName, MotionClip, format_of
-from torchhand.files.sign_file import load_signs
 from torchhand.hand import HandModel, Side
-from torchhand.simulate.spelling import SpellingSettings, check_text, sign_joints, spell
+from torchhand.signs import SpellingSettings, check_text, load_signs, sign_joints, spell
 
 VIDEO = ".mp4"
 _DISTANCE = 0.5  # metres of the hand before the camera, in exports

@@ -13,26 +13,36 @@ from typing import Annotated, Literal, get_args
 from tyro.conf import arg
 
 import torchhand
-from torchhand.cli.benchmark_fit_hand import fit_hand_bones
-from torchhand.cli.benchmark_hand import (
+from torchhand.cli.benchmarks import (
+    Figure,
+    filter_update,
+    fit_hand_bones,
+    keypoints_to_pose,
     kinematics_compiled,
     kinematics_forward,
     kinematics_forward_backward,
+    line_of,
+    lm_iteration_jacfwd,
+    lm_iteration_pypose,
+    many_hypotheses,
+    mesh_silhouettes,
+    mesh_volume,
+    octree,
+    one_registration,
+    own_environment,
+    pose_projection,
+    recorded_stream,
     skinning,
+    synthetic_stream,
+    track_memory,
+    track_views,
+    track_views_memory,
+    tracking,
 )
-from torchhand.cli.benchmark_iteration import lm_iteration_jacfwd, lm_iteration_pypose
-from torchhand.cli.benchmark_model import keypoints_to_pose, mesh_silhouettes, mesh_volume, pose_projection
-from torchhand.cli.benchmark_multiview import track_views, track_views_memory
-from torchhand.cli.benchmark_registration import many_hypotheses, one_registration
-from torchhand.cli.benchmark_runs import own_environment
-from torchhand.cli.benchmark_stream import recorded_stream, synthetic_stream
-from torchhand.cli.benchmark_tracking import filter_update, track_memory, tracking
-from torchhand.cli.benchmark_volume import octree
 from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.errors import InputError
-from torchhand.files.safe_write import write_text
-from torchhand.study.figures import Figure, line_of
-from torchhand.study.timing import THREAD_VARIABLES, machine_facts
+from torchhand.evaluate import THREAD_VARIABLES, machine_facts
+from torchhand.files.disk import write_text
 
 Name = Literal[
     "kinematics_forward",

@@ -14,14 +14,12 @@ from tyro.conf import arg
 
 from torchhand.cli.command import DONE, command, parse
 from torchhand.errors import InputError
-from torchhand.files.hand_model import read_shape_space
-from torchhand.files.locations import models_dir
-from torchhand.files.mesh_file import load_mesh, save_mesh
-from torchhand.files.safe_write import replacing, write_text
-from torchhand.files.urdf import read_skeleton, skeleton_to_urdf
+from torchhand.files import load_mesh, models_dir, save_mesh
+from torchhand.files.disk import replacing, write_text
+from torchhand.files.hands import read_shape_space, read_skeleton, skeleton_to_urdf
 from torchhand.geometry import assumed_camera, rotation_from_vector
 from torchhand.hand import HandModel, HandState, posed_mesh, posture
-from torchhand.hand.anatomy import anatomical_skeleton
+from torchhand.hand.limits import anatomical_skeleton
 from torchhand.view import Surface, cast, shade
 
 PRIMITIVE_POSTURES = ("open", "fist", "point")
@@ -90,7 +88,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _build(model: HandModel, path: Path) -> None:
     try:
-        from torchhand.modelling.build import build_mesh, build_steps
+        from torchhand.modelling import build_mesh, build_steps
     except ImportError as error:
         raise InputError(f"the mesh needs {error.name}: pip install torchhand[build] (or --keep-mesh)") from error
     with tqdm(total=build_steps(model), desc="mesh", disable=None) as bar:

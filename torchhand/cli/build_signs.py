@@ -11,19 +11,13 @@ from jaxtyping import Float64, UInt8
 from torch import Tensor
 from tyro.conf import arg
 
-from torchhand.cli.animate_video import spelling_camera
 from torchhand.cli.command import DONE, command, parse, threads
-from torchhand.draw import contact_sheet
-from torchhand.draw.hand_picture import HandPainter, draw_trace, write_sign
+from torchhand.draw import HandPainter, contact_sheet, draw_trace, spelling_camera, write_sign
 from torchhand.errors import InputError
 from torchhand.files import load_hand_model, models_dir
-from torchhand.files.safe_write import replacing
-from torchhand.files.sign_file import SIGNS_NAME, load_signs, save_signs
+from torchhand.files.disk import replacing
 from torchhand.hand import KEYPOINTS, HandModel
-from torchhand.simulate.sign_fit import solve_signs
-from torchhand.simulate.sign_paths import TRACERS
-from torchhand.simulate.sign_table import SIGNS
-from torchhand.simulate.spelling import standing_pose, traced_poses
+from torchhand.signs import SIGNS, SIGNS_NAME, TRACERS, load_signs, save_signs, solve_signs, standing_pose, traced_poses
 
 SHEET_NAME = "signs.png"
 _COLUMNS, _TILE_PX, _SMOOTHING = 9, 128, 2

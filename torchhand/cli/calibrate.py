@@ -12,17 +12,27 @@ import torch
 from tqdm import tqdm
 from tyro.conf import Positional, arg
 
-from torchhand.cli.calibration_report import write_report
-from torchhand.cli.calibration_table import calibration_table
+from torchhand.calibration import (
+    Board,
+    BoardCorners,
+    CameraViews,
+    Moment,
+    QualityLimits,
+    RigCalibration,
+    calibrate_rig,
+    calibration_table,
+    check_board,
+    draw_board,
+    find_board,
+    other_board,
+    shortcomings,
+)
 from torchhand.cli.command import DONE, command, parse, threads
+from torchhand.draw import write_report
 from torchhand.errors import InputError
-from torchhand.files import save_cameras
-from torchhand.files.rig_source import RigSource, offsets_of, open_uncalibrated
-from torchhand.files.safe_write import replacing
-from torchhand.image.board import Board, BoardCorners, draw_board, find_board, other_board
-from torchhand.image.calibration_quality import QualityLimits, shortcomings
-from torchhand.image.camera_calibration import CameraViews, Moment
-from torchhand.image.rig_calibration import RigCalibration, calibrate_rig, check_board
+from torchhand.files import RigSource, offsets_of, save_cameras
+from torchhand.files.disk import replacing
+from torchhand.files.rigs import open_uncalibrated
 
 _VIDEO_MOMENTS = 60  # looked at in a video, unless --every says otherwise
 _MOST_MOMENTS = 80  # used; more only cost time

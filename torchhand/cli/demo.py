@@ -16,15 +16,13 @@ from tyro.conf import arg
 import torchhand
 from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.cli.evaluate import table
-from torchhand.cli.overlays import overlay_frames
-from torchhand.cli.request import Request, settings_of
-from torchhand.cli.tracking import summary_of, track_sequence
 from torchhand.draw import contact_sheet
+from torchhand.evaluate import evaluate, flexion_deg, load_truth, tracked_silhouettes
 from torchhand.files import Track, check_output_folder, load_hand_model
-from torchhand.files.safe_write import replacing
+from torchhand.files.disk import replacing
 from torchhand.geometry import assumed_camera
+from torchhand.runs import Request, overlay_frames, settings_of, summary_of, track_sequence
 from torchhand.simulate import SceneSettings, check_sequence_folder, render_sequence, scripted_motion, write_sequence
-from torchhand.study import evaluate, flexion_deg, load_truth, tracked_silhouettes
 from torchhand.view import HandProjector
 
 CONFIG = "contour_planar"

@@ -11,10 +11,7 @@ from tyro.conf import Positional, arg
 
 from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.errors import InputError
-from torchhand.files import Track, load_track
-from torchhand.files.results import HAND_NAME
-from torchhand.files.safe_write import write_text
-from torchhand.study import (
+from torchhand.evaluate import (
     MaskOfFrame,
     Truth,
     evaluate,
@@ -24,6 +21,9 @@ from torchhand.study import (
     tracked_projector,
     tracked_silhouettes,
 )
+from torchhand.files import Track, load_track
+from torchhand.files.disk import write_text
+from torchhand.files.results import HAND_NAME
 
 TABLE = (
     ("position_mm", "frame", "joint position (camera or world frame)", "mm"),

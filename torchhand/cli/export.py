@@ -9,9 +9,8 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.errors import InputError
-from torchhand.files.exports import ExportOptions, FormatName, MotionClip, format_of, load_clip
-from torchhand.files.results import CHECKPOINT_NAME, CONFIG_NAME, HAND_NAME, OVERLAY_NAME
-from torchhand.files.track_file import JSONL_NAME, NPZ_NAME
+from torchhand.export import ExportOptions, FormatName, MotionClip, format_of, load_clip
+from torchhand.files.results import CHECKPOINT_NAME, CONFIG_NAME, HAND_NAME, JSONL_NAME, NPZ_NAME, OVERLAY_NAME
 
 _MOST_NAMED = 3
 RESULT_NAMES = (HAND_NAME, CONFIG_NAME, OVERLAY_NAME, CHECKPOINT_NAME, JSONL_NAME, NPZ_NAME)

@@ -15,15 +15,24 @@ from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.draw import draw_overlay
 from torchhand.errors import InputError
 from torchhand.files import camera_entry, camera_for, load_hand_model, read_picture, save_hand
-from torchhand.files.safe_write import explained_errors, replacing
+from torchhand.files.disk import explained_errors, replacing
+from torchhand.fit.detect import Fit
+from torchhand.fit.open_hand import (
+    Facing,
+    HandSize,
+    OpenHand,
+    OpenHandSettings,
+    facing_of,
+    fit_open_hand,
+    known_length,
+    length_at_distance,
+    population_length,
+    sized,
+)
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandKinematics, Side
-from torchhand.image.hand_regions import NoRegions
-from torchhand.image.refinement import HandSilhouette, find_open_hand
-from torchhand.track.fit import Fit
-from torchhand.track.hand_size import HandSize, known_length, length_at_distance, population_length, sized
-from torchhand.track.open_hand import Facing, OpenHand, facing_of, fit_open_hand
-from torchhand.track.open_hand_settings import OpenHandSettings
+from torchhand.image import NoRegions, find_open_hand
+from torchhand.image.fingers import HandSilhouette
 from torchhand.view import HandProjector
 
 _LEAST_OVERLAP = 0.7  # below, the fitted hand does not explain the silhouette

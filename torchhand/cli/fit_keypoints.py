@@ -12,18 +12,24 @@ from tyro.conf import Positional, arg
 
 from torchhand import __version__
 from torchhand.cli.command import DONE, command, parse, threads
-from torchhand.cli.request import known_hand
 from torchhand.errors import InputError
-from torchhand.files import FittedHand, camera_entry, camera_for, load_cameras, load_hand_model, save_hand
-from torchhand.files.detection_record import Detections, Units
-from torchhand.files.detections import read_detections
-from torchhand.files.results import HAND_NAME
-from torchhand.files.safe_write import explained_errors, replacing
-from torchhand.files.track_record import CONVENTION
+from torchhand.files import (
+    Detections,
+    FittedHand,
+    camera_entry,
+    camera_for,
+    load_cameras,
+    load_hand_model,
+    read_detections,
+    save_hand,
+)
+from torchhand.files.detections import Units
+from torchhand.files.disk import explained_errors, replacing
+from torchhand.files.results import CONVENTION, HAND_NAME
+from torchhand.fit.keypoints import KeypointFit, KeypointFitSettings, fit_keypoints
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, POSE_SPACES, Side, named_pose_space
-from torchhand.track.keypoint_fit import KeypointFit, fit_keypoints
-from torchhand.track.keypoint_settings import KeypointFitSettings
+from torchhand.runs import known_hand
 
 FIT_NAME = "keypoints_fit.npz"
 _FORMAT = "torchhand keypoints fit 1"

@@ -14,10 +14,10 @@ from tyro.conf import arg
 
 import torchhand
 from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
-from torchhand.draw.chart import draw_chart
+from torchhand.draw import draw_chart
 from torchhand.errors import InputError
 from torchhand.files import load_hand_model
-from torchhand.files.safe_write import explained_errors, replacing, write_text
+from torchhand.files.disk import explained_errors, replacing, write_text
 from torchhand.hand import Side
 from torchhand.learn import (
     CURVE_NAME,

@@ -11,10 +11,18 @@ from tqdm import tqdm
 
 import torchhand
 from torchhand.cli.command import DONE, command, parse, threads
-from torchhand.cli.simulate_actor import Actor, actor_of, camera_of, motion_of
-from torchhand.cli.simulate_order import Arguments
-from torchhand.cli.simulate_rig import rig_cameras, rig_complaints, with_mask_noise
+from torchhand.cli.simulations import (
+    Actor,
+    Arguments,
+    actor_of,
+    camera_of,
+    motion_of,
+    rig_cameras,
+    rig_complaints,
+    with_mask_noise,
+)
 from torchhand.errors import InputError
+from torchhand.evaluate import flexion_deg
 from torchhand.geometry import Camera
 from torchhand.simulate import (
     Motion,
@@ -27,7 +35,6 @@ from torchhand.simulate import (
     write_rig_sequence,
     write_sequence,
 )
-from torchhand.study import flexion_deg
 
 Frame = TypeVar("Frame")
 

@@ -14,19 +14,29 @@ from tqdm import tqdm
 from tyro.conf import Positional, UseAppendAction, arg
 
 from torchhand.cli import study_ueda
-from torchhand.cli.changes import changes_of
 from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
-from torchhand.cli.request import known_hand
-from torchhand.cli.study_cases import Given, cases_of, frames_of
-from torchhand.cli.study_work import Work
 from torchhand.errors import InputError
 from torchhand.files import check_output_folder, load_hand_model, load_settings
-from torchhand.residuals import PostureResiduals
-from torchhand.study.hypotheses import CaseStudy
-from torchhand.study.hypothesis_folder import CSV_NAME, NPZ_NAME, PICTURE_NAME, StudyFolder
-from torchhand.study.hypothesis_record import STATUS_NAMES, Hypotheses
-from torchhand.study.hypothesis_settings import HypothesisStudySettings, SurfaceName, with_iterations
-from torchhand.study.hypothesis_table import printed_table, study_rows
+from torchhand.fit import PostureResiduals
+from torchhand.runs import changes_of, known_hand
+from torchhand.study.hypotheses import (
+    CSV_NAME,
+    NPZ_NAME,
+    PICTURE_NAME,
+    STATUS_NAMES,
+    CaseStudy,
+    Given,
+    Hypotheses,
+    HypothesisStudySettings,
+    StudyFolder,
+    SurfaceName,
+    Work,
+    cases_of,
+    frames_of,
+    printed_table,
+    study_rows,
+    with_iterations,
+)
 
 REFERENCE_STARTS = 16
 """Registrations of which the best is the reference of a picture without truth."""

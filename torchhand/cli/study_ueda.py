@@ -14,17 +14,25 @@ from tyro.conf import arg
 
 import torchhand
 from torchhand.cli.command import DONE, STOPPED_BY_USER, parse, threads
-from torchhand.cli.simulate_rig import rig_cameras
-from torchhand.cli.study_ueda_cases import BentCase, open_recording, own_bent, recorded_bent, sitter
-from torchhand.cli.study_ueda_results import DEFAULT_STEPS, printed, write_results
+from torchhand.cli.simulations import rig_cameras
 from torchhand.errors import InputError
 from torchhand.files import check_output_folder, load_hand_model
-from torchhand.study.ueda_bent import converge
-from torchhand.study.ueda_compare import fit_errors
-from torchhand.study.ueda_folder import PartsFolder
-from torchhand.study.ueda_methods import METHODS
-from torchhand.study.ueda_stages import stage_times
-from torchhand.track.hull_settings import HullTorqueSettings, TorqueSteps
+from torchhand.fit.hull import HullTorqueSettings, TorqueSteps
+from torchhand.study.ueda import (
+    DEFAULT_STEPS,
+    METHODS,
+    BentCase,
+    PartsFolder,
+    converge,
+    fit_errors,
+    open_recording,
+    own_bent,
+    printed,
+    recorded_bent,
+    sitter,
+    stage_times,
+    write_results,
+)
 
 WORD = "ueda"
 """The word after `torchhand study` that asks for this study."""

@@ -10,15 +10,10 @@ from tqdm import tqdm
 from tyro.conf import Positional, UseAppendAction, arg
 
 from torchhand.cli.command import DONE, STOPPED_BY_USER, WRONG_INPUT, command, parse, threads
-from torchhand.cli.request import Request, known_hand, settings_of, start_points_of
-from torchhand.cli.tracking import how_to_go_on, summary_of, track_sequence
 from torchhand.errors import InputError
-from torchhand.files import (
-    Track,
-    check_output_folder,
-    sequences_of,
-)
+from torchhand.files import Track, check_output_folder, sequences_of
 from torchhand.hand import Side
+from torchhand.runs import Request, how_to_go_on, known_hand, settings_of, start_points_of, summary_of, track_sequence
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,15 +9,11 @@ from typing import Annotated, Literal
 from tqdm import tqdm
 from tyro.conf import Positional, UseAppendAction, arg
 
-from torchhand.cli.changes import changes_of
 from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
-from torchhand.cli.multiview_request import RigRequest
-from torchhand.cli.multiview_tracking import track_rig
-from torchhand.cli.request import known_hand
-from torchhand.cli.tracking import how_to_go_on, summary_of
 from torchhand.errors import InputError
-from torchhand.files import find_config, load_settings, setting_in
-from torchhand.files.rig_source import offsets_of
+from torchhand.files import find_config, load_settings, offsets_of, setting_in
+from torchhand.runs import changes_of, how_to_go_on, known_hand, summary_of
+from torchhand.runs.multiview import RigRequest, track_rig
 from torchhand.track.multiview import MultiViewSettings
 
 

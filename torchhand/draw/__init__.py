@@ -1,7 +1,26 @@
 """Pictures of results: overlays and contact sheets."""
 
+from torchhand.draw.calibration_report import write_report
+from torchhand.draw.chart import draw_chart
+from torchhand.draw.hand_picture import HandPainter, draw_trace, write_sign
 from torchhand.draw.overlay import STATUS_COLOURS, draw_overlay, overlay_size
 from torchhand.draw.second_view import draw_second_view
 from torchhand.draw.sheet import contact_sheet
+from torchhand.draw.spelling_video import paint_spelling, spelling_camera
+from torchhand.draw.views import ViewsOverlay
 
-__all__ = ["STATUS_COLOURS", "contact_sheet", "draw_overlay", "draw_second_view", "overlay_size"]
+__all__ = [
+    "STATUS_COLOURS",
+    "HandPainter",
+    "ViewsOverlay",
+    "contact_sheet",
+    "draw_chart",
+    "draw_overlay",
+    "draw_second_view",
+    "draw_trace",
+    "overlay_size",
+    "paint_spelling",
+    "spelling_camera",
+    "write_report",
+    "write_sign",
+]

@@ -9,11 +9,8 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from torchhand.geometry import assumed_camera, rotation_from_vector
-from torchhand.hand import place_primitives
-from torchhand.hand.hand import Hand
-from torchhand.hand.posed_mesh import posed_mesh
-from torchhand.view import HandProjector, shade
-from torchhand.view.surface import Surface, cast
+from torchhand.hand import Hand, place_primitives, posed_mesh
+from torchhand.view import HandProjector, Surface, cast, shade
 
 TURN_DEG = 50.0
 """How far the second camera stands to the right of the first, seen from the hand's middle."""

@@ -1,22 +1,30 @@
 """Everything that touches a disk or a camera device: pictures in, calibrations, settings, results, hand models."""
 
 from torchhand.files.cameras import camera_entry, camera_for, camera_of_entry, load_cameras, save_cameras
-from torchhand.files.detection_record import Detections
-from torchhand.files.detections import read_detections
-from torchhand.files.frames import Frame, FrameSource, open_source, sequences_of
-from torchhand.files.hand_file import FittedHand, load_hand, save_hand
-from torchhand.files.hand_model import load_hand_model
+from torchhand.files.detections import Detections, read_detections
+from torchhand.files.disk import configs_dir, find_config, models_dir
+from torchhand.files.hands import FittedHand, load_hand, load_hand_model, load_mesh, save_hand, save_mesh
 from torchhand.files.hull_file import save_hull
-from torchhand.files.locations import configs_dir, find_config, models_dir
-from torchhand.files.mesh_file import load_mesh, save_mesh
-from torchhand.files.pictures import read_picture
-from torchhand.files.results import ResumePoint, TrackWriter, check_output_folder
-from torchhand.files.rig import load_rig, rig_notes
-from torchhand.files.rig_source import RigFrame, RigSource, offsets_of, open_rig
+from torchhand.files.pictures import (
+    Frame,
+    FrameSource,
+    VideoWriter,
+    open_source,
+    read_picture,
+    sequences_of,
+    write_video,
+)
+from torchhand.files.results import (
+    FrameRecord,
+    ResumePoint,
+    Track,
+    TrackHeader,
+    TrackWriter,
+    check_output_folder,
+    load_track,
+)
+from torchhand.files.rigs import RigFrame, RigSource, load_rig, offsets_of, open_rig, rig_notes
 from torchhand.files.settings import load_settings, save_settings, setting_in
-from torchhand.files.track_file import load_track
-from torchhand.files.track_record import FrameRecord, Track, TrackHeader
-from torchhand.files.video_writer import VideoWriter, write_video
 
 __all__ = [
     "Detections",

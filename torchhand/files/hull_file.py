@@ -4,9 +4,8 @@ from pathlib import Path
 from typing import Literal
 
 from torchhand.errors import InputError
-from torchhand.files.safe_write import replacing
-from torchhand.volume.octree import Octree
-from torchhand.volume.surface import hull_mesh
+from torchhand.files.disk import replacing
+from torchhand.volume import Octree, hull_mesh
 
 HULL_SUFFIXES = (".ply", ".glb")
 

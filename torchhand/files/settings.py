@@ -11,8 +11,7 @@ import yaml
 
 from torchhand import __version__
 from torchhand.errors import InputError
-from torchhand.files.json_checks import short, suggestion
-from torchhand.files.safe_write import write_text
+from torchhand.files.disk import short, suggestion, write_text
 
 Settings = TypeVar("Settings")
 

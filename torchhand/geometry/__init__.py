@@ -1,6 +1,14 @@
 """Pure tensor geometry: rotations, cameras, quadrics and conics. Knows no hand."""
 
-from torchhand.geometry.cameras import Camera, assumed_camera
+from torchhand.geometry.batch_last import batch_first, batch_last, common_shape, compose, cross, turn, turn_back
+from torchhand.geometry.cameras import (
+    DISTORTION_LENGTHS,
+    Camera,
+    assumed_camera,
+    distort,
+    distortion_jacobian,
+    undistort,
+)
 from torchhand.geometry.quadrics import (
     RayHits,
     cone,
@@ -17,6 +25,16 @@ from torchhand.geometry.quadrics import (
     ray_table,
     slab,
 )
+from torchhand.geometry.quaternions import continuous, quaternion_of_rotation, rotation_of_quaternion
+from torchhand.geometry.rig import (
+    centres_world,
+    common_view,
+    look_apart,
+    meeting_point,
+    rig_size,
+    sees,
+    suspected_reading,
+)
 from torchhand.geometry.rotations import (
     exponential_coefficients,
     left_jacobian,
@@ -27,26 +45,47 @@ from torchhand.geometry.rotations import (
 from torchhand.geometry.tapered_capsules import tapered_capsule_depth
 
 __all__ = [
+    "DISTORTION_LENGTHS",
     "Camera",
     "RayHits",
     "assumed_camera",
+    "batch_first",
+    "batch_last",
+    "centres_world",
+    "common_shape",
+    "common_view",
+    "compose",
     "cone",
     "conic_of_quadric",
+    "continuous",
+    "cross",
+    "distort",
+    "distortion_jacobian",
     "ellipsoid",
     "evaluate",
     "exponential_coefficients",
     "half_space",
     "left_jacobian",
+    "look_apart",
     "meet_rays",
+    "meeting_point",
     "moved",
     "orthographic_conic_of_quadric",
     "plane_pair",
     "quadratic_roots",
+    "quaternion_of_rotation",
     "ray_coefficients",
     "ray_table",
+    "rig_size",
     "rotation_from_vector",
+    "rotation_of_quaternion",
+    "sees",
     "skew",
     "slab",
+    "suspected_reading",
     "tapered_capsule_depth",
+    "turn",
+    "turn_back",
+    "undistort",
     "vector_from_rotation",
 ]

@@ -1,40 +1,68 @@
 """The hand as torch modules: skeleton, shape, pose spaces, kinematics, primitives, skinned mesh, constraints, prior."""
 
-from torchhand.hand.anthropometry import MEASURES, Anthropometry, AnthropometrySettings
-from torchhand.hand.constraints import ConstraintSettings, PoseConstraints
 from torchhand.hand.hand import Hand, HandState
-from torchhand.hand.jacobians import (
+from torchhand.hand.kinematics import (
+    BONES,
+    DOFS,
+    FINGERS,
+    JOINT_DOFS,
     KEYPOINT_BONES,
+    KEYPOINTS,
+    PARENTS,
+    POSE_SPACES,
+    POSTURES,
+    ROOT_DOFS,
+    HandFrames,
+    HandKinematics,
     PoseJacobian,
+    PoseSpace,
     ShapeJacobian,
+    ShapeSpace,
+    Side,
+    Skeleton,
+    bone_offsets,
     keypoint_jacobian,
     moving_parameters,
+    named_pose_space,
+    pose_space,
+    posture,
+    rebased,
     shape_jacobian,
 )
-from torchhand.hand.kinematics import HandFrames, HandKinematics, Side
-from torchhand.hand.mesh import HandMesh
+from torchhand.hand.limits import (
+    MEASURES,
+    Anthropometry,
+    AnthropometrySettings,
+    ConstraintSettings,
+    PoseConstraints,
+    Violation,
+)
 from torchhand.hand.model import HandModel
-from torchhand.hand.penetration import Penetration, PenetrationSettings, penetration, penetration_penalty
-from torchhand.hand.pose import POSE_SPACES, POSTURES, PoseSpace, named_pose_space, pose_space, posture, rebased
 from torchhand.hand.posed_mesh import PosedMesh, posed_mesh
-from torchhand.hand.posture_mixture import PostureMixture
 from torchhand.hand.primitives import (
     CONE_NAMES,
     ELLIPSOID_NAMES,
     PRIMITIVE_NAMES,
     Implicit,
+    Penetration,
+    PenetrationSettings,
     Primitives,
     PrimitiveSizes,
+    penetration,
+    penetration_penalty,
     place_primitives,
+    primitive_sizes,
 )
-from torchhand.hand.prior import HandPrior, HandPriorSettings
-from torchhand.hand.prior_components import PostureComponent, posture_component
-from torchhand.hand.prior_postures import COMPONENTS
-from torchhand.hand.shape import ShapeSpace, bone_offsets
-from torchhand.hand.sizing import primitive_sizes
-from torchhand.hand.skeleton import BONES, DOFS, FINGERS, JOINT_DOFS, KEYPOINTS, PARENTS, ROOT_DOFS, Skeleton
+from torchhand.hand.prior import (
+    COMPONENTS,
+    HandPrior,
+    HandPriorSettings,
+    PostureComponent,
+    PostureMixture,
+    posture_component,
+)
+from torchhand.hand.skin import HandMesh
 from torchhand.hand.skin_jacobian import skin_jacobian
-from torchhand.hand.violation import Violation
 
 __all__ = [
     "BONES",

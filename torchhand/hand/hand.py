@@ -7,14 +7,10 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from torchhand.geometry.batch_last import batch_last, common_shape
-from torchhand.hand.kinematics import HandFrames, Side
-from torchhand.hand.model import HandModel
-from torchhand.hand.primitives import Primitives, place_primitives
-from torchhand.hand.shape import ShapeSpace
-from torchhand.hand.sizing import primitive_sizes
-from torchhand.hand.skeleton import DOFS
-from torchhand.hand.skinning import Skinning, mirrored_mesh
+from torchhand.geometry import batch_last, common_shape
+from torchhand.hand.kinematics import DOFS, HandFrames, HandKinematics, ShapeSpace, Side, Skeleton
+from torchhand.hand.primitives import Primitives, place_primitives, primitive_sizes
+from torchhand.hand.skin import HandMesh, Skinning, mirrored_mesh
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,20 +54,21 @@ class Hand(nn.Module):
         self,
         shape: Float[Tensor, "*batch shape"] | None = None,
         *,
-        model: HandModel,
+        skeleton: Skeleton,
+        shape_space: ShapeSpace,
+        mesh: HandMesh,
         side: Side = "right",
         dtype: torch.dtype | None = None,
     ) -> None:
         """
-        shape: parameters of the model's shape space, one hand or many; the default proportions where it is None.
+        shape: parameters of the shape space, one hand or many; the default proportions where it is None.
+        skeleton, shape_space, mesh: of a hand model; `HandModel.hand` gives them.
         dtype: what to compute in; that of the shape, or float32, where it is None. Constants are rounded to it once,
             so for float64 say so here instead of converting the module later.
 
-        Raises ValueError for a model without mesh and for a shape that is not finite or outside its bounds.
+        Raises ValueError for a shape that is not finite or outside its bounds.
         """
         super().__init__()
-        if model.mesh is None:
-            raise ValueError(f"model: expected one with a mesh, {model.name!r} has none (no mesh.npz in its folder)")
         if dtype is None:
             dtype = torch.float32 if shape is None else shape.dtype
         if not dtype.is_floating_point:
@@ -79,17 +76,16 @@ class Hand(nn.Module):
         if isinstance(shape, nn.Parameter) and shape.dtype != dtype:
             raise ValueError(f"dtype: expected {shape.dtype}, that of the parameter given as shape, got {dtype}")
         self.side: Side = side
-        self.shape_space = model.shape_space
-        exact = model.kinematics(side, dtype=torch.float64)
-        mesh = model.mesh.to(dtype=torch.float64)
-        self.kinematics = model.kinematics(side, dtype=dtype)
-        self.skinning = Skinning(mesh if side == "right" else mirrored_mesh(mesh), exact).to(dtype)
-        faces = model.mesh.faces if side == "right" else mirrored_mesh(mesh).faces
-        self.register_buffer("faces", faces.clone(), persistent=False)
+        self.shape_space = shape_space
+        exact = HandKinematics(skeleton, shape_space.to(dtype=torch.float64), side).double()
+        self.kinematics = HandKinematics(skeleton, shape_space.to(dtype=dtype), side).to(dtype)
+        mesh = mesh.to(dtype=torch.float64) if side == "right" else mirrored_mesh(mesh.to(dtype=torch.float64))
+        self.skinning = Skinning(mesh, exact).to(dtype)
+        self.register_buffer("faces", mesh.faces.clone(), persistent=False)
         if isinstance(shape, nn.Parameter):
             self.shape = shape
         else:
-            given = model.shape_space.default if shape is None else shape
+            given = shape_space.default if shape is None else shape
             self.register_buffer("shape", given.to(dtype, copy=shape is None))
         self._check_width("shape", self.shape, len(self.shape_space.names))
         self.shape_space.check(self.shape)

@@ -1,20 +1,15 @@
 """A hand as its model folder tells it: the records, and the modules that are made of them."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.hand.kinematics import HandKinematics, Side
-from torchhand.hand.mesh import HandMesh
+from torchhand.hand.hand import Hand
+from torchhand.hand.kinematics import HandKinematics, ShapeSpace, Side, Skeleton
 from torchhand.hand.prior import HandPrior, HandPriorSettings
-from torchhand.hand.shape import ShapeSpace
-from torchhand.hand.skeleton import Skeleton
-
-if TYPE_CHECKING:
-    import torchhand.hand.hand
+from torchhand.hand.skin import HandMesh
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,8 +37,11 @@ class HandModel:
         *,
         side: Side = "right",
         dtype: torch.dtype | None = None,
-    ) -> "torchhand.hand.hand.Hand":
-        """A `Hand` of this model: bones, keypoints, skinned mesh and primitives."""
-        from torchhand.hand.hand import Hand  # takes this record, so it is imported here
+    ) -> Hand:
+        """A `Hand` of this model: bones, keypoints, skinned mesh and primitives; arguments and errors as there.
 
-        return Hand(shape, model=self, side=side, dtype=dtype)
+        Raises ValueError for a model without mesh.
+        """
+        if self.mesh is None:
+            raise ValueError(f"model: expected one with a mesh, {self.name!r} has none (no mesh.npz in its folder)")
+        return Hand(shape, skeleton=self.skeleton, shape_space=self.shape_space, mesh=self.mesh, side=side, dtype=dtype)

@@ -9,11 +9,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchhand.geometry import left_jacobian
-from torchhand.geometry.batch_last import batch_first, batch_last, common_shape
+from torchhand.geometry import batch_first, batch_last, common_shape, left_jacobian
 from torchhand.hand.hand import Hand
-from torchhand.hand.joint_rotations import world_axes
-from torchhand.hand.skeleton import DOFS, ROOT_DOFS
+from torchhand.hand.kinematics import DOFS, ROOT_DOFS, world_axes
 
 
 def skin_jacobian(

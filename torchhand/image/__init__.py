@@ -1,27 +1,60 @@
 """Picture to measurement: skin, silhouettes, moments, colour models, edges along normals. Knows no hand."""
 
-from torchhand.image.background import BackgroundPlate, background_mask, chroma_mask, learn_background
-from torchhand.image.colours import ColourModel, foreground_probability, learn_colours, relearn_colours
-from torchhand.image.components import Component, clean, component_mask, components, fill_holes, largest_component
-from torchhand.image.distance_fields import (
+from torchhand.image.contours import (
     Boundary,
     DistanceField,
+    EdgeSearch,
+    EdgeSettings,
+    Valleys,
+    ValleySettings,
     boundary_field,
     boundary_points,
     channel_of,
+    distance_map,
+    find_valleys,
+    is_inside,
     point_field,
+    sample_bilinear,
+    search_edges,
 )
-from torchhand.image.distance_maps import distance_map
-from torchhand.image.edges import EdgeSearch, EdgeSettings, search_edges
-from torchhand.image.fingers import FingerSettings, find_fingers, opened_by_disc
-from torchhand.image.hand_regions import HandRegions, NoRegions, divide_hand
-from torchhand.image.moments import MaskMoments, mask_moments
-from torchhand.image.refinement import RefinementSettings, find_open_hand, refine_silhouette
-from torchhand.image.sampling import is_inside, sample_bilinear
-from torchhand.image.silhouette import SilhouetteSettings, segment
-from torchhand.image.skin import SkinModel, learn_skin, skin_probability
-from torchhand.image.skin_start import CrSplit, SkinStart, bootstrap_skin, otsu_cr_mask
-from torchhand.image.valleys import Valleys, ValleySettings, find_valleys
+from torchhand.image.fingers import (
+    FingerSettings,
+    HandRegions,
+    MaskMoments,
+    NoRegions,
+    RefinementSettings,
+    divide_hand,
+    find_fingers,
+    find_open_hand,
+    mask_moments,
+    opened_by_disc,
+    refine_silhouette,
+)
+from torchhand.image.segmentation import (
+    BackgroundPlate,
+    ColourModel,
+    Component,
+    CrSplit,
+    SilhouetteSettings,
+    SkinModel,
+    SkinStart,
+    background_mask,
+    bootstrap_skin,
+    chroma_mask,
+    clean,
+    component_mask,
+    components,
+    fill_holes,
+    foreground_probability,
+    largest_component,
+    learn_background,
+    learn_colours,
+    learn_skin,
+    otsu_cr_mask,
+    relearn_colours,
+    segment,
+    skin_probability,
+)
 
 __all__ = [
     "BackgroundPlate",

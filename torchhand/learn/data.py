@@ -8,9 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand import BONES, FINGERS, KEYPOINTS
-from torchhand.hand.model import HandModel
-from torchhand.hand.prior import HandPrior
+from torchhand.hand import BONES, FINGERS, KEYPOINTS, HandModel, HandPrior
 
 # Columns: where the hand frame's x (dorsal), y (to the fingers) and z (to the thumb) point in the camera frame.
 _BACK = ((0.0, 0.0, -1.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0))

@@ -5,8 +5,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.evaluate import aligned_errors, fit_similarity, flexion_deg, root_relative_errors, without_offset
 from torchhand.learn.network import PoseNetwork
-from torchhand.study import aligned_errors, fit_similarity, flexion_deg, root_relative_errors, without_offset
 
 MM_PER_M = 1000.0
 

@@ -6,8 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchhand.hand import DOFS, JOINT_DOFS, ROOT_DOFS, HandKinematics, named_pose_space
-from torchhand.hand.model import HandModel
+from torchhand.hand import DOFS, JOINT_DOFS, ROOT_DOFS, HandKinematics, HandModel, named_pose_space
 from torchhand.learn.observation import FEATURES, Observation
 
 POSE_SPACE = "dof27"

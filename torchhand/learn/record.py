@@ -10,8 +10,8 @@ from typing import Any
 import torch
 
 from torchhand.errors import InputError
-from torchhand.files.safe_write import replacing, write_text
-from torchhand.hand.model import HandModel
+from torchhand.files.disk import replacing, write_text
+from torchhand.hand import HandModel
 from torchhand.learn.data import SampleSettings
 from torchhand.learn.network import PoseNetwork
 from torchhand.learn.training import LossWeights, Training, TrainingSettings, snapshot

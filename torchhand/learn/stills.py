@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.errors import InputError
-from torchhand.files.array_file import opened_arrays
+from torchhand.files.disk import opened_arrays
 
 TRUTH_NAME = "truth.npz"
 SHAPES = {"K": (3, 3), "keypoints3d": (21, 3)}

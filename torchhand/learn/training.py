@@ -9,9 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.hand import JOINT_DOFS
-from torchhand.hand.model import HandModel
-from torchhand.hand.prior import HandPrior
+from torchhand.hand import JOINT_DOFS, HandModel, HandPrior
 from torchhand.learn.data import HandPool, Samples, SampleSettings, draw_samples, hand_pool
 from torchhand.learn.network import HandEstimate, PoseNetwork
 from torchhand.learn.observation import observe

@@ -4,9 +4,7 @@ from collections.abc import Callable
 
 import torch
 
-from torchhand.hand import posture
-from torchhand.hand.mesh import HandMesh
-from torchhand.hand.model import HandModel
+from torchhand.hand import HandMesh, HandModel, posture
 from torchhand.modelling.correctives import CORRECTED, with_correctives
 from torchhand.modelling.field import HandField
 from torchhand.modelling.shape_basis import shape_basis

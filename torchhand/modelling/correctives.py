@@ -7,10 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.hand import JOINT_DOFS, ROOT_DOFS
-from torchhand.hand.hand import Hand
-from torchhand.hand.mesh import HandMesh
-from torchhand.hand.model import HandModel
+from torchhand.hand import JOINT_DOFS, ROOT_DOFS, Hand, HandMesh, HandModel
 from torchhand.modelling.diffusion import Diffusion
 from torchhand.modelling.field import HandField
 from torchhand.modelling.surface import projected
@@ -42,7 +39,7 @@ def with_correctives(
     """The mesh with least-squares offsets for the features (sin, 1 − cos) of each of the named angles, fitted with all
     other angles as in the bind pose. `mesh` has no correctives yet. on_step: called after every angle.
     """
-    hand = Hand(model=replace(model, mesh=mesh), dtype=torch.float64)
+    hand = replace(model, mesh=mesh).hand(dtype=torch.float64)
     dofs = tuple(JOINT_DOFS.index(name) for name in names)
     columns = []
     for dof in dofs:

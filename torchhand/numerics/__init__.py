@@ -1,36 +1,59 @@
 """Estimators on tensors, batched over independent problems: they know no hand and no image."""
 
-from torchhand.numerics.adaptive import (
+from torchhand.numerics.box import mode_in_box
+from torchhand.numerics.filters import (
     AdaptiveNoiseSettings,
+    Gaussian,
+    IteratedSettings,
+    IteratedUpdate,
+    Linearised,
+    MotionModel,
+    SigmaPoints,
+    UnscentedSettings,
+    Update,
     adapted_covariance,
     adapted_variance,
+    chi_square_quantile,
     gain_covariance,
+    linearised,
+    mean_chi_square_band,
+    nees,
+    nis,
     noise_density,
+    observed_points,
+    predict,
+    predict_extended,
+    predict_linear,
+    predict_motion,
     process_covariance,
     residual_covariance,
     residual_variance,
+    robust_cholesky,
+    sigma_points,
+    update,
+    update_extended,
+    update_iterated,
+    wrapped,
 )
-from torchhand.numerics.box import mode_in_box
-from torchhand.numerics.cholesky import robust_cholesky
-from torchhand.numerics.consistency import chi_square_quantile, mean_chi_square_band, nees, nis
-from torchhand.numerics.descent import DescentSettings, gradient_descent
-from torchhand.numerics.extended import Linearised, linearised, predict_extended, predict_motion, update_extended
-from torchhand.numerics.gaussian import Gaussian
-from torchhand.numerics.iterated import IteratedSettings, IteratedUpdate, update_iterated
-from torchhand.numerics.least_squares import LeastSquares, LevenbergMarquardtSettings, NormalEquations, Status
-from torchhand.numerics.levenberg_marquardt import levenberg_marquardt
-from torchhand.numerics.motion import MotionModel
+from torchhand.numerics.least_squares import (
+    DescentSettings,
+    LeastSquares,
+    LevenbergMarquardtSettings,
+    NormalEquations,
+    RobustLoss,
+    Status,
+    gradient_descent,
+    levenberg_marquardt,
+)
+from torchhand.numerics.monotone_cubic import monotone_cubic
 from torchhand.numerics.polytope import Polytope, polytope
-from torchhand.numerics.robust import RobustLoss
-from torchhand.numerics.sigma import SigmaPoints, UnscentedSettings, sigma_points
 from torchhand.numerics.truncated_normal import (
     log_ndtr,
     log_normal_mass,
     truncated_normal_log_prob,
     truncated_normal_quantile,
 )
-from torchhand.numerics.unscented import Update, observed_points, predict, predict_linear, update
-from torchhand.numerics.whitening import wrapped
+from torchhand.numerics.wander import bump, ease, wander
 
 __all__ = [
     "AdaptiveNoiseSettings",
@@ -51,7 +74,9 @@ __all__ = [
     "Update",
     "adapted_covariance",
     "adapted_variance",
+    "bump",
     "chi_square_quantile",
+    "ease",
     "gain_covariance",
     "gradient_descent",
     "levenberg_marquardt",
@@ -60,6 +85,7 @@ __all__ = [
     "log_normal_mass",
     "mean_chi_square_band",
     "mode_in_box",
+    "monotone_cubic",
     "nees",
     "nis",
     "noise_density",
@@ -79,5 +105,6 @@ __all__ = [
     "update",
     "update_extended",
     "update_iterated",
+    "wander",
     "wrapped",
 ]

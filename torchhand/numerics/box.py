@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.numerics.gaussian import Gaussian
+from torchhand.numerics.filters import Gaussian
 
 _MOST_ROUNDS = 3  # times the number of variables; each round changes at least one
 

@@ -1,17 +1,34 @@
 """Seeded sequences of a moving hand with exact truth."""
 
-from torchhand.simulate.backgrounds import BACKGROUNDS, background_picture
 from torchhand.simulate.folder import check_sequence_folder
-from torchhand.simulate.mask_noise import noisy_mask
-from torchhand.simulate.motion import VIEWS, Motion, facing, hand_length, scripted_motion
-from torchhand.simulate.people import sample_shape
-from torchhand.simulate.poses import parse_pose, posed_motion, sampled_motion
-from torchhand.simulate.recorded import GLOVE_COLUMNS, GloveRecording, joints_of_glove, read_glove, recorded_motion
-from torchhand.simulate.rig_stage import stage_camera
+from torchhand.simulate.motion import (
+    GLOVE_COLUMNS,
+    SCRIPTS,
+    VIEWS,
+    GloveRecording,
+    Motion,
+    facing,
+    hand_length,
+    joints_of_glove,
+    parse_pose,
+    posed_motion,
+    read_glove,
+    recorded_motion,
+    sample_shape,
+    sampled_motion,
+    scripted_motion,
+)
 from torchhand.simulate.rig_writer import RigRecord, render_rig, write_rig_sequence
-from torchhand.simulate.rigs import named_rig
-from torchhand.simulate.scene import SKIN_TONES, RenderedFrame, SceneSettings, render_sequence
-from torchhand.simulate.scripts import SCRIPTS
+from torchhand.simulate.rigs import named_rig, stage_camera
+from torchhand.simulate.scene import (
+    BACKGROUNDS,
+    SKIN_TONES,
+    RenderedFrame,
+    SceneSettings,
+    background_picture,
+    noisy_mask,
+    render_sequence,
+)
 from torchhand.simulate.writer import write_sequence
 
 __all__ = [

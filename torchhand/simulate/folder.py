@@ -14,7 +14,7 @@ from jaxtyping import Bool, UInt8
 from torch import Tensor
 
 from torchhand.errors import InputError
-from torchhand.files.safe_write import explained_errors
+from torchhand.files.disk import explained_errors
 
 PictureFormat = Literal["jpg", "png"]
 

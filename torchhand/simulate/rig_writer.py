@@ -13,8 +13,7 @@ from torch import Tensor
 
 from torchhand.files import save_cameras
 from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics
-from torchhand.hand.hand import Hand
+from torchhand.hand import Hand, HandKinematics
 from torchhand.simulate.folder import (
     ABOUT_NAME,
     CAMERAS_NAME,

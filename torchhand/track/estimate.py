@@ -6,10 +6,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.fit import Agreement
 from torchhand.geometry import Camera, rotation_from_vector, vector_from_rotation
 from torchhand.hand import HandKinematics, PoseSpace, ShapeSpace
-from torchhand.track.appearance import Agreement
-from torchhand.track.limits import clamp_to_limits
+from torchhand.hand.limits import clamp_to_limits
 from torchhand.track.state import Estimate, Status, TrackerState
 
 _JOINT_CENTRE_STD = 0.004

@@ -7,12 +7,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.fit import own_limits
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import PoseSpace, Skeleton
+from torchhand.hand.limits import clamp_to_limits
 from torchhand.numerics import Gaussian, mode_in_box
-from torchhand.track.limits import clamp_to_limits
 from torchhand.track.prior import kind_of
-from torchhand.track.registration import own_limits
 from torchhand.track.state import TrackerState
 
 

@@ -4,10 +4,10 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
+from torchhand.fit.detect import FitSettings
 from torchhand.hand import POSE_SPACES, POSTURES
 from torchhand.image import EdgeSettings, SilhouetteSettings
 from torchhand.numerics import MotionModel, UnscentedSettings
-from torchhand.track.fit import FitSettings
 
 
 def require(condition: bool, name: str, expected: str, got: object) -> None:

@@ -6,9 +6,9 @@ from typing import Any, Literal
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.fit import Appearance
 from torchhand.image import ColourModel
 from torchhand.numerics import Gaussian
-from torchhand.track.appearance import Appearance
 
 Status = Literal["tracked", "lost", "recovered", "no_hand"]
 

@@ -14,19 +14,18 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from torchhand.fit import Agreement, Appearance, hand_region, overlap, relearned, touching, unexplained_px
+from torchhand.fit.contour import hand_length_px
+from torchhand.fit.detect import NoStart, Start, StartPoints, find_hand, shows_same_side, start_at_points
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics, PoseSpace, named_pose_space, posture
 from torchhand.image import BackgroundPlate
 from torchhand.numerics import Gaussian, predict_linear
-from torchhand.track.appearance import Agreement, Appearance, hand_region, overlap, relearned, touching, unexplained_px
-from torchhand.track.contour_points import hand_length_px
 from torchhand.track.estimate import estimate_of, unknown_scale_std
-from torchhand.track.facing import shows_same_side
 from torchhand.track.measured import Measured
 from torchhand.track.prior import Kind, kind_of
 from torchhand.track.rebasing import Rebasing
 from torchhand.track.settings import TrackerSettings
-from torchhand.track.start import NoStart, Start, StartPoints, find_hand, start_at_points
 from torchhand.track.state import Estimate, Memory, Status, TrackerState, restored_state, saved_state
 from torchhand.view import HandProjector, outline_table
 

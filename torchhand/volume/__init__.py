@@ -4,7 +4,7 @@ from torchhand.volume.carving import Carver, carve
 from torchhand.volume.carving_settings import CarvingSettings
 from torchhand.volume.cube import RootCube, common_volume, root_cube
 from torchhand.volume.field import HullField, distance_grid, hull_field
-from torchhand.volume.octree import BLACK, GRAY, UNKNOWN, WHITE, Leaves, Octree, OctreeLevel
+from torchhand.volume.octree import BLACK, GRAY, UNKNOWN, WHITE, Leaves, Octree, OctreeLevel, places_of
 from torchhand.volume.picture import draw_hull
 from torchhand.volume.surface import hull_mesh, hull_quads
 
@@ -27,5 +27,6 @@ __all__ = [
     "hull_field",
     "hull_mesh",
     "hull_quads",
+    "places_of",
     "root_cube",
 ]

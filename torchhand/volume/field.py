@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.image.distance_maps import distance_map
+from torchhand.image import distance_map
 from torchhand.volume.octree import Octree
 
 MARGIN = 0.01  # metres

@@ -8,8 +8,7 @@ import torch
 from jaxtyping import Bool, Int, UInt8
 from torch import Tensor
 
-from torchhand.geometry import Camera
-from torchhand.geometry.cameras import distort
+from torchhand.geometry import Camera, distort
 
 _ROUND_TRIP = 0.01  # px by which a lens model may fail to be undone where it is believed
 

@@ -9,7 +9,7 @@ from torch import Tensor
 from torchhand.files import load_hand_model
 from torchhand.geometry import Camera, rotation_from_vector
 from torchhand.hand import Hand, posture
-from torchhand.simulate.rigs import named_rig
+from torchhand.simulate import named_rig
 from torchhand.view import mesh_silhouette
 
 Pose = tuple[Tensor, Tensor]

@@ -3,11 +3,12 @@ from dataclasses import replace
 import pytest
 import torch
 
+from torchhand.fit.hull import HullShapeSettings, HullStartSettings
 from torchhand.hand import Anthropometry
-from torchhand.track.hull_settings import HullShapeSettings, HullStartSettings
-from torchhand.track.multiview import MultiViewSettings, acquaint, moments_of
+from torchhand.track.multiview.acquaintance import acquaint, moments_of
 from torchhand.track.multiview.fitting import Anchor, MomentFitter
 from torchhand.track.multiview.scale import in_unit, moved_anchor, resized_shape, rough_units, size_factor
+from torchhand.track.multiview.settings import MultiViewSettings
 
 SETTINGS = MultiViewSettings(
     start=HullStartSettings(places=1, rolls=4, postures=("open",), coarse=6, fine=2, finger_rounds=0),

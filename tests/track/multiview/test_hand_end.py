@@ -4,12 +4,12 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchhand.fit.hull import rims_of
 from torchhand.geometry import Camera
-from torchhand.simulate.rigs import named_rig
-from torchhand.track.hull_rims import rims_of
-from torchhand.track.multiview import HullOctreeSettings
+from torchhand.simulate import named_rig
 from torchhand.track.multiview.hand_end import HandEnd
 from torchhand.track.multiview.hulls import Hulls
+from torchhand.track.multiview.settings import HullOctreeSettings
 
 TOP = -0.1  # height of the stick's upper end; y is down
 LENGTH = 0.08  # of the "hand" at that end, metres

@@ -6,10 +6,12 @@ import pytest
 import torch
 from torch.nn.functional import max_pool2d
 
+from torchhand.fit.hull import HullStartSettings
 from torchhand.hand import posture
-from torchhand.track.hull_settings import HullStartSettings
-from torchhand.track.multiview import Hindsight, MultiViewMemory, MultiViewSettings, MultiViewTracker, SeenMoment
 from torchhand.track.multiview.fitting import Anchor
+from torchhand.track.multiview.hindsight import Hindsight, SeenMoment
+from torchhand.track.multiview.settings import MultiViewSettings
+from torchhand.track.multiview.tracker import MultiViewMemory, MultiViewTracker
 
 SETTINGS = MultiViewSettings(
     start=HullStartSettings(places=1, rolls=4, postures=("open",), coarse=6, fine=2, finger_rounds=0)

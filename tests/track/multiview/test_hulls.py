@@ -3,8 +3,8 @@ from itertools import combinations
 import pytest
 import torch
 
-from torchhand.track.multiview import HullOctreeSettings
 from torchhand.track.multiview.hulls import Hull, Hulls
+from torchhand.track.multiview.settings import HullOctreeSettings
 from torchhand.volume import HullField
 
 

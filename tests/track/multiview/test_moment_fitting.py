@@ -1,10 +1,10 @@
 import pytest
 import torch
 
+from torchhand.fit.hull import HullStartSettings
 from torchhand.geometry import rotation_from_vector
-from torchhand.track.hull_settings import HullStartSettings
-from torchhand.track.multiview import MultiViewSettings
 from torchhand.track.multiview.fitting import Anchor, MomentFitter, Placed, chosen
+from torchhand.track.multiview.settings import MultiViewSettings
 
 SETTINGS = MultiViewSettings(
     start=HullStartSettings(places=1, rolls=8, postures=("open", "point"), coarse=12, fine=2, finger_rounds=0)

@@ -3,12 +3,13 @@ from dataclasses import replace
 import pytest
 import torch
 
+from torchhand.fit.hull import HullStartSettings
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import posture
-from torchhand.track.hull_settings import HullStartSettings
-from torchhand.track.multiview import MultiViewLossSettings, MultiViewMemory, MultiViewSettings, MultiViewTracker
 from torchhand.track.multiview.fitting import Anchor
 from torchhand.track.multiview.saved import Knowledge, restored, saved
+from torchhand.track.multiview.settings import MultiViewLossSettings, MultiViewSettings
+from torchhand.track.multiview.tracker import MultiViewMemory, MultiViewTracker
 
 SETTINGS = MultiViewSettings(
     start=HullStartSettings(places=1, rolls=4, postures=("open",), coarse=6, fine=2, finger_rounds=0),

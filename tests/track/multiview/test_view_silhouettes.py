@@ -5,9 +5,8 @@ import torch
 
 from torchhand.geometry import Camera
 from torchhand.image import SilhouetteSettings, learn_background
-from torchhand.simulate.rigs import named_rig
-from torchhand.track.multiview import ViewSilhouettes
-from torchhand.track.multiview.silhouettes import PackedMask
+from torchhand.simulate import named_rig
+from torchhand.track.multiview.silhouettes import PackedMask, ViewSilhouettes
 
 SKIN, WALL = (205, 150, 125), (40, 70, 120)
 

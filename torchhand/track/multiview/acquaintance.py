@@ -7,9 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.fit.hull import HullShapeFit, HullTarget, fit_shape
 from torchhand.hand import Anthropometry
-from torchhand.track.hull_points import HullTarget
-from torchhand.track.hull_shape import HullShapeFit, fit_shape
 from torchhand.track.multiview.continuity import most_consistent
 from torchhand.track.multiview.fitting import Anchor, MomentFitter, Placed, chosen
 from torchhand.track.multiview.hulls import Hull

@@ -9,13 +9,12 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.fit import hand_region, overlap, touching
 from torchhand.geometry import Camera
 from torchhand.hand import HandFrames, HandKinematics, Primitives, place_primitives
-from torchhand.track.appearance import hand_region, overlap, touching
 from torchhand.track.multiview.silhouettes import Masks
 from torchhand.view import HandProjector
-from torchhand.view.generators import generators
-from torchhand.view.projector import Generators
+from torchhand.view.outlines import Generators, generators
 
 _REACH = 1.3  # silhouettes are compared so far from the wrist, hand lengths
 _STEEP = 0.25  # a palm seen shorter than this, hand lengths, has no direction in the picture

@@ -8,14 +8,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.fit import Expectation, PostureResiduals
+from torchhand.fit.hull import HullFit, HullFitter, HullLevel, find_in_hull, fit_by_torques, palm_of, varied_digits
 from torchhand.geometry import Camera, rotation_from_vector
-from torchhand.hand import Hand, HandPrior, PoseConstraints, named_pose_space
-from torchhand.hand.constraints import ConstraintSettings
-from torchhand.residuals import Expectation, PostureResiduals
-from torchhand.track.hull_fit import HullFit, HullFitter
-from torchhand.track.hull_settings import HullLevel
-from torchhand.track.hull_start import find_in_hull, palm_of, varied_digits
-from torchhand.track.hull_torque import fit_by_torques
+from torchhand.hand import ConstraintSettings, Hand, HandPrior, PoseConstraints, named_pose_space
 from torchhand.track.multiview.agreement import ViewAgreement, mean_overlap, score_of
 from torchhand.track.multiview.hulls import Hull, Hulls
 from torchhand.track.multiview.settings import MultiViewSettings

@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.fit.hull import HullRims
 from torchhand.geometry import Camera
-from torchhand.track.hull_rims import HullRims
 from torchhand.track.multiview.silhouettes import Masks
 
 _SIDE_PX = 240  # longer side of the reduced silhouettes

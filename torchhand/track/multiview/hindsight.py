@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.track import TrackerState
 from torchhand.track.multiview.silhouettes import Masks, PackedMask
 from torchhand.track.multiview.tracker import MultiViewEstimate, MultiViewMemory, MultiViewTracker
-from torchhand.track.state import TrackerState
 
 _MOTION = 3.0  # score that a metre of motion is worth, in the mean over the keypoints
 _HOPELESS = 0.1  # gain less than with fewer moments, from which on no more are looked at

@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.fit.hull import HullTarget, target_of, with_rims
 from torchhand.geometry import Camera
-from torchhand.track.hull_points import HullTarget, target_of, with_rims
 from torchhand.track.multiview.hand_end import HandEnd
 from torchhand.track.multiview.settings import HullOctreeSettings
 from torchhand.track.multiview.silhouettes import Masks

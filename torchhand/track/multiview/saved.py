@@ -8,10 +8,10 @@ import torch
 
 from torchhand.image import SkinModel
 from torchhand.numerics import Gaussian
+from torchhand.track import TrackerState
 from torchhand.track.multiview.fitting import Anchor
 from torchhand.track.multiview.silhouettes import LearnedSkin
 from torchhand.track.multiview.tracker import MultiViewMemory
-from torchhand.track.state import TrackerState
 
 
 @dataclass(frozen=True, kw_only=True)

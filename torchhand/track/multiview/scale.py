@@ -8,8 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.geometry import Camera
-from torchhand.geometry.rig import rig_size
+from torchhand.geometry import Camera, rig_size
 from torchhand.hand import ShapeSpace
 from torchhand.track.multiview.fitting import Anchor
 from torchhand.track.multiview.hulls import Hulls

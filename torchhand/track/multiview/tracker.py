@@ -12,21 +12,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.fit.hull import HullFit
 from torchhand.geometry import Camera, vector_from_rotation
 from torchhand.hand import Hand
 from torchhand.numerics import Gaussian, predict_linear
-from torchhand.numerics.conditioning import with_marginal
-from torchhand.track.estimate import posed_belief
-from torchhand.track.hull_fit import HullFit
+from torchhand.numerics.filters import with_marginal
+from torchhand.track import Kind, Rebasing, Status, TrackerState, kind_of, posed_belief, start_spread
 from torchhand.track.multiview.agreement import mean_overlap, score_of
 from torchhand.track.multiview.fitting import Anchor, MomentFitter, Placed
 from torchhand.track.multiview.hulls import Hull
 from torchhand.track.multiview.settings import MultiViewSettings
 from torchhand.track.multiview.silhouettes import Masks
-from torchhand.track.prior import Kind, kind_of
-from torchhand.track.rebasing import Rebasing
-from torchhand.track.state import Status, TrackerState
-from torchhand.track.tracker import start_spread
 
 _USUAL, _AT_BEST = 0.9, 0.99  # shares of the usual score, and of the one at best, that outlast a frame
 _UNEASY = 0.03  # score less than at best, from which on a followed hand is fitted once more as if it were off

@@ -1,0 +1,164 @@
+"""Whole evaluations of tracks made from a truth by known changes."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from torchhand.errors import InputError
+from torchhand.evaluate.angles import flexion_deg
+from torchhand.evaluate.evaluation import evaluate
+from torchhand.evaluate.truth import Truth, load_truth
+from torchhand.files import Track
+
+FRAMES = 6
+
+
+def truth(**changes: object) -> Truth:
+    rng = np.random.default_rng(0)
+    hand = rng.normal(scale=0.05, size=(21, 3))
+    drift = np.arange(FRAMES)[:, None, None] * np.array([0.01, 0.0, 0.0])
+    points = hand + drift + [0.0, 0.0, 0.5]
+    complete = Truth(
+        source=Path("truth.npz"),
+        frames=FRAMES,
+        keypoints3d=points,
+        keypoints2d=400.0 * points[..., :2] / 0.5,
+        flexion_deg=flexion_deg(points),
+    )
+    return replace(complete, **changes)  # type: ignore[arg-type]
+
+
+def perfect(rows: list[int]) -> Track:
+    """The truth's rows as if a tracker had found them."""
+    known = truth()
+    assert known.keypoints3d is not None
+    assert known.keypoints2d is not None
+    return Track(
+        frame=np.array(rows),
+        status=np.array(["tracked"] * len(rows), dtype="<U16"),
+        pose=np.zeros((len(rows), 36)),
+        pose_std=np.ones((len(rows), 36)),
+        keypoints3d=known.keypoints3d[rows],
+        keypoints2d=known.keypoints2d[rows],
+        keypoints3d_cov=np.tile(1e-6 * np.eye(3), (len(rows), 21, 1, 1)),
+        seconds=np.array([0.5] + [0.010] * (len(rows) - 1)),
+        dof_names=tuple(f"dof{number}" for number in range(36)),
+        units="",
+        convention="",
+        header={},
+    )
+
+
+def test_the_truth_itself_has_no_error() -> None:
+    figures = evaluate(perfect([0, 1, 2, 3, 4, 5]), truth())
+    for kind in ("frame", "root_relative", "aligned"):
+        assert figures["position_mm"][kind]["largest"] < 1e-10
+    assert figures["position_2d_px"]["largest"] < 1e-10
+    assert figures["planar_motion"]["displacement_largest_px"] < 1e-10
+    assert figures["planar_motion"]["rotation_largest_deg"] < 1e-10
+    assert figures["planar_motion"]["proximal_turn_largest_deg"] < 1e-10
+    assert figures["flexion_deg"] == {"mean": 0.0, "raw_mean": 0.0}
+    assert figures["tracking"]["followed"] == FRAMES
+    assert figures["tracking"]["share_largest_error_below_20mm"] == 1.0
+    assert figures["speed"] == {"median_ms_per_frame": 10.0, "largest_ms_per_frame": 500.0}
+    assert figures["uncertainty"]["mean_per_dof"] == 0.0
+    assert "silhouette" not in figures
+
+
+def test_a_finger_that_spreads_too_far_is_seen_in_its_proximal_phalanx() -> None:
+    track = perfect([0, 1, 2])
+    assert track.keypoints2d is not None
+    points = track.keypoints2d.copy()
+    c, s = np.cos(np.radians(6.0)), np.sin(np.radians(6.0))
+    points[2, 6] = points[2, 5] + (points[2, 6] - points[2, 5]) @ np.array([[c, -s], [s, c]]).T
+    motion = evaluate(replace(track, keypoints2d=points), truth())["planar_motion"]
+    assert motion["proximal_turn_largest_deg"] == pytest.approx(6.0, abs=1e-9)
+    assert motion["proximal_turn_mean_deg"] == pytest.approx(6.0 / 10, abs=1e-9)  # one of five fingers in two frames
+
+
+def test_frames_are_matched_by_number() -> None:
+    """Started at frame 2 with every second frame: still the truth itself; by row it would be 20 mm off."""
+    figures = evaluate(perfect([2, 4]), truth())
+    assert figures["position_mm"]["frame"]["largest"] < 1e-10
+    assert figures["planar_motion"]["reference_frame"] == 2
+    assert figures["tracking"]["frames_of_truth"] == FRAMES
+
+
+def test_lost_frames_count_in_the_shares_and_not_in_the_means() -> None:
+    track = perfect([0, 1, 2, 3, 4, 5])
+    points = track.keypoints3d.copy()
+    points[2:4] = np.nan
+    points[5, 7] += [0.0, 0.0, 0.021]
+    status = np.array(["tracked", "tracked", "lost", "lost", "recovered", "tracked"])
+    figures = evaluate(replace(track, keypoints3d=points, status=status), truth())
+    np.testing.assert_allclose(figures["position_mm"]["frame"]["mean"], 21.0 / (4 * 21), rtol=1e-9)
+    np.testing.assert_allclose(figures["position_mm"]["frame"]["largest"], 21.0, rtol=1e-9)
+    tracking = figures["tracking"]
+    assert tracking["share_largest_error_below_20mm"] == 0.5
+    assert tracking["frames_until_first_loss"] == 2
+    assert tracking["frames_to_recover"] == (2,)
+    np.testing.assert_allclose(figures["uncertainty"]["samples"], 4 * 21)
+
+
+def test_a_hand_that_was_never_found() -> None:
+    track = perfect([0, 1])
+    nowhere = replace(
+        track,
+        status=np.array(["no_hand", "no_hand"]),
+        keypoints3d=np.full((2, 21, 3), np.nan),
+        keypoints2d=np.full((2, 21, 2), np.nan),
+        keypoints3d_cov=np.full((2, 21, 3, 3), np.nan),
+    )
+    figures = evaluate(nowhere, truth())
+    assert np.isnan(figures["position_mm"]["frame"]["mean"])
+    assert np.isnan(figures["flexion_deg"]["mean"])
+    assert figures["tracking"]["share_largest_error_below_20mm"] == 0.0
+    assert "planar_motion" not in figures
+    assert "uncertainty" not in figures
+
+
+def test_sections_without_their_truth_are_missing() -> None:
+    figures = evaluate(perfect([0, 1]), truth(keypoints2d=None, flexion_deg=None))
+    assert set(figures) == {"tracking", "position_mm", "turn_in_space_deg", "uncertainty", "speed"}
+    figures = evaluate(perfect([0]), truth(keypoints3d=None, keypoints2d=None))
+    assert set(figures) == {"tracking", "flexion_deg", "speed"}
+
+
+def test_another_sequences_truth_is_refused() -> None:
+    track = replace(perfect([0, 1]), frame=np.array([4, 6]))
+    with pytest.raises(InputError, match=r"truth.npz: .* holds frames 0 to 5 and the result has frame 6"):
+        evaluate(track, truth())
+
+
+def test_the_trackers_own_overlap_is_its_median_over_the_followed_frames() -> None:
+    track = perfect([0, 1, 2, 3])
+    overlap = np.array([0.9, np.nan, 0.8, 0.7])
+    figures = evaluate(replace(track, measures={"overlap": overlap}), truth())
+    assert figures["overlap_with_own_segmentation"] == {"median": 0.8}
+    for measures in ({}, {"overlap": np.full(4, np.nan)}):
+        assert "overlap_with_own_segmentation" not in evaluate(replace(track, measures=measures), truth())
+
+
+def test_masks_are_compared_in_front_of_the_wrist(tmp_path: Path) -> None:
+    folder = tmp_path / "masks"
+    folder.mkdir()
+    arm = np.zeros((20, 40), dtype=np.uint8)
+    arm[5:15, 0:30] = 255
+    for number in (0, 1):
+        cv2.imwrite(str(folder / f"{number:04d}.png"), arm)
+    points = np.zeros((2, 21, 2))
+    points[:, 0], points[:, 9] = [10.0, 10.0], [25.0, 10.0]
+    np.savez(tmp_path / "truth.npz", keypoints2d=points)
+    known = load_truth(tmp_path)
+    hand = np.zeros((20, 40), dtype=bool)
+    hand[5:15, 10:25] = True
+
+    figures = evaluate(perfect([0, 1]), known, lambda number: hand if number == 1 else None)
+    assert figures["silhouette"]["frames"] == 1
+    np.testing.assert_allclose(figures["silhouette"]["median_iou"], 15.0 / 20.0)
+    assert "silhouette" not in evaluate(perfect([0, 1]), known, lambda _: None)
+    with pytest.raises(InputError, match=r"0000.png: expected a mask of 10x20 pixels, got 40x20"):
+        evaluate(perfect([0, 1]), known, lambda _: hand[:, :10])

@@ -1,0 +1,175 @@
+"""Choosing a source: what is what, and one clear line for what cannot be read."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from torchhand.errors import InputError
+from torchhand.files.pictures import video
+from torchhand.files.pictures.frame_source import FrameRange
+from torchhand.files.pictures.frames import open_source, sequences_of
+
+
+def test_a_folder_of_videos_gives_one_sequence_each_in_natural_order(tmp_path: Path, make_video):
+    for name in ("take10.mp4", "take2.mp4", "take2.avi"):
+        make_video(f"clips/{name}", 1, codec="MJPG" if name.endswith("avi") else "mp4v")
+    (tmp_path / "clips" / "notes.txt").write_text("not a video")
+    (tmp_path / "clips" / ".hidden.mp4").write_bytes(b"")
+    folder = tmp_path / "clips"
+    assert sequences_of(folder) == [
+        ("take2.avi", folder / "take2.avi"),
+        ("take2.mp4", folder / "take2.mp4"),
+        ("take10", folder / "take10.mp4"),
+    ]
+    with pytest.raises(InputError, match="expected a folder of pictures, got one with 3 videos"):
+        open_source(folder)
+
+
+def test_a_single_input_is_one_sequence(tmp_path: Path, make_video, make_folder, picture):
+    video = make_video("wave.mp4", 1)
+    folder = make_folder({"a.png": picture(0)}, "shots")
+    assert sequences_of(str(video)) == [("wave", video)]
+    assert sequences_of(folder) == [("shots", folder)]
+    assert sequences_of("3") == [("webcam3", "3")]
+
+
+def test_a_folder_called_by_a_number_is_no_webcam(monkeypatch, tmp_path: Path, make_folder, picture):
+    make_folder({"a.png": picture(5)}, "0")
+    monkeypatch.chdir(tmp_path)
+    with open_source("0") as source:
+        assert (source.name, source.count) == ("0", 1)
+
+
+def test_a_webcam_is_read_until_it_stops(monkeypatch, picture):
+    class Webcam:
+        def __init__(self, number):
+            assert number == 7
+            self.reads = 0
+
+        def get(self, _):
+            return -1.0
+
+        def read(self):
+            self.reads += 1
+            return (True, picture(self.reads)) if self.reads <= 4 else (False, None)
+
+        def release(self):
+            pass
+
+    monkeypatch.setattr(video, "_open_webcam", Webcam)
+    with open_source("7") as source:
+        assert (source.name, source.fps, source.count) == ("webcam7", 30.0, None)
+        assert [frame.index for frame in source] == [0, 1, 2, 3]
+
+
+def test_a_missing_webcam(capfd):
+    with pytest.raises(InputError, match="webcam 97: cannot be opened"):
+        open_source("97")
+    assert capfd.readouterr().err == ""
+
+
+def _missing(path: Path) -> Path:
+    return path / "nowhere.mp4"
+
+
+def _empty_folder(path: Path) -> Path:
+    (path / "empty").mkdir()
+    return path / "empty"
+
+
+def _no_pictures(path: Path) -> Path:
+    (path / "texts" / "frames").mkdir(parents=True)
+    (path / "texts" / "truth.npz").write_bytes(b"0")
+    return path / "texts"
+
+
+def _mixed(path: Path) -> Path:
+    (path / "mixed").mkdir()
+    for name in ("a.jpg", "b.mp4"):
+        (path / "mixed" / name).write_bytes(b"0")
+    return path / "mixed"
+
+
+def _empty_file(path: Path) -> Path:
+    (path / "empty.mp4").write_bytes(b"")
+    return path / "empty.mp4"
+
+
+def _text_file(path: Path) -> Path:
+    (path / "notes.txt").write_text("hello " * 500)
+    return path / "notes.txt"
+
+
+def _text_in_a_video(path: Path) -> Path:
+    return _text_file(path).rename(path / "notes.mp4")
+
+
+def _bad_pictures(path: Path) -> Path:
+    (path / "bad").mkdir()
+    for name in ("1.jpg", "2.png"):
+        (path / "bad" / name).write_bytes(b"no picture at all")
+    return path / "bad"
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (_missing, "nowhere.mp4: no such file or folder"),
+        (_empty_folder, "empty: is an empty folder"),
+        (_no_pictures, "texts: holds no pictures and no videos .*it has the folders frames: give one of them"),
+        (_mixed, "mixed: expected pictures or videos, got both .a.jpg, b.mp4"),
+        (_empty_file, "empty.mp4: is empty"),
+        (_text_file, r"notes.txt: expected a video or a picture \(mp4, mov, .*\), got .txt"),
+        (_text_in_a_video, "notes.mp4: is no video that can be opened"),
+        (_bad_pictures, "2.png: is no picture that can be decoded .*no picture of 2 could be read"),
+    ],
+)
+def test_bad_inputs_give_one_clear_line(make: Callable[[Path], Path], message: str, tmp_path: Path, capfd):
+    with pytest.raises(InputError, match=message) as caught:
+        open_source(make(tmp_path))
+    assert "\n" not in str(caught.value)
+    assert capfd.readouterr().err == ""
+
+
+def _refuse(*_, **__):
+    raise PermissionError(13, "Permission denied")
+
+
+def test_no_permission_to_read(monkeypatch, make_video, make_folder, picture):
+    video, folder = make_video(), make_folder({"1.png": picture(0)})
+    monkeypatch.setattr(Path, "open", _refuse)
+    monkeypatch.setattr(Path, "read_bytes", _refuse)
+    with pytest.raises(InputError, match=r"clip.mp4: cannot be read \(Permission denied\)"):
+        open_source(video)
+    with pytest.raises(InputError, match=r"1.png: cannot be read \(Permission denied\)"):
+        open_source(folder)
+    monkeypatch.setattr(Path, "iterdir", _refuse)
+    with pytest.raises(InputError, match=r"pictures: cannot be read \(Permission denied\)"):
+        sequences_of(folder)
+
+
+def test_impossible_ranges():
+    with pytest.raises(InputError, match="start: expected a frame number of 0 or more, got -1"):
+        FrameRange(start=-1)
+    with pytest.raises(InputError, match="max_frames: expected 1 or more, got 0"):
+        FrameRange(max_frames=0)
+
+
+@pytest.mark.parametrize(
+    ("frames", "total", "expected"),
+    [
+        (FrameRange(), None, None),
+        (FrameRange(), 10, 10),
+        (FrameRange(start=4), 10, 6),
+        (FrameRange(start=4, max_frames=3), 10, 3),
+        (FrameRange(start=4, max_frames=3), None, 3),
+        (FrameRange(start=4, max_frames=3, already_done=2), 10, 1),
+        (FrameRange(start=4, already_done=6), 10, 0),
+        (FrameRange(start=4, max_frames=30), 10, 6),
+    ],
+)
+def test_a_range_knows_how_many_frames_come(frames: FrameRange, total: int | None, expected: int | None):
+    assert frames.within(total) == expected
+    if total is not None:
+        assert sum(frames.holds(index) for index in range(total)) == expected

@@ -1,0 +1,486 @@
+"""The result folder: complete, resumable bit for bit, and never worse than before."""
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from torchhand.errors import InputError
+from torchhand.files.results.results import CHECKPOINT_NAME, UNFINISHED_NAME, TrackWriter, check_output_folder
+from torchhand.files.results.track_file import LineFile, load_track
+from torchhand.files.results.track_record import FrameRecord, TrackHeader
+
+DOFS = tuple(f"dof{i}" for i in range(36))
+
+
+def _header(**changes: Any) -> TrackHeader:
+    fields: dict[str, Any] = {"source": "wave.mp4", "side": "right", "camera": {"name": "cam0", "width": 640}}
+    return TrackHeader(dof_names=DOFS, **{**fields, **changes})
+
+
+class _Tracker:
+    """Stands for the real one: every estimate depends on a generator and on all that came before."""
+
+    def __init__(self, state: Mapping[str, Any] | None = None) -> None:
+        self.generator = torch.Generator().manual_seed(3)
+        self.mean = torch.zeros(36, dtype=torch.float64)
+        if state is not None:
+            self.generator.set_state(state["generator"])
+            self.mean = state["mean"]
+
+    def state(self) -> dict[str, Any]:
+        return {"generator": self.generator.get_state(), "mean": self.mean, "name": "contour", "nested": {"lost": 0}}
+
+    def step(self, frame: int) -> FrameRecord:
+        self.mean = 0.9 * self.mean + torch.randn(36, generator=self.generator, dtype=torch.float64)
+        if frame % 7 == 5:
+            return FrameRecord.empty(frame, "lost", dofs=36, seconds=0.25)
+        points = self.mean[:21, None].expand(21, 3).numpy()
+        return FrameRecord(
+            frame=frame,
+            status="tracked",
+            pose=self.mean.numpy(),
+            pose_std=self.mean.abs().numpy(),
+            keypoints3d=points,
+            keypoints2d=points[:, :2] * 100,
+            keypoints3d_cov=points[..., None] * points[:, None],
+            seconds=0.01 * frame,
+        )
+
+
+class _Stop(BaseException):
+    """Ctrl-C, without upsetting the test runner."""
+
+
+def _run(folder: Path, last: int, *, stop_after: int | None = None, every: int = 5, **options: Any) -> TrackWriter:
+    """Track frames 2 ... last as a command would."""
+    with TrackWriter(folder, _header(), checkpoint_every=every, **options) as writer:
+        point = writer.resume_point
+        tracker = _Tracker(point.state if point else None)
+        for frame in range(point.last_frame + 1 if point else 2, last + 1):
+            writer.append(tracker.step(frame), tracker.state)
+            if frame == stop_after:
+                raise _Stop
+    return writer
+
+
+def _files(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def _content(folder: Path) -> dict[str, Any]:
+    return {name: array.tolist() for name, array in load_track(folder).arrays().items() if name != "header"}
+
+
+def test_a_finished_run(tmp_path: Path):
+    _run(tmp_path / "out", 12)
+    assert _files(tmp_path / "out") == [CHECKPOINT_NAME, "track.jsonl", "track.npz"]
+    with np.load(tmp_path / "out" / "track.npz", allow_pickle=False) as stored:
+        arrays = dict(stored)
+    shapes = {name: array.shape for name, array in arrays.items() if array.ndim}
+    assert shapes == {
+        "frame": (11,),
+        "status": (11,),
+        "pose": (11, 36),
+        "pose_std": (11, 36),
+        "keypoints3d": (11, 21, 3),
+        "keypoints2d": (11, 21, 2),
+        "keypoints3d_cov": (11, 21, 3, 3),
+        "seconds": (11,),
+        "dof_names": (36,),
+    }
+    assert arrays["frame"].tolist() == list(range(2, 13))
+    assert arrays["status"].tolist() == ["tracked"] * 3 + ["lost"] + ["tracked"] * 6 + ["lost"]
+    tracker = _Tracker()
+    for i in range(11):
+        record = tracker.step(i + 2)
+        np.testing.assert_array_equal(arrays["pose"][i], record.pose)
+        np.testing.assert_array_equal(arrays["keypoints3d_cov"][i], record.keypoints3d_cov)
+    assert np.isnan(arrays["pose"][3]).all()
+    assert np.isnan(arrays["keypoints2d"][3]).all()
+    assert str(arrays["units"]).startswith("metres, radians, seconds")
+    assert "x right, y down, z forward" in str(arrays["convention"])
+
+
+def test_the_lines_are_strict_json_and_there_at_once(tmp_path: Path):
+    def refuse_constant(name: str) -> None:
+        raise AssertionError(f"{name} is no JSON")
+
+    with TrackWriter(tmp_path / "out", _header()) as writer:
+        tracker = _Tracker()
+        for frame in range(6):
+            writer.append(tracker.step(frame))
+            lines = (tmp_path / "out" / "track.jsonl").read_text().splitlines()
+            assert len(lines) == frame + 2
+    header, *rows = [json.loads(line, parse_constant=refuse_constant) for line in lines]
+    assert header["dof_names"] == list(DOFS)
+    assert {"format", "units", "convention", "source", "camera", "side"} <= header.keys()
+    assert [row["frame"] for row in rows] == list(range(6))
+    assert rows[5]["status"] == "lost"
+    assert rows[5]["keypoints2d"] == [[None, None]] * 21
+    assert load_track(tmp_path / "out").header == header
+
+
+def test_lines_and_arrays_read_alike(tmp_path: Path):
+    _run(tmp_path / "out", 12)
+    whole = _content(tmp_path / "out")
+    (tmp_path / "out" / "track.npz").unlink()
+    np.testing.assert_equal(_content(tmp_path / "out"), whole)
+
+
+def test_several_cameras_have_no_2d_keypoints(tmp_path: Path):
+    with TrackWriter(tmp_path / "out", _header()) as writer:
+        writer.append(FrameRecord.empty(0, "no_hand", dofs=36, seconds=0.0, has_keypoints2d=False))
+    for name in ("track.npz", "track.jsonl"):
+        track = load_track(tmp_path / "out" / name)
+        assert track.keypoints2d is None
+        assert np.isnan(track.keypoints3d).all()
+
+
+@pytest.mark.parametrize("stop_after", [2, 4, 5, 6, 7, 11, 12, 23])
+def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path: Path, stop_after: int):
+    _run(tmp_path / "whole", 24)
+    with pytest.raises(_Stop):
+        _run(tmp_path / "broken", 24, stop_after=stop_after)
+    assert len(load_track(tmp_path / "broken")) == stop_after - 1  # all that was tracked is readable
+    _run(tmp_path / "broken", 24, resume=True)
+    for name in ("track.jsonl", "track.npz"):
+        assert (tmp_path / "broken" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+
+
+def test_a_finished_run_can_go_on_further(tmp_path: Path):
+    _run(tmp_path / "whole", 24)
+    _run(tmp_path / "short", 12)
+    assert _run(tmp_path / "short", 12, resume=True).resume_point is not None
+    assert len(load_track(tmp_path / "short")) == 11
+    _run(tmp_path / "short", 24, resume=True)
+    assert (tmp_path / "short" / "track.jsonl").read_bytes() == (tmp_path / "whole" / "track.jsonl").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "damage", ["half a line", "no checkpoint", "bad checkpoint", "lines lost", "half a header", "npz"]
+)
+def test_resuming_after_a_crash(tmp_path: Path, damage: str):
+    _run(tmp_path / "whole", 24)
+    with pytest.raises(_Stop):
+        _run(tmp_path / "broken", 24, stop_after=14)
+    lines, checkpoint = tmp_path / "broken" / "track.jsonl", tmp_path / "broken" / CHECKPOINT_NAME
+    if damage == "half a line":
+        lines.write_bytes(lines.read_bytes()[:-300])
+        assert len(load_track(lines)) == 12
+    elif damage == "no checkpoint":
+        checkpoint.unlink()
+    elif damage == "bad checkpoint":
+        checkpoint.write_bytes(checkpoint.read_bytes()[:700])
+    elif damage == "lines lost":
+        lines.write_bytes(b"".join(lines.read_bytes().splitlines(keepends=True)[:6]))
+    elif damage == "half a header":
+        lines.write_bytes(lines.read_bytes()[:50])
+    (tmp_path / "broken" / "track.npz").unlink()
+    _run(tmp_path / "broken", 24, resume=True)
+    for name in ("track.jsonl", "track.npz"):
+        assert (tmp_path / "broken" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+
+
+def _run_with_corrections(folder: Path, *, stop_after: int | None = None, **options: Any) -> TrackWriter:
+    """Every fifth frame corrects the three before it."""
+    with TrackWriter(folder, _header(), checkpoint_every=4, **options) as writer:
+        point = writer.resume_point
+        tracker = _Tracker(point.state if point else None)
+        for frame in range(point.last_frame + 1 if point else 0, 21):
+            record = tracker.step(frame)
+            if frame % 5 == 0 and frame:
+                for back in (1, 2, 3):
+                    writer.correct(replace(record, frame=frame - back, status="tracked", seconds=100.0 + back))
+            writer.append(record, tracker.state)
+            if frame == stop_after:
+                raise _Stop
+    return writer
+
+
+def test_corrected_frames_take_the_place_of_the_first_ones(tmp_path: Path):
+    _run_with_corrections(tmp_path)
+    lines = [json.loads(line) for line in (tmp_path / "track.jsonl").read_text().splitlines()[1:]]
+    assert [line["frame"] for line in lines] == list(range(21))
+    track = load_track(tmp_path)
+    assert track.frame.tolist() == list(range(21))
+    assert track.seconds[17:20].tolist() == [103.0, 102.0, 101.0]
+    assert track.seconds[16] < 100
+    np.testing.assert_array_equal(track.pose[17], track.pose[20])
+
+
+@pytest.mark.parametrize("stop_after", [3, 5, 7, 10, 11, 15, 19])
+def test_a_resumed_run_with_corrections_equals_an_uninterrupted_one(tmp_path: Path, stop_after: int):
+    _run_with_corrections(tmp_path / "whole")
+    with pytest.raises(_Stop):
+        _run_with_corrections(tmp_path / "broken", stop_after=stop_after)
+    stopped = load_track(tmp_path / "broken")
+    assert stopped.frame.tolist() == list(range(stop_after + 1))
+    _run_with_corrections(tmp_path / "broken", resume=True)
+    for name in ("track.jsonl", "track.npz"):
+        assert (tmp_path / "broken" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+
+
+def test_only_earlier_frames_are_corrected(tmp_path: Path):
+    with TrackWriter(tmp_path, _header()) as writer:
+        writer.append(_Tracker().step(3))
+        with pytest.raises(ValueError, match="frame: expected at most 3, got 4"):
+            writer.correct(_Tracker().step(4))
+
+
+def test_resuming_where_nothing_is_yet_starts(tmp_path: Path):
+    assert _run(tmp_path / "out", 12, resume=True).resume_point is None
+    assert len(load_track(tmp_path / "out")) == 11
+
+
+def test_resuming_with_other_options_is_refused(tmp_path: Path):
+    _run(tmp_path / "out", 12)
+    before = (tmp_path / "out" / "track.jsonl").read_bytes()
+    for change, message in (
+        ({"side": "left"}, "cannot be resumed: side was 'right', is now 'left'"),
+        ({"camera": {"name": "cam0", "width": 320}}, r"camera.width was 640, is now 320"),
+        ({"made_with": {"seed": 1}}, r"made_with.seed was None, is now 1"),
+    ):
+        with pytest.raises(InputError, match=message):
+            TrackWriter(tmp_path / "out", _header(**change), resume=True)
+    assert (tmp_path / "out" / "track.jsonl").read_bytes() == before
+
+
+def test_resuming_in_a_foreign_folder_is_refused(tmp_path: Path):
+    (tmp_path / "letter.txt").write_text("dear")
+    with pytest.raises(InputError, match=r"cannot be resumed: expected track.jsonl, found letter.txt"):
+        TrackWriter(tmp_path, _header(), resume=True)
+    (tmp_path / "track.jsonl").write_text('{"other": 1}\n')
+    with pytest.raises(InputError, match=r"track.jsonl: expected a track"):
+        TrackWriter(tmp_path, _header(), resume=True)
+    assert _files(tmp_path) == ["letter.txt", "track.jsonl"]
+
+
+def test_a_folder_with_content_is_refused(tmp_path: Path):
+    _run(tmp_path / "out", 12)
+    before = {name: (tmp_path / "out" / name).read_bytes() for name in _files(tmp_path / "out")}
+    with pytest.raises(InputError, match=r"out: the output folder exists and is not empty \(checkpoint.pt, .*--resume"):
+        _run(tmp_path / "out", 3)
+    with pytest.raises(InputError, match="at most one of --resume and --overwrite"):
+        _run(tmp_path / "out", 3, resume=True, overwrite=True)
+    assert {name: (tmp_path / "out" / name).read_bytes() for name in _files(tmp_path / "out")} == before
+    (tmp_path / "empty").mkdir()
+    check_output_folder(tmp_path / "empty")
+    check_output_folder(tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+def test_overwriting_replaces_everything_at_the_end(tmp_path: Path):
+    out = tmp_path / "out"
+    writer = _run(out, 12)
+    (writer.folder / "overlay.mp4").write_text("old film")
+    (writer.folder / "hand.json").write_text("old hand")
+    (out / "notes.txt").write_text("the user's own")
+    old = load_track(out).pose
+    with TrackWriter(out, _header(side="left"), overwrite=True) as writer:
+        (writer.folder / "hand.json").write_text("new hand")
+        writer.append(_Tracker().step(0))
+        np.testing.assert_array_equal(load_track(out).pose, old)
+        assert len(load_track(writer.folder)) == 1  # the overlay is drawn from this
+    assert load_track(out).frame.tolist() == [0]
+    assert load_track(out).header["side"] == "left"
+    assert (out / "hand.json").read_text() == "new hand"
+    assert _files(out) == ["hand.json", "notes.txt", "track.jsonl", "track.npz"]
+
+
+@pytest.mark.parametrize("frames", [0, 3])
+def test_overwriting_that_is_interrupted_keeps_the_old_result(tmp_path: Path, frames: int):
+    out = tmp_path / "out"
+    _run(out, 12)
+    before = {name: (out / name).read_bytes() for name in _files(out)}
+
+    def interrupted() -> None:
+        with TrackWriter(out, _header(), overwrite=True) as writer:
+            for frame in range(frames):
+                writer.append(_Tracker().step(frame))
+            raise _Stop
+
+    with pytest.raises(_Stop):
+        interrupted()
+    assert {name: (out / name).read_bytes() for name in _files(out) if name != UNFINISHED_NAME} == before
+    assert len(load_track(out / UNFINISHED_NAME)) == frames
+    _run(out, 24, resume=True)  # goes on with what was interrupted
+    assert load_track(out).frame.tolist() == list(range(2, 25))
+    assert UNFINISHED_NAME not in _files(out)
+
+
+def test_overwriting_with_nothing_keeps_the_old_result(tmp_path: Path):
+    _run(tmp_path / "out", 12)
+    with TrackWriter(tmp_path / "out", _header(), overwrite=True):
+        pass
+    assert len(load_track(tmp_path / "out")) == 11
+
+
+def test_an_old_interrupted_attempt_does_not_leak_into_a_new_one(tmp_path: Path):
+    out = tmp_path / "out"
+    _run(out, 12)
+
+    def interrupted() -> None:
+        with TrackWriter(out, _header(), overwrite=True) as writer:
+            (writer.folder / "overlay.mp4").write_text("half a film")
+            writer.append(_Tracker().step(0))
+            raise _Stop
+
+    with pytest.raises(_Stop):
+        interrupted()
+    _run(out, 20, overwrite=True)
+    assert _files(out) == [CHECKPOINT_NAME, "track.jsonl", "track.npz"]
+    assert len(load_track(out)) == 19
+
+
+class _FullDisk:
+    """A raw file that takes `room` more bytes and then says that the disk is full."""
+
+    def __init__(self, file: Any, room: int) -> None:
+        self.file, self.room = file, room
+
+    def write(self, data: bytes) -> int:
+        if not self.room:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        written = self.file.write(data[: self.room])
+        self.room -= written
+        return written
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.file, name)
+
+
+def test_a_full_disk_keeps_the_whole_lines(tmp_path: Path):
+    tracker = _Tracker()
+
+    def run() -> None:
+        with TrackWriter(tmp_path / "out", _header()) as writer:
+            writer.append(tracker.step(0))
+            writer._lines._file = _FullDisk(writer._lines._file, 500)  # pyright: ignore[reportAttributeAccessIssue]
+            writer.append(tracker.step(1))
+
+    with pytest.raises(InputError, match=r"track.jsonl: cannot be written \(no space left on the disk\)"):
+        run()
+    assert (tmp_path / "out" / "track.jsonl").read_bytes().endswith(b"}\n")
+    assert load_track(tmp_path / "out").frame.tolist() == [0]
+
+
+def test_a_full_disk_at_the_end_keeps_lines_and_the_old_arrays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    _run(tmp_path / "out", 12)
+    before = (tmp_path / "out" / "track.npz").read_bytes()
+
+    def full(file: Any, **_: Any) -> None:
+        file.write(b"PK")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "savez", full)
+        with pytest.raises(InputError, match=r"track.npz: cannot be written \(no space left on the disk\)"):
+            _run(tmp_path / "out", 24, resume=True)
+    assert (tmp_path / "out" / "track.npz").read_bytes() == before
+    assert _files(tmp_path / "out") == [CHECKPOINT_NAME, "track.jsonl", "track.npz"]
+    assert load_track(tmp_path / "out").frame.tolist() == list(range(2, 25))  # the lines hold more
+
+
+def test_places_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(InputError, match="file: expected a folder for the results, got a file"):
+        TrackWriter(tmp_path / "file", _header())
+    with pytest.raises(InputError, match=r"out: cannot be written \(a part of the path is a file"):
+        TrackWriter(tmp_path / "file" / "out", _header())
+
+    def refuse(*_: Any, **__: Any) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "mkdir", refuse)
+        with pytest.raises(InputError, match=r"out: cannot be written \(no permission to write\)"):
+            TrackWriter(tmp_path / "out", _header())
+    with monkeypatch.context() as patch:
+        patch.setattr("builtins.open", refuse)
+        with pytest.raises(InputError, match=r"track.jsonl: cannot be written \(no permission to write\)"):
+            TrackWriter(tmp_path / "out", _header())
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", refuse)
+        with pytest.raises(InputError, match=r"checkpoint.pt: cannot be written \(no permission to write\)"):
+            _run(tmp_path / "other", 3)
+    assert _files(tmp_path / "other") == ["track.jsonl"]
+
+
+def test_a_killed_process_leaves_a_readable_track(tmp_path: Path):
+    """SIGKILL in the middle: no handler runs, the lines are there."""
+    code = f"""
+import os, signal, sys
+sys.path.insert(0, {str(Path(__file__).parents[3])!r})
+from pathlib import Path
+from torchhand.files import FrameRecord, TrackHeader, TrackWriter
+header = TrackHeader(dof_names=("a", "b"), source="x", side="left", camera={{}})
+with TrackWriter(Path({str(tmp_path / "out")!r}), header) as writer:
+    for frame in range(5):
+        writer.append(FrameRecord.empty(frame, "no_hand", dofs=2, seconds=0.5))
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    assert _files(tmp_path / "out") == ["track.jsonl"]
+    assert load_track(tmp_path / "out").seconds.tolist() == [0.5] * 5
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("track.npz", b"PK no archive", "track.npz: is no track that can be read"),
+        (
+            "track.jsonl",
+            b'{"format": "torchhand track 1", "dof_names": ["a"]}\n{"frame": 0}\n',
+            "is no track that can be",
+        ),
+        ("track.jsonl", b"", "track.jsonl: expected a track"),
+    ],
+)
+def test_files_that_are_no_track(tmp_path: Path, name: str, content: bytes, message: str):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=message):
+        load_track(tmp_path)
+
+
+def test_a_folder_without_a_track(tmp_path: Path):
+    with pytest.raises(InputError, match=r"expected a folder with track.npz or track.jsonl, found neither"):
+        load_track(tmp_path)
+    with pytest.raises(InputError, match=r"gone.npz: cannot be read"):
+        load_track(tmp_path / "gone.npz")
+
+
+def test_records_are_checked(tmp_path: Path):
+    good = _Tracker().step(0)
+    fields = {name: getattr(good, name) for name in good.__dataclass_fields__}
+    with pytest.raises(ValueError, match=r"pose, pose_std, .*: expected NaN in a frame that is lost, got numbers"):
+        FrameRecord(**{**fields, "status": "lost"})
+    with TrackWriter(tmp_path / "out", _header()) as writer:
+        writer.append(good)
+        with pytest.raises(ValueError, match="frame: expected more than 0, got 0"):
+            writer.append(good)
+        with pytest.raises(ValueError, match="pose: expected 36 DOFs, got 2"):
+            writer.append(FrameRecord.empty(1, "lost", dofs=2, seconds=0.0))
+    with pytest.raises(ValueError, match="checkpoint_every: expected 1 or more frames, got 0"):
+        TrackWriter(tmp_path / "other", _header(), checkpoint_every=0)
+
+
+def test_a_line_file_cuts_off_what_comes_after_its_size(tmp_path: Path):
+    path = tmp_path / "lines"
+    path.write_text("one\ntwo\nthr")
+    lines = LineFile(path, size=4)
+    lines.append("zwei")
+    lines.sync()
+    lines.close()
+    assert path.read_text() == "one\nzwei\n"

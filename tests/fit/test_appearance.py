@@ -1,0 +1,106 @@
+"""Colours learned from one picture, and the regions in which silhouettes are compared."""
+
+import math
+from typing import Any
+
+import pytest
+import torch
+
+from torchhand.fit.appearance import disc, grey, hand_region, learn_appearance, mask_plane, overlap, touching
+from torchhand.simulate import SceneSettings
+
+
+def test_learned_colours_tell_the_hand_from_clutter_in_another_picture(studio: Any) -> None:
+    look = SceneSettings(supersampling=2, background="clutter", noise=3.0)
+    first, second = studio.placed(angle_deg=10.0), studio.placed(angle_deg=-25.0, at=(0.15, 0.0))
+    appearance = learn_appearance(first.picture(look, seed=2), first.mask, ~first.mask, 1)
+    assert appearance is not None
+    probability = appearance.probability(second.picture(look, seed=2))
+    assert probability.dtype == torch.float32
+    assert float(probability.min()) >= 0
+    assert float(probability.max()) <= 1
+    assert float((probability[second.mask] > 0.5).float().mean()) > 0.95
+    # About a tenth of the clutter has the colours of skin.
+    assert float((probability[~second.mask] > 0.5).float().mean()) < 0.15
+
+
+def test_the_margin_keeps_mixed_colours_out() -> None:
+    image = torch.full((60, 80, 3), 20, dtype=torch.uint8)
+    image[20:40, 20:60] = torch.tensor((200, 150, 120), dtype=torch.uint8)
+    mask = torch.zeros(60, 80, dtype=torch.bool)
+    mask[18:42, 18:62] = True  # drawn 2 px too large: its rim shows the background
+    sharp, soft = (learn_appearance(image, mask, ~mask, margin) for margin in (3, 1))
+    assert sharp is not None
+    assert soft is not None
+    background = (slice(0, 10), slice(0, 80))
+    assert float(sharp.probability(image)[background].max()) < float(soft.probability(image)[background].min())
+
+
+@pytest.mark.parametrize("is_hand_empty", [True, False])
+def test_nothing_is_learned_from_nothing(is_hand_empty: bool) -> None:
+    image = torch.zeros(40, 40, 3, dtype=torch.uint8)
+    few, many = torch.zeros(40, 40, dtype=torch.bool), torch.ones(40, 40, dtype=torch.bool)
+    few[10:18, 10:18] = True  # 64 pixels, of which a margin of 2 leaves 16
+    hand, other = (few, many) if is_hand_empty else (many, few)
+    assert learn_appearance(image, hand, other, 2) is None
+
+
+def test_grey_is_luminance() -> None:
+    generator = torch.Generator().manual_seed(0)
+    image = torch.randint(0, 256, (7, 9, 3), generator=generator, dtype=torch.uint8)
+    weights = torch.tensor((0.299, 0.587, 0.114))  # ITU-R BT.601
+    torch.testing.assert_close(grey(image), (image.float() @ weights) / 255, rtol=0, atol=0.6 / 255)
+
+
+def test_the_plane_of_a_mask_crosses_a_half_on_its_outline() -> None:
+    mask = torch.zeros(30, 40, dtype=torch.bool)
+    mask[:, 20:] = True
+    plane = mask_plane(mask)
+    assert float(plane[15, 19]) < 0.5 < float(plane[15, 20])
+    torch.testing.assert_close(plane[15, 19] + plane[15, 20], torch.tensor(1.0))
+    assert float(plane[15, 25]) > 0.999
+
+
+def test_the_region_ends_at_the_wrist_and_at_its_reach() -> None:
+    wrist, knuckle = torch.tensor((30.0, 40.0)), torch.tensor((50.0, 25.0))
+    region = hand_region((80, 100), wrist, knuckle, 33.0)
+    for y in range(80):
+        for x in range(100):
+            along = (x - 30.0) * 20.0 + (y - 40.0) * -15.0
+            expected = along > 0 and math.hypot(x - 30.0, y - 40.0) < 33.0
+            if abs(along) > 1e-6:
+                assert bool(region[y, x]) == expected, (x, y)
+
+
+def test_a_disc() -> None:
+    drawn = disc((20, 30), torch.tensor((12.5, 7.0)), 4.0)
+    expected = [[math.hypot(x - 12.5, y - 7.0) < 4.0 for x in range(30)] for y in range(20)]
+    assert drawn.tolist() == expected
+
+
+def test_overlap_is_intersection_over_union_within_the_region() -> None:
+    one, other = torch.zeros(10, 20, dtype=torch.bool), torch.zeros(10, 20, dtype=torch.bool)
+    one[2:8, 2:10] = True
+    other[2:8, 6:14] = True
+    everywhere = torch.ones_like(one)
+    assert overlap(one, other, everywhere) == 24 / 72
+    left = everywhere.clone()
+    left[:, 10:] = False
+    assert overlap(one, other, left) == 24 / 48
+    nothing = torch.zeros_like(one)
+    assert overlap(one, other, nothing) == 0.0
+    assert overlap(one, one, everywhere) == 1.0
+
+
+def test_pieces_apart_from_the_model_do_not_count() -> None:
+    model, picture = torch.zeros(20, 30, dtype=torch.bool), torch.zeros(20, 30, dtype=torch.bool)
+    model[5:15, 5:12] = True
+    picture[4:14, 6:13] = True  # the hand
+    picture[14, 13] = True  # joined by a corner
+    picture[2:6, 20:26] = True  # clutter
+    kept = touching(picture, model)
+    expected = picture.clone()
+    expected[2:6, 20:26] = False
+    assert torch.equal(kept, expected)
+    assert not bool(touching(picture, torch.zeros_like(model)).any())
+    assert not bool(touching(torch.zeros_like(model), model).any())

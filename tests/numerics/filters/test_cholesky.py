@@ -1,0 +1,69 @@
+import pytest
+import torch
+
+from torchhand.numerics.filters.cholesky import robust_cholesky
+
+
+def random_spd(*batch: int, size: int = 5, seed: int = 0) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    root = torch.randn(*batch, size, size, generator=generator, dtype=torch.float64)
+    return root @ root.mT + 0.1 * torch.eye(size, dtype=torch.float64)
+
+
+@pytest.mark.parametrize("batch", [(), (1,), (2, 3)])
+def test_good_matrices_are_factored_exactly(batch: tuple[int, ...]) -> None:
+    matrix = random_spd(*batch)
+    assert torch.equal(robust_cholesky(matrix), torch.linalg.cholesky(matrix))
+
+
+def test_only_the_symmetric_part_counts() -> None:
+    matrix = random_spd()
+    skew = torch.triu(torch.ones_like(matrix), 1)
+    factor = robust_cholesky(matrix + skew - skew.mT)
+    assert torch.allclose(factor @ factor.mT, matrix, rtol=0, atol=1e-13)
+
+
+def test_a_bad_matrix_does_not_touch_its_neighbours() -> None:
+    matrices = random_spd(2, 3)
+    matrices[1, 0] = torch.diag(torch.tensor([1.0, 2.0, -1e-3, 1.0, 3.0], dtype=torch.float64))
+    matrices[0, 2] = torch.nan
+    factor = robust_cholesky(matrices)
+    good = torch.tensor([[True, True, False], [False, True, True]])
+    assert torch.equal(factor[good], torch.linalg.cholesky(matrices[good]))
+    assert factor[0, 2].isnan().all()
+    assert factor[1, 0].isfinite().all()
+
+
+def test_singular_matrix_gets_the_smallest_jitter() -> None:
+    root = torch.randn(6, 2, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    matrix = root @ root.mT - 1e-13 * torch.eye(6, dtype=torch.float64)
+    factor = robust_cholesky(matrix)
+    scale = float(matrix.diagonal().mean())
+    assert torch.allclose(factor @ factor.mT, matrix, rtol=0, atol=1.1e-10 * scale)
+    assert torch.equal(factor, factor.tril())
+
+
+def test_indefinite_matrix_gives_the_factor_of_its_clipped_form() -> None:
+    vectors = torch.linalg.qr(random_spd(seed=5)).Q
+    values = torch.tensor([4.0, 2.0, 1.0, -0.5, -1.0], dtype=torch.float64)
+    factor = robust_cholesky(vectors * values @ vectors.mT)
+    clipped = vectors * values.clamp_min(4e-12) @ vectors.mT
+    assert torch.allclose(factor @ factor.mT, clipped, rtol=0, atol=1e-13)
+    assert torch.equal(factor, factor.tril())
+    assert (factor.diagonal() >= 0).all()
+
+
+@pytest.mark.parametrize("sign", [0.0, -1.0])
+def test_nothing_positive_gives_zeros(sign: float) -> None:
+    factor = robust_cholesky(sign * torch.eye(3, dtype=torch.float64))
+    assert torch.equal(factor, torch.zeros(3, 3, dtype=torch.float64))
+
+
+def test_gradient_flows_past_a_repaired_neighbour() -> None:
+    good = random_spd(size=3)
+
+    def product(matrix: torch.Tensor) -> torch.Tensor:
+        bad = torch.diag(torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64))
+        return robust_cholesky(torch.stack([matrix, bad]))[0]
+
+    assert torch.autograd.gradcheck(product, good.requires_grad_())

@@ -1,0 +1,163 @@
+"""The folder of a hypothesis study: batches that outlive the program, other studies refused, good results kept."""
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from torchhand.errors import InputError
+from torchhand.study.hypotheses.folder import RESULT_NAMES, StudyFolder, load_study, save_study
+from torchhand.study.hypotheses.record import Hypotheses
+
+HEADER: dict[str, Any] = {"settings": {"starts": 6, "best_of": (1, 2), "far": float("inf")}, "seed": 3}
+
+
+def batch(start: int, count: int = 3) -> Hypotheses:
+    index = np.arange(start, start + count)
+    plain = {f.name: index + 0.5 for f in fields(Hypotheses)}
+    whole = {name: index for name in ("frame", "batch", "seed", "level", "iterations")}
+    wide = {name: np.tile(index[:, None] / 7, size) for name, size in (("perturbation", 26), ("pose", 36))}
+    return Hypotheses(**(plain | whole | wide | {"status": index % 4}))
+
+
+def assert_same(one: Hypotheses | None, other: Hypotheses) -> None:
+    assert one is not None
+    for f in fields(Hypotheses):
+        np.testing.assert_array_equal(getattr(one, f.name), getattr(other, f.name))
+
+
+def begun(out: Path, *, resume: bool = False, overwrite: bool = False, header: dict[str, Any] = HEADER) -> StudyFolder:
+    return StudyFolder(out, header, resume=resume, overwrite=overwrite)
+
+
+def finish(folder: StudyFolder, text: str) -> None:
+    with folder.finishing() as place:
+        for name in RESULT_NAMES[:-1]:
+            (place / name).write_text(text)
+        save_study(place / RESULT_NAMES[-1], folder.header, Hypotheses.joined([batch(0), batch(3)]), {"more": [1, 2]})
+
+
+def test_batches_outlive_the_program(tmp_path: Path) -> None:
+    first = begun(tmp_path / "out")
+    first.save_batch(0, batch(0))
+    first.save_batch(2, batch(3))
+    again = begun(tmp_path / "out", resume=True)
+    assert again.finished is None
+    assert_same(again.load_batch(0), batch(0))
+    assert again.load_batch(1) is None
+    assert_same(again.load_batch(2), batch(3))
+
+
+def test_a_damaged_batch_counts_as_none(tmp_path: Path) -> None:
+    folder = begun(tmp_path / "out")
+    folder.save_batch(0, batch(0))
+    folder.save_batch(1, batch(3))
+    path = folder.folder / "batch_000000.npz"
+    path.write_bytes(path.read_bytes()[:300])
+    (folder.folder / "batch_000001.npz").write_bytes(b"")
+    again = begun(tmp_path / "out", resume=True)
+    assert again.load_batch(0) is None
+    assert again.load_batch(1) is None
+
+
+def test_finishing_leaves_the_results_alone(tmp_path: Path) -> None:
+    folder = begun(tmp_path / "out")
+    folder.save_batch(0, batch(0))
+    (folder.folder / ".batch_000001.partial.npz").write_bytes(b"what a killed program leaves")
+    finish(folder, "new")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == set(RESULT_NAMES)
+    header, found = load_study(tmp_path / "out" / "hypotheses.npz")
+    assert header == folder.header
+    assert_same(found, Hypotheses.joined([batch(0), batch(3)]))
+    again = begun(tmp_path / "out", resume=True)
+    assert_same(again.finished, found)
+    assert {path.name for path in (tmp_path / "out").iterdir()} == set(RESULT_NAMES)
+
+
+def test_the_same_study_has_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a.npz", "b.npz"):
+        save_study(tmp_path / name, {"seed": 1}, batch(0), {"units": "m"})
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    with np.load(tmp_path / "a.npz") as stored:
+        assert stored["status"].tolist() == ["converged", "stalled", "failed"]
+        assert str(stored["units"]) == "m"
+
+
+def test_an_older_result_stays_until_the_new_one_is_whole(tmp_path: Path) -> None:
+    finish(begun(tmp_path), "old")
+    with pytest.raises(InputError, match="the output folder exists and is not empty"):
+        begun(tmp_path)
+    other = begun(tmp_path, overwrite=True, header={"seed": 4})
+    other.save_batch(0, batch(0))
+    assert (tmp_path / "study.csv").read_text() == "old"
+    other.discard()
+    assert {path.name for path in tmp_path.iterdir()} == set(RESULT_NAMES)
+    other = begun(tmp_path, overwrite=True, header={"seed": 4})
+    other.save_batch(1, batch(3))
+    resumed = begun(tmp_path, resume=True, header={"seed": 4})
+    assert_same(resumed.load_batch(1), batch(3))
+    finish(resumed, "new")
+    assert (tmp_path / "study.csv").read_text() == "new"
+
+
+def test_starting_afresh_forgets_what_was_begun(tmp_path: Path) -> None:
+    begun(tmp_path).save_batch(0, batch(0))
+    assert begun(tmp_path, overwrite=True).load_batch(0) is None
+
+
+def test_nothing_begun_leaves_nothing_when_discarded(tmp_path: Path) -> None:
+    begun(tmp_path / "out").discard()
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("is_finished", [False, True])
+def test_another_study_is_refused_by_name(is_finished: bool, tmp_path: Path) -> None:
+    folder = begun(tmp_path)
+    folder.save_batch(0, batch(0))
+    if is_finished:
+        finish(folder, "old")
+    where = tmp_path / ("hypotheses.npz" if is_finished else "unfinished/header.json")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    for header, difference in (
+        (HEADER | {"seed": 4}, "seed was 3, is now 4"),
+        (HEADER | {"settings": {**HEADER["settings"], "starts": 7}}, "settings.starts was 6, is now 7"),
+        (HEADER | {"new": 1}, "new was None, is now 1"),
+    ):
+        with pytest.raises(InputError) as refusal:
+            begun(tmp_path, resume=True, header=header)
+        assert str(refusal.value) == (
+            f"{where}: cannot be resumed: {difference}; give the same options as before, or --overwrite"
+        )
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_what_is_no_study_is_not_resumed(tmp_path: Path) -> None:
+    assert begun(tmp_path / "new", resume=True).finished is None  # nothing there: a first run
+    (tmp_path / "photo.jpg").write_text("mine")
+    with pytest.raises(InputError, match=r"cannot be resumed: expected a study, found new"):
+        begun(tmp_path, resume=True)
+    with pytest.raises(InputError, match="expected at most one of --resume and --overwrite, got both"):
+        begun(tmp_path, resume=True, overwrite=True)
+    (tmp_path / "hypotheses.npz").write_bytes(b"PK")
+    with pytest.raises(InputError, match=r"hypotheses.npz: is no hypothesis study that can be read"):
+        begun(tmp_path, resume=True)
+
+
+def test_another_program_s_arrays_are_no_study(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", header=np.array('{"format": "else"}'), status=np.array(["failed"]))
+    with pytest.raises(InputError, match="expected the format 'torchhand hypothesis study 1', got 'else'"):
+        load_study(tmp_path / "a.npz")
+    np.savez(tmp_path / "b.npz", x=np.zeros(3))
+    with pytest.raises(InputError, match=r"b.npz: is no hypothesis study that can be read \(KeyError: 'header"):
+        load_study(tmp_path / "b.npz")
+
+
+def test_a_batch_of_differing_lengths_counts_as_none(tmp_path: Path) -> None:
+    folder = begun(tmp_path)
+    arrays: dict[str, Any] = batch(0).arrays() | {"cost": np.zeros(2)}
+    np.savez(folder.folder / "batch_000000.npz", **arrays)
+    np.savez(folder.folder / "batch_000001.npz", cost=np.zeros(2))
+    assert folder.load_batch(0) is None
+    assert folder.load_batch(1) is None

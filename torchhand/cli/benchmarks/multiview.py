@@ -1,0 +1,96 @@
+"""Measures of `torchhand benchmark` on tracking by several cameras: frames per second, memory."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from torchhand.cli.benchmarks.figures import Figure
+from torchhand.cli.benchmarks.runs import FRAMES_PER_SECOND, memory_figure, speed_figure, there_and_back, with_bar
+from torchhand.files import find_config, load_hand_model, load_settings, save_cameras, save_hand, write_video
+from torchhand.geometry import Camera, rotation_from_vector
+from torchhand.hand import Hand
+from torchhand.simulate import named_rig, scripted_motion, stage_camera
+from torchhand.track.multiview import Anchor, MultiViewMemory, MultiViewSettings, MultiViewTracker, ViewSilhouettes
+from torchhand.view import mesh_silhouette
+
+RIG, SIZE_PX, MOTION = "frame4", (640, 480), "free"
+FRAMES, ROUNDS = 24, 5
+MEMORY_FRAMES, MEMORY_RENDERED = 1000, 24
+MEMORY_MUST_MIB = 2048.0
+_SKIN, _SCREEN = (205, 150, 125), (40, 70, 150)  # RGB
+_NOISE = 6  # 8-bit levels
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Recording:
+    """A hand that moves before a coloured screen, as the cameras of a rig see it."""
+
+    hand: Hand
+    cameras: list[Camera]
+    moments: list[list[Tensor]]
+    """Pictures of all views."""
+    start: Anchor
+
+
+def _simulated(frames: int) -> _Recording:
+    hand = load_hand_model().hand(side="right", dtype=torch.float64)
+    cameras, generator = named_rig(RIG, size=SIZE_PX), torch.Generator().manual_seed(0)
+    stage = stage_camera(cameras, float(hand.kinematics.shape_space.metric(hand.shape)["hand_length"]))
+    course = scripted_motion(MOTION, frames, hand.kinematics, stage, generator, fps=FRAMES_PER_SECOND)
+    screen, skin = torch.tensor(_SCREEN), torch.tensor(_SKIN)
+    noise = torch.randint(-_NOISE, _NOISE + 1, (SIZE_PX[1], SIZE_PX[0], 3), generator=generator)
+    moments = []
+    for pose in with_bar(course.poses, frames, "rendering"):
+        vertices = hand(pose.double(), root_reference=course.root_reference.double()).vertices
+        masks = [mesh_silhouette(vertices, hand.faces, camera) for camera in cameras]
+        moments.append([(torch.where(mask[..., None], skin, screen) + noise).to(torch.uint8) for mask in masks])
+    first = course.poses[0].double().clone()
+    reference = rotation_from_vector(first[3:6]) @ course.root_reference.double()
+    first[3:6] = 0.0
+    start = Anchor(pose=first, root_reference=reference)
+    return _Recording(hand=hand, cameras=cameras, moments=moments, start=start)
+
+
+def track_views(name: str, repeats: int | None, *, must: float, aim: float) -> Figure:
+    """Frames per second from pictures to pose: silhouettes, octree, fit and judgement; the start is made."""
+    recording = _simulated(FRAMES)
+    settings = load_settings(MultiViewSettings(), find_config("hull_lm"))
+    silhouettes = ViewSilhouettes(recording.cameras, settings.silhouette)
+    tracker = MultiViewTracker(recording.hand, silhouettes.cameras, FRAMES_PER_SECOND, settings)
+    with torch.inference_mode():
+        skins = silhouettes.learn(recording.moments[0], [None] * len(recording.cameras))
+        memory = MultiViewMemory(shape=recording.hand.shape)
+        masks = silhouettes(recording.moments[0], skins)
+        start, memory, _ = tracker.step(None, memory, masks, {0: recording.start}, 0)
+
+        def run() -> list[str]:
+            state, own, statuses = start, memory, []
+            for images in recording.moments[1:]:
+                state, own, estimate = tracker.step(state, own, silhouettes(images, skins))
+                statuses.append(estimate.status)
+            return statuses
+
+        details = {"rig": RIG, "motion": MOTION}
+        return speed_figure(name, run, repeats or ROUNDS, must=must, aim=aim, details=details)
+
+
+def track_views_memory(name: str, repeats: int | None) -> Figure:
+    """Resident memory of `torchhand track_multiview` over a long recording."""
+    return memory_figure(name, _long_recording, must=MEMORY_MUST_MIB, frames=MEMORY_FRAMES, size=SIZE_PX)
+
+
+def _long_recording(folder: Path) -> list[str]:
+    """Written into a folder; the command that tracks it."""
+    recording, rig = _simulated(MEMORY_RENDERED), folder / "rig"
+    space, hand = recording.hand.kinematics.shape_space, folder / "hand.json"
+    rig.mkdir()
+    save_cameras(recording.cameras, rig / "cameras.json")
+    save_hand(hand, space.names, recording.hand.shape.tolist(), "right", {}, units=space.units)
+    for view, camera in enumerate(recording.cameras):
+        path = rig / f"{camera.name}.mp4"
+        with write_video(path, width=camera.width, height=camera.height, fps=FRAMES_PER_SECOND) as writer:
+            for images in there_and_back(recording.moments, MEMORY_FRAMES, f"writing view {view}"):
+                writer.write(images[view])
+    return ["track_multiview", str(rig), "--hand", str(hand), "--set", "shape_frames=1"]

@@ -1,0 +1,183 @@
+"""Measures of `torchhand benchmark` on registration: one hand as a tracker registers it, and thousands of starts."""
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+
+import cv2
+import torch
+from torch import Tensor
+
+from torchhand.cli.benchmarks.figures import Figure
+from torchhand.evaluate import time_interleaved
+from torchhand.files import load_hand_model
+from torchhand.fit import Expectation, PostureResiduals, own_limits
+from torchhand.fit.contour import (
+    LEVELS,
+    TRACKING_LEVELS,
+    PictureContours,
+    Registration,
+    RegistrationSettings,
+    picture_contours,
+    register,
+)
+from torchhand.geometry import assumed_camera, rotation_from_vector
+from torchhand.hand import PoseConstraints, named_pose_space
+from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
+from torchhand.view import HandProjector, OutlineTable, PrimitiveContours, outline_table
+
+SIZE_PX, FOV_DEG, FRAME = (640, 480), 48.0, 12
+SPACE = named_pose_space("dof26")
+TABLE = outline_table(16, 12, without=("palm_wrist",))
+"""With the picture's 256 points about a thousand residuals."""
+ONE_MUST_MS, ONE_AIM_MS = 40.0, 15.0
+MANY, MANY_MUST_MS, MANY_AIM_MS = 128, 90.0, 30.0
+"""Starts at once; 90 ms for each of 10,000 are 15 minutes."""
+ROUNDS, MANY_ROUNDS = 15, 3
+"""Repeats unless --repeats says otherwise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """A hand before a camera, its picture, and starts around it."""
+
+    projector: HandProjector
+    image: Tensor
+    mask: Tensor
+    truth: Tensor
+    reference: Tensor
+    pose: Tensor
+    references: Tensor
+
+    @classmethod
+    def of(cls, count: int, *, deg: float, mm: float) -> "Case":
+        """Starts whose every angle, place and direction are off by up to so much."""
+        kinematics = load_hand_model().kinematics(dtype=torch.float64)
+        camera = replace(assumed_camera(*SIZE_PX, horizontal_fov_deg=FOV_DEG), is_assumed=False)
+        generator = torch.Generator().manual_seed(0)
+        motion = scripted_motion("free", FRAME + 1, kinematics, camera, generator)
+        truth = SPACE.free(motion.poses[FRAME])
+        motion = replace(motion, poses=SPACE.dof(truth)[None])
+        frame = next(iter(render_sequence(kinematics, motion, camera, SceneSettings(), generator)))
+
+        def off(*size: int) -> Tensor:
+            return 2 * torch.rand(*size, generator=generator, dtype=torch.float64) - 1
+
+        free = truth + torch.cat(
+            (1e-3 * mm * off(count, 3), torch.zeros(count, 3), math.radians(deg) * off(count, SPACE.size - 6)), -1
+        )
+        free = free.clamp(*own_limits(SPACE, kinematics.skeleton))
+        turned = rotation_from_vector(math.radians(deg) * off(count, 3)) @ motion.root_reference
+        return cls(
+            projector=HandProjector(kinematics, camera),
+            image=frame.image,
+            mask=frame.mask,
+            truth=SPACE.dof(truth),
+            reference=motion.root_reference,
+            pose=SPACE.dof(free),
+            references=turned,
+        )
+
+    def contours(self, table: OutlineTable) -> PrimitiveContours:
+        return PrimitiveContours(self.projector, table, SPACE.basis)
+
+    def errors_mm(self, pose: Tensor, reference: Tensor) -> Tensor:
+        """Mean over the keypoints."""
+        kinematics, truth = self.projector.kinematics, self.projector.frames(self.truth, self.reference).keypoints
+        return 1e3 * (kinematics(pose, root_reference=reference).keypoints - truth).norm(dim=-1).mean(-1)
+
+
+def _registration(case: Case, settings: RegistrationSettings) -> Callable[[PictureContours], Registration]:
+    """With all that a tracker's registration has: constraints, prior and what is expected."""
+    contours, model = case.contours(TABLE), load_hand_model()
+    std = torch.full((SPACE.size,), math.radians(9.0), dtype=torch.float64)
+    std[:3], std[3:6] = 0.03, 0.3
+    return partial(
+        register,
+        contours=contours,
+        space=SPACE,
+        pose=case.pose,
+        root_reference=case.references,
+        settings=settings,
+        constraints=PoseConstraints(model.skeleton),
+        prior=PostureResiduals.of(model.prior().postures),
+        expected=Expectation.from_std(SPACE.free(case.pose), case.references, std),
+    )
+
+
+@contextmanager
+def _picture_threads() -> Iterator[None]:
+    """OpenCV computes with as many threads as torch does."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(torch.get_num_threads())
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+def one_registration(name: str, repeats: int | None) -> Figure:
+    """One hypothesis from a prediction a few degrees off; the picture's maps and valleys are measured by themselves."""
+    case, settings = Case.of(1, deg=4.0, mm=3.0), RegistrationSettings(levels=TRACKING_LEVELS)
+    fit, repeats = _registration(case, settings), repeats or ROUNDS
+    with _picture_threads():
+        contours = picture_contours(case.mask, settings, image=case.image)
+        look = partial(picture_contours, case.mask, settings, image=case.image)
+        calls = {"fit": lambda: fit(contours), "picture": look, "together": lambda: fit(look())}
+        times = time_interleaved(calls, repeats, warm_up=3)
+    found = fit(contours)
+    errors = [
+        float(case.errors_mm(*pair)) for pair in ((case.pose, case.references), (found.pose, found.root_reference))
+    ]
+    details = {f"{part}_ms": timing.median for part, timing in times.items()} | {
+        "fit_fastest_ms": times["fit"].fastest,
+        "residuals": TABLE.size + len(contours.boundary.points_px),
+        "parameters": SPACE.size,
+        "iterations": int(found.iterations),
+        "error_before_mm": errors[0],
+        "error_after_mm": errors[1],
+    }
+    note = f"the picture's maps and valleys take {times['picture'].median:.1f} ms, both together"
+    return Figure(
+        name=name,
+        value=times["fit"].median,
+        unit="ms",
+        must=ONE_MUST_MS,
+        aim=ONE_AIM_MS,
+        ours_ms=times["fit"].median,
+        repeats=repeats,
+        note=f"{note} {times['together'].median:.1f} ms; error {errors[0]:.1f} mm before, {errors[1]:.1f} mm after",
+        details=details,
+    )
+
+
+def many_hypotheses(name: str, repeats: int | None) -> Figure:
+    """Milliseconds per start of a batch, from coarse to fine, at most twenty iterations each."""
+    settings = RegistrationSettings(levels=LEVELS, hypotheses_at_once=MANY)
+    case = Case.of(MANY, deg=15.0, mm=10.0)
+    fit, repeats = _registration(case, settings), repeats or MANY_ROUNDS
+    contours = picture_contours(case.mask, settings, image=case.image)
+    [timing] = time_interleaved({"ours": lambda: fit(contours)}, repeats, warm_up=1).values()
+    found = fit(contours)
+    each = timing.median / MANY
+    details = {
+        "hypotheses": MANY,
+        "most_iterations": sum(level.rounds * level.iterations for level in LEVELS),
+        "mean_iterations": float(found.iterations.double().mean()),
+        "minutes_per_10000": each * 10_000 / 60_000,
+        "median_contour_px": float(found.contour_px.median()),
+    }
+    return Figure(
+        name=name,
+        value=each,
+        unit="ms",
+        must=MANY_MUST_MS,
+        aim=MANY_AIM_MS,
+        ours_ms=each,
+        repeats=repeats,
+        note=f"per hypothesis of {MANY}; {details['minutes_per_10000']:.1f} minutes for 10,000; contours are"
+        f" {details['median_contour_px']:.2f} px off at the end (median)",
+        details=details,
+    )

@@ -1,0 +1,60 @@
+"""How results are judged: errors of position, angle, motion and silhouette, continuity, and honesty of covariances."""
+
+from torchhand.evaluate.alignment import Similarity, fit_similarity
+from torchhand.evaluate.angles import flexion_deg, without_offset
+from torchhand.evaluate.continuity import Continuity, continuity
+from torchhand.evaluate.evaluation import MIDDLE_MCP, evaluate
+from torchhand.evaluate.nees import Consistency, consistency, normalised_errors_squared
+from torchhand.evaluate.planar_motion import PlanarMotionErrors, planar_motion_errors
+from torchhand.evaluate.pose_errors import PoseErrors, pose_errors
+from torchhand.evaluate.positions import WRIST, aligned_errors, joint_errors, root_relative_errors
+from torchhand.evaluate.silhouettes import MaskOfFrame, cut_at_wrist, intersection_over_union
+from torchhand.evaluate.timing import (
+    PROC,
+    THREAD_VARIABLES,
+    Timing,
+    machine_facts,
+    memory_growth,
+    time_interleaved,
+    watch_memory,
+)
+from torchhand.evaluate.tracked_silhouettes import tracked_projector, tracked_silhouettes
+from torchhand.evaluate.truth import Truth, load_mask, load_truth, numbered_pictures
+
+__all__ = [
+    "MIDDLE_MCP",
+    "PROC",
+    "THREAD_VARIABLES",
+    "WRIST",
+    "Consistency",
+    "Continuity",
+    "MaskOfFrame",
+    "PlanarMotionErrors",
+    "PoseErrors",
+    "Similarity",
+    "Timing",
+    "Truth",
+    "aligned_errors",
+    "consistency",
+    "continuity",
+    "cut_at_wrist",
+    "evaluate",
+    "fit_similarity",
+    "flexion_deg",
+    "intersection_over_union",
+    "joint_errors",
+    "load_mask",
+    "load_truth",
+    "machine_facts",
+    "memory_growth",
+    "normalised_errors_squared",
+    "numbered_pictures",
+    "planar_motion_errors",
+    "pose_errors",
+    "root_relative_errors",
+    "time_interleaved",
+    "tracked_projector",
+    "tracked_silhouettes",
+    "watch_memory",
+    "without_offset",
+]

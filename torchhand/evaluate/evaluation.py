@@ -1,0 +1,172 @@
+"""All errors of one tracked sequence, as plain numbers ready for a file or a table."""
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from torchhand.errors import InputError
+from torchhand.evaluate.angles import (
+    flexion_deg,
+    proximal_turns_deg,
+    proximal_turns_in_space_deg,
+    without_offset,
+    wrapped_deg,
+)
+from torchhand.evaluate.continuity import continuity
+from torchhand.evaluate.finite import is_finite_set, max_finite, mean_finite, median_finite, rms_finite
+from torchhand.evaluate.nees import consistency
+from torchhand.evaluate.planar_motion import planar_motion_errors
+from torchhand.evaluate.positions import WRIST, aligned_errors, joint_errors, root_relative_errors
+from torchhand.evaluate.silhouettes import MaskOfFrame, cut_at_wrist, intersection_over_union
+from torchhand.evaluate.truth import Truth, load_mask
+from torchhand.files import Track
+from torchhand.hand import FINGERS
+
+MIDDLE_MCP = 9
+GOOD_FRAME_MM = 20.0
+MM_PER_M = 1000.0
+
+Figures = dict[str, Any]
+
+
+def evaluate(track: Track, truth: Truth, predicted_mask: MaskOfFrame | None = None) -> Figures:
+    """Judge a sequence; frames are matched by number.
+
+    A section that the inputs do not allow is missing. `predicted_mask` gives the hand's silhouette of a frame number
+    (None where there is none). Figures of nothing (all frames lost) are NaN.
+
+    Raises:
+        InputError: a frame number that the truth does not have: this is another sequence's truth.
+    """
+    rows = track.frame
+    if truth.frames is not None and rows.size and not (rows.min() >= 0 and rows.max() < truth.frames):
+        outside = int(rows.max()) if rows.max() >= truth.frames else int(rows.min())
+        raise InputError(
+            f"{truth.source}: expected the truth of the tracked sequence, but it holds frames 0 to {truth.frames - 1} "
+            f"and the result has frame {outside}"
+        )
+    figures: Figures = {"tracking": _tracking(track, truth)}
+    if truth.keypoints3d is not None:
+        figures["position_mm"] = _positions(track, truth.keypoints3d[rows])
+        turns = _turns_in_space(track, truth.keypoints3d[rows])
+        if turns is not None:
+            figures["turn_in_space_deg"] = turns
+    if truth.keypoints2d is not None and track.keypoints2d is not None:
+        true_px = truth.keypoints2d[rows]
+        figures["position_2d_px"] = _summary(joint_errors(track.keypoints2d, true_px))
+        motion = _planar_motion(track, true_px)
+        if motion is not None:
+            figures["planar_motion"] = motion
+    if truth.flexion_deg is not None:
+        figures["flexion_deg"] = _flexion(track, truth.flexion_deg[rows])
+    if truth.mask_files and predicted_mask is not None:
+        overlap = _silhouettes(track, truth, predicted_mask)
+        if overlap["frames"]:
+            figures["silhouette"] = overlap
+    own_overlap = track.measures.get("overlap", np.empty(0))
+    if np.isfinite(own_overlap).any():
+        figures["overlap_with_own_segmentation"] = {"median": median_finite(own_overlap)}
+    if truth.keypoints3d is not None:
+        honesty = consistency(track.keypoints3d - truth.keypoints3d[rows], track.keypoints3d_cov)
+        if honesty is not None:
+            figures["uncertainty"] = asdict(honesty)
+    ms = 1e3 * track.seconds
+    figures["speed"] = {"median_ms_per_frame": median_finite(ms), "largest_ms_per_frame": max_finite(ms)}
+    return figures
+
+
+def _tracking(track: Track, truth: Truth) -> Figures:
+    figures: Figures = {"frames_of_truth": truth.frames, **asdict(continuity(track.status.tolist()))}
+    if truth.keypoints3d is not None and len(track.frame):
+        true = truth.keypoints3d[track.frame]
+        for name, errors in (
+            ("share_largest_error_below_20mm", joint_errors(track.keypoints3d, true)),
+            ("share_largest_root_relative_error_below_20mm", root_relative_errors(track.keypoints3d, true)),
+        ):
+            largest = MM_PER_M * errors.max(axis=-1)  # NaN where any joint is unknown: such a frame is not below
+            figures[name] = float(np.mean(largest < GOOD_FRAME_MM))
+    return figures
+
+
+def _positions(track: Track, true: Float[np.ndarray, "frames 21 3"]) -> Figures:
+    errors = {
+        "frame": joint_errors(track.keypoints3d, true),
+        "root_relative": root_relative_errors(track.keypoints3d, true),
+        "aligned": aligned_errors(track.keypoints3d, true),
+    }
+    return {name: _summary(MM_PER_M * values) for name, values in errors.items()}
+
+
+def _summary(errors: Float[np.ndarray, "frames joints"]) -> Figures:
+    return {"mean": mean_finite(errors), "median": median_finite(errors), "largest": max_finite(errors)}
+
+
+def _planar_motion(track: Track, true_px: Float[np.ndarray, "frames 21 2"]) -> Figures | None:
+    assert track.keypoints2d is not None
+    motion = planar_motion_errors(track.keypoints2d, true_px)
+    if motion is None:
+        return None
+    turns = [proximal_turns_deg(points, motion.reference) for points in (track.keypoints2d, true_px)]
+    spreading = np.delete(np.abs(wrapped_deg(turns[0] - turns[1])), motion.reference, axis=0)
+    return {
+        "proximal_turn_mean_deg": mean_finite(spreading),
+        "proximal_turn_largest_deg": max_finite(spreading),
+        "reference_frame": int(track.frame[motion.reference]),
+        "frames": int(is_finite_set(track.keypoints2d).sum()),
+        "rotation_rms_deg": rms_finite(motion.rotation_deg),
+        "rotation_largest_deg": max_finite(motion.rotation_deg),
+        "displacement_rms_px": rms_finite(motion.displacement_px),
+        "displacement_largest_px": max_finite(motion.displacement_px),
+        "displacement_with_scale_rms_px": rms_finite(motion.displacement_with_scale_px),
+        "displacement_with_scale_largest_px": max_finite(motion.displacement_with_scale_px),
+        "scale_rms_percent": rms_finite(motion.scale_percent),
+        "true_scale_largest_change_percent": max_finite(100.0 * (motion.true_scale - 1.0)),
+    }
+
+
+def _turns_in_space(track: Track, true: Float[np.ndarray, "frames 21 3"]) -> Figures | None:
+    """Turns of the proximal phalanges since the first frame that is known; None with fewer than two such frames."""
+    known = np.flatnonzero(is_finite_set(track.keypoints3d) & is_finite_set(true))
+    if len(known) < 2:
+        return None
+    reference = int(known[0])
+    turns = [proximal_turns_in_space_deg(points, reference) for points in (track.keypoints3d, true)]
+    errors = np.delete(np.abs(turns[0] - turns[1]), reference, axis=0)
+    return {
+        "reference_frame": int(track.frame[reference]),
+        "mean": mean_finite(errors),
+        "largest": {finger: max_finite(errors[:, i]) for i, finger in enumerate(FINGERS)},
+    }
+
+
+def _flexion(track: Track, true_deg: Float[np.ndarray, "frames 5 3"]) -> Figures:
+    errors = flexion_deg(track.keypoints3d) - true_deg
+    return {"mean": mean_finite(np.abs(without_offset(errors))), "raw_mean": mean_finite(np.abs(errors))}
+
+
+def _silhouettes(track: Track, truth: Truth, predicted_mask: MaskOfFrame) -> Figures:
+    overlaps = []
+    for number in track.frame.tolist():
+        predicted = predicted_mask(number) if number in truth.mask_files else None
+        if predicted is None:
+            continue
+        true = load_mask(truth.mask_files[number])
+        if true.shape != predicted.shape:
+            raise InputError(
+                f"{truth.mask_files[number]}: expected a mask of {predicted.shape[1]}x{predicted.shape[0]} pixels, "
+                f"got {true.shape[1]}x{true.shape[0]}"
+            )
+        if truth.keypoints2d is not None:
+            wrist, middle = truth.keypoints2d[number, [WRIST, MIDDLE_MCP]]
+            true, predicted = (cut_at_wrist(mask, wrist, middle) for mask in (true, predicted))
+        overlaps.append(float(intersection_over_union(true, predicted)))
+    values = np.asarray(overlaps, dtype=np.float64)
+    known = values[np.isfinite(values)]
+    return {
+        "frames": len(overlaps),
+        "median_iou": median_finite(values),
+        "mean_iou": mean_finite(values),
+        "smallest_iou": float(known.min()) if known.size else float("nan"),
+    }

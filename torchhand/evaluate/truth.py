@@ -1,0 +1,90 @@
+"""The truth that a tracked sequence is judged by: a truth.npz, and exact masks where a folder has them."""
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from torchhand.errors import InputError
+from torchhand.files.disk import opened_arrays
+
+SHAPES = {"keypoints3d": (21, 3), "keypoints2d": (21, 2), "flexion_deg": (5, 3)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Truth:
+    """Row i belongs to frame number i. What a sequence does not know is None."""
+
+    source: Path
+    frames: int | None
+    """Number of rows; None where there are only masks."""
+    keypoints3d: Float[np.ndarray, "frames 21 3"] | None = None
+    """Metres; camera frame, world frame for several cameras."""
+    keypoints2d: Float[np.ndarray, "frames 21 2"] | None = None
+    """px; one camera only."""
+    flexion_deg: Float[np.ndarray, "frames 5 3"] | None = None
+    """Degrees between successive bones of thumb, index, middle, ring, little."""
+    mask_files: dict[int, Path] = field(default_factory=dict)
+    """Pictures by frame number; the hand is what is not 0."""
+
+
+def load_truth(path: Path) -> Truth:
+    """Read a folder with truth.npz and masks/ (either may be missing), or a truth file itself.
+
+    Raises:
+        InputError: nothing there, not an npz file, no known key, or arrays of wrong or differing shapes.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: expected a folder with truth.npz, or that file; there is nothing")
+    file = path / "truth.npz" if path.is_dir() else path
+    mask_files = numbered_pictures(file.parent / "masks")
+    if not file.exists():
+        if not mask_files:
+            raise InputError(f"{path}: expected truth.npz or masks/ in this folder; neither is there")
+        return Truth(source=path, frames=None, mask_files=mask_files)
+    arrays = _known_arrays(file)
+    lengths = {key: len(array) for key, array in arrays.items()}
+    if len(set(lengths.values())) > 1:
+        raise InputError(f"{file}: expected arrays of one length, got {_listed(lengths)}")
+    return Truth(source=file, frames=next(iter(lengths.values())), mask_files=mask_files, **arrays)
+
+
+def numbered_pictures(folder: Path) -> dict[int, Path]:
+    """Pictures of a folder by the last number in their names; empty where the folder is missing."""
+    if not folder.is_dir():
+        return {}
+    files = [file for file in folder.iterdir() if file.suffix.lower() in (".png", ".jpg", ".jpeg", ".bmp", ".tif")]
+    return {int(digits[-1]): file for file in sorted(files) if (digits := re.findall(r"\d+", file.stem))}
+
+
+def load_mask(file: Path) -> Bool[np.ndarray, "height width"]:
+    """Read one mask; the hand is what is not 0.
+
+    Raises:
+        InputError: the picture cannot be read.
+    """
+    picture = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+    if picture is None:
+        raise InputError(f"{file}: expected a picture with a mask; it cannot be read")
+    return np.asarray(picture) > 0
+
+
+def _known_arrays(file: Path) -> dict[str, np.ndarray]:
+    complaint = f"expected an npz file with {', '.join(SHAPES)}; it cannot be read as one"
+    with opened_arrays(file, complaint=complaint) as stored:
+        given = list(stored)
+        arrays = {key: np.asarray(stored[key]) for key in SHAPES if key in given}
+    if not arrays:
+        raise InputError(f"{file}: expected at least one of {', '.join(SHAPES)}; got {', '.join(given) or 'no key'}")
+    for key, array in arrays.items():
+        if array.ndim != 3 or array.shape[1:] != SHAPES[key] or not np.issubdtype(array.dtype, np.number):
+            wanted = ", ".join(str(size) for size in SHAPES[key])
+            raise InputError(f"{file}: {key}: expected numbers of shape (frames, {wanted}), got {array.shape}")
+    return {key: array.astype(np.float64) for key, array in arrays.items()}
+
+
+def _listed(lengths: dict[str, int]) -> str:
+    return ", ".join(f"{key} {length}" for key, length in lengths.items())

@@ -1,0 +1,15 @@
+"""A hand in motion as one record, and its plain arrays."""
+
+from torchhand.export.clip.keypoint_file import KEYPOINT_SUFFIXES, write_keypoints
+from torchhand.export.clip.mesh_frames import mesh_paths, write_mesh_frames
+from torchhand.export.clip.motion_clip import MotionClip, Up, rest_clip
+
+__all__ = [
+    "KEYPOINT_SUFFIXES",
+    "MotionClip",
+    "Up",
+    "mesh_paths",
+    "rest_clip",
+    "write_keypoints",
+    "write_mesh_frames",
+]

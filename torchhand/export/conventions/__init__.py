@@ -1,0 +1,26 @@
+"""Motions in the conventions of others: BVH, MPEG-4 body animation parameters, MANO, OpenXR."""
+
+from torchhand.export.conventions.bap import BapMotion, BapVersion, clip_of_bap, read_bap, write_bap
+from torchhand.export.conventions.bvh import write_bvh
+from torchhand.export.conventions.bvh_names import BvhNames, bvh_names
+from torchhand.export.conventions.bvh_reader import BvhMotion, clip_of_bvh, read_bvh
+from torchhand.export.conventions.mano import clip_of_mano, write_mano
+from torchhand.export.conventions.openxr import clip_of_openxr, write_openxr
+
+__all__ = [
+    "BapMotion",
+    "BapVersion",
+    "BvhMotion",
+    "BvhNames",
+    "bvh_names",
+    "clip_of_bap",
+    "clip_of_bvh",
+    "clip_of_mano",
+    "clip_of_openxr",
+    "read_bap",
+    "read_bvh",
+    "write_bap",
+    "write_bvh",
+    "write_mano",
+    "write_openxr",
+]

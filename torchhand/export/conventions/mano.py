@@ -1,0 +1,133 @@
+"""MANO's rotations as .npz: the arrays that smplx's layers and motion data sets use, written and read.
+
+global_orient (frames, 3), hand_pose (frames, 45), wrist (frames, 3) metres, joint_names (16,), is_rhand, fps, frame,
+flat_hand_mean True (zero is the flat hand), residual (frames, 21) metres. Frame: that of the poses (a camera's:
+OpenCV).
+"""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float64
+from torch import Tensor
+
+from torchhand.errors import InputError
+from torchhand.export.clip import MotionClip, Up
+from torchhand.files.disk import opened_arrays, replacing
+from torchhand.hand import HandModel, Side
+from torchhand.hand.conventions import MANO_JOINTS, BoneFit, ManoPose, mano_of_pose, pose_of_mano
+
+_SHAPES = {"global_orient": 3, "hand_pose": 45, "wrist": 3}
+
+
+def write_mano(clip: MotionClip, path: str | Path) -> ManoPose:
+    """Write the file; returns what it holds with what MANO's skeleton leaves out."""
+    mano = mano_of_pose(clip.kinematics, clip.poses, clip.shape)
+    rotations = mano.axis_angle.numpy()
+    with replacing(Path(path)) as temporary, temporary.open("wb") as file:
+        np.savez(
+            file,
+            global_orient=rotations[:, 0],
+            hand_pose=rotations[:, 1:].reshape(len(clip), 45),
+            wrist=mano.wrist.numpy(),
+            residual=mano.residual.numpy(),
+            joint_names=np.array(MANO_JOINTS),
+            is_rhand=np.array(clip.side == "right"),
+            flat_hand_mean=np.array(True),
+            fps=np.array(clip.fps),
+            frame=np.array(clip.frame),
+            up=np.array(clip.up),
+        )
+    return mano
+
+
+def clip_of_mano(
+    path: str | Path, model: HandModel, shape: Float64[Tensor, "shape"] | None = None, *, side: Side | None = None
+) -> tuple[MotionClip, BoneFit]:
+    """The motion of a file, and what our joints cannot do of it.
+
+    Takes our files and those of others with hand_pose (frames, 45) or poses (frames, 48), both with flat_hand_mean.
+    side: where the file has no is_rhand.
+
+    Raises InputError naming the array and what is wrong with it.
+    """
+    path = Path(path)
+    with opened_arrays(path, complaint="expected MANO's rotations in an .npz that can be read") as stored:
+        arrays = dict(stored)
+    if "poses" in arrays and "hand_pose" not in arrays:
+        poses = _checked(path, "poses", arrays["poses"], 48, None)
+        arrays |= {"global_orient": poses[:, :3], "hand_pose": poses[:, 3:]}
+    if "hand_pose" not in arrays:
+        got = ", ".join(list(arrays)[:5]) or "none"
+        raise InputError(f"{path}: expected an array hand_pose (frames, 45) or poses (frames, 48), got {got}")
+    if "joint_names" in arrays and tuple(map(str, arrays["joint_names"].reshape(-1))) != MANO_JOINTS:
+        raise InputError(f"{path}: joint_names: expected MANO's {len(MANO_JOINTS)} in its order, got others")
+    if "flat_hand_mean" in arrays and not bool(arrays["flat_hand_mean"]):
+        raise InputError(f"{path}: flat_hand_mean: expected rotations from the flat hand (True), got False")
+    hand = _checked(path, "hand_pose", arrays["hand_pose"], 45, None)
+    given = {name: arrays.get(name, np.zeros((len(hand), 3))) for name in ("global_orient", "wrist")}
+    if "wrist" not in arrays and "trans" in arrays:
+        given["wrist"] = arrays["trans"]
+    root, wrist = (_checked(path, name, array, _SHAPES[name], len(hand)) for name, array in given.items())
+    own = _side(path, arrays)
+    if own is None and side is None:
+        raise InputError(f"{path}: expected is_rhand, the file has none; say which side the hand is")
+    if own is not None and side is not None and own != side:
+        raise InputError(f"{path}: expected a {side} hand, got a {own} one (is_rhand)")
+    side = own or side or "right"
+    rotations = torch.from_numpy(np.concatenate((root, hand), 1)).reshape(-1, len(MANO_JOINTS), 3)
+    kinematics = model.kinematics(side, dtype=torch.float64)
+    fit = pose_of_mano(kinematics, rotations, torch.from_numpy(wrist))
+    clip = MotionClip(
+        model=model,
+        side=side,
+        shape=model.shape_space.default.double() if shape is None else shape,
+        poses=fit.pose,
+        fps=_scalar(path, arrays, ("fps", "mocap_framerate", "mocap_frame_rate"), 30.0),
+        name=path.stem,
+        up=_up(path, arrays),
+    )
+    return clip, fit
+
+
+def _checked(path: Path, name: str, array: np.ndarray, width: int, frames: int | None) -> np.ndarray:
+    """(frames, width) float64."""
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"{path}: {name}: expected numbers, got {array.dtype}")
+    found = array.reshape(-1, width) if array.size and array.size % width == 0 and array.ndim in (1, 2, 3) else None
+    if found is None or (array.ndim > 1 and len(array) != len(found)) or (frames is not None and len(found) != frames):
+        expected = f"({'frames' if frames is None else frames}, {width})"
+        raise InputError(f"{path}: {name}: expected an array {expected}, got {array.shape}")
+    if not np.isfinite(found).all():
+        raise InputError(f"{path}: {name}: expected finite numbers, got NaN or infinite ones")
+    return np.ascontiguousarray(found, dtype=np.float64)
+
+
+def _side(path: Path, arrays: dict[str, np.ndarray]) -> Side | None:
+    if "is_rhand" not in arrays:
+        return None
+    if arrays["is_rhand"].size != 1 or arrays["is_rhand"].dtype.kind not in "biuf":
+        raise InputError(f"{path}: is_rhand: expected True or False, got an array of {arrays['is_rhand'].shape}")
+    return "right" if bool(arrays["is_rhand"].reshape(-1)[0]) else "left"
+
+
+def _scalar(path: Path, arrays: dict[str, np.ndarray], names: tuple[str, ...], default: float) -> float:
+    name = next((name for name in names if name in arrays), None)
+    if name is None:
+        return default
+    array = arrays[name]
+    if array.size != 1 or array.dtype.kind not in "fiu" or not 0 < float(array.reshape(-1)[0]) <= 1e6:
+        raise InputError(
+            f"{path}: {name}: expected a number of frames per second, got {array.reshape(-1)[:3].tolist()}"
+        )
+    return float(array.reshape(-1)[0])
+
+
+def _up(path: Path, arrays: dict[str, np.ndarray]) -> Up:
+    found = str(arrays["up"]) if "up" in arrays else "-y"
+    allowed: tuple[Up, ...] = ("y", "-y", "z", "-z")
+    for up in allowed:
+        if found == up:
+            return up
+    raise InputError(f"{path}: up: expected one of {', '.join(allowed)}, got {found[:20]!r}")

@@ -1,0 +1,190 @@
+"""All export formats under one roof: which file ending means which, and `write` for any of them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import torch
+
+from torchhand.errors import InputError
+from torchhand.export.clip import KEYPOINT_SUFFIXES, MotionClip, mesh_paths, write_keypoints, write_mesh_frames
+from torchhand.export.conventions import BapVersion, BvhNames, write_bap, write_bvh, write_mano, write_openxr
+from torchhand.export.rigged import X3DSkin, write_glb, write_x3d
+from torchhand.export.robots import meshes_folder, write_mjcf, write_urdf
+from torchhand.export.stream import StreamSettings, write_stream
+from torchhand.hand import JOINT_DOFS
+from torchhand.hand.conventions import Numbering
+
+FormatName = Literal["glb", "bvh", "urdf", "mjcf", "obj", "ply", "mano", "openxr", "keypoints", "bap", "x3d", "stream"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions:
+    """What only some of the formats ask."""
+
+    correctives: bool = True
+    """glb: carry the skin's pose correctives as morph targets."""
+    bvh_names: BvhNames = "torchhand"
+    """bvh: what the joints are called."""
+    bap_numbering: Numbering = "final"
+    """bap: numbering of the standard, or of the draft before it."""
+    bap_version: BapVersion = "3.1"
+    """bap: version in the header."""
+    x3d_skin: X3DSkin = "weights"
+    """x3d: skin moved by its joints, or every frame's points as they are."""
+    stream_step_deg: float = 3.5
+    """stream: step of the joint angles, degrees. Smaller is finer and takes more bits."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.stream_step_deg <= 30:
+            raise ValueError(f"--stream-step-deg: expected more than 0, 30 at most, got {self.stream_step_deg:g}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Format:
+    """One file format."""
+
+    name: FormatName
+    suffixes: tuple[str, ...]
+    """Endings; the first is the usual one. Those that several formats share need a second one before: .mano.npz."""
+    write: Callable[[MotionClip, Path, ExportOptions], list[str]]
+    """Writes the file and returns notes for the user: what the format could not hold."""
+    files: Callable[[MotionClip, Path], list[Path]] = field(default=lambda clip, path: [path])
+    """What will be written."""
+
+
+def _glb(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
+    skin = write_glb(clip, path, has_correctives=options.correctives)
+    notes = [f"skin within {1e3 * skin.error:.2f} mm of torchhand's with {len(skin.targets)} morph targets"]
+    return notes + ([f"without them within {1e3 * skin.linear_error:.2f} mm"] if len(skin.targets) else [])
+
+
+def _bvh(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
+    write_bvh(clip, path, names=options.bvh_names)
+    return []
+
+
+def _robot(writer: Callable) -> Callable[[MotionClip, Path, ExportOptions], list[str]]:
+    def write(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
+        solids = writer(clip, path)
+        mass = sum(solid.mass for solid in solids)
+        motion = ["holds the hand, not its motion"] if writer is write_urdf and len(clip) > 1 else []
+        return [f"{len(solids)} links of {1e3 * mass:.0f} g together, meshes in {meshes_folder(path).name}", *motion]
+
+    return write
+
+
+def _meshes(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
+    write_mesh_frames(clip, path)
+    return []
+
+
+def _mano(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
+    off = float(write_mano(clip, path).residual.max())
+    return [f"MANO's palm does not bend: keypoints off by {1e3 * off:.2f} mm at most"] if off > 1e-5 else []
+
+
+def _openxr(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
+    write_openxr(clip, path)
+    return []
+
+
+def _keypoints(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
+    write_keypoints(clip, path)
+    return []
+
+
+def _bap(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
+    lost = write_bap(clip, path, numbering=options.bap_numbering, version=options.bap_version).abs().amax(0)
+    names = [JOINT_DOFS[i] for i in (lost > 1e-4).nonzero().squeeze(-1).tolist()]
+    if not names:
+        return []
+    return [f"BAPs have no {', '.join(names)}: lost up to {float(torch.rad2deg(lost.max())):.1f} degrees"]
+
+
+def _x3d(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
+    write_x3d(clip, path, skin=options.x3d_skin)
+    return []
+
+
+def _stream(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
+    step = options.stream_step_deg
+    default = StreamSettings()
+    finer = min(1.0, step / default.step_deg)  # the root with the joints, never coarser than usual
+    settings = StreamSettings(
+        step_deg=step, root_step_deg=finer * default.root_step_deg, root_step_mm=finer * default.root_step_mm
+    )
+    figures = write_stream(clip, path, settings)
+    return [
+        f"{figures.motion_kbit_per_s:.2f} kbit/s and a header of {figures.header_bytes} bytes; joint angles off by"
+        f" {figures.mean_deg:.2f} degrees on average, {figures.worst_deg:.1f} at most"
+    ]
+
+
+FORMATS: tuple[Format, ...] = (
+    Format(name="glb", suffixes=(".glb",), write=_glb),
+    Format(name="bvh", suffixes=(".bvh",), write=_bvh),
+    Format(
+        name="urdf", suffixes=(".urdf",), write=_robot(write_urdf), files=lambda clip, path: [path, meshes_folder(path)]
+    ),
+    Format(
+        name="mjcf",
+        suffixes=(".xml", ".mjcf"),
+        write=_robot(write_mjcf),
+        files=lambda clip, path: [path, meshes_folder(path)],
+    ),
+    Format(name="obj", suffixes=(".obj",), write=_meshes, files=mesh_paths),
+    Format(name="ply", suffixes=(".ply",), write=_meshes, files=mesh_paths),
+    Format(name="mano", suffixes=(".mano.npz", ".npz"), write=_mano),
+    Format(name="openxr", suffixes=(".openxr.json", ".json"), write=_openxr),
+    Format(
+        name="keypoints",
+        suffixes=(".keypoints.json", ".keypoints.npz", ".csv", ".npy", *KEYPOINT_SUFFIXES[:2]),
+        write=_keypoints,
+    ),
+    Format(name="bap", suffixes=(".bap",), write=_bap),
+    Format(name="x3d", suffixes=(".x3d",), write=_x3d),
+    Format(name="stream", suffixes=(".thp",), write=_stream),
+)
+
+
+def format_of(path: str | Path, name: FormatName | None = None) -> Format:
+    """The format of this name, or the one that the file's ending means.
+
+    Raises InputError for an ending that means none or several, and for one that is not the named format's.
+    """
+    path = Path(path)
+    if name is not None:
+        chosen = next(entry for entry in FORMATS if entry.name == name)
+        if not path.name.lower().endswith(chosen.suffixes):
+            raise InputError(f"{path}: expected an ending {_listed(chosen.suffixes)} for {name}, got {path.suffix!r}")
+        return chosen
+    longest = max((s for f in FORMATS for s in f.suffixes if path.name.lower().endswith(s)), key=len, default="")
+    fitting = [entry for entry in FORMATS if longest in entry.suffixes]
+    if not longest or not path.name.lower().removesuffix(longest):
+        allowed = ", ".join(entry.suffixes[0] for entry in FORMATS)
+        raise InputError(f"{path}: expected a file name with a known ending ({allowed}), got {path.suffix!r}")
+    if len(fitting) > 1:
+        choices = " or ".join(f"{entry.name} ({_own_suffix(entry, longest)})" for entry in fitting)
+        raise InputError(f"{path}: {longest} may be {choices}: name the format, or give that ending")
+    return fitting[0]
+
+
+def write(
+    clip: MotionClip, path: str | Path, format: FormatName | None = None, options: ExportOptions | None = None
+) -> list[str]:
+    """Write a clip in any format; returns notes for the user: what the format could not hold.
+
+    Raises InputError for a file name that fits no format, and where the disk refuses.
+    """
+    path = Path(path)
+    return format_of(path, format).write(clip, path, options or ExportOptions())
+
+
+def _own_suffix(entry: Format, ending: str) -> str:
+    return next(s for s in entry.suffixes if s.endswith(ending) and s != ending)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " or ".join(names)

@@ -1,0 +1,11 @@
+"""Poses as a compact stream of bytes."""
+
+from torchhand.export.stream.pose_stream import StreamFigures, StreamSettings, clip_of_stream, encode_clip, write_stream
+
+__all__ = [
+    "StreamFigures",
+    "StreamSettings",
+    "clip_of_stream",
+    "encode_clip",
+    "write_stream",
+]

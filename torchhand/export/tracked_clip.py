@@ -1,0 +1,152 @@
+"""A result of tracking, or a fitted hand alone, as a clip: gaps held or cut, never written as NaN."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal, cast
+
+import numpy as np
+import torch
+
+from torchhand.errors import InputError
+from torchhand.export.clip import MotionClip, Up, rest_clip
+from torchhand.export.stream import clip_of_stream
+from torchhand.files import Track, load_hand, load_hand_model, load_track, open_source
+from torchhand.files.pictures import ASSUMED_FPS
+from torchhand.files.results import HAND_NAME
+from torchhand.hand import DOFS, HandModel, Side
+
+Gaps = Literal["hold", "cut"]
+_MOST_FRAMES = 1_000_000
+
+
+def load_clip(
+    path: str | Path,
+    *,
+    gaps: Gaps = "hold",
+    fps: float | None = None,
+    hand: str | Path | None = None,
+    up: Up = "-y",
+    model: HandModel | None = None,
+) -> MotionClip:
+    """The clip of a result folder, of a track.npz or track.jsonl with hand.json beside it, of a hand.json alone, or of
+    a pose stream (.thp), which has its own side, shape, fps and direction up.
+
+    gaps: frames without an estimate repeat the last one before them ("hold"; those at the beginning the first after
+        them) or are left out ("cut").
+    fps: that of the source video where it is not given and can be had, else the one that is assumed of pictures.
+    hand: another file than the hand.json beside the track.
+    up: which axis of the track's frame points up.
+
+    Raises InputError naming the file and what is wrong with it; a track without a single estimate is refused.
+    """
+    path = Path(path).expanduser()
+    model = model or load_hand_model()
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder")
+    if path.is_file() and path.suffix == ".json":
+        if hand is not None:
+            raise InputError(f"{path}: expected a track with another hand file, got a hand file itself")
+        side, shape = _hand_of(path, model)
+        return rest_clip(model, side, shape, name=_plain(path.stem), fps=fps or ASSUMED_FPS)
+    if path.is_file() and path.suffix == ".thp":
+        if hand is not None:
+            raise InputError(f"{path}: expected a track with another hand file, got a pose stream, which has its own")
+        clip = clip_of_stream(path, model)
+        return clip if fps is None else replace(clip, fps=fps)
+    if path.is_file() and path.suffix not in (".npz", ".jsonl"):
+        raise InputError(
+            f"{path}: expected a result folder, track.npz, track.jsonl, hand.json or a pose stream (.thp), got"
+            f" {path.suffix or path.name!r}"
+        )
+    folder = path if path.is_dir() else path.parent
+    track = load_track(path)
+    side, shape = _hand_of(folder / HAND_NAME if hand is None else Path(hand).expanduser(), model)
+    return clip_of_track(
+        track,
+        model,
+        shape,
+        side,
+        gaps=gaps,
+        fps=fps or _source_fps(track),
+        name=_plain(folder.resolve().name),
+        up=up,
+        where=str(path),
+    )
+
+
+def clip_of_track(
+    track: Track,
+    model: HandModel,
+    shape: torch.Tensor,
+    side: Side,
+    *,
+    gaps: Gaps,
+    fps: float,
+    name: str = "hand",
+    up: Up = "-y",
+    where: str = "track",
+) -> MotionClip:
+    """The clip of a track that was read already.
+
+    Frames whose numbers the track leaves out are gaps as well.
+
+    Raises InputError where the track has other DOFs, another side than the hand, or no estimate at all.
+    """
+    if tuple(track.dof_names) != DOFS:
+        raise InputError(f"{where}: dof_names: expected the {len(DOFS)} of this version's hand, got others")
+    if (tracked := track.header.get("side", side)) != side:
+        raise InputError(f"{where}: expected a {side} hand as in the hand file, got a {tracked} one")
+    is_known = np.isfinite(track.pose).all(-1)
+    if not is_known.any():
+        raise InputError(f"{where}: expected at least one tracked frame, got none in {len(track)} frames: all are lost")
+    number, known = track.frame, np.flatnonzero(is_known)
+    if not (np.diff(number) > 0).all():
+        raise InputError(f"{where}: frame: expected increasing numbers, got others")
+    if (span := int(number[-1] - number[0]) + 1) > _MOST_FRAMES:
+        raise InputError(f"{where}: frame: expected numbers within {_MOST_FRAMES} of each other, got a span of {span}")
+    if gaps == "cut":
+        kept, frame = known, number[known]
+    else:
+        frame = np.arange(number[0], number[-1] + 1)
+        kept = known[(np.searchsorted(number[known], frame, side="right") - 1).clip(0)]
+    return MotionClip(
+        model=model,
+        side=side,
+        shape=shape,
+        poses=torch.from_numpy(track.pose[kept].astype(np.float64)),
+        fps=fps,
+        frame=tuple(int(f) for f in frame),
+        held=tuple(int(f) for f in frame[number[kept] != frame]),
+        name=name,
+        up=up,
+    )
+
+
+def _plain(name: str) -> str:
+    """A file's name as text that every format can hold."""
+    text = name.encode("utf-8", "replace").decode("utf-8")
+    return "".join(letter if letter.isprintable() else "_" for letter in text) or "hand"
+
+
+def _hand_of(path: Path, model: HandModel) -> tuple[Side, torch.Tensor]:
+    space = model.shape_space
+    fitted = load_hand(path, space.names)
+    shape = torch.tensor([fitted.values[name] for name in space.names], dtype=torch.float64)
+    try:
+        space.check(shape)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from error
+    return cast(Side, fitted.side), shape
+
+
+def _source_fps(track: Track) -> float:
+    """That of the video that was tracked, if it is still there."""
+    source = track.header.get("source")
+    if not isinstance(source, str) or source.isdecimal() or not Path(source).exists():
+        return ASSUMED_FPS
+    try:
+        with open_source(source) as frames:
+            fps = frames.fps
+    except InputError:
+        return ASSUMED_FPS
+    return float(fps) if fps and np.isfinite(fps) and fps > 0 else ASSUMED_FPS

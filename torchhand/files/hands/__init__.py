@@ -1,0 +1,18 @@
+"""Hand models, their meshes, and the fitted hands of people."""
+
+from torchhand.files.hands.hand_file import FittedHand, load_hand, save_hand
+from torchhand.files.hands.hand_model import load_hand_model, read_shape_space
+from torchhand.files.hands.mesh_file import load_mesh, save_mesh
+from torchhand.files.hands.urdf import read_skeleton, skeleton_to_urdf
+
+__all__ = [
+    "FittedHand",
+    "load_hand",
+    "load_hand_model",
+    "load_mesh",
+    "read_shape_space",
+    "read_skeleton",
+    "save_hand",
+    "save_mesh",
+    "skeleton_to_urdf",
+]

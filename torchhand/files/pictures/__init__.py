@@ -1,0 +1,23 @@
+"""Pictures, folders of pictures, videos and webcams in, videos out."""
+
+from torchhand.files.pictures.frame_source import ASSUMED_FPS, Frame, FrameRange, FrameSource
+from torchhand.files.pictures.frames import open_source, sequences_of
+from torchhand.files.pictures.pictures import PICTURE_SUFFIXES, PictureSource, natural_key, read_picture
+from torchhand.files.pictures.video import VIDEO_SUFFIXES
+from torchhand.files.pictures.video_writer import VideoWriter, write_video
+
+__all__ = [
+    "ASSUMED_FPS",
+    "PICTURE_SUFFIXES",
+    "VIDEO_SUFFIXES",
+    "Frame",
+    "FrameRange",
+    "FrameSource",
+    "PictureSource",
+    "VideoWriter",
+    "natural_key",
+    "open_source",
+    "read_picture",
+    "sequences_of",
+    "write_video",
+]

@@ -1,0 +1,102 @@
+"""Where pictures come from: a video file, a folder of pictures, a folder of videos, a webcam number."""
+
+from pathlib import Path
+
+from torchhand.errors import InputError
+from torchhand.files.pictures.frame_source import ASSUMED_FPS, Frame, FrameRange, FrameSource
+from torchhand.files.pictures.pictures import PICTURE_SUFFIXES, PictureSource, natural_key
+from torchhand.files.pictures.video import VIDEO_SUFFIXES, VideoSource
+
+__all__ = ["ASSUMED_FPS", "Frame", "FrameRange", "FrameSource", "open_source", "sequences_of"]
+
+_SUFFIXES = ", ".join(suffix[1:] for suffix in VIDEO_SUFFIXES + PICTURE_SUFFIXES)
+
+
+def open_source(
+    source: str | Path, *, start: int = 0, max_frames: int | None = None, already_done: int = 0
+) -> FrameSource:
+    """Open one sequence: a video file, a picture, a folder of pictures (natural order) or a webcam number.
+
+    Delivers frames start ... start + max_frames - 1 without the first `already_done` of them; after a resumed run none
+    may remain, which is no error, whereas a `start` after the end is.
+
+    Raises InputError naming the file and what was expected.
+    """
+    frames = FrameRange(start=start, max_frames=max_frames, already_done=already_done)
+    number = _webcam_number(source)
+    if number is not None:
+        return VideoSource(_webcam_name(number), number, frames)
+    path = _existing(source)
+    if path.is_dir():
+        pictures, videos = _content(path)
+        if videos:
+            raise InputError(f"{path}: expected a folder of pictures, got one with {len(videos)} videos: name one")
+        return PictureSource(_name(path), pictures, frames)
+    if path.suffix.lower() in PICTURE_SUFFIXES:
+        return PictureSource(_name(path), [path], frames)
+    if path.suffix.lower() not in VIDEO_SUFFIXES:  # FFmpeg would take a text for a film of a terminal
+        raise InputError(f"{path}: expected a video or a picture ({_SUFFIXES}), got {path.suffix or 'no suffix'}")
+    return VideoSource(_name(path), path, frames)
+
+
+def sequences_of(source: str | Path) -> list[tuple[str, str | Path]]:
+    """Names and inputs for `open_source`: one per video of a folder of videos, otherwise the one that was given.
+
+    Names are unique and fit for folders. Nothing is opened yet; missing files and useless folders raise InputError.
+    """
+    number = _webcam_number(source)
+    if number is not None:
+        return [(_webcam_name(number), str(number))]
+    path = _existing(source)
+    if not path.is_dir():
+        return [(_name(path), path)]
+    _, videos = _content(path)
+    if not videos:
+        return [(_name(path), path)]
+    stems = [video.stem for video in videos]
+    return [(video.stem if stems.count(video.stem) == 1 else video.name, video) for video in videos]
+
+
+def _webcam_number(source: str | Path) -> int | None:
+    """Digits alone are a webcam, unless a file or folder has that very name."""
+    text = str(source)
+    return int(text) if text.isascii() and text.isdigit() and not Path(text).exists() else None
+
+
+def _webcam_name(number: int) -> str:
+    return f"webcam{number}"
+
+
+def _name(path: Path) -> str:
+    whole = path.resolve()
+    return (whole.name if path.is_dir() else whole.stem) or "root"
+
+
+def _existing(source: str | Path) -> Path:
+    path = Path(source).expanduser()
+    try:
+        path.stat()
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file or folder (expected a video, a folder or a webcam number)") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    return path
+
+
+def _content(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Pictures and videos of a folder in natural order: one of the lists is empty, the other is not."""
+    try:
+        entries = sorted((p for p in folder.iterdir() if not p.name.startswith(".")), key=natural_key)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be read ({error.strerror or error})") from error
+    pictures = [p for p in entries if p.suffix.lower() in PICTURE_SUFFIXES and p.is_file()]
+    videos = [p for p in entries if p.suffix.lower() in VIDEO_SUFFIXES and p.is_file()]
+    if pictures and videos:
+        raise InputError(f"{folder}: expected pictures or videos, got both ({pictures[0].name}, {videos[0].name}, ...)")
+    if pictures or videos:
+        return pictures, videos
+    if not entries:
+        raise InputError(f"{folder}: is an empty folder")
+    inner = [p.name for p in entries if p.is_dir()]
+    hint = f"; it has the folders {', '.join(inner[:5])}: give one of them" if inner else ""
+    raise InputError(f"{folder}: holds no pictures and no videos ({_SUFFIXES}){hint}")

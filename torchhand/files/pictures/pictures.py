@@ -1,0 +1,163 @@
+"""Single pictures and folders of pictures: any depth and any number of channels in, 8-bit RGB out."""
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Shaped, UInt8
+from torch import Tensor
+
+from torchhand.errors import InputError
+from torchhand.files.disk import captured_messages, quiet_opencv
+from torchhand.files.pictures.frame_source import ASSUMED_FPS, Frame, FrameRange, FrameSource, check_size
+
+PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
+
+_FULL_SCALES = tuple(float(2**bits - 1) for bits in (8, 10, 12, 14, 16))
+_JPEG_MARKER = re.compile(rb"\xff[\x01-\xcf\xd8-\xfe]")
+_JPEG_EXTRA_BYTES = re.compile(r"(\d+) extraneous bytes before marker")
+_HARMLESS_EXTRA_BYTES = 16  # cheap encoders pad; damaged data leave hundreds
+
+
+def natural_key(path: Path) -> tuple[object, ...]:
+    """Sorting key that puts frame2 before frame10."""
+    parts = re.split(r"(\d+)", path.name.casefold())
+    return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts), path.name
+
+
+def read_picture(path: Path) -> UInt8[Tensor, "height width 3"]:
+    """One picture as 8-bit RGB. Raises InputError naming the file and what is wrong with it."""
+    raw, problem = _read_raw(path)
+    if raw is None:
+        raise InputError(f"{path}: {problem}")
+    return rgb8(raw, full_scale(raw))
+
+
+class PictureSource(FrameSource):
+    """Pictures of one size, in the order given.
+
+    A picture that cannot be decoded becomes a frame without image. What counts as white in pictures of more than 8 bits
+    is decided by the first good picture of the folder and kept, so that brightness does not flicker (`full_scale`).
+    """
+
+    def __init__(self, name: str, paths: Sequence[Path], frames: FrameRange) -> None:
+        if frames.start >= len(paths):
+            raise InputError(f"{name}: start {frames.start} lies after the last picture ({len(paths) - 1})")
+        self.name, self.fps = name, ASSUMED_FPS
+        self.count = frames.within(len(paths))
+        self._paths, self._frames = list(paths), frames
+        self._used = False
+        problem = ""
+        for path in self._paths:
+            raw, problem = _read_raw(path)
+            if raw is not None:
+                self.height, self.width = raw.shape[:2]
+                self._full_scale = full_scale(raw)
+                return
+        raise InputError(f"{self._paths[-1]}: {problem} (no picture of {len(paths)} could be read)")
+
+    def __iter__(self) -> Iterator[Frame]:
+        if self._used:
+            raise ValueError("a source is read once; open it again")
+        self._used = True
+        for index in range(self._frames.first, self._frames.first + (self.count or 0)):
+            path = self._paths[index]
+            raw, problem = _read_raw(path)
+            if raw is None:
+                yield Frame(index=index, image=None, problem=f"{path}: {problem}")
+                continue
+            image = rgb8(raw, self._full_scale)
+            check_size(str(path), image, width=self.width, height=self.height)
+            yield Frame(index=index, image=image)
+
+    def close(self) -> None:
+        pass
+
+
+def full_scale(raw: Shaped[np.ndarray, "height width ..."]) -> float:
+    """The value that stands for white, guessed from one picture.
+
+    Integers: 255, or for 16-bit pictures the full scale of the smallest of 8, 10, 12, 14, 16 bits that holds the
+    largest value, because 10- and 12-bit cameras store their numbers unscaled. Floating point: 1 if no value is larger,
+    else by the same rule as integers.
+    """
+    if raw.dtype == np.uint8:
+        return 255.0
+    finite = raw[np.isfinite(raw)]
+    largest = float(finite.max()) if finite.size else 0.0
+    if raw.dtype.kind == "f" and largest <= 1.0:
+        return 1.0
+    if largest <= 0.0:
+        return _FULL_SCALES[-1]
+    return next((scale for scale in _FULL_SCALES if largest <= scale), largest)
+
+
+def rgb8(raw: Shaped[np.ndarray, "height width ..."], white: float) -> UInt8[Tensor, "height width 3"]:
+    """OpenCV's picture (grey, BGR or BGRA, any depth) as 8-bit RGB; `white` becomes 255, alpha is dropped."""
+    if raw.dtype != np.uint8:
+        scaled = np.nan_to_num(raw.astype(np.float32), nan=0.0, posinf=white, neginf=0.0) * np.float32(255.0 / white)
+        raw = np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
+    channels = 1 if raw.ndim == 2 else raw.shape[2]
+    if channels in (1, 2):  # two: grey and alpha
+        grey = raw if raw.ndim == 2 else raw[..., 0]
+        rgb = cv2.cvtColor(np.ascontiguousarray(grey), cv2.COLOR_GRAY2RGB)
+    else:
+        rgb = cv2.cvtColor(raw, cv2.COLOR_BGR2RGB if channels == 3 else cv2.COLOR_BGRA2RGB)
+    return torch.from_numpy(rgb)
+
+
+def _read_raw(path: Path) -> tuple[np.ndarray | None, str]:
+    """The decoded picture turned as its EXIF tag says, or None and the reason."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        return None, f"cannot be read ({error.strerror or error})"
+    if not data:
+        return None, "is empty (0 bytes)"
+    if data.startswith(b"\xff\xd8") and not _jpeg_is_complete(data):
+        return None, "is a truncated JPEG file"
+    encoded = np.frombuffer(data, np.uint8)
+    with quiet_opencv(), captured_messages() as messages:
+        raw = _decode(encoded)
+    if raw is None:
+        return None, "is no picture that can be decoded (corrupt or of an unknown format)"
+    if _tells_of_damage(messages.text):
+        return None, f"is a corrupt picture ({messages.text.splitlines()[0].strip()})"
+    return raw, ""
+
+
+def _decode(encoded: np.ndarray) -> np.ndarray | None:
+    # The second try is for grey floating-point TIFF, which OpenCV refuses to turn into colour.
+    for flags in (cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH, cv2.IMREAD_UNCHANGED):
+        try:
+            raw = cv2.imdecode(encoded, flags)
+        except cv2.error:
+            continue
+        if raw is not None:
+            return raw
+    return None
+
+
+def _jpeg_is_complete(data: bytes) -> bool:
+    """Whether the markers lead to an end-of-image marker; libjpeg paints the missing part grey and says nothing."""
+    at = 2
+    while match := _JPEG_MARKER.search(data, at):
+        kind, at = data[match.start() + 1], match.end()
+        if kind == 0xD9:
+            return True
+        if kind not in (0x01, 0xD8) and at + 2 <= len(data):  # all others have a length
+            at += int.from_bytes(data[at : at + 2], "big")
+    return False
+
+
+def _tells_of_damage(text: str) -> bool:
+    for line in text.splitlines():
+        extra = _JPEG_EXTRA_BYTES.search(line)
+        if extra and int(extra.group(1)) <= _HARMLESS_EXTRA_BYTES:
+            continue
+        if "Corrupt JPEG data" in line or "Premature end" in line:
+            return True
+    return False

@@ -1,0 +1,35 @@
+"""The results of a tracking run: written frame by frame, resumed, read."""
+
+from torchhand.files.results.results import (
+    CHECKPOINT_NAME,
+    CONFIG_NAME,
+    HAND_NAME,
+    OVERLAY_NAME,
+    UNFINISHED_NAME,
+    ResumePoint,
+    TrackWriter,
+    check_output_folder,
+)
+from torchhand.files.results.track_file import JSONL_NAME, NPZ_NAME, load_track, write_npz
+from torchhand.files.results.track_record import CONVENTION, STATUSES, UNITS, FrameRecord, Track, TrackHeader
+
+__all__ = [
+    "CHECKPOINT_NAME",
+    "CONFIG_NAME",
+    "CONVENTION",
+    "HAND_NAME",
+    "JSONL_NAME",
+    "NPZ_NAME",
+    "OVERLAY_NAME",
+    "STATUSES",
+    "UNFINISHED_NAME",
+    "UNITS",
+    "FrameRecord",
+    "ResumePoint",
+    "Track",
+    "TrackHeader",
+    "TrackWriter",
+    "check_output_folder",
+    "load_track",
+    "write_npz",
+]

@@ -1,0 +1,257 @@
+"""The result folder of one sequence: written frame by frame, resumable, never worse than what was there before."""
+
+import contextlib
+import json
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import torch
+
+from torchhand.errors import InputError
+from torchhand.files.disk import explained_errors, replacing, short
+from torchhand.files.results.track_file import (
+    JSONL_NAME,
+    NPZ_NAME,
+    LineFile,
+    keep_last_lines,
+    load_track,
+    read_header,
+    read_lines,
+    write_npz,
+)
+from torchhand.files.results.track_record import FrameRecord, TrackHeader
+
+HAND_NAME = "hand.json"
+CONFIG_NAME = "config.yaml"
+OVERLAY_NAME = "overlay.mp4"
+CHECKPOINT_NAME = "checkpoint.pt"
+UNFINISHED_NAME = "unfinished"
+"""Sub-folder in which a run grows that is to replace an older result."""
+
+# In the order in which they are moved into place: the result itself last.
+_RESULT_NAMES = (HAND_NAME, CONFIG_NAME, OVERLAY_NAME, CHECKPOINT_NAME, JSONL_NAME, NPZ_NAME)
+
+State = Mapping[str, Any]
+"""Tensors, numbers, texts, None, and lists and dicts of these: what `torch.load(weights_only=True)` takes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResumePoint:
+    """Where an interrupted run goes on."""
+
+    last_frame: int
+    """Index of the last frame that is done; its line and all before stand in the file."""
+    state: State
+    """The tracker's state after that frame."""
+
+
+def check_output_folder(out_dir: str | Path, *, resume: bool = False, overwrite: bool = False) -> None:
+    """Raise InputError where a run may not write into this folder; touches nothing."""
+    path = Path(out_dir)
+    if resume and overwrite:
+        raise InputError("expected at most one of --resume and --overwrite, got both")
+    with explained_errors(path):
+        if path.exists() and not path.is_dir():
+            raise InputError(f"{path}: expected a folder for the results, got a file")
+        content = sorted(entry.name for entry in path.iterdir()) if path.is_dir() else []
+    if content and not resume and not overwrite:
+        names = ", ".join(content[:3]) + (", ..." if content[3:] else "")
+        raise InputError(
+            f"{path}: the output folder exists and is not empty ({names});"
+            " give another, or --resume to go on, or --overwrite to replace its results"
+        )
+
+
+class TrackWriter:
+    """Writes the result folder of one sequence; use it as a context manager around the whole run.
+
+    track.jsonl grows by a line per frame, and by one for each that is corrected: a frame's last line counts. Leaving
+    the block well leaves one line per frame and writes track.npz from them. Leaving it by an exception (Ctrl-C, a full
+    disk) keeps the lines, and writes track.npz from them where the disk allows.
+
+    Where the folder already holds a result (`overwrite`), the new run grows in the sub-folder `unfinished`, and its
+    files take the place of the old ones only when the block ends well with at least one frame. Everything else that
+    belongs to the run (hand.json, config.yaml, overlay.mp4) is therefore to be written into `folder`, inside the block.
+
+    With `resume`, `resume_point` tells where to go on: after the last frame of which the tracker's state is known. The
+    lines after it are dropped and tracked again from that state, so the result is that of an uninterrupted run. A
+    finished run can be resumed too, to go on further.
+
+    Raises InputError where the folder cannot be used, the disk refuses, or the header is not that of the run to resume.
+    """
+
+    def __init__(
+        self,
+        out_dir: str | Path,
+        header: TrackHeader,
+        *,
+        resume: bool = False,
+        overwrite: bool = False,
+        checkpoint_every: int = 30,
+    ) -> None:
+        if checkpoint_every < 1:
+            raise ValueError(f"checkpoint_every: expected 1 or more frames, got {checkpoint_every}")
+        self.out_dir = Path(out_dir)
+        check_output_folder(self.out_dir, resume=resume, overwrite=overwrite)
+        self.folder = self._choose_folder(resume)
+        """Where the files of this run are until it has ended well."""
+        self.resume_point: ResumePoint | None = None
+        self._header, self._every = header.as_json(), checkpoint_every
+        self._last_frame = -1
+        self._frames = 0
+        self._has_corrections = False
+        self._pending_state: Callable[[], State] | None = None
+        with explained_errors(self.folder):
+            self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / JSONL_NAME
+        size = 0
+        if not resume:
+            self._remove_unfinished()
+        elif path.exists():
+            size = self._resume(path)
+        self._lines = LineFile(path, size=size)
+        if not size:
+            self._lines.append(json.dumps(self._header, allow_nan=False))
+
+    def append(self, record: FrameRecord, state: Callable[[], State] | None = None) -> None:
+        """Add one frame; frames come in increasing order.
+
+        `state` gives the tracker's state after this frame; it is called now and then, and after the last frame, so it
+        must describe the tracker as it is at the time of the call.
+        """
+        if record.frame <= self._last_frame:
+            raise ValueError(f"frame: expected more than {self._last_frame}, got {record.frame}")
+        self._write(record)
+        self._last_frame = record.frame
+        self._frames += 1
+        self._pending_state = state
+        if state is not None and self._frames % self._every == 0:
+            self._save_checkpoint(state)
+
+    def correct(self, record: FrameRecord) -> None:
+        """Put another record in the place of that of an earlier frame.
+
+        What is corrected because of a later frame is to be written before that one is added: a run that is resumed
+        after it then has it.
+        """
+        if record.frame > self._last_frame:
+            raise ValueError(f"frame: expected at most {self._last_frame}, got {record.frame}")
+        self._write(record)
+        self._has_corrections = True
+
+    def _write(self, record: FrameRecord) -> None:
+        if len(record.pose) != len(self._header["dof_names"]):
+            raise ValueError(f"pose: expected {len(self._header['dof_names'])} DOFs, got {len(record.pose)}")
+        self._lines.append(record.as_json())
+
+    def __enter__(self) -> "TrackWriter":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            try:
+                self._finish()
+            finally:
+                self._lines.close()
+            return
+        # The first error is the one to report: what cannot be saved on top of it is left.
+        with contextlib.suppress(InputError):
+            self._lines.close()
+        if self._frames:
+            with contextlib.suppress(InputError):
+                write_npz(load_track(self.folder), self.folder / NPZ_NAME)  # the longer of lines and arrays
+
+    def _finish(self) -> None:
+        if not self._frames:
+            return
+        if self._pending_state is not None:
+            self._save_checkpoint(self._pending_state)
+        self._lines.sync()
+        self._lines.close()
+        if self._has_corrections:
+            keep_last_lines(self.folder / JSONL_NAME)
+        write_npz(load_track(self.folder / JSONL_NAME), self.folder / NPZ_NAME)
+        if self.folder == self.out_dir:
+            return
+        with explained_errors(self.out_dir):
+            for name in _RESULT_NAMES:
+                if (self.folder / name).exists():
+                    os.replace(self.folder / name, self.out_dir / name)
+                else:  # a file of the old run that the new one does not have
+                    (self.out_dir / name).unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                self.folder.rmdir()  # stays where someone else has put a file there
+
+    def _choose_folder(self, resume: bool) -> Path:
+        unfinished = self.out_dir / UNFINISHED_NAME
+        if resume:
+            folder = unfinished if (unfinished / JSONL_NAME).exists() else self.out_dir
+            entries = [entry.name for entry in folder.iterdir()] if folder.is_dir() else []
+            foreign = [name for name in entries if name not in _RESULT_NAMES and not name.startswith(".")]
+            if foreign and JSONL_NAME not in entries:
+                raise InputError(f"{folder}: cannot be resumed: expected {JSONL_NAME}, found {foreign[0]}")
+            return folder
+        has_result = any((self.out_dir / name).exists() for name in _RESULT_NAMES)
+        return unfinished if has_result else self.out_dir
+
+    def _remove_unfinished(self) -> None:
+        """Take away what an earlier run that never ended has left."""
+        with explained_errors(self.folder):
+            for name in _RESULT_NAMES:
+                (self.folder / name).unlink(missing_ok=True)
+
+    def _resume(self, path: Path) -> int:
+        """Find the point to go on from; returns how many bytes of the file stay."""
+        with path.open("rb") as file:
+            if not file.readline().endswith(b"\n"):
+                return 0  # stopped while it wrote its very first line
+        header, size = read_header(path)
+        for key, value in self._header.items():
+            if header.get(key) != value:
+                raise InputError(
+                    f"{path}: cannot be resumed: {_difference(key, header.get(key), value)};"
+                    " give the same options as before, or --overwrite"
+                )
+        checkpoint = _load_checkpoint(self.folder / CHECKPOINT_NAME)
+        if checkpoint is None:
+            return size
+        frames: set[int] = set()
+        for lines, (record, end) in enumerate(read_lines(path)):
+            frame = record.get("frame")
+            if not isinstance(frame, int):  # the header
+                continue
+            frames.add(frame)
+            if frame == checkpoint.last_frame:
+                self.resume_point, self._last_frame, self._frames = checkpoint, frame, len(frames)
+                self._has_corrections = lines > len(frames)
+                return end
+        return size
+
+    def _save_checkpoint(self, state: Callable[[], State]) -> None:
+        with replacing(self.folder / CHECKPOINT_NAME) as temporary, temporary.open("wb") as file:
+            torch.save({"last_frame": self._last_frame, "state": dict(state())}, file)
+        self._pending_state = None
+
+
+def _load_checkpoint(path: Path) -> ResumePoint | None:
+    """The checkpoint, or None if there is none that can be read: the run then starts from its first frame."""
+    try:
+        content = torch.load(path, weights_only=True)
+        return ResumePoint(last_frame=content["last_frame"], state=content["state"])
+    except Exception:  # the reader raises whatever it stumbles over
+        return None
+
+
+def _difference(key: str, before: Any, now: Any) -> str:
+    """The first thing that differs between two header values, by its dotted name."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        for name in [*before, *(name for name in now if name not in before)]:
+            if before.get(name) != now.get(name):
+                return _difference(f"{key}.{name}", before.get(name), now.get(name))
+    return f"{key} was {short(before)}, is now {short(now)}"

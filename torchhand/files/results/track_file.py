@@ -1,0 +1,155 @@
+"""track.jsonl and track.npz: the lines of a running track, and the arrays of a track as a whole."""
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchhand.errors import InputError
+from torchhand.files.disk import explained_errors, opened_arrays, replacing
+from torchhand.files.results.track_record import ARRAY_FIELDS, RESERVED_NAMES, TRACK_FORMAT, Track, track_of
+
+JSONL_NAME = "track.jsonl"
+NPZ_NAME = "track.npz"
+
+
+class LineFile:
+    """A text file that grows by whole lines: a line that cannot be written to its end leaves no trace.
+
+    Every line goes to the operating system at once, so that it outlives the program however that ends.
+    """
+
+    def __init__(self, path: Path, *, size: int) -> None:
+        """Open for writing after the first `size` bytes; what comes later is cut off."""
+        self.path = path
+        with explained_errors(path):
+            self._file = open(path, "r+b" if size else "wb", buffering=0)  # noqa: SIM115 - closed by close()
+            self._file.truncate(size)
+            self._file.seek(size)
+        self._size = size
+
+    def append(self, line: str) -> None:
+        """Write one line. Raises InputError where the disk refuses, after removing the piece that was written."""
+        rest = memoryview(line.encode() + b"\n")
+        size = self._size + len(rest)
+        with explained_errors(self.path):
+            try:
+                while rest:
+                    rest = rest[self._file.write(rest) :]
+            except OSError:
+                self._file.truncate(self._size)
+                raise
+        self._size = size
+
+    def sync(self) -> None:
+        """Wait until all is on the disk itself."""
+        with explained_errors(self.path):
+            os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        with explained_errors(self.path):
+            self._file.close()
+
+
+def read_lines(path: Path) -> Iterator[tuple[dict[str, Any], int]]:
+    """The records of a JSON-lines file, each with the offset in bytes of its end.
+
+    Ends at the first line that is incomplete or no JSON object: what a killed program or a full disk leaves behind.
+    """
+    end = 0
+    with path.open("rb") as file:
+        for line in file:
+            end += len(line)
+            try:
+                record = json.loads(line)
+            except (ValueError, RecursionError):
+                return
+            if not line.endswith(b"\n") or not isinstance(record, dict):
+                return
+            yield record, end
+
+
+def read_header(path: Path) -> tuple[dict[str, Any], int]:
+    """The header of a track.jsonl and the offset of its end. Raises InputError if the file is none."""
+    try:
+        header, end = next(read_lines(path), ({}, 0))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    if header.get("format") != TRACK_FORMAT:
+        raise InputError(f"{path}: expected a track (first line with 'format': '{TRACK_FORMAT}'), got something else")
+    return header, end
+
+
+def keep_last_lines(path: Path) -> None:
+    """Leave the header and the last line of every frame, in the frames' order; or the file as it was, and raise
+    InputError."""
+    start, last = 0, dict[int, tuple[int, int]]()
+    for i, (record, end) in enumerate(read_lines(path)):
+        last[record["frame"] if i else -1] = (start, end)
+        start = end
+    with replacing(path) as temporary, path.open("rb") as file, temporary.open("wb") as kept:
+        for frame in sorted(last):
+            start, end = last[frame]
+            file.seek(start)
+            kept.write(file.read(end - start))
+
+
+def load_track(folder: str | Path) -> Track:
+    """The track in a result folder, or that of a track.npz or track.jsonl.
+
+    Of a run that was stopped, the lines of track.jsonl are read where track.npz is missing or holds fewer frames.
+
+    Raises InputError naming the file and what is wrong with it.
+    """
+    path = Path(folder)
+    if path.suffix == ".npz":
+        return _read_npz(path)
+    if path.suffix == ".jsonl":
+        return _read_jsonl(path)
+    npz, jsonl = path / NPZ_NAME, path / JSONL_NAME
+    if not npz.is_file() and not jsonl.is_file():
+        raise InputError(f"{path}: expected a folder with {NPZ_NAME} or {JSONL_NAME}, found neither")
+    if not jsonl.is_file():
+        return _read_npz(npz)
+    if npz.is_file():
+        track = _read_npz(npz)
+        if len(track) >= len({str(record.get("frame")) for record, _ in read_lines(jsonl)}) - 1:
+            return track
+    return _read_jsonl(jsonl)
+
+
+def write_npz(track: Track, path: Path) -> None:
+    """Write the arrays, or leave what was there and raise InputError."""
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, **track.arrays())  # pyright: ignore[reportArgumentType] - the stub lacks keyword arrays
+
+
+def _read_jsonl(path: Path) -> Track:
+    header, _ = read_header(path)
+    rows = (record for i, (record, _) in enumerate(read_lines(path)) if i > 0)
+    try:
+        return track_of(header, rows)
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: is no track that can be read ({type(error).__name__}: {error})") from error
+
+
+def _read_npz(path: Path) -> Track:
+    complaint = "is no track that can be read"
+    with opened_arrays(path, complaint=complaint) as stored:
+        arrays = dict(stored)
+    try:
+        fields: dict[str, Any] = {name: arrays[name] for name in ("frame", "status", "seconds")}
+        fields |= {name: arrays.get(name) if name == "keypoints2d" else arrays[name] for name in ARRAY_FIELDS}
+        fields |= {name: str(arrays[name]) for name in ("units", "convention")}
+        fields["measures"] = {name: array for name, array in arrays.items() if name not in RESERVED_NAMES}
+        return Track(
+            dof_names=tuple(arrays["dof_names"].tolist()),
+            reason=arrays.get("reason"),
+            header=json.loads(str(arrays["header"])) if "header" in arrays else {},
+            **fields,
+        )
+    except (KeyError, ValueError, TypeError, RecursionError) as error:
+        raise InputError(f"{path}: {complaint} ({type(error).__name__}: {error})") from error

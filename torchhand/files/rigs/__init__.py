@@ -1,0 +1,16 @@
+"""Recordings of several cameras."""
+
+from torchhand.files.rigs.rig import load_rig, rig_notes
+from torchhand.files.rigs.source import RigFrame, RigSource, offsets_of, open_rig, open_uncalibrated
+from torchhand.files.rigs.views import mask_paths
+
+__all__ = [
+    "RigFrame",
+    "RigSource",
+    "load_rig",
+    "mask_paths",
+    "offsets_of",
+    "open_rig",
+    "open_uncalibrated",
+    "rig_notes",
+]

@@ -1,0 +1,283 @@
+"""Synchronised pictures of all cameras of a rig, moment by moment, each view with a reason where it has none."""
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from jaxtyping import Bool, UInt8
+from torch import Tensor
+
+from torchhand.errors import InputError
+from torchhand.files.disk import suggestion
+from torchhand.files.rigs.faults import FrozenViews, blackness
+from torchhand.files.rigs.view import Picture, RigView, open_view
+from torchhand.files.rigs.views import find_views, mask_paths, view_paths
+from torchhand.geometry import Camera
+
+_LEAST_AGREEMENT = 0.5  # share of the shortest view's numbers that all views have
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigFrame:
+    """One moment: a picture per camera, in the cameras' order."""
+
+    index: int
+    """Counted from 0 at the rig's first moment, also when reading starts later."""
+    images: tuple[UInt8[Tensor, "_height _width 3"] | None, ...]
+    """RGB; None where a view is missing, unreadable, of another size, black or frozen."""
+    problems: tuple[str | None, ...]
+    """One line for every picture that is None."""
+    masks: tuple[Bool[Tensor, "_height _width"] | None, ...] | None = None
+    """The given silhouettes, None where one is missing; None where none were asked for."""
+
+
+class RigSource:
+    """A context manager and an iterator of `RigFrame`; read once and in order, one moment in memory.
+
+    Pictures belong together by the number in their names where all views are folders of pictures whose numbers agree,
+    else by their place. A camera's offset is added to its positions: an offset of 3 takes its picture number 3 with
+    number 0 of the others. Reading ends with the shortest view.
+    """
+
+    def __init__(
+        self,
+        views: Sequence[RigView],
+        *,
+        offsets: Mapping[str, int] | None = None,
+        start: int = 0,
+        max_frames: int | None = None,
+        every: int = 1,
+        keep_all: bool = False,
+        mask_views: int = 0,
+    ) -> None:
+        """keep_all: moments count that any view has a numbered picture of, not only those between all views' ends.
+
+        mask_views: so many of the last views are the silhouettes of the others, in their order.
+
+        Raises InputError: no view can be used, an offset of an unknown camera, a start after the end.
+        """
+        if start < 0 or every < 1 or (max_frames is not None and max_frames < 1):
+            raise InputError(
+                "start, max_frames, every: expected a start of 0 or more and the others 1 or more,"
+                f" got {start}, {max_frames}, {every}"
+            )
+        self.warnings: list[str] = []
+        """Lines for the user; more may come while reading."""
+        self.names = tuple(view.name for view in views)
+        self._cameras = len(views) - mask_views
+        self._offsets = _offsets(self.names, offsets or {})
+        self._views = self._aligned(views, keep_all=keep_all)
+        usable = [view for view in self._views if view.problem is None]
+        if not usable:
+            problems = "; ".join(view.problem or "" for view in self._views)
+            raise InputError(f"no view can be used: {problems}")
+        self.warnings[:0] = [f"{view.name} is left out: {view.problem}" for view in self._views if view.problem]
+        self.sizes = tuple((view.width, view.height) for view in self._views)
+        """Width and height of each view, px; zeros of those left out."""
+        self.has_videos = any(view.pictures is None for view in usable)
+        self.fps = usable[0].fps
+        rates = {view.fps for view in usable}
+        if len(rates) > 1:
+            texts = ", ".join(f"{view.name} {view.fps:g}" for view in usable)
+            self.warnings.append(f"the views differ in frames per second ({texts}): they cannot stay synchronous")
+        self._length_warnings(usable)
+        moments = self._moments_of(usable, keep_all=keep_all)
+        self._moments = moments if moments is None else moments[::every]
+        if self._moments is not None and start >= len(self._moments):
+            raise InputError(f"start {start} lies after the last moment ({len(self._moments) - 1})")
+        self._start, self._every, self._shift = start, every, self._first(usable)
+        stops = [max_frames and start + max_frames, self._moments and len(self._moments)]
+        self._stop = min((stop for stop in stops if stop), default=None)
+        self.count = self._promised_count(usable)
+        """How many moments this reading will deliver, for a progress bar; None where nobody knows."""
+        self._used = False
+        self._readers: list[Iterator[Picture]] = []
+
+    def __iter__(self) -> Iterator[RigFrame]:
+        if self._used:
+            raise ValueError("a source is read once; open it again")
+        self._used = True
+        self._readers = [
+            view.read(self._positions(offset)) for view, offset in zip(self._views, self._offsets, strict=True)
+        ]
+        frozen = FrozenViews(self.names)
+        for index in itertools.count(self._start):
+            if self._stop is not None and index >= self._stop:
+                return
+            pictures = [next(reader, None) for reader in self._readers]
+            if any(picture is None for picture in pictures):
+                self._report_end(pictures, index)
+                return
+            images, problems = zip(*(picture for picture in pictures if picture is not None), strict=True)
+            problems = [
+                problem or (blackness(name, image) if image is not None and view < self._cameras else None)
+                for view, (name, image, problem) in enumerate(zip(self.names, images, problems, strict=True))
+            ]
+            problems = frozen.judge(images, problems)
+            good = tuple(None if p else image for p, image in zip(problems, images, strict=True))
+            count = self._cameras
+            yield RigFrame(
+                index=index,
+                images=good[:count],
+                problems=tuple(problems[:count]),
+                masks=None if count == len(good) else tuple(m if m is None else m[..., 0] > 127 for m in good[count:]),
+            )
+
+    def close(self) -> None:
+        """Let go of the files; may be called twice."""
+        for reader in self._readers:
+            close = getattr(reader, "close", None)
+            if close is not None:
+                close()
+        self._readers = []
+
+    def __enter__(self) -> "RigSource":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _positions(self, offset: int) -> Iterator[int]:
+        indices = itertools.count(self._start) if self._stop is None else range(self._start, self._stop)
+        if self._moments is None:
+            return (self._shift + index * self._every + offset for index in indices)
+        moments = self._moments
+        return (moments[index] + offset for index in indices)
+
+    def _aligned(self, views: Sequence[RigView], *, keep_all: bool) -> list[RigView]:
+        """Positions that mean the same in all views: numbers that they share, else places."""
+        usable = [view for view in views if view.problem is None]
+        if usable and all(view.is_numbered for view in usable):
+            numbers = [self._numbers(view) for view in usable]
+            if keep_all:
+                agree = len(usable) == 1 or any(a & b for a, b in itertools.combinations(numbers, 2))
+            else:
+                agree = len(set.intersection(*numbers)) >= _LEAST_AGREEMENT * min(map(len, numbers))
+            if agree:
+                if len({min(found) for found in numbers}) > 1 and not keep_all:
+                    texts = ", ".join(f"{view.name} {view.first}" for view in usable)
+                    self.warnings.append(f"the first numbers differ ({texts}): pictures of one number belong together")
+                return list(views)
+            self.warnings.append("pictures belong together by their place: the numbers in their names do not agree")
+        return [view.in_order() for view in views]
+
+    def _numbers(self, view: RigView) -> set[int]:
+        """Numbers of its pictures as a camera without offset would have them."""
+        return {position - self._offset(view) for position in view.pictures or ()}
+
+    def _moments_of(self, usable: Sequence[RigView], *, keep_all: bool) -> list[int] | None:
+        """Positions for a camera without offset; None where only reading tells the end."""
+        folders = [view for view in usable if view.pictures is not None]
+        if not folders:
+            return None
+        numbers = [self._numbers(view) for view in folders]
+        found = sorted(set.union(*numbers))
+        if len(folders) < len(usable):  # a video has every number
+            found = list(range(found[0], found[-1] + 1))
+        if keep_all:
+            return found
+        first, last = self._first(usable), min(map(max, numbers))
+        return [number for number in found if first <= number <= last]
+
+    def _first(self, usable: Sequence[RigView]) -> int:
+        """Position of the first moment, for a camera without offset."""
+        return max(view.first - self._offset(view) for view in usable)
+
+    def _offset(self, view: RigView) -> int:
+        return self._offsets[self.names.index(view.name)]
+
+    def _length_warnings(self, usable: Sequence[RigView]) -> None:
+        lengths = {view.name: view.promised for view in usable if view.promised is not None}
+        if len(set(lengths.values())) > 1:
+            texts = ", ".join(f"{name} {length}" for name, length in lengths.items())
+            self.warnings.append(f"the views differ in length ({texts} frames): reading ends with the shortest")
+
+    def _promised_count(self, usable: Sequence[RigView]) -> int | None:
+        ends = [
+            -(-(view.promised - self._shift - self._offset(view)) // self._every)
+            for view in usable
+            if view.promised is not None and view.pictures is None
+        ]
+        ends += [] if self._stop is None else [self._stop]
+        return max(0, min(ends) - self._start) if ends else None
+
+    def _report_end(self, pictures: Sequence[Picture | None], index: int) -> None:
+        usable = [view.problem is None for view in self._views]
+        ended = [name for name, picture in zip(self.names, pictures, strict=True) if picture is None]
+        going = [
+            name
+            for name, picture, is_usable in zip(self.names, pictures, usable, strict=True)
+            if picture is not None and is_usable
+        ]
+        if going:
+            self.warnings.append(f"{', '.join(ended)} ended after {index} frames, {', '.join(going)} go on")
+
+
+def open_rig(
+    folder: str | Path,
+    cameras: Sequence[Camera],
+    *,
+    offsets: Mapping[str, int] | None = None,
+    start: int = 0,
+    max_frames: int | None = None,
+    masks: bool = False,
+) -> RigSource:
+    """The recording of calibrated cameras: view_K/ or NAME/ pictures, or NAME.mp4, per camera in their order.
+
+    masks: read the silhouettes in masks_K/ too (white is the hand), which have the pictures' numbers.
+
+    A view that is missing or of another size than its camera is left out with a warning; its reason stands in every
+    frame. Raises InputError where no view is left, and where there are no masks at all although they are asked for.
+    """
+    folder = Path(folder).expanduser()
+    paths = view_paths(folder, [camera.name for camera in cameras])
+    if not any(paths):
+        raise InputError(
+            f"{folder}: no pictures of any camera; expected view_0, view_1, ... or a folder or video named after each"
+            f" of {', '.join(camera.name for camera in cameras)}"
+        )
+    views = [
+        open_view(camera.name, path, (camera.width, camera.height)) for camera, path in zip(cameras, paths, strict=True)
+    ]
+    if not masks:
+        return RigSource(views, offsets=offsets, start=start, max_frames=max_frames)
+    places = mask_paths(folder, len(cameras))
+    if not any(places):
+        raise InputError(f"{folder}: expected silhouettes in masks_0, masks_1, ..., found none")
+    pairs = zip(cameras, places, strict=True)
+    views += [open_view(f"{camera.name} mask", path, (camera.width, camera.height)) for camera, path in pairs]
+    own = dict(offsets or {})
+    own |= {f"{name} mask": frames for name, frames in own.items()}
+    return RigSource(views, offsets=own, start=start, max_frames=max_frames, mask_views=len(cameras))
+
+
+def open_uncalibrated(
+    folder: str | Path, *, offsets: Mapping[str, int] | None = None, every: int = 1, max_frames: int | None = None
+) -> RigSource:
+    """The recording of cameras that are not known yet: all views of a folder (see `find_views`), or one video."""
+    folder = Path(folder).expanduser()
+    found = {folder.stem: folder} if folder.is_file() else find_views(folder)
+    views = [open_view(name, path) for name, path in found.items()]
+    return RigSource(views, offsets=offsets, every=every, max_frames=max_frames, keep_all=True)
+
+
+def offsets_of(texts: Sequence[str]) -> dict[str, int]:
+    """Offsets written as NAME=FRAMES. Raises InputError naming the text that is none."""
+    offsets = {}
+    for text in texts:
+        name, sign, number = text.rpartition("=")
+        try:
+            offsets[name] = int(number)
+        except ValueError:
+            sign = ""
+        if not sign or not name:
+            raise InputError(f"offset: expected NAME=FRAMES such as cam1=-3, got {text!r}")
+    return offsets
+
+
+def _offsets(names: Sequence[str], offsets: Mapping[str, int]) -> list[int]:
+    for name in offsets:
+        if name not in names:
+            raise InputError(f"offset: {name!r} is no camera{suggestion(name, names)}; allowed: {', '.join(names)}")
+    return [offsets.get(name, 0) for name in names]

@@ -1,0 +1,234 @@
+"""Finds a hand in a single picture and fits it: the start of a track, and its restart after a loss."""
+
+import itertools
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from torchhand.fit import Appearance, disc, hand_region, learn_appearance, mask_plane, overlap
+from torchhand.fit.contour import hand_length_px, is_in_picture
+from torchhand.fit.detect.alignment import Alignment, align_points, align_posture
+from torchhand.fit.detect.edge_fit import Fit, FitSettings, fit_contour
+from torchhand.geometry import Camera
+from torchhand.hand import DOFS, HandKinematics
+from torchhand.image import (
+    BackgroundPlate,
+    SilhouetteSettings,
+    bootstrap_skin,
+    clean,
+    fill_holes,
+    largest_component,
+    segment,
+)
+from torchhand.view import HandProjector, OutlineTable
+
+StartPoints = tuple[float, float, float, float]
+"""Wrist x, y and middle fingertip x, y in px."""
+
+_WORST_COST = 0.42  # alignments above it are not worth fitting
+_TRIES = 4  # alignments fitted per picture
+_SPREADS = (1.0, 1.6, 0.4)  # factors on the abductions from which the fit starts, as long as none is good
+_GOOD = 0.93  # overlap at which no other start is tried
+_NEAR = 0.65  # overlap below which other abductions are not tried: the hand has another posture or is elsewhere
+_LEAST_FOUND = 0.8  # share of the fitted contour that must lie on edges
+_LEAST_INSIDE = 0.8  # share of the keypoints that must lie in the picture
+
+
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """A hand found in a picture."""
+
+    fit: Fit
+    appearance: Appearance
+    overlap: float
+    """Intersection over union of the fitted hand and the picture's, forearm cut at the wrist."""
+
+    @property
+    def quality(self) -> float:
+        """Overlap, weighed down where the contour finds no edges."""
+        return self.overlap * min(1.0, self.fit.found_share / _LEAST_FOUND)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoStart:
+    """Why a picture gave no hand."""
+
+    reason: str
+    has_foreground: bool
+    """Whether something hand-coloured of a believable size is there."""
+
+
+def segment_hand(
+    image: UInt8[Tensor, "height width 3"],
+    appearance: Appearance | None,
+    silhouette: SilhouetteSettings | None = None,
+    plate: BackgroundPlate | None = None,
+) -> tuple[Bool[Tensor, "height width"], str]:
+    """Silhouette of hand and bare forearm, and why it is empty where it is.
+
+    By the colours learned in this video where there are any; else by the method of `silhouette`: skin that the picture
+    itself teaches, the difference from a plate of the empty scene, or a coloured screen.
+    """
+    if appearance is None and silhouette is not None and silhouette.method != "skin":
+        mask = segment(image, silhouette, plate=plate)
+        return mask, "" if bool(mask.any()) else f"nothing stands out of the {silhouette.method}"
+    if appearance is None:
+        start = bootstrap_skin(image)
+        return start.mask, start.reason
+    mask = fill_holes(largest_component(clean(appearance.probability(image) > 0.5)))
+    return mask, "" if bool(mask.any()) else "nothing has the hand's colours"
+
+
+def find_hand(
+    image: UInt8[Tensor, "height width 3"],
+    kinematics: HandKinematics,
+    camera: Camera,
+    shape: Float[Tensor, "shape"],
+    table: OutlineTable,
+    posture: Float[Tensor, "36"],
+    *,
+    appearance: Appearance | None = None,
+    fit_shape: bool = True,
+    settings: FitSettings | None = None,
+    min_overlap: float = 0.75,
+    min_area_share: float = 0.004,
+    silhouette: SilhouetteSettings | None = None,
+    plate: BackgroundPlate | None = None,
+) -> Start | NoStart:
+    """Segments the picture, lays the posture over the silhouette, fits pose and shape, and judges the result."""
+    mask, reason = segment_hand(image, appearance, silhouette, plate)
+    if float(mask.float().mean()) < min_area_share:
+        return NoStart(reason=reason or "too little of the picture has the hand's colours", has_foreground=False)
+    alignments = [a for a in align_posture(mask, camera, kinematics, shape, posture) if a.cost < _WORST_COST]
+    best: Start | None = None
+    best_facing = ""
+    for spread, alignment in itertools.product(_SPREADS, alignments[:_TRIES]):
+        if best is not None and best.overlap > _GOOD:
+            break
+        if spread != 1.0 and (best is None or best.overlap < _NEAR or alignment.facing != best_facing):
+            continue
+        start = _fitted(
+            image, mask, _spread(alignment, spread), kinematics, camera, shape, table, fit_shape, settings, appearance
+        )
+        if start is not None and (best is None or start.quality > best.quality):
+            best, best_facing = start, alignment.facing
+    if best is None or best.overlap < min_overlap or best.fit.found_share < _LEAST_FOUND:
+        got = f"best overlap {best.overlap:.2f}, edges on {best.fit.found_share:.0%}" if best else "no placement fits"
+        return NoStart(reason=f"no hand in the posture of the start ({got})", has_foreground=True)
+    return best
+
+
+def start_at_points(
+    image: UInt8[Tensor, "height width 3"],
+    points: StartPoints,
+    kinematics: HandKinematics,
+    camera: Camera,
+    shape: Float[Tensor, "shape"],
+    table: OutlineTable,
+    posture: Float[Tensor, "36"],
+    *,
+    fit_shape: bool = True,
+    settings: FitSettings | None = None,
+) -> Start | NoStart:
+    """Starts from the wrist and the middle fingertip that the user gives: the paper's start by hand.
+
+    The colours of the palm so placed, against those around the hand, give a silhouette to fit; then those of the fitted
+    hand give a better one. The better of palm and back is taken. The user is believed: there is no start only where no
+    colours can be learned, and a small overlap is the caller's to judge.
+    """
+    best: Start | None = None
+    for alignment in align_points(points[:2], points[2:], camera, kinematics, shape, posture):
+        placed = Fit.of_start(alignment.pose, alignment.root_reference, shape)
+        start: Start | None = None
+        for is_first in (True, False, False):
+            appearance = _appearance_of(image, kinematics, camera, placed, palm_only=is_first)
+            if appearance is None:
+                break
+            mask = fill_holes(clean(appearance.probability(image) > 0.5))
+            placed = fit_contour(
+                mask_plane(mask),
+                kinematics,
+                camera,
+                table,
+                placed.pose,
+                placed.root_reference,
+                placed.shape,
+                settings,
+                fit_shape=fit_shape,
+            )
+            start = Start(fit=placed, appearance=appearance, overlap=fit_overlap(mask, kinematics, camera, placed))
+        if start is not None and (best is None or start.overlap > best.overlap):
+            best = start
+    return best or NoStart(reason="the hand placed at the start points lies outside the picture", has_foreground=False)
+
+
+def _spread(alignment: Alignment, factor: float) -> Alignment:
+    """The alignment with its abductions wider or narrower: a finger that slid onto its neighbour tries again."""
+    is_spread = torch.tensor([name.endswith("_aa") for name in DOFS])
+    return replace(alignment, pose=torch.where(is_spread, factor * alignment.pose, alignment.pose))
+
+
+def _fitted(
+    image: Tensor,
+    mask: Tensor,
+    alignment: Alignment,
+    kinematics: HandKinematics,
+    camera: Camera,
+    shape: Tensor,
+    table: OutlineTable,
+    fit_shape: bool,
+    settings: FitSettings | None,
+    appearance: Appearance | None,
+) -> Start | None:
+    fit = fit_contour(
+        mask_plane(mask),
+        kinematics,
+        camera,
+        table,
+        alignment.pose,
+        alignment.root_reference,
+        shape,
+        settings,
+        fit_shape=fit_shape,
+    )
+    keypoints = camera.project(kinematics(fit.pose, fit.shape, root_reference=fit.root_reference).keypoints)
+    if float(is_in_picture(keypoints, camera).double().mean()) < _LEAST_INSIDE:
+        return None
+    quality = fit_overlap(mask, kinematics, camera, fit)
+    if appearance is None:
+        margin = max(1, round(0.01 * hand_length_px(camera, kinematics, fit.pose, fit.shape)))
+        appearance = learn_appearance(image, mask, ~mask, margin)
+    return None if appearance is None else Start(fit=fit, appearance=appearance, overlap=quality)
+
+
+def fit_overlap(mask: Tensor, kinematics: HandKinematics, camera: Camera, fit: Fit) -> float:
+    """Overlap of a fitted hand's silhouette with a mask, forearm cut off."""
+    projector = HandProjector(kinematics, camera, fit.shape)
+    keypoints = camera.project(projector.frames(fit.pose, fit.root_reference).keypoints)
+    reach = 1.35 * hand_length_px(camera, kinematics, fit.pose, fit.shape)
+    region = hand_region((camera.height, camera.width), keypoints[0], keypoints[9], reach)
+    return overlap(projector.silhouette(fit.pose, fit.root_reference), mask, region)
+
+
+def _appearance_of(
+    image: Tensor, kinematics: HandKinematics, camera: Camera, fit: Fit, *, palm_only: bool
+) -> Appearance | None:
+    """Colours of a placed hand, or of its palm alone, against its surroundings.
+
+    The side where a forearm may be counts for neither, nor does what lies near the outline of a hand that is placed
+    roughly.
+    """
+    projector = HandProjector(kinematics, camera, fit.shape)
+    silhouette = projector.silhouette(fit.pose, fit.root_reference)
+    keypoints = camera.project(projector.frames(fit.pose, fit.root_reference).keypoints)
+    length_px = hand_length_px(camera, kinematics, fit.pose, fit.shape)
+    size = (camera.height, camera.width)
+    around = hand_region(size, keypoints[0], keypoints[9], 1.6 * length_px)
+    inside, margin = silhouette, round(0.015 * length_px)
+    if palm_only:
+        middle = 0.45 * keypoints[0] + 0.55 * keypoints[9]
+        inside = silhouette & disc(size, middle, 0.2 * length_px)
+        margin = round(0.03 * length_px)
+    return learn_appearance(image, inside, around & ~silhouette, max(1, margin))

@@ -1,0 +1,67 @@
+"""The posture prior as least squares: of its mixture, the posture that is likeliest, without the cut-offs.
+
+The mixture's components are chains of normals whose means follow the angles before them, so that minus the logarithm
+of one is half a sum of squares of linear residuals, but for the clamps of the ties and the normalisation of what is cut
+off at the limits.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchhand.hand import DOFS, JOINT_DOFS, PostureMixture
+from torchhand.hand.limits import TIES
+
+_ROOT = len(DOFS) - len(JOINT_DOFS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureResiduals:
+    """Residuals matrix · joints - offset of each of the mixture's postures."""
+
+    matrix: Float[Tensor, "postures 30 30"]
+    offset: Float[Tensor, "postures 30"]
+    level: Float[Tensor, "postures"]
+    """Minus the logarithm of weight and normalisation, up to one constant."""
+
+    @classmethod
+    def of(cls, mixture: PostureMixture) -> "PostureResiduals":
+        """Those of a mixture with soft ties, float64."""
+        if mixture.constraints.settings.ties == "hard":
+            raise ValueError("mixture: expected soft ties; with hard ones the tied angles have no density")
+        slopes, std, tied = mixture.slopes.double(), mixture.std.double(), mixture.tied.double()
+        follows, wanted = torch.zeros_like(slopes), torch.zeros_like(slopes[0])
+        for tie in TIES:
+            follows[tie.target, tie.source] = tie.factor
+            wanted[tie.target] = tie.offset
+        own = 1 - tied
+        identity = torch.eye(len(JOINT_DOFS), dtype=torch.float64, device=slopes.device)
+        expected = own[:, :, None] * slopes + tied[:, :, None] * follows
+        return cls(
+            matrix=(identity - expected) / std[:, :, None],
+            offset=(own * mixture.offset.double() + tied * wanted) / std,
+            level=std.log().sum(-1) - mixture.log_weight.double(),
+        )
+
+    def likeliest(self, pose: Float[Tensor, "*batch 36"]) -> Int[Tensor, "*batch"]:
+        """The posture of highest density at each pose."""
+        joints = pose[..., _ROOT:].to(self.matrix)
+        missed = (joints @ self.matrix.flatten(0, 1).T).unflatten(-1, self.offset.shape) - self.offset
+        return (0.5 * missed.square().sum(-1) + self.level).argmin(-1)
+
+    def residual(
+        self, pose: Float[Tensor, "*batch 36"], posture: Int[Tensor, "*batch"], basis: Float[Tensor, "36 free"]
+    ) -> tuple[Float[Tensor, "*batch 30"], Float[Tensor, "*batch 30 free"]]:
+        """In standard deviations, and the derivative in the pose space; the posture is held."""
+        missed, matrix = self.of_joints(pose, posture)
+        return missed, matrix @ basis[_ROOT:]
+
+    def of_joints(
+        self, pose: Float[Tensor, "*batch 36"], posture: Int[Tensor, "*batch"]
+    ) -> tuple[Float[Tensor, "*batch 30"], Float[Tensor, "*batch 30 30"]]:
+        """The same, derived in the joint angles."""
+        joints = pose[..., _ROOT:]
+        matrix = self.matrix.to(joints)[posture]
+        return (matrix @ joints[..., None]).squeeze(-1) - self.offset.to(joints)[posture], matrix

@@ -1,0 +1,148 @@
+"""How likely a pose and a shape are for a human hand: log-probability, a smooth energy, and a sampler."""
+
+import math
+from dataclasses import dataclass, field
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from torchhand.hand.kinematics import DOFS, HandKinematics, ShapeSpace, Skeleton
+from torchhand.hand.limits import Anthropometry, AnthropometrySettings, ConstraintSettings, PoseConstraints
+from torchhand.hand.primitives import PenetrationSettings, energy_of, penetration, place_primitives, primitive_sizes
+from torchhand.hand.prior.components import PostureComponent
+from torchhand.hand.prior.mixture import PostureMixture
+from torchhand.hand.prior.postures import COMPONENTS
+
+_CHUNK = 1024  # hands that are placed at once when sampling
+_MOST = 32 * _CHUNK  # proposals of one round
+_PATIENCE, _FEWEST = 10_000, 1e-3  # tries after which sampling gives up if it keeps a smaller share than that
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandPriorSettings:
+    """What the prior is made of."""
+
+    constraints: ConstraintSettings = field(default_factory=ConstraintSettings)
+    anthropometry: AnthropometrySettings = field(default_factory=AnthropometrySettings)
+    penetration: PenetrationSettings | None = field(default_factory=PenetrationSettings)
+    """None lets parts of the hand pass through each other: the density is then normalised exactly."""
+    deepest: float = 0.004
+    """No sample, and no pose of finite log-probability, has a pair of parts deeper in each other than its slack and
+    this, metres; above 0."""
+    components: tuple[PostureComponent, ...] = COMPONENTS
+    """Postures of the mixture."""
+
+    def __post_init__(self) -> None:
+        if not self.deepest > 0:
+            raise ValueError(f"deepest: expected above 0, got {self.deepest!r}")
+
+
+class HandPrior(nn.Module):
+    """p(pose, shape) ∝ postures(joint angles) · people(shape) · exp(−penetration(joint angles, shape)).
+
+    `postures` is a mixture of truncated normals on the feasible set (`PostureMixture`), normalised exactly; `people` a
+    normal distribution cut off at the 21 anthropometric intervals and the shape's bounds (`Anthropometry`); penetration
+    as in `penetration`, infinite beyond `settings.deepest`. The constant that cutting off and penetration take away is
+    left out: log-probabilities of one prior can be compared, and `sample` follows them exactly. The root is uniform,
+    which is improper: it has no part in the density, and samples have it at zero.
+    """
+
+    def __init__(self, skeleton: Skeleton, shape_space: ShapeSpace, settings: HandPriorSettings | None = None) -> None:
+        super().__init__()
+        self.settings = settings or HandPriorSettings()
+        self.constraints = PoseConstraints(skeleton, self.settings.constraints)
+        self.people = Anthropometry(shape_space, self.settings.anthropometry)
+        self.postures = PostureMixture(self.constraints, self.settings.components)
+        self.kinematics = HandKinematics(skeleton, shape_space)
+
+    def log_prob(
+        self, pose: Float[Tensor, "*batch 36"], shape: Float[Tensor, "*#batch shape"] | None = None
+    ) -> Float[Tensor, "*batch"]:
+        """Log-probability up to one constant; minus infinity where a hard constraint is broken.
+
+        Raises ValueError for numbers that are too many, too few, or of another dtype than the prior's.
+
+        Without a shape that of the pose for the default shape. The gradient is finite inside; outside it is that of
+        `energy` without the walls, so that it still leads towards likelier poses. A NaN gives minus infinity.
+        """
+        self._check(pose, shape)
+        excess, cost = self._penetration(pose, shape)
+        density = self.postures.log_density(pose) - cost
+        possible = self.constraints.is_feasible(pose) & (excess <= self.settings.deepest)
+        if shape is not None:
+            density = density + self.people.log_density(shape)
+            possible = possible & self.people.is_feasible(shape)
+        return torch.where(possible, density, -torch.inf)
+
+    def energy(
+        self, pose: Float[Tensor, "*batch 36"], shape: Float[Tensor, "*#batch shape"] | None = None
+    ) -> Float[Tensor, "*batch"]:
+        """−log_prob with smooth walls in place of the infinite ones: finite everywhere, for losses and fitting.
+
+        On the feasible set, and no deeper than `settings.deepest`, it is −log_prob exactly.
+        """
+        self._check(pose, shape)
+        _, cost = self._penetration(pose, shape)
+        energy = cost - self.postures.log_density(pose) + self.constraints.wall(pose)
+        if shape is not None:
+            energy = energy - self.people.log_density(shape) + self.people.penalty(shape)
+        return energy
+
+    def sample(
+        self, count: int, generator: torch.Generator
+    ) -> tuple[Float[Tensor, "count 36"], Float[Tensor, "count shape"]]:
+        """Poses, root at zero, and shapes of random people; every one feasible, drawn by rejection.
+
+        In the module's device and dtype. The generator is one of the CPU; the same seed gives the same samples bit for
+        bit on the same machine.
+        """
+        if count < 0:
+            raise ValueError(f"count: expected 0 or more, got {count}")
+        poses, shapes, found, tried = [], [], 0, 0
+        while found < count:
+            rate = max(found, 1) / tried if tried else 1.0
+            wanted = min(max(math.ceil(1.1 * (count - found) / rate), 16), _MOST)
+            pose, shape = self._propose(wanted, generator)
+            chance = torch.rand(wanted, generator=generator, dtype=torch.float64)
+            kept = self._accepts(pose, shape, chance)
+            poses.append(pose[kept])
+            shapes.append(shape[kept])
+            found, tried = found + int(kept.sum()), tried + wanted
+            if tried >= _PATIENCE and found < _FEWEST * tried:
+                raise ValueError(
+                    f"sample: expected postures that hardly penetrate themselves, found {found} in {tried} tries"
+                )
+        empty_pose, empty_shape = self._propose(0, generator)
+        return torch.cat((empty_pose, *poses))[:count], torch.cat((empty_shape, *shapes))[:count]
+
+    def _check(self, pose: Tensor, shape: Tensor | None) -> None:
+        dtype = self.kinematics.default_shape.dtype
+        for name, value in (("pose", pose), ("shape", shape)):
+            if value is not None and value.dtype != dtype:
+                raise ValueError(f"{name}: expected {dtype}, in which the prior computes, got {value.dtype}")
+        if pose.ndim == 0 or pose.shape[-1] != len(DOFS):
+            raise ValueError(f"pose: expected {len(DOFS)} numbers in the last dimension, got shape {tuple(pose.shape)}")
+        if shape is not None:
+            self.kinematics.shape_space.check_width(shape)
+
+    def _propose(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        pose, _ = self.postures.sample(count, generator)
+        return pose, self.people.sample(count, generator).to(pose)
+
+    @torch.no_grad()
+    def _accepts(self, pose: Tensor, shape: Tensor, chance: Tensor) -> Tensor:
+        kept = []
+        for poses, shapes, chances in zip(*(x.split(_CHUNK) for x in (pose, shape, chance)), strict=True):
+            excess, cost = self._penetration(poses, shapes)
+            kept.append((excess <= self.settings.deepest) & (chances.to(cost.device) < torch.exp(-cost.double())))
+        return torch.cat(kept)
+
+    def _penetration(self, pose: Tensor, shape: Tensor | None) -> tuple[Tensor, Tensor]:
+        """The largest depth beyond the slack (metres), and what all of them cost."""
+        if self.settings.penetration is None:
+            return torch.zeros_like(pose[..., 0]), torch.zeros_like(pose[..., 0])
+        still = torch.cat((torch.zeros_like(pose[..., :6]), pose[..., 6:]), -1)
+        sizes = primitive_sizes(self.kinematics.shape_space, self.kinematics.default_shape if shape is None else shape)
+        depths = penetration(place_primitives(self.kinematics(still, shape), sizes), self.settings.penetration)
+        return depths.worst, energy_of(depths, self.settings.penetration)

@@ -1,0 +1,187 @@
+"""Edges along the normals of a predicted contour."""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from torchhand.image.contours.sampling import is_inside, sample_bilinear
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeSettings:
+    half_length_px: float = 15.0
+    """Search reaches this far to both sides of the predicted point; > 0."""
+    step_px: float = 0.5
+    """Distance of samples along the normal; > 0, at most sigma_px."""
+    sigma_px: float = 1.5
+    """Standard deviation of the derivative-of-Gaussian kernel; > 0."""
+    min_strength: float = 0.03
+    """Weakest edge accepted: height of the step in the picture's own units (0.03 is 8 grey levels of 255)."""
+    polarity: Literal["any", "inside_bright", "inside_dark"] = "any"
+    """Which side of an edge must be the brighter; inside is where the normal comes from."""
+    choose: Literal["strongest", "nearest"] = "strongest"
+    """The strongest edge (paper 003), or the one nearest to the predicted point among the rivals."""
+    rival_fraction: float = 0.5
+    """An edge at least this share as strong as the strongest is its rival; 0..1."""
+
+    def __post_init__(self) -> None:
+        for name in ("half_length_px", "step_px", "sigma_px"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"EdgeSettings.{name} must be > 0 px, got {getattr(self, name)}")
+        if self.step_px > self.sigma_px:
+            raise ValueError(f"EdgeSettings.step_px must be at most sigma_px = {self.sigma_px}, got {self.step_px}")
+        if not self.min_strength >= 0:
+            raise ValueError(f"EdgeSettings.min_strength must be >= 0, got {self.min_strength}")
+        if not 0 <= self.rival_fraction <= 1:
+            raise ValueError(f"EdgeSettings.rival_fraction must lie in 0..1, got {self.rival_fraction}")
+        if self.polarity not in ("any", "inside_bright", "inside_dark"):
+            allowed = "any, inside_bright, inside_dark"
+            raise ValueError(f"EdgeSettings.polarity must be one of {allowed}, got {self.polarity!r}")
+        if self.choose not in ("strongest", "nearest"):
+            raise ValueError(f"EdgeSettings.choose must be one of strongest, nearest, got {self.choose!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeSearch:
+    """One edge per contour point, or none: where `found` is False every other field is 0."""
+
+    offset_px: Float[Tensor, "*batch points"]
+    """Signed distance from the predicted point along its normal; the innovation of a filter."""
+    strength: Float[Tensor, "*batch points"]
+    """Height of the step, in the picture's units, >= 0."""
+    polarity: Int[Tensor, "*batch points"]
+    """+1 the inside is brighter, -1 the outside is."""
+    found: Bool[Tensor, "*batch points"]
+    candidates: Int[Tensor, "*batch points"]
+    """Number of rivals, the chosen one included; above 1 there is clutter and the measurement deserves less trust."""
+
+
+def search_edges(
+    image: Float[Tensor, "*channels height width"],
+    points_px: Float[Tensor, "*batch points 2"],
+    normals: Float[Tensor, "*batch points 2"],
+    settings: EdgeSettings | None = None,
+    *,
+    half_length_px: Float[Tensor, "*batch points"] | None = None,
+    channel_weights: Float[Tensor, " channels"] | None = None,
+) -> EdgeSearch:
+    """Edge nearest the truth along each contour normal (paper 003, section 4.3; FACTS 7, one-dimensional search).
+
+    The picture, one plane (height, width) or several (channels, height, width), is read bilinearly along each unit,
+    outward normal and correlated with t/sigma² exp(-t²/2 sigma²), cut off at 3 sigma and scaled so that a step of
+    height h that nothing has blurred answers h (blurred by a Gaussian s: h sigma / sqrt(sigma² + s²)). An edge is a
+    local maximum of the answer's magnitude, refined by a parabola; the flank of an edge beyond the end of the search is
+    none. With several planes the one with the largest weighted answer speaks at each place (a weighted *sum* of planes
+    is a search in the summed picture). The picture itself is not smoothed.
+
+    Samples outside the picture are unknown: no edge is found within 3 sigma + 2 steps of the border. `half_length_px`
+    replaces the setting per point; it may be longer or shorter, 0 finds nothing but an edge at the point itself.
+    Offsets are in the dtype of the points. Gradients do not flow.
+    """
+    settings = EdgeSettings() if settings is None else settings
+    planes = image if image.ndim == 3 else image[None]
+    if image.ndim not in (2, 3):
+        raise ValueError(f"image must be (height, width) or (channels, height, width), got {tuple(image.shape)}")
+    if points_px.shape != normals.shape:
+        raise ValueError(f"points {tuple(points_px.shape)} and normals {tuple(normals.shape)} must have the same shape")
+    with torch.no_grad():
+        reach = settings.half_length_px
+        if half_length_px is not None:
+            reach = float(half_length_px.max()) if half_length_px.numel() else 0.0
+        response, is_valid, offsets = _responses(planes, points_px, normals, settings, reach, channel_weights)
+        limit = settings.half_length_px if half_length_px is None else half_length_px[..., None]
+        return _choose(response, is_valid & (offsets.abs() <= limit + 1e-6), offsets, settings, points_px.dtype)
+
+
+def _responses(
+    planes: Tensor, points_px: Tensor, normals: Tensor, settings: EdgeSettings, reach: float, weights: Tensor | None
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Signed answers (*batch, points, positions + 2), which inner ones are known, and the positions in px."""
+    half_positions = math.floor(reach / settings.step_px + 1e-6)
+    half_taps = math.ceil(3.0 * settings.sigma_px / settings.step_px)
+    half_samples = half_positions + 1 + half_taps
+    samples = torch.arange(-half_samples, half_samples + 1, device=planes.device, dtype=points_px.dtype)
+    samples = samples * settings.step_px
+    # Coordinates apart in memory, as the readers want them.
+    start, direction = points_px.movedim(-1, 0)[..., None], normals.movedim(-1, 0)[..., None]
+    places = torch.addcmul(start, direction, samples).movedim(0, -1)
+    profile = sample_bilinear(planes, places)
+
+    kernel = _correlation(settings.sigma_px, settings.step_px, 2 * half_positions + 3, profile.dtype, profile.device)
+    response = profile @ kernel
+    if weights is not None:
+        response = response * weights.to(response).reshape(-1, *(1,) * (response.ndim - 1))
+    if planes.shape[0] == 1:
+        response = response[0]
+    else:
+        loudest = _magnitude(response, settings.polarity).argmax(dim=0, keepdim=True)
+        response = response.gather(0, loudest)[0]
+
+    height, width = planes.shape[-2:]
+    inside = is_inside(places, width, height)
+    # Profiles are straight and the picture is convex: a stretch is inside when both its ends are.
+    reached = 2 * half_taps + 2
+    is_valid = inside[..., : 2 * half_positions + 1] & inside[..., reached:]
+    return response, is_valid, samples[half_taps + 1 : half_taps + 2 + 2 * half_positions]
+
+
+def derivative_of_gaussian(sigma_px: float, step_px: float) -> Float[Tensor, " taps"]:
+    """Correlation kernel t/sigma² exp(-t²/2 sigma²), |t| <= 3 sigma, its positive half summing to one; float64."""
+    half_taps = math.ceil(3.0 * sigma_px / step_px)
+    t = torch.arange(-half_taps, half_taps + 1, dtype=torch.float64) * step_px
+    kernel = t * torch.exp(-0.5 * (t / sigma_px) ** 2)
+    return kernel / kernel[half_taps + 1 :].sum()
+
+
+@lru_cache(maxsize=256)
+def _correlation(sigma_px: float, step_px: float, positions: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Band matrix of the kernel; a tracker asks for the same few again and again."""
+    with torch.inference_mode(False):  # kept for callers in any mode
+        return _band(derivative_of_gaussian(sigma_px, step_px), positions).to(dtype=dtype, device=device)
+
+
+def _band(kernel: Tensor, positions: int) -> Tensor:
+    """Matrix (positions + taps - 1, positions): a row of samples times it is its correlation with the kernel."""
+    taps = kernel.numel()
+    band = kernel.new_zeros(positions + taps - 1, positions)
+    for tap in range(taps):
+        band.diagonal(-tap).copy_(kernel[tap].expand(positions))
+    return band
+
+
+def _magnitude(response: Tensor, polarity: str) -> Tensor:
+    if polarity == "any":
+        return response.abs()
+    return -response if polarity == "inside_bright" else response
+
+
+def _choose(
+    response: Tensor, may_be_edge: Tensor, offsets: Tensor, settings: EdgeSettings, dtype: torch.dtype
+) -> EdgeSearch:
+    magnitude = _magnitude(response, settings.polarity)
+    before, here, after = magnitude[..., :-2], magnitude[..., 1:-1], magnitude[..., 2:]
+    is_peak = may_be_edge & (here > before) & (here >= after) & (here >= settings.min_strength)
+    heights = torch.where(is_peak, here, 0.0)
+    strongest, index = heights.max(dim=-1, keepdim=True)
+    is_rival = is_peak & (here >= settings.rival_fraction * strongest)
+    if settings.choose == "nearest":
+        index = torch.where(is_rival, offsets.abs(), torch.inf).argmin(dim=-1, keepdim=True)
+    found = is_peak.any(dim=-1)
+
+    a, b, c = (part.gather(-1, index)[..., 0] for part in (before, here, after))
+    curvature = torch.where(found, a - 2.0 * b + c, -1.0)
+    shift = (0.5 * (a - c) / curvature).clamp(-0.5, 0.5) * settings.step_px
+    place = offsets[index[..., 0]] + shift.to(dtype)
+    sign = response[..., 1:-1].gather(-1, index)[..., 0].sign()
+    return EdgeSearch(
+        offset_px=torch.where(found, place.to(dtype), 0.0),
+        strength=torch.where(found, b, 0.0),
+        polarity=torch.where(found, -sign, 0.0).to(torch.int64),
+        found=found,
+        candidates=is_rival.sum(dim=-1),
+    )

@@ -1,0 +1,240 @@
+"""Silhouettes where colours overlap: graph cut about a first guess, and the guesses that one picture offers.
+
+Skin colour alone takes a skin-coloured wall or shirt for the hand. OpenCV's GrabCut puts the outline onto edges between
+what is surely inside and surely outside a guess; several guesses by colour and brightness are offered, and the one
+whose refined outline has an open hand's fingers and lies on edges is the hand.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, UInt8
+from torch import Tensor
+
+from torchhand.image.fingers.fingers import FingerSearch, FingerSettings, find_fingers
+from torchhand.image.segmentation import bootstrap_skin, clean, fill_holes, largest_component
+
+_LEAST_SHARE, _MOST_SHARE = 0.02, 0.75  # of the picture that a hand may cover
+_MOST_BORDER = 0.75  # of the picture's border that a hand may take up: more is what is behind it
+_FAIR_FINGERS = 3  # a guess that shows fewer is not refined
+_REFINED = 3  # guesses refined
+_SAME = 0.97  # intersection over union of guesses of which one is refined for both
+_QUICK = FingerSettings(sizes=8, work_side_px=200)
+_LUMA_RANGE = (0.55, 1.6)  # of a digit over the palm: shadows are darker
+_MOST_CHROMA = 14.0  # distance of a digit's mean (Cr, Cb) from the palm's, 8-bit levels
+_LEAST_GRADIENT = 0.03  # change of a channel (0..1) across the outline that counts as an edge
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefinementSettings:
+    """How the graph cut is set up."""
+
+    max_side_px: int = 320
+    """Larger pictures are reduced to this longer side for the cut; >= 32."""
+    core_share: float = 0.35
+    """What lies deeper than this share of a guess's greatest depth is surely inside; between 0 and 1."""
+    band_share: float = 0.5
+    """What lies farther from the guess than this share of its greatest depth is surely outside; above 0."""
+    iterations: int = 3
+    """Rounds of the cut; 1 or more."""
+
+    def __post_init__(self) -> None:
+        if self.max_side_px < 32:
+            raise ValueError(f"RefinementSettings.max_side_px must be >= 32, got {self.max_side_px}")
+        if not 0 < self.core_share < 1:
+            raise ValueError(f"RefinementSettings.core_share must lie between 0 and 1, got {self.core_share}")
+        if not 0 < self.band_share < float("inf"):
+            raise ValueError(f"RefinementSettings.band_share must be > 0, got {self.band_share}")
+        if self.iterations < 1:
+            raise ValueError(f"RefinementSettings.iterations must be >= 1, got {self.iterations}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandSilhouette:
+    """The best silhouette of an open hand that a picture offers."""
+
+    mask: Bool[Tensor, "height width"]
+    """Largest piece, holes filled; False everywhere where nothing is hand-like."""
+    source: str
+    """How it was found: the guess, and whether it was refined."""
+    search: FingerSearch | None
+    """Its fingers."""
+    edge_share: float
+    """Share of its outline, the picture's border left out, that lies on edges of the picture."""
+    odd_digits: tuple[str, ...] = ()
+    """Digits of another colour than the palm's: shadows, or something behind the hand."""
+
+
+def refine_silhouette(
+    image: UInt8[Tensor, "height width 3"],
+    guess: Bool[Tensor, "height width"],
+    settings: RefinementSettings | None = None,
+) -> Bool[Tensor, "height width"]:
+    """The guess with its outline put onto the picture's edges by a graph cut between learned colours (GrabCut).
+
+    The core of the guess stays inside and what is far from it outside. An empty or full guess comes back as it is.
+    """
+    settings = settings or RefinementSettings()
+    height, width = guess.shape
+    scale = min(1.0, settings.max_side_px / max(height, width))
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    small = cv2.resize(guess.cpu().numpy().astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) > 127
+    if not small.any() or small.all():
+        return guess
+    pixels = cv2.resize(image.cpu().contiguous().numpy(), size, interpolation=cv2.INTER_AREA)
+    cut = _cut(np.ascontiguousarray(pixels[..., ::-1]), small, settings)
+    if cut is None:
+        return guess
+    whole = cv2.resize(cut.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
+    return torch.from_numpy(whole > 0.5).to(guess.device)
+
+
+def find_open_hand(
+    image: UInt8[Tensor, "height width 3"], settings: RefinementSettings | None = None
+) -> HandSilhouette:
+    """The silhouette of an open hand, from colour, shape and edges of one picture.
+
+    Guesses are what skin looks like in this picture (`bootstrap_skin`) and Otsu's halves of several channels. The most
+    hand-like of them are refined, and of all the one with most fingers in an open hand's order, on edges, is taken.
+    """
+    settings = settings or RefinementSettings()
+    edges = _edges(image)
+    guesses = [
+        candidate
+        for name, mask in _guesses(image, settings.max_side_px)
+        if (candidate := _judged(image, edges, mask, name)) is not None
+    ]
+    guesses.sort(key=_merit, reverse=True)
+    refined: list[HandSilhouette] = []
+    tried: list[HandSilhouette] = []
+    for guess in guesses[:_REFINED]:
+        if _fingers(guess) < _FAIR_FINGERS or any(_alike(guess.mask, other.mask) for other in tried):
+            continue
+        tried.append(guess)
+        cut = _judged(image, edges, refine_silhouette(image, guess.mask, settings), f"{guess.source}, graph cut")
+        refined += [] if cut is None else [cut]
+    everything = guesses + refined
+    if not everything:
+        nothing = torch.zeros(image.shape[:2], dtype=torch.bool, device=image.device)
+        return HandSilhouette(mask=nothing, source="none", search=None, edge_share=0.0)
+    return max(everything, key=_merit)
+
+
+def edge_share(image: UInt8[Tensor, "height width 3"], mask: Bool[Tensor, "height width"]) -> float:
+    """Share of a silhouette's outline that lies on edges of the picture; the picture's border counts for neither."""
+    return _share_on(_edges(image), mask)
+
+
+def _share_on(edges: np.ndarray, mask: Tensor) -> float:
+    height, width = mask.shape
+    outlines, _ = cv2.findContours(mask.cpu().numpy().astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if not outlines:
+        return 0.0
+    points = np.concatenate([np.asarray(outline, np.int64)[:, 0] for outline in outlines])
+    inner = (points[:, 0] > 2) & (points[:, 1] > 2) & (points[:, 0] < width - 3) & (points[:, 1] < height - 3)
+    points = points[inner]
+    if not len(points):
+        return 0.0
+    return float((edges[points[:, 1], points[:, 0]] > _LEAST_GRADIENT).mean())
+
+
+def _edges(image: Tensor) -> np.ndarray:
+    """Steepest change of any channel within 2 px of each pixel, shares of white per px."""
+    soft = cv2.GaussianBlur(image.cpu().contiguous().numpy(), (0, 0), 1.0).astype(np.float32) / 255.0
+    strength = np.zeros(soft.shape[:2], np.float32)
+    for channel in cv2.split(soft):
+        gradient = cv2.magnitude(cv2.Sobel(channel, cv2.CV_32F, 1, 0), cv2.Sobel(channel, cv2.CV_32F, 0, 1)) / 8.0
+        strength = np.maximum(strength, gradient)
+    return cv2.dilate(strength, np.ones((5, 5), np.uint8))
+
+
+def _cut(pixels: np.ndarray, guess: np.ndarray, settings: RefinementSettings) -> np.ndarray | None:
+    depth = cv2.distanceTransform(guess.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    away = cv2.distanceTransform((~guess).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    greatest = float(depth.max())
+    marks = np.where(guess, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
+    marks[depth > settings.core_share * greatest] = cv2.GC_FGD
+    marks[away > settings.band_share * greatest] = cv2.GC_BGD
+    if not ((marks == cv2.GC_BGD) | (marks == cv2.GC_PR_BGD)).any():
+        return None
+    models = np.zeros((1, 65)), np.zeros((1, 65))
+    cv2.setRNGSeed(0)
+    try:
+        cv2.grabCut(pixels, marks, (0, 0, 0, 0), *models, settings.iterations, cv2.GC_INIT_WITH_MASK)
+    except cv2.error:
+        return None  # too few pixels for its mixtures
+    return (marks == cv2.GC_FGD) | (marks == cv2.GC_PR_FGD)
+
+
+def _guesses(image: Tensor, max_side_px: int) -> list[tuple[str, Tensor]]:
+    """Names and masks: learned skin, and both halves of Otsu's splits of channels."""
+    start = bootstrap_skin(image)
+    found = [("skin", start.mask)] if bool(start.mask.any()) else []
+    pixels = cv2.GaussianBlur(image.cpu().contiguous().numpy(), (0, 0), max(1.0, max(image.shape[:2]) / 400))
+    luma, cr, cb = cv2.split(cv2.cvtColor(pixels, cv2.COLOR_RGB2YCrCb))
+    saturation = cv2.extractChannel(cv2.cvtColor(pixels, cv2.COLOR_RGB2HSV), 1)
+    for name, plane in (("redness", cr), ("blueness", cb), ("brightness", luma), ("saturation", saturation)):
+        _, split = cv2.threshold(plane, 0, 1, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
+        for sign, half in (("more", split > 0), ("less", split == 0)):
+            found.append((f"{sign} {name}", torch.from_numpy(half)))
+    return found
+
+
+def _judged(image: Tensor, edges: np.ndarray, mask: Tensor, source: str) -> HandSilhouette | None:
+    piece = largest_component(clean(mask.cpu()))
+    piece = fill_holes(piece, max_area=max(1, piece.numel() // 500))
+    share = float(piece.double().mean())
+    border = torch.cat((piece[0], piece[-1], piece[:, 0], piece[:, -1])).double().mean()
+    if not _LEAST_SHARE < share < _MOST_SHARE or float(border) > _MOST_BORDER:
+        return None
+    search = find_fingers(piece, _QUICK)
+    return HandSilhouette(
+        mask=piece.to(image.device),
+        source=source,
+        search=search,
+        edge_share=_share_on(edges, piece),
+        odd_digits=odd_digits(image, search),
+    )
+
+
+def odd_digits(image: UInt8[Tensor, "height width 3"], search: FingerSearch) -> tuple[str, ...]:
+    """Digits whose colour along their axis is not the palm's."""
+    if search.order is None:
+        return ()
+    pixels = cv2.cvtColor(image.cpu().contiguous().numpy(), cv2.COLOR_RGB2YCrCb).astype(np.float32)
+    palm = _mean_along(pixels, search.palm_centre, search.palm_centre, 0.6 * search.palm_radius)
+    odd = []
+    for name, number in search.order.fingers.items():
+        piece = search.pieces[number]
+        digit = _mean_along(pixels, piece.base, piece.tip, 0.25 * piece.width)
+        is_lit = _LUMA_RANGE[0] < digit[0] / max(float(palm[0]), 1.0) < _LUMA_RANGE[1]
+        if not is_lit or float(np.hypot(*(digit - palm)[1:])) > _MOST_CHROMA:
+            odd.append(name)
+    return tuple(odd)
+
+
+def _mean_along(pixels: np.ndarray, start: tuple[float, float], end: tuple[float, float], radius: float) -> np.ndarray:
+    """Mean colour within a radius of a stretch."""
+    mask = np.zeros(pixels.shape[:2], np.uint8)
+    ends = [(round(x), round(y)) for x, y in (start, end)]
+    cv2.line(mask, ends[0], ends[1], 1, max(1, round(2 * radius)))
+    return np.array(cv2.mean(pixels, mask)[:3])
+
+
+def _alike(first: Tensor, second: Tensor) -> bool:
+    """Whether a cut about one mask would end where one about the other does."""
+    return float((first & second).sum()) >= _SAME * float((first | second).sum())
+
+
+def _fingers(found: HandSilhouette) -> int:
+    return 0 if found.search is None or found.search.order is None else len(found.search.order.fingers)
+
+
+def _merit(found: HandSilhouette) -> float:
+    """Fingers in an open hand's order first; then how well they lie, and how much of the outline lies on edges."""
+    order = None if found.search is None else found.search.order
+    if order is None:
+        return found.edge_share
+    return len(order.fingers) - len(found.odd_digits) + 2.0 * found.edge_share - 10.0 * order.misfit

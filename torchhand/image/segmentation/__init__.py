@@ -1,0 +1,41 @@
+"""Which pixels show a hand: colour models, skin, backgrounds, masks and their components."""
+
+from torchhand.image.segmentation.background import BackgroundPlate, background_mask, chroma_mask, learn_background
+from torchhand.image.segmentation.colours import ColourModel, foreground_probability, learn_colours, relearn_colours
+from torchhand.image.segmentation.components import (
+    Component,
+    clean,
+    component_mask,
+    components,
+    fill_holes,
+    largest_component,
+)
+from torchhand.image.segmentation.silhouette import SilhouetteSettings, segment
+from torchhand.image.segmentation.skin import SkinModel, learn_skin, skin_probability
+from torchhand.image.segmentation.skin_start import CrSplit, SkinStart, bootstrap_skin, otsu_cr_mask
+
+__all__ = [
+    "BackgroundPlate",
+    "ColourModel",
+    "Component",
+    "CrSplit",
+    "SilhouetteSettings",
+    "SkinModel",
+    "SkinStart",
+    "background_mask",
+    "bootstrap_skin",
+    "chroma_mask",
+    "clean",
+    "component_mask",
+    "components",
+    "fill_holes",
+    "foreground_probability",
+    "largest_component",
+    "learn_background",
+    "learn_colours",
+    "learn_skin",
+    "otsu_cr_mask",
+    "relearn_colours",
+    "segment",
+    "skin_probability",
+]

@@ -1,0 +1,188 @@
+"""The extended Kalman filter, batched over independent filters: prediction and one linearised measurement update.
+
+`iterated.py` repeats the linearisation; `unscented.py` is the filter that needs no Jacobian.
+"""
+
+from collections.abc import Callable
+from typing import Literal
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchhand.numerics.filters.cholesky import robust_cholesky
+from torchhand.numerics.filters.gaussian import Gaussian
+from torchhand.numerics.filters.information import correct
+from torchhand.numerics.filters.motion import MotionModel
+from torchhand.numerics.filters.unscented import Update, predict_linear
+from torchhand.numerics.filters.whitening import is_full, masked_noise, noise_root, whiten
+
+Linearised = Callable[[Tensor], tuple[Tensor, Tensor]]
+"""A function of states (*batch, k) that returns values (*batch, m) and their Jacobian (*batch, m, k)."""
+
+
+def linearised(function: Callable[[Tensor], Tensor]) -> Linearised:
+    """A differentiable function of states (n, k) -> (n, m), row by row, with the Jacobian that autograd gives."""
+
+    def both(states: Tensor) -> tuple[Tensor, Tensor]:
+        flat = states.reshape(-1, states.shape[-1])
+
+        def of_one(state: Tensor) -> tuple[Tensor, Tensor]:
+            value = function(state.unsqueeze(0)).squeeze(0)
+            return value, value
+
+        jacobian, value = torch.func.vmap(torch.func.jacrev(of_one, has_aux=True))(flat)
+        batch = states.shape[:-1]
+        return value.reshape(*batch, -1), jacobian.reshape(*batch, *jacobian.shape[-2:])
+
+    return both
+
+
+def predict_motion(
+    state: Gaussian, model: MotionModel, dt_s: float, density: Float[Tensor, "*#batch dofs"]
+) -> Gaussian:
+    """Time update by a motion model; the density of its noise is that of `MotionModel.process_noise`."""
+    dofs, mean = density.shape[-1], state.mean
+    if model.state_size(dofs) != mean.shape[-1]:
+        raise ValueError(
+            f"density must be for {mean.shape[-1] / (model.order + 1):g} degrees of freedom, which a state of"
+            f" {mean.shape[-1]} numbers has at order {model.order}, got {dofs}"
+        )
+    step = model.transition(dt_s, dofs, dtype=mean.dtype, device=mean.device)
+    return predict_linear(state, step, model.process_noise(dt_s, density))
+
+
+def predict_extended(state: Gaussian, transition: Linearised, process_noise: Float[Tensor, "*#batch n n"]) -> Gaussian:
+    """Time update through a nonlinear transition that returns the moved state and its Jacobian: f(x), F P Fᵀ + Q."""
+    moved, jacobian = transition(state.mean)
+    _require_shape("transition's value", moved, state.mean.shape)
+    _require_shape("transition's Jacobian", jacobian, state.covariance.shape)
+    return Gaussian(moved, _symmetric(jacobian @ state.covariance @ jacobian.mT + process_noise))
+
+
+def update_extended(
+    state: Gaussian,
+    innovation: Float[Tensor, "*batch m"],
+    jacobian: Float[Tensor, "*#batch m k"],
+    noise: Float[Tensor, "..."],
+    *,
+    valid: Bool[Tensor, "*batch m"] | None = None,
+    gate: float | None = None,
+    group: int = 1,
+    form: Literal["joseph", "information"] | None = None,
+) -> Update:
+    """Measurement update x + K ν, with the covariance in Joseph or in information form (FACTS sections 5.3 and 5.5).
+
+    innovation   measurement minus prediction; differences of angles through `wrapped` first
+    jacobian     of the prediction in the first k components of the state, k <= n: positions are observed, not rates
+    noise        variances (*batch, m) of independent noises, or covariances (*batch, m, m); leading dimensions may be 1
+    valid        False leaves a measurement out; whatever number or NaN stands there has no effect
+    gate         leaves out each group with νᵀ S⁻¹ ν > gate, S the group's own block: 9 for three sigma of a group of 1
+    group        measurements in a row that are judged together; the whole vector has a multiple of it
+    form         "joseph" costs O(m³ + m n²), "information" O(m k² + n³); None takes the cheaper. Both keep the
+                 posterior positive semi-definite and give the same numbers
+
+    A filter without any used measurement comes back unchanged. Differentiable in everything but the choice of the gate.
+    """
+    if form not in (None, "joseph", "information"):
+        raise ValueError(f"form must be None, 'joseph' or 'information', got {form!r}")
+    innovation, jacobian, variance, used = masked_and_gated(
+        state, innovation, jacobian, noise, valid=valid, gate=gate, group=group
+    )
+    kept = torch.where(used, innovation, 0.0).unsqueeze(-1)
+    rows = torch.where(used.unsqueeze(-1), jacobian, 0.0)
+    full = is_full(noise, innovation)
+    root = noise_root(masked_noise(noise, used, innovation), full=full)
+    kept, rows = whiten(root, kept, full=full).squeeze(-1), whiten(root, rows, full=full)
+
+    in_joseph_form = rows.shape[-2] <= rows.shape[-1] if form is None else form == "joseph"
+    shift, covariance, nis = (_joseph if in_joseph_form else _information)(state.covariance, rows, kept)
+    count = used.sum(-1)
+    has_any = (count > 0).unsqueeze(-1)
+    posterior = Gaussian(
+        torch.where(has_any, state.mean + shift, state.mean),
+        torch.where(has_any.unsqueeze(-1), _symmetric(covariance), state.covariance),
+    )
+    return Update(state=posterior, innovation=innovation, innovation_variance=variance, used=used, nis=nis, count=count)
+
+
+def masked_and_gated(
+    state: Gaussian,
+    innovation: Float[Tensor, "*batch m"],
+    jacobian: Float[Tensor, "*#batch m k"],
+    noise: Float[Tensor, "..."],
+    *,
+    valid: Bool[Tensor, "*batch m"] | None,
+    gate: float | None,
+    group: int,
+) -> tuple[Float[Tensor, "*batch m"], Float[Tensor, "*batch m k"], Float[Tensor, "*batch m"], Bool[Tensor, "*batch m"]]:
+    """Innovation and Jacobian with zeros for what is not valid, the innovation's variance (infinite there), and what
+    is used: valid and inside the gate. Arguments as in `update_extended`."""
+    size, columns = jacobian.shape[-2:]
+    if not 1 <= columns <= state.mean.shape[-1]:
+        raise ValueError(f"jacobian must have 1 to {state.mean.shape[-1]} columns, got {columns}")
+    if gate is not None and not gate > 0:
+        raise ValueError(f"gate must be None or above 0, got {gate!r}")
+    if group < 1 or size % group:
+        raise ValueError(f"group must divide the {size} measurements, got {group!r}")
+    valid = torch.ones_like(innovation, dtype=torch.bool) if valid is None else valid
+    jacobian = torch.where(valid.unsqueeze(-1), jacobian, 0.0)
+    innovation = torch.where(valid, innovation, 0.0)
+    full, noise = is_full(noise, innovation), masked_noise(noise, valid, innovation)
+    spread = jacobian @ state.covariance[..., :columns, :columns]
+    variance = (spread * jacobian).sum(-1) + (noise.diagonal(dim1=-2, dim2=-1) if full else noise)
+    used = valid
+    if gate is not None:
+        with torch.no_grad():
+            used = valid & (_group_nis(innovation, spread, jacobian, noise, group, full=full) <= gate)
+    return innovation, jacobian, torch.where(valid, variance, torch.inf), used
+
+
+def _group_nis(
+    innovation: Tensor, spread: Tensor, jacobian: Tensor, noise: Tensor, group: int, *, full: bool
+) -> Tensor:
+    """νᵀ S⁻¹ ν of every measurement's group: (*batch, m)."""
+    left, right = (x.unflatten(-2, (-1, group)) for x in (spread, jacobian))
+    if full:
+        blocks = noise.unflatten(-1, (-1, group)).unflatten(-3, (-1, group))  # groups, group, groups, group
+        own = blocks.diagonal(dim1=-4, dim2=-2).movedim(-1, -3)
+    else:
+        own = noise.unflatten(-1, (-1, group)).diag_embed()
+    factor = robust_cholesky(left @ right.mT + own)
+    grouped = innovation.unflatten(-1, (-1, group)).unsqueeze(-1)
+    nis = torch.linalg.solve_triangular(factor, grouped, upper=False).square().sum((-2, -1))
+    return nis.repeat_interleave(group, -1)
+
+
+def _joseph(prior: Tensor, rows: Tensor, innovation: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Shift, covariance and NIS for unit noise: P = (I - K H) P (I - K H)ᵀ + K Kᵀ."""
+    columns = rows.shape[-1]
+    cross = prior[..., :columns] @ rows.mT
+    unit = torch.eye(rows.shape[-2], dtype=rows.dtype, device=rows.device)
+    factor = robust_cholesky(rows @ cross[..., :columns, :] + unit)
+    gain = torch.cholesky_solve(cross.mT, factor).mT
+    rest = torch.eye(prior.shape[-1], dtype=rows.dtype, device=rows.device) - torch.nn.functional.pad(
+        gain @ rows, (0, prior.shape[-1] - columns)
+    )
+    half = torch.linalg.solve_triangular(factor, innovation.unsqueeze(-1), upper=False)
+    shift = (gain @ innovation.unsqueeze(-1)).squeeze(-1)
+    return shift, rest @ prior @ rest.mT + gain @ gain.mT, half.square().sum((-2, -1))
+
+
+def _information(prior: Tensor, rows: Tensor, innovation: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The same from the prior's square root, which need not be invertible. Its lower triangle keeps what is not
+    observed out of the sums: those columns only come back unchanged."""
+    columns = rows.shape[-1]
+    root = robust_cholesky(prior)
+    seen, hidden = root[..., :columns], root[..., columns:]
+    correction = correct(seen, (rows @ seen[..., :columns, :]).mT, innovation)
+    return correction.shift, correction.covariance + hidden @ hidden.mT, correction.nis
+
+
+def _symmetric(matrix: Tensor) -> Tensor:
+    return 0.5 * (matrix + matrix.mT)
+
+
+def _require_shape(name: str, values: Tensor, shape: tuple[int, ...]) -> None:
+    if tuple(values.shape) != tuple(shape):
+        raise ValueError(f"{name} must have shape {tuple(shape)}, got {tuple(values.shape)}")

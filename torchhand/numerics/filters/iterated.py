@@ -1,0 +1,190 @@
+"""The iterated extended Kalman filter: the measurement update as Gauss-Newton on the posterior's mode.
+
+Where the measurement curves within the prior's spread, one linearisation at the prediction is off; here it is repeated
+at every new estimate, which ends at the maximum a posteriori state (Bell and Cathey 1993). Steps that raise the cost
+are halved, and the best iterate is kept.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from torchhand.numerics.filters.cholesky import robust_cholesky
+from torchhand.numerics.filters.extended import Linearised, masked_and_gated
+from torchhand.numerics.filters.gaussian import Gaussian
+from torchhand.numerics.filters.unscented import Update
+from torchhand.numerics.filters.whitening import is_full, masked_noise, noise_root, whiten, wrapped
+
+
+@dataclass(frozen=True, kw_only=True)
+class IteratedSettings:
+    """How often the measurement is linearised anew."""
+
+    iterations: int = 10
+    """Most linearisations; 1 or more. With 1 the mean is that of the extended filter."""
+    tolerance: float = 1e-4
+    """A step shorter than this many posterior standard deviations ends the iteration; above 0."""
+    halvings: int = 8
+    """How often a step that raises the cost is halved before the iteration stops; 0 or more."""
+
+    def __post_init__(self) -> None:
+        if self.iterations < 1:
+            raise ValueError(f"iterated.iterations: expected 1 or more, got {self.iterations!r}")
+        if not self.tolerance > 0:
+            raise ValueError(f"iterated.tolerance: expected above 0, got {self.tolerance!r}")
+        if self.halvings < 0:
+            raise ValueError(f"iterated.halvings: expected 0 or more, got {self.halvings!r}")
+
+
+DEFAULT_SETTINGS = IteratedSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
+class IteratedUpdate:
+    """An update and how its iteration ended."""
+
+    update: Update
+    """Innovation, its variance and the gate are those at the prediction; the covariance is that at the last estimate.
+    `nis` is twice the cost at the estimate, which on a linear problem is νᵀ S⁻¹ ν."""
+    iterations: Int[Tensor, "*batch"]
+    """Steps taken."""
+    is_converged: Bool[Tensor, "*batch"]
+    """False where steps ran out or no shorter step lowered the cost; the best estimate is returned all the same."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Point:
+    """One estimate of every filter: offsets y from the prior in units of its square root, and what is seen there."""
+
+    offset: Tensor  # (*batch, k)
+    residual: Tensor  # (*batch, m) whitened
+    rows: Tensor  # (*batch, m, k) whitened, per unit of y
+
+    @property
+    def cost(self) -> Tensor:
+        return 0.5 * (self.offset.square().sum(-1) + self.residual.square().sum(-1))
+
+    def where(self, choose: Tensor, other: "_Point") -> "_Point":
+        """This point where `choose`, the other one elsewhere."""
+        return _Point(
+            offset=torch.where(choose[..., None], self.offset, other.offset),
+            residual=torch.where(choose[..., None], self.residual, other.residual),
+            rows=torch.where(choose[..., None, None], self.rows, other.rows),
+        )
+
+
+def update_iterated(
+    state: Gaussian,
+    observe: Linearised,
+    measurement: Float[Tensor, "*batch m"],
+    noise: Float[Tensor, "..."],
+    settings: IteratedSettings = DEFAULT_SETTINGS,
+    *,
+    valid: Bool[Tensor, "*batch m"] | None = None,
+    gate: float | None = None,
+    group: int = 1,
+    period: Float[Tensor, "m"] | None = None,
+    observed: int | None = None,
+) -> IteratedUpdate:
+    """Measurement update at the mode of ½ |x - x₀|²_P + ½ |z - h(x)|²_R, P and R as weights.
+
+    observe    takes states (*batch, k), k = n or `observed`, and returns values (*batch, m) and Jacobian (*batch, m, k)
+    period     of each measurement, infinite for those that do not repeat: differences are wrapped by it
+    observed   `observe` depends on the first k components only, is given only those and returns k columns
+    noise, valid, gate, group   as in `update_extended`; the gate is decided once, at the prediction
+
+    Estimates at which `observe` returns NaN for a used measurement count as infinitely bad and are never returned,
+    unless the prediction itself is one.
+    """
+    size = state.mean.shape[-1]
+    seen = size if observed is None else observed
+    if not 1 <= seen <= size:
+        raise ValueError(f"observed must be None or 1 to {size}, got {observed!r}")
+    if period is not None and not bool((period > 0).all()):
+        raise ValueError("period must be above 0, infinite where a measurement does not repeat")
+    root = robust_cholesky(state.covariance)
+    inner = root[..., :seen, :seen]
+
+    def difference(values: Tensor) -> Tensor:
+        if values.shape != measurement.shape:
+            raise ValueError(f"observe must return values {tuple(measurement.shape)}, got {tuple(values.shape)}")
+        return measurement - values if period is None else wrapped(measurement - values, period)
+
+    values, jacobian = observe(state.mean[..., :seen])
+    innovation, jacobian, variance, used = masked_and_gated(
+        state, difference(values), jacobian, noise, valid=valid, gate=gate, group=group
+    )
+    full = is_full(noise, measurement)
+    whitener = noise_root(masked_noise(noise, used, measurement), full=full)
+
+    def point(offset: Tensor, innovation: Tensor, jacobian: Tensor) -> _Point:
+        both = torch.cat((innovation.unsqueeze(-1), jacobian @ inner), -1)
+        both = whiten(whitener, torch.where(used.unsqueeze(-1), both, 0.0), full=full)
+        return _Point(offset=offset, residual=both[..., 0], rows=both[..., 1:])
+
+    def evaluated(offset: Tensor) -> _Point:
+        values, jacobian = observe(state.mean[..., :seen] + (inner @ offset.unsqueeze(-1)).squeeze(-1))
+        return point(offset, difference(values), jacobian)
+
+    best = point(torch.zeros_like(state.mean[..., :seen]), innovation, jacobian)
+    steps = torch.zeros_like(best.cost, dtype=torch.int64)
+    is_converged = torch.zeros_like(best.cost, dtype=torch.bool)
+    is_stuck = torch.zeros_like(is_converged)
+    for _ in range(settings.iterations):
+        step, length = _gauss_newton(best)
+        is_converged = is_converged | (~is_stuck & (length <= settings.tolerance))
+        moving = ~is_converged & ~is_stuck
+        if not bool(moving.any()):
+            break
+        is_better = torch.zeros_like(moving)
+        allowed = best.cost * (1 + 16 * torch.finfo(best.cost.dtype).eps)
+        start, scale = best, torch.ones_like(best.cost)
+        for _ in range(settings.halvings + 1):
+            trial = evaluated(start.offset + (scale * moving).unsqueeze(-1) * step)
+            improves = moving & ~is_better & (trial.cost <= allowed)
+            best = trial.where(improves, best)
+            is_better = is_better | improves
+            if bool((is_better | ~moving).all()):
+                break
+            scale = torch.where(is_better, scale, 0.5 * scale)
+        steps = steps + is_better
+        is_stuck = is_stuck | (moving & ~is_better)
+    else:
+        is_converged = is_converged | (~is_stuck & (_gauss_newton(best)[1] <= settings.tolerance))
+
+    count = used.sum(-1)
+    has_any = (count > 0).unsqueeze(-1)
+    factor = _factor(best)
+    outer, hidden = root[..., :seen], root[..., seen:]
+    half = torch.linalg.solve_triangular(factor, outer.mT, upper=False)
+    mean = state.mean + (outer @ best.offset.unsqueeze(-1)).squeeze(-1)
+    covariance = half.mT @ half + hidden @ hidden.mT
+    posterior = Gaussian(
+        torch.where(has_any, mean, state.mean), torch.where(has_any.unsqueeze(-1), covariance, state.covariance)
+    )
+    update = Update(
+        state=posterior,
+        innovation=innovation,
+        innovation_variance=variance,
+        used=used,
+        nis=2 * best.cost,
+        count=count,
+    )
+    return IteratedUpdate(update=update, iterations=steps, is_converged=is_converged)
+
+
+def _factor(point: _Point) -> Tensor:
+    """Cholesky factor of I + BᵀB, the information of y; B the whitened rows."""
+    unit = torch.eye(point.rows.shape[-1], dtype=point.rows.dtype, device=point.rows.device)
+    return robust_cholesky(point.rows.mT @ point.rows + unit)
+
+
+def _gauss_newton(point: _Point) -> tuple[Tensor, Tensor]:
+    """The step of y to the linearised problem's minimum, and its length in posterior standard deviations."""
+    factor = _factor(point)
+    gradient = (point.rows.mT @ point.residual.unsqueeze(-1)).squeeze(-1) - point.offset
+    half = torch.linalg.solve_triangular(factor, gradient.unsqueeze(-1), upper=False)
+    step = torch.linalg.solve_triangular(factor.mT, half, upper=True)
+    return step.squeeze(-1), half.square().sum((-2, -1)).sqrt()

@@ -1,0 +1,136 @@
+"""Plain gradient descent for many independent problems at once, within bounds: the first-order counterpart of
+`levenberg_marquardt`."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.numerics.least_squares.levenberg_marquardt import Linearise
+from torchhand.numerics.least_squares.records import LeastSquares, NormalEquations, Status, normal_equations
+from torchhand.numerics.least_squares.robust import RobustLoss
+
+_LEAST = 1e-12  # of the largest entry of the diagonal: variables without any influence get a finite scale
+
+
+@dataclass(frozen=True, kw_only=True)
+class DescentSettings:
+    """Step lengths, and when to stop."""
+
+    iterations: int = 100
+    """Most evaluations after that at the start; 1 or more."""
+    rate: float = 0.2
+    """First step, in units of scale² × gradient; above 0."""
+    growth: float = 1.5
+    """By what a step that lowers the cost multiplies the rate; 1 or more."""
+    shrink: float = 0.4
+    """By what one that does not multiplies it; between 0 and 1."""
+    cost_tolerance: float = 1e-9
+    """Converged when a step taken lowers the cost by at most this share of it; 0 or more."""
+    least_rate: float = 1e-10
+    """Where no step lowers the cost down to this rate, the problem has stalled; above 0."""
+
+    def __post_init__(self) -> None:
+        if self.iterations < 1:
+            raise ValueError(f"iterations: expected 1 or more, got {self.iterations!r}")
+        if not 0 < self.least_rate < self.rate < float("inf"):
+            raise ValueError(f"rate: expected above least_rate, both above 0, got {self.rate!r}, {self.least_rate!r}")
+        if not 1 <= self.growth < float("inf"):
+            raise ValueError(f"growth: expected 1 or more and finite, got {self.growth!r}")
+        if not 0 < self.shrink < 1:
+            raise ValueError(f"shrink: expected between 0 and 1, got {self.shrink!r}")
+        if not 0 <= self.cost_tolerance < float("inf"):
+            raise ValueError(f"cost_tolerance: expected 0 or more and finite, got {self.cost_tolerance!r}")
+
+
+@torch.no_grad()
+def gradient_descent(
+    linearise: Linearise,
+    start: Float[Tensor, "*batch n"],
+    *,
+    lower: Float[Tensor, "*#batch n"] | None = None,
+    upper: Float[Tensor, "*#batch n"] | None = None,
+    scale: Float[Tensor, "*#batch n"] | None = None,
+    robust: RobustLoss | None = None,
+    settings: DescentSettings | None = None,
+    takes_rows: bool = False,
+) -> LeastSquares:
+    """Minimise what `levenberg_marquardt` does, with the gradient alone; same arguments, same result.
+
+    A step is -rate · scale² · gradient, put into the bounds, and taken only if it lowers the cost; the rate of every
+    problem grows with steps taken and shrinks with steps refused. scale: typical changes of the variables, which may
+    have different units; that of the curvature at the start, (JᵀJ)ᵢᵢ^(-1/2), where it is None.
+    """
+    settings = settings or DescentSettings()
+    if (lower is None) != (upper is None):
+        raise ValueError("bounds: expected both or neither; use infinities")
+    batch, size = start.shape[:-1], start.shape[-1]
+
+    def flat(tensor: Tensor) -> Tensor:
+        return tensor.to(start).expand(*batch, size).reshape(-1, size)
+
+    low, high = (None, None) if lower is None or upper is None else (flat(lower), flat(upper))
+    if low is not None and high is not None and not bool((low <= high).all()):
+        raise ValueError("bounds: expected lower <= upper")
+
+    def evaluate(values: Tensor) -> NormalEquations:
+        if takes_rows:
+            return normal_equations(linearise(values, rows), robust)
+        found = normal_equations(linearise(values.reshape(start.shape)), robust)
+        return NormalEquations(
+            matrix=found.matrix.reshape(-1, size, size),
+            gradient=found.gradient.reshape(-1, size),
+            cost=found.cost.reshape(-1),
+        )
+
+    def bounded(values: Tensor) -> Tensor:
+        return values if low is None else values.clamp(low, high)
+
+    values = bounded(start.reshape(-1, size).clone())
+    rows = torch.arange(len(values), device=values.device)
+    here = evaluate(values)
+    is_open = here.cost.isfinite() & here.gradient.isfinite().all(-1)
+    status = torch.where(is_open, Status.STALLED.value, Status.FAILED.value)
+    if scale is None:
+        diagonal = here.matrix.diagonal(dim1=-2, dim2=-1)
+        floor = _LEAST * diagonal.amax(-1, keepdim=True) + torch.finfo(values.dtype).tiny
+        squared = torch.maximum(diagonal, floor).reciprocal()
+    else:
+        squared = flat(scale).square()
+    rate = torch.full_like(here.cost, settings.rate)
+    iterations = torch.zeros_like(rows)
+    for _ in range(settings.iterations):
+        trial = bounded(values - rate[:, None] * squared * here.gradient)
+        is_still = is_open & (trial == values).all(-1)
+        status[is_still] = Status.CONVERGED.value
+        is_open = is_open & ~is_still & (rate > settings.least_rate)
+        if not bool(is_open.any()):
+            break
+        trial = torch.where(is_open[:, None], trial, values)
+        found = evaluate(trial)
+        iterations += is_open
+        is_finite = found.cost.isfinite() & found.gradient.isfinite().all(-1)
+        better = is_open & is_finite & (found.cost < here.cost)
+        done = better & (here.cost - found.cost <= settings.cost_tolerance * here.cost)
+        status[done] = Status.CONVERGED.value
+        rate = torch.where(better, rate * settings.growth, rate * settings.shrink)
+        values = torch.where(better[:, None], trial, values)
+        here = NormalEquations(
+            matrix=torch.where(better[:, None, None], found.matrix, here.matrix),
+            gradient=torch.where(better[:, None], found.gradient, here.gradient),
+            cost=torch.where(better, found.cost, here.cost),
+        )
+        is_open = is_open & ~done
+    on_bound = torch.zeros_like(values, dtype=torch.bool)
+    if low is not None and high is not None:
+        on_bound = (values <= low) | (values >= high)
+    return LeastSquares(
+        values=values.reshape(start.shape),
+        cost=here.cost.reshape(batch),
+        status=status.reshape(batch),
+        iterations=iterations.reshape(batch),
+        matrix=here.matrix.reshape(*batch, size, size),
+        gradient=here.gradient.reshape(start.shape),
+        on_bound=on_bound.reshape(start.shape),
+    )

@@ -1,0 +1,60 @@
+"""overlay.mp4 of several cameras: drawn from the saved track in a second pass over the pictures."""
+
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+from tqdm import tqdm
+
+from torchhand.draw import ViewsOverlay
+from torchhand.files import Track, write_video
+from torchhand.geometry import Camera
+from torchhand.hand import HandKinematics
+from torchhand.runs.multiview.source import RigRecording
+
+
+def view_frames(
+    track: Track, overlay: ViewsOverlay, recording: RigRecording
+) -> Iterator[UInt8[Tensor, "height width 3"]]:
+    """The moments of a track with what was found drawn over all views."""
+    rows = {int(frame): row for row, frame in enumerate(track.frame)}
+    nothing = np.full(len(track), np.nan)
+    overlaps = np.stack([track.measures.get(f"overlap_{name}", nothing) for name in recording.names], -1)
+    with recording.opened(0) as frames:
+        for frame in frames or ():
+            row = rows.get(frame.index)
+            if row is None:
+                continue
+            pose = track.pose[row]
+            yield overlay(
+                frame.images,
+                torch.tensor(pose, dtype=torch.float64) if np.isfinite(pose).all() else None,
+                status=str(track.status[row]),
+                frame=frame.index,
+                overlaps=overlaps[row].tolist(),
+                problems=frame.problems,
+            )
+
+
+def write_views(
+    path: Path,
+    track: Track,
+    kinematics: HandKinematics,
+    cameras: Sequence[Camera],
+    shape: Float[Tensor, "shape"],
+    recording: RigRecording,
+) -> None:
+    """The whole overlay video. cameras: in the track's unit, as they took the pictures."""
+    overlay = ViewsOverlay(kinematics, cameras, shape)
+    width, height = overlay.size
+    with (
+        write_video(path, width=width, height=height, fps=recording.fps) as video,
+        tqdm(total=len(track), desc="overlay", unit="frame", disable=not sys.stderr.isatty()) as bar,
+    ):
+        for picture in view_frames(track, overlay, recording):
+            video.write(picture)
+            bar.update()

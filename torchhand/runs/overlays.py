@@ -1,0 +1,109 @@
+"""overlay.mp4: drawn from the saved track in a second pass over the pictures, or live where they come only once."""
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import UInt8
+from torch import Tensor
+from tqdm import tqdm
+
+from torchhand.draw import draw_overlay, overlay_size
+from torchhand.files import FrameSource, Track, open_source, write_video
+from torchhand.runs.sequence import TrackedFrame
+from torchhand.view import HandProjector
+
+Draw = Callable[[HandProjector, TrackedFrame], None]
+
+
+def overlay_frames(
+    track: Track, projector: HandProjector, source: str | Path
+) -> Iterator[UInt8[Tensor, "height width 3"]]:
+    """The pictures of a track with what was found drawn over them; black where a picture cannot be read."""
+    if not len(track):
+        return
+    first, last = int(track.frame[0]), int(track.frame[-1])
+    rows = {int(frame): row for row, frame in enumerate(track.frame)}
+    overlaps = track.measures.get("overlap", np.full(len(track), np.nan))
+    with open_source(source, start=first, max_frames=last + 1 - first) as frames:
+        for frame in frames:
+            row = rows.get(frame.index)
+            if row is None:
+                continue
+            yield _drawn(
+                frame.image if frame.image is not None else _black(frames),
+                projector,
+                status=str(track.status[row]),
+                frame=frame.index,
+                pose=track.pose[row],
+                keypoints_px=None if track.keypoints2d is None else track.keypoints2d[row],
+                overlap=float(overlaps[row]),
+            )
+
+
+def write_overlay(path: Path, track: Track, projector: HandProjector, source: str | Path, fps: float) -> None:
+    """The whole overlay video; `projector` holds the camera frame's camera and the fitted shape."""
+    camera = projector.camera
+    width, height = overlay_size(camera.width, camera.height)
+    with (
+        write_video(path, width=width, height=height, fps=fps) as video,
+        tqdm(total=len(track), desc="overlay", unit="frame", disable=not sys.stderr.isatty()) as bar,
+    ):
+        for picture in overlay_frames(track, projector, source):
+            video.write(picture)
+            bar.update()
+
+
+@contextlib.contextmanager
+def draw_live(path: Path | None, frames: FrameSource) -> Iterator[Draw]:
+    """Hands out a function that draws each frame as it is tracked; without a path it does nothing."""
+    if path is None:
+        yield lambda projector, tracked: None
+        return
+    width, height = overlay_size(frames.width, frames.height)
+    with write_video(path, width=width, height=height, fps=frames.fps) as video:
+
+        def draw(projector: HandProjector, tracked: TrackedFrame) -> None:
+            record, image = tracked.record, tracked.frame.image
+            picture = _drawn(
+                image if image is not None else _black(frames),
+                projector,
+                status=record.status,
+                frame=record.frame,
+                pose=record.pose,
+                keypoints_px=record.keypoints2d,
+                overlap=record.measures.get("overlap", float("nan")),
+            )
+            video.write(picture)
+
+        yield draw
+
+
+def _black(frames: FrameSource) -> UInt8[Tensor, "height width 3"]:
+    return torch.zeros(frames.height, frames.width, 3, dtype=torch.uint8)
+
+
+def _drawn(
+    image: UInt8[Tensor, "height width 3"],
+    projector: HandProjector,
+    *,
+    status: str,
+    frame: int,
+    pose: np.ndarray,
+    keypoints_px: np.ndarray | None,
+    overlap: float,
+) -> UInt8[Tensor, "overlay_height overlay_width 3"]:
+    has_pose = bool(np.isfinite(pose).all())
+    return draw_overlay(
+        image,
+        projector,
+        torch.tensor(pose, dtype=torch.float64) if has_pose else None,
+        torch.eye(3, dtype=torch.float64) if has_pose else None,
+        status=status,
+        frame=frame,
+        keypoints_px=torch.tensor(keypoints_px, dtype=torch.float64) if has_pose and keypoints_px is not None else None,
+        iou=overlap if np.isfinite(overlap) else None,
+    )

@@ -1,0 +1,120 @@
+"""What a tracking run is asked for, read from texts and files and checked before anything starts."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import hypot, isfinite
+from pathlib import Path
+
+from torchhand.errors import InputError
+from torchhand.files import FittedHand, find_config, load_hand, load_hand_model, load_settings, read_picture, setting_in
+from torchhand.fit.detect import StartPoints
+from torchhand.hand import Side
+from torchhand.image import BackgroundPlate, learn_background
+from torchhand.runs.changes import changes_of
+from torchhand.runs.trackers import DEFAULTS, AnySettings
+
+LEAST_START_SPAN_PX = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """What a run is asked for, whatever its input is."""
+
+    settings: AnySettings
+    config: str
+    """Name of the configuration, as the user gave it."""
+    side: Side = "right"
+    hand: FittedHand | None = None
+    """A known shape, which is then not fitted."""
+    camera: Path | None = None
+    start_points: StartPoints | None = None
+    background: Path | None = None
+    """Picture of the empty scene."""
+    start: int = 0
+    max_frames: int | None = None
+    resume: bool = False
+    overwrite: bool = False
+    has_overlay: bool = True
+    seed: int = 0
+
+
+def settings_of(config: str, changes: Sequence[str] = (), posture: str | None = None) -> AnySettings:
+    """The settings of a configuration with single fields changed.
+
+    Raises InputError naming the file or the option and the key.
+    """
+    overrides = changes_of(changes, "noise.rotation=80")
+    if posture is not None:
+        if any(key.split(".")[0] == "posture" for key in overrides):
+            raise InputError("--set: expected each field once, got posture and --posture")
+        overrides["posture"] = posture
+    path = find_config(config)
+    method = overrides.get("method", setting_in(path, "method"))
+    if method is not None and not (isinstance(method, str) and method in DEFAULTS):
+        place = "--set" if "method" in overrides else path
+        raise InputError(f"{place}: method: expected one of {', '.join(DEFAULTS)}, got {method!r}")
+    return load_settings(DEFAULTS[method or "contour"], path, overrides | ({"method": method} if method else {}))
+
+
+def known_hand(path: Path) -> FittedHand:
+    """A shape from a file, checked against what a hand can be."""
+    space = load_hand_model().shape_space
+    hand = load_hand(path, space.names)
+    for name, low, high in zip(space.names, space.lower.tolist(), space.upper.tolist(), strict=True):
+        if not low <= hand.values[name] <= high:
+            raise InputError(f"{path}: shape.{name}: expected {low:g} to {high:g}, got {hand.values[name]:g}")
+    return hand
+
+
+def plate_of(picture: Path | None, method: str, width: int, height: int) -> BackgroundPlate | None:
+    """The plate of the empty scene where the settings' method asks for one.
+
+    Raises InputError where it is missing, not asked for, unreadable or of another size than the pictures.
+    """
+    if method != "background":
+        if picture is not None:
+            raise InputError(
+                f"--background: expected --set silhouette.method=background with it, got method {method!r}"
+            )
+        return None
+    if picture is None:
+        raise InputError(
+            "silhouette.method background: expected --background with a picture of the empty scene, got none"
+        )
+    image = read_picture(picture)
+    if image.shape[:2] != (height, width):
+        got = f"{image.shape[1]}x{image.shape[0]}"
+        raise InputError(f"{picture}: expected a picture of {width}x{height} px, the size of the others, got {got}")
+    return learn_background(image[None])
+
+
+def start_points_of(text: str) -> StartPoints:
+    """The points of `WX,WY,MX,MY`, px. Raises InputError where the text is anything else."""
+    try:
+        wrist_x, wrist_y, tip_x, tip_y = (float(number) for number in text.split(","))
+    except ValueError:
+        raise InputError(
+            "--start-points: expected 4 numbers WX,WY,MX,MY (wrist and middle fingertip, px) without spaces,"
+            f" got {text!r}"
+        ) from None
+    if not all(map(isfinite, (wrist_x, wrist_y, tip_x, tip_y))):
+        raise InputError(f"--start-points: expected 4 finite numbers, got {text!r}")
+    return wrist_x, wrist_y, tip_x, tip_y
+
+
+def check_start_points(points: StartPoints | None, width: int, height: int) -> None:
+    """Raise InputError where the points cannot be those of a hand in a picture of that size."""
+    if points is None:
+        return
+    for name, x, y in (("wrist", *points[:2]), ("middle fingertip", *points[2:])):
+        if not (0 <= x <= width - 1 and 0 <= y <= height - 1):
+            raise InputError(
+                f"--start-points: {name}: expected a point in the picture, 0 to {width - 1}, 0 to {height - 1},"
+                f" got {x:g}, {y:g}"
+            )
+    span = hypot(points[2] - points[0], points[3] - points[1])
+    if span < LEAST_START_SPAN_PX:
+        raise InputError(
+            f"--start-points: expected wrist and middle fingertip at least {LEAST_START_SPAN_PX:g} px apart,"
+            f" got {span:g} px"
+        )

@@ -1,0 +1,76 @@
+"""What becomes of every start of a hypothesis study, as arrays."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from torchhand.fit.contour import RegistrationStatus
+
+STATUS_NAMES = tuple(status.name.lower() for status in RegistrationStatus)
+"""By the numbers in `Hypotheses.status`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hypotheses:
+    """One row per start. What failed has NaN errors and pose, and infinite cost."""
+
+    frame: Int[np.ndarray, "starts"]
+    batch: Int[np.ndarray, "starts"]
+    seed: Int[np.ndarray, "starts"]
+    """Of the batch's generator."""
+    level: Int[np.ndarray, "starts"]
+    """Size of the perturbation: 1 to the number of levels."""
+    perturbation: Float[np.ndarray, "starts free"]
+    """Of the pose space's free parameters, metres and radians, within the limits; the rotation is a left one."""
+    start_angle_deg: Float[np.ndarray, "starts"]
+    start_keypoint_mm: Float[np.ndarray, "starts"]
+    start_rotation_deg: Float[np.ndarray, "starts"]
+    angle_deg: Float[np.ndarray, "starts"]
+    """Mean absolute error of the joint angles that the pose space moves."""
+    keypoint_mm: Float[np.ndarray, "starts"]
+    rotation_deg: Float[np.ndarray, "starts"]
+    contour_px: Float[np.ndarray, "starts"]
+    """Mean distance of the picture's contour from the model's outline."""
+    cost: Float[np.ndarray, "starts"]
+    """Comparable within a frame."""
+    status: Int[np.ndarray, "starts"]
+    """Index into STATUS_NAMES."""
+    iterations: Int[np.ndarray, "starts"]
+    pose: Float[np.ndarray, "starts 36"]
+    """Metres and radians; the rotation vector is that of world_from_hand."""
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    @property
+    def is_registered(self) -> Bool[np.ndarray, "starts"]:
+        """Neither failed nor without a contour to register on."""
+        return self.status <= RegistrationStatus.STALLED.value
+
+    def is_success(self, success_deg: float) -> Bool[np.ndarray, "starts"]:
+        """Whether the mean joint error is small enough; NaN is not."""
+        return self.angle_deg <= success_deg
+
+    def select(self, chosen: Bool[np.ndarray, "starts"]) -> "Hypotheses":
+        """Some of them."""
+        return Hypotheses(**{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """By name, as `from_arrays` takes them."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> "Hypotheses":
+        """Of a file. Raises KeyError for what is missing, ValueError for arrays of differing lengths."""
+        chosen = {f.name: arrays[f.name] for f in fields(cls)}
+        lengths = {len(array) for array in chosen.values()}
+        if len(lengths) != 1:
+            raise ValueError(f"expected arrays of one length, got {sorted(lengths)}")
+        return cls(**chosen)
+
+    @classmethod
+    def joined(cls, parts: Sequence["Hypotheses"]) -> "Hypotheses":
+        """One after the other."""
+        return cls(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)})

@@ -1,0 +1,172 @@
+"""A hypothesis study at work: batch by batch into its folder, and the results of all of them."""
+
+import hashlib
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from tqdm import tqdm
+
+import torchhand
+from torchhand.files import camera_entry, load_hand_model, save_settings
+from torchhand.files.disk import write_text
+from torchhand.files.results import CONFIG_NAME
+from torchhand.fit import PostureResiduals
+from torchhand.geometry import vector_from_rotation
+from torchhand.hand import DOFS, named_pose_space
+from torchhand.study.hypotheses.case_study import CaseStudy, StudyBatch, StudyCase, plan_batches
+from torchhand.study.hypotheses.folder import CSV_NAME, NPZ_NAME, PICTURE_NAME, StudyFolder, save_study
+from torchhand.study.hypotheses.plot import draw_study
+from torchhand.study.hypotheses.record import Hypotheses
+from torchhand.study.hypotheses.settings import HypothesisStudySettings
+from torchhand.study.hypotheses.table import StudyRow, csv_text, study_rows
+
+UNITS = "metres, radians; *_deg degrees, *_mm mm, *_px px"
+CONVENTION = (
+    "one row per start; pose in the world of the camera file, its rotation vector that of world_from_hand;"
+    " perturbation of the free parameters, its rotation applied to the left of the reference's; errors against"
+    " reference_pose of the same frame: angle_deg mean of the pose space's joint angles, keypoint_mm mean of the 21"
+    " keypoints, rotation_deg of the orientation; NaN and infinite cost where the status is failed or no_contour"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Work:
+    """One study, ready to be worked on."""
+
+    settings: HypothesisStudySettings
+    cases: Sequence[StudyCase]
+    """With their final references."""
+    overlaps: Sequence[float]
+    """Of the reference hands and the silhouettes."""
+    prior: PostureResiduals | None
+    seed: int
+    source: str
+    """Of the pictures, for the user."""
+    reference: str
+    """How the reference poses are known, for the user."""
+    device: str
+
+    def study(self, case: int) -> CaseStudy:
+        """What registrations on one picture share: tens of MB."""
+        return CaseStudy(self.cases[case], load_hand_model(), self.settings, self.prior, self.device)
+
+    def header(self) -> dict[str, Any]:
+        """What must be equal in a study that is to be resumed."""
+        return {
+            "torchhand": torchhand.__version__,
+            "torch": str(torch.__version__),
+            "input": self.source,
+            "frames": [case.frame for case in self.cases],
+            "settings": asdict(self.settings),
+            "seed": self.seed,
+            "device": self.device,
+            "pictures": self._digest(),
+        }
+
+    def _digest(self) -> str:
+        """Of everything that a registration sees, and of the references."""
+        digest = hashlib.sha256()
+        for case in self.cases:
+            camera, seen = case.camera, (case.image, case.mask, case.pose, case.root_reference, case.shape)
+            for tensor in (*seen, camera.intrinsics, camera.rotation, camera.translation, camera.distortion):
+                digest.update(tensor.cpu().contiguous().numpy().tobytes())
+            digest.update(f"{case.side} {camera.kind}".encode())
+        return digest.hexdigest()
+
+    def run(self, folder: StudyFolder, side_by_side: int) -> tuple[Hypotheses, float]:
+        """All hypotheses in order, also those that the folder has; and seconds per start, 0 if none was left."""
+        plan = plan_batches(self.settings, len(self.cases))
+        done = {batch.index: found for batch in plan if (found := folder.load_batch(batch.index)) is not None}
+        left = [batch for batch in plan if batch.index not in done]
+        starts, before = self.settings.starts, sum(map(len, done.values()))
+        begun = time.perf_counter()
+        is_hidden = not sys.stderr.isatty()
+        with tqdm(total=starts, initial=before, desc="study", unit="start", disable=is_hidden, leave=False) as bar:
+            for batch, found in self._worked(left, side_by_side):
+                folder.save_batch(batch.index, found)
+                done[batch.index] = found
+                bar.update(len(found))
+        seconds = (time.perf_counter() - begun) / (starts - before) if left else 0.0
+        return Hypotheses.joined([done[batch.index] for batch in plan]), seconds
+
+    def _worked(self, plan: Sequence[StudyBatch], side_by_side: int) -> Iterator[tuple[StudyBatch, Hypotheses]]:
+        """Batches as they are done. torch computes each with one thread, so that its company changes no number."""
+        study = lru_cache(maxsize=side_by_side)(self.study)  # batches of a picture follow each other
+
+        def work(batch: StudyBatch) -> Hypotheses:
+            return study(batch.case).run(batch, self.seed)
+
+        if side_by_side == 1:
+            yield from ((batch, work(batch)) for batch in plan)
+            return
+        waiting = iter(plan)
+        running: dict[Future[Hypotheses], StudyBatch] = {}
+        with ThreadPoolExecutor(side_by_side, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+            while True:
+                for batch in waiting:
+                    running[pool.submit(work, batch)] = batch
+                    if len(running) == side_by_side:
+                        break
+                if not running:
+                    return
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    yield running.pop(future), future.result()
+
+    def save(self, folder: StudyFolder, hypotheses: Hypotheses) -> list[StudyRow]:
+        """Write the results and move them into place; returns the rows of the table."""
+        rows, references = study_rows(hypotheses, self.settings), self.cases
+        further = {
+            "dof_names": DOFS,
+            "free_names": named_pose_space(self.settings.space).free_names,
+            "reference_frame": [case.frame for case in references],
+            "reference_pose": torch.stack([_whole(case.pose, case.root_reference).cpu() for case in references]),
+            "reference_shape": torch.stack([case.shape.cpu() for case in references]),
+            "reference_overlap": self.overlaps,
+            "shape_names": load_hand_model().shape_space.names,
+            "success": hypotheses.is_success(self.settings.success_deg),
+            "units": UNITS,
+            "convention": CONVENTION,
+        }
+        with folder.finishing() as place:
+            write_text(place / CSV_NAME, csv_text(rows, self.settings))
+            _write_picture(place / PICTURE_NAME, draw_study(rows, self.settings))
+            self._save_config(place / CONFIG_NAME)
+            save_study(place / NPZ_NAME, folder.header, hypotheses, further)
+        return rows
+
+    def _save_config(self, path: Path) -> None:
+        first = self.cases[0]
+        run = {
+            "input": self.source,
+            "frames": [case.frame for case in self.cases],
+            "reference": self.reference,
+            "reference_overlap": self.overlaps,
+            "side": first.side,
+            "shape_of_first_frame": dict(zip(load_hand_model().shape_space.names, first.shape.tolist(), strict=True)),
+            "camera_used": camera_entry(first.camera),
+            "camera_is_assumed": first.camera.is_assumed,
+            "seed": self.seed,
+            "device": self.device,
+            "torch": str(torch.__version__),
+        }
+        save_settings(self.settings, path, run)
+
+
+def _whole(pose: Float[Tensor, "36"], reference: Float[Tensor, "3 3"]) -> Float[Tensor, "36"]:
+    """With the whole rotation in the pose, whose own rotation vector is zero."""
+    return torch.cat((pose[:3], vector_from_rotation(reference), pose[6:]))
+
+
+def _write_picture(path: Path, picture: Tensor) -> None:
+    _, encoded = cv2.imencode(".png", cv2.cvtColor(picture.numpy(), cv2.COLOR_RGB2BGR))
+    path.write_bytes(encoded.tobytes())  # so that the system says why it refuses

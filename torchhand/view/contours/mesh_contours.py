@@ -1,0 +1,187 @@
+"""Occluding contours of the skinned mesh: edges between faces turned to the camera and faces turned away, visible in a
+z-buffer (paper 000, section 7.2)."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from torchhand.geometry import Camera
+from torchhand.hand import KEYPOINTS, Hand, HandKinematics, skin_jacobian
+from torchhand.view.contours.contours import ContourLook, wrist_and_axis
+from torchhand.view.contours.jacobian import cam_force
+from torchhand.view.contours.springs import Springs
+from torchhand.view.raster import rasterize
+
+_INSIDE_PX = 1.5  # where the z-buffer is read for the surface that an edge belongs to
+_WRIST, _KNUCKLE = KEYPOINTS.index("wrist"), KEYPOINTS.index("middle_mcp")
+_SLACK = 0.006  # metres that surface may be nearer there
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeMotion:
+    """Middles of edges of a batch of skinned hands in the picture, and how they move."""
+
+    columns_px: Float[Tensor, "hands 2 points"]
+    """The points, a row for each coordinate."""
+    columns_cam: Float[Tensor, "hands 3 points"]
+    """Metres."""
+    columns_plane: Float[Tensor, "hands 2 points"]
+    """On the normalised image plane."""
+    jacobian: Float[Tensor, "hands points 3 36"]
+    """Of the points in the camera frame, in the pose."""
+    camera: Camera
+    basis: Float[Tensor, "36 free"]
+
+    @property
+    def points_px(self) -> Float[Tensor, "hands points 2"]:
+        return self.columns_px.mT
+
+    def along(self, direction: Float[Tensor, "hands points 2"]) -> Float[Tensor, "hands points free"]:
+        """Derivative of direction · point in the free parameters, px per unit, the direction held."""
+        return self._slopes(direction.mT[:, None]).squeeze(1) @ self.basis
+
+    def equations(self, springs: Springs) -> tuple[Float[Tensor, "hands 36 36"], Float[Tensor, "hands 36"]]:
+        """Second derivative (of Gauss and Newton) and first of the springs' cost in the DOFs, all of them moving."""
+        slopes = self._slopes(springs.direction).flatten(1, 2)
+        stiffness, pull = springs.stiffness.flatten(1), springs.pull.flatten(1)
+        return slopes.mT @ (stiffness[..., None] * slopes), (pull[:, None] @ slopes).squeeze(1)
+
+    def _slopes(self, direction: Float[Tensor, "hands springs 2 points"]) -> Float[Tensor, "hands springs points 36"]:
+        force = cam_force(self.camera, self.columns_cam[:, None], self.columns_plane[:, None], direction)
+        return (torch.stack(force, -1)[..., None, :] @ self.jacobian[:, None]).squeeze(-2)
+
+
+class MeshContours:
+    """Contours of a hand's skin.
+
+    An edge is carried by the skin from look to look. Across the contour that is its exact motion: what the contour
+    itself slides on the surface is along the line of sight and the contour.
+
+    hand: of the dtype to compute in; shape: in place of its own. points: most edges that are followed.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        camera: Camera,
+        basis: Float[Tensor, "36 free"],
+        shape: Float[Tensor, "shape"] | None = None,
+        *,
+        points: int = 500,
+    ) -> None:
+        if points < 1:
+            raise ValueError(f"points: expected 1 or more, got {points}")
+        self.hand, self._camera, self._basis, self._points = hand, camera, basis, points
+        self._shape = hand.shape if shape is None else shape
+        self._edges, self._faces_of_edge = _edges(hand.faces)
+
+    @property
+    def kinematics(self) -> HandKinematics:
+        return self.hand.kinematics
+
+    @property
+    def camera(self) -> Camera:
+        return self._camera
+
+    @property
+    def shape(self) -> Float[Tensor, "shape"]:
+        return self._shape
+
+    def look(
+        self, pose: Float[Tensor, "hands 36"], root_reference: Float[Tensor, "hands 3 3"], *, beyond_px: float
+    ) -> ContourLook:
+        """beyond_px: how far outside a point the picture is asked for the hand."""
+        state = self.hand(pose, self._shape, root_reference=root_reference)
+        looks = [self._look(vertices, beyond_px) for vertices in state.vertices]
+        points, normals, outer, inner, edges = (torch.stack(part) for part in zip(*looks, strict=True))
+        ends = self._camera.cam_from_world(state.frames.keypoints[:, (_WRIST, _KNUCKLE)])
+        wrist, fingerwards = wrist_and_axis(ends, self._camera)
+        return ContourLook(
+            points_px=points,
+            normals=normals,
+            outer=outer,
+            inner=inner,
+            wrist_px=wrist,
+            fingerwards_px=fingerwards,
+            edges=edges,
+        )
+
+    def motion(
+        self,
+        pose: Float[Tensor, "hands 36"],
+        root_reference: Float[Tensor, "hands 3 3"],
+        look: ContourLook,
+        moving: Bool[Tensor, "hands 36"] | None = None,
+    ) -> EdgeMotion:
+        """The points that were looked at, wherever the hands have moved since. moving: DOFs that are not held."""
+        assert look.edges is not None
+        points, jacobian = skin_jacobian(self.hand, pose, look.edges, shape=self._shape, root_reference=root_reference)
+        points_cam = self._camera.cam_from_world(points)
+        if moving is not None:
+            jacobian = jacobian * moving[:, None, None]
+        plane = self._camera.plane_from_cam(points_cam)
+        return EdgeMotion(
+            columns_px=self._camera.pixels_from_plane(plane).mT,
+            columns_cam=points_cam.mT,
+            columns_plane=plane.mT,
+            jacobian=self._camera.rotation @ jacobian,
+            camera=self._camera,
+            basis=self._basis,
+        )
+
+    def _look(self, vertices: Float[Tensor, "vertices 3"], beyond_px: float) -> tuple[Tensor, ...]:
+        """Of one hand: points, normals, which are outer, which inner, edges; padded with what is neither."""
+        camera, faces = self._camera, self.hand.faces
+        seen = camera.cam_from_world(vertices)
+        a, b, c = seen[faces].unbind(1)
+        towards = torch.linalg.cross(b - a, c - a)
+        sight = torch.zeros_like(a) + a.new_tensor((0.0, 0.0, 1.0)) if camera.kind == "orthographic" else a
+        is_front = (towards * sight).sum(-1) < 0
+        of_edge = is_front[self._faces_of_edge]
+        chosen = (of_edge[:, 0] != of_edge[:, 1]).nonzero()[:, 0]
+        chosen = chosen[(seen[self._edges[chosen]][..., 2] > 0).all(-1)]
+        edges = self._edges[chosen]
+        corners = camera.pixels_from_plane(camera.plane_from_cam(seen[edges]))
+        along = corners[:, 1] - corners[:, 0]
+        normals = torch.nn.functional.normalize(torch.stack((along[:, 1], -along[:, 0]), -1), dim=-1)
+        points_cam = seen[edges].mean(1)
+        points = camera.pixels_from_plane(camera.plane_from_cam(points_cam))
+        # Outward is away from the third corner of the face that is turned to the camera.
+        front = self._faces_of_edge[chosen].gather(1, of_edge[chosen].long().argmax(-1, keepdim=True)).squeeze(-1)
+        centre = camera.pixels_from_plane(camera.plane_from_cam(seen[faces[front]].mean(1)))
+        normals = torch.where((((centre - points) * normals).sum(-1) > 0)[:, None], -normals, normals)
+        depth = rasterize(vertices, faces, camera, is_closed=True).depth
+        surface = _read(depth, points - _INSIDE_PX * normals)
+        visible = points_cam[:, 2] <= surface + _SLACK
+        outer = visible & ~_read(depth, points + beyond_px * normals).isfinite()
+        kept = visible.nonzero()[:, 0]
+        if len(kept) > self._points:
+            step = torch.linspace(0, len(kept) - 1, self._points, device=kept.device)
+            kept = kept[step.round().long()]
+        rest = self._points - len(kept)
+
+        def padded(values: Tensor) -> Tensor:
+            return torch.cat((values[kept], values.new_zeros(rest, *values.shape[1:])))
+
+        filled = torch.cat((edges[kept], self._edges[:1].expand(rest, 2)))
+        return padded(points), padded(normals), padded(outer), padded(visible & ~outer), filled
+
+
+def _edges(faces: Int[Tensor, "faces 3"]) -> tuple[Int[Tensor, "edges 2"], Int[Tensor, "edges 2"]]:
+    """Edges of a closed mesh, and the two faces of each."""
+    pairs = torch.cat((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]])).sort(-1).values
+    owner = torch.arange(len(faces), device=faces.device).repeat(3)
+    edges, which = pairs.unique(dim=0, return_inverse=True)
+    if 2 * len(edges) != len(pairs) or not bool((which.bincount() == 2).all()):
+        raise ValueError("faces: expected a closed mesh, two faces at every edge")
+    return edges, owner[which.argsort(stable=True)].reshape(-1, 2)
+
+
+def _read(depth: Float[Tensor, "height width"], points_px: Float[Tensor, "points 2"]) -> Float[Tensor, "points"]:
+    """Depth at the nearest pixels; infinite where nothing is seen, and beyond the picture."""
+    height, width = depth.shape
+    x, y = points_px.nan_to_num(nan=-1e6).round().clamp(-2, max(height, width) + 1).long().unbind(-1)
+    inside = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+    return torch.where(inside, depth[y.clamp(0, height - 1), x.clamp(0, width - 1)], torch.inf)

@@ -1,0 +1,153 @@
+"""Outlines of the hand's primitives, sampled in closed form at fixed parameters (paper 003, section 4.2; FACTS 4.3,
+4.5).
+
+The paper draws each conic from its eigendecomposition, which has no solution for the line pairs of cones and cylinders
+and gives points that do not correspond between two poses. Here the contour generator is parametrised on the primitive
+itself: a cone has two straight generators, an ellipsoid an arc, both found in the primitive's own frame; a fixed
+parameter therefore follows its point through every sigma point, and truncation gives the end points in closed form.
+The points lie on the conic C = c A - b bᵀ, which the tests hold.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from torchhand.geometry import Camera, batch_first
+from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, Primitives
+from torchhand.view.outlines.generators import ConeGenerators, EllipsoidArcs, generators
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutlineTable:
+    """Which outline points to compute: first those on cones, then those on ellipsoids."""
+
+    cone: Int[Tensor, "cone_points"]
+    """Index into CONE_NAMES."""
+    cone_side: Int[Tensor, "cone_points"]
+    """0 or 1: which of the two generators."""
+    cone_fraction: Float[Tensor, "cone_points"]
+    """0 at the cone's beginning, 1 at its end."""
+    ellipsoid: Int[Tensor, "ellipsoid_points"]
+    """Index into ELLIPSOID_NAMES."""
+    ellipsoid_fraction: Float[Tensor, "ellipsoid_points"]
+    """0 and 1 are the two ends of the visible arc (or the same point of a whole ellipse)."""
+
+    @property
+    def size(self) -> int:
+        return len(self.cone) + len(self.ellipsoid)
+
+    @property
+    def primitive(self) -> Int[Tensor, "points"]:
+        """Index into PRIMITIVE_NAMES of every point."""
+        return torch.cat((self.cone, self.ellipsoid + len(CONE_NAMES)))
+
+    @cached_property
+    def generator(self) -> Int[Tensor, "cone_points"]:
+        """Index of every cone point's generator, two per cone."""
+        with torch.inference_mode(False):  # kept for callers in any mode
+            return 2 * self.cone + self.cone_side
+
+    def select(self, keep: Bool[Tensor, "points"]) -> "OutlineTable":
+        """The points where `keep` is true, in the same order."""
+        on_cones, on_balls = keep[: len(self.cone)], keep[len(self.cone) :]
+        return OutlineTable(
+            cone=self.cone[on_cones],
+            cone_side=self.cone_side[on_cones],
+            cone_fraction=self.cone_fraction[on_cones],
+            ellipsoid=self.ellipsoid[on_balls],
+            ellipsoid_fraction=self.ellipsoid_fraction[on_balls],
+        )
+
+
+def outline_table(
+    points_per_generator: int, points_per_arc: int, *, dtype: torch.dtype = torch.float64, without: tuple[str, ...] = ()
+) -> OutlineTable:
+    """Evenly spread points on every primitive but those named in `without`; ends are left out, where neighbours
+    overlap."""
+    cones = [i for i, name in enumerate(CONE_NAMES) if name not in without]
+    balls = [i for i, name in enumerate(ELLIPSOID_NAMES) if name not in without]
+    along = (torch.arange(points_per_generator, dtype=dtype) + 0.5) / points_per_generator
+    around = (torch.arange(points_per_arc, dtype=dtype) + 0.5) / points_per_arc
+    cone_ids = torch.tensor(cones)
+    return OutlineTable(
+        cone=cone_ids.repeat_interleave(2 * points_per_generator),
+        cone_side=torch.tensor((0, 1)).repeat_interleave(points_per_generator).repeat(len(cones)),
+        cone_fraction=along.repeat(2 * len(cones)),
+        ellipsoid=torch.tensor(balls).repeat_interleave(points_per_arc),
+        ellipsoid_fraction=around.repeat(len(balls)),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outline:
+    """Points of the contour generators in the camera frame."""
+
+    points_cam: Float[Tensor, "*batch points 3"]
+    """Metres."""
+    normals_cam: Float[Tensor, "*batch points 3"]
+    """Outward surface normals, not of unit length; as a homogeneous line, the tangent l = C x of the outline there."""
+    is_real: Bool[Tensor, "*batch points"]
+    """False where the primitive has no outline: seen along its axis, clipped away, or with the camera inside."""
+
+
+def outline(primitives_cam: Primitives, table: OutlineTable, *, is_orthographic: bool = False) -> Outline:
+    """Outline points of the table for every hand of the batch; primitives in the camera frame.
+
+    Where there is no outline the point is the nearest there is (and the gradient finite), with is_real False.
+    """
+    cones, arcs = generators(primitives_cam, is_orthographic=is_orthographic, with_normals=True)
+    return outline_of(cones, arcs, table, primitives_cam.position.shape[:-2])
+
+
+def outline_of(cones: ConeGenerators, arcs: EllipsoidArcs, table: OutlineTable, batch: tuple[int, ...]) -> Outline:
+    """`outline` where the generators, with normals, are known."""
+    points = sample_generators(cones, arcs, table)
+    assert cones.normal is not None
+    assert arcs.normal is not None
+    on_cones = cones.normal.flatten(0, 1).index_select(0, table.generator)
+    normals = torch.cat((on_cones, _along(arcs.normal, arcs.half_angle, table)))
+    real = (cones.is_real.index_select(0, table.cone), arcs.is_real.index_select(0, table.ellipsoid))
+    return Outline(
+        points_cam=batch_first(points, batch),
+        normals_cam=batch_first(normals, batch),
+        is_real=batch_first(torch.cat(real), batch),
+    )
+
+
+def outline_points(
+    primitives_cam: Primitives, table: OutlineTable, *, is_orthographic: bool = False
+) -> Float[Tensor, "*batch points 3"]:
+    """Only the points of `outline`, in half the time."""
+    cones, arcs = generators(primitives_cam, is_orthographic=is_orthographic, with_normals=False)
+    return batch_first(sample_generators(cones, arcs, table), primitives_cam.position.shape[:-2])
+
+
+def sample_generators(cones: ConeGenerators, arcs: EllipsoidArcs, table: OutlineTable) -> Tensor:
+    """The table's points of the generators: (points, 3, n)."""
+    low, rise = (x.flatten(0, 1).index_select(0, table.generator) for x in (cones.low, cones.rise))
+    on_cones = torch.addcmul(low, rise, table.cone_fraction.to(low.dtype)[:, None, None])
+    return torch.cat((on_cones, _along(arcs.curve, arcs.half_angle, table)))
+
+
+def _along(curve: Tensor, half_angle: Tensor, table: OutlineTable) -> Tensor:
+    """The table's points of arcs given by their centre and two radii: (points, 3, n)."""
+    sweep = (2 * table.ellipsoid_fraction - 1).to(curve.dtype)[:, None]
+    angle = half_angle.index_select(0, table.ellipsoid) * sweep
+    centre, first, second = curve.index_select(0, table.ellipsoid).unbind(2)
+    return torch.addcmul(torch.addcmul(centre, first, angle.cos()[:, None]), second, angle.sin()[:, None])
+
+
+def pixel_normals(
+    camera: Camera, plane: Float[Tensor, "*batch points 2"], normals_cam: Float[Tensor, "*batch points 3"]
+) -> Float[Tensor, "*batch points 2"]:
+    """Unit outward normals in the picture at points of the normalised plane, through lens distortion.
+
+    A tangent line l of the plane has the normal (l₁, l₂) (paper 003, section 3.1); pixels x = f(plane) turn it by J⁻ᵀ.
+    """
+    (a, b), (c, d) = (row.unbind(-1) for row in camera.pixel_jacobian(plane).unbind(-2))
+    n1, n2 = normals_cam[..., 0], normals_cam[..., 1]
+    turned = torch.stack((d * n1 - c * n2, a * n2 - b * n1), -1)  # det(J) J⁻ᵀ n, det > 0
+    return turned / turned.norm(dim=-1, keepdim=True).clamp_min(1e-30)
