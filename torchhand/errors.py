@@ -1,4 +1,6 @@
-"""The one exception that means: what the user gave is wrong."""
+"""What the user gave is wrong: the one exception for input from outside, the one check of settings."""
+
+import math
 
 
 class InputError(Exception):
@@ -6,3 +8,14 @@ class InputError(Exception):
 
     The commands print the line and leave with exit code 2; everything else is a defect and keeps its traceback.
     """
+
+
+def require(condition: bool, name: str, expected: str, got: object) -> None:
+    """Raise ValueError naming a setting, what was expected and what was given, unless the condition holds."""
+    if not condition:
+        raise ValueError(f"{name}: expected {expected}, got {got!r}")
+
+
+def require_positive(name: str, value: float) -> None:
+    """Raise ValueError unless a setting is above 0 and finite."""
+    require(0 < value < math.inf, name, "above 0 and finite", value)

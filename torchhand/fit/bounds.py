@@ -1,4 +1,4 @@
-"""Bounds of the free parameters of a registration."""
+"""Bounds of the free parameters of a pose space."""
 
 import torch
 from jaxtyping import Float
@@ -9,11 +9,12 @@ from torchhand.hand import DOFS, PoseSpace, Skeleton
 _ROOT = 6
 
 
-def own_limits(space: PoseSpace, skeleton: Skeleton) -> tuple[Float[Tensor, "free"], Float[Tensor, "free"]]:
+def free_bounds(space: PoseSpace, skeleton: Skeleton) -> tuple[Float[Tensor, "free"], Float[Tensor, "free"]]:
     """Bounds of the free parameters: each keeps the angle that it is named after within its limits.
 
-    An angle that is tied to another stops at its own limit while the other goes on (as paper 000's equation 4 must be
-    read, FACTS section 2.2). Parameters of the root, and those not named after an angle, have infinite bounds.
+    An angle that is tied to another stops at its own limit while the other goes on (the reading of Ouhaddi and Horain
+    1998, eq. 4, in which both limits can be reached). Parameters of the root, and those not named after an angle,
+    have infinite bounds.
     """
     basis, rows = space.basis, [DOFS.index(name) if name in DOFS else 0 for name in space.free_names]
     factor, constant = basis[rows].diagonal(), space.constant[rows]

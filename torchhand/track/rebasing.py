@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.fit import own_limits
+from torchhand.fit import free_bounds
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import PoseSpace, Skeleton
 from torchhand.hand.limits import clamp_to_limits
@@ -39,7 +39,7 @@ class Rebasing:
     def __call__(self, state: TrackerState) -> TrackerState:
         """Joint limits kept; the root's rotation moved from the belief's mean into the reference."""
         count = self.space.size
-        limits = own_limits(self.space.about(state.base), self.skeleton)
+        limits = free_bounds(self.space.about(state.base), self.skeleton)
         lower, upper = torch.full_like(state.belief.mean, -torch.inf), torch.full_like(state.belief.mean, torch.inf)
         lower[:count], upper[:count] = limits
         mean, held = mode_in_box(state.belief, lower, upper)

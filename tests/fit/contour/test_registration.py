@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchhand.files import load_hand_model
-from torchhand.fit import Expectation, PostureResiduals, own_limits
+from torchhand.fit import Expectation, PostureResiduals, free_bounds
 from torchhand.fit.contour.judged import covariance_of
 from torchhand.fit.contour.picture_contours import PictureContours, picture_contours
 from torchhand.fit.contour.registration import register
@@ -46,7 +46,7 @@ class Case:
         free = SPACE.free(self.truth) + torch.cat(
             (mm * 1e-3 * uniform(count, 3), torch.zeros(count, 3), deg * DEGREE * uniform(count, 20)), -1
         )
-        free = free.clamp(*own_limits(SPACE, self.model.skeleton))
+        free = free.clamp(*free_bounds(SPACE, self.model.skeleton))
         turned = rotation_from_vector(deg * DEGREE * uniform(count, 3) / math.sqrt(3)) @ self.reference
         return SPACE.dof(free), turned
 
@@ -279,7 +279,7 @@ def test_other_levels_than_the_settings_are_refused(case: Case, picture: Picture
 
 def test_bounds_of_free_parameters(case: Case) -> None:
     skeleton = case.model.skeleton
-    lower, upper = own_limits(SPACE, skeleton)
+    lower, upper = free_bounds(SPACE, skeleton)
     assert bool(lower[:6].isinf().all())
     assert bool((lower[6:] < upper[6:]).all())
     rows = [DOFS.index(name) - 6 for name in SPACE.free_names[6:]]

@@ -13,7 +13,7 @@ from torch import Tensor
 from torchhand.cli.benchmarks.figures import Figure
 from torchhand.evaluate import time_interleaved
 from torchhand.files import load_hand_model
-from torchhand.fit import Expectation, PostureResiduals, own_limits
+from torchhand.fit import Expectation, PostureResiduals, free_bounds
 from torchhand.fit.contour import (
     LEVELS,
     TRACKING_LEVELS,
@@ -68,7 +68,7 @@ class Case:
         free = truth + torch.cat(
             (1e-3 * mm * off(count, 3), torch.zeros(count, 3), math.radians(deg) * off(count, SPACE.size - 6)), -1
         )
-        free = free.clamp(*own_limits(SPACE, kinematics.skeleton))
+        free = free.clamp(*free_bounds(SPACE, kinematics.skeleton))
         turned = rotation_from_vector(math.radians(deg) * off(count, 3)) @ motion.root_reference
         return cls(
             projector=HandProjector(kinematics, camera),

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.fit import Beliefs, Expectation, PostureResiduals, own_limits
+from torchhand.fit import Beliefs, Expectation, PostureResiduals, free_bounds
 from torchhand.fit.contour.cost import RegistrationCost
 from torchhand.fit.contour.judged import Judged, covariance_of
 from torchhand.fit.contour.look import Looker, hand_length_px
@@ -32,7 +32,7 @@ from torchhand.numerics import (
 )
 from torchhand.view import Contours
 
-__all__ = ["Registration", "RegistrationStatus", "covariance_of", "own_limits", "register"]
+__all__ = ["Registration", "RegistrationStatus", "covariance_of", "free_bounds", "register"]
 
 _ROTATIONS = ("root_rx", "root_ry", "root_rz")
 _COST_TOLERANCE = 1e-3  # share of the cost below which a step is not worth taking
@@ -93,7 +93,7 @@ def register(
             prior_weight=settings.prior_weight,
         ),
         inverse=torch.linalg.pinv(space.basis),
-        bounds=own_limits(space, contours.kinematics.skeleton),
+        bounds=free_bounds(space, contours.kinematics.skeleton),
         columns=tuple(space.free_names.index(name) if name in space.free_names else -1 for name in _ROTATIONS),
     )
     size = settings.hypotheses_at_once

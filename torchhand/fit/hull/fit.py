@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchhand.fit import Beliefs, DynamicConstraints, Expectation, PostureResiduals, own_limits
+from torchhand.fit import Beliefs, DynamicConstraints, Expectation, PostureResiduals, free_bounds
 from torchhand.fit.contour import covariance_of
 from torchhand.fit.hull.cost import HeldHull, HullCost
 from torchhand.fit.hull.covered import match_hull
@@ -138,7 +138,7 @@ class HullFitter:
         self._inside = self.skin.loads(vertices)
         self._firm = hand.skinning.weights.amax(0) ** self.settings.firmness
         self._inverse = torch.linalg.pinv(space.basis)
-        self._bounds = own_limits(space, hand.kinematics.skeleton)
+        self._bounds = free_bounds(space, hand.kinematics.skeleton)
         self._columns = tuple(space.free_names.index(name) if name in space.free_names else -1 for name in _ROTATIONS)
         self._rotations = torch.tensor([c for c in self._columns if c >= 0], dtype=torch.long)
 

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchhand.fit import PostureResiduals, own_limits, weighted_equations
+from torchhand.fit import PostureResiduals, free_bounds, weighted_equations
 from torchhand.fit.hull.cost import HullCost
 from torchhand.fit.hull.fit import HullFitter
 from torchhand.fit.hull.points import HullTarget
@@ -151,7 +151,7 @@ class _Problem:
         space, people = self.fitter.beliefs.space, self.people.space
         count = len(self.targets)
         ends = zip(
-            own_limits(space, self.fitter.skin.hand.kinematics.skeleton), (people.lower, people.upper), strict=True
+            free_bounds(space, self.fitter.skin.hand.kinematics.skeleton), (people.lower, people.upper), strict=True
         )
         lower, upper = (torch.cat((own.repeat(count), self.scaled(end.to(own)))) for own, end in ends)
         return lower, upper

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchhand.fit import own_limits
+from torchhand.fit import free_bounds
 from torchhand.fit.hull.inside import HullField
 from torchhand.fit.hull.settings import HullTorqueSettings, TorqueSteps
 from torchhand.fit.hull.skin import SkinLoads, SkinPoints
@@ -93,7 +93,7 @@ def _pulled(
     settings: HullTorqueSettings,
 ) -> HullTorqueFit:
     skeleton: Skeleton = skin.hand.kinematics.skeleton
-    bounds = own_limits(space, skeleton)
+    bounds = free_bounds(space, skeleton)
     everything = skin.loads(torch.arange(skin.hand.skinning.weights.shape[1], device=pose.device))
     values = space.free(pose).clamp(*bounds)
     step = _first_steps(space, settings).expand(len(pose), -1).clone()

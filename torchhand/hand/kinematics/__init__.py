@@ -3,6 +3,7 @@
 from torchhand.hand.kinematics.chain import place_chain
 from torchhand.hand.kinematics.compiled import place_chain_plainly
 from torchhand.hand.kinematics.constants import FREE_BONES, HINGES, LEVER_ENDS
+from torchhand.hand.kinematics.hand_pose import HandPose
 from torchhand.hand.kinematics.jacobians import (
     KEYPOINT_BONES,
     PoseJacobian,
@@ -43,6 +44,7 @@ __all__ = [
     "TIP_DEPTH",
     "HandFrames",
     "HandKinematics",
+    "HandPose",
     "PoseJacobian",
     "PoseSpace",
     "ShapeJacobian",

@@ -1,5 +1,12 @@
 """Damped, bounded, robust nonlinear least squares over many problems at once, and plain gradient descent."""
 
+from torchhand.numerics.least_squares.arrow import (
+    ArrowEquations,
+    ArrowSolution,
+    ArrowValues,
+    arrow_levenberg_marquardt,
+    damped_arrow_step,
+)
 from torchhand.numerics.least_squares.box_step import damped_box_step
 from torchhand.numerics.least_squares.descent import DescentSettings, gradient_descent
 from torchhand.numerics.least_squares.levenberg_marquardt import levenberg_marquardt
@@ -13,12 +20,17 @@ from torchhand.numerics.least_squares.records import (
 from torchhand.numerics.least_squares.robust import RobustLoss
 
 __all__ = [
+    "ArrowEquations",
+    "ArrowSolution",
+    "ArrowValues",
     "DescentSettings",
     "LeastSquares",
     "LevenbergMarquardtSettings",
     "NormalEquations",
     "RobustLoss",
     "Status",
+    "arrow_levenberg_marquardt",
+    "damped_arrow_step",
     "damped_box_step",
     "gradient_descent",
     "levenberg_marquardt",

@@ -34,11 +34,20 @@ class RobustLoss:
         if residual.shape[-1] % self.group:
             raise ValueError(f"residual: expected a multiple of {self.group} numbers, got {residual.shape[-1]}")
         squared = residual.unflatten(-1, (-1, self.group)).square().sum(-1) / self.scale**2
+        loss, weight = self._rho(squared)
+        return 0.5 * self.scale**2 * loss.sum(-1), weight.repeat_interleave(self.group, -1)
+
+    def each(self, residual: Float[Tensor, "*batch m"]) -> tuple[Float[Tensor, "*batch m"], Float[Tensor, "*batch m"]]:
+        """The loss and dρ/ds of every residual by itself, whatever the group."""
+        squared = residual.square() / self.scale**2
+        loss, weight = self._rho(squared)
+        return 0.5 * self.scale**2 * loss, weight
+
+    def _rho(self, squared: Float[Tensor, "*batch m"]) -> tuple[Tensor, Tensor]:
+        """ρ and its derivative."""
         if self.kind == "huber":
             beyond = squared.clamp_min(1.0)
-            loss, weight = torch.where(squared <= 1, squared, 2 * beyond.sqrt() - 1), beyond.rsqrt()
-        elif self.kind == "geman_mcclure":
-            loss, weight = squared / (1 + squared), (1 + squared).square().reciprocal()
-        else:
-            loss, weight = squared, torch.ones_like(squared)
-        return 0.5 * self.scale**2 * loss.sum(-1), weight.repeat_interleave(self.group, -1)
+            return torch.where(squared <= 1, squared, 2 * beyond.sqrt() - 1), beyond.rsqrt()
+        if self.kind == "geman_mcclure":
+            return squared / (1 + squared), (1 + squared).square().reciprocal()
+        return squared, torch.ones_like(squared)

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from torchhand.evaluate import MIDDLE_MCP, WRIST, PoseErrors, cut_at_wrist, intersection_over_union, pose_errors
-from torchhand.fit import Expectation, PostureResiduals, own_limits
+from torchhand.fit import Expectation, PostureResiduals, free_bounds
 from torchhand.fit.contour import Registration, RegistrationStatus, picture_contours, register
 from torchhand.geometry import Camera, vector_from_rotation
 from torchhand.hand import HandModel, PoseConstraints, Side, named_pose_space, rebased
@@ -139,7 +139,7 @@ class CaseStudy:
         level = (batch.first + torch.arange(batch.count)) % s.perturbation.levels + 1
         size = level.double() / s.perturbation.levels
         change = draw_perturbations(self.space, size, s.perturbation, generator)
-        lower, upper = own_limits(self.space, self.kinematics.skeleton)
+        lower, upper = free_bounds(self.space, self.kinematics.skeleton)
         change = change.to(self.device).clamp(lower, upper)
         pose = self._poses(change)
         expected = None

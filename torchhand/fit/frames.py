@@ -1,0 +1,81 @@
+"""One observation of each of several frames as an observation of all of them: row i is the hand of frame i."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from jaxtyping import Int
+from torch import Tensor
+
+from torchhand.fit.observation import Equations, Explained, Factor, Observation, PosedHands
+from torchhand.fit.schedule import Stage
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameObservations:
+    """Observations of one kind, one for each frame, none of them empty."""
+
+    frames: tuple[Observation, ...]
+
+    @property
+    def is_empty(self) -> bool:
+        return not self.frames
+
+    def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "FrameObservations":
+        """Of some of the frames."""
+        if isinstance(rows, slice):
+            return FrameObservations(frames=self.frames[rows])
+        return FrameObservations(frames=tuple(self.frames[index] for index in rows.tolist()))
+
+    def associate(self, hands: PosedHands, stage: Stage) -> "FrameFactor":
+        """Frame by frame. Raises ValueError where there are not as many hands as frames."""
+        if len(hands) != len(self.frames):
+            raise ValueError(f"hands: expected one for each of {len(self.frames)} frames, got {len(hands)}")
+        return FrameFactor(
+            frames=tuple(one.associate(own, stage) for one, own in zip(self.frames, _each(hands), strict=True))
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameFactor:
+    """The factors of several frames, a row each."""
+
+    frames: tuple[Factor, ...]
+
+    def equations(self, hands: PosedHands) -> Equations:
+        """A row for each frame."""
+        parts = [factor.equations(own) for factor, own in zip(self.frames, _each(hands), strict=True)]
+
+        def whole(name: str) -> Any:
+            values = [getattr(part, name) for part in parts]
+            return None if values[0] is None else torch.cat(values)
+
+        names = ("cost", "gradient", "matrix", "mixed", "shared_gradient", "shared_matrix")
+        return Equations(first_dof=parts[0].first_dof, **{name: whole(name) for name in names})
+
+    def rows(self, rows: Int[Tensor, "n"]) -> "FrameFactor":
+        """Of some of the frames."""
+        return FrameFactor(frames=tuple(self.frames[index] for index in rows.tolist()))
+
+    def explained(self) -> tuple[Explained, ...]:
+        """View by view, a row for each frame; of what all frames tell."""
+        parts = [factor.explained() for factor in self.frames]
+        return tuple(
+            replace(
+                own[0],
+                share=torch.cat([one.share for one in own]),
+                distance=torch.cat([one.distance for one in own]),
+                inside=None
+                if any(one.inside is None for one in own)
+                else torch.cat([one.inside for one in own if one.inside is not None]),
+            )
+            for own in zip(*parts, strict=True)
+        )
+
+
+def _each(hands: PosedHands) -> Sequence[PosedHands]:
+    """Every hand by itself; what is computed for one is kept for all factors."""
+    return hands.once(
+        "each", lambda: [replace(hands, pose=hands.pose[index : index + 1], kept={}) for index in range(len(hands))]
+    )

@@ -1,0 +1,157 @@
+"""The protocol of observations and priors: data are associated with posed hands, which gives a factor of the cost.
+
+A factor is a negative log-likelihood in nats with its second-order model in the 36 degrees of freedom, so that kinds,
+cameras and frames add up. To observe something new is to write one class with `associate`, and the factor that it
+returns; it then works in `solve` over many hypotheses, in the shape fit and in the trackers.
+"""
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol, TypeVar, runtime_checkable
+
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchhand.fit.schedule import Stage
+from torchhand.fit.shared import SharedUnknowns
+from torchhand.hand import HandPose
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PosedHands:
+    """Hands of one shape in some poses, as factors are asked about them; a row per hand.
+
+    What several factors need of the same hands is computed once and kept (`once`).
+    """
+
+    pose: HandPose
+    """(k,), within the joint limits."""
+    shape: Float[Tensor, "shape"]
+    unknowns: SharedUnknowns | None = None
+    """Shared unknowns in which derivatives are wanted; None for those of the pose alone."""
+    extra: Float[Tensor, "extra"] | None = None
+    """The numbers after the shape among the shared unknowns."""
+    kept: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    def __len__(self) -> int:
+        return len(self.pose)
+
+    def once(self, key: Hashable, make: Callable[[], T]) -> T:
+        """What `make` returns, computed the first time."""
+        if key not in self.kept:
+            self.kept[key] = make()
+        return self.kept[key]
+
+    def in_dtype(self, like: Tensor) -> "PosedHands":
+        """The same hands in the dtype and on the device of a tensor."""
+        if self.pose.dofs.dtype == like.dtype and self.pose.dofs.device == like.device:
+            return self
+        return self.once(
+            (like.dtype, like.device),
+            lambda: replace(self, pose=self.pose.to(like), shape=self.shape.to(like), kept={}),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Equations:
+    """A cost in nats and its quadratic model cost + gradient · d + ½ dᵀ matrix d; a row per hand.
+
+    The gradient is the exact derivative of the cost, the matrix a positive semi-definite second derivative
+    (Gauss-Newton).
+    """
+
+    cost: Float[Tensor, "k"]
+    gradient: Float[Tensor, "k dofs"]
+    matrix: Float[Tensor, "k dofs dofs"]
+    first_dof: int = 0
+    """Degree of freedom that the first row of gradient and matrix stands for; the cost depends on none before it."""
+    mixed: Float[Tensor, "k dofs c"] | None = None
+    """Second derivative in pose and shared unknowns; None where these were not asked for or do not matter."""
+    shared_gradient: Float[Tensor, "k c"] | None = None
+    shared_matrix: Float[Tensor, "k c c"] | None = None
+
+    @classmethod
+    def of_rows(
+        cls,
+        residual: Float[Tensor, "k m"],
+        weight: Float[Tensor, "k m"],
+        rows: Float[Tensor, "k m dofs"],
+        cost: Float[Tensor, "k"],
+        *,
+        first_dof: int = 0,
+        shared: Float[Tensor, "k m c"] | None = None,
+    ) -> "Equations":
+        """From residuals r with derivatives J: matrix Jᵀ W J and gradient Jᵀ W r of the weights W, with a given cost.
+
+        For a robust loss ½ Σ w ρ(r²) the weight is w ρ'(r²) (iteratively reweighted least squares; exact gradient).
+        """
+        weighted = weight[..., None] * rows
+        pull = (weight * residual)[:, None]
+        found = cls(cost=cost, gradient=(pull @ rows).squeeze(1), matrix=weighted.mT @ rows, first_dof=first_dof)
+        if shared is None:
+            return found
+        return replace(
+            found,
+            mixed=weighted.mT @ shared,
+            shared_gradient=(pull @ shared).squeeze(1),
+            shared_matrix=shared.mT @ (weight[..., None] * shared),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Explained:
+    """How well hands explain the data of one observation in one view; a row per hand."""
+
+    name: str
+    """Of the observation's kind."""
+    view: int | None
+    """None for what is seen by all views together."""
+    share: Float[Tensor, "k"]
+    """Share of the data that the hand explains, 0 to 1."""
+    distance: Float[Tensor, "k"]
+    """Mean distance of the data from the hand, cut off where residuals are gross: px of that view, metres without
+    one."""
+    inside: Float[Tensor, "k"] | None = None
+    """Share of the hand that lies where the data allow a hand; None where the data say nothing of that kind."""
+
+    def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "Explained":
+        """Of the given hands."""
+        inside = None if self.inside is None else self.inside[rows]
+        return replace(self, share=self.share[rows], distance=self.distance[rows], inside=inside)
+
+
+@runtime_checkable
+class Factor(Protocol):
+    """One term of the cost, frozen about the hands that data were associated with."""
+
+    def equations(self, hands: PosedHands) -> Equations:
+        """At the given hands, a row for each; rotation vectors are about the references of the association."""
+        ...
+
+    def rows(self, rows: Int[Tensor, "n"]) -> "Factor":
+        """Of some of the hands."""
+        ...
+
+    def explained(self) -> tuple[Explained, ...]:
+        """How well the associated hands explain the data; nothing for a prior."""
+        ...
+
+
+@runtime_checkable
+class Observation(Protocol):
+    """Data, or a prior belief, about hands."""
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is nothing to compare a hand with; never so for a prior."""
+        ...
+
+    def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "Observation":
+        """Of some of the hypotheses or frames; itself where the data are the same for all."""
+        ...
+
+    def associate(self, hands: PosedHands, stage: Stage) -> Factor:
+        """Decides which data belong to which part of the posed hands, and freezes that."""
+        ...

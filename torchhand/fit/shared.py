@@ -1,0 +1,126 @@
+"""What all frames of a problem share and is estimated with their poses: the shape, and numbers of an observation."""
+
+import math
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.hand import Anthropometry
+from torchhand.numerics.least_squares import NormalEquations
+
+
+@runtime_checkable
+class SharedPrior(Protocol):
+    """A belief about the shape in nats."""
+
+    def equations(self, shape: Float[Tensor, "shape"]) -> NormalEquations:
+        """In all shape parameters, in their own units; no batch dimension."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class PopulationPrior:
+    """What is known of people's hands: the normal distribution over people, and the anthropometric constraints beyond
+    the bounds as soft walls (Ouhaddi and Horain 1998, section 3.1)."""
+
+    people: Anthropometry
+    weight: float = 1.0
+
+    def equations(self, shape: Float[Tensor, "shape"]) -> NormalEquations:
+        """In all shape parameters."""
+        residual, rows = population_rows(self.people, shape)
+        weighted = self.weight * rows
+        return NormalEquations(
+            matrix=weighted.T @ rows, gradient=weighted.T @ residual, cost=0.5 * self.weight * residual.square().sum()
+        )
+
+
+def population_rows(
+    people: Anthropometry, shape: Float[Tensor, "shape"]
+) -> tuple[Float[Tensor, "rows"], Float[Tensor, "rows shape"]]:
+    """Residuals in standard deviations and their derivative in the parameters: the normal distribution over people,
+    with length and breadth correlated, and those constraints beyond the bounds that are broken."""
+    space, count = people.space, len(people.space.names)
+    std = space.std.to(shape)
+    scaled = (shape - space.default.to(shape)) / std
+    length, breadth = (space.names.index(name) for name in ("hand_length", "hand_breadth"))
+    rho = people.settings.length_breadth_correlation
+    rows = torch.eye(count, dtype=shape.dtype, device=shape.device)
+    rows[breadth] /= math.sqrt(1 - rho * rho)
+    rows[breadth, length] = -rho / math.sqrt(1 - rho * rho)
+    matrix, bound = (x[2 * count :].to(shape) for x in (people.matrix, people.bound))
+    spread = people.spread.to(shape).clone()
+    spread[-1] *= float(space.default[length])
+    scale = people.settings.softness * torch.cat((spread, spread))
+    excess = (matrix @ shape - bound) / scale
+    of_excess = (excess > 0)[:, None] * matrix / scale[:, None]
+    return torch.cat((rows @ scaled, excess.clamp_min(0))), torch.cat((rows / std, of_excess))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SharedUnknowns:
+    """The unknowns that all frames have in common."""
+
+    columns: tuple[int, ...]
+    """Shape parameters that are free, by their place in the shape space."""
+    prior: SharedPrior
+    lower: Float[Tensor, "shape"]
+    """Bounds of all shape parameters."""
+    upper: Float[Tensor, "shape"]
+    extra: Float[Tensor, "extra"]
+    """Start of further numbers that belong to an observation, such as a scale; often none. They have no bounds."""
+    extra_std: Float[Tensor, "extra"]
+    """Standard deviation of each about its start."""
+
+    @classmethod
+    def of_shape(
+        cls, people: Anthropometry, columns: tuple[int, ...] | None = None, *, weight: float = 1.0
+    ) -> "SharedUnknowns":
+        """The shape alone, within the bounds of its space; all of its parameters where no columns are given."""
+        space = people.space
+        nothing = space.default.new_zeros(0)
+        return cls(
+            columns=tuple(range(len(space.names))) if columns is None else columns,
+            prior=PopulationPrior(people=people, weight=weight),
+            lower=space.lower,
+            upper=space.upper,
+            extra=nothing,
+            extra_std=nothing,
+        )
+
+    @property
+    def size(self) -> int:
+        return len(self.columns) + len(self.extra)
+
+    def vector(self, shape: Float[Tensor, "shape"]) -> Float[Tensor, "c"]:
+        """The unknowns at their start."""
+        return torch.cat((shape[list(self.columns)], self.extra.to(shape)))
+
+    def shape(self, vector: Float[Tensor, "c"], start: Float[Tensor, "shape"]) -> Float[Tensor, "shape"]:
+        """The whole shape: free parameters of the vector, others of the start."""
+        chosen = torch.tensor(self.columns, dtype=torch.long, device=vector.device)
+        return start.index_copy(0, chosen, vector[: len(self.columns)])
+
+    def extras(self, vector: Float[Tensor, "c"]) -> Float[Tensor, "extra"]:
+        """The numbers after the shape."""
+        return vector[len(self.columns) :]
+
+    def bounds(self, like: Tensor) -> tuple[Float[Tensor, "c"], Float[Tensor, "c"]]:
+        """Of the vector."""
+        open_end = like.new_full((len(self.extra),), torch.inf)
+        chosen = list(self.columns)
+        return torch.cat((self.lower.to(like)[chosen], -open_end)), torch.cat((self.upper.to(like)[chosen], open_end))
+
+    def prior_equations(self, vector: Float[Tensor, "c"], start: Float[Tensor, "shape"]) -> NormalEquations:
+        """What is believed of the unknowns, in the vector."""
+        found, chosen = self.prior.equations(self.shape(vector, start)), list(self.columns)
+        away = (self.extras(vector) - self.extra.to(vector)) / self.extra_std.to(vector)
+        size, count = self.size, len(self.columns)
+        matrix = vector.new_zeros(size, size)
+        matrix[:count, :count] = found.matrix[chosen][:, chosen]
+        matrix[count:, count:] = torch.diag(self.extra_std.to(vector) ** -2)
+        gradient = torch.cat((found.gradient[chosen], away / self.extra_std.to(vector)))
+        return NormalEquations(matrix=matrix, gradient=gradient, cost=found.cost + 0.5 * away.square().sum())
