@@ -45,6 +45,9 @@ class Arguments:
     """Posture at the start: open, flat, point, fist, victory ..."""
     start_points: Annotated[str | None, arg(metavar="WX,WY,MX,MY")] = None
     """Wrist and middle fingertip in the first picture, px, where the hand is not found by itself."""
+    keypoints: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Keypoints that a detector found in these pictures, which are then used beside the contours: a file that
+    fit_keypoints reads, with points in the picture (and in space, such as MediaPipe's world landmarks)."""
     background: Annotated[Path | None, arg(metavar="FILE")] = None
     """Picture of the scene without the hand, for --set silhouette.method=background."""
     start: Annotated[int, arg(metavar="N")] = 0
@@ -116,6 +119,7 @@ def _request(arguments: Arguments) -> Request:
         side=side,
         hand=hand,
         camera=arguments.camera,
+        keypoints=() if arguments.keypoints is None else (arguments.keypoints,),
         start_points=None if arguments.start_points is None else start_points_of(arguments.start_points),
         background=arguments.background,
         start=arguments.start,

@@ -11,10 +11,8 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
 from torchhand.errors import InputError
-from torchhand.files import find_config, load_settings, offsets_of, setting_in
-from torchhand.runs import changes_of, how_to_go_on, known_hand, summary_of
-from torchhand.runs.multiview import RigRequest, track_rig
-from torchhand.track.multiview import MultiViewSettings
+from torchhand.files import offsets_of
+from torchhand.runs import Request, how_to_go_on, known_hand, settings_of, summary_of, track_rig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +49,8 @@ class Arguments:
     """Known shape of the hand (hand.json), which is then not fitted."""
     side: Literal["left", "right"] | None = None
     """Which hand; right, or that of --hand."""
+    keypoints: Annotated[UseAppendAction[tuple[Path, ...]], arg(metavar="FILE")] = ()
+    """Keypoints that a detector found in the pictures of one camera, in the cameras' order; to be given for each."""
     offset: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME=FRAMES")] = ()
     """A camera that started so many frames before the others; may be repeated."""
     start: Annotated[int, arg(metavar="N")] = 0
@@ -93,14 +93,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     return DONE
 
 
-def _request(arguments: Arguments) -> RigRequest:
+def _request(arguments: Arguments) -> Request:
     hand = None if arguments.hand is None else known_hand(arguments.hand)
-    return RigRequest(
+    return Request(
         settings=_settings(arguments),
         config=arguments.config,
         side=arguments.side or ("left" if hand is not None and hand.side == "left" else "right"),
         hand=hand,
-        cameras=arguments.cameras,
+        camera=arguments.cameras,
+        keypoints=arguments.keypoints,
         unit=arguments.unit,
         masks={"auto": None, "masks": True}.get(arguments.silhouettes, False),
         background=arguments.background,
@@ -113,17 +114,13 @@ def _request(arguments: Arguments) -> RigRequest:
     )
 
 
-def _settings(arguments: Arguments) -> MultiViewSettings:
-    overrides = changes_of(arguments.changes, "octree.level=8")
+def _settings(arguments: Arguments) -> TrackerSettings:
+    changes = arguments.changes
     if arguments.silhouettes not in ("auto", "masks"):
-        if "silhouette.method" in overrides:
+        if any(change.startswith("silhouette.method=") for change in changes):
             raise InputError("--set: expected each field once, got silhouette.method and --silhouettes")
-        overrides["silhouette.method"] = arguments.silhouettes
-    path = find_config(arguments.config)
-    method = setting_in(path, "method")
-    if method != "hull":
-        raise InputError(f"{path}: method: expected hull for several cameras, got {method!r}")
-    return load_settings(MultiViewSettings(), path, overrides)
+        changes = (*changes, f"silhouette.method={arguments.silhouettes}")
+    return settings_of(arguments.config, changes)
 
 
 def _say(line: str) -> None:

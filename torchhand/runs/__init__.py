@@ -1,24 +1,30 @@
-"""A run from the first frame to its results: what is asked for, frame after frame, checkpoints and overlays."""
+"""A run from the first frame to its results: what is asked for, recordings, checkpoints and overlays."""
 
 from torchhand.runs.changes import changes_of
-from torchhand.runs.overlays import overlay_frames
+from torchhand.runs.overlay import overlay_frames
+from torchhand.runs.recording import OneCameraRecording, RecordedFrame, Recording, RigRecording
+from torchhand.runs.records import record_of
 from torchhand.runs.request import Request, known_hand, settings_of, start_points_of
-from torchhand.runs.trackers import AnyTracker, tracker_of
-from torchhand.runs.tracking import CHECKPOINT_EVERY, PROBLEMS_SHOWN, Say, how_to_go_on, summary_of, track_sequence
+from torchhand.runs.run import Run, Say, header_of
+from torchhand.runs.tracking import how_to_go_on, summary_of, track_rig, track_sequence
 
 __all__ = [
-    "CHECKPOINT_EVERY",
-    "PROBLEMS_SHOWN",
-    "AnyTracker",
+    "OneCameraRecording",
+    "RecordedFrame",
+    "Recording",
     "Request",
+    "RigRecording",
+    "Run",
     "Say",
     "changes_of",
+    "header_of",
     "how_to_go_on",
     "known_hand",
     "overlay_frames",
+    "record_of",
     "settings_of",
     "start_points_of",
     "summary_of",
+    "track_rig",
     "track_sequence",
-    "tracker_of",
 ]

@@ -1,7 +1,7 @@
 """What a tracking run is asked for, read from texts and files and checked before anything starts."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from math import hypot, isfinite
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from torchhand.fit.detect import StartPoints
 from torchhand.hand import Side
 from torchhand.image import BackgroundPlate, learn_background
 from torchhand.runs.changes import changes_of
-from torchhand.runs.trackers import DEFAULTS, AnySettings
+from torchhand.track import DEFAULTS, TrackerSettings
 
 LEAST_START_SPAN_PX = 10.0
 
@@ -20,16 +20,26 @@ LEAST_START_SPAN_PX = 10.0
 class Request:
     """What a run is asked for, whatever its input is."""
 
-    settings: AnySettings
+    settings: TrackerSettings
     config: str
     """Name of the configuration, as the user gave it."""
     side: Side = "right"
     hand: FittedHand | None = None
     """A known shape, which is then not fitted."""
     camera: Path | None = None
-    start_points: StartPoints | None = None
+    """Calibration of the camera, or of the rig where that is not in its folder."""
+    keypoints: tuple[Path, ...] = ()
+    """Files of detected keypoints, one per camera; none where none are used."""
     background: Path | None = None
-    """Picture of the empty scene."""
+    """Picture of the empty scene, or folder of one per camera."""
+    start_points: StartPoints | None = None
+    """One camera: wrist and middle fingertip in the first picture."""
+    unit: str | None = None
+    """Rig: what the cameras' translations are in; `hand`: to be fitted."""
+    masks: bool | None = None
+    """Rig: whether silhouettes are given; where it holds them if None."""
+    offsets: Mapping[str, int] = field(default_factory=dict)
+    """Rig: frames by which cameras started before the others, by name."""
     start: int = 0
     max_frames: int | None = None
     resume: bool = False
@@ -38,7 +48,7 @@ class Request:
     seed: int = 0
 
 
-def settings_of(config: str, changes: Sequence[str] = (), posture: str | None = None) -> AnySettings:
+def settings_of(config: str, changes: Sequence[str] = (), posture: str | None = None) -> TrackerSettings:
     """The settings of a configuration with single fields changed.
 
     Raises InputError naming the file or the option and the key.

@@ -1,152 +1,29 @@
-"""One tracked sequence: from a source of pictures to a whole result folder; what `track` and `demo` share."""
+"""Tracking into a result folder: a sequence of one camera, or a recording of several."""
 
-import json
 import sys
-from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Float
+from torch import Tensor
 from tqdm import tqdm
 
-import torchhand
 from torchhand.errors import InputError
-from torchhand.files import (
-    FrameSource,
-    Track,
-    TrackHeader,
-    TrackWriter,
-    camera_entry,
-    camera_for,
-    check_output_folder,
-    load_hand_model,
-    load_track,
-    open_source,
-    save_hand,
-    save_settings,
-)
-from torchhand.files.results import CONFIG_NAME, HAND_NAME, JSONL_NAME, OVERLAY_NAME, STATUSES, UNFINISHED_NAME
+from torchhand.files import FrameRecord, Track, TrackWriter, check_output_folder, load_hand_model, load_track
+from torchhand.files.results import JSONL_NAME, OVERLAY_NAME, STATUSES, UNFINISHED_NAME
 from torchhand.geometry import Camera
-from torchhand.hand import DOFS, HandKinematics
-from torchhand.runs.overlays import draw_live, write_overlay
+from torchhand.hand import Anthropometry, HandPose
+from torchhand.runs.overlay import draw_live, write_overlay
+from torchhand.runs.recording import OneCameraRecording, RecordedFrame, RigRecording, rig_plates
 from torchhand.runs.request import Request, check_start_points, plate_of
-from torchhand.runs.sequence import TrackedFrame, follow
-from torchhand.runs.trackers import tracker_of
-from torchhand.track import Memory, TrackerState
+from torchhand.runs.rig_overlay import write_views
+from torchhand.runs.run import CHECKPOINT_EVERY, Run, Say, header_of, track_frames
+from torchhand.track import Keyframe, Tracker, TrackerState
+from torchhand.track.multiview import Introduction, in_unit, introduce
+from torchhand.track.scene import ViewSilhouettes
 from torchhand.view import HandProjector
-
-CHECKPOINT_EVERY = 30
-"""Frames from one saved state of the tracker to the next."""
-PROBLEMS_SHOWN = 3
-"""Corrupt frames that are reported one by one; the others are counted."""
-
-Say = Callable[[str], None]
-"""Tells the user something on one line."""
-
-
-class _Run:
-    """The pieces of one run that belong together."""
-
-    def __init__(self, source: str | Path, camera: Camera, frames_per_second: float, request: Request) -> None:
-        self.source, self.request = source, request
-        kinematics = load_hand_model().kinematics(request.side, dtype=torch.float64)
-        hand = request.hand
-        shape = None if hand is None else torch.tensor(list(hand.values.values()), dtype=torch.float64)
-        self.tracker = tracker_of(
-            kinematics,
-            camera,
-            frames_per_second,
-            request.settings,
-            shape=shape,
-            start_points=request.start_points,
-            plate=plate_of(request.background, request.settings.silhouette.method, camera.width, camera.height),
-        )
-        self.given_camera, self.frames_per_second = camera, frames_per_second
-        self.state: TrackerState | None = None
-        self.memory = Memory()
-        self.fitted_at: int | None = None
-
-    @property
-    def kinematics(self) -> HandKinematics:
-        return self.tracker.kinematics
-
-    @property
-    def projector(self) -> HandProjector:
-        return HandProjector(self.kinematics, self.tracker.camera, self.memory.shape)
-
-    def header(self) -> TrackHeader:
-        """What must be equal in a run that is to be resumed."""
-        request = self.request
-        made_with = {
-            "torchhand": torchhand.__version__,
-            "settings": asdict(request.settings),
-            "hand": None if request.hand is None else request.hand.values,
-            "start_points": request.start_points,
-            "background": None if request.background is None else str(request.background),
-            "start": request.start,
-            "frames_per_second": self.frames_per_second,
-            "seed": request.seed,
-        }
-        camera = {**camera_entry(self.given_camera), "is_assumed": self.given_camera.is_assumed}
-        return TrackHeader(
-            dof_names=DOFS,
-            source=str(self.source),
-            side=request.side,
-            camera=json.loads(json.dumps(camera)),
-            made_with=json.loads(json.dumps(made_with), parse_constant=str),  # JSON knows no infinity
-        )
-
-    def checkpoint(self) -> dict[str, Any]:
-        return {"tracker": self.tracker.state_dict(self.state, self.memory), "fitted_at": self.fitted_at}
-
-    def go_on_from(self, saved: Any) -> None:
-        self.state, self.memory = self.tracker.restore(saved["tracker"])
-        self.fitted_at = saved["fitted_at"]
-
-    def advance(self, tracked: TrackedFrame, folder: Path) -> None:
-        """Take over the state after a frame; the first fit is saved at once."""
-        is_new = self.memory.shape is None and tracked.memory.shape is not None
-        self.state, self.memory = tracked.state, tracked.memory
-        if is_new:
-            self.fitted_at = tracked.frame.index
-            self.save_hand(folder)
-
-    def save_hand(self, folder: Path) -> None:
-        if self.memory.shape is None:
-            return
-        space = self.kinematics.shape_space
-        camera = self.given_camera
-        provenance = {
-            "source": str(self.source),
-            "frame": self.fitted_at,
-            "method": "contour fit" if self.request.hand is None else "given",
-            "camera": camera.name,
-            "camera_is_assumed": camera.is_assumed,
-            "posture": self.request.settings.posture,
-        }
-        values = self.memory.shape.tolist()
-        save_hand(folder / HAND_NAME, space.names, values, self.kinematics.side, provenance, units=space.units)
-
-    def save_config(self, folder: Path) -> None:
-        request = self.request
-        extra = {
-            "input": str(self.source),
-            "config": request.config,
-            "side": request.side,
-            "camera": request.camera,
-            "camera_is_assumed": self.given_camera.is_assumed,
-            "camera_used": camera_entry(self.given_camera),
-            "hand_given": None if request.hand is None else request.hand.values,
-            "start_points": request.start_points,
-            "background": request.background,
-            "start": request.start,
-            "max_frames": request.max_frames,
-            "frames_per_second": self.frames_per_second,
-            "seed": request.seed,
-        }
-        save_settings(request.settings, folder / CONFIG_NAME, extra)
 
 
 def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say) -> tuple[Track, HandProjector]:
@@ -161,64 +38,231 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
     if is_webcam and request.resume:
         raise InputError(f"webcam {source}: cannot be resumed: expected a video or a folder with --resume")
     check_output_folder(out_dir, resume=request.resume, overwrite=request.overwrite)
-    frames = open_source(source, start=request.start, max_frames=request.max_frames)
+    recording = OneCameraRecording(
+        source,
+        request.camera,
+        keypoints=request.keypoints,
+        side=request.side,
+        start=request.start,
+        max_frames=request.max_frames,
+    )
     try:
-        camera = camera_for(request.camera, frames.width, frames.height)
-        check_start_points(request.start_points, frames.width, frames.height)
-        run = _Run(source, camera, frames.fps, request)
-        writer = TrackWriter(
-            out_dir,
-            run.header(),
-            resume=request.resume,
-            overwrite=request.overwrite,
-            checkpoint_every=CHECKPOINT_EVERY,
+        check_start_points(request.start_points, recording.width, recording.height)
+        method = request.settings.silhouette.method
+        plate = plate_of(request.background, method, recording.width, recording.height)
+        hand = load_hand_model().hand(side=request.side, dtype=torch.float64)
+        tracker = Tracker(
+            hand,
+            recording.cameras,
+            request.settings,
+            shape=_known_shape(request),
+            start_points=request.start_points,
+            plates=None if plate is None else [plate],
         )
-        with writer:
-            if camera.is_assumed:
-                say("no --camera given: a field of view is assumed, so distances are metric only up to that assumption")
+        run = Run(recording, tracker, _provenance(request, recording.cameras[0]))
+        with _writer(out_dir, recording, request) as writer:
+            for line in recording.notes:
+                say(line)
+            done = 0
             if writer.resume_point is not None:
                 run.go_on_from(writer.resume_point.state)
                 done = writer.resume_point.last_frame + 1 - request.start
-                frames.close()
-                frames = open_source(source, start=request.start, max_frames=request.max_frames, already_done=done)
-            run.save_config(writer.folder)
+            run.save_config(writer.folder, _asked(request), recording.cameras)
             run.save_hand(writer.folder)
-            overlay = writer.folder / OVERLAY_NAME if request.has_overlay else None
-            with draw_live(overlay if is_webcam else None, frames) as draw:
-                try:
-                    _track_frames(run, frames, writer, say, draw)
-                except KeyboardInterrupt:
-                    if not is_webcam:
-                        raise
-            track = load_track(writer.folder)
-            if overlay is not None and not is_webcam and len(track):
-                write_overlay(overlay, track, run.projector, source, frames.fps)
-        return track, run.projector
+            _follow(run, recording, writer, done, request, say)
+            track, projector = load_track(writer.folder), _projector(run)
+            if request.has_overlay and not is_webcam and len(track):
+                write_overlay(writer.folder / OVERLAY_NAME, track, projector, source, recording.fps)
+        return track, projector
     finally:
-        frames.close()
+        recording.close()
 
 
-def _track_frames(run: _Run, frames: FrameSource, writer: TrackWriter, say: Say, draw: Callable[..., None]) -> None:
-    counts = dict.fromkeys(STATUSES, 0)
-    problems = 0
-    with tqdm(
-        total=frames.count, desc=frames.name, unit="frame", dynamic_ncols=True, disable=not sys.stderr.isatty()
-    ) as bar:
-        for tracked in follow(run.tracker, frames, run.state, run.memory):
-            run.advance(tracked, writer.folder)
-            writer.append(tracked.record, run.checkpoint)
-            draw(run.projector, tracked)
-            if tracked.frame.image is None:
-                problems += 1
-                if problems <= PROBLEMS_SHOWN:
-                    say(f"{tracked.frame.problem} (frame {tracked.frame.index} is skipped)")
-            counts[tracked.record.status] += 1
-            bar.set_postfix({name: count for name, count in counts.items() if count}, refresh=False)
-            bar.update()
-    if problems > PROBLEMS_SHOWN:
-        say(f"{frames.name}: {problems - PROBLEMS_SHOWN} more corrupt frames are skipped")
-    if frames.ended_early:
-        say(frames.ended_early)
+def _follow(
+    run: Run, recording: OneCameraRecording, writer: TrackWriter, done: int, request: Request, say: Say
+) -> None:
+    """Track what is left of one camera's recording; a webcam, which is drawn live, until the user's Ctrl-C."""
+    is_drawn_live = recording.is_live and request.has_overlay
+    with draw_live(writer.folder / OVERLAY_NAME if is_drawn_live else None, recording) as live:
+
+        def draw(frame: RecordedFrame, record: FrameRecord) -> None:
+            live(_projector(run) if is_drawn_live else None, frame, record)
+
+        try:
+            track_frames(run, writer, done, request.start, say, draw)
+        except KeyboardInterrupt:
+            if not recording.is_live:
+                raise
+
+
+def track_rig(folder: Path, out_dir: Path, request: Request, say: Say) -> Track:
+    """Track one recording of several cameras into a result folder.
+
+    Raises InputError before anything is touched where rig, pictures, options or folder are wrong, and on the way where
+    the disk refuses; what is tracked by then stays.
+    """
+    check_output_folder(out_dir, resume=request.resume, overwrite=request.overwrite)
+    recording = RigRecording(
+        folder,
+        cameras=request.camera,
+        unit=request.unit,
+        masks=request.masks,
+        offsets=request.offsets,
+        start=request.start,
+        max_frames=request.max_frames,
+        keypoints=request.keypoints,
+        side=request.side,
+    )
+    for line in recording.notes:
+        say(line)
+    start = _RigStart(recording, request)
+    with _writer(out_dir, recording, request) as writer:
+        if writer.resume_point is None:
+            run, done = start.begun(say), 0
+            run.save_hand(writer.folder)
+        else:
+            saved = writer.resume_point.state
+            run = Run(recording, start.tracker(float(saved["metres"])), {}, metres=float(saved["metres"]))
+            run.go_on_from(saved)
+            done = writer.resume_point.last_frame + 1 - request.start
+        cameras = in_unit(recording.cameras, run.metres)
+        run.save_config(writer.folder, _asked(request) | {"masks_given": recording.has_masks}, cameras)
+        track_frames(run, writer, done, request.start, say, lambda frame, record: None)
+        track, shape = load_track(writer.folder), run.shape
+        if request.has_overlay and len(track) and shape is not None:
+            kinematics = run.tracker.kinematics
+            write_views(writer.folder / OVERLAY_NAME, track, kinematics, cameras, shape, recording)
+    return track
+
+
+class _RigStart:
+    """How a hand is found before it is followed: in frames from all over the recording."""
+
+    def __init__(self, recording: RigRecording, request: Request) -> None:
+        self.recording, self.request, self.settings = recording, request, request.settings
+        self.hand = load_hand_model().hand(side=request.side, dtype=torch.float64)
+        self.known = _known_shape(request)
+        self.plates = rig_plates(recording, request.background, self.settings.silhouette.method)
+
+    def tracker(self, metres: float) -> Tracker:
+        """metres: of one unit of the cameras' translations."""
+        cameras = in_unit(self.recording.cameras, metres)
+        return Tracker(self.hand, cameras, self.settings, shape=self.known, plates=self.plates)
+
+    def begun(self, say: Say) -> Run:
+        """A run that knows the hand's looks, its proportions and where it is in some frames.
+
+        Raises InputError where the rig's unit is to be fitted and no hand is found.
+        """
+        recording = self.recording
+        found = self._initialization()
+        if self.request.unit == "hand":
+            if found.metres is None:
+                raise InputError(f"{recording.folder}: --unit hand: expected a hand in some views, found none")
+            say(f"one unit of the rig is {1e3 * found.metres:.4g} mm, by the size of the hand")
+        metres = found.metres or 1.0
+        state = TrackerState(
+            shape=found.shape,
+            appearance=tuple(found.skins) if any(found.skins) else (),
+            keyframes=tuple(
+                Keyframe(time_s=frame / recording.fps, pose=HandPose.of(one.pose, one.root_reference))
+                for frame, one in found.anchors.items()
+            ),
+            search_after=self.settings.health.first_search_after,
+        )
+        provenance = self._provenance(found) | {"unit_m": metres}
+        return Run(recording, self.tracker(metres), provenance, state=state, metres=metres)
+
+    def _initialization(self) -> Introduction:
+        silhouettes = ViewSilhouettes(self.recording.cameras, self.settings.silhouette, plates=self.plates)
+        frames = self.recording.sample(max(1, self.settings.rig.shape_frames))
+        given = self.recording.has_masks
+        moments = [
+            (
+                frame.index,
+                [view.image for view in frame.views],
+                [view.mask for view in frame.views] if given else None,
+            )
+            for frame in frames
+        ]
+        with tqdm(
+            total=len(frames), desc="initializing", unit="frame", dynamic_ncols=True, disable=not sys.stderr.isatty()
+        ) as bar:
+            return introduce(
+                self.hand,
+                silhouettes,
+                moments,
+                Anthropometry(self.hand.kinematics.shape_space),
+                self.settings.rig,
+                shape=self.known,
+                fits_unit=self.request.unit == "hand",
+                done=bar.update,
+            )
+
+    def _provenance(self, found: Introduction) -> dict[str, Any]:
+        method = "visual hulls" if self.known is None else "given"
+        content: dict[str, Any] = {"method": method, "frames": list(found.learned_from)}
+        if found.shape_std is not None:
+            names = self.hand.kinematics.shape_space.names
+            content["std"] = dict(zip(names, found.shape_std.tolist(), strict=True))
+        return content
+
+
+def _known_shape(request: Request) -> Float[Tensor, "shape"] | None:
+    hand = request.hand
+    return None if hand is None else torch.tensor(list(hand.values.values()), dtype=torch.float64)
+
+
+def _writer(out_dir: Path, recording: OneCameraRecording | RigRecording, request: Request) -> TrackWriter:
+    made_with = {
+        "hand": None if request.hand is None else request.hand.values,
+        "keypoints": [str(path) for path in request.keypoints],
+        "start_points": request.start_points,
+        "background": None if request.background is None else str(request.background),
+        "unit": request.unit,
+        "masks": isinstance(recording, RigRecording) and recording.has_masks,
+        "offsets": dict(request.offsets),
+        "start": request.start,
+        "seed": request.seed,
+    }
+    return TrackWriter(
+        out_dir,
+        header_of(recording, request.settings, made_with, side=request.side),
+        resume=request.resume,
+        overwrite=request.overwrite,
+        checkpoint_every=CHECKPOINT_EVERY,
+    )
+
+
+def _provenance(request: Request, camera: Camera) -> dict[str, Any]:
+    return {
+        "method": "contour fit" if request.hand is None else "given",
+        "camera": camera.name,
+        "camera_is_assumed": camera.is_assumed,
+        "posture": request.settings.posture,
+    }
+
+
+def _asked(request: Request) -> dict[str, Any]:
+    """What the user asked for, for config.yaml."""
+    return {
+        "config": request.config,
+        "camera": request.camera,
+        "hand_given": None if request.hand is None else request.hand.values,
+        "keypoints": [str(path) for path in request.keypoints],
+        "start_points": request.start_points,
+        "background": request.background,
+        "unit": request.unit,
+        "offsets": dict(request.offsets),
+        "start": request.start,
+        "max_frames": request.max_frames,
+        "seed": request.seed,
+    }
+
+
+def _projector(run: Run) -> HandProjector:
+    """What projects poses into the pictures of one camera."""
+    return HandProjector(run.tracker.kinematics, run.tracker.own_cameras[0], run.shape)
 
 
 def summary_of(name: str, track: Track, out_dir: Path) -> str:

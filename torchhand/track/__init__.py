@@ -1,41 +1,22 @@
-"""Trackers: how a hand is followed through a video, lost and found again."""
+"""The tracker: how a hand is found, followed through one camera or several, lost, found again and smoothed."""
 
-from torchhand.track.estimate import posed_belief
-from torchhand.track.measured import Measured, SeenContour
-from torchhand.track.prior import Kind, PosturePrior, kind_of, posture_prior
-from torchhand.track.rebasing import Rebasing
-from torchhand.track.settings import (
-    ContourTrackerSettings,
-    LightSettings,
-    LossSettings,
-    NoiseSettings,
-    TrackerSettings,
-    require,
-    require_positive,
-)
-from torchhand.track.state import Estimate, Memory, Status, TrackerState
-from torchhand.track.tracker import HandTracker, start_spread
+from torchhand.track.knowledge import Estimate, Keyframe, TrackerState, restored_state, saved_state
+from torchhand.track.scene import DetectedHand, View
+from torchhand.track.settings import DEFAULTS, TrackerSettings
+from torchhand.track.smoothing import PastFrame, Smoother
+from torchhand.track.tracker import Tracker
 
 __all__ = [
-    "ContourTrackerSettings",
+    "DEFAULTS",
+    "DetectedHand",
     "Estimate",
-    "HandTracker",
-    "Kind",
-    "LightSettings",
-    "LossSettings",
-    "Measured",
-    "Memory",
-    "NoiseSettings",
-    "PosturePrior",
-    "Rebasing",
-    "SeenContour",
-    "Status",
+    "Keyframe",
+    "PastFrame",
+    "Smoother",
+    "Tracker",
     "TrackerSettings",
     "TrackerState",
-    "kind_of",
-    "posed_belief",
-    "posture_prior",
-    "require",
-    "require_positive",
-    "start_spread",
+    "View",
+    "restored_state",
+    "saved_state",
 ]

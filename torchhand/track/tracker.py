@@ -1,310 +1,343 @@
-"""What the trackers share: start and restart, the tests by which a track is kept or lost, what is told of a frame.
+"""The tracker: predict, update, judge; propose other hands where that fails. One camera or several, any update rule.
 
-A tracker is a value: `step` takes a state and a picture and returns the next state and the frame's estimate.
+A tracker is a value: `step` takes a state and the views of one time and returns the next state and the estimate.
 """
 
-import copy
 import math
-from abc import ABC, abstractmethod
-from dataclasses import replace
-from typing import Any, Generic, TypeVar
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-import cv2
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.fit import Agreement, Appearance, hand_region, overlap, relearned, touching, unexplained_px
-from torchhand.fit.contour import hand_length_px
-from torchhand.fit.detect import NoStart, Start, StartPoints, find_hand, shows_same_side, start_at_points
+from torchhand.files.results import Status
+from torchhand.fit.detect import StartPoints
 from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics, PoseSpace, named_pose_space, posture
+from torchhand.hand import Hand, HandPose
 from torchhand.image import BackgroundPlate
-from torchhand.numerics import Gaussian, predict_linear
-from torchhand.track.estimate import estimate_of, unknown_scale_std
-from torchhand.track.measured import Measured
-from torchhand.track.prior import Kind, kind_of
-from torchhand.track.rebasing import Rebasing
+from torchhand.track.assembly import Assembly, assembled
+from torchhand.track.belief import FollowedHand, posed_belief, scale_covariance, unknown_scale_std
+from torchhand.track.knowledge import Estimate, TrackerState
+from torchhand.track.proposals import Proposals, ProposalSource, Proposed
+from torchhand.track.scene import Candidate, DetectedHand, Scene, View
 from torchhand.track.settings import TrackerSettings
-from torchhand.track.state import Estimate, Memory, Status, TrackerState, restored_state, saved_state
-from torchhand.view import HandProjector, outline_table
 
-Settings = TypeVar("Settings", bound=TrackerSettings)
-
-_START_STD = {"translation": 0.003, "rotation": 0.03, "angle": 0.08}  # m, rad, rad
-_START_SPEED = {"translation": 0.2, "rotation": 1.0, "angle": 1.0}  # per second
-_START_ACCELERATION = {"translation": 2.0, "rotation": 10.0, "angle": 10.0}  # per second squared
-_REACH = 1.3  # silhouettes are compared so far from the wrist, hand lengths
-_MARGIN = 0.015  # along the outline, colours are nobody's, hand lengths
-_FINGER = 0.03  # radius of a disc that fits into every finger, hand lengths
+_BEST_KEPT = 0.99  # share of the best score that outlasts a frame
+_DECLINE = 0.03  # score less than at best, from which on a followed hand is fitted once more with larger steps
+_SURE_EDGES = 0.85  # share of the edges that a whole hand explains at least
+_REFIT_EVERY = 10  # frames from one such fit to the next at least
 
 
-def start_spread(kinds: list[Kind], order: int) -> Float[Tensor, "state"]:
-    """Variances of a state at its start: parameters of some kinds, then their rates."""
-    spreads = [
-        torch.tensor([table[kind] for kind in kinds], dtype=torch.float64) ** 2
-        for table in (_START_STD, _START_SPEED, _START_ACCELERATION)[: order + 1]
-    ]
-    return torch.cat(spreads)
+@dataclass(frozen=True, kw_only=True)
+class _Search:
+    """The best hand of a scene, and how it was come by."""
+
+    best: Candidate | None
+    proposed: Proposed | None
+    """The proposal that the best hand came from; None where it was followed."""
+    has_foreground: bool
+    reason: str
 
 
-class HandTracker(ABC, Generic[Settings]):
-    """Follows one hand of a known side through the pictures of one camera. Poses are in the camera's frame.
+class Tracker:
+    """Follows one hand of a known side. Poses are in the world of the cameras, which is the camera's frame of one
+    camera.
 
-    Computes in float64 on the CPU. The same pictures give the same numbers bit for bit.
+    Computes in float64 on the CPU. The same views give the same numbers bit for bit.
     """
 
     def __init__(
         self,
-        kinematics: HandKinematics,
-        camera: Camera,
-        frames_per_second: float,
-        settings: Settings,
+        hand: Hand,
+        cameras: Camera | Sequence[Camera],
+        settings: TrackerSettings | None = None,
         *,
         shape: Float[Tensor, "shape"] | None = None,
         start_points: StartPoints | None = None,
-        plate: BackgroundPlate | None = None,
+        plates: Sequence[BackgroundPlate] | None = None,
     ) -> None:
-        """shape: proportions where they are known; else they are fitted to the first picture with a hand.
+        """hand: the model; its own shape does not count. shape: proportions where they are known; else they are fitted.
 
-        start_points: where the hand is in the first picture, given by the user, in place of a search.
-        plate: the empty scene, for the silhouette method "background".
-        Raises ValueError for a frame rate that cannot be, and where that method lacks its plate.
+        start_points: where the hand is in the first picture of one camera, in place of a search. plates: the empty
+        scene in every view, for the silhouette method "background".
+        Raises ValueError where that method lacks its plates, and for cameras that see no volume together.
         """
-        if not (math.isfinite(frames_per_second) and frames_per_second > 0):
-            raise ValueError(f"frames_per_second: expected a finite number above 0, got {frames_per_second!r}")
-        self.settings: Settings = settings
-        is_exact = kinematics.default_shape.dtype == torch.float64
-        self.kinematics = kinematics if is_exact else copy.deepcopy(kinematics).double()  # the caller's stays as it is
-        eye, zero = torch.eye(3, dtype=torch.float64), torch.zeros(3, dtype=torch.float64)
-        self.camera = replace(camera.to(dtype=torch.float64), rotation=eye, translation=zero)
-        self.start_points = start_points
-        if self.settings.silhouette.method == "background" and plate is None:
-            raise ValueError("silhouette.method: 'background' needs a plate of the empty scene")
-        self.plate = plate
-        self.known_shape = None if shape is None else shape.double()
-        self.space: PoseSpace = named_pose_space(self.settings.pose_space)
-        s = self.settings
-        self.table = outline_table(s.points_per_generator, s.points_per_arc, without=("palm_wrist",))
-        self._rebased = Rebasing(space=self.space, skeleton=self.kinematics.skeleton)
-        self._kinds: list[Kind] = [kind_of(name) for name in self.space.free_names]
-        self._dt_s = 1.0 / frames_per_second
-        noise = {"translation": s.noise.translation, "rotation": s.noise.rotation, "angle": s.noise.angle}
-        self._density = torch.tensor([noise[kind] ** 2 for kind in self._kinds], dtype=torch.float64)
-        self._transition = s.motion.transition(self._dt_s, self.space.size)
-        self._process_noise = self._noise_of(self._density)
-        self._check_camera = self.camera.resized(min(1.0, s.check_side_px / max(camera.width, camera.height)))
-        self._scale_std = unknown_scale_std(
-            self.kinematics.shape_space, self.camera, is_shape_known=self.known_shape is not None
+        self.settings = settings or TrackerSettings()
+        self.cameras = (cameras,) if isinstance(cameras, Camera) else tuple(cameras)
+        known = None if shape is None else shape.double()
+        self._parts: Assembly = assembled(hand, self.cameras, self.settings, known, start_points, plates)
+        self.known_shape = known
+        self.kinematics = self._parts.kinematics
+        self._scale_std = 0.0
+        if len(self.cameras) == 1:
+            space = self.kinematics.shape_space
+            self._scale_std = unknown_scale_std(space, self.cameras[0], is_shape_known=known is not None)
+
+    # ------------------------------------------------------------------ a frame
+
+    @torch.inference_mode()
+    def step(self, state: TrackerState | None, views: Sequence[View], time_s: float) -> tuple[TrackerState, Estimate]:
+        """The next state and the estimate of this time.
+
+        state: that of the frame before, None at first. views: one per camera; an empty one where its picture is
+        missing. time_s: of the frame, after that of the one before.
+
+        A hand that the views do not bear out is looked for otherwise at once, one in doubt when a search is due; a hand
+        found again after a lost frame is `recovered`. Raises ValueError for views that are not the cameras' in number
+        or size, and for a time that does not advance.
+        """
+        state = self._started(state)
+        self._check(views, state, time_s)
+        dt_s = self.settings.nominal_dt_s if state.time_s is None else time_s - state.time_s
+        state = replace(state, time_s=time_s)
+        predicted = None if state.hand is None else self._parts.motion.predicted(state.hand, dt_s)
+        if all(view.is_empty for view in views):
+            return self._unseen(state, predicted)
+        views = [self._undistorted(view, index) for index, view in enumerate(views)]
+        looks = state.appearance or self._parts.segmentation.first_looks(views)
+        scene = self._parts.segmentation.scene(views, looks, time_s)
+        state = replace(
+            state,
+            appearance=looks,
+            frames_since_search=state.frames_since_search + 1,
+            frames_since_refit=state.frames_since_refit + 1,
         )
-        self._projectors: tuple[HandProjector, HandProjector] | None = None
+        followed = None
+        if state.hand is not None and predicted is not None and state.shape is not None:
+            followed = self._parts.rule.follow(state.hand, predicted, scene, state.shape)
+        state, search = self._searched(state, followed, predicted, scene)
+        return self._adopted(state, search, predicted, scene)
 
-    def step(
-        self, state: TrackerState | None, memory: Memory, image: UInt8[Tensor, "height width 3"]
-    ) -> tuple[TrackerState | None, Memory, Estimate]:
-        """The next state, what is remembered, and the estimate of this picture (RGB).
+    @torch.inference_mode()
+    def follow(
+        self, state: TrackerState, hand: FollowedHand, scene: Scene, dt_s: float
+    ) -> tuple[FollowedHand, Estimate] | None:
+        """A hand in another scene, with nothing else looked for; None where it does not fit there."""
+        if state.shape is None:
+            return None
+        predicted = self._parts.motion.predicted(hand, abs(dt_s))
+        found = self._parts.rule.follow(hand, predicted, scene, state.shape)
+        if found is None or self._parts.health.is_failing(found):
+            return None
+        return found.hand, self._estimate("tracked", found, state, scene.time_s)
 
-        A hand found again after a frame that was lost is `recovered`; the first one ever, and one that a fresh search
-        corrects within an unbroken track, is `tracked`. A frame that fails the tests is searched afresh at once, a
-        doubtful one when a search is due. Raises ValueError for a picture that is not the camera's size.
-        """
-        if image.shape[:2] != (self.camera.height, self.camera.width):
-            expected = f"{self.camera.width}×{self.camera.height} px as the camera says"
-            raise ValueError(f"image: expected {expected}, got {image.shape[1]}×{image.shape[0]} px")
-        if state is None or memory.appearance is None or memory.shape is None:
-            return self._restart(memory, image)
-        following, estimate = self._follow(state, memory.shape, memory.appearance, image)
-        is_failing = following is not None and following.failures > 0
-        is_due = is_failing or memory.frames_since_search + 1 >= self.settings.loss.search_every
-        memory = replace(memory, frames_since_search=memory.frames_since_search + 1)
-        is_sure = following is not None and not self._is_doubtful(estimate, memory)
-        if following is not None and is_sure and not is_failing:
-            memory = self._learned(memory, following, image)
-        if is_sure or (following is not None and not is_due):
-            return following, memory, estimate
-        # Lost, or in doubt: a hand in the posture of the start, seen afresh, takes over where it explains more.
-        memory = replace(memory, frames_since_search=0)
-        restarted, remembered, found = self._restart(memory, image)
-        if restarted is None:
-            return following, memory, estimate
-        margin = 0.0
-        if following is not None:
-            is_same_side = shows_same_side(restarted.reference, state.reference)
-            margin = self.settings.loss.better_by if is_same_side else self.settings.loss.turned_by
-        if (found.overlap or 0.0) > (estimate.overlap or 0.0) + margin:
-            return restarted, remembered, replace(found, status="tracked")  # no frame was lost
-        return following, memory, estimate
+    @torch.inference_mode()
+    def at_rest(self, hand: FollowedHand) -> FollowedHand:
+        """The same hand with rates of which nothing is known, from where it can be followed into either time."""
+        prior = self._parts.motion.prior(hand)
+        return replace(hand, belief=self._parts.motion.at_rest(prior.mean, prior.covariance))
 
-    def _is_doubtful(self, estimate: Estimate, memory: Memory) -> bool:
-        loss = self.settings.loss
-        has_dropped = (estimate.overlap or 0.0) < memory.overlap - loss.doubt_drop
-        return has_dropped or (estimate.unexplained or 0.0) > loss.doubt_unexplained
+    def is_sure(self, estimate: Estimate) -> bool:
+        """Whether so much is explained that there is a hand, and no arm or half a hand."""
+        edges, overlap = estimate.edges or 0.0, estimate.overlap or 0.0
+        return overlap >= self.settings.health.found_overlap and edges >= _SURE_EDGES
 
-    def _learned(self, memory: Memory, state: TrackerState, image: Tensor) -> Memory:
-        """The memory with the colours of a picture that bears out a state, where it is time for them."""
-        light, count = self.settings.light, memory.frames_since_lesson + 1
-        if count < light.every or light.every == 0 or memory.appearance is None or memory.shape is None:
-            return replace(memory, frames_since_lesson=count)
-        pose = self._rebased.pose(state)
-        model = self._projectors_of(memory.shape)[0].silhouette(pose, state.reference)
-        margin = max(1, round(_MARGIN * hand_length_px(self.camera, self.kinematics, pose, memory.shape)))
-        probability = memory.appearance.probability(image)
-        learned = relearned(memory.appearance, image, probability, model, margin, keep=light.keep)
-        return replace(memory, appearance=learned, frames_since_lesson=0)
+    @torch.inference_mode()
+    def scene(self, state: TrackerState, views: Sequence[View], time_s: float) -> Scene:
+        """What `step` sees in the views of one time."""
+        own = [self._undistorted(view, index) for index, view in enumerate(views)]
+        return self._parts.segmentation.scene(own, state.appearance, time_s)
 
-    def skip(self, state: TrackerState | None) -> tuple[TrackerState | None, Estimate]:
-        """The step over a picture that could not be read: time passes, nothing is seen.
-
-        The state is predicted; after `loss.patience` such frames in a row the track is given up.
-        """
+    def _started(self, state: TrackerState | None) -> TrackerState:
         if state is not None:
-            failures = state.failures + 1
-            is_given_up = failures >= self.settings.loss.patience
-            state = None if is_given_up else replace(self._predicted(state), failures=failures)
-        return state, Estimate(status="no_hand", reason="the picture could not be read")
+            return state
+        return TrackerState(shape=self.known_shape, search_after=self.settings.health.first_search_after)
 
-    def state_dict(self, state: TrackerState | None, memory: Memory) -> dict[str, Any]:
-        """Plain tensors and numbers from which `restore` goes on exactly."""
-        return saved_state(state, memory)
+    def _check(self, views: Sequence[View], state: TrackerState, time_s: float) -> None:
+        if len(views) != len(self.cameras):
+            raise ValueError(f"views: expected one per camera, {len(self.cameras)}, got {len(views)}")
+        for index, (view, camera) in enumerate(zip(views, self.cameras, strict=True)):
+            for name, picture in (("image", view.image), ("mask", view.mask)):
+                if picture is not None and picture.shape[:2] != (camera.height, camera.width):
+                    got = f"{picture.shape[1]}×{picture.shape[0]} px"
+                    expected = f"{camera.width}×{camera.height} px as the camera says"
+                    raise ValueError(f"views[{index}].{name}: expected {expected}, got {got}")
+        if not math.isfinite(time_s) or (state.time_s is not None and not time_s > state.time_s):
+            raise ValueError(f"time_s: expected a finite time after {state.time_s}, got {time_s!r}")
 
-    def restore(self, saved: dict[str, Any]) -> tuple[TrackerState | None, Memory]:
-        """The inverse of `state_dict`."""
-        return restored_state(saved)
+    def _undistorted(self, view: View, index: int) -> View:
+        """With its keypoints as the camera without distortion would see them."""
+        given, used = self.cameras[index], self._parts.cameras[index]
+        if view.keypoints is None or not given.has_distortion or used.has_distortion:
+            return view
+        points = given.plane_from_pixels(view.keypoints.points_px.to(used.intrinsics))
+        seen = view.keypoints
+        moved = DetectedHand(points_px=used.pixels_from_plane(points), points=seen.points, score=seen.score)
+        return replace(view, keypoints=moved)
 
-    # ------------------------------------------------------------------ start and restart
+    def _unseen(self, state: TrackerState, predicted: FollowedHand | None) -> tuple[TrackerState, Estimate]:
+        """The step over a time of which nothing was seen: after `health.patience` in a row the track is given up."""
+        hand = self._failed(predicted)
+        return replace(state, hand=hand), self._nothing(state, "no_hand", "no view could be read")
 
-    def _restart(self, memory: Memory, image: Tensor) -> tuple[TrackerState | None, Memory, Estimate]:
-        s = self.settings
-        is_first = memory.appearance is None
-        found = self._found(memory, image)
-        if isinstance(found, NoStart):
-            status: Status = "lost" if found.has_foreground and memory.shape is not None else "no_hand"
-            return None, memory, Estimate(status=status, reason=found.reason)
-        settled, agreement = self._settled(found, image)
-        if settled.found < s.loss.min_found or agreement.overlap < s.loss.min_overlap:
-            shares = f"edges on {settled.found:.0%}, overlap {agreement.overlap:.2f}"
-            reason = f"no hand where the search began ({shares})"
-            return None, memory, Estimate(status="no_hand" if is_first else "lost", reason=reason)
-        memory = replace(memory, overlap=agreement.overlap)
-        if is_first:
-            memory = replace(memory, shape=found.fit.shape, appearance=found.appearance, posture=found.fit.pose)
-        status = "tracked" if is_first else "recovered"
-        return settled.state, memory, self._estimate(status, settled, found.fit.shape, agreement)
+    # ------------------------------------------------------------------ other hands
 
-    def _found(self, memory: Memory, image: Tensor) -> Start | NoStart:
-        s = self.settings
-        shape = self.known_shape if self.known_shape is not None else self.kinematics.default_shape
-        shape = memory.shape if memory.shape is not None else shape
-        where = (self.kinematics, self.camera, shape, self.table)
-        is_first = memory.appearance is None
-        if is_first and self.start_points is not None:
-            return start_at_points(
-                image,
-                self.start_points,
-                *where,
-                posture(s.posture),
-                fit_shape=self.known_shape is None,
-                settings=s.fit,
-            )
-        return find_hand(
-            image,
-            *where,
-            memory.posture if memory.posture is not None else posture(s.posture),
-            appearance=memory.appearance,
-            fit_shape=is_first and self.known_shape is None,
-            settings=s.fit,
-            min_overlap=s.loss.start_overlap,
-            silhouette=s.silhouette,
-            plate=self.plate,
-        )
+    def _searched(
+        self, state: TrackerState, followed: Candidate | None, predicted: FollowedHand | None, scene: Scene
+    ) -> tuple[TrackerState, _Search]:
+        """The followed hand, or another one where that is in doubt and the other explains enough more.
 
-    @abstractmethod
-    def _settle(self, state: TrackerState, start: Start, image: Tensor, probability: Tensor) -> Measured:
-        """The tracker's own estimate of the starting picture.
-
-        The fit has more freedom and other weights, and a track that went on from it would begin with a slide.
+        A source is not asked again about a hand that it was asked about already.
         """
+        health = self._parts.health
+        search = _Search(best=followed, proposed=None, has_foreground=followed is not None, reason="")
+        facing = None if predicted is None else predicted.reference
+        asked: dict[type, Candidate | None] = {}
+        for source in self._parts.sources:
+            kind = type(source)
+            if not self._is_due(source, search.best, state) or (kind in asked and asked[kind] is search.best):
+                continue
+            asked[kind] = search.best
+            if source.occasion == "declining":
+                state = replace(state, frames_since_refit=0)
+            proposals = source(scene, state, search.best)
+            search, has_found = self._compared(search, proposals, facing, scene, state)
+            if source.occasion == "search":
+                after = health.settings.next_search(state.search_after, has_found=has_found)
+                state = replace(state, frames_since_search=0, search_after=after)
+        return state, search
 
-    def _settled(self, start: Start, image: Tensor) -> tuple[Measured, Agreement]:
-        """The settled start, and how it agrees with the picture."""
-        probability = start.appearance.probability(image)
-        settled = self._settle(self._state_of(start), start, image, probability)
-        # Innovations of repeated updates on one picture say nothing.
-        return replace(settled, nis=None), self._agreement(settled.state, start.fit.shape, probability)
+    def _is_due(self, source: ProposalSource, best: Candidate | None, state: TrackerState) -> bool:
+        health, occasion = self._parts.health, source.occasion
+        if occasion == "always":
+            return True
+        if not health.is_degraded(best, state.usual_score):
+            is_declining = best is not None and health.score(best) < state.best_score - _DECLINE
+            return occasion == "declining" and is_declining and state.frames_since_refit >= _REFIT_EVERY
+        if occasion != "search":
+            return True
+        is_urgent = health.settings.searches_when_failing and health.is_failing(best)
+        return is_urgent or state.frames_since_search >= state.search_after
 
-    def _state_of(self, start: Start) -> TrackerState:
-        fit = start.fit
-        spread = start_spread(self._kinds, self.settings.motion.order)
-        return TrackerState(
-            belief=Gaussian(torch.zeros_like(spread), spread.diag_embed()),
-            base=fit.pose,
-            reference=fit.root_reference,
-            start_reference=fit.root_reference,
+    def _compared(
+        self, search: _Search, proposals: Proposals, facing: Tensor | None, scene: Scene, state: TrackerState
+    ) -> tuple[_Search, bool]:
+        """The better of the best hand so far and the proposed ones, and whether any of these is a hand at all."""
+        health, has_found = self._parts.health, False
+        has_foreground = search.has_foreground or proposals.has_foreground
+        best, chosen, reason = search.best, search.proposed, proposals.reason or search.reason
+        for proposed in proposals.hands:
+            candidate = self._judged(proposed, scene, state)
+            if candidate is None:
+                continue
+            if not health.is_found(candidate):
+                told = f"edges on {candidate.edges:.0%}, overlap {candidate.overlap:.2f}"
+                reason = f"no hand where the search began ({told})"
+            has_found |= health.is_found(candidate)
+            before, best = best, health.better(best, candidate, facing)
+            chosen = proposed if best is not before else chosen
+        return replace(search, best=best, proposed=chosen, has_foreground=has_foreground, reason=reason), has_found
+
+    def _judged(self, proposed: Proposed, scene: Scene, state: TrackerState) -> Candidate | None:
+        """A proposal as the tracker's own update rule sees it."""
+        if proposed.candidate is not None and self._parts.takes_proposals:
+            return proposed.candidate
+        shape = state.shape if proposed.shape is None else proposed.shape
+        if shape is None:
+            return None
+        if proposed.appearance is not None:  # the first hand: the scene has been segmented without its colours
+            scene = self._parts.segmentation.scene(scene.views, (proposed.appearance,), scene.time_s)
+        return self._parts.rule.begin(proposed.pose, proposed.covariance, scene, shape)
+
+    # ------------------------------------------------------------------ what follows
+
+    def _adopted(
+        self, state: TrackerState, search: _Search, predicted: FollowedHand | None, scene: Scene
+    ) -> tuple[TrackerState, Estimate]:
+        health, best, is_new = self._parts.health, search.best, search.proposed is not None
+        is_bad = best is None or (not health.is_found(best) if is_new else health.is_failing(best))
+        if best is None or is_bad:
+            return self._without(state, search, predicted)
+        was_lost = state.has_started and predicted is None
+        state = self._remembered(state, search.proposed, best, scene, is_new=is_new)
+        estimate = self._estimate("recovered" if was_lost else "tracked", best, state, scene.time_s)
+        return state, replace(estimate, is_new=is_new)
+
+    def _remembered(
+        self, state: TrackerState, proposed: Proposed | None, best: Candidate, scene: Scene, *, is_new: bool
+    ) -> TrackerState:
+        health, here = self._parts.health, self._parts.health.score(best)
+        if proposed is not None and not state.has_started:
+            look = () if proposed.appearance is None else (proposed.appearance,)
+            state = replace(
+                state,
+                shape=state.shape if proposed.shape is None else proposed.shape,
+                appearance=look or state.appearance,
+                posture=proposed.pose.dofs,
+            )
+        usual = here if is_new and health.settings.memory == 1 else health.usual(best, state.usual_score)
+        state = replace(
+            state,
+            hand=replace(best.hand, failures=0),
+            usual_score=usual,
+            best_score=max(here, _BEST_KEPT * state.best_score + (1 - _BEST_KEPT) * here),
+            has_started=True,
+        )
+        return state if is_new else self._with_colours(state, best, scene)
+
+    def _with_colours(self, state: TrackerState, best: Candidate, scene: Scene) -> TrackerState:
+        """Colours learned from a scene that bears the hand out, where it is time for them."""
+        every, count = self.settings.colours.every, state.frames_since_colours + 1
+        is_sure = not self._parts.health.is_degraded(best, state.usual_score)
+        if not is_sure or every == 0 or count < every or state.shape is None:
+            return replace(state, frames_since_colours=count if is_sure else state.frames_since_colours)
+        looks = self._parts.segmentation.learned(state.appearance, best.pose, state.shape, scene)
+        return replace(state, appearance=looks, frames_since_colours=0)
+
+    def _without(
+        self, state: TrackerState, search: _Search, predicted: FollowedHand | None
+    ) -> tuple[TrackerState, Estimate]:
+        """A frame that bears no hand out; a followed one is carried on for a while."""
+        best, is_new = search.best, search.proposed is not None
+        hand = predicted
+        if best is not None and not is_new and predicted is not None:
+            kept = best.hand if best.if_failing is None else best.if_failing
+            hand = None if self._parts.health.is_gone(best) else replace(kept, failures=predicted.failures)
+        status: Status = "lost" if state.has_started and search.has_foreground else "no_hand"
+        reason = search.reason
+        if best is not None and not is_new:
+            share = f"edges on {best.edges:.0%}, overlap {best.overlap:.2f}"
+            reason = f"{share}, {best.in_view:.0%} in the picture"
+        estimate = self._nothing(state, status, reason or "no hand was looked for in this frame")
+        return replace(state, hand=self._failed(hand)), estimate
+
+    def _failed(self, hand: FollowedHand | None) -> FollowedHand | None:
+        if hand is None or hand.failures + 1 >= self.settings.health.patience:
+            return None
+        return replace(hand, failures=hand.failures + 1)
+
+    def _nothing(self, state: TrackerState, status: Status, reason: str) -> Estimate:
+        assert state.time_s is not None
+        return Estimate(status=status, time_s=state.time_s, reason=reason)
+
+    def _estimate(self, status: Status, found: Candidate, state: TrackerState, time_s: float) -> Estimate:
+        assert state.shape is not None
+        posed = posed_belief(found.hand, self._parts.motion, self.kinematics, state.shape)
+        inside = found.inside
+        return Estimate(
+            status=status,
+            time_s=time_s,
+            pose=posed.pose,
+            pose_std=posed.pose_std,
+            keypoints=posed.keypoints,
+            keypoints_px=torch.stack([camera.project(posed.keypoints) for camera in self._parts.own_cameras]),
+            keypoints_cov=posed.keypoints_cov + scale_covariance(posed.keypoints, self._scale_std),
+            overlaps=found.agreement.overlaps,
+            overlap=found.overlap,
+            unexplained=found.agreement.most_unexplained,
+            edges=found.edges,
+            inside=inside,
+            nis=found.nis,
+            score=self._parts.health.score(found),
+            views=found.agreement.views,
         )
 
-    # ------------------------------------------------------------------ following
+    @property
+    def own_cameras(self) -> tuple[Camera, ...]:
+        """The cameras in the tracker's world, as they take pictures."""
+        return self._parts.own_cameras
 
-    @abstractmethod
-    def _measure(self, state: TrackerState, shape: Tensor, image: Tensor, probability: Tensor) -> Measured:
-        """The state of the frame before, carried on to this picture."""
-
-    def _follow(
-        self, state: TrackerState, shape: Tensor, appearance: Appearance, image: Tensor
-    ) -> tuple[TrackerState | None, Estimate]:
-        s = self.settings
-        probability = appearance.probability(image)
-        measured = self._measure(state, shape, image, probability)
-        found, inside = measured.found, measured.inside
-        agreement = self._agreement(measured.state, shape, probability)
-        is_good = found >= s.loss.min_found and inside >= s.loss.min_inside and agreement.overlap >= s.loss.min_overlap
-        failures = 0 if is_good else state.failures + 1
-        is_gone = inside < 0.5 * s.loss.min_inside or agreement.overlap < 0.5 * s.loss.min_overlap
-        if failures >= s.loss.patience or is_gone:
-            reason = f"edges on {found:.0%}, overlap {agreement.overlap:.2f}, {inside:.0%} in the picture"
-            return None, Estimate(status="lost", reason=reason)
-        measured = replace(measured, state=replace(measured.state, failures=failures))
-        return measured.state, self._estimate("tracked", measured, shape, agreement)
-
-    def _projectors_of(self, shape: Tensor) -> tuple[HandProjector, HandProjector]:
-        """Projectors into the picture and into the reduced one, kept while the proportions stay the same."""
-        if self._projectors is None or self._projectors[0].shape is not shape:
-            full = HandProjector(self.kinematics, self.camera, shape)
-            self._projectors = (full, HandProjector(self.kinematics, self._check_camera, shape))
-        return self._projectors
-
-    def _predicted(self, state: TrackerState) -> TrackerState:
-        noise = self._process_noise if state.density is None else self._noise_of(state.density)
-        return replace(state, belief=predict_linear(state.belief, self._transition, noise))
-
-    def _noise_of(self, density: Tensor) -> Tensor:
-        return self.settings.motion.process_noise(self._dt_s, density)
-
-    def _agreement(self, state: TrackerState, shape: Tensor, probability: Tensor) -> Agreement:
-        """Comparison with the picture's silhouette, in the reduced picture; pieces apart from the hand do not count."""
-        camera, (_, projector) = self._check_camera, self._projectors_of(shape)
-        pose = self._rebased.pose(state)
-        small = cv2.resize(probability.numpy(), (camera.width, camera.height), interpolation=cv2.INTER_AREA)
-        frames = projector.frames(pose, state.reference)
-        keypoints = camera.project(frames.keypoints)
-        length_px = hand_length_px(camera, self.kinematics, pose, shape)
-        region = hand_region((camera.height, camera.width), keypoints[0], keypoints[9], _REACH * length_px)
-        model = projector.silhouette_of(projector.primitives_cam(frames))
-        picture = touching(torch.from_numpy(small > 0.5), model)
-        return Agreement(
-            overlap=overlap(model, picture, region),
-            unexplained=unexplained_px(model, picture, region, _FINGER * length_px) / length_px**2,
-        )
-
-    def _estimate(self, status: Status, measured: Measured, shape: Tensor, agreement: Agreement) -> Estimate:
-        return estimate_of(
-            status,
-            measured.state,
-            self.kinematics,
-            self.space,
-            self.camera,
-            shape,
-            scale_std=self._scale_std,
-            agreement=agreement,
-            found=measured.found,
-            nis=measured.nis,
-        )
+    def pose_of(self, state: TrackerState) -> HandPose | None:
+        """Where a state's hand is believed to be; None while there is none."""
+        return None if state.hand is None else self._parts.motion.pose(state.hand)

@@ -11,7 +11,7 @@ from torchhand.files.results.results import (
     check_output_folder,
 )
 from torchhand.files.results.track_file import JSONL_NAME, NPZ_NAME, load_track, write_npz
-from torchhand.files.results.track_record import CONVENTION, STATUSES, UNITS, FrameRecord, Track, TrackHeader
+from torchhand.files.results.track_record import CONVENTION, STATUSES, UNITS, FrameRecord, Status, Track, TrackHeader
 
 __all__ = [
     "CHECKPOINT_NAME",
@@ -26,6 +26,7 @@ __all__ = [
     "UNITS",
     "FrameRecord",
     "ResumePoint",
+    "Status",
     "Track",
     "TrackHeader",
     "TrackWriter",

@@ -36,7 +36,11 @@ class KeypointSettings:
     """Share of a point's variance that it has in common with the others: what all points together are worth is that
     much less. 0 or more, below 1."""
 
+    min_score: float = 0.3
+    """Smallest score of a detector's hand that is taken at all; 0 to 1."""
+
     def __post_init__(self) -> None:
+        require(0 <= self.min_score <= 1, "keypoints.min_score", "0 to 1", self.min_score)
         for name in ("std_m", "space_std_m", "gross"):
             require(
                 0 < getattr(self, name) < float("inf"), f"keypoints.{name}", "above 0 and finite", getattr(self, name)

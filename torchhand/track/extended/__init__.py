@@ -1,9 +1,6 @@
-"""The distance-map tracker: an extended Kalman filter on segments between contour and edges."""
+"""The extended update on registered limb segments (Ouhaddi and Horain 1998)."""
 
-from torchhand.track.extended.distance_tracker import DistanceTracker
-from torchhand.track.extended.settings import DistanceTrackerSettings
+from torchhand.track.extended.settings import ExtendedUpdateSettings
+from torchhand.track.extended.update import ExtendedUpdate
 
-__all__ = [
-    "DistanceTracker",
-    "DistanceTrackerSettings",
-]
+__all__ = ["ExtendedUpdate", "ExtendedUpdateSettings"]

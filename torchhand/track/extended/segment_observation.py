@@ -6,6 +6,7 @@ two phalanges give 80 numbers.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -60,11 +61,11 @@ class SegmentSettings:
 class SegmentMeasurement:
     """The segments of a registered pose as a measurement for `update_extended` and `update_iterated`."""
 
-    value: Float[Tensor, "*batch 80"]
+    value: Float[Tensor, "*batch m"]
     """Pixels; directions in radians."""
     noise: Float[Tensor, "..."]
     """Variances (*batch, 80), or covariances (*batch, 80, 80) where that of the registration was given."""
-    valid: Bool[Tensor, "*batch 80"]
+    valid: Bool[Tensor, "*batch m"]
 
 
 class SegmentObservation:
@@ -181,6 +182,31 @@ class SegmentObservation:
         of_length = s.length_std_px / facing.clamp_min(s.least_foreshortening)
         position = torch.full_like(length, s.position_std_px)
         return torch.stack((position, position, of_length, position / length), -1).flatten(-2).square()
+
+
+class StackedSegments:
+    """The segments of several views of one hand, one view's numbers after the other's."""
+
+    def __init__(self, views: Sequence[SegmentObservation]) -> None:
+        self.views = tuple(views)
+        self.period = torch.cat([view.period for view in self.views])
+        """Of every number: π for directions, infinite for all others."""
+
+    def __call__(
+        self, free: Float[Tensor, "*batch free"]
+    ) -> tuple[Float[Tensor, "*batch m"], Float[Tensor, "*batch m free"]]:
+        """Values and Jacobian, as of one view."""
+        found = [view(free) for view in self.views]
+        return torch.cat([value for value, _ in found], -1), torch.cat([jacobian for _, jacobian in found], -2)
+
+    def measure(self, free: Float[Tensor, "*batch free"]) -> SegmentMeasurement:
+        """The segments of a registered pose, errors independent."""
+        found = [view.measure(free) for view in self.views]
+        return SegmentMeasurement(
+            value=torch.cat([one.value for one in found], -1),
+            noise=torch.cat([one.noise for one in found], -1),
+            valid=torch.cat([one.valid for one in found], -1),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

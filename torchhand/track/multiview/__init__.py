@@ -1,36 +1,31 @@
-"""Paper 002 as a tracker: several cameras, silhouettes, an octree's hull, and a skinned hand fitted into it."""
+"""Several cameras: silhouettes, their hull, a hand found in it without a guess, its proportions, and the MAP update."""
 
 from torchhand.track.multiview.acquaintance import Acquaintance, acquaint, moments_of
 from torchhand.track.multiview.agreement import score_of
-from torchhand.track.multiview.fitting import Anchor
-from torchhand.track.multiview.hindsight import Hindsight, SeenMoment
+from torchhand.track.multiview.fitting import Anchor, MomentFitter, Placed
+from torchhand.track.multiview.hulls import Hull
 from torchhand.track.multiview.introduction import Introduction, introduce
-from torchhand.track.multiview.saved import Knowledge, restored, saved
 from torchhand.track.multiview.scale import in_unit
 from torchhand.track.multiview.settings import HullOctreeSettings, MultiViewLossSettings, MultiViewSettings
-from torchhand.track.multiview.silhouettes import Masks, ViewSilhouettes
-from torchhand.track.multiview.tracker import MultiViewEstimate, MultiViewMemory, MultiViewTracker
+from torchhand.track.multiview.update import HullUpdate, anchor_of, hull_about, hull_anywhere
 
 __all__ = [
     "Acquaintance",
     "Anchor",
-    "Hindsight",
+    "Hull",
     "HullOctreeSettings",
+    "HullUpdate",
     "Introduction",
-    "Knowledge",
-    "Masks",
-    "MultiViewEstimate",
+    "MomentFitter",
     "MultiViewLossSettings",
-    "MultiViewMemory",
     "MultiViewSettings",
-    "MultiViewTracker",
-    "SeenMoment",
-    "ViewSilhouettes",
+    "Placed",
     "acquaint",
+    "anchor_of",
+    "hull_about",
+    "hull_anywhere",
     "in_unit",
     "introduce",
     "moments_of",
-    "restored",
-    "saved",
     "score_of",
 ]

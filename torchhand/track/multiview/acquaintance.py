@@ -12,7 +12,7 @@ from torchhand.hand import Anthropometry
 from torchhand.track.multiview.continuity import most_consistent
 from torchhand.track.multiview.fitting import Anchor, MomentFitter, Placed, chosen
 from torchhand.track.multiview.hulls import Hull
-from torchhand.track.multiview.silhouettes import Masks
+from torchhand.track.scene import Masks
 
 _NEARLY = 0.03  # score that a hand followed from other moments may lack for one found afresh
 _WORST = 0.08  # score that a moment may lack for the best one and still teach proportions

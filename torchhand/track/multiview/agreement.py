@@ -12,7 +12,7 @@ from torch import Tensor
 from torchhand.fit import hand_region, overlap, touching
 from torchhand.geometry import Camera
 from torchhand.hand import HandFrames, HandKinematics, Primitives, place_primitives
-from torchhand.track.multiview.silhouettes import Masks
+from torchhand.track.scene import Masks
 from torchhand.view import HandProjector
 from torchhand.view.outlines import Generators, generators
 

@@ -15,7 +15,7 @@ from torchhand.hand import ConstraintSettings, Hand, HandPrior, PoseConstraints,
 from torchhand.track.multiview.agreement import ViewAgreement, mean_overlap, score_of
 from torchhand.track.multiview.hulls import Hull, Hulls
 from torchhand.track.multiview.settings import MultiViewSettings
-from torchhand.track.multiview.silhouettes import Masks
+from torchhand.track.scene import Masks
 
 _KNUCKLE = 9  # keypoint about which the hull is carved: the middle finger's
 _SETTLING = (

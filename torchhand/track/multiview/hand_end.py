@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchhand.fit.hull import HullRims
 from torchhand.geometry import Camera
-from torchhand.track.multiview.silhouettes import Masks
+from torchhand.track.scene import Masks
 
 _SIDE_PX = 240  # longer side of the reduced silhouettes
 _REACH = 1.25  # hand lengths from the farthest place that may be the hand

@@ -12,7 +12,7 @@ from torchhand.fit.hull import HullTarget, target_of, with_rims
 from torchhand.geometry import Camera
 from torchhand.track.multiview.hand_end import HandEnd
 from torchhand.track.multiview.settings import HullOctreeSettings
-from torchhand.track.multiview.silhouettes import Masks
+from torchhand.track.scene import Masks
 from torchhand.volume import Carver, CarvingSettings, Octree, RootCube, hull_field, root_cube
 
 _FINEST = 10

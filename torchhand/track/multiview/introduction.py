@@ -11,7 +11,7 @@ from torchhand.track.multiview.acquaintance import Acquaintance, acquaint
 from torchhand.track.multiview.fitting import Anchor, MomentFitter
 from torchhand.track.multiview.scale import in_unit, moved_anchor, resized_shape, rough_units, size_factor
 from torchhand.track.multiview.settings import MultiViewSettings
-from torchhand.track.multiview.silhouettes import Images, LearnedSkin, Masks, ViewSilhouettes
+from torchhand.track.scene import Images, LearnedSkin, Masks, ViewSilhouettes
 
 Moment = tuple[int, Images, Masks | None]
 """Its number, the pictures of all views, and the silhouettes where they are given."""

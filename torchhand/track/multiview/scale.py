@@ -13,7 +13,7 @@ from torchhand.hand import ShapeSpace
 from torchhand.track.multiview.fitting import Anchor
 from torchhand.track.multiview.hulls import Hulls
 from torchhand.track.multiview.settings import HullOctreeSettings
-from torchhand.track.multiview.silhouettes import Masks
+from torchhand.track.scene import Masks
 
 _BALL = 0.030
 """Metres: radius of the largest ball in the hull of a fist or a relaxed hand."""

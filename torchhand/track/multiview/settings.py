@@ -3,11 +3,12 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+from torchhand.errors import require, require_positive
 from torchhand.fit.hull import HullFitSettings, HullLevel, HullShapeSettings, HullStartSettings, HullTorqueSettings
 from torchhand.hand import POSE_SPACES
 from torchhand.image import SilhouetteSettings
 from torchhand.numerics import MotionModel
-from torchhand.track import NoiseSettings, require, require_positive
+from torchhand.track.belief import NoiseSettings
 
 _TRACKING_LEVELS = tuple(
     HullLevel(robust_m=robust_m, rounds=1, iterations=1, is_judged=False) for robust_m in (0.006, 0.002)

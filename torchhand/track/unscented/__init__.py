@@ -1,7 +1,6 @@
-"""The contour tracker: an unscented Kalman filter on edges along the normals of the contour."""
+"""The unscented update on edges along contour normals (Stenger, Mendonça and Cipolla 2001)."""
 
-from torchhand.track.unscented.contour_tracker import ContourTracker
+from torchhand.track.unscented.settings import UnscentedUpdateSettings
+from torchhand.track.unscented.update import UnscentedUpdate
 
-__all__ = [
-    "ContourTracker",
-]
+__all__ = ["UnscentedUpdate", "UnscentedUpdateSettings"]

@@ -14,24 +14,24 @@ from torchhand.draw import ViewsOverlay
 from torchhand.files import Track, write_video
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics
-from torchhand.runs.multiview.source import RigRecording
+from torchhand.runs.recording import RigRecording
 
 
 def view_frames(
     track: Track, overlay: ViewsOverlay, recording: RigRecording
 ) -> Iterator[UInt8[Tensor, "height width 3"]]:
-    """The moments of a track with what was found drawn over all views."""
+    """The frames of a track with what was found drawn over all views."""
     rows = {int(frame): row for row, frame in enumerate(track.frame)}
     nothing = np.full(len(track), np.nan)
-    overlaps = np.stack([track.measures.get(f"overlap_{name}", nothing) for name in recording.names], -1)
+    overlaps = np.stack([track.measures.get(f"overlap_{name}", nothing) for name in recording.camera_names], -1)
     with recording.opened(0) as frames:
-        for frame in frames or ():
+        for frame in frames:
             row = rows.get(frame.index)
             if row is None:
                 continue
             pose = track.pose[row]
             yield overlay(
-                frame.images,
+                [view.image for view in frame.views],
                 torch.tensor(pose, dtype=torch.float64) if np.isfinite(pose).all() else None,
                 status=str(track.status[row]),
                 frame=frame.index,

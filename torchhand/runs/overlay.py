@@ -12,11 +12,11 @@ from torch import Tensor
 from tqdm import tqdm
 
 from torchhand.draw import draw_overlay, overlay_size
-from torchhand.files import FrameSource, Track, open_source, write_video
-from torchhand.runs.sequence import TrackedFrame
+from torchhand.files import FrameRecord, Track, open_source, write_video
+from torchhand.runs.recording import OneCameraRecording, RecordedFrame
 from torchhand.view import HandProjector
 
-Draw = Callable[[HandProjector, TrackedFrame], None]
+Draw = Callable[[HandProjector | None, RecordedFrame, FrameRecord], None]
 
 
 def overlay_frames(
@@ -34,7 +34,7 @@ def overlay_frames(
             if row is None:
                 continue
             yield _drawn(
-                frame.image if frame.image is not None else _black(frames),
+                frame.image if frame.image is not None else _black(frames.width, frames.height),
                 projector,
                 status=str(track.status[row]),
                 frame=frame.index,
@@ -58,18 +58,21 @@ def write_overlay(path: Path, track: Track, projector: HandProjector, source: st
 
 
 @contextlib.contextmanager
-def draw_live(path: Path | None, frames: FrameSource) -> Iterator[Draw]:
+def draw_live(path: Path | None, recording: OneCameraRecording) -> Iterator[Draw]:
     """Hands out a function that draws each frame as it is tracked; without a path it does nothing."""
     if path is None:
-        yield lambda projector, tracked: None
+        yield lambda projector, frame, record: None
         return
-    width, height = overlay_size(frames.width, frames.height)
-    with write_video(path, width=width, height=height, fps=frames.fps) as video:
+    width, height = overlay_size(recording.width, recording.height)
+    with write_video(path, width=width, height=height, fps=recording.fps) as video:
 
-        def draw(projector: HandProjector, tracked: TrackedFrame) -> None:
-            record, image = tracked.record, tracked.frame.image
+        def draw(projector: HandProjector | None, frame: RecordedFrame, record: FrameRecord) -> None:
+            image = frame.views[0].image
+            image = _black(recording.width, recording.height) if image is None else image
+            if projector is None:
+                return
             picture = _drawn(
-                image if image is not None else _black(frames),
+                image,
                 projector,
                 status=record.status,
                 frame=record.frame,
@@ -82,8 +85,8 @@ def draw_live(path: Path | None, frames: FrameSource) -> Iterator[Draw]:
         yield draw
 
 
-def _black(frames: FrameSource) -> UInt8[Tensor, "height width 3"]:
-    return torch.zeros(frames.height, frames.width, 3, dtype=torch.uint8)
+def _black(width: int, height: int) -> UInt8[Tensor, "height width 3"]:
+    return torch.zeros(height, width, 3, dtype=torch.uint8)
 
 
 def _drawn(

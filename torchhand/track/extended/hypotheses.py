@@ -1,7 +1,6 @@
-"""Hypotheses for a picture that the prediction does not explain: the hand elsewhere, turned, or with other fingers."""
+"""Hypotheses for a picture that the prediction does not explain: the hand elsewhere, turned, with other fingers."""
 
 import math
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -10,22 +9,12 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.geometry import Camera, rotation_from_vector
-from torchhand.hand import DOFS, FINGERS, posture
+from torchhand.hand import DOFS, FINGERS, HandPose, posture
 
 _ROOT = 6
 _TURNS = 24  # directions all around
-_LEAST_SCALE, _MOST_SCALE = 0.7, 1.4  # of the hand's distance from one picture to the next
+_MIN_SCALE, _MAX_SCALE = 0.7, 1.4  # of the hand's distance from one picture to the next
 _BENT = 0.6  # of a fist
-
-
-@dataclass(frozen=True, kw_only=True)
-class Starts:
-    """Where registrations begin."""
-
-    pose: Float[Tensor, "starts 36"]
-    """Metres and radians, the rotation vector on top of the reference."""
-    root_reference: Float[Tensor, "starts 3 3"]
-    """cam_from_hand"""
 
 
 def other_postures(
@@ -46,12 +35,11 @@ def other_fingers(pose: Float[Tensor, "36"], start: Float[Tensor, "36"]) -> Floa
 
 
 def turned_hands(
-    pose: Float[Tensor, "36"],
-    root_reference: Float[Tensor, "3 3"],
+    pose: HandPose,
     model: Bool[Tensor, "height width"],
     mask: Bool[Tensor, "height width"],
     camera: Camera,
-) -> Starts | None:
+) -> HandPose | None:
     """The same hand with its palm on the picture's, turned in the picture to directions all around.
 
     model: silhouette of the hand as it is. The palm is the largest disc that fits into a silhouette, and its size gives
@@ -62,20 +50,20 @@ def turned_hands(
         return None
     (own_px, own_radius), (seen_px, seen_radius) = own_disc, seen_disc
     is_orthographic = camera.kind == "orthographic"
-    depth = float(pose[2])
-    scale = 1.0 if is_orthographic else min(max(own_radius / seen_radius, _LEAST_SCALE), _MOST_SCALE)
+    dofs = pose.dofs
+    depth = float(dofs[2])
+    scale = 1.0 if is_orthographic else min(max(own_radius / seen_radius, _MIN_SCALE), _MAX_SCALE)
     lifted = [1.0, 1.0] if is_orthographic else [depth, scale * depth]
     own, seen = (
-        torch.cat((camera.plane_from_pixels(point.to(pose)) * at, pose.new_tensor([z])))
+        torch.cat((camera.plane_from_pixels(point.to(dofs)) * at, dofs.new_tensor([z])))
         for point, at, z in zip((own_px, seen_px), lifted, (depth, scale * depth), strict=True)
     )
-    angle = torch.arange(_TURNS).to(pose) * (2 * math.pi / _TURNS)
-    turn = rotation_from_vector(angle[:, None] * pose.new_tensor([0.0, 0.0, 1.0]))
-    turned = pose.expand(_TURNS, -1).clone()
-    turned[:, :3] = (turn @ (pose[:3] - own)) + seen
+    angle = torch.arange(_TURNS).to(dofs) * (2 * math.pi / _TURNS)
+    turn = rotation_from_vector(angle[:, None] * dofs.new_tensor([0.0, 0.0, 1.0]))
+    turned = dofs.expand(_TURNS, -1).clone()
+    turned[:, :3] = (turn @ (dofs[:3] - own)) + seen
     turned[:, 3:_ROOT] = 0.0
-    reference = turn @ rotation_from_vector(pose[3:_ROOT]) @ root_reference
-    return Starts(pose=turned, root_reference=reference)
+    return HandPose(dofs=turned, reference=turn @ pose.rotation)
 
 
 def _largest_disc(mask: Bool[Tensor, "height width"]) -> tuple[Float[Tensor, "2"], float] | None:

@@ -1,7 +1,6 @@
 """Weak beliefs about posture as linear measurements of the free parameters, for what a contour does not tell."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 from jaxtyping import Float
@@ -9,23 +8,14 @@ from torch import Tensor
 
 from torchhand.geometry import vector_from_rotation
 from torchhand.hand import DOFS, PoseSpace
-from torchhand.track.settings import PriorSettings
+from torchhand.track.belief.settings import PosturePriorSettings
 
-_TIE = 2.0 / 3.0  # flexion of the end joint over that of the middle joint (paper 000, equation 1)
+_TIE = 2.0 / 3.0  # flexion of the end joint over that of the middle joint (Ouhaddi and Horain 1998, eq. 1)
 _TILTS = ("root_rx", "root_ry")
-
-Kind = Literal["translation", "rotation", "angle"]
-
-
-def kind_of(name: str) -> Kind:
-    """What a DOF is: translation or rotation of the root, or a joint angle."""
-    if name.startswith("root_t"):
-        return "translation"
-    return "rotation" if name.startswith("root_r") else "angle"
 
 
 @dataclass(frozen=True, kw_only=True)
-class PosturePrior:
+class PostureMeasurements:
     """Beliefs `matrix` · free = value with independent errors."""
 
     matrix: Float[Tensor, "rows free"]
@@ -47,8 +37,11 @@ class PosturePrior:
         return value
 
 
-def posture_prior(space: PoseSpace, settings: PriorSettings) -> PosturePrior:
-    """The beliefs about the free parameters of a pose space, which count changes from the start; float64."""
+def posture_prior(space: PoseSpace, settings: PosturePriorSettings, *, has_tilt: bool) -> PostureMeasurements:
+    """The beliefs about the free parameters of a pose space, which count changes from the start; float64.
+
+    has_tilt: whether there is one about the rotation out of the picture's plane, which is that of the world's z.
+    """
     rows: list[Tensor] = []
     variances: list[float] = []
     tilts: list[tuple[int, int]] = []
@@ -58,6 +51,8 @@ def posture_prior(space: PoseSpace, settings: PriorSettings) -> PosturePrior:
         row[i] = 1.0
         middle_joint = name.replace("dip", "pip")
         if name in _TILTS:
+            if not has_tilt:
+                continue
             tilts.append((len(rows), DOFS.index(name) - 3))
             std = settings.tilt_std_rad
         elif name.startswith("root_"):
@@ -72,4 +67,4 @@ def posture_prior(space: PoseSpace, settings: PriorSettings) -> PosturePrior:
         rows.append(row)
         variances.append(std**2)
     matrix = torch.stack(rows) if rows else torch.zeros(0, len(names), dtype=torch.float64)
-    return PosturePrior(matrix=matrix, variance=torch.tensor(variances, dtype=torch.float64), tilts=tuple(tilts))
+    return PostureMeasurements(matrix=matrix, variance=torch.tensor(variances, dtype=torch.float64), tilts=tuple(tilts))

@@ -1,0 +1,51 @@
+"""From a tracker's estimates to the records that a result folder holds."""
+
+import math
+from collections.abc import Sequence
+
+from torchhand.files import FrameRecord
+from torchhand.hand import DOFS
+from torchhand.track import Estimate
+
+MEASURES = ("overlap", "edges", "inside", "unexplained", "nis", "score")
+"""Numbers of every frame that tell how far the estimate can be trusted, as `Estimate` explains them."""
+
+
+def record_of(
+    index: int, estimate: Estimate, camera_names: Sequence[str], *, seconds: float, problems: str = ""
+) -> FrameRecord:
+    """The record of one estimate; NaN where it holds nothing. problems: of views that could not be read."""
+    is_rig = len(camera_names) > 1
+    measures = {name: _number(getattr(estimate, name)) for name in MEASURES}
+    if is_rig:
+        overlaps = [math.nan] * len(camera_names) if estimate.overlaps is None else estimate.overlaps.tolist()
+        measures["views"] = float(estimate.views)
+        measures |= {f"overlap_{name}": overlap for name, overlap in zip(camera_names, overlaps, strict=True)}
+    arrays = {
+        "pose": estimate.pose,
+        "pose_std": estimate.pose_std,
+        "keypoints3d": estimate.keypoints,
+        "keypoints3d_cov": estimate.keypoints_cov,
+    }
+    known = {name: array.double().cpu().numpy() for name, array in arrays.items() if array is not None}
+    if len(known) < len(arrays):
+        reason = "; ".join(text for text in (estimate.reason, problems) if text)
+        return FrameRecord.empty(
+            index,
+            estimate.status,
+            dofs=len(DOFS),
+            seconds=seconds,
+            has_keypoints2d=not is_rig,
+            measures=measures | {"score": math.nan},
+            reason=reason,
+        )
+    pixels = None
+    if not is_rig and estimate.keypoints_px is not None:
+        pixels = estimate.keypoints_px[0].double().cpu().numpy()
+    return FrameRecord(
+        frame=index, status=estimate.status, keypoints2d=pixels, seconds=seconds, measures=measures, reason="", **known
+    )
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)

@@ -1,0 +1,212 @@
+"""One run: a recording of one camera or several, tracked frame by frame into a result folder, resumable."""
+
+import json
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from tqdm import tqdm
+
+import torchhand
+from torchhand.files import (
+    FrameRecord,
+    Track,
+    TrackHeader,
+    TrackWriter,
+    camera_entry,
+    load_track,
+    save_hand,
+    save_settings,
+)
+from torchhand.files.results import CONFIG_NAME, CONVENTION, HAND_NAME, JSONL_NAME, STATUSES
+from torchhand.geometry import Camera
+from torchhand.hand import DOFS
+from torchhand.runs.recording import RecordedFrame, Recording
+from torchhand.runs.records import record_of
+from torchhand.track import PastFrame, Smoother, Tracker, TrackerSettings, TrackerState, restored_state, saved_state
+
+CHECKPOINT_EVERY = 30
+"""Frames from one saved state of the tracker to the next."""
+PROBLEMS_SHOWN = 3
+"""Unreadable pictures that are reported one by one; the others are counted."""
+RIG_CONVENTION = CONVENTION.replace(
+    "camera frame of OpenCV: x right", "world frame of the rig's cameras (X_cam = R X_world + t), OpenCV's: x right"
+)
+
+Say = Callable[[str], None]
+"""Tells the user something on one line."""
+
+
+class Run:
+    """The state of one run, and how it is kept on disk."""
+
+    def __init__(
+        self,
+        recording: Recording,
+        tracker: Tracker,
+        provenance: Mapping[str, Any],
+        *,
+        state: TrackerState | None = None,
+        metres: float = 1.0,
+    ) -> None:
+        """provenance: of the proportions, for hand.json. state: with which to begin. metres: of the recording's
+        unit."""
+        self.recording, self.tracker, self.metres = recording, tracker, metres
+        self.state, self._provenance = state, dict(provenance)
+        self._smoother = Smoother(tracker, tracker.settings.smoothing_window_s)
+        self._names = tuple(camera.name for camera in recording.cameras)
+        self._seconds: dict[int, float] = {}
+
+    @property
+    def shape(self) -> Float[Tensor, "shape"] | None:
+        """The proportions, where they are known."""
+        return self.tracker.known_shape if self.state is None else self.state.shape
+
+    def step(self, frame: RecordedFrame) -> tuple[FrameRecord, list[FrameRecord]]:
+        """Track one frame; its record, and those of earlier ones that it corrects."""
+        started = time.perf_counter()
+        state, estimate = self.tracker.step(self.state, frame.views, frame.time_s)
+        better = self._smoother.corrections(state, estimate)
+        seconds = time.perf_counter() - started
+        if self.tracker.settings.smoothing_window_s > 0:
+            scene = self.tracker.scene(state, frame.views, frame.time_s)
+            self._smoother.remember(PastFrame.of(scene, estimate.keypoints, estimate.score))
+        self._keep_seconds(frame.index, seconds)
+        self.state = state
+        problems = "; ".join(problem for problem in frame.problems if problem is not None)
+        corrected = []
+        for earlier in better:
+            index = round(earlier.time_s * self.recording.fps)
+            corrected.append(record_of(index, earlier, self._names, seconds=self._seconds.get(index, 0.0)))
+        return record_of(frame.index, estimate, self._names, seconds=seconds, problems=problems), corrected
+
+    def recall(self, track: Track, done: int, first: int) -> None:
+        """Remember the last frames before those that are to be tracked, as they stand in an interrupted run.
+
+        done: frames that are tracked. first: number of the first one.
+        """
+        window = round(self.tracker.settings.smoothing_window_s * self.recording.fps)
+        if window <= 0 or self.state is None:
+            return
+        rows = {int(frame): row for row, frame in enumerate(track.frame)}
+        with self.recording.opened(max(0, done - window)) as frames:
+            for frame in frames:
+                if frame.index >= first + done:
+                    break
+                row = rows[frame.index]
+                points = torch.from_numpy(track.keypoints3d[row])
+                is_lost = not bool(points.isfinite().all())
+                scene = self.tracker.scene(self.state, frame.views, frame.time_s)
+                score = 0.0 if is_lost else float(track.measures["score"][row])
+                self._smoother.remember(PastFrame.of(scene, None if is_lost else points, score))
+                self._keep_seconds(frame.index, float(track.seconds[row]))
+
+    def checkpoint(self) -> dict[str, Any]:
+        """From which `go_on_from` continues exactly."""
+        assert self.state is not None
+        return {
+            "state": saved_state(self.state),
+            "provenance": json.dumps(self._provenance),
+            "metres": self.metres,
+        }
+
+    def go_on_from(self, saved: Mapping[str, Any]) -> None:
+        """Continue an interrupted run."""
+        self.state = restored_state(saved["state"])
+        self._provenance = json.loads(saved["provenance"])
+
+    def save_hand(self, folder: Path, **provenance: Any) -> None:
+        """The proportions, once they are known."""
+        self._provenance |= provenance
+        if self.shape is None:
+            return
+        space = self.tracker.kinematics.shape_space
+        side = self.tracker.kinematics.side
+        content = {"source": self.recording.source, **self._provenance}
+        save_hand(folder / HAND_NAME, space.names, self.shape.tolist(), side, content, units=space.units)
+
+    def save_config(self, folder: Path, extra: Mapping[str, Any], cameras: Sequence[Camera]) -> None:
+        """Everything that is resolved."""
+        used = [camera_entry(camera) for camera in cameras]
+        content = {
+            "input": self.recording.source,
+            "side": self.tracker.kinematics.side,
+            "cameras_used": used,
+            "frames_per_second": self.recording.fps,
+            **extra,
+        }
+        save_settings(self.tracker.settings, folder / CONFIG_NAME, content)
+
+    def _keep_seconds(self, index: int, seconds: float) -> None:
+        self._seconds[index] = seconds
+        if len(self._seconds) > 1000:
+            self._seconds.pop(next(iter(self._seconds)))
+
+
+def header_of(
+    recording: Recording, settings: TrackerSettings, made_with: Mapping[str, Any], *, side: str
+) -> TrackHeader:
+    """What must be equal in a run that is to be resumed. made_with: what changes the result besides the settings."""
+    cameras = recording.cameras
+    is_rig = len(cameras) > 1
+    camera: dict[str, Any] = (
+        {"rig": [camera_entry(one) for one in cameras]}
+        if is_rig
+        else {**camera_entry(cameras[0]), "is_assumed": cameras[0].is_assumed}
+    )
+    whole = {
+        "torchhand": torchhand.__version__,
+        "settings": asdict(settings),
+        "frames_per_second": recording.fps,
+        **made_with,
+    }
+    return TrackHeader(
+        dof_names=DOFS,
+        source=recording.source,
+        side=side,
+        camera=json.loads(json.dumps(camera)),
+        convention=RIG_CONVENTION if is_rig else CONVENTION,
+        made_with=json.loads(json.dumps(whole, default=str), parse_constant=str),  # JSON knows no infinity
+    )
+
+
+def track_frames(run: Run, writer: TrackWriter, done: int, first: int, say: Say, draw: Callable[..., None]) -> None:
+    """Track what is left of a recording into its result folder. draw: called with every frame and its record."""
+    counts = dict.fromkeys(STATUSES, 0)
+    shown: set[str] = set()
+    unread = 0
+    recording = run.recording
+    if done:
+        run.recall(load_track(writer.folder / JSONL_NAME), done, first)
+    left = None if recording.count is None else max(0, recording.count - done)
+    with (
+        recording.opened(done) as frames,
+        tqdm(total=left, desc=recording.name, unit="frame", dynamic_ncols=True, disable=not sys.stderr.isatty()) as bar,
+    ):
+        for frame in frames:
+            had_shape = run.shape is not None
+            record, corrected = run.step(frame)
+            if not had_shape and run.shape is not None:
+                run.save_hand(writer.folder, frame=frame.index)
+            for earlier in corrected:
+                writer.correct(earlier)
+            writer.append(record, run.checkpoint)
+            draw(frame, record)
+            for problem in frame.problems:
+                unread += problem is not None
+                if problem is not None and problem not in shown and len(shown) < PROBLEMS_SHOWN:
+                    say(f"frame {frame.index}: {problem}")
+                    shown.add(problem)
+            counts[record.status] += 1
+            bar.set_postfix({name: count for name, count in counts.items() if count}, refresh=False)
+            bar.update()
+    if unread > len(shown):
+        say(f"{recording.name}: {unread - len(shown)} more pictures are missing or unreadable")
+    for line in recording.warnings():
+        say(line)

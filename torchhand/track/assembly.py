@@ -1,0 +1,161 @@
+"""The parts of a tracker, put together from a hand, cameras and settings."""
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.fit.detect import StartPoints
+from torchhand.geometry import Camera
+from torchhand.hand import Hand, HandKinematics, named_pose_space
+from torchhand.image import BackgroundPlate
+from torchhand.track.belief import HandMotion
+from torchhand.track.extended import ExtendedUpdate, ExtendedUpdateSettings
+from torchhand.track.multiview import HullUpdate, MomentFitter
+from torchhand.track.proposals import PostureSearch, ProposalSource, hull_sources
+from torchhand.track.scene import (
+    ColourSegmentation,
+    Health,
+    RigSegmentation,
+    Segmentation,
+    UpdateRule,
+    ViewSilhouettes,
+)
+from torchhand.track.settings import TrackerSettings
+from torchhand.track.unscented import UnscentedUpdate, UnscentedUpdateSettings
+from torchhand.view import OutlineTable, outline_table
+
+
+@dataclass(frozen=True, kw_only=True)
+class Assembly:
+    """The parts of one tracker."""
+
+    kinematics: HandKinematics
+    """float64"""
+    cameras: tuple[Camera, ...]
+    """As the scene's silhouettes are seen: without distortion where there are several."""
+    own_cameras: tuple[Camera, ...]
+    """As the pictures are taken, in the tracker's world."""
+    motion: HandMotion
+    segmentation: Segmentation
+    rule: UpdateRule
+    sources: tuple[ProposalSource, ...]
+    """In the order in which they are asked."""
+    health: Health
+    takes_proposals: bool
+    """Whether proposals come as candidates of the tracker's own update rule."""
+
+
+def assembled(
+    hand: Hand,
+    cameras: Sequence[Camera],
+    settings: TrackerSettings,
+    shape: Float[Tensor, "shape"] | None,
+    start_points: StartPoints | None,
+    plates: Sequence[BackgroundPlate] | None,
+) -> Assembly:
+    """Raises ValueError for a silhouette method that lacks its plates, cameras that see no volume together, no cameras,
+    and for an update rule in a hull of one camera."""
+    if not cameras:
+        raise ValueError("cameras: expected at least one, got none")
+    is_exact = hand.shape.dtype == torch.float64
+    hand = hand if is_exact else copy.deepcopy(hand).double()  # the caller's stays as it is
+    motion = HandMotion(
+        space=named_pose_space(settings.pose_space),
+        skeleton=hand.kinematics.skeleton,
+        model=settings.motion,
+        noise=settings.noise,
+    )
+    table = outline_table(settings.points_per_generator, settings.points_per_arc, without=("palm_wrist",))
+    ingredients = _Ingredients(hand=hand, settings=settings, motion=motion, table=table)
+    if len(cameras) == 1:
+        return _of_one_camera(ingredients, cameras[0], shape, start_points, plates)
+    return _of_a_rig(ingredients, cameras, plates)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Ingredients:
+    """What both kinds of tracker are made from."""
+
+    hand: Hand
+    settings: TrackerSettings
+    motion: HandMotion
+    table: OutlineTable
+
+    def rule(self, cameras: Sequence[Camera]) -> UpdateRule:
+        """An update rule that needs no hull."""
+        s = self.settings
+        if isinstance(s.update, UnscentedUpdateSettings):
+            kinematics = self.hand.kinematics
+            return UnscentedUpdate(
+                kinematics, cameras, self.motion, self.table, s.update, s.keypoints, side_px=s.check_side_px
+            )
+        if isinstance(s.update, ExtendedUpdateSettings):
+            return ExtendedUpdate(
+                self.hand, cameras, self.motion, self.table, s.update, s.keypoints, side_px=s.check_side_px
+            )
+        raise ValueError(f"method: expected contour or distance for one camera, got {s.method!r}, which needs several")
+
+
+def _of_one_camera(
+    own: _Ingredients,
+    camera: Camera,
+    shape: Tensor | None,
+    start_points: StartPoints | None,
+    plates: Sequence[BackgroundPlate] | None,
+) -> Assembly:
+    """The world is the camera's frame."""
+    s, kinematics = own.settings, own.hand.kinematics
+    plate = plates[0] if plates else None
+    if s.silhouette.method == "background" and plate is None:
+        raise ValueError("silhouette.method: 'background' needs a plate of the empty scene")
+    eye, zero = torch.eye(3, dtype=torch.float64), torch.zeros(3, dtype=torch.float64)
+    here = replace(camera.to(dtype=torch.float64), rotation=eye, translation=zero)
+    search = PostureSearch(
+        kinematics=kinematics,
+        camera=here,
+        table=own.table,
+        posture=s.posture,
+        fit=s.fit,
+        silhouette=s.silhouette,
+        min_overlap=s.search_overlap,
+        plate=plate,
+        start_points=start_points,
+        known_shape=shape,
+    )
+    return Assembly(
+        kinematics=kinematics,
+        cameras=(here,),
+        own_cameras=(here,),
+        motion=own.motion,
+        segmentation=ColourSegmentation(kinematics=kinematics, camera=here, settings=s.colours),
+        rule=own.rule((here,)),
+        sources=(search,),
+        health=Health(settings=s.health),
+        takes_proposals=False,
+    )
+
+
+def _of_a_rig(own: _Ingredients, cameras: Sequence[Camera], plates: Sequence[BackgroundPlate] | None) -> Assembly:
+    """The world is that of the cameras."""
+    s, health = own.settings, Health(settings=own.settings.health)
+    exact = tuple(camera.to(dtype=torch.float64) for camera in cameras)
+    silhouettes = ViewSilhouettes(exact, s.silhouette, plates=plates)
+    fits = MomentFitter(own.hand, silhouettes.cameras, s.rig)
+    takes_proposals = s.method == "hull"
+    motion = own.motion if takes_proposals else replace(own.motion, space=fits.space)
+    hull = HullUpdate(fits, motion, health)
+    return Assembly(
+        kinematics=own.hand.kinematics,
+        cameras=silhouettes.cameras,
+        own_cameras=exact,
+        motion=own.motion,
+        segmentation=RigSegmentation(silhouettes=silhouettes),
+        rule=hull if takes_proposals else own.rule(silhouettes.cameras),
+        sources=hull_sources(hull, health),
+        health=health,
+        takes_proposals=takes_proposals,
+    )

@@ -1,0 +1,92 @@
+"""What a tracker knows between two frames, and what it says of one."""
+
+from dataclasses import dataclass
+
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.files.results import Status
+from torchhand.hand import HandPose
+from torchhand.track.belief import FollowedHand
+from torchhand.track.scene import Looks
+
+
+@dataclass(frozen=True, kw_only=True)
+class Keyframe:
+    """A hand that was found at some time, to start from there at others."""
+
+    time_s: float
+    pose: HandPose
+    """With a zero rotation vector."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackerState:
+    """Everything a tracker knows between two frames; `Tracker.step` takes one and returns the next."""
+
+    time_s: float | None = None
+    """Of the last frame; None before the first."""
+    hand: FollowedHand | None = None
+    """The hand that is followed; None while there is none."""
+    shape: Float[Tensor, "shape"] | None = None
+    """The proportions; None until they are known."""
+    appearance: Looks = ()
+    """What the hand looks like, view by view."""
+    posture: Float[Tensor, "36"] | None = None
+    """The posture of the start as it was fitted, which a search looks for."""
+    keyframes: tuple[Keyframe, ...] = ()
+    """Hands that were found before tracking began."""
+    usual_score: float = 0.0
+    """How much of the pictures the frames before were explained, 0 to 1; 0 before there is one."""
+    best_score: float = 0.0
+    """Best of these scores, which is forgotten slowly."""
+    frames_since_search: int = 0
+    search_after: int = 0
+    """Frames after which a search without any guess is due."""
+    frames_since_refit: int = 0
+    """Frames since a followed hand was fitted once more with larger steps."""
+    frames_since_colours: int = 0
+    """Good frames since colours were last learned."""
+    has_started: bool = False
+    """Whether a hand was ever found."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """One frame's result. Where status is lost or no_hand the hand's own fields are None."""
+
+    status: Status
+    time_s: float
+    pose: Float[Tensor, "36"] | None = None
+    """Full pose with the root's whole rotation vector, metres and radians; the world's frame, which is that of the
+    camera where there is one."""
+    pose_std: Float[Tensor, "36"] | None = None
+    """Standard deviations, 0 for DOFs that are held; those of the root's rotation are of a small turn in the world's
+    axes."""
+    keypoints: Float[Tensor, "21 3"] | None = None
+    """Metres, world frame."""
+    keypoints_px: Float[Tensor, "views 21 2"] | None = None
+    """In every camera's picture."""
+    keypoints_cov: Float[Tensor, "21 3 3"] | None = None
+    """Square metres: the belief's covariance and what no filter can know."""
+    overlaps: Float[Tensor, "views"] | None = None
+    """Intersection over union with every view's silhouette, forearm cut at the wrist; NaN in views that are missing."""
+    overlap: float | None = None
+    """Mean over the views."""
+    unexplained: float | None = None
+    """Area of a picture's hand outside the model, in pieces as thick as a finger and in squares of the hand's
+    length."""
+    edges: float | None = None
+    """Share of the contour, or of the silhouettes' edges, that is found where the hand says."""
+    inside: float | None = None
+    """Share of the skin inside the hull of all silhouettes; None without a hull."""
+    nis: float | None = None
+    """Normalised innovation squared per accepted measurement; None where it means nothing."""
+    score: float = 0.0
+    """How much of the pictures is explained, 0 to 1."""
+    views: int = 0
+    """Views that the hand was compared with."""
+    is_new: bool = False
+    """Whether the hand was found otherwise than by following it from the frame before."""
+    reason: str = ""
+    """Why a frame is lost or without a hand."""

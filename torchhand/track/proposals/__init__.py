@@ -1,0 +1,7 @@
+"""Proposals: other hands that may explain a scene, by the shape of a posture, of a hull, by turns and fingers."""
+
+from torchhand.track.proposals.hull import hull_sources
+from torchhand.track.proposals.posture_search import PostureSearch
+from torchhand.track.proposals.protocol import Proposals, ProposalSource, Proposed
+
+__all__ = ["PostureSearch", "ProposalSource", "Proposals", "Proposed", "hull_sources"]

@@ -1,0 +1,77 @@
+"""One camera: a hand in the posture of the start, looked for over the whole picture without a guess."""
+
+from dataclasses import dataclass
+
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.fit import Appearance
+from torchhand.fit.detect import FitSettings, NoStart, Start, StartPoints, find_hand, start_at_points
+from torchhand.geometry import Camera
+from torchhand.hand import HandKinematics, HandPose, posture
+from torchhand.image import BackgroundPlate, SilhouetteSettings
+from torchhand.track.knowledge import TrackerState
+from torchhand.track.proposals.protocol import Occasion, Proposals, Proposed
+from torchhand.track.scene import Candidate, Scene
+from torchhand.view import OutlineTable
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureSearch:
+    """Segments the picture, lays the posture over the silhouette and fits it (`find_hand`).
+
+    The first hand ever brings its proportions and its colours.
+    """
+
+    kinematics: HandKinematics
+    camera: Camera
+    table: OutlineTable
+    posture: str
+    """Name of the posture that the first search looks for."""
+    fit: FitSettings
+    silhouette: SilhouetteSettings
+    min_overlap: float
+    plate: BackgroundPlate | None = None
+    start_points: StartPoints | None = None
+    """Wrist and middle fingertip in the first picture, px, given by the user in place of the first search."""
+    known_shape: Float[Tensor, "shape"] | None = None
+
+    @property
+    def occasion(self) -> Occasion:
+        return "search"
+
+    def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
+        """At most one hand."""
+        image = scene.views[0].image
+        if image is None:
+            return Proposals(reason="the picture is missing")
+        found = self._found(image, state)
+        if isinstance(found, NoStart):
+            return Proposals(reason=found.reason, has_foreground=found.has_foreground)
+        fit, is_first = found.fit, not state.has_started
+        pose = HandPose.of(fit.pose, fit.root_reference)
+        shape = fit.shape if is_first else None
+        proposed = Proposed(pose=pose, shape=shape, appearance=found.appearance if is_first else None)
+        return Proposals(hands=(proposed,), has_foreground=True)
+
+    def _found(self, image: Tensor, state: TrackerState) -> Start | NoStart:
+        default = self.kinematics.default_shape if self.known_shape is None else self.known_shape
+        where = (self.kinematics, self.camera, default if state.shape is None else state.shape, self.table)
+        is_first = not state.has_started
+        fits_shape = is_first and self.known_shape is None
+        if is_first and self.start_points is not None:
+            return start_at_points(
+                image, self.start_points, *where, posture(self.posture), fit_shape=fits_shape, settings=self.fit
+            )
+        look = state.appearance[0] if state.appearance else None
+        return find_hand(
+            image,
+            *where,
+            posture(self.posture) if state.posture is None else state.posture,
+            appearance=look if isinstance(look, Appearance) else None,
+            fit_shape=fits_shape,
+            settings=self.fit,
+            min_overlap=self.min_overlap,
+            silhouette=self.silhouette,
+            plate=self.plate,
+        )

@@ -1,0 +1,57 @@
+"""Proposals: other hands that may explain a scene, tried in their order while the followed one is in doubt."""
+
+from dataclasses import dataclass
+from typing import Literal, Protocol, runtime_checkable
+
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.fit import Appearance
+from torchhand.hand import HandPose
+from torchhand.track.knowledge import TrackerState
+from torchhand.track.scene import Candidate, Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proposed:
+    """A hand that may be the one in the pictures."""
+
+    pose: HandPose
+    covariance: Float[Tensor, "free free"] | None = None
+    """Of the free parameters, where it is known."""
+    candidate: Candidate | None = None
+    """The proposal as its update rule judges it, where the proposal has done so already."""
+    shape: Float[Tensor, "shape"] | None = None
+    """Proportions that were fitted with it; None where the known ones were used."""
+    appearance: Appearance | None = None
+    """What it looks like, where that was learned with it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proposals:
+    """What one source proposes."""
+
+    hands: tuple[Proposed, ...] = ()
+    reason: str = ""
+    """Why there are none."""
+    has_foreground: bool = False
+    """Whether something that may be a hand was there all the same."""
+
+
+Occasion = Literal["always", "declining", "degraded", "search"]
+"""At every frame; where the hand explains less than it did at best; where it is in doubt; the same, now and then
+only."""
+
+
+@runtime_checkable
+class ProposalSource(Protocol):
+    """Proposes hands for a scene."""
+
+    @property
+    def occasion(self) -> Occasion:
+        """When it is asked."""
+        ...
+
+    def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
+        """best: the best hand so far; None where there is none."""
+        ...

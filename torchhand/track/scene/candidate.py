@@ -1,0 +1,42 @@
+"""A hand that may be the one in the pictures, and what speaks for it."""
+
+from dataclasses import dataclass
+
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.hand import HandPose
+from torchhand.track.belief import FollowedHand
+from torchhand.track.scene.agreement import Agreement
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """A hand estimated from one scene."""
+
+    hand: FollowedHand
+    pose: HandPose
+    agreement: Agreement
+    edges: float
+    """Share of the contour, or of the silhouettes' edges, that is found where the hand says."""
+    in_view: float = 1.0
+    """Share of the visible contour inside the pictures."""
+    nis: float | None = None
+    """Normalised innovation squared per accepted measurement; None where it means nothing."""
+    inside: float | None = None
+    """Share of the skin inside the hull of all silhouettes; None where there is no hull."""
+    cost: float = 0.0
+    """Nats, comparable between candidates of one scene; 0 where the update has no cost."""
+    is_sound: bool = True
+    """False where the estimate explains so little that it is in doubt whatever it explained before."""
+    if_failing: FollowedHand | None = None
+    """What to go on with where the scene does not bear the hand out; the hand itself where it is None."""
+
+    @property
+    def overlap(self) -> float:
+        return self.agreement.overlap
+
+    @property
+    def rotation(self) -> Float[Tensor, "3 3"]:
+        """world_from_hand"""
+        return self.pose.rotation

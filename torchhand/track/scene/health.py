@@ -1,0 +1,122 @@
+"""Whether a hand is still the one in the pictures: one measure for every tracker."""
+
+from dataclasses import dataclass
+
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.errors import require
+from torchhand.track.scene.candidate import Candidate
+
+
+@dataclass(frozen=True, kw_only=True)
+class HealthSettings:
+    """When a hand is failing, degraded, found."""
+
+    min_overlap: float = 0.60
+    """Smallest intersection over union of the model's and the pictures' silhouettes, mean over the views; 0 to 1."""
+    min_edges: float = 0.40
+    """Smallest share of the outer contour's points with an accepted edge; 0 to 1."""
+    min_in_view: float = 0.35
+    """Smallest share of the contour's points inside the picture; 0 to 1."""
+    patience: int = 3
+    """Frames in a row that may fail before the track is lost; 1 or more."""
+    found_overlap: float = 0.60
+    """Smallest overlap with which a proposed hand is taken as found; 0 to 1."""
+    edge_weight: float = 0.0
+    """Share of the score that edges have beside areas; 0 to 1."""
+    memory: float = 1.0
+    """Share of the usual score that outlasts a frame; 0 to 1, 1 keeps that of the start."""
+    max_score_drop: float = 0.06
+    """A hand whose score is lower than usual by more than this is degraded: alternatives are tried; 0 to 1."""
+    max_unexplained: float = 0.012
+    """Area of the picture's hand outside the model, in pieces as thick as a finger and in squares of the hand's length,
+    beyond which it is degraded too; 0 or more."""
+    better_by: float = 0.02
+    """By how much the score of an alternative must be higher to take over; 0 to 1."""
+    turned_by: float = 0.12
+    """By how much more it must be higher where it is turned by half a turn, which a hand seldom does from one picture
+    to the next; less for smaller turns; 0 to 1."""
+    search_every: int = 5
+    """Frames from one search without any guess to the next where the last one found a hand; 1 or more."""
+    search_at_most_every: int = 5
+    """Frames between searches where they keep finding nothing; `search_every` or more."""
+
+    searches_when_failing: bool = True
+    """Whether a failing or lost hand is searched at once, whatever the time since the last search."""
+
+    @property
+    def first_search_after(self) -> int:
+        """Frames from the start to the first search that is not urgent."""
+        return self.search_every if self.searches_when_failing else 0
+
+    def next_search(self, after: int, *, has_found: bool) -> int:
+        """Frames to the next search, the last one having come after so many: the more, the longer nothing is found."""
+        return self.search_every if has_found else min(max(2 * after, 1), self.search_at_most_every)
+
+    def __post_init__(self) -> None:
+        shares = ("min_overlap", "min_edges", "min_in_view", "found_overlap", "edge_weight", "memory")
+        for name in (*shares, "max_score_drop", "better_by", "turned_by"):
+            require(0 <= getattr(self, name) <= 1, f"health.{name}", "0 to 1", getattr(self, name))
+        require(self.max_unexplained >= 0, "health.max_unexplained", "0 or more", self.max_unexplained)
+        for name in ("patience", "search_every"):
+            require(getattr(self, name) >= 1, f"health.{name}", "1 or more", getattr(self, name))
+        is_rarer = self.search_at_most_every >= self.search_every
+        require(is_rarer, "health.search_at_most_every", "search_every or more", self.search_at_most_every)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Health:
+    """Judges candidates by areas and edges of the silhouettes."""
+
+    settings: HealthSettings
+
+    def score(self, candidate: Candidate) -> float:
+        """How much of the pictures a candidate explains, 0 to 1."""
+        weight = self.settings.edge_weight
+        return (1 - weight) * candidate.overlap + weight * candidate.edges
+
+    def is_failing(self, candidate: Candidate | None) -> bool:
+        """Whether the pictures do not bear a hand out."""
+        if candidate is None:
+            return True
+        s = self.settings
+        has_edges = candidate.edges >= s.min_edges and candidate.in_view >= s.min_in_view
+        return not has_edges or candidate.overlap < s.min_overlap
+
+    def is_found(self, candidate: Candidate) -> bool:
+        """Whether a proposed hand is one."""
+        return not self.is_failing(candidate) and candidate.overlap >= self.settings.found_overlap
+
+    def is_gone(self, candidate: Candidate | None) -> bool:
+        """Whether they speak so clearly against it that the track ends at once."""
+        s = self.settings
+        return candidate is None or (candidate.in_view < 0.5 * s.min_in_view or candidate.overlap < 0.5 * s.min_overlap)
+
+    def is_degraded(self, candidate: Candidate | None, usual: float) -> bool:
+        """Whether alternatives should be tried. usual: the score of the frames before, 0 where there are none."""
+        s = self.settings
+        if candidate is None or self.is_failing(candidate) or not candidate.is_sound:
+            return True
+        has_dropped = self.score(candidate) < usual - s.max_score_drop
+        return has_dropped or candidate.agreement.most_unexplained > s.max_unexplained
+
+    def better(
+        self, first: Candidate | None, second: Candidate | None, facing: Float[Tensor, "3 3"] | None
+    ) -> Candidate | None:
+        """The second where it explains enough more than the first: the more, the farther it is turned away from
+        `facing` (world_from_hand as expected), for a hand and its mirror image look nearly alike."""
+        if first is None or second is None:
+            return first or second
+        margin = self.settings.better_by
+        if facing is not None:
+            traces = [float((facing * one.rotation).sum()) for one in (first, second)]
+            margin += self.settings.turned_by * max(0.0, traces[0] - traces[1]) / 4  # of half a turn: 4
+        return second if self.score(second) > self.score(first) + margin else first
+
+    def usual(self, candidate: Candidate, before: float) -> float:
+        """The usual score after one more frame."""
+        keep, here = self.settings.memory, self.score(candidate)
+        if before <= 0:
+            return here
+        return before if keep == 1 else max(here, keep * before + (1 - keep) * here)

@@ -1,0 +1,110 @@
+"""From the views of one time to a scene: the hand's silhouettes by what is known of its looks, view by view."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.errors import require
+from torchhand.fit import Appearance, relearned
+from torchhand.fit.contour import hand_length_px
+from torchhand.geometry import Camera
+from torchhand.hand import HandKinematics, HandPose
+from torchhand.track.scene.silhouettes import LearnedSkin, ViewSilhouettes
+from torchhand.track.scene.views import Scene, View
+from torchhand.view import HandProjector
+
+Looks = tuple[Appearance | LearnedSkin | None, ...]
+"""What the hand looks like, view by view; None where nothing is known."""
+
+_MARGIN = 0.015  # along the outline, colours are nobody's, hand lengths
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColourUpdateSettings:
+    """How the colours learned at the start follow changing light."""
+
+    every: int = 10
+    """Frames that agree with the model from one update of the colours to the next; 0 keeps those of the start."""
+    keep: float = 0.7
+    """Share of what is known of a colour that outlasts an update with that colour in it; 0 to 1."""
+
+    def __post_init__(self) -> None:
+        require(self.every >= 0, "colours.every", "0 or more", self.every)
+        require(0 <= self.keep <= 1, "colours.keep", "0 to 1", self.keep)
+
+
+@runtime_checkable
+class Segmentation(Protocol):
+    """Makes scenes, and learns looks from hands that the pictures bear out."""
+
+    def first_looks(self, views: Sequence[View]) -> Looks:
+        """Looks that pictures tell without any hand being known; none where they tell nothing."""
+        ...
+
+    def scene(self, views: Sequence[View], looks: Looks, time_s: float) -> Scene:
+        """The views of one time with their silhouettes."""
+        ...
+
+    def learned(self, looks: Looks, pose: HandPose, shape: Float[Tensor, "shape"], scene: Scene) -> Looks:
+        """The looks after a scene that bears a hand out."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColourSegmentation:
+    """One camera: colours of the hand against its surroundings, learned where it is found and updated since then."""
+
+    kinematics: HandKinematics
+    camera: Camera
+    settings: ColourUpdateSettings
+
+    def first_looks(self, views: Sequence[View]) -> Looks:
+        """None: colours are learned with the first hand."""
+        return ()
+
+    def scene(self, views: Sequence[View], looks: Looks, time_s: float) -> Scene:
+        """Without looks nothing is told of the silhouette: the search for a hand makes its own."""
+        [view] = views
+        probability = None
+        if looks and isinstance(looks[0], Appearance) and view.image is not None:
+            probability = looks[0].probability(view.image)
+        return Scene(views=(view,), masks=(view.mask,), probabilities=(probability,), time_s=time_s)
+
+    def learned(self, looks: Looks, pose: HandPose, shape: Float[Tensor, "shape"], scene: Scene) -> Looks:
+        """The colours of a picture that bears a hand out."""
+        [look], image, probability = looks, scene.views[0].image, scene.probabilities[0]
+        if not isinstance(look, Appearance) or image is None or probability is None:
+            return looks
+        model = HandProjector(self.kinematics, self.camera, shape).silhouette(pose.dofs, pose.reference)
+        margin = max(1, round(_MARGIN * hand_length_px(self.camera, self.kinematics, pose.dofs, shape)))
+        return (relearned(look, image, probability, model, margin, keep=self.settings.keep),)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigSegmentation:
+    """Several cameras: silhouettes by the skin of each view, by plates or a screen, or as given; undistorted."""
+
+    silhouettes: ViewSilhouettes
+
+    def first_looks(self, views: Sequence[View]) -> Looks:
+        """The skin that stands out of every view's picture."""
+        if self.silhouettes.settings.method != "skin":
+            return ()
+        learned = self.silhouettes.learn([view.image for view in views], [None] * len(views))
+        return tuple(learned) if any(learned) else ()
+
+    def scene(self, views: Sequence[View], looks: Looks, time_s: float) -> Scene:
+        """A view's given silhouette is preferred to one by its picture."""
+        skins = [look if isinstance(look, LearnedSkin) else None for look in looks] or [None] * len(views)
+        given = self.silhouettes.undistorted([view.mask for view in views])
+        images = [view.image if mask is None else None for view, mask in zip(views, given, strict=True)]
+        seen = self.silhouettes(images, skins)
+        masks = tuple(own if mask is None else mask for own, mask in zip(seen, given, strict=True))
+        return Scene(views=tuple(views), masks=masks, probabilities=(None,) * len(views), time_s=time_s)
+
+    def learned(self, looks: Looks, pose: HandPose, shape: Float[Tensor, "shape"], scene: Scene) -> Looks:
+        """Skin is learned before tracking begins and kept."""
+        return looks

@@ -1,0 +1,83 @@
+"""What the cameras give at one time, and what a tracker makes of it before any hand is compared with it."""
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from torchhand.fit import mask_plane
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DetectedHand:
+    """Keypoints that a detector found in one picture."""
+
+    points_px: Float[Tensor, "21 2"]
+    """In the picture as it was taken; NaN for missing points."""
+    points: Float[Tensor, "21 3"] | None = None
+    """In space, metres, in any frame; NaN for missing points. None where the detector gives none."""
+    score: float = 1.0
+    """How sure the detector is, 0 to 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """What one camera gives at one time; nothing where its picture is missing."""
+
+    image: UInt8[Tensor, "height width 3"] | None = None
+    """RGB."""
+    mask: Bool[Tensor, "height width"] | None = None
+    """The hand's silhouette where it is given, in place of one by colour."""
+    keypoints: DetectedHand | None = None
+
+    @property
+    def is_empty(self) -> bool:
+        return self.image is None and self.mask is None and self.keypoints is None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """The views of one time with their silhouettes, one per camera; undistorted where several cameras are used.
+
+    What several estimates need of it is computed once and kept (`once`).
+    """
+
+    views: tuple[View, ...]
+    masks: tuple[Bool[Tensor, "_height _width"] | None, ...]
+    """Silhouettes of hand and bare forearm; None where nothing is known of a view."""
+    probabilities: tuple[Float[Tensor, "_height _width"] | None, ...]
+    """Probability that a pixel shows the hand, where colours tell it; None elsewhere."""
+    time_s: float
+    kept: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no view shows anything."""
+        return all(view.is_empty for view in self.views)
+
+    def plane(self, view: int) -> Float[Tensor, "height width"] | None:
+        """A picture of one view in which the hand is bright, 0..1; None where nothing is known of it."""
+        probability, mask = self.probabilities[view], self.masks[view]
+        if probability is not None or mask is None:
+            return probability
+        return self.once(("plane", view), lambda: mask_plane(mask))
+
+    def without(self, view: int) -> "Scene":
+        """The same without one view."""
+        gone = View()
+        return Scene(
+            views=tuple(gone if index == view else own for index, own in enumerate(self.views)),
+            masks=tuple(None if index == view else own for index, own in enumerate(self.masks)),
+            probabilities=tuple(None if index == view else own for index, own in enumerate(self.probabilities)),
+            time_s=self.time_s,
+        )
+
+    def once(self, key: Hashable, make: Callable[[], T]) -> T:
+        """What `make` returns, computed the first time."""
+        if key not in self.kept:
+            self.kept[key] = make()
+        return self.kept[key]

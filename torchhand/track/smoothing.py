@@ -1,0 +1,129 @@
+"""Backward smoothing: a hand that was found anew, or leapt, is followed back into the frames before.
+
+After a fast turn a tracker may hold a hand that explains the silhouettes well enough, until a better one is found. The
+frames before are then estimated again: up to one of them the hand stays as it was followed, and from there on it is the
+one that was found, followed backwards. That frame is where the silhouettes of all are explained best for the least
+motion (the most probable path of two: Viterbi 1967).
+"""
+
+import itertools
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.track.knowledge import Estimate, TrackerState
+from torchhand.track.scene import PackedMask, Scene, View
+from torchhand.track.tracker import Tracker
+
+_MOTION = 3.0  # score that a metre of motion is worth, in the mean over the keypoints
+_HOPELESS = 0.1  # gain less than with fewer frames, from which on no more are estimated again
+_LEAP = 0.015  # metres from one frame to the next, in the mean over the keypoints, that few hands move
+_SAME = 0.002  # metres between two hands, in the same mean, that are one
+
+
+@dataclass(frozen=True, kw_only=True)
+class PastFrame:
+    """A frame that may be estimated again, its pictures reduced to packed silhouettes."""
+
+    time_s: float
+    views: tuple[View, ...]
+    """Keypoints alone."""
+    masks: tuple[PackedMask | None, ...]
+    keypoints: Float[Tensor, "21 3"] | None
+    """Of the hand as it was found, metres; None where it was lost."""
+    score: float
+    """How much of the silhouettes that explains, 0 to 1; 0 where the hand was lost."""
+
+    @classmethod
+    def of(cls, scene: Scene, keypoints: Float[Tensor, "21 3"] | None, score: float) -> "PastFrame":
+        """A scene and what was found in it."""
+        masks = [
+            own if plane is None else plane > 0.5 for own, plane in zip(scene.masks, scene.probabilities, strict=True)
+        ]
+        return cls(
+            time_s=scene.time_s,
+            views=tuple(View(keypoints=view.keypoints) for view in scene.views),
+            masks=tuple(None if mask is None else PackedMask.of(mask) for mask in masks),
+            keypoints=keypoints,
+            score=score,
+        )
+
+    def scene(self) -> Scene:
+        """As a tracker follows a hand in it."""
+        masks = tuple(None if mask is None else mask.mask() for mask in self.masks)
+        return Scene(views=self.views, masks=masks, probabilities=(None,) * len(masks), time_s=self.time_s)
+
+
+class Smoother:
+    """Keeps the last frames of one tracker, and corrects them by what comes after."""
+
+    def __init__(self, tracker: Tracker, window_s: float) -> None:
+        """window_s: how far a hand is followed back; 0 corrects nothing."""
+        self._tracker, self._window_s = tracker, window_s
+        self._past: deque[PastFrame] = deque()
+
+    def remember(self, past: PastFrame) -> None:
+        """One more frame, after the last one."""
+        self._past.append(past)
+        while self._past and self._past[0].time_s < past.time_s - self._window_s:
+            self._past.popleft()
+
+    def corrections(self, state: TrackerState, estimate: Estimate) -> list[Estimate]:
+        """Better estimates of earlier frames, the latest first; mostly none.
+
+        state, estimate: as `Tracker.step` returned them for a frame that is not remembered yet.
+        """
+        if self._window_s <= 0 or state.hand is None or estimate.keypoints is None or not self._is_news(estimate):
+            return []
+        hand, now, time_s = self._tracker.at_rest(state.hand), estimate.keypoints, estimate.time_s
+        before: list[PastFrame] = []
+        after: list[Estimate] = []
+        gains = [0.0]
+        for past in reversed(self._past):
+            if gains[-1] < max(gains) - _HOPELESS:
+                break
+            followed = self._tracker.follow(state, hand, past.scene(), time_s - past.time_s)
+            if followed is None or _distance(followed[1].keypoints, past.keypoints) < _SAME:
+                break
+            hand, found = followed
+            time_s = past.time_s
+            if past.keypoints is None and not self._tracker.is_sure(found):
+                break
+            before.append(past)
+            after.append(found)
+            gains.append(self._gain(before, after, now))
+        changed = max(range(len(gains)), key=gains.__getitem__)
+        for place, found in enumerate(after[:changed]):
+            corrected = replace(before[place], keypoints=found.keypoints, score=found.score)
+            self._past[len(self._past) - 1 - place] = corrected
+        return after[:changed]
+
+    def _is_news(self, estimate: Estimate) -> bool:
+        if estimate.is_new:
+            return True
+        return len(self._past) > 0 and _distance(self._past[-1].keypoints, estimate.keypoints) > _LEAP
+
+    def _gain(self, before: list[PastFrame], after: list[Estimate], now: Tensor) -> float:
+        """By how much the last frames are explained better by the hand that was followed back through them."""
+        was = [now, *(past.keypoints for past in before)]
+        then = [now, *(found.keypoints for found in after)]
+        if len(self._past) > len(before):
+            earlier = self._past[-1 - len(before)].keypoints
+            was, then = [*was, earlier], [*then, earlier]
+        explained = math.fsum(new.score - old.score for new, old in zip(after, before, strict=True))
+        return explained - _MOTION * (_motion(then) - _motion(was))
+
+
+def _motion(path: list[Tensor | None]) -> float:
+    """Metres, summed over a path of hands, in the mean over the keypoints; nothing where one is missing."""
+    pairs = itertools.pairwise(path)
+    return math.fsum(_distance(one, other) for one, other in pairs if one is not None and other is not None)
+
+
+def _distance(one: Tensor | None, other: Tensor | None) -> float:
+    if one is None or other is None:
+        return math.inf
+    return float((one - other).norm(dim=-1).mean())

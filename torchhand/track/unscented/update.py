@@ -1,0 +1,213 @@
+"""The unscented update (Stenger et al. 2001): predict, project, find edges along normals, correct; cameras stacked."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.fit import PosedHands, Stage, grey
+from torchhand.fit.keypoints import KeypointSettings
+from torchhand.geometry import Camera
+from torchhand.hand import HandFrames, HandKinematics, HandPose
+from torchhand.numerics import Gaussian, observed_points, update
+from torchhand.track.belief import FollowedHand, HandMotion, posture_prior
+from torchhand.track.scene import Candidate, Scene, SilhouetteComparison, keypoint_observations
+from torchhand.track.unscented.edges import ContourVisibility, EdgeMeasurement, EdgeSearch, Planes
+from torchhand.track.unscented.settings import UnscentedUpdateSettings
+from torchhand.view import HandProjector, OutlineTable
+
+_STARTING_UPDATES = 4  # measurement updates on the picture in which a hand was found
+_KEYPOINTS = Stage(gross_m=0.004)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Measured:
+    """A hand after a measurement update, and how well the pictures bear it out."""
+
+    hand: FollowedHand
+    edges: float = 0.0
+    """Share of the outer contour points in the pictures with an accepted edge."""
+    in_view: float = 0.0
+    """Share of the visible contour points in the pictures."""
+    nis: float | None = 0.0
+    visibility: tuple[ContourVisibility | None, ...] = ()
+    """View by view, for a further pass over the same scene."""
+
+
+class UnscentedUpdate:
+    """Follows a hand by edges along its contour in every view, through sigma points (`UpdateRule`)."""
+
+    def __init__(
+        self,
+        kinematics: HandKinematics,
+        cameras: Sequence[Camera],
+        motion: HandMotion,
+        table: OutlineTable,
+        settings: UnscentedUpdateSettings,
+        keypoints: KeypointSettings,
+        *,
+        side_px: int,
+    ) -> None:
+        """side_px: of the reduced pictures in which silhouettes are compared."""
+        self.kinematics, self.cameras, self.motion = kinematics, tuple(cameras), motion
+        self.settings, self.keypoints, self._side_px = settings, keypoints, side_px
+        self._search = EdgeSearch(settings=settings, table=table)
+        self._prior = posture_prior(motion.space, settings.prior, has_tilt=len(self.cameras) == 1)
+        self._made: tuple[Tensor, list[HandProjector], SilhouetteComparison] | None = None
+
+    def follow(
+        self, hand: FollowedHand, predicted: FollowedHand, scene: Scene, shape: Float[Tensor, "shape"]
+    ) -> Candidate | None:
+        """The prediction corrected in `passes` updates with fresh edges."""
+        measured = _Measured(hand=predicted)
+        for _ in range(self.settings.passes):
+            measured = self._updated(measured, scene, shape)
+        return self._candidate(measured, scene, shape)
+
+    def begin(
+        self,
+        pose: HandPose,
+        covariance: Float[Tensor, "free free"] | None,
+        scene: Scene,
+        shape: Float[Tensor, "shape"],
+    ) -> Candidate | None:
+        """Repeated updates on one scene: the fit of a start has more freedom and other weights, and a track that went
+        on from it would begin with a slide."""
+        hand = self.motion.started(pose)
+        spread, measured = hand.belief.covariance, _Measured(hand=hand)
+        for _ in range(_STARTING_UPDATES):
+            belief = Gaussian(measured.hand.belief.mean, spread)
+            measured = self._updated(_Measured(hand=replace(measured.hand, belief=belief)), scene, shape)
+        # Innovations of repeated updates on one picture say nothing.
+        return self._candidate(replace(measured, nis=None), scene, shape)
+
+    def _candidate(self, measured: _Measured, scene: Scene, shape: Tensor) -> Candidate:
+        pose = self.motion.pose(measured.hand)
+        return Candidate(
+            hand=measured.hand,
+            pose=pose,
+            agreement=self._for(shape)[2](pose, scene),
+            edges=measured.edges,
+            in_view=measured.in_view,
+            nis=measured.nis,
+        )
+
+    def _updated(self, before: _Measured, scene: Scene, shape: Tensor) -> _Measured:
+        """One measurement update with fresh edges of all views, the keypoints, and weak beliefs about posture.
+
+        Where no view has enough of the contour in its picture, the hand comes back as it is with all shares 0.
+        """
+        s, hand, count = self.settings, before.hand, self.motion.space.size
+        # The centre of the sigma points is the reference hand: all are placed at once.
+        candidates = observed_points(hand.belief, s.transform, count)
+        poses = HandPose.of(self.motion.space.about(hand.base).dof(candidates), hand.reference)
+        projectors = self._for(shape)[1]
+        frames = projectors[0].frames(poses.dofs, hand.reference)
+        edges = self._edges(before, frames, projectors, scene)
+        if not any(edges):
+            return _Measured(hand=hand)
+        posed = PosedHands(pose=poses, shape=shape, kept={("frames", id(self.kinematics)): frames})
+        prior = self._prior.value(hand.reference, hand.start_reference)
+        stack = _Stack()
+        for one in edges:
+            if one is not None:
+                stack.add(one.predicted, one.value, one.variance, one.is_found)
+        stack.add(
+            candidates @ self._prior.matrix.T, prior, self._prior.variance, torch.ones_like(prior, dtype=torch.bool)
+        )
+        for observation in keypoint_observations(scene, self.cameras, self.kinematics, self.keypoints):
+            factor = observation.associate(replace(posed, pose=poses[:1], kept={}), _KEYPOINTS)
+            stack.add(factor.predict(posed), *factor.measurement())
+        predicted, value, variance, valid = stack.joined()
+        result = update(
+            hand.belief,
+            lambda _: predicted,
+            value,
+            variance * s.passes,  # every pass has its share of the weight
+            s.transform,
+            valid=valid,
+            gate=s.gate,
+            observed=count,
+        )
+        return self._judged(
+            edges, result.used, replace(hand, belief=result.state), float(result.nis), int(result.count)
+        )
+
+    def _judged(
+        self,
+        edges: list[EdgeMeasurement | None],
+        used: Tensor,
+        hand: FollowedHand,
+        nis: float,
+        count: int,
+    ) -> _Measured:
+        accepted = total = first = 0
+        inside: list[float] = []
+        for one in edges:
+            if one is None:
+                inside.append(0.0)
+                continue
+            own = used[first : first + len(one.value)]
+            first += len(one.value)
+            accepted += int((own & one.visibility.outer).sum())
+            total += one.outer_in_picture
+            inside.append(float(one.in_picture.float().mean()))
+        return _Measured(
+            hand=self.motion.limited(hand),
+            edges=accepted / max(1, total),
+            in_view=max(inside),
+            nis=nis / max(1, count),
+            visibility=tuple(None if one is None else one.visibility for one in edges),
+        )
+
+    def _edges(
+        self, before: _Measured, frames: HandFrames, projectors: list[HandProjector], scene: Scene
+    ) -> list[EdgeMeasurement | None]:
+        """View by view; None where a view has no picture or not enough of the contour."""
+        known = before.visibility or (None,) * len(projectors)
+        found: list[EdgeMeasurement | None] = []
+        for view, projector in enumerate(projectors):
+            planes = self._planes(scene, view)
+            found.append(
+                None if planes is None else self._search(projector, frames, planes, before.hand.failures, known[view])
+            )
+        return found
+
+    def _planes(self, scene: Scene, view: int) -> Planes | None:
+        s, plane, image = self.settings, scene.plane(view), scene.views[view].image
+        if plane is None:
+            return None
+        luminance = None
+        if image is not None and (s.edges_in == "grey" or s.inner_weight > 0):
+            luminance = scene.once(("grey", view), lambda: grey(image))
+        outer = luminance if s.edges_in == "grey" and luminance is not None else plane
+        return Planes(outer=outer, inner=luminance if s.inner_weight > 0 else None)
+
+    def _for(self, shape: Tensor) -> tuple[Tensor, list[HandProjector], SilhouetteComparison]:
+        """What depends on the proportions, kept while they stay the same."""
+        if self._made is None or self._made[0] is not shape:
+            projectors = [HandProjector(self.kinematics, camera, shape) for camera in self.cameras]
+            comparison = SilhouetteComparison(self.kinematics, self.cameras, shape, side_px=self._side_px)
+            self._made = (shape, projectors, comparison)
+        return self._made
+
+
+class _Stack:
+    """Measurements of all kinds, one after the other."""
+
+    def __init__(self) -> None:
+        self._parts: list[tuple[Tensor, Tensor, Tensor, Tensor]] = []
+
+    def add(self, predicted: Tensor, value: Tensor, variance: Tensor, valid: Tensor) -> None:
+        """predicted: (sigma points, m); the others (m,)."""
+        self._parts.append((predicted, value, variance, valid))
+
+    def joined(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        return (
+            torch.cat([part[0] for part in self._parts], -1),
+            torch.cat([part[1] for part in self._parts]),
+            torch.cat([part[2] for part in self._parts]),
+            torch.cat([part[3] for part in self._parts]),
+        )
