@@ -1,4 +1,4 @@
-"""The tracker of paper 000, section 7: registration on distance maps, steadied by an extended Kalman filter.
+"""The tracker of Ouhaddi and Horain 1998, section 7: registration on distance maps, steadied by an extended Kalman filter.
 
 Every picture is registered from the filter's prediction and from the last pose; the better one's limb segments are what
 the filter observes (section 7.5). What the paper only announces is here: flexion and self-occlusion, noise that is
@@ -12,11 +12,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.files import load_hand_model
-from torchhand.fit import PostureResiduals, touching
-from torchhand.fit.contour import PictureContours, Registration, hand_length_px, is_in_picture, picture_contours
+from torchhand.fit import ConstraintPrior, PosturePrior, PostureResiduals, Solutions, touching
+from torchhand.fit.contour import PictureContours, hand_length_px, is_in_picture, pixels_per_metre
 from torchhand.fit.detect import Start, StartPoints
-from torchhand.geometry import Camera, vector_from_rotation
-from torchhand.hand import HandKinematics, HandPrior, PoseConstraints
+from torchhand.geometry import Camera
+from torchhand.hand import HandKinematics, HandPose, HandPrior, PoseConstraints
 from torchhand.image import BackgroundPlate, channel_of, clean, fill_holes, largest_component
 from torchhand.numerics import (
     Gaussian,
@@ -28,7 +28,7 @@ from torchhand.numerics import (
     wrapped,
 )
 from torchhand.track import HandTracker, Measured, TrackerState, start_spread
-from torchhand.track.extended.search import FrameSearch
+from torchhand.track.extended.search import FrameSearch, priors_of
 from torchhand.track.extended.segment_observation import SCALARS, SegmentObservation
 from torchhand.track.extended.settings import DistanceTrackerSettings
 from torchhand.view import Contours, MeshContours, PrimitiveContours
@@ -56,28 +56,31 @@ class DistanceTracker(HandTracker[DistanceTrackerSettings]):
         s = settings or DistanceTrackerSettings()
         super().__init__(kinematics, camera, frames_per_second, s, shape=shape, start_points=start_points, plate=plate)
         skeleton = self.kinematics.skeleton
-        self._constraints = PoseConstraints(skeleton)
-        self._prior = PostureResiduals.of(HandPrior(skeleton, self.kinematics.shape_space).postures)
+        postures = PostureResiduals.of(HandPrior(skeleton, self.kinematics.shape_space).postures)
+        constraints = ConstraintPrior(constraints=PoseConstraints(skeleton), has_ties=False)
+        self._priors = priors_of(self.space, constraints, PosturePrior(postures=postures))
         self._contours: Contours | None = None
 
     def _settle(self, state: TrackerState, start: Start, image: Tensor, probability: Tensor) -> Measured:
-        shape, settings = start.fit.shape, self.settings.search
-        picture = picture_contours(self._silhouette(state, shape, probability), settings, image=image)
-        found = self._search(state, shape, image).best(picture, state.base[None], settings)
+        shape, schedule = start.fit.shape, self.settings.search_schedule
+        search = self._search(state, shape, image)
+        picture = search.picture(self._silhouette(state, shape, probability), schedule)
+        found = search.best(picture, HandPose.of(state.base[None], state.reference), schedule)
         if not bool(found.cost.isfinite()):
             return Measured(state=state)
         return self._judged(self._at(state, found), shape, picture)
 
     def _measure(self, state: TrackerState, shape: Tensor, image: Tensor, probability: Tensor) -> Measured:
         s, predicted = self.settings, replace(self._predicted(state), turn=state.turn + 1)
-        picture = picture_contours(self._silhouette(predicted, shape, probability), s.registration, image=image)
         search = self._search(state, shape, image)
-        found = search.best(picture, torch.stack((self._rebased.pose(predicted), search.pose)), s.registration)
-        if s.hypotheses and bool(self.space.basis[_ROOT:].any()):
-            if search.badness(found) > 1:
-                found, picture = search.mended(found, picture, largest_component(clean(probability > 0.5)))
+        picture = search.picture(self._silhouette(predicted, shape, probability), s.schedule)
+        starts = torch.stack((self._rebased.pose(predicted), search.hand.dofs))
+        found = search.best(picture, HandPose.of(starts, state.reference), s.schedule)
+        if s.hypotheses and self._priors:
+            if search.normalized_residual(found) > 1:
+                found, picture = search.reinitialized(found, picture, largest_component(clean(probability > 0.5)))
             else:
-                found = search.reconsidered(found, picture, state.turn)
+                found = search.with_other_fingers(found, picture, state.turn)
         if not bool(found.cost.isfinite()):
             return self._judged(self._rebased(predicted), shape, picture)
         following = self._filtered(predicted, shape, found) if s.filter == "extended" else self._at(predicted, found)
@@ -89,11 +92,9 @@ class DistanceTracker(HandTracker[DistanceTrackerSettings]):
             space=self.space.about(state.base),
             contours=self._contours_of(shape),
             projector=self._projectors_of(shape)[0],
-            constraints=self._constraints,
-            prior=self._prior,
+            priors=self._priors,
             image=image,
-            pose=self._rebased.pose(state),
-            reference=state.reference,
+            hand=HandPose.of(self._rebased.pose(state), state.reference),
         )
 
     def _silhouette(self, state: TrackerState, shape: Tensor, probability: Tensor) -> Bool[Tensor, "height width"]:
@@ -108,19 +109,18 @@ class DistanceTracker(HandTracker[DistanceTrackerSettings]):
         if self._contours is None or self._contours.shape is not shape:
             if self.settings.surface == "mesh":
                 hand = load_hand_model().hand(side=self.kinematics.side, dtype=torch.float64)
-                self._contours = MeshContours(hand, self.camera, self.space.basis, shape)
+                self._contours = MeshContours(hand, self.camera, shape)
             else:
-                self._contours = PrimitiveContours(self._projectors_of(shape)[0], self.table, self.space.basis)
+                self._contours = PrimitiveContours(self._projectors_of(shape)[0], self.table)
         return self._contours
 
     # ------------------------------------------------------------------ filter
 
-    def _free_of(self, state: TrackerState, found: Registration) -> Float[Tensor, "free"]:
+    def _free_of(self, state: TrackerState, found: Solutions) -> Float[Tensor, "free"]:
         """A registered hand in the parameters of the state's belief."""
-        vector = vector_from_rotation(found.root_reference @ state.reference.T)
-        return self.space.about(state.base).own(torch.cat((found.pose[:3], vector, found.pose[6:])))
+        return self.space.about(state.base).own(found.pose.about(state.reference).dofs)
 
-    def _at(self, state: TrackerState, found: Registration) -> TrackerState:
+    def _at(self, state: TrackerState, found: Solutions) -> TrackerState:
         """A filter that starts at a registered hand."""
         free = self._free_of(state, found)
         spread = start_spread(self._kinds, self.settings.motion.order)
@@ -130,7 +130,7 @@ class DistanceTracker(HandTracker[DistanceTrackerSettings]):
         mean = torch.cat((free, free.new_zeros(len(spread) - len(free))))
         return self._rebased(replace(state, belief=Gaussian(mean, covariance), density=None))
 
-    def _filtered(self, predicted: TrackerState, shape: Tensor, found: Registration) -> TrackerState:
+    def _filtered(self, predicted: TrackerState, shape: Tensor, found: Solutions) -> TrackerState:
         """The prediction corrected by the segments of the registered hand, and lightly by its parameters.
 
         Segments of few fingers leave much of the hand open, and many hands have the same; the parameters, with the
@@ -145,7 +145,7 @@ class DistanceTracker(HandTracker[DistanceTrackerSettings]):
         innovation = wrapped(seen.value - value, observe.period)
         how = {"gate": s.gate, "group": len(SCALARS)}
         used = update_extended(predicted.belief, innovation, jacobian, seen.noise, valid=seen.valid, **how).used
-        if float(used.sum()) < s.sudden_share * float(seen.valid.sum()):
+        if float(used.sum()) < s.restart_fraction * float(seen.valid.sum()):
             return self._at(predicted, found)
         belief = predicted.belief
         if s.pose_weight > 0 and bool(found.covariance.isfinite().all()):
@@ -165,16 +165,16 @@ class DistanceTracker(HandTracker[DistanceTrackerSettings]):
     def _judged(self, state: TrackerState, shape: Tensor, picture: PictureContours) -> Measured:
         """How well the picture bears a state out."""
         pose = self._rebased.pose(state)
-        length_px = hand_length_px(self.camera, self.kinematics, pose, shape)
-        beyond_px = 1 + self.settings.registration.beyond_share * length_px
-        look = self._contours_of(shape).look(pose[None], state.reference[None], beyond_px=beyond_px)
-        visible = (look.outer | look.inner)[0]
-        in_picture = is_in_picture(look.points_px[0], self.camera)
+        hand, contour = HandPose.of(pose[None], state.reference), self.settings.contour
+        scale = pixels_per_metre(self.camera, hand)
+        contours = self._contours_of(shape).visible(hand, probe_distance_px=1 + contour.probe_distance_m * scale)
+        visible = (contours.outer | contours.inner)[0]
+        in_picture = is_in_picture(contours.points_px[0], self.camera)
         inside = float((visible & in_picture).sum()) / max(1, int(visible.sum()))
-        outer = look.outer[0] & in_picture
+        outer = contours.outer[0] & in_picture
         if picture.is_empty or int(outer.sum()) < _FEWEST:
             return Measured(state=state, inside=inside, nis=None)
-        field, normals = picture.fields[-1], look.normals[0][outer]
-        apart, _ = field.sample(look.points_px[0][outer], channel_of(normals, field.channels))
-        near = apart.abs() <= self.settings.near_share * length_px
+        field, normals = picture.field(1), contours.normals[0][outer]
+        apart, _ = field.sample(contours.points_px[0][outer], channel_of(normals, field.channels))
+        near = apart.abs() <= contour.near_m * scale
         return Measured(state=state, found=float(near.double().mean()), inside=inside, nis=None)

@@ -1,28 +1,22 @@
-"""Registration of one frame from several hypotheses: the prediction, and others that the picture may bear out."""
+"""Registration of one frame from several hypotheses: the prediction, and proposals that the picture may bear out."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from torchhand.fit import PostureResiduals
-from torchhand.fit.contour import (
-    PictureContours,
-    Registration,
-    RegistrationSettings,
-    hand_length_px,
-    picture_contours,
-    register,
-)
-from torchhand.hand import PoseConstraints, PoseSpace
+from torchhand.fit import ConstraintPrior, PosturePrior, Problem, Schedule, Solutions, solve
+from torchhand.fit.contour import ContourObservation, PictureContours, picture_contours, pixels_per_metre
+from torchhand.hand import HandPose, PoseSpace
+from torchhand.track.extended.proposals import finger_proposals, posture_proposals, turned_proposals
 from torchhand.track.extended.settings import DistanceTrackerSettings
-from torchhand.track.extended.sudden import other_fingers, other_postures, turned_hands
 from torchhand.view import Contours, HandProjector
 
 _ROOT = 6
 _PROMISING = 6  # starts of a search that are followed up
+_CONTOUR = "contour"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,98 +28,97 @@ class FrameSearch:
     """About the pose of the track's start."""
     contours: Contours
     projector: HandProjector
-    constraints: PoseConstraints
-    prior: PostureResiduals
+    priors: tuple[ConstraintPrior | PosturePrior, ...]
     image: UInt8[Tensor, "height width 3"]
-    pose: Float[Tensor, "36"]
-    """Of the frame before."""
-    reference: Float[Tensor, "3 3"]
-    """cam_from_hand of the frame before."""
+    hand: HandPose
+    """() in the camera's frame; of the frame before."""
 
-    def best(
-        self,
-        picture: PictureContours,
-        poses: Float[Tensor, "starts 36"],
-        settings: RegistrationSettings,
-        references: Float[Tensor, "#starts 3 3"] | None = None,
-    ) -> Registration:
-        """The cheapest registration from some starts, about the last frame's reference where no others are given."""
-        found = self._all(picture, poses, settings, references)
+    def picture(self, mask: Bool[Tensor, "height width"], schedule: Schedule) -> PictureContours:
+        """The contours of a silhouette."""
+        return picture_contours(mask, schedule, self.settings.contour, image=self.image)
+
+    def best(self, picture: PictureContours, starts: HandPose, schedule: Schedule) -> Solutions:
+        """The cheapest registration from some starts (starts)."""
+        found = self._all(picture, starts, schedule)
         return found.select(found.best)
 
-    def badness(self, found: Registration) -> float:
-        """Distance of the contours from each other over the one that is bad; infinite where nothing was found."""
-        camera, shape = self.projector.camera, self.projector.shape
-        length_px = hand_length_px(camera, self.projector.kinematics, found.pose, shape)
-        share = float(found.contour_px) / length_px / self.settings.bad_share
-        return share if math.isfinite(share) else math.inf
+    def normalized_residual(self, found: Solutions) -> float:
+        """Distance of the contours from each other over the largest that is good; infinite where nothing was found."""
+        if not bool(found.cost.isfinite()):
+            return math.inf
+        apart_px = float(found.explained_by(_CONTOUR).distance)
+        scale = float(pixels_per_metre(self.projector.camera, found.pose))
+        return apart_px / scale / self.settings.max_contour_distance_m
 
-    def mended(
-        self, found: Registration, picture: PictureContours, foreground: Bool[Tensor, "height width"]
-    ) -> tuple[Registration, PictureContours]:
+    def reinitialized(
+        self, found: Solutions, picture: PictureContours, foreground: Bool[Tensor, "height width"]
+    ) -> tuple[Solutions, PictureContours]:
         """The better of a bad registration and of those from other places, directions, postures and fingers.
 
         foreground: where the picture has the hand's colours, wherever the hand was expected. The second result is the
         contours that the registration was made on.
         """
         s = self.settings
-        if self.badness(found) > s.sudden:
+        if self.normalized_residual(found) > s.relocation_ratio:
             other = self._elsewhere(foreground)
             if other is not None and float(other.cost) < float(found.cost):
-                found, picture = other, picture_contours(foreground, s.registration, image=self.image)
-        if self.badness(found) > 1:
+                found, picture = other, self.picture(foreground, s.schedule)
+        if self.normalized_residual(found) > 1:
             start = self.space.constant
-            poses = (other_postures(found.pose, start, s.postures), other_fingers(found.pose, start))
-            other = self.best(picture, torch.cat(poses), s.registration, found.root_reference[None])
-            found = other if float(other.cost) < float(found.cost) else found
+            proposals = (posture_proposals(found.pose, start, s.postures), finger_proposals(found.pose, start))
+            found = _cheaper(found, self.best(picture, HandPose.cat(proposals), s.schedule))
         return found, picture
 
-    def reconsidered(self, found: Registration, picture: PictureContours, turn: int) -> Registration:
+    def with_other_fingers(self, found: Solutions, picture: PictureContours, turn: int) -> Solutions:
         """A registration, or a cheaper one with another finger elsewhere: the outline may bear out both.
 
         The fingers take turns. A promising one has further to go than a prediction and is registered twice.
         """
-        s, starts = self.settings, other_fingers(found.pose, self.space.constant)
-        due = [(turn * s.reconsidered + i) % len(starts) for i in range(min(s.reconsidered, len(starts)))]
-        if not due:
+        s, starts = self.settings, finger_proposals(found.pose, self.space.constant)
+        count = min(s.finger_proposals, len(starts))
+        if not count:
             return found
-        other = self.best(picture, starts[due], s.registration, found.root_reference[None])
-        if float(other.cost) < s.promising * float(found.cost):
-            other = self.best(picture, other.pose[None], s.registration, other.root_reference[None])
-        return other if float(other.cost) < float(found.cost) else found
+        due = torch.tensor([(turn * s.finger_proposals + i) % len(starts) for i in range(count)])
+        other = self.best(picture, starts[due], s.schedule)
+        if float(other.cost) < s.max_cost_ratio * float(found.cost):
+            other = self.best(picture, other.pose.reshape(1), s.schedule)
+        return _cheaper(found, other)
 
-    def _elsewhere(self, foreground: Tensor) -> Registration | None:
+    def _elsewhere(self, foreground: Bool[Tensor, "height width"]) -> Solutions | None:
         """The best of many places and directions, with the fingers as they were and as at the start.
 
         All of them on the coarsest map, the most promising ones on the finer maps as well.
         """
-        search = self.settings.search
-        model = self.projector.silhouette(self.pose, self.reference)
-        starts = turned_hands(self.pose, self.reference, model, foreground, self.projector.camera)
-        if starts is None:
+        schedule = self.settings.search_schedule
+        model = self.projector.silhouette(self.hand.dofs, self.hand.reference)
+        turned = turned_proposals(self.hand, model, foreground, self.projector.camera)
+        if turned is None:
             return None
-        coarse = replace(search, levels=search.levels[:1])
-        at_start = torch.cat((starts.pose[:, :_ROOT], self.space.constant[_ROOT:].expand(len(starts.pose), -1)), -1)
-        poses, references = torch.cat((starts.pose, at_start)), starts.root_reference.repeat(2, 1, 1)
-        rough = self._all(picture_contours(foreground, coarse), poses, coarse, references)
-        best = rough.cost.argsort()[:_PROMISING]
-        picture = picture_contours(foreground, search, image=self.image)
-        return self.best(picture, rough.pose[best], search, rough.root_reference[best])
+        angles = self.space.constant[_ROOT:].expand(len(turned), -1)
+        at_start = HandPose.of(torch.cat((turned.dofs[:, :_ROOT], angles), -1), turned.reference)
+        coarse = picture_contours(foreground, schedule[:1], self.settings.contour)
+        rough = self._all(coarse, HandPose.cat((turned, at_start)), schedule[:1])
+        promising = rough.cost.argsort()[:_PROMISING]
+        return self.best(self.picture(foreground, schedule), rough.pose[promising], schedule)
 
-    def _all(
-        self,
-        picture: PictureContours,
-        poses: Tensor,
-        settings: RegistrationSettings,
-        references: Tensor | None,
-    ) -> Registration:
-        return register(
-            picture,
-            self.contours,
-            self.space,
-            poses,
-            self.reference[None] if references is None else references,
-            settings,
-            constraints=self.constraints,
-            prior=self.prior,
+    def _all(self, picture: PictureContours, starts: HandPose, schedule: Schedule) -> Solutions:
+        observation = ContourObservation(picture=picture, contours=self.contours, settings=self.settings.contour)
+        problem = Problem(
+            space=self.space,
+            skeleton=self.projector.kinematics.skeleton,
+            shape=self.contours.shape,
+            observations=(observation,),
+            priors=self.priors,
         )
+        return solve(problem, starts, schedule)
+
+
+def priors_of(
+    space: PoseSpace, constraints: ConstraintPrior, postures: PosturePrior
+) -> tuple[ConstraintPrior | PosturePrior, ...]:
+    """The priors of a pose space; none where it does not move the joints at all."""
+    return (constraints, postures) if bool(space.basis[_ROOT:].any()) else ()
+
+
+def _cheaper(one: Solutions, other: Solutions) -> Solutions:
+    return other if float(other.cost) < float(one.cost) else one

@@ -3,30 +3,24 @@
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from torchhand.fit.contour import LEVELS, RegistrationLevel, RegistrationSettings
+from torchhand.fit import Schedule, Stage
+from torchhand.fit.contour import SEARCH, ContourSettings
 from torchhand.hand import POSTURES
 from torchhand.numerics import AdaptiveNoiseSettings, IteratedSettings, MotionModel
 from torchhand.track import NoiseSettings, TrackerSettings, require, require_positive
 from torchhand.track.extended.segment_observation import SegmentSettings
 
-_FINEST = 0.04
-"""Robust distance of the finest level: with less, a finger that is not covered at all costs next to nothing."""
-_STD_SHARE = 0.25
-_FOLLOWING = RegistrationSettings(
-    levels=(
-        RegistrationLevel(pitch_px=2, robust_share=1.5 * _FINEST, rounds=1, iterations=3),
-        RegistrationLevel(pitch_px=1, robust_share=_FINEST, rounds=1, iterations=4),
-    ),
-    contour_std_share=_STD_SHARE,
+_FINEST_M = 0.0075  # gross distance of the finest stage: with less, a finger that is not covered costs next to nothing
+_SCHEDULE = (
+    Stage(gross_m=1.5 * _FINEST_M, rounds=1, iterations=3, pitch_px=2),
+    Stage(gross_m=_FINEST_M, rounds=1, iterations=4, pitch_px=1),
 )
-_STARTING = RegistrationSettings(
-    levels=(*LEVELS[:-1], replace(LEVELS[-1], robust_share=_FINEST)), contour_std_share=_STD_SHARE
-)
+_SEARCH = (*SEARCH[:-1], replace(SEARCH[-1], gross_m=_FINEST_M))
 
 
 @dataclass(frozen=True, kw_only=True)
 class DistanceTrackerSettings(TrackerSettings):
-    """Paper 000's tracker."""
+    """The tracker of Ouhaddi and Horain 1998."""
 
     method: Literal["distance"] = "distance"
     """The distance-map tracker."""
@@ -39,28 +33,28 @@ class DistanceTrackerSettings(TrackerSettings):
     """Whether it is learned at all."""
     surface: Literal["primitives", "mesh"] = "primitives"
     """Whose contours are registered: the quadrics', or the skin's, which takes several times as long."""
-    registration: RegistrationSettings = _FOLLOWING
-    """Of every picture."""
-    search: RegistrationSettings = _STARTING
-    """Of the picture of a start."""
+    contour: ContourSettings = field(default_factory=lambda: ContourSettings(contour_std_fraction=0.25))
+    """Weights and tolerances of the contours in a picture."""
+    schedule: Schedule = _SCHEDULE
+    """Registration of a frame from its prediction."""
+    search_schedule: Schedule = _SEARCH
+    """Registration of the first frame, and of a hand that is sought anew."""
     hypotheses: bool = True
     """Whether a bad registration is repeated from other places, directions, postures and fingers, and a good one from
     other fingers."""
-    reconsidered: int = 2
-    """Fingers, straight or bent, that are tried beside a good registration; they take turns. 0 to 10."""
-    promising: float = 1.5
-    """A finger so tried is followed up where its cost is at most so many times that of the registration; 1 or more."""
+    finger_proposals: int = 2
+    """Proposals with one finger straight or bent beside a good registration; the fingers take turns. 0 to 10."""
+    max_cost_ratio: float = 1.5
+    """Largest cost of such a proposal, over that of the registration, with which it is followed up; 1 or more."""
     postures: tuple[str, ...] = ("flat", "fist", "point")
     """Postures tried beside that of the start, and single fingers straight or bent, where registration is bad: names
     of torchhand.hand.POSTURES."""
-    bad_share: float = 0.008
-    """Mean distance of the picture's contour from the model's above which registration is bad, share of the hand's
-    length in the picture; above 0."""
-    sudden: float = 2.0
-    """Times that distance, beyond which the hand is sought elsewhere in the picture and in other directions; 1 or
-    more."""
-    near_share: float = 0.02
-    """Distance from the picture's contour within which a point of the model's lies on it, the same share; above 0."""
+    max_contour_distance_m: float = 0.0015
+    """Largest mean distance of the picture's contour from the model's with which a registration is good, metres at the
+    hand; above 0."""
+    relocation_ratio: float = 2.0
+    """Mean distance of the contours, over the largest good one, beyond which the hand is sought elsewhere in the
+    picture and in other directions; 1 or more."""
     filter: Literal["extended", "none"] = "extended"
     """The extended Kalman filter over the segments of the registered hand, or the registered hand as it is."""
     segments: SegmentSettings = field(default_factory=SegmentSettings)
@@ -71,21 +65,23 @@ class DistanceTrackerSettings(TrackerSettings):
     iterated: IteratedSettings = field(default_factory=lambda: IteratedSettings(iterations=4))
     gate: float = 40.0
     """Segments whose squared innovation exceeds this many times its variance are refused; above 0."""
-    sudden_share: float = 0.5
-    """The filter starts afresh at the registered hand where fewer of the visible segments than this pass the gate; 0
-    to 1."""
+    restart_fraction: float = 0.5
+    """Fraction of the visible segments that must pass the gate, or else the filter starts afresh at the registered
+    hand; 0 to 1."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require(self.method == "distance", "method", "distance", self.method)
         require(self.surface in ("primitives", "mesh"), "surface", "primitives or mesh", self.surface)
         require(self.filter in ("extended", "none"), "filter", "extended or none", self.filter)
-        require(0 <= self.reconsidered <= 10, "reconsidered", "0 to 10", self.reconsidered)
-        require(1 <= self.promising < float("inf"), "promising", "1 or more and finite", self.promising)
-        require(1 <= self.sudden < float("inf"), "sudden", "1 or more and finite", self.sudden)
-        for name in ("bad_share", "near_share", "gate"):
+        for name in ("schedule", "search_schedule"):
+            require(bool(getattr(self, name)), name, "at least one stage", getattr(self, name))
+        require(0 <= self.finger_proposals <= 10, "finger_proposals", "0 to 10", self.finger_proposals)
+        for name in ("max_cost_ratio", "relocation_ratio"):
+            require(1 <= getattr(self, name) < float("inf"), name, "1 or more and finite", getattr(self, name))
+        for name in ("max_contour_distance_m", "gate"):
             require_positive(name, getattr(self, name))
         require(0 <= self.pose_weight < float("inf"), "pose_weight", "0 or more and finite", self.pose_weight)
-        require(0 <= self.sudden_share <= 1, "sudden_share", "0 to 1", self.sudden_share)
+        require(0 <= self.restart_fraction <= 1, "restart_fraction", "0 to 1", self.restart_fraction)
         for name in self.postures:
             require(name in POSTURES, "postures", f"names among {', '.join(POSTURES)}", name)
