@@ -80,13 +80,14 @@ class Arguments:
     rotation_deg: Annotated[float | None, arg(metavar="DEG")] = None
     """The same of the hand's orientation, about any axis; 15 if not given."""
     iterations: Annotated[int | None, arg(metavar="N")] = None
-    """Most iterations of a start, over all levels from coarse to fine; 20 if not given."""
+    """Most iterations of a start, over all stages from coarse to fine; 20 if not given."""
     batch: Annotated[int | None, arg(metavar="N")] = None
     """Starts that are worked on together; 128 if not given."""
     surface: SurfaceName | None = None
     """Whose contours are registered (and drawn, of simulated pictures); primitives if not given."""
-    method: Literal["levenberg_marquardt", "descent"] | None = None
-    """Optimiser; levenberg_marquardt if not given. Descent takes ten times the iterations."""
+    method: Literal["levenberg_marquardt", "gauss_newton", "gradient_descent"] | None = None
+    """Optimiser of every stage; levenberg_marquardt if not given. Gauss-Newton takes one step per association whatever
+    --iterations says, gradient descent ten times the iterations."""
     space: Annotated[str | None, arg(metavar="NAME")] = None
     """Pose space: dof26 if not given, dof27, dof28, dof31, dof36 or planar_abduction."""
     prior: bool = True
@@ -96,7 +97,7 @@ class Arguments:
     success_deg: Annotated[float | None, arg(metavar="DEG")] = None
     """Largest mean error of the joint angles of a success; 5 if not given."""
     changes: Annotated[UseAppendAction[tuple[str, ...]], arg(name="set", metavar="KEY=VALUE")] = ()
-    """Change any other setting, such as registration.coverage_weight=0; may be repeated."""
+    """Change any other setting, such as contour.coverage_weight=0; may be repeated."""
     camera: Annotated[Path | None, arg(metavar="FILE")] = None
     """Calibrated camera (cameras.json with one entry) of a picture; without it a field of view is assumed."""
     hand: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -173,8 +174,8 @@ def _work(arguments: Arguments, settings: HypothesisStudySettings) -> Work:
     for case in cases.cases:
         study = CaseStudy(case, model, settings, prior, arguments.device)
         is_empty = study.picture.is_empty
-        if not cases.is_settled and not is_empty:
-            case = study.settled(REFERENCE_STARTS, arguments.seed)
+        if not cases.is_final and not is_empty:
+            case = study.refined(REFERENCE_STARTS, arguments.seed)
             study = CaseStudy(case, model, settings, prior, arguments.device)
         references.append(study.case)
         overlaps.append(float("nan") if is_empty else study.overlap)
@@ -206,20 +207,21 @@ def _settings(arguments: Arguments) -> HypothesisStudySettings:
     named = {
         **{name: name for name in ("starts", "batch", "surface", "space", "success_deg")},
         **{name: f"perturbation.{name}" for name in ("levels", "angle_deg", "translation_mm", "rotation_deg")},
-        "method": "registration.method",
     }
     given = {key: value for name, key in named.items() if (value := getattr(arguments, name)) is not None}
     given |= {f"has_{name}": False for name in ("prior", "expectation") if not getattr(arguments, name)}
-    changes = changes_of(arguments.changes, "registration.coverage_weight=0")
+    changes = changes_of(arguments.changes, "contour.coverage_weight=0")
     settings = load_settings(HypothesisStudySettings(), arguments.config, changes)
     settings = load_settings(settings, None, given)
-    levels = settings.registration.levels
+    schedule = settings.schedule
     if arguments.iterations is not None:
         try:
-            levels = with_iterations(levels, arguments.iterations)
+            schedule = with_iterations(schedule, arguments.iterations)
         except ValueError as error:
             raise InputError(f"--{error}") from error
-    return replace(settings, registration=replace(settings.engine, levels=levels))
+    if arguments.method is not None:
+        schedule = tuple(replace(stage, method=arguments.method) for stage in schedule)
+    return replace(settings, schedule=schedule)
 
 
 def _given(arguments: Arguments) -> Given:

@@ -1,6 +1,6 @@
 """Hand and camera in, what the camera should see out: outlines, visibility, ray-cast pictures."""
 
-from torchhand.view.contours import ContourLook, ContourMotion, Contours, MeshContours, PrimitiveContours
+from torchhand.view.contours import ContourMotion, Contours, MeshContours, PrimitiveContours, VisibleContour
 from torchhand.view.outlines import (
     Contour,
     HandProjector,
@@ -16,7 +16,6 @@ from torchhand.view.raster import Raycast, Surface, cast, mesh_silhouette, raste
 
 __all__ = [
     "Contour",
-    "ContourLook",
     "ContourMotion",
     "Contours",
     "HandProjector",
@@ -26,6 +25,7 @@ __all__ = [
     "PrimitiveContours",
     "Raycast",
     "Surface",
+    "VisibleContour",
     "cast",
     "inside_any",
     "mesh_silhouette",

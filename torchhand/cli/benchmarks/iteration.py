@@ -10,13 +10,14 @@ from torch.func import jacfwd, vmap
 
 from torchhand.cli.benchmarks.figures import Figure, against_peer, peer_module
 from torchhand.cli.benchmarks.registration import SPACE, Case
-from torchhand.fit.contour import RegistrationSettings, picture_contours
-from torchhand.hand import HandFrames
+from torchhand.fit import Stage
+from torchhand.fit.contour import picture_contours
+from torchhand.hand import HandFrames, HandPose
 from torchhand.hand.kinematics import place_chain_plainly
 from torchhand.image import channel_of
 from torchhand.numerics import LevenbergMarquardtSettings, NormalEquations, levenberg_marquardt
 from torchhand.view import outline_table
-from torchhand.view.contours import Springs
+from torchhand.view.contours import PointToLineTerms
 from torchhand.view.outlines import outline_points
 
 HYPOTHESES, PEER_HYPOTHESES = 64, 2
@@ -34,10 +35,9 @@ class Iteration:
         self.case = Case.of(count, deg=8.0, mm=6.0)
         self.case = replace(self.case, references=self.case.reference.expand(count, 3, 3).contiguous())
         self.contours, self.start = self.case.contours(TABLE), SPACE.free(self.case.pose)
-        settings = RegistrationSettings(valley_weight=0.0)
-        self.field = picture_contours(self.case.mask, settings).fields[-1]
-        self.look = self.contours.look(self.case.pose, self.case.references, beyond_px=3.0)
-        self.channel = channel_of(self.look.normals, self.field.channels)
+        self.field = picture_contours(self.case.mask, (Stage(gross_m=0.00374),)).field(1)
+        self.visible = self.contours.visible(self.case.starts, probe_distance_px=3.0)
+        self.channel = channel_of(self.visible.normals, self.field.channels)
         self.settings = LevenbergMarquardtSettings(iterations=1, damping=1e-2, cost_tolerance=0.0, step_tolerance=0.0)
 
     def residual(self, free: Tensor, channel: Tensor) -> Tensor:
@@ -57,12 +57,12 @@ class Iteration:
         return self.field.sample(pixels, channel)[0]
 
     def in_closed_form(self, free: Tensor) -> NormalEquations:
-        """As the registration engine computes it."""
-        motion = self.contours.motion(SPACE.dof(free), self.case.references, self.look)
+        """As registration computes it."""
+        motion = self.contours.motion(HandPose.of(SPACE.dof(free), self.case.references), self.visible)
         distance, slope = self.field.sample_columns(motion.columns_px, self.channel)
-        pull = distance[:, None]
+        residual = distance[:, None]
         matrix, gradient = motion.equations(
-            Springs(direction=slope[:, None], stiffness=torch.ones_like(pull), pull=pull)
+            PointToLineTerms(direction=slope[:, None], curvature=torch.ones_like(residual), gradient=residual)
         )
         return NormalEquations(
             matrix=SPACE.basis.T @ matrix @ SPACE.basis,

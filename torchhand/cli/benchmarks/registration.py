@@ -13,18 +13,27 @@ from torch import Tensor
 from torchhand.cli.benchmarks.figures import Figure
 from torchhand.evaluate import time_interleaved
 from torchhand.files import load_hand_model
-from torchhand.fit import Expectation, PostureResiduals, free_bounds
+from torchhand.fit import (
+    ConstraintPrior,
+    GaussianPrior,
+    PosturePrior,
+    PostureResiduals,
+    Problem,
+    Schedule,
+    Solutions,
+    free_bounds,
+    solve,
+)
 from torchhand.fit.contour import (
-    LEVELS,
-    TRACKING_LEVELS,
+    SEARCH,
+    TRACKING,
+    ContourObservation,
+    ContourSettings,
     PictureContours,
-    Registration,
-    RegistrationSettings,
     picture_contours,
-    register,
 )
 from torchhand.geometry import assumed_camera, rotation_from_vector
-from torchhand.hand import PoseConstraints, named_pose_space
+from torchhand.hand import HandPose, PoseConstraints, named_pose_space
 from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
 from torchhand.view import HandProjector, OutlineTable, PrimitiveContours, outline_table
 
@@ -81,30 +90,42 @@ class Case:
         )
 
     def contours(self, table: OutlineTable) -> PrimitiveContours:
-        return PrimitiveContours(self.projector, table, SPACE.basis)
+        return PrimitiveContours(self.projector, table)
 
-    def errors_mm(self, pose: Tensor, reference: Tensor) -> Tensor:
+    @property
+    def starts(self) -> HandPose:
+        return HandPose.of(self.pose, self.references)
+
+    def errors_mm(self, pose: HandPose) -> Tensor:
         """Mean over the keypoints."""
         kinematics, truth = self.projector.kinematics, self.projector.frames(self.truth, self.reference).keypoints
-        return 1e3 * (kinematics(pose, root_reference=reference).keypoints - truth).norm(dim=-1).mean(-1)
+        found = kinematics(pose.dofs, root_reference=pose.reference).keypoints
+        return 1e3 * (found - truth).norm(dim=-1).mean(-1)
 
 
-def _registration(case: Case, settings: RegistrationSettings) -> Callable[[PictureContours], Registration]:
+def _registration(case: Case, schedule: Schedule) -> Callable[[PictureContours], Solutions]:
     """With all that a tracker's registration has: constraints, prior and what is expected."""
-    contours, model = case.contours(TABLE), load_hand_model()
+    contours, model, starts = case.contours(TABLE), load_hand_model(), case.starts
     std = torch.full((SPACE.size,), math.radians(9.0), dtype=torch.float64)
     std[:3], std[3:6] = 0.03, 0.3
-    return partial(
-        register,
-        contours=contours,
-        space=SPACE,
-        pose=case.pose,
-        root_reference=case.references,
-        settings=settings,
-        constraints=PoseConstraints(model.skeleton),
-        prior=PostureResiduals.of(model.prior().postures),
-        expected=Expectation.from_std(SPACE.free(case.pose), case.references, std),
+    priors = (
+        ConstraintPrior(constraints=PoseConstraints(model.skeleton), has_ties=False),
+        PosturePrior(postures=PostureResiduals.of(model.prior().postures)),
+        GaussianPrior.of_std(starts, std, SPACE),
     )
+
+    def fit(picture: PictureContours) -> Solutions:
+        observation = ContourObservation(picture=picture, contours=contours, settings=ContourSettings())
+        problem = Problem(
+            space=SPACE,
+            skeleton=model.skeleton,
+            shape=contours.shape,
+            observations=(observation,),
+            priors=priors,
+        )
+        return solve(problem, starts, schedule, at_once=MANY)
+
+    return fit
 
 
 @contextmanager
@@ -120,17 +141,15 @@ def _picture_threads() -> Iterator[None]:
 
 def one_registration(name: str, repeats: int | None) -> Figure:
     """One hypothesis from a prediction a few degrees off; the picture's maps and valleys are measured by themselves."""
-    case, settings = Case.of(1, deg=4.0, mm=3.0), RegistrationSettings(levels=TRACKING_LEVELS)
-    fit, repeats = _registration(case, settings), repeats or ROUNDS
+    case = Case.of(1, deg=4.0, mm=3.0)
+    fit, repeats = _registration(case, TRACKING), repeats or ROUNDS
+    look = partial(picture_contours, case.mask, TRACKING, image=case.image)
     with _picture_threads():
-        contours = picture_contours(case.mask, settings, image=case.image)
-        look = partial(picture_contours, case.mask, settings, image=case.image)
+        contours = look()
         calls = {"fit": lambda: fit(contours), "picture": look, "together": lambda: fit(look())}
         times = time_interleaved(calls, repeats, warm_up=3)
     found = fit(contours)
-    errors = [
-        float(case.errors_mm(*pair)) for pair in ((case.pose, case.references), (found.pose, found.root_reference))
-    ]
+    errors = [float(case.errors_mm(hands)) for hands in (case.starts, found.pose)]
     details = {f"{part}_ms": timing.median for part, timing in times.items()} | {
         "fit_fastest_ms": times["fit"].fastest,
         "residuals": TABLE.size + len(contours.boundary.points_px),
@@ -155,19 +174,18 @@ def one_registration(name: str, repeats: int | None) -> Figure:
 
 def many_hypotheses(name: str, repeats: int | None) -> Figure:
     """Milliseconds per start of a batch, from coarse to fine, at most twenty iterations each."""
-    settings = RegistrationSettings(levels=LEVELS, hypotheses_at_once=MANY)
     case = Case.of(MANY, deg=15.0, mm=10.0)
-    fit, repeats = _registration(case, settings), repeats or MANY_ROUNDS
-    contours = picture_contours(case.mask, settings, image=case.image)
+    fit, repeats = _registration(case, SEARCH), repeats or MANY_ROUNDS
+    contours = picture_contours(case.mask, SEARCH, image=case.image)
     [timing] = time_interleaved({"ours": lambda: fit(contours)}, repeats, warm_up=1).values()
     found = fit(contours)
     each = timing.median / MANY
     details = {
         "hypotheses": MANY,
-        "most_iterations": sum(level.rounds * level.iterations for level in LEVELS),
+        "most_iterations": sum(stage.rounds * stage.iterations for stage in SEARCH),
         "mean_iterations": float(found.iterations.double().mean()),
         "minutes_per_10000": each * 10_000 / 60_000,
-        "median_contour_px": float(found.contour_px.median()),
+        "median_contour_px": float(found.explained_by("contour").distance.median()),
     }
     return Figure(
         name=name,

@@ -1,24 +1,21 @@
-"""Hands fitted to the contours of a picture: registration of many hypotheses at once."""
+"""The contours of a picture as an observation (Ouhaddi and Horain 1998, section 7): distance maps and valleys."""
 
-from torchhand.fit.contour.judged import covariance_of
-from torchhand.fit.contour.picture_contours import PictureContours, picture_contours
-from torchhand.fit.contour.points import hand_length_px, is_in_picture, is_outer
-from torchhand.fit.contour.registration import register
-from torchhand.fit.contour.result import Registration, RegistrationStatus
-from torchhand.fit.contour.settings import LEVELS, TRACKING_LEVELS, RegistrationLevel, RegistrationSettings
+from torchhand.fit.contour.observation import CONTOUR, ContourFactor, ContourObservation
+from torchhand.fit.contour.picture import PictureContours, picture_contours
+from torchhand.fit.contour.points import hand_length_px, is_in_picture, is_outer, pixels_per_metre
+from torchhand.fit.contour.settings import SEARCH, TRACKING, ContourSettings
 
 __all__ = [
-    "LEVELS",
-    "TRACKING_LEVELS",
+    "CONTOUR",
+    "SEARCH",
+    "TRACKING",
+    "ContourFactor",
+    "ContourObservation",
+    "ContourSettings",
     "PictureContours",
-    "Registration",
-    "RegistrationLevel",
-    "RegistrationSettings",
-    "RegistrationStatus",
-    "covariance_of",
     "hand_length_px",
     "is_in_picture",
     "is_outer",
     "picture_contours",
-    "register",
+    "pixels_per_metre",
 ]

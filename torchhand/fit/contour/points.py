@@ -1,12 +1,21 @@
-"""What the tracker and the fit of a start need to know about the points of a contour in a picture."""
+"""Sizes of hands in a picture, and what becomes of the points of their contours there."""
 
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics
+from torchhand.hand import HandKinematics, HandPose
 
+_MIN_DEPTH = 1e-3  # metres before the camera
 _BEYOND = 0.02  # how far beyond the contour the silhouette is looked at, share of the hand's length in the picture
+
+
+def pixels_per_metre(camera: Camera, pose: HandPose) -> Float[Tensor, "*batch"]:
+    """Pixels of a metre held parallel to the picture at the wrist of each hand; the pose is in the world."""
+    focal = 0.5 * (camera.intrinsics[0, 0] + camera.intrinsics[1, 1]).to(pose.dofs)
+    if camera.kind == "orthographic":
+        return focal.expand(pose.batch_shape)
+    return focal / camera.cam_from_world(pose.dofs[..., :3])[..., 2].clamp_min(_MIN_DEPTH)
 
 
 def hand_length_px(

@@ -14,8 +14,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchhand.fit import Beliefs, DynamicConstraints, Expectation, PostureResiduals, free_bounds
-from torchhand.fit.contour import covariance_of
+from torchhand.fit import Beliefs, DynamicConstraints, Expectation, PostureResiduals, covariance_of, free_bounds
 from torchhand.fit.hull.cost import HeldHull, HullCost
 from torchhand.fit.hull.covered import match_hull
 from torchhand.fit.hull.look import EndedFits, HullLook, SeenHull

@@ -13,17 +13,27 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from torchhand.evaluate import MIDDLE_MCP, WRIST, PoseErrors, cut_at_wrist, intersection_over_union, pose_errors
-from torchhand.fit import Expectation, PostureResiduals, free_bounds
-from torchhand.fit.contour import Registration, RegistrationStatus, picture_contours, register
-from torchhand.geometry import Camera, vector_from_rotation
-from torchhand.hand import HandModel, PoseConstraints, Side, named_pose_space, rebased
+from torchhand.fit import (
+    ConstraintPrior,
+    GaussianPrior,
+    PosturePrior,
+    PostureResiduals,
+    Problem,
+    Solutions,
+    SolveStatus,
+    free_bounds,
+    solve,
+)
+from torchhand.fit.contour import ContourObservation, picture_contours
+from torchhand.geometry import Camera
+from torchhand.hand import HandModel, HandPose, PoseConstraints, Side, named_pose_space
 from torchhand.study import draw_perturbations, seed_of, spread_of_starts
 from torchhand.study.hypotheses.record import Hypotheses
 from torchhand.study.hypotheses.settings import HypothesisStudySettings
 from torchhand.view import Contours, HandProjector, MeshContours, PrimitiveContours, outline_table
 
 _ROOT = 6
-_SETTLED_SIZE = 0.3  # of the largest perturbation: starts among which a reference is looked for
+_REFINEMENT_SIZE = 0.3  # of the largest perturbation: starts among which a reference is looked for
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,10 +48,8 @@ class StudyCase:
     camera: Camera
     side: Side
     shape: Float[Tensor, "shape"]
-    pose: Float[Tensor, "36"]
-    """The reference, metres and radians; float64."""
-    root_reference: Float[Tensor, "3 3"]
-    """world_from_hand where the rotation vector is zero."""
+    pose: HandPose
+    """() float64; what starts are perturbed from and errors are against."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,8 +89,8 @@ class CaseStudy:
     ) -> None:
         """prior: of the model's postures, for settings that have one; made here if not given, which takes a while."""
         self.settings, self.device = settings, torch.device(device)
-        pose, reference = rebased(case.pose.double(), case.root_reference.double())
-        self.case = replace(case, pose=pose.to(device), root_reference=reference.to(device))
+        exact = torch.zeros((), dtype=torch.float64, device=device)
+        self.case = replace(case, pose=case.pose.to(exact).normalized())
         self.model = replace(
             model,
             skeleton=model.skeleton.to(device=device),
@@ -91,10 +99,12 @@ class CaseStudy:
         self.kinematics = self.model.kinematics(case.side, dtype=torch.float64).to(device)
         self.camera = case.camera.to(dtype=torch.float64, device=device)
         self.shape = case.shape.to(self.kinematics.default_shape)
-        self.space = named_pose_space(settings.space).to(device=device).about(self.case.pose)
-        self.picture = picture_contours(case.mask.to(device), settings.engine, image=case.image.to(device))
+        self.space = named_pose_space(settings.space).to(device=device).about(self.case.pose.dofs)
+        self.picture = picture_contours(
+            case.mask.to(device), settings.schedule, settings.contour, image=case.image.to(device)
+        )
         self._constraints = PoseConstraints(self.model.skeleton)
-        self._prior = (prior or PostureResiduals.of(model.prior().postures)) if settings.has_prior else None
+        self._postures = (prior or PostureResiduals.of(model.prior().postures)) if settings.has_prior else None
         self._std = spread_of_starts(self.space, settings.perturbation).to(device)
 
     @cached_property
@@ -103,34 +113,32 @@ class CaseStudy:
         s = self.settings
         if s.surface == "mesh":
             hand = self.model.hand(side=self.case.side, dtype=torch.float64).to(self.device)
-            return MeshContours(hand, self.camera, self.space.basis, self.shape, points=s.mesh_points)
+            return MeshContours(hand, self.camera, self.shape, max_points=s.mesh_points)
         table = outline_table(s.points_per_generator, s.points_per_arc, without=("palm_wrist",))
         table = replace(table, **{f.name: getattr(table, f.name).to(self.device) for f in fields(table)})
-        return PrimitiveContours(HandProjector(self.kinematics, self.camera, self.shape), table, self.space.basis)
+        return PrimitiveContours(HandProjector(self.kinematics, self.camera, self.shape), table)
 
     @property
     def overlap(self) -> float:
         """Intersection over union of the reference hand's silhouette and the mask, forearm cut at the wrist."""
         case, projector = self.case, HandProjector(self.kinematics, self.camera, self.shape)
-        points = self.camera.project(projector.frames(case.pose, case.root_reference).keypoints).cpu().numpy()
-        drawn = projector.silhouette(case.pose, case.root_reference)
+        hand = case.pose
+        points = self.camera.project(projector.frames(hand.dofs, hand.reference).keypoints).cpu().numpy()
+        drawn = projector.silhouette(hand.dofs, hand.reference)
         masks = (cut_at_wrist(m.cpu().numpy(), points[WRIST], points[MIDDLE_MCP]) for m in (case.mask, drawn))
         return float(intersection_over_union(*masks))
 
-    def settled(self, starts: int, seed: int) -> StudyCase:
+    def refined(self, starts: int, seed: int) -> StudyCase:
         """The case with the cheapest of some registrations about its reference in place of it.
 
         For pictures without truth: what was fitted in another way is put to where this registration wants it.
         """
         generator = torch.Generator().manual_seed(seed_of(seed, "reference", self.case.frame))
-        size = _SETTLED_SIZE * (torch.arange(starts) > 0).double()
-        pose = self._poses(draw_perturbations(self.space, size, self.settings.perturbation, generator))
-        expected = Expectation.from_std(self.space.free(self.case.pose), self.case.root_reference, self._std)
-        found = self._registered(pose, expected)
+        size = _REFINEMENT_SIZE * (torch.arange(starts) > 0).double()
+        change = draw_perturbations(self.space, size, self.settings.perturbation, generator).to(self.device)
+        found = self._registered(self._hands(change), self.case.pose)
         best = found.select(found.best)
-        if not bool(best.cost.isfinite()):
-            return self.case
-        return replace(self.case, pose=best.pose, root_reference=best.root_reference)
+        return replace(self.case, pose=best.pose) if bool(best.cost.isfinite()) else self.case
 
     def run(self, batch: StudyBatch, seed: int) -> Hypotheses:
         """Register one batch; the same for the same seed, whatever was done before."""
@@ -139,18 +147,18 @@ class CaseStudy:
         level = (batch.first + torch.arange(batch.count)) % s.perturbation.levels + 1
         size = level.double() / s.perturbation.levels
         change = draw_perturbations(self.space, size, s.perturbation, generator)
-        lower, upper = free_bounds(self.space, self.kinematics.skeleton)
-        change = change.to(self.device).clamp(lower, upper)
-        pose = self._poses(change)
-        expected = None
-        if s.has_expectation:
-            reference = self.case.root_reference.expand(len(pose), 3, 3)
-            expected = Expectation.from_std(change, reference, self._std)
-        found = self._registered(pose, expected)
-        begun = self._errors(pose, self.case.root_reference.expand(len(pose), 3, 3))
-        ended = self._errors(found.pose, found.root_reference)
-        failed = found.status > RegistrationStatus.STALLED.value
-        whole = torch.cat((found.pose[:, :3], vector_from_rotation(found.root_reference), found.pose[:, _ROOT:]), -1)
+        change = change.to(self.device).clamp(*free_bounds(self.space, self.kinematics.skeleton))
+        starts = self._hands(change)
+        found = self._registered(starts, starts if s.has_expectation else None)
+        return self._told(batch, own_seed, level, change, found)
+
+    def _told(
+        self, batch: StudyBatch, seed: int, level: Tensor, change: Float[Tensor, "starts free"], found: Solutions
+    ) -> Hypotheses:
+        """A row of the record for every start."""
+        begun, ended = self._errors(self._hands(change)), self._errors(found.pose)
+        failed = found.status > SolveStatus.STALLED.value
+        contour_px = found.explained_by("contour").distance if found.explained else found.cost
 
         def known(values: Tensor) -> np.ndarray:
             shaped = failed.reshape(-1, *(1,) * (values.ndim - 1))
@@ -159,7 +167,7 @@ class CaseStudy:
         return Hypotheses(
             frame=np.full(batch.count, self.case.frame),
             batch=np.full(batch.count, batch.index),
-            seed=np.full(batch.count, own_seed),
+            seed=np.full(batch.count, seed),
             level=level.numpy(),
             perturbation=change.cpu().numpy(),
             start_angle_deg=begun.angle_deg.cpu().numpy(),
@@ -168,29 +176,37 @@ class CaseStudy:
             angle_deg=known(ended.angle_deg),
             keypoint_mm=known(ended.keypoint_mm),
             rotation_deg=known(ended.rotation_deg),
-            contour_px=known(found.contour_px),
+            contour_px=known(contour_px),
             cost=torch.where(failed, torch.inf, found.cost).cpu().numpy(),
             status=found.status.cpu().numpy(),
             iterations=found.iterations.cpu().numpy(),
-            pose=known(whole),
+            pose=known(found.pose.vector),
         )
 
-    def _poses(self, change: Tensor) -> Float[Tensor, "starts 36"]:
-        return self.space.dof(change.to(self.device))
+    def _hands(self, change: Float[Tensor, "starts free"]) -> HandPose:
+        return HandPose.of(self.space.dof(change), self.case.pose.reference)
 
-    def _errors(self, pose: Tensor, reference: Tensor) -> PoseErrors:
-        case, joints = self.case, self.space.basis[_ROOT:].any(-1)
-        return pose_errors(self.kinematics, self.shape, pose, reference, case.pose, case.root_reference, joints)
-
-    def _registered(self, pose: Float[Tensor, "starts 36"], expected: Expectation | None) -> Registration:
-        return register(
-            self.picture,
-            self.contours,
-            self.space,
-            pose,
-            self.case.root_reference,
-            self.settings.engine,
-            constraints=self._constraints,
-            prior=self._prior,
-            expected=expected,
+    def _errors(self, hands: HandPose) -> PoseErrors:
+        truth, joints = self.case.pose, self.space.basis[_ROOT:].any(-1)
+        return pose_errors(
+            self.kinematics, self.shape, hands.dofs, hands.reference, truth.dofs, truth.reference, joints
         )
+
+    def _registered(self, starts: HandPose, expected: HandPose | None) -> Solutions:
+        """expected: one hand for all starts, or one for each."""
+        priors: list[ConstraintPrior | PosturePrior | GaussianPrior] = [
+            ConstraintPrior(constraints=self._constraints, has_ties=self._postures is None)
+        ]
+        if self._postures is not None:
+            priors.append(PosturePrior(postures=self._postures))
+        if expected is not None:
+            priors.append(GaussianPrior.of_std(expected, self._std, self.space))
+        observation = ContourObservation(picture=self.picture, contours=self.contours, settings=self.settings.contour)
+        problem = Problem(
+            space=self.space,
+            skeleton=self.model.skeleton,
+            shape=self.shape,
+            observations=(observation,),
+            priors=tuple(priors),
+        )
+        return solve(problem, starts, self.settings.schedule, at_once=self.settings.batch)

@@ -15,7 +15,7 @@ from torchhand.evaluate import load_mask, numbered_pictures
 from torchhand.files import FittedHand, camera_for, load_hand_model, open_source, read_picture
 from torchhand.fit.open_hand import fit_open_hand
 from torchhand.geometry import Camera
-from torchhand.hand import Side
+from torchhand.hand import HandPose, Side
 from torchhand.image import NoRegions, bootstrap_skin, find_open_hand
 from torchhand.simulate import hand_length
 from torchhand.study.hypotheses.case_study import StudyCase
@@ -25,7 +25,7 @@ from torchhand.study.hypotheses.simulated import simulated_case
 
 FRAMES_NAME, MASKS_NAME, TRUTH_NAME, CAMERAS_NAME = "frames", "masks", "truth.npz", "cameras.json"
 
-_LEAST_OVERLAP = 0.7  # below, an open hand's fit does not explain the silhouette
+_MIN_OVERLAP = 0.7  # below, an open hand's fit does not explain the silhouette
 
 Say = Callable[[str], None]
 
@@ -53,8 +53,8 @@ class Cases:
     cases: list[StudyCase]
     reference: str
     """How the reference poses are known, for the user."""
-    is_settled: bool = True
-    """Whether they are final; else the best registration about each is to take its place."""
+    is_final: bool = True
+    """Whether the reference poses are final; else the best registration about each is to take its place."""
 
 
 def cases_of(given: Given, settings: HypothesisStudySettings, seed: int) -> Cases:
@@ -133,8 +133,7 @@ def _known_case(known: KnownPoses, number: int, image: Tensor, mask: Tensor, cam
         camera=camera,
         side=known.side,
         shape=known.shape,
-        pose=known.pose[number],
-        root_reference=known.root_reference,
+        pose=HandPose.of(known.pose[number], known.root_reference),
     )
 
 
@@ -172,7 +171,7 @@ def _found(given: Given, source: Path) -> Cases:
         _found_case(source, number, image, replace(camera, **place), given)
         for number, image in zip(numbers, pictures, strict=True)
     ]
-    return Cases(cases=cases, reference="the best registration about the fit of an open hand", is_settled=False)
+    return Cases(cases=cases, reference="the best registration about the fit of an open hand", is_final=False)
 
 
 def _found_case(source: Path, number: int, image: Tensor, camera: Camera, given: Given) -> StudyCase:
@@ -190,9 +189,9 @@ def _found_case(source: Path, number: int, image: Tensor, camera: Camera, given:
     hand = fit_open_hand(mask, kinematics, camera)
     if isinstance(hand, NoRegions):
         raise InputError(f"{where}: {hand.reason}")
-    if hand.overlap < _LEAST_OVERLAP:
+    if hand.overlap < _MIN_OVERLAP:
         raise InputError(
-            f"{where}: no hand fits the silhouette (overlap {hand.overlap:.2f}, expected {_LEAST_OVERLAP:g} or more)"
+            f"{where}: no hand fits the silhouette (overlap {hand.overlap:.2f}, expected {_MIN_OVERLAP:g} or more)"
         )
     shape, pose = hand.fit.shape, hand.fit.pose
     given_shape = _shape_of(given.hand)
@@ -206,8 +205,7 @@ def _found_case(source: Path, number: int, image: Tensor, camera: Camera, given:
         camera=camera,
         side=side,
         shape=shape,
-        pose=pose,
-        root_reference=hand.fit.root_reference,
+        pose=HandPose.of(pose, hand.fit.root_reference),
     )
 
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from torchhand.fit.contour import RegistrationStatus
+from torchhand.fit import SolveStatus
 
-STATUS_NAMES = tuple(status.name.lower() for status in RegistrationStatus)
+STATUS_NAMES = tuple(status.name.lower() for status in SolveStatus)
 """By the numbers in `Hypotheses.status`."""
 
 
@@ -46,8 +46,8 @@ class Hypotheses:
 
     @property
     def is_registered(self) -> Bool[np.ndarray, "starts"]:
-        """Neither failed nor without a contour to register on."""
-        return self.status <= RegistrationStatus.STALLED.value
+        """Neither failed nor without data to register on."""
+        return self.status <= SolveStatus.STALLED.value
 
     def is_success(self, success_deg: float) -> Bool[np.ndarray, "starts"]:
         """Whether the mean joint error is small enough; NaN is not."""

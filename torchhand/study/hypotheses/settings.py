@@ -3,7 +3,9 @@
 from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
-from torchhand.fit.contour import RegistrationLevel, RegistrationSettings
+from torchhand.errors import require, require_positive
+from torchhand.fit import Schedule
+from torchhand.fit.contour import SEARCH, ContourSettings
 from torchhand.hand import POSE_SPACES
 from torchhand.study import PerturbationSettings
 
@@ -11,7 +13,7 @@ SurfaceName = Literal["primitives", "mesh"]
 STUDY_SPACES = tuple(name for name, (free, _) in POSE_SPACES.items() if any(not dof.startswith("root") for dof in free))
 """Pose spaces with joint angles to recover."""
 
-_MOST_STARTS, _MOST_AT_ONCE = 10_000_000, 4096
+_MAX_STARTS, _MAX_AT_ONCE = 10_000_000, 4096
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,9 +30,9 @@ class HypothesisStudySettings:
     surface: SurfaceName = "primitives"
     """Whose contours are registered: those of the quadrics, or those of the skinned mesh."""
     points_per_generator: int = 12
-    """Of the primitives' contours; 2 or more."""
+    """Outline points on each side of a cone; 2 or more."""
     points_per_arc: int = 8
-    """The same; 4 or more."""
+    """Outline points on each ellipsoid; 4 or more."""
     mesh_points: int = 500
     """Most points of the mesh's contours; 50 or more."""
     has_prior: bool = True
@@ -42,50 +44,45 @@ class HypothesisStudySettings:
     """Largest mean error of the joint angles of a success; above 0."""
     best_of: tuple[int, ...] = (1, 2, 4, 8, 16)
     """Numbers of starts of which the cheapest is judged; increasing, 1 or more."""
-    registration: RegistrationSettings = field(default_factory=RegistrationSettings)
-    """Its hypotheses_at_once is that of `batch`."""
+    schedule: Schedule = SEARCH
+    """Registration from coarse to fine; at least one stage."""
+    contour: ContourSettings = field(default_factory=ContourSettings)
+    """Weights and tolerances of the contours in a picture."""
 
     def __post_init__(self) -> None:
-        for name, least, most in (("starts", 1, _MOST_STARTS), ("batch", 1, _MOST_AT_ONCE)):
-            if not least <= getattr(self, name) <= most:
-                raise ValueError(f"{name}: expected {least} to {most}, got {getattr(self, name)!r}")
+        for name, most in (("starts", _MAX_STARTS), ("batch", _MAX_AT_ONCE)):
+            require(1 <= getattr(self, name) <= most, name, f"1 to {most}", getattr(self, name))
         for name, least in (("points_per_generator", 2), ("points_per_arc", 4), ("mesh_points", 50)):
-            if getattr(self, name) < least:
-                raise ValueError(f"{name}: expected {least} or more, got {getattr(self, name)!r}")
-        if self.space not in STUDY_SPACES:
-            raise ValueError(f"space: expected one of {', '.join(STUDY_SPACES)}, got {self.space!r}")
-        if self.surface not in get_args(SurfaceName):
-            raise ValueError(f"surface: expected one of {', '.join(get_args(SurfaceName))}, got {self.surface!r}")
-        if not 0 < self.success_deg < float("inf"):
-            raise ValueError(f"success_deg: expected above 0 and finite, got {self.success_deg!r}")
-        if not self.best_of or self.best_of[0] < 1 or list(self.best_of) != sorted(set(self.best_of)):
-            raise ValueError(f"best_of: expected increasing whole numbers from 1 on, got {self.best_of!r}")
-
-    @property
-    def engine(self) -> RegistrationSettings:
-        """Those of the registration, a batch at once."""
-        return replace(self.registration, hypotheses_at_once=self.batch)
+            require(getattr(self, name) >= least, name, f"{least} or more", getattr(self, name))
+        require(self.space in STUDY_SPACES, "space", f"one of {', '.join(STUDY_SPACES)}", self.space)
+        require(
+            self.surface in get_args(SurfaceName), "surface", f"one of {', '.join(get_args(SurfaceName))}", self.surface
+        )
+        require_positive("success_deg", self.success_deg)
+        is_increasing = bool(self.best_of) and list(self.best_of) == sorted(set(self.best_of)) and self.best_of[0] >= 1
+        require(is_increasing, "best_of", "increasing whole numbers from 1 on", self.best_of)
+        require(bool(self.schedule), "schedule", "at least one stage", self.schedule)
 
 
-def total_iterations(levels: tuple[RegistrationLevel, ...]) -> int:
-    """Most iterations of one hypothesis over all levels and looks."""
-    return sum(level.rounds * level.iterations for level in levels)
+def total_iterations(schedule: Schedule) -> int:
+    """Most iterations of one hypothesis over all stages and associations."""
+    return sum(stage.rounds * stage.iterations for stage in schedule)
 
 
-def with_iterations(levels: tuple[RegistrationLevel, ...], most: int) -> tuple[RegistrationLevel, ...]:
-    """The levels with their iterations scaled so that there are at most so many in all, and hardly fewer.
+def with_iterations(schedule: Schedule, most: int) -> Schedule:
+    """The stages with their iterations scaled so that there are at most so many in all, and hardly fewer.
 
-    Raises ValueError for fewer than one per look.
+    Raises ValueError for fewer than one per association.
     """
-    looks, whole = sum(level.rounds for level in levels), total_iterations(levels)
-    if most < looks:
-        raise ValueError(f"iterations: expected {looks} or more, one for each look of the levels, got {most}")
-    scaled = [replace(level, iterations=max(1, level.iterations * most // whole)) for level in levels]
-    for i in sorted(range(len(levels)), key=lambda i: -(levels[i].iterations * most % whole)):
+    rounds, whole = sum(stage.rounds for stage in schedule), total_iterations(schedule)
+    if most < rounds:
+        raise ValueError(f"iterations: expected {rounds} or more, one for each round of the schedule, got {most}")
+    scaled = [replace(stage, iterations=max(1, stage.iterations * most // whole)) for stage in schedule]
+    for i in sorted(range(len(schedule)), key=lambda i: -(schedule[i].iterations * most % whole)):
         left = most - total_iterations(tuple(scaled))
         if left >= scaled[i].rounds:
             scaled[i] = replace(scaled[i], iterations=scaled[i].iterations + 1)
-    while total_iterations(tuple(scaled)) > most:  # where the one iteration that every look needs was too many
+    while total_iterations(tuple(scaled)) > most:  # where the one iteration that every round needs was too many
         i = max(range(len(scaled)), key=lambda i: scaled[i].iterations)
         scaled[i] = replace(scaled[i], iterations=scaled[i].iterations - 1)
     return tuple(scaled)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchhand.files import load_hand_model
 from torchhand.geometry import assumed_camera, rotation_from_vector
-from torchhand.hand import HandPrior, Side, named_pose_space
+from torchhand.hand import HandPose, HandPrior, Side, named_pose_space
 from torchhand.hand.limits import clamp_to_limits
 from torchhand.simulate import Motion, SceneSettings, facing, hand_length, render_sequence
 from torchhand.study import seed_of
@@ -65,6 +65,5 @@ def simulated_case(
         camera=camera,
         side=side,
         shape=shape,
-        pose=pose,
-        root_reference=reference,
+        pose=HandPose.of(pose, reference),
     )

@@ -56,7 +56,7 @@ class StudyRow:
         return sum(share for name, share in zip(STATUS_NAMES, self.statuses, strict=True) if name in _FAILURES)
 
 
-_FAILURES = ("failed", "no_contour")
+_FAILURES = ("failed", "no_data")
 
 
 def study_rows(hypotheses: Hypotheses, settings: HypothesisStudySettings) -> list[StudyRow]:

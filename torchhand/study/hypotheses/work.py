@@ -12,7 +12,6 @@ from typing import Any
 
 import cv2
 import torch
-from jaxtyping import Float
 from torch import Tensor
 from tqdm import tqdm
 
@@ -21,7 +20,6 @@ from torchhand.files import camera_entry, load_hand_model, save_settings
 from torchhand.files.disk import write_text
 from torchhand.files.results import CONFIG_NAME
 from torchhand.fit import PostureResiduals
-from torchhand.geometry import vector_from_rotation
 from torchhand.hand import DOFS, named_pose_space
 from torchhand.study.hypotheses.case_study import CaseStudy, StudyBatch, StudyCase, plan_batches
 from torchhand.study.hypotheses.folder import CSV_NAME, NPZ_NAME, PICTURE_NAME, StudyFolder, save_study
@@ -35,7 +33,7 @@ CONVENTION = (
     "one row per start; pose in the world of the camera file, its rotation vector that of world_from_hand;"
     " perturbation of the free parameters, its rotation applied to the left of the reference's; errors against"
     " reference_pose of the same frame: angle_deg mean of the pose space's joint angles, keypoint_mm mean of the 21"
-    " keypoints, rotation_deg of the orientation; NaN and infinite cost where the status is failed or no_contour"
+    " keypoints, rotation_deg of the orientation; NaN and infinite cost where the status is failed or no_data"
 )
 
 
@@ -77,7 +75,7 @@ class Work:
         """Of everything that a registration sees, and of the references."""
         digest = hashlib.sha256()
         for case in self.cases:
-            camera, seen = case.camera, (case.image, case.mask, case.pose, case.root_reference, case.shape)
+            camera, seen = case.camera, (case.image, case.mask, case.pose.dofs, case.pose.reference, case.shape)
             for tensor in (*seen, camera.intrinsics, camera.rotation, camera.translation, camera.distortion):
                 digest.update(tensor.cpu().contiguous().numpy().tobytes())
             digest.update(f"{case.side} {camera.kind}".encode())
@@ -129,7 +127,7 @@ class Work:
             "dof_names": DOFS,
             "free_names": named_pose_space(self.settings.space).free_names,
             "reference_frame": [case.frame for case in references],
-            "reference_pose": torch.stack([_whole(case.pose, case.root_reference).cpu() for case in references]),
+            "reference_pose": torch.stack([case.pose.vector.cpu() for case in references]),
             "reference_shape": torch.stack([case.shape.cpu() for case in references]),
             "reference_overlap": self.overlaps,
             "shape_names": load_hand_model().shape_space.names,
@@ -160,11 +158,6 @@ class Work:
             "torch": str(torch.__version__),
         }
         save_settings(self.settings, path, run)
-
-
-def _whole(pose: Float[Tensor, "36"], reference: Float[Tensor, "3 3"]) -> Float[Tensor, "36"]:
-    """With the whole rotation in the pose, whose own rotation vector is zero."""
-    return torch.cat((pose[:3], vector_from_rotation(reference), pose[6:]))
 
 
 def _write_picture(path: Path, picture: Tensor) -> None:

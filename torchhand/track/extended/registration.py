@@ -1,22 +1,22 @@
 """Registration of one scene from several hypotheses: the prediction, and others that the pictures may bear out."""
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.fit import Observation, Problem, Schedule, Solutions, solve
-from torchhand.fit.contour import ContourObservation, PictureContours, picture_contours
+from torchhand.fit.contour import CONTOUR, ContourObservation, PictureContours, picture_contours, pixels_per_metre
 from torchhand.hand import HandPose, PoseSpace
-from torchhand.track.extended.hypotheses import other_fingers, other_postures, turned_hands
+from torchhand.track.extended.proposals import finger_proposals, posture_proposals, turned_proposals
 from torchhand.track.extended.settings import ExtendedUpdateSettings
 from torchhand.track.scene import Scene
 from torchhand.view import Contours, HandProjector
 
 _ROOT = 6
 _PROMISING = 6  # starts of a search that are followed up
-_AT_ONCE = 128
 
 Pictures = tuple[PictureContours | None, ...]
 """Contours of the hand, view by view; None where a view shows nothing."""
@@ -52,16 +52,18 @@ class SceneRegistration:
         found = self._all(pictures, starts, schedule)
         return found.select(found.best)
 
-    def badness(self, found: Solutions) -> float:
-        """Distance of the contours from each other over the one that is bad, in the worst view; infinite where nothing
-        was found."""
+    def normalized_residual(self, found: Solutions) -> float:
+        """Distance of the contours from each other over the largest that is good, in the worst view; infinite where
+        nothing was found."""
         if not bool(found.cost.isfinite()):
-            return float("inf")
-        told = [one for one in found.explained if one.name == "contour" and bool(one.distance.isfinite().all())]
-        metres = [float(one.distance[0]) / self._px_per_m(found.pose, one.view or 0) for one in told]
-        return max(metres, default=float("inf")) / self.settings.bad_m
+            return math.inf
+        told = [one for one in found.explained if one.name == CONTOUR and bool(one.distance.isfinite().all())]
+        cameras = [self.projectors[one.view or 0].camera for one in told]
+        pairs = zip(told, cameras, strict=True)
+        metres = [float(one.distance) / float(pixels_per_metre(camera, found.pose)) for one, camera in pairs]
+        return max(metres, default=math.inf) / self.settings.max_contour_distance_m
 
-    def mended(
+    def reinitialized(
         self, found: Solutions, pictures: Pictures, foreground: tuple[Bool[Tensor, "_height _width"] | None, ...]
     ) -> tuple[Solutions, Pictures]:
         """The better of a bad registration and of those from other places, directions, postures and fingers.
@@ -70,15 +72,14 @@ class SceneRegistration:
         contours that the registration was made on.
         """
         s = self.settings
-        if self.badness(found) > s.sudden and len(self.contours) == 1:
+        if self.normalized_residual(found) > s.relocation_ratio and len(self.contours) == 1:
             other = self._elsewhere(foreground)
             if other is not None and float(other.cost) < float(found.cost):
-                found, pictures = other, self.pictures(foreground, s.following)
-        if self.badness(found) > 1:
-            start, here = self.space.constant, found.pose
-            dofs = torch.cat((other_postures(here.dofs, start, s.postures), other_fingers(here.dofs, start)))
-            other = self.best(pictures, HandPose.of(dofs, here.reference), s.following)
-            found = other if float(other.cost) < float(found.cost) else found
+                found, pictures = other, self.pictures(foreground, s.schedule)
+        if self.normalized_residual(found) > 1:
+            start = self.space.constant
+            proposals = (posture_proposals(found.pose, start, s.postures), finger_proposals(found.pose, start))
+            found = _cheaper(found, self.best(pictures, HandPose.cat(proposals), s.schedule))
         return found, pictures
 
     def with_other_fingers(self, found: Solutions, pictures: Pictures, turn: int) -> Solutions:
@@ -86,37 +87,34 @@ class SceneRegistration:
 
         The fingers take turns. A promising one has further to go than a prediction and is registered twice.
         """
-        s, here = self.settings, found.pose
-        starts = other_fingers(here.dofs, self.space.constant)
+        s, starts = self.settings, finger_proposals(found.pose, self.space.constant)
         count = min(s.finger_proposals, len(starts))
-        due = [(turn * s.finger_proposals + i) % len(starts) for i in range(count)]
-        if not due:
+        if not count:
             return found
-        other = self.best(pictures, HandPose.of(starts[due], here.reference), s.following)
-        if float(other.cost) < s.promising * float(found.cost):
-            other = self.best(pictures, HandPose.stack([other.pose]), s.following)
-        return other if float(other.cost) < float(found.cost) else found
+        due = torch.tensor([(turn * s.finger_proposals + i) % len(starts) for i in range(count)])
+        other = self.best(pictures, starts[due], s.schedule)
+        if float(other.cost) < s.max_cost_ratio * float(found.cost):
+            other = self.best(pictures, other.pose.reshape(1), s.schedule)
+        return _cheaper(found, other)
 
     def _elsewhere(self, foreground: tuple[Bool[Tensor, "_height _width"] | None, ...]) -> Solutions | None:
         """The best of many places and directions, with the fingers as they were and as at the start.
 
         All of them on the coarsest map, the most promising ones on the finer maps as well.
         """
-        [mask], [projector], starting = foreground, self.projectors, self.settings.starting
+        [mask], [projector], schedule = foreground, self.projectors, self.settings.search_schedule
         if mask is None:
             return None
         model = projector.silhouette(self.pose.dofs, self.pose.reference)
-        starts = turned_hands(self.pose, model, mask, projector.camera)
-        if starts is None:
+        turned = turned_proposals(self.pose, model, mask, projector.camera)
+        if turned is None:
             return None
-        at_start = self.space.constant[_ROOT:].expand(len(starts), -1)
-        at_start = replace(starts, dofs=torch.cat((starts.dofs[:, :_ROOT], at_start), -1))
-        coarse = starting[:1]
-        rough = self._all(
-            (picture_contours(mask, coarse, self.settings.contour),), HandPose.cat([starts, at_start]), coarse
-        )
-        best = rough.cost.argsort()[:_PROMISING]
-        return self.best(self.pictures(foreground, starting), rough.pose[best], starting)
+        angles = self.space.constant[_ROOT:].expand(len(turned), -1)
+        at_start = HandPose.of(torch.cat((turned.dofs[:, :_ROOT], angles), -1), turned.reference)
+        coarse = picture_contours(mask, schedule[:1], self.settings.contour)
+        rough = self._all((coarse,), HandPose.cat((turned, at_start)), schedule[:1])
+        promising = rough.cost.argsort()[:_PROMISING]
+        return self.best(self.pictures(foreground, schedule), rough.pose[promising], schedule)
 
     def _all(self, pictures: Pictures, starts: HandPose, schedule: Schedule) -> Solutions:
         contours = tuple(
@@ -131,11 +129,8 @@ class SceneRegistration:
             observations=(*contours, *self.keypoints),
             priors=self.priors,
         )
-        return solve(problem, starts, schedule, at_once=_AT_ONCE)
+        return solve(problem, starts, schedule)
 
-    def _px_per_m(self, pose: HandPose, view: int) -> float:
-        camera = self.projectors[view].camera
-        focal = 0.5 * float(camera.intrinsics[0, 0] + camera.intrinsics[1, 1])
-        if camera.kind == "orthographic":
-            return focal
-        return focal / max(float(camera.cam_from_world(pose.dofs[:3])[2]), 1e-3)
+
+def _cheaper(one: Solutions, other: Solutions) -> Solutions:
+    return other if float(other.cost) < float(one.cost) else one

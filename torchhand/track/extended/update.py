@@ -79,12 +79,12 @@ class ExtendedUpdate:
         s, made = self.settings, self._for(shape)
         expected, last = self.motion.pose(predicted), self.motion.pose(hand)
         registration = self._registration(hand, last, scene, shape)
-        pictures = registration.pictures(self._silhouettes(expected, scene, made), s.following)
+        pictures = registration.pictures(self._silhouettes(expected, scene, made), s.schedule)
         starts = HandPose.stack([expected.about(last.reference), last])
-        found = registration.best(pictures, starts, s.following)
+        found = registration.best(pictures, starts, s.schedule)
         if s.hypotheses and bool(self.motion.space.basis[_ROOT:].any()):
-            if registration.badness(found) > 1:
-                found, pictures = registration.mended(found, pictures, _foreground(scene))
+            if registration.normalized_residual(found) > 1:
+                found, pictures = registration.reinitialized(found, pictures, _foreground(scene))
             else:
                 found = registration.with_other_fingers(found, pictures, hand.frames)
         if not bool(found.cost.isfinite()):
@@ -105,8 +105,8 @@ class ExtendedUpdate:
         """Registered from coarse to fine."""
         hand, made = self.motion.started(pose), self._for(shape)
         registration = self._registration(hand, pose.normalized(), scene, shape)
-        pictures = registration.pictures(self._silhouettes(pose, scene, made), self.settings.starting)
-        found = registration.best(pictures, HandPose.stack([pose.normalized()]), self.settings.starting)
+        pictures = registration.pictures(self._silhouettes(pose, scene, made), self.settings.search_schedule)
+        found = registration.best(pictures, HandPose.stack([pose.normalized()]), self.settings.search_schedule)
         if bool(found.cost.isfinite()):
             hand = self.motion.begun(hand, found.pose, found.covariance)
         return self._candidate(hand, scene, shape, pictures)
@@ -164,7 +164,7 @@ class ExtendedUpdate:
         innovation = wrapped(seen.value - value, observe.period)
         how = {"gate": s.gate, "group": len(SCALARS)}
         used = update_extended(predicted.belief, innovation, jacobian, seen.noise, valid=seen.valid, **how).used
-        if float(used.sum()) < s.min_passed * float(seen.valid.sum()):
+        if float(used.sum()) < s.restart_fraction * float(seen.valid.sum()):
             return self.motion.begun(predicted, found.pose, found.covariance)
         belief = predicted.belief
         if s.pose_weight > 0 and bool(found.covariance.isfinite().all()):
@@ -211,7 +211,7 @@ class ExtendedUpdate:
         """Share of the outer contour near the picture's, and share of the visible contour in the picture."""
         length_px = self._length_px(projector, pose)
         px_per_m = length_px / float(projector.shape[self.kinematics.shape_space.names.index("hand_length")])
-        probe_px = 1 + self.settings.contour.probe_m * px_per_m
+        probe_px = 1 + self.settings.contour.probe_distance_m * px_per_m
         seen = contours.visible(HandPose.stack([pose]), probe_distance_px=probe_px)
         visible = (seen.outer | seen.inner)[0]
         in_picture = is_in_picture(seen.points_px[0], projector.camera)

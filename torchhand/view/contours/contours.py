@@ -1,10 +1,10 @@
-"""Occluding contours of a batch of hands for registration: looked at once, then followed while the hands move.
+"""Occluding contours of a batch of hands: decided upon at some poses, then followed while the hands move.
 
-A look settles what depends on the whole hand and would make a cost jump: which points are visible, whether the picture
-shows background beyond them (outer) or more of the hand (inner), and their normals. The points then move with the pose
-until the next look. Two surfaces can be looked at: the primitives, whose contours are closed forms at fixed parameters
-(paper 003), and the skinned mesh, with the edges between faces turned to the camera and faces turned away, visible in a
-z-buffer (paper 000, section 7.2).
+What depends on the whole hand would make a cost jump: which points are visible, whether the picture shows background
+beyond them (outer) or more of the hand (inner), and their normals. It is decided once (`VisibleContour`), and the
+points then move with the pose until it is decided anew. There are two surfaces: the primitives, whose contours are
+closed forms at fixed parameters (Stenger et al. 2001), and the skinned mesh, with the edges between faces turned to the
+camera and faces turned away, visible in a z-buffer (Ouhaddi and Horain 1998, section 7.2).
 """
 
 from dataclasses import dataclass, fields
@@ -15,42 +15,34 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.geometry import Camera
-from torchhand.hand import BONES, HandKinematics
+from torchhand.hand import BONES, HandKinematics, HandPose
 from torchhand.view.contours.jacobian import OutlineTracer
-from torchhand.view.contours.springs import Springs
+from torchhand.view.contours.terms import PointToLineTerms
 from torchhand.view.outlines import HandProjector, OutlineTable, pixel_normals, seen_and_outer
 
-_NEAREST = 1e-3  # metres before the camera
+_MIN_DEPTH = 1e-3  # metres before the camera
 _WRIST, _MIDDLE_PROXIMAL = BONES.index("wrist"), BONES.index("middle_proximal")
 
 
 @runtime_checkable
 class ContourMotion(Protocol):
-    """Where the points of contours are, and how they move."""
-
-    @property
-    def points_px(self) -> Float[Tensor, "hands points 2"]: ...
-
-    def along(self, direction: Float[Tensor, "hands points 2"]) -> Float[Tensor, "hands points free"]:
-        """Derivative of direction · point in the free parameters, px per unit, the direction held."""
-        ...
-
-
-@runtime_checkable
-class HandContourMotion(ContourMotion, Protocol):
-    """Contours of hands: also what springs at their points pull them to."""
+    """Where the points of the contours of some hands are in the picture, and how they move with the pose."""
 
     @property
     def columns_px(self) -> Float[Tensor, "hands 2 points"]: ...
 
-    def equations(self, springs: Springs) -> tuple[Float[Tensor, "hands 36 36"], Float[Tensor, "hands 36"]]:
-        """Second derivative (of Gauss and Newton) and first of the springs' cost in the DOFs, all of them moving."""
+    def slopes(self, direction: Float[Tensor, "hands terms 2 points"]) -> Float[Tensor, "hands terms points 36"]:
+        """Derivative of direction · point in the DOFs, px per metre or radian, the direction held."""
+        ...
+
+    def equations(self, terms: PointToLineTerms) -> tuple[Float[Tensor, "hands 36 36"], Float[Tensor, "hands 36"]]:
+        """Second derivative (of Gauss and Newton) and first of the terms' cost in the DOFs."""
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContourLook:
-    """What one look at some hands settles; a row per hand."""
+class VisibleContour:
+    """What is decided about the contours of some hands at their poses; a row per hand."""
 
     points_px: Float[Tensor, "hands points 2"]
     normals: Float[Tensor, "hands points 2"]
@@ -60,26 +52,26 @@ class ContourLook:
     inner: Bool[Tensor, "hands points"]
     """Visible, with more of the hand beyond."""
     wrist_px: Float[Tensor, "hands 2"]
-    fingerwards_px: Float[Tensor, "hands 2"]
+    distal_px: Float[Tensor, "hands 2"]
     """From the wrist to the middle finger's knuckle."""
     edges: Int[Tensor, "hands points 2"] | None = None
     """Of a mesh: the vertices at the ends of each point's edge."""
-    motion: HandContourMotion | None = None
-    """At the pose that was looked at, where it is known, every DOF moving."""
+    motion: ContourMotion | None = None
+    """At these poses, where it is known."""
 
-    def rows(self, rows: Int[Tensor, "k"]) -> "ContourLook":
-        """The given hands, without their motion."""
+    def rows(self, rows: Int[Tensor, "k"]) -> "VisibleContour":
+        """Of some of the hands, without their motion."""
 
         def own(name: str) -> Any:
             value = getattr(self, name)
             return value[rows] if isinstance(value, Tensor) else None
 
-        return ContourLook(**{f.name: own(f.name) for f in fields(self)})
+        return VisibleContour(**{f.name: own(f.name) for f in fields(self)})
 
 
 @runtime_checkable
 class Contours(Protocol):
-    """A surface whose contours can be looked at and followed."""
+    """A surface of one shape before one camera, whose contours can be followed."""
 
     @property
     def kinematics(self) -> HandKinematics: ...
@@ -90,30 +82,30 @@ class Contours(Protocol):
     @property
     def shape(self) -> Float[Tensor, "shape"]: ...
 
-    def look(
-        self, pose: Float[Tensor, "hands 36"], root_reference: Float[Tensor, "hands 3 3"], *, beyond_px: float
-    ) -> ContourLook:
-        """beyond_px: how far outside a point the picture is asked for the hand."""
+    def with_shape(self, shape: Float[Tensor, "shape"]) -> "Contours":
+        """Of a hand of another shape."""
         ...
 
-    def motion(
-        self,
-        pose: Float[Tensor, "hands 36"],
-        root_reference: Float[Tensor, "hands 3 3"],
-        look: ContourLook,
-        moving: Bool[Tensor, "hands 36"] | None = None,
-    ) -> HandContourMotion:
-        """The points that were looked at, wherever the hands have moved since. moving: DOFs that are not held."""
+    def visible(self, pose: HandPose, *, probe_distance_px: float | Float[Tensor, "hands"] = 1.0) -> VisibleContour:
+        """At the poses (hands). probe_distance_px: how far outside a point the picture is asked for the hand."""
+        ...
+
+    def points(self, pose: HandPose, visible: VisibleContour) -> Float[Tensor, "hands 2 points"]:
+        """The points that `visible` decides about, px, wherever the hands have moved since."""
+        ...
+
+    def motion(self, pose: HandPose, visible: VisibleContour) -> ContourMotion:
+        """The same points with their motion."""
         ...
 
 
 class PrimitiveContours:
-    """Contours of the 37 quadrics; `table` and `basis` as for `OutlineTracer`."""
+    """Contours of the 37 quadrics; `table` as for `OutlineTracer`."""
 
-    def __init__(self, projector: HandProjector, table: OutlineTable, basis: Float[Tensor, "36 free"]) -> None:
+    def __init__(self, projector: HandProjector, table: OutlineTable) -> None:
         self.projector = projector
         with torch.inference_mode(False):  # what is kept is for callers in any mode
-            self._tracer = OutlineTracer(projector, table, basis)
+            self._tracer = OutlineTracer(projector, table)
 
     @property
     def kinematics(self) -> HandKinematics:
@@ -127,47 +119,48 @@ class PrimitiveContours:
     def shape(self) -> Float[Tensor, "shape"]:
         return self.projector.shape
 
-    def look(
-        self, pose: Float[Tensor, "hands 36"], root_reference: Float[Tensor, "hands 3 3"], *, beyond_px: float
-    ) -> ContourLook:
-        """beyond_px: how far outside a point the picture is asked for the hand."""
+    def with_shape(self, shape: Float[Tensor, "shape"]) -> "PrimitiveContours":
+        """Of a hand of another shape."""
+        return PrimitiveContours(HandProjector(self.kinematics, self.camera, shape), self._tracer.table)
+
+    def visible(self, pose: HandPose, *, probe_distance_px: float | Float[Tensor, "hands"] = 1.0) -> VisibleContour:
+        """At the poses (hands). probe_distance_px: how far outside a point the picture is asked for the hand."""
         tracer, camera = self._tracer, self.camera
-        bones = tracer.place(pose, root_reference)
+        bones = tracer.place(pose)
         placed = tracer.outlines.placed(bones.cam_from_bone)
         outline = tracer.outlines(placed, with_normals=True)
         motion = tracer.motion(bones, outline)
         assert outline.normals is not None
         assert outline.is_real is not None
         normals = pixel_normals(camera, motion.columns_plane.mT, outline.normals.mT)
-        is_real = outline.is_real & (outline.points[:, 2] > _NEAREST) & motion.columns_px.isfinite().all(1)
+        is_real = outline.is_real & (outline.points[:, 2] > _MIN_DEPTH) & motion.columns_px.isfinite().all(1)
+        probes = motion.columns_px.mT + _each_hand(probe_distance_px) * normals
         visible, outer = seen_and_outer(
             tracer.outlines.quadrics(placed),
             motion.columns_cam,
-            camera.plane_from_pixels(motion.points_px + beyond_px * normals).mT,
+            camera.plane_from_pixels(probes).mT,
             tracer.table,
             is_real,
             is_orthographic=self.projector.is_orthographic,
         )
-        wrist, fingerwards = wrist_and_axis(bones.cam_from_bone[:, (_WRIST, _MIDDLE_PROXIMAL), :, 3], camera)
-        return ContourLook(
-            points_px=motion.points_px,
+        wrist, distal = wrist_and_axis(bones.cam_from_bone[:, (_WRIST, _MIDDLE_PROXIMAL), :, 3], camera)
+        return VisibleContour(
+            points_px=motion.columns_px.mT,
             normals=normals,
             outer=visible & outer,
             inner=visible & ~outer,
             wrist_px=wrist,
-            fingerwards_px=fingerwards,
+            distal_px=distal,
             motion=motion,
         )
 
-    def motion(
-        self,
-        pose: Float[Tensor, "hands 36"],
-        root_reference: Float[Tensor, "hands 3 3"],
-        look: ContourLook,
-        moving: Bool[Tensor, "hands 36"] | None = None,
-    ) -> HandContourMotion:
-        """The points that were looked at, wherever the hands have moved since. moving: DOFs that are not held."""
-        return self._tracer(pose, root_reference, moving)
+    def points(self, pose: HandPose, visible: VisibleContour) -> Float[Tensor, "hands 2 points"]:
+        """The points that `visible` decides about, px, wherever the hands have moved since."""
+        return self._tracer.points(pose)
+
+    def motion(self, pose: HandPose, visible: VisibleContour) -> ContourMotion:
+        """The same points with their motion."""
+        return self._tracer(pose)
 
 
 def wrist_and_axis(
@@ -176,3 +169,7 @@ def wrist_and_axis(
     """The wrist in the picture, and the way from there to the middle finger's knuckle; both given in space."""
     ends = camera.pixels_from_plane(camera.plane_from_cam(places_cam))
     return ends[:, 0], ends[:, 1] - ends[:, 0]
+
+
+def _each_hand(length: float | Float[Tensor, "hands"]) -> "float | Float[Tensor, 'hands 1 1']":
+    return length[:, None, None] if isinstance(length, Tensor) else length

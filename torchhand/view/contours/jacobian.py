@@ -13,16 +13,17 @@ pair.
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.geometry import Camera
+from torchhand.hand import HandPose
 from torchhand.view.contours.carried_parts import CarriedParts
 from torchhand.view.contours.seen_bones import BonePlacer, SeenBones
-from torchhand.view.contours.springs import Springs
+from torchhand.view.contours.terms import PointToLineTerms
 from torchhand.view.outlines import HandProjector, OutlineColumns, OutlineTable, PartOutlines
 
-_NEAREST = 1e-3  # metres before the camera
+_MIN_DEPTH = 1e-3  # metres before the camera
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,36 +38,28 @@ class OutlineMotion:
     """On the normalised image plane."""
     screws: Float[Tensor, "hands 36 6"]
     """Of the DOFs: turn, then shift of the camera's centre."""
-    moving: Bool[Tensor, "hands 36"] | None
-    """DOFs that follow the free parameters; all where it is None."""
     camera: Camera
     outlines: PartOutlines
     carried: CarriedParts
-    basis: Float[Tensor, "36 free"]
 
-    @property
-    def points_px(self) -> Float[Tensor, "hands points 2"]:
-        return self.columns_px.mT
-
-    def along(self, direction: Float[Tensor, "hands points 2"]) -> Float[Tensor, "hands points free"]:
-        """Derivative of direction · point in the free parameters, px per unit, the direction held."""
-        basis = self.basis if self.moving is None else self.moving[..., None] * self.basis
-        wrenches = self.outlines.split(self._wrenches(direction.mT[:, None]).squeeze(1))
+    def slopes(self, direction: Float[Tensor, "hands terms 2 points"]) -> Float[Tensor, "hands terms points 36"]:
+        """Derivative of direction · point in the DOFs, px per metre or radian, the direction held."""
+        wrenches = self.outlines.split(self._wrenches(direction))
         moved = []
         for own, wrench in zip(self.carried.by_dof.T.split(self.outlines.counts), wrenches, strict=True):
-            screws = (own[:, :, None] * self.screws[:, None]).mT @ basis[..., None, :, :]
-            moved.append((wrench.mT @ screws).flatten(1, 2))
-        return torch.cat(moved, 1)
+            screws = own[:, :, None] * self.screws[:, None]  # hands, parts, 36, 6
+            moved.append((wrench.mT @ screws[:, None].mT).flatten(2, 3))
+        return torch.cat(moved, 2)
 
-    def equations(self, springs: Springs) -> tuple[Float[Tensor, "hands 36 36"], Float[Tensor, "hands 36"]]:
-        """Second derivative (of Gauss and Newton) and first of the springs' cost in the DOFs, all of them moving."""
-        wrench = self._wrenches(springs.direction)
-        rows = torch.cat((wrench, wrench * springs.stiffness[:, :, None], springs.pull[:, :, None]), 2)
+    def equations(self, terms: PointToLineTerms) -> tuple[Float[Tensor, "hands 36 36"], Float[Tensor, "hands 36"]]:
+        """Second derivative (of Gauss and Newton) and first of the terms' cost in the DOFs."""
+        wrench = self._wrenches(terms.direction)
+        rows = torch.cat((wrench, wrench * terms.curvature[:, :, None], terms.gradient[:, :, None]), 2)
         parts = (part.contiguous() for part in self.outlines.split(rows))
         moments = [part[..., :6, :] @ part[..., 6:, :].mT for part in parts]
         return self.carried.equations(torch.cat(moments, 2).sum(1), self.screws)
 
-    def _wrenches(self, direction: Float[Tensor, "hands springs 2 points"]) -> Float[Tensor, "hands springs 6 points"]:
+    def _wrenches(self, direction: Float[Tensor, "hands terms 2 points"]) -> Float[Tensor, "hands terms 6 points"]:
         """About the camera's centre, of forces along the directions."""
         points = self.columns_cam[:, None]
         x, y, z = points.unbind(-2)
@@ -95,13 +88,13 @@ def cam_force(
 
 
 class OutlineTracer:
-    """Outlines of many hands with their motion in a pose space, with all that does not change laid out once.
+    """Outlines of many hands with their motion, with all that does not change laid out once.
 
     table: part by part, with the same number of points on every cone that it has, and on every ellipsoid.
     """
 
-    def __init__(self, projector: HandProjector, table: OutlineTable, basis: Float[Tensor, "36 free"]) -> None:
-        kinematics, camera = projector.kinematics, projector.camera
+    def __init__(self, projector: HandProjector, table: OutlineTable) -> None:
+        kinematics, camera, like = projector.kinematics, projector.camera, projector.shape
         self.projector, self.table = projector, table
         self.outlines = PartOutlines(
             projector.sizes,
@@ -109,48 +102,46 @@ class OutlineTracer:
             is_left=kinematics.side == "left",
             is_orthographic=projector.is_orthographic,
         )
-        self._placer = BonePlacer(kinematics, camera, projector.shape, basis.dtype)
-        self._carried, self._basis = CarriedParts(kinematics, self.outlines.bones, basis), basis
+        self._placer = BonePlacer(kinematics, camera, projector.shape, like.dtype)
+        self._carried = CarriedParts(kinematics, self.outlines.bones, like)
         self._focal, self._centre = camera.intrinsics.diagonal()[:2, None], camera.intrinsics[:2, 2:]
-        self._ahead = basis.new_tensor((0.0, 0.0, 1.0))[:, None]
+        self._ahead = like.new_tensor((0.0, 0.0, 1.0))[:, None]
 
-    def __call__(
-        self,
-        pose: Float[Tensor, "hands 36"],
-        root_reference: Float[Tensor, "hands 3 3"],
-        moving: Bool[Tensor, "hands 36"] | None = None,
-    ) -> OutlineMotion:
-        """Of poses with rotation vectors about their references; no visibility.
+    def __call__(self, pose: HandPose) -> OutlineMotion:
+        """Of hands in the world; no visibility."""
+        bones = self.place(pose)
+        return self.motion(bones, self.outlines(self.outlines.placed(bones.cam_from_bone)))
 
-        moving: DOFs that follow the free parameters; others are held, such as tied angles at their limits.
-        """
-        bones = self.place(pose, root_reference)
-        return self.motion(bones, self.outlines(self.outlines.placed(bones.cam_from_bone)), moving)
+    def points(self, pose: HandPose) -> Float[Tensor, "hands 2 points"]:
+        """The points in the picture alone, px."""
+        placed = self.outlines.placed(self.place(pose).cam_from_bone)
+        return self._projected(self.outlines(placed).points)[0]
 
-    def place(self, pose: Float[Tensor, "hands 36"], root_reference: Float[Tensor, "hands 3 3"]) -> SeenBones:
+    def place(self, pose: HandPose) -> SeenBones:
         """The bones before the camera."""
-        return self._placer(pose, root_reference)
+        return self._placer(pose.dofs, pose.reference)
 
-    def motion(
-        self, bones: SeenBones, outline: OutlineColumns, moving: Bool[Tensor, "hands 36"] | None = None
-    ) -> OutlineMotion:
+    def motion(self, bones: SeenBones, outline: OutlineColumns) -> OutlineMotion:
         """Of an outline that is known."""
-        camera, points = self.projector.camera, outline.points
-        is_behind = points[:, 2:] < _NEAREST  # must not become infinite
-        points = torch.where(is_behind, self._ahead, points)
-        plane = points[:, :2] if self.projector.is_orthographic else points[:, :2] / points[:, 2:]
-        if camera.has_distortion or camera.has_skew:
-            columns_px = camera.pixels_from_plane(plane.mT).mT
-        else:
-            columns_px = torch.addcmul(self._centre, plane, self._focal)
+        columns_px, points, plane = self._projected(outline.points)
         return OutlineMotion(
             columns_px=columns_px,
             columns_cam=points,
             columns_plane=plane,
             screws=bones.screws,
-            moving=moving,
-            camera=camera,
+            camera=self.projector.camera,
             outlines=self.outlines,
             carried=self._carried,
-            basis=self._basis,
         )
+
+    def _projected(
+        self, points: Float[Tensor, "hands 3 points"]
+    ) -> tuple[Float[Tensor, "hands 2 points"], Float[Tensor, "hands 3 points"], Float[Tensor, "hands 2 points"]]:
+        """Pixels, points in space that lie before the camera, and where they are on the normalised image plane."""
+        camera = self.projector.camera
+        is_behind = points[:, 2:] < _MIN_DEPTH  # must not become infinite
+        points = torch.where(is_behind, self._ahead, points)
+        plane = points[:, :2] if self.projector.is_orthographic else points[:, :2] / points[:, 2:]
+        if camera.has_distortion or camera.has_skew:
+            return camera.pixels_from_plane(plane.mT).mT, points, plane
+        return torch.addcmul(self._centre, plane, self._focal), points, plane

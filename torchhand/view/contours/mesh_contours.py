@@ -1,17 +1,18 @@
 """Occluding contours of the skinned mesh: edges between faces turned to the camera and faces turned away, visible in a
-z-buffer (paper 000, section 7.2)."""
+z-buffer (Ouhaddi and Horain 1998, section 7.2)."""
 
+import copy
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchhand.geometry import Camera
-from torchhand.hand import KEYPOINTS, Hand, HandKinematics, skin_jacobian
-from torchhand.view.contours.contours import ContourLook, wrist_and_axis
+from torchhand.hand import KEYPOINTS, Hand, HandKinematics, HandPose, skin_jacobian
+from torchhand.view.contours.contours import VisibleContour, wrist_and_axis
 from torchhand.view.contours.jacobian import cam_force
-from torchhand.view.contours.springs import Springs
+from torchhand.view.contours.terms import PointToLineTerms
 from torchhand.view.raster import rasterize
 
 _INSIDE_PX = 1.5  # where the z-buffer is read for the surface that an edge belongs to
@@ -32,48 +33,39 @@ class EdgeMotion:
     jacobian: Float[Tensor, "hands points 3 36"]
     """Of the points in the camera frame, in the pose."""
     camera: Camera
-    basis: Float[Tensor, "36 free"]
 
-    @property
-    def points_px(self) -> Float[Tensor, "hands points 2"]:
-        return self.columns_px.mT
-
-    def along(self, direction: Float[Tensor, "hands points 2"]) -> Float[Tensor, "hands points free"]:
-        """Derivative of direction · point in the free parameters, px per unit, the direction held."""
-        return self._slopes(direction.mT[:, None]).squeeze(1) @ self.basis
-
-    def equations(self, springs: Springs) -> tuple[Float[Tensor, "hands 36 36"], Float[Tensor, "hands 36"]]:
-        """Second derivative (of Gauss and Newton) and first of the springs' cost in the DOFs, all of them moving."""
-        slopes = self._slopes(springs.direction).flatten(1, 2)
-        stiffness, pull = springs.stiffness.flatten(1), springs.pull.flatten(1)
-        return slopes.mT @ (stiffness[..., None] * slopes), (pull[:, None] @ slopes).squeeze(1)
-
-    def _slopes(self, direction: Float[Tensor, "hands springs 2 points"]) -> Float[Tensor, "hands springs points 36"]:
+    def slopes(self, direction: Float[Tensor, "hands terms 2 points"]) -> Float[Tensor, "hands terms points 36"]:
+        """Derivative of direction · point in the DOFs, px per metre or radian, the direction held."""
         force = cam_force(self.camera, self.columns_cam[:, None], self.columns_plane[:, None], direction)
         return (torch.stack(force, -1)[..., None, :] @ self.jacobian[:, None]).squeeze(-2)
+
+    def equations(self, terms: PointToLineTerms) -> tuple[Float[Tensor, "hands 36 36"], Float[Tensor, "hands 36"]]:
+        """Second derivative (of Gauss and Newton) and first of the terms' cost in the DOFs."""
+        slopes = self.slopes(terms.direction).flatten(1, 2)
+        curvature, gradient = terms.curvature.flatten(1), terms.gradient.flatten(1)
+        return slopes.mT @ (curvature[..., None] * slopes), (gradient[:, None] @ slopes).squeeze(1)
 
 
 class MeshContours:
     """Contours of a hand's skin.
 
-    An edge is carried by the skin from look to look. Across the contour that is its exact motion: what the contour
+    An edge is carried by the skin while the hand moves. Across the contour that is its exact motion: what the contour
     itself slides on the surface is along the line of sight and the contour.
 
-    hand: of the dtype to compute in; shape: in place of its own. points: most edges that are followed.
+    hand: of the dtype to compute in; shape: in place of its own. max_points: most edges that are followed.
     """
 
     def __init__(
         self,
         hand: Hand,
         camera: Camera,
-        basis: Float[Tensor, "36 free"],
         shape: Float[Tensor, "shape"] | None = None,
         *,
-        points: int = 500,
+        max_points: int = 500,
     ) -> None:
-        if points < 1:
-            raise ValueError(f"points: expected 1 or more, got {points}")
-        self.hand, self._camera, self._basis, self._points = hand, camera, basis, points
+        if max_points < 1:
+            raise ValueError(f"max_points: expected 1 or more, got {max_points}")
+        self.hand, self._camera, self._max_points = hand, camera, max_points
         self._shape = hand.shape if shape is None else shape
         self._edges, self._faces_of_edge = _edges(hand.faces)
 
@@ -89,38 +81,42 @@ class MeshContours:
     def shape(self) -> Float[Tensor, "shape"]:
         return self._shape
 
-    def look(
-        self, pose: Float[Tensor, "hands 36"], root_reference: Float[Tensor, "hands 3 3"], *, beyond_px: float
-    ) -> ContourLook:
-        """beyond_px: how far outside a point the picture is asked for the hand."""
-        state = self.hand(pose, self._shape, root_reference=root_reference)
-        looks = [self._look(vertices, beyond_px) for vertices in state.vertices]
-        points, normals, outer, inner, edges = (torch.stack(part) for part in zip(*looks, strict=True))
+    def with_shape(self, shape: Float[Tensor, "shape"]) -> "MeshContours":
+        """Of a hand of another shape."""
+        other = copy.copy(self)
+        other._shape = shape
+        return other
+
+    def visible(self, pose: HandPose, *, probe_distance_px: float | Float[Tensor, "hands"] = 1.0) -> VisibleContour:
+        """At the poses (hands). probe_distance_px: how far outside a point the picture is asked for the hand."""
+        state = self.hand(pose.dofs, self._shape, root_reference=pose.reference)
+        like = state.vertices[:, 0, 0]
+        probes = torch.as_tensor(probe_distance_px, dtype=like.dtype, device=like.device).expand_as(like).tolist()
+        parts = [self._visible(*own) for own in zip(state.vertices, probes, strict=True)]
+        points, normals, outer, inner, edges = (torch.stack(part) for part in zip(*parts, strict=True))
         ends = self._camera.cam_from_world(state.frames.keypoints[:, (_WRIST, _KNUCKLE)])
-        wrist, fingerwards = wrist_and_axis(ends, self._camera)
-        return ContourLook(
+        wrist, distal = wrist_and_axis(ends, self._camera)
+        return VisibleContour(
             points_px=points,
             normals=normals,
             outer=outer,
             inner=inner,
             wrist_px=wrist,
-            fingerwards_px=fingerwards,
+            distal_px=distal,
             edges=edges,
         )
 
-    def motion(
-        self,
-        pose: Float[Tensor, "hands 36"],
-        root_reference: Float[Tensor, "hands 3 3"],
-        look: ContourLook,
-        moving: Bool[Tensor, "hands 36"] | None = None,
-    ) -> EdgeMotion:
-        """The points that were looked at, wherever the hands have moved since. moving: DOFs that are not held."""
-        assert look.edges is not None
-        points, jacobian = skin_jacobian(self.hand, pose, look.edges, shape=self._shape, root_reference=root_reference)
+    def points(self, pose: HandPose, visible: VisibleContour) -> Float[Tensor, "hands 2 points"]:
+        """The points that `visible` decides about, px, wherever the hands have moved since."""
+        vertices = self.hand(pose.dofs, self._shape, root_reference=pose.reference).vertices
+        middles = vertices[torch.arange(len(vertices))[:, None, None], _edges_of(visible)].mean(2)
+        return self._camera.project(middles).mT
+
+    def motion(self, pose: HandPose, visible: VisibleContour) -> EdgeMotion:
+        """The same points with their motion."""
+        edges = _edges_of(visible)
+        points, jacobian = skin_jacobian(self.hand, pose.dofs, edges, shape=self._shape, root_reference=pose.reference)
         points_cam = self._camera.cam_from_world(points)
-        if moving is not None:
-            jacobian = jacobian * moving[:, None, None]
         plane = self._camera.plane_from_cam(points_cam)
         return EdgeMotion(
             columns_px=self._camera.pixels_from_plane(plane).mT,
@@ -128,10 +124,9 @@ class MeshContours:
             columns_plane=plane.mT,
             jacobian=self._camera.rotation @ jacobian,
             camera=self._camera,
-            basis=self._basis,
         )
 
-    def _look(self, vertices: Float[Tensor, "vertices 3"], beyond_px: float) -> tuple[Tensor, ...]:
+    def _visible(self, vertices: Float[Tensor, "vertices 3"], probe_distance_px: float) -> tuple[Tensor, ...]:
         """Of one hand: points, normals, which are outer, which inner, edges; padded with what is neither."""
         camera, faces = self._camera, self.hand.faces
         seen = camera.cam_from_world(vertices)
@@ -155,18 +150,24 @@ class MeshContours:
         depth = rasterize(vertices, faces, camera, is_closed=True).depth
         surface = _read(depth, points - _INSIDE_PX * normals)
         visible = points_cam[:, 2] <= surface + _SLACK
-        outer = visible & ~_read(depth, points + beyond_px * normals).isfinite()
+        outer = visible & ~_read(depth, points + probe_distance_px * normals).isfinite()
         kept = visible.nonzero()[:, 0]
-        if len(kept) > self._points:
-            step = torch.linspace(0, len(kept) - 1, self._points, device=kept.device)
+        if len(kept) > self._max_points:
+            step = torch.linspace(0, len(kept) - 1, self._max_points, device=kept.device)
             kept = kept[step.round().long()]
-        rest = self._points - len(kept)
+        rest = self._max_points - len(kept)
 
         def padded(values: Tensor) -> Tensor:
             return torch.cat((values[kept], values.new_zeros(rest, *values.shape[1:])))
 
         filled = torch.cat((edges[kept], self._edges[:1].expand(rest, 2)))
         return padded(points), padded(normals), padded(outer), padded(visible & ~outer), filled
+
+
+def _edges_of(visible: VisibleContour) -> Int[Tensor, "hands points 2"]:
+    if visible.edges is None:
+        raise ValueError("visible: expected the contour of a mesh, got that of another surface")
+    return visible.edges
 
 
 def _edges(faces: Int[Tensor, "faces 3"]) -> tuple[Int[Tensor, "edges 2"], Int[Tensor, "edges 2"]]:

@@ -1,4 +1,4 @@
-"""Hypotheses for a picture that the prediction does not explain: the hand elsewhere, turned, with other fingers."""
+"""Proposals for a picture that the prediction does not explain: the hand elsewhere, turned, or with other fingers."""
 
 import math
 
@@ -17,30 +17,29 @@ _MIN_SCALE, _MAX_SCALE = 0.7, 1.4  # of the hand's distance from one picture to 
 _BENT = 0.6  # of a fist
 
 
-def other_postures(
-    pose: Float[Tensor, "36"], start: Float[Tensor, "36"], names: tuple[str, ...]
-) -> Float[Tensor, "starts 36"]:
-    """The posture of the track's start and the named ones, the root left as in `pose`."""
+def posture_proposals(hand: HandPose, start: Float[Tensor, "36"], names: tuple[str, ...]) -> HandPose:
+    """The posture of the track's start and the named ones (1 + names), the root left as it is."""
     postures = (start, *(posture(name) for name in names))
-    return torch.stack([torch.cat((pose[:_ROOT], angles[_ROOT:].to(pose))) for angles in postures])
+    dofs = torch.stack([torch.cat((hand.dofs[:_ROOT], angles[_ROOT:].to(hand.dofs))) for angles in postures])
+    return HandPose.of(dofs, hand.reference)
 
 
-def other_fingers(pose: Float[Tensor, "36"], start: Float[Tensor, "36"]) -> Float[Tensor, "10 36"]:
-    """Every finger by itself as at the track's start, and bent; all else as in `pose`."""
-    bent, starts = posture("fist").to(pose), []
+def finger_proposals(hand: HandPose, start: Float[Tensor, "36"]) -> HandPose:
+    """Every finger by itself as at the track's start, and bent (10); all else as it is."""
+    bent, dofs = posture("fist").to(hand.dofs), []
     for finger in FINGERS:
-        own = torch.tensor([name.startswith(finger) for name in DOFS], device=pose.device)
-        starts += [torch.where(own, start, pose), torch.where(own, _BENT * bent, pose)]
-    return torch.stack(starts)
+        own = torch.tensor([name.startswith(finger) for name in DOFS], device=bent.device)
+        dofs += [torch.where(own, start, hand.dofs), torch.where(own, _BENT * bent, hand.dofs)]
+    return HandPose.of(torch.stack(dofs), hand.reference)
 
 
-def turned_hands(
-    pose: HandPose,
+def turned_proposals(
+    hand: HandPose,
     model: Bool[Tensor, "height width"],
     mask: Bool[Tensor, "height width"],
     camera: Camera,
 ) -> HandPose | None:
-    """The same hand with its palm on the picture's, turned in the picture to directions all around.
+    """The same hand with its palm on the picture's, turned in the picture to 24 directions all around.
 
     model: silhouette of the hand as it is. The palm is the largest disc that fits into a silhouette, and its size gives
     the distance. None where one of the silhouettes is empty. The camera is the world.
@@ -49,8 +48,7 @@ def turned_hands(
     if own_disc is None or seen_disc is None:
         return None
     (own_px, own_radius), (seen_px, seen_radius) = own_disc, seen_disc
-    is_orthographic = camera.kind == "orthographic"
-    dofs = pose.dofs
+    is_orthographic, dofs = camera.kind == "orthographic", hand.dofs
     depth = float(dofs[2])
     scale = 1.0 if is_orthographic else min(max(own_radius / seen_radius, _MIN_SCALE), _MAX_SCALE)
     lifted = [1.0, 1.0] if is_orthographic else [depth, scale * depth]
@@ -63,7 +61,7 @@ def turned_hands(
     turned = dofs.expand(_TURNS, -1).clone()
     turned[:, :3] = (turn @ (dofs[:3] - own)) + seen
     turned[:, 3:_ROOT] = 0.0
-    return HandPose(dofs=turned, reference=turn @ pose.rotation)
+    return HandPose.of(turned, turn @ hand.rotation)
 
 
 def _largest_disc(mask: Bool[Tensor, "height width"]) -> tuple[Float[Tensor, "2"], float] | None:

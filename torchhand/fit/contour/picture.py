@@ -1,19 +1,22 @@
-"""What registration keeps of a picture: its contour as distance maps from coarse to fine and as points, its valleys."""
+"""What is kept of a picture to compare contours with: distance maps from coarse to fine, points, and valleys."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from torchhand.fit.contour.settings import RegistrationSettings
+from torchhand.fit import Schedule
+from torchhand.fit.contour.settings import ContourSettings
 from torchhand.image import Boundary, DistanceField, boundary_field, boundary_points, find_valleys, point_field
 from torchhand.image.contours import Window, valley_reach
 
 _CELLS = 32  # a map is no coarser than the silhouette's size (root of its area) over so many cells
-_FEWEST = 16  # points of a contour
-_REACH = 3.0  # maps go so many robust distances beyond the contour's box; what is farther away hardly counts
+_MIN_POINTS = 16  # points of a contour
+_REACH = 3.0  # maps go so many gross distances beyond the contour's box; what is farther away hardly counts
+_LENGTH = 0.187  # metres: for the reach of the maps, the silhouette's box is taken to be as long as a mean hand
 _VALLEY_PITCH = 0.5  # px
 _GREY = (0.299, 0.587, 0.114)  # of red, green, blue
 
@@ -22,8 +25,8 @@ _GREY = (0.299, 0.587, 0.114)  # of red, green, blue
 class PictureContours:
     """The contours of the hand in one picture."""
 
-    fields: tuple[DistanceField, ...]
-    """Signed distance from the outer contour, one per level."""
+    fields: Mapping[int, DistanceField]
+    """Signed distance from the outer contour, by the pixels of the picture that one of the map stands for."""
     boundary: Boundary
     """Points of the outer contour."""
     valleys: DistanceField | None
@@ -31,45 +34,55 @@ class PictureContours:
 
     @property
     def is_empty(self) -> bool:
-        """Too little contour to register on."""
-        return len(self.boundary.points_px) < _FEWEST
+        """Whether there is too little contour to compare a hand with."""
+        return len(self.boundary.points_px) < _MIN_POINTS
+
+    def field(self, pitch_px: int) -> DistanceField:
+        """The map of a pitch; of a small hand, the coarsest one that there is up to that.
+
+        Raises ValueError where the maps were made for coarser pitches only.
+        """
+        pitches = [pitch for pitch in self.fields if pitch <= pitch_px]
+        if not pitches:
+            raise ValueError(f"pitch_px: expected one of the picture's, {min(self.fields)} or more, got {pitch_px}")
+        return self.fields[max(pitches)]
 
 
 def picture_contours(
     mask: Bool[Tensor, "height width"],
-    settings: RegistrationSettings | None = None,
+    schedule: Schedule,
+    settings: ContourSettings | None = None,
     *,
     image: UInt8[Tensor, "height width 3"] | Float[Tensor, "height width"] | None = None,
     ignored: Bool[Tensor, "height width"] | None = None,
 ) -> PictureContours:
     """Contours of a silhouette, and valleys within it where the picture is given, RGB or grey levels.
 
-    ignored: where the silhouette's boundary is none of the hand, such as where a forearm was cut off, or a sleeve. The
-    picture's edge is no boundary anyway. An empty silhouette gives empty contours.
+    schedule: whose maps are wanted. ignored: where the silhouette's boundary is none of the hand, such as where a
+    forearm was cut off, or a sleeve. The picture's edge is no boundary anyway. An empty silhouette gives empty contours.
     """
-    settings = settings or RegistrationSettings()
+    settings = settings or ContourSettings()
     window = Window.around(mask.cpu().numpy(), valley_reach(settings.valleys))
     size_px = math.hypot(window.right - window.left, window.bottom - window.top)
     finest = max(1, math.floor(math.sqrt(float(mask.sum())) / _CELLS))
-    pitches = [min(level.pitch_px, finest) for level in settings.levels]
     reaches: dict[int, float] = {}
-    for pitch, level in zip(pitches, settings.levels, strict=True):
-        reaches[pitch] = max(reaches.get(pitch, 0.0), _REACH * level.robust_share * size_px)
-    made = {
-        pitch: boundary_field(mask, pitch_px=pitch, channels=settings.directions, ignored=ignored, reach_px=reach)
-        for pitch, reach in reaches.items()
-    }
+    for stage in schedule:
+        pitch = min(stage.pitch_px, finest)
+        reaches[pitch] = max(reaches.get(pitch, 0.0), _REACH * stage.gross_m / _LENGTH * size_px)
     valleys = None
     if image is not None and settings.valley_weight > 0:
         valleys = _valleys(image, mask, window, settings)
     return PictureContours(
-        fields=tuple(made[pitch] for pitch in pitches),
+        fields={
+            pitch: boundary_field(mask, pitch_px=pitch, channels=settings.directions, ignored=ignored, reach_px=reach)
+            for pitch, reach in reaches.items()
+        },
         boundary=boundary_points(mask, settings.boundary_points, ignored=ignored),
         valleys=valleys,
     )
 
 
-def _valleys(image: Tensor, mask: Tensor, window: Window, settings: RegistrationSettings) -> DistanceField | None:
+def _valleys(image: Tensor, mask: Tensor, window: Window, settings: ContourSettings) -> DistanceField | None:
     """Distance from the valleys within the silhouette, found in the window around it."""
     found = find_valleys(_grey(image[window.slices]), settings.valleys, within=mask[window.slices])
     if not len(found.points_px):

@@ -1,0 +1,188 @@
+"""The contours of one picture as an observation (Ouhaddi and Horain 1998, section 7.4), on distance maps.
+
+Both sides count: the model's outline must lie on the picture's contour, and the picture's contour on the model's
+outline; inner outlines are drawn to dark valleys nearby.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from torchhand.fit import Equations, Explained, PosedHands, Stage
+from torchhand.fit.contour.correspondences import Correspondences, boundary_offset, contour_terms
+from torchhand.fit.contour.matching import match_boundary
+from torchhand.fit.contour.picture import PictureContours
+from torchhand.fit.contour.points import pixels_per_metre
+from torchhand.fit.contour.settings import ContourSettings
+from torchhand.image import Boundary, DistanceField
+from torchhand.view import Contours, VisibleContour
+
+CONTOUR = "contour"
+_STEEP = 0.15  # of the hand's length: a palm seen shorter than this has no direction in the picture
+_SHAPE_STEP = 1e-5  # of a finite difference, standard deviations of the population
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContourObservation:
+    """What one camera's picture shows of the hand's contours."""
+
+    picture: PictureContours
+    contours: Contours
+    """Of the surface to fit, primitives or mesh, before this camera. They are remade where the hand's shape is another
+    than theirs."""
+    settings: ContourSettings
+    view: int = 0
+
+    @property
+    def is_empty(self) -> bool:
+        return self.picture.is_empty
+
+    def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "ContourObservation":
+        """The same for all hypotheses."""
+        return self
+
+    def associate(self, hands: PosedHands, stage: Stage) -> "ContourFactor":
+        """Visible points of the model, and which of them belong to which points of the picture's contour."""
+        s, picture = self.settings, self.picture
+        contours = contours_of(self.contours, hands.shape, hands)
+        px_per_m = pixels_per_metre(contours.camera, hands.pose)
+        length_px = px_per_m * hands.shape[contours.kinematics.shape_space.names.index("hand_length")]
+        field, boundary, gross_px = picture.field(stage.pitch_px), picture.boundary, stage.gross_m * px_per_m
+        visible = contours.visible(hands.pose, probe_distance_px=1 + s.probe_distance_m * px_per_m)
+        match = match_boundary(boundary, visible.points_px, visible.normals, visible.outer, turn_px=s.turn_m * px_per_m)
+        pairs = Correspondences.of(
+            visible,
+            field.channels,
+            boundary,
+            match,
+            self._weights(visible, gross_px, length_px),
+            gross_px=gross_px,
+            valley_gross_px=s.valley_gross_m * px_per_m,
+            unmatched_px=length_px,
+        )
+        return ContourFactor(
+            contours=self.contours,
+            field=field,
+            valleys=picture.valleys,
+            visible=visible,
+            pairs=pairs,
+            associated=hands,
+            gross_px=gross_px,
+            near_px=s.near_m * px_per_m,
+            view=self.view,
+        )
+
+    def _weights(
+        self, visible: VisibleContour, gross_px: Float[Tensor, "hands"], length_px: Float[Tensor, "hands"]
+    ) -> Float[Tensor, "hands terms"]:
+        """Of the model's points, then of the picture's: inverse variances, shared among those that count."""
+        s, boundary = self.settings, self.picture.boundary
+        precision = (s.contour_std_fraction * gross_px).clamp_min(s.contour_std_px).square().reciprocal()[:, None]
+        outer, inner = visible.outer.to(precision), visible.inner.to(precision)
+        is_hand = is_beyond_wrist(visible, boundary, _STEEP * length_px).to(precision)
+        each = s.contour_weight * precision / outer.sum(-1, keepdim=True).clamp_min(1)
+        of_each = s.coverage_weight * precision / is_hand.sum(-1, keepdim=True).clamp_min(1)
+        if self.picture.valleys is not None:
+            outer = torch.add(outer, inner, alpha=s.valley_weight)
+        return torch.cat((each * outer, of_each * is_hand), 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContourFactor:
+    """½ Σ weight ρ(residual) of outer contour, valleys and coverage; a row per hand."""
+
+    contours: Contours
+    field: DistanceField
+    valleys: DistanceField | None
+    visible: VisibleContour
+    pairs: Correspondences
+    associated: PosedHands | None
+    """The hands that data were associated with, whose motion may be known."""
+    gross_px: Float[Tensor, "k"]
+    near_px: Float[Tensor, "k"]
+    view: int
+
+    def equations(self, hands: PosedHands) -> Equations:
+        """In the DOFs, and in the shape where it is unknown."""
+        motion = self.visible.motion if hands is self.associated else None
+        if motion is None:
+            motion = contours_of(self.contours, hands.shape, hands).motion(hands.pose, self.visible)
+        terms, cost = contour_terms(motion.columns_px, self.field, self.valleys, self.pairs)
+        matrix, gradient = motion.equations(terms)
+        found = Equations(cost=cost, gradient=gradient, matrix=matrix)
+        if hands.unknowns is None:
+            return found
+        rows = motion.slopes(terms.direction).flatten(1, 2)
+        shared = (terms.direction[..., None] * self._shape_slopes(hands)[:, None]).sum(2).flatten(1, 2)
+        weighted = terms.curvature.flatten(1)[..., None] * shared
+        return replace(
+            found,
+            mixed=rows.mT @ weighted,
+            shared_gradient=(terms.gradient.flatten(1)[:, None] @ shared).squeeze(1),
+            shared_matrix=shared.mT @ weighted,
+        )
+
+    def rows(self, rows: Int[Tensor, "n"]) -> "ContourFactor":
+        """Of some of the hands."""
+        return replace(
+            self,
+            visible=self.visible.rows(rows),
+            pairs=self.pairs.rows(rows),
+            associated=None,
+            gross_px=self.gross_px[rows],
+            near_px=self.near_px[rows],
+        )
+
+    def explained(self) -> tuple[Explained, ...]:
+        """Of the picture's contour on the fingers' side of the wrist; infinitely far where no outline is visible."""
+        pairs, points = self.pairs, self.visible.points_px
+        weight = pairs.weight[:, points.shape[1] :]
+        total = weight.sum(-1).clamp_min(1e-30)
+        offset = boundary_offset(points.mT, pairs).abs()
+        capped = torch.minimum(offset, self.gross_px[:, None])
+        mean = torch.where(weight > 0, capped * weight, 0.0).sum(-1) / total
+        near = torch.where(weight > 0, (offset <= self.near_px[:, None]) * weight, 0.0).sum(-1) / total
+        is_seen = self.visible.outer.any(-1)
+        return (
+            Explained(
+                name=CONTOUR,
+                view=self.view,
+                share=torch.where(is_seen, near, 0.0),
+                distance=torch.where(is_seen, mean, torch.inf),
+            ),
+        )
+
+    def _shape_slopes(self, hands: PosedHands) -> Float[Tensor, "k 2 points c"]:
+        """Derivative of the points in the shared unknowns, px; by finite differences. Only across the outline, along
+        which points may slide, is it that of the outline."""
+        assert hands.unknowns is not None
+        shape, std = hands.shape, self.contours.kinematics.shape_space.std.to(hands.shape)
+        here = contours_of(self.contours, shape, hands).points(hands.pose, self.visible)
+        slopes = []
+        for column in hands.unknowns.columns:
+            step = torch.zeros_like(shape)
+            step[column] = _SHAPE_STEP * std[column]
+            other = contours_of(self.contours, shape + step, hands, column)
+            slopes.append((other.points(hands.pose, self.visible) - here) / step[column])
+        nothing = [torch.zeros_like(here)] * len(hands.unknowns.extra)
+        return torch.stack((*slopes, *nothing), -1)
+
+
+def contours_of(
+    contours: Contours, shape: Float[Tensor, "shape"], hands: PosedHands, column: int | None = None
+) -> Contours:
+    """Contours of the hands' shape, or of the one that differs from it in a column; remade once where they must be."""
+    if shape is contours.shape or torch.equal(shape, contours.shape):
+        return contours
+    return hands.once_for_shape((id(contours), column), lambda: contours.with_shape(shape))
+
+
+def is_beyond_wrist(
+    visible: VisibleContour, boundary: Boundary, min_px: Float[Tensor, "hands"]
+) -> Bool[Tensor, "hands boundary"]:
+    """Which points of the picture are on the fingers' side of the wrist: on the other there may be a forearm."""
+    length = visible.distal_px.norm(dim=-1)
+    ahead = ((boundary.points_px.to(length) - visible.wrist_px[:, None]) * visible.distal_px[:, None]).sum(-1)
+    return (ahead > 0) | ~(length > min_px)[:, None]
