@@ -19,7 +19,7 @@ from torchhand.fit.appearance import (
 from torchhand.fit.bounds import free_bounds
 from torchhand.fit.equations import summed, weighted_equations
 from torchhand.fit.frames import FrameFactor, FrameObservations
-from torchhand.fit.limits import DynamicConstraints, limit_residual
+from torchhand.fit.limits import DynamicConstraints
 from torchhand.fit.observation import Equations, Explained, Factor, Observation, PosedHands
 from torchhand.fit.posture import PostureResiduals
 from torchhand.fit.priors import ConstraintPrior, GaussianPrior, PosturePrior
@@ -66,7 +66,6 @@ __all__ = [
     "grey",
     "hand_region",
     "learn_appearance",
-    "limit_residual",
     "mask_plane",
     "overlap",
     "relearned",

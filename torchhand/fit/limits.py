@@ -1,4 +1,4 @@
-"""Static limits and dynamic constraints of the joint angles as residuals (paper 000, section 3.2; FACTS 2)."""
+"""Constraints between joint angles as residuals (Ouhaddi and Horain 1998, section 3.2)."""
 
 import math
 from dataclasses import dataclass, fields
@@ -16,43 +16,24 @@ _COUNT = len(JOINT_DOFS)
 _FINGERS = len(FLEXIONS)
 
 
-def limit_residual(
-    pose: Float[Tensor, "*batch 36"], basis: Float[Tensor, "36 free"], constraints: PoseConstraints
-) -> tuple[Float[Tensor, "*batch 30"], Float[Tensor, "*batch 30 free"]]:
-    """How far each angle is beyond its static limits, over the softness; 0 within. Signed: positive above."""
-    joints = pose[..., _ROOT:]
-    lower, upper = constraints.skeleton.lower.to(joints), constraints.skeleton.upper.to(joints)
-    softness = math.radians(constraints.settings.softness_deg)
-    beyond = joints - torch.minimum(torch.maximum(joints, lower), upper)
-    rows = (beyond != 0).to(joints)[..., None] * basis[_ROOT:]
-    return beyond / softness, rows / softness
-
-
 @dataclass(frozen=True, kw_only=True)
 class DynamicConstraints:
-    """Equations (1) to (5) of paper 000 as residuals in a pose space, constants multiplied out once.
+    """Ouhaddi and Horain 1998, eq. 1 to 5, with all constants multiplied out once.
 
-    Rows: the bands on neighbouring MCP flexions (equation 3, or as the constraints' settings say) and the four
-    abductions at their flexions (equation 2), each over the softness and 0 where the constraint holds; then the ties
-    (equations 1, 4, 5), each over its spread.
+    Rows: the bands on neighbouring MCP flexions (eq. 3, or as the constraints' settings say) and the four abductions
+    at their flexions (eq. 2), each over the softness and 0 where the constraint holds; then the ties (eq. 1, 4, 5),
+    each over its spread.
     """
 
     constraints: PoseConstraints
-    basis: Float[Tensor, "36 free"]
-
-    def residual(
-        self, pose: Float[Tensor, "*batch 36"]
-    ) -> tuple[Float[Tensor, "*batch rows"], Float[Tensor, "*batch rows free"]]:
-        joints, (value, slope) = pose[..., _ROOT:], self.of_joints(pose)
-        return value, slope @ self.basis[_ROOT:].to(joints)
 
     def of_joints(
         self, pose: Float[Tensor, "*batch 36"], *, has_ties: bool = True
     ) -> tuple[Float[Tensor, "*batch rows"], Float[Tensor, "*batch rows 30"]]:
-        """The same, derived in the joint angles. has_ties: whether the ties are among the rows."""
+        """Residuals and their derivative in the joint angles. has_ties: whether the ties are among the rows."""
         c, joints = _constants_of(self.constraints, pose.dtype, pose.device), pose[..., _ROOT:]
         bent, abduction, flexion = (joints @ c.rows.mT).split((len(c.bound), _FINGERS, _FINGERS), -1)
-        room = 1 - flexion.clamp(0.0, 1.0)  # equation (2)
+        room = 1 - flexion.clamp(0.0, 1.0)  # eq. 2
         beyond = abduction - torch.minimum(torch.maximum(abduction, c.lower * room), c.upper * room)
         values = torch.cat(((bent - c.bound).clamp_min(0), beyond), -1)
         is_over = values != 0

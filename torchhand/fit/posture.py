@@ -51,17 +51,10 @@ class PostureResiduals:
         missed = (joints @ self.matrix.flatten(0, 1).T).unflatten(-1, self.offset.shape) - self.offset
         return (0.5 * missed.square().sum(-1) + self.level).argmin(-1)
 
-    def residual(
-        self, pose: Float[Tensor, "*batch 36"], posture: Int[Tensor, "*batch"], basis: Float[Tensor, "36 free"]
-    ) -> tuple[Float[Tensor, "*batch 30"], Float[Tensor, "*batch 30 free"]]:
-        """In standard deviations, and the derivative in the pose space; the posture is held."""
-        missed, matrix = self.of_joints(pose, posture)
-        return missed, matrix @ basis[_ROOT:]
-
     def of_joints(
         self, pose: Float[Tensor, "*batch 36"], posture: Int[Tensor, "*batch"]
     ) -> tuple[Float[Tensor, "*batch 30"], Float[Tensor, "*batch 30 30"]]:
-        """The same, derived in the joint angles."""
+        """Residuals of a posture that is held, in standard deviations, and their derivative in the joint angles."""
         joints = pose[..., _ROOT:]
         matrix = self.matrix.to(joints)[posture]
         return (matrix @ joints[..., None]).squeeze(-1) - self.offset.to(joints)[posture], matrix

@@ -12,6 +12,7 @@ from torchhand.fit.limits import DynamicConstraints
 from torchhand.fit.observation import Equations, Explained, PosedHands
 from torchhand.fit.posture import PostureResiduals
 from torchhand.fit.schedule import Stage
+from torchhand.geometry import vector_from_rotation
 from torchhand.hand import DOFS, HandPose, PoseConstraints, PoseSpace
 
 _ROOT = 6
@@ -34,7 +35,7 @@ class ConstraintPrior:
 
     @cached_property
     def _residuals(self) -> DynamicConstraints:
-        return DynamicConstraints(constraints=self.constraints, basis=torch.eye(len(DOFS)))
+        return DynamicConstraints(constraints=self.constraints)
 
     def associate(self, hands: PosedHands, stage: Stage) -> "ConstraintPrior":
         """The same for all hands."""
@@ -145,17 +146,28 @@ class GaussianPrior:
     def is_empty(self) -> bool:
         return False
 
+    @cached_property
+    def _rotation(self) -> Float[Tensor, "*#k 3 3"]:
+        return self.pose.rotation
+
+    @cached_property
+    def _in_dofs(self) -> Float[Tensor, "*#k 36 36"]:
+        """The information of the DOFs that free parameters are named after; zero in others."""
+        information, size = self.information, len(DOFS)
+        rows = torch.tensor([DOFS.index(name) for name in self.space.free_names], device=information.device)
+        factor = self.space.basis[rows].diagonal().to(information)
+        matrix = information.new_zeros(*information.shape[:-2], size, size)
+        matrix[..., rows[:, None], rows] = information / (factor[:, None] * factor)
+        return matrix
+
     def associate(self, hands: PosedHands, stage: Stage) -> "GaussianFactor":
         """The expected rotation about the references of the hands."""
-        like, size = hands.pose.dofs, len(DOFS)
-        expected = HandPose.of(self.pose.dofs.to(like), self.pose.reference).expand(len(hands))
-        rows = torch.tensor([DOFS.index(name) for name in self.space.free_names], device=like.device)
-        factor = self.space.basis[rows].diagonal().to(like)  # of the DOF that a free parameter is named after
-        information = self.information.to(like) / (factor[:, None] * factor)
-        matrix = like.new_zeros(*information.shape[:-2], size, size)
-        matrix[..., rows[:, None], rows] = information
+        like, count, size = hands.pose.dofs, len(hands), len(DOFS)
+        turn = vector_from_rotation(self._rotation.to(like) @ hands.pose.reference.mT)
+        expected = self.pose.dofs.to(like).expand(count, size)
         return GaussianFactor(
-            expected=expected.about(hands.pose.reference).dofs, information=matrix.expand(len(hands), size, size)
+            expected=torch.cat((expected[:, :3], turn, expected[:, _ROOT:]), -1),
+            information=self._in_dofs.to(like).expand(count, size, size),
         )
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "GaussianPrior":

@@ -68,7 +68,7 @@ class Beliefs:
         moves_joints = bool(space.basis[_ROOT:].any())
         dynamic = None
         if constraints is not None and moves_joints and constraint_weight > 0:
-            dynamic = DynamicConstraints(constraints=constraints, basis=space.basis)
+            dynamic = DynamicConstraints(constraints=constraints)
         return cls(
             space=space,
             constraints=dynamic,

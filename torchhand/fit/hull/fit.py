@@ -123,7 +123,7 @@ class HullFitter:
         weight, prior_weight = self.settings.constraint_weight, self.settings.prior_weight
         dynamic = None
         if constraints is not None and moves_joints and weight > 0:
-            dynamic = DynamicConstraints(constraints=constraints, basis=space.basis)
+            dynamic = DynamicConstraints(constraints=constraints)
         self.beliefs = Beliefs(
             space=space,
             constraints=dynamic,
