@@ -1,4 +1,4 @@
-"""What the tests of the residuals share: a hand before a camera, contours that move with it, and skin that moves."""
+"""What the tests of the residuals share: a hand before a camera, and contours that move with it."""
 
 from dataclasses import dataclass
 
@@ -31,23 +31,6 @@ class Straight:
 
 
 @dataclass(frozen=True)
-class StraightSkin:
-    """The same in space."""
-
-    start: Tensor
-    slopes: Tensor
-    """hands, points, 3, free"""
-    free: Tensor
-
-    @property
-    def points(self) -> Tensor:
-        return self.start + (self.slopes @ self.free[:, None, :, None]).squeeze(-1)
-
-    def along(self, direction: Tensor) -> Tensor:
-        return (direction[..., None, :] @ self.slopes).squeeze(-2)
-
-
-@dataclass(frozen=True)
 class Bench:
     contours: PrimitiveContours
     space: PoseSpace
@@ -67,16 +50,6 @@ class Bench:
             slopes=torch.randn(hands, points, 2, free, generator=generator, dtype=torch.float64),
             free=torch.randn(hands, free, generator=generator, dtype=torch.float64),
         )
-
-
-@pytest.fixture
-def skin(generator: torch.Generator) -> StraightSkin:
-    """Three hands of 40 points within a metre or two of the origin, and four free parameters."""
-
-    def normal(*sizes: int) -> Tensor:
-        return torch.randn(*sizes, generator=generator, dtype=torch.float64)
-
-    return StraightSkin(start=normal(3, 40, 3), slopes=normal(3, 40, 3, 4), free=0.1 * normal(3, 4))
 
 
 @pytest.fixture(scope="session")

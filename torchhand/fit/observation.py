@@ -23,7 +23,8 @@ T = TypeVar("T")
 class PosedHands:
     """Hands of one shape in some poses, as factors are asked about them; a row per hand.
 
-    What several factors need of the same hands is computed once and kept (`once`).
+    What several factors need of the same hands is computed once and kept (`once`); so is what only the shape matters
+    for, also for hands in other poses (`once_for_shape`).
     """
 
     pose: HandPose
@@ -34,6 +35,7 @@ class PosedHands:
     extra: Float[Tensor, "extra"] | None = None
     """The numbers after the shape among the shared unknowns."""
     kept: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
+    kept_of_shape: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def __len__(self) -> int:
         return len(self.pose)
@@ -44,13 +46,19 @@ class PosedHands:
             self.kept[key] = make()
         return self.kept[key]
 
+    def once_for_shape(self, key: Hashable, make: Callable[[], T]) -> T:
+        """What `make` returns, computed the first time for all hands of this shape."""
+        if key not in self.kept_of_shape:
+            self.kept_of_shape[key] = make()
+        return self.kept_of_shape[key]
+
     def in_dtype(self, like: Tensor) -> "PosedHands":
         """The same hands in the dtype and on the device of a tensor."""
         if self.pose.dofs.dtype == like.dtype and self.pose.dofs.device == like.device:
             return self
         return self.once(
             (like.dtype, like.device),
-            lambda: replace(self, pose=self.pose.to(like), shape=self.shape.to(like), kept={}),
+            lambda: replace(self, pose=self.pose.to(like), shape=self.shape.to(like), kept={}, kept_of_shape={}),
         )
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.fit.hull import MIN_COVERED
 from torchhand.track import TrackerState
 from torchhand.track.multiview.silhouettes import Masks, PackedMask
 from torchhand.track.multiview.tracker import MultiViewEstimate, MultiViewMemory, MultiViewTracker
@@ -108,7 +109,7 @@ class Hindsight:
         """Whether that much is explained that there is a hand, and no arm or half a hand."""
         settings = self._tracker.settings
         covered = found.covered_share or 0.0
-        return (found.overlap or 0.0) >= settings.loss.start_overlap and covered >= settings.fit.least_covered
+        return (found.overlap or 0.0) >= settings.loss.start_overlap and covered >= MIN_COVERED
 
     def _gain(self, before: list[SeenMoment], after: list[MultiViewEstimate], now: Tensor) -> float:
         """By how much the last moments are explained better by the hand that was followed back through them."""

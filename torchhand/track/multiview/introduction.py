@@ -102,7 +102,7 @@ def _agreement(fits: MomentFitter, masks: Masks) -> float:
     """How well a generic hand explains the silhouettes of a moment, 0 to 1: the overlap times the share of their edges
     that it explains."""
     found = fits.searched(fits.hull_anywhere(None, masks), fits.hand.kinematics.default_shape, masks)
-    return 0.0 if found is None else found.overlap * float(found.fit.covered_share)
+    return 0.0 if found is None else found.overlap * found.fit.covered_share
 
 
 def _introduction(

@@ -3,16 +3,20 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from torchhand.fit.hull import HullFitSettings, HullLevel, HullShapeSettings, HullStartSettings, HullTorqueSettings
+from torchhand.fit import Schedule
+from torchhand.fit.hull import (
+    SEARCH,
+    TRACKING,
+    HullSettings,
+    HullShapeSettings,
+    HullStartSettings,
+    HullTorqueSettings,
+    JointPriorWeights,
+)
 from torchhand.hand import POSE_SPACES
 from torchhand.image import SilhouetteSettings
 from torchhand.numerics import MotionModel
 from torchhand.track import NoiseSettings, require, require_positive
-
-_TRACKING_LEVELS = tuple(
-    HullLevel(robust_m=robust_m, rounds=1, iterations=1, is_judged=False) for robust_m in (0.006, 0.002)
-)
-"""For predictions: as good as the three steps for starts that are farther off."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,11 +83,11 @@ class MultiViewLossSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class MultiViewSettings:
-    """The tracker of paper 002."""
+    """The tracker of Ueda et al. 2003."""
 
     method: Literal["hull"] = "hull"
     fitting: Literal["least_squares", "torque"] = "least_squares"
-    """Both sides of skin and hull with prediction and filter, or the paper's torques."""
+    """Method: both sides of skin and hull with prediction and filter, or the paper's torques."""
     pose_space: str = "dof28"
     """Free DOFs: a name of torchhand.hand.POSE_SPACES."""
     silhouette: SilhouetteSettings = field(default_factory=lambda: SilhouetteSettings(shaded_skin=0.5))
@@ -92,24 +96,24 @@ class MultiViewSettings:
     contours: bool = True
     """The edges of all views' silhouettes must touch the skin; without them the hull's surface must be on it, which in
     part is volume that no hand fills."""
-    fit: HullFitSettings = field(
-        default_factory=lambda: HullFitSettings(
-            levels=_TRACKING_LEVELS, vertices=250, prior_weight=0.5, prior_tail=3.0, firmness=1.5
-        )
-    )
-    """While a hand is followed."""
-    torque: HullTorqueSettings = field(default_factory=HullTorqueSettings)
+    hull: HullSettings = field(default_factory=lambda: HullSettings(rigidity_exponent=1.5))
+    """Weights and sizes of the fit by least squares."""
+    joints: JointPriorWeights = field(default_factory=lambda: JointPriorWeights(postures=0.5, posture_tail=3.0))
+    """What is believed of joint angles in that fit."""
+    tracking: Schedule = TRACKING
+    """Stages of the fit while a hand is followed."""
+    tracking_vertices: int = 250
+    """Vertices of the skin that must be inside the hull while a hand is followed; 1 or more."""
+    search: Schedule = SEARCH
+    """Stages of the fit from starts that are farther off, such as the last step of a search."""
     start: HullStartSettings = field(default_factory=HullStartSettings)
     """Where a hand is looked for."""
-    start_fit: HullFitSettings = field(
-        default_factory=lambda: HullFitSettings(prior_weight=0.5, prior_tail=3.0, firmness=1.5)
-    )
-    """The last step of the search."""
+    torque: HullTorqueSettings = field(default_factory=HullTorqueSettings)
+    """Steps of the fit by torques."""
     shape: HullShapeSettings = field(default_factory=HullShapeSettings)
-    shape_fit: HullFitSettings = field(
-        default_factory=lambda: HullFitSettings(prior_weight=0.8, prior_tail=3.0, firmness=1.5)
-    )
-    """Sizes and weights meanwhile; its levels do not count. The less each frame's posture may deviate, the more the
+    """Rounds of the fit of the proportions."""
+    shape_posture_weight: float = 0.8
+    """Weight of the likely postures in that fit; 0 or more. The less each frame's posture may deviate, the more the
     frames tell of the proportions."""
     shape_frames: int = 12
     """Frames, evenly over the sequence, to which the proportions are fitted once where they are not given; 0 keeps
@@ -129,6 +133,11 @@ class MultiViewSettings:
         fittings = ("least_squares", "torque")
         require(self.fitting in fittings, "fitting", " or ".join(fittings), self.fitting)
         require(self.pose_space in POSE_SPACES, "pose_space", f"one of {', '.join(POSE_SPACES)}", self.pose_space)
+        for name in ("tracking", "search"):
+            require(len(getattr(self, name)) > 0, name, "at least one stage", getattr(self, name))
+        require(self.tracking_vertices >= 1, "tracking_vertices", "1 or more", self.tracking_vertices)
+        is_weight = 0 <= self.shape_posture_weight < float("inf")
+        require(is_weight, "shape_posture_weight", "0 or more and finite", self.shape_posture_weight)
         require(self.shape_frames >= 0, "shape_frames", "0 or more", self.shape_frames)
         require(len(self.sizes) > 0 and min(self.sizes) > 0, "sizes", "at least one, all above 0", self.sizes)
         require(0 <= self.look_back_s < float("inf"), "look_back_s", "0 or more and finite", self.look_back_s)

@@ -12,14 +12,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.fit.hull import HullFit
 from torchhand.geometry import Camera, vector_from_rotation
 from torchhand.hand import Hand
 from torchhand.numerics import Gaussian, predict_linear
 from torchhand.numerics.filters import with_marginal
 from torchhand.track import Kind, Rebasing, Status, TrackerState, kind_of, posed_belief, start_spread
 from torchhand.track.multiview.agreement import mean_overlap, score_of
-from torchhand.track.multiview.fitting import Anchor, MomentFitter, Placed
+from torchhand.track.multiview.fitting import Anchor, HullFit, MomentFitter, Placed
 from torchhand.track.multiview.hulls import Hull
 from torchhand.track.multiview.settings import MultiViewSettings
 from torchhand.track.multiview.silhouettes import Masks
