@@ -1,4 +1,4 @@
-"""Paper 002's evaluation again: figures 13 and 14, table 1, and its fit against least squares over 1 to 8 cameras."""
+"""The evaluation of Ueda et al. 2003 again: figures 13 and 14, table 1, torques against least squares over cameras."""
 
 import re
 import sys
@@ -29,8 +29,8 @@ from torchhand.study.ueda import (
     own_bent,
     printed,
     recorded_bent,
-    sitter,
     stage_times,
+    subject,
     write_results,
 )
 
@@ -44,7 +44,7 @@ _REPEATS = 5
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
-    """Paper 002's evaluation again, on simulated hands and on a recording.
+    """The evaluation of Ueda et al. 2003 again, on simulated hands and on a recording.
 
     The index bent at its knuckle is fitted by torques (figures 13 and 14: error and share of vertices inside, iteration
     by iteration, over octree levels), stages are timed (table 1), and ways of fitting are compared over people and
@@ -178,7 +178,7 @@ def _plan(arguments: Arguments) -> dict[str, Part]:
         plan[f"stages-{source}"] = partial(_timed, case, source)
     eight = rig_cameras(f"frame{_MOST_CAMERAS}")
     seat = lru_cache(maxsize=1)(
-        lambda number: sitter(
+        lambda number: subject(
             model,
             eight,
             number,

@@ -13,7 +13,7 @@ class Stage:
     Lengths are of the hand's surroundings in space; observations in pictures take them at the hand's distance.
     """
 
-    gross_m: float
+    gross_m: float = 0.010
     """Distance beyond which a residual counts as gross, metres; above 0."""
     rounds: int = 2
     """Associations of data with the posed hand; 1 or more."""

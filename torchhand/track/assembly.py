@@ -144,8 +144,9 @@ def _of_a_rig(own: _Ingredients, cameras: Sequence[Camera], plates: Sequence[Bac
     s, health = own.settings, Health(settings=own.settings.health)
     exact = tuple(camera.to(dtype=torch.float64) for camera in cameras)
     silhouettes = ViewSilhouettes(exact, s.silhouette, plates=plates)
-    fits = MomentFitter(own.hand, silhouettes.cameras, s.rig)
     takes_proposals = s.method == "hull"
+    rig = replace(s.rig, pose_space=s.pose_space) if takes_proposals else s.rig
+    fits = MomentFitter(own.hand, silhouettes.cameras, rig)
     motion = own.motion if takes_proposals else replace(own.motion, space=fits.space)
     hull = HullUpdate(fits, motion, health)
     return Assembly(

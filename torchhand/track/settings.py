@@ -11,7 +11,7 @@ from torchhand.image import SilhouetteSettings
 from torchhand.numerics import MotionModel
 from torchhand.track.belief import NoiseSettings
 from torchhand.track.extended import ExtendedUpdateSettings
-from torchhand.track.multiview import MultiViewSettings
+from torchhand.track.multiview import RigSettings
 from torchhand.track.scene import ColourUpdateSettings, HealthSettings
 from torchhand.track.unscented import UnscentedUpdateSettings
 
@@ -46,7 +46,7 @@ class TrackerSettings:
     """Of the picture in which a hand is found."""
     search_overlap: float = 0.80
     """Smallest overlap with which a search of one camera takes a hand as found; 0 to 1."""
-    rig: MultiViewSettings = field(default_factory=MultiViewSettings)
+    rig: RigSettings = field(default_factory=RigSettings)
     """Several cameras: the hull of the silhouettes, in which a hand is found whatever the update rule."""
     smoothing_window_s: float = 0.0
     """How far a hand that was found anew is followed back, to correct the frames before, seconds; 0 or more."""

@@ -10,9 +10,10 @@ from torch import Tensor
 
 from torchhand.files import load_hand_model
 from torchhand.fit import PostureResiduals
-from torchhand.fit.hull.points import HullTarget, target_of, with_rims
+from torchhand.fit.hull.joint_priors import JointPriors
+from torchhand.fit.hull.target import HullTarget, target_of, with_rays
 from torchhand.geometry import Camera, rotation_from_vector
-from torchhand.hand import Hand, HandModel, PoseConstraints
+from torchhand.hand import Hand, HandModel, HandPose, PoseConstraints
 from torchhand.image import distance_map
 from torchhand.view import mesh_silhouette
 from torchhand.volume import Carver, CarvingSettings, RootCube, hull_field
@@ -34,29 +35,44 @@ def looking(name: str, place: tuple[float, float, float], up: tuple[float, float
     )
 
 
+CENTRE, RADIUS = torch.tensor((0.02, -0.01, 0.03), dtype=torch.float64), 0.06
+
+
+def ball(camera: Camera) -> Tensor:
+    """Silhouette of a ball, by each pixel's ray, near where it is."""
+    left, top = (int(value) - 110 for value in camera.project(CENTRE))
+    y, x = torch.meshgrid(torch.arange(top, top + 220), torch.arange(left, left + 220), indexing="ij")
+    origin, along = camera.rays(torch.stack((x, y), -1).double())
+    along = along / along.norm(dim=-1, keepdim=True)
+    offset = camera.cam_from_world(CENTRE) - origin
+    mask = torch.zeros(480, 640, dtype=torch.bool)
+    mask[y, x] = (offset - (offset * along).sum(-1, keepdim=True) * along).norm(dim=-1) < RADIUS
+    return mask
+
+
 @dataclass(frozen=True)
 class Rig:
-    """Front, side, top, and top at 45° of a frame of paper 002 (section 7.1)."""
+    """Front, side, top, and top at 45° of a frame of Ueda et al. 2003 (section 7.1)."""
 
     model: HandModel
     hand: Hand
     cameras: tuple[Camera, ...]
-    constraints: PoseConstraints
-    prior: PostureResiduals
+    joints: JointPriors
 
     @property
     def upright(self) -> Tensor:
         """world_from_hand of an upright hand, palm to the front camera."""
         return torch.tensor(UPRIGHT, dtype=torch.float64).T.contiguous()
 
-    def masks(self, pose: Tensor, reference: Tensor, shape: Tensor | None = None) -> list[Tensor]:
-        vertices = self.hand(pose, shape, root_reference=reference).vertices
+    def vertices(self, pose: HandPose, shape: Tensor | None = None) -> Tensor:
+        return self.hand(pose.dofs, shape, root_reference=pose.reference).vertices
+
+    def masks(self, pose: HandPose, shape: Tensor | None = None) -> list[Tensor]:
+        vertices = self.vertices(pose, shape)
         return [mesh_silhouette(vertices, self.hand.faces, camera, is_closed=True) for camera in self.cameras]
 
-    def target(
-        self, pose: Tensor, reference: Tensor, shape: Tensor | None = None, *, level: int = 7, points: int = 500
-    ) -> HullTarget:
-        return self.target_of_masks(self.masks(pose, reference, shape), level=level, points=points)
+    def target(self, pose: HandPose, shape: Tensor | None = None, *, level: int = 7, points: int = 500) -> HullTarget:
+        return self.target_of_masks(self.masks(pose, shape), level=level, points=points)
 
     def target_of_masks(self, masks: list[Tensor], *, level: int = 7, points: int = 500) -> HullTarget:
         root = RootCube(centre=(0.0, 0.0, 0.0), side=0.512)
@@ -65,7 +81,7 @@ class Rig:
 
     def with_edges(self, masks: list[Tensor], *, rays: int = 300) -> HullTarget:
         """The hull with the edges of its silhouettes."""
-        return with_rims(self.target_of_masks(masks), self.cameras, masks, rays=rays)
+        return with_rays(self.target_of_masks(masks), self.cameras, masks, count=rays)
 
     def noisy(self, masks: list[Tensor], seed: int, *, std_px: float = 1.0) -> list[Tensor]:
         """The silhouettes with edges that are off by smooth noise."""
@@ -79,40 +95,50 @@ class Rig:
             found.append(signed + std_px * torch.from_numpy(noise / noise.std()) < 0)
         return found
 
-    def person(self, seed: int, *, turn: float = 0.4) -> tuple[Tensor, Tensor, Tensor]:
-        """Pose, reference and shape of a random person's hand in the middle of the rig."""
-        generator = torch.Generator().manual_seed(seed)
-        pose, shape = (x[0].double() for x in self.model.prior().sample(1, generator))
-        spin = turn * torch.randn(3, generator=generator, dtype=torch.float64)
-        reference = rotation_from_vector(spin) @ self.upright
-        vertices = self.hand(pose, shape, root_reference=reference).vertices
-        pose[:3] = -0.5 * (vertices.amax(0) + vertices.amin(0))
-        return pose, reference, shape
+    def balls(self) -> list[Tensor]:
+        """The silhouettes of a ball."""
+        return [ball(camera) for camera in self.cameras]
 
-    def moved(self, pose: Tensor, reference: Tensor, seed: int, *, deg: float, mm: float) -> tuple[Tensor, Tensor]:
+    def person(self, seed: int, *, turn: float = 0.4) -> tuple[HandPose, Tensor]:
+        """Pose and shape of a random person's hand in the middle of the rig."""
+        generator = torch.Generator().manual_seed(seed)
+        dofs, shape = (x[0].double() for x in self.model.prior().sample(1, generator))
+        spin = turn * torch.randn(3, generator=generator, dtype=torch.float64)
+        pose = HandPose.of(dofs, rotation_from_vector(spin) @ self.upright)
+        return self.in_the_middle(pose, shape), shape
+
+    def in_the_middle(self, pose: HandPose, shape: Tensor) -> HandPose:
+        """Moved there."""
+        vertices, dofs = self.vertices(pose, shape), pose.dofs.clone()
+        dofs[:3] += -0.5 * (vertices.amax(0) + vertices.amin(0))
+        return HandPose(dofs=dofs, reference=pose.reference)
+
+    def moved(self, pose: HandPose, seed: int, *, deg: float, mm: float) -> HandPose:
         """A start off by so much in every angle, in the palm's turn and in its place."""
         generator = torch.Generator().manual_seed(seed)
 
         def normal(count: int) -> Tensor:
             return torch.randn(count, generator=generator, dtype=torch.float64)
 
-        start = pose.clone()
+        start = pose.dofs.clone()
         start[:3] += 1e-3 * mm / math.sqrt(3) * normal(3)
         start[6:] = self.model.skeleton.within_limits(start[6:] + math.radians(deg) * normal(30))
-        return start, rotation_from_vector(math.radians(deg) / math.sqrt(3) * normal(3)) @ reference
+        return HandPose(
+            dofs=start, reference=rotation_from_vector(math.radians(deg) / math.sqrt(3) * normal(3)) @ pose.reference
+        )
 
-    def keypoints(self, pose: Tensor, reference: Tensor, shape: Tensor | None = None) -> Tensor:
-        return self.hand.kinematics(pose, shape, root_reference=reference).keypoints
+    def keypoints(self, pose: HandPose, shape: Tensor | None = None) -> Tensor:
+        return self.hand.kinematics(pose.dofs, shape, root_reference=pose.reference).keypoints
 
-    def error_mm(self, found: tuple[Tensor, Tensor], truth: tuple[Tensor, Tensor], shape: Tensor | None) -> float:
+    def error_mm(self, found: HandPose, truth: HandPose, shape: Tensor | None) -> float:
         """Mean distance of the keypoints."""
-        apart = self.keypoints(*found, shape) - self.keypoints(*truth, shape)
-        return 1e3 * float(apart.norm(dim=-1).mean())
+        distance = (self.keypoints(found, shape) - self.keypoints(truth, shape)).norm(dim=-1)
+        return 1e3 * float(distance.mean())
 
-    def flexion_deg(self, pose: Tensor, reference: Tensor, shape: Tensor | None) -> Tensor:
+    def flexion_deg(self, pose: HandPose, shape: Tensor | None) -> Tensor:
         """Angles between the bones of each digit that follow each other."""
         chains = [[0, *range(4 * finger + 1, 4 * finger + 5)] for finger in range(5)]
-        bones = self.keypoints(pose, reference, shape)[torch.tensor(chains)].diff(dim=1)
+        bones = self.keypoints(pose, shape)[torch.tensor(chains)].diff(dim=1)
         bones = torch.nn.functional.normalize(bones, dim=-1)
         return (bones[:, :-1] * bones[:, 1:]).sum(-1).clamp(-1, 1).acos().rad2deg()
 
@@ -131,6 +157,7 @@ def rig() -> Rig:
         model=model,
         hand=model.hand(dtype=torch.float64),
         cameras=cameras,
-        constraints=PoseConstraints(model.skeleton),
-        prior=PostureResiduals.of(model.prior().postures),
+        joints=JointPriors(
+            constraints=PoseConstraints(model.skeleton), postures=PostureResiduals.of(model.prior().postures)
+        ),
     )

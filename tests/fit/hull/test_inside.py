@@ -1,12 +1,19 @@
-"""Skin outside a hull: values, derivatives against autograd, what is within does not count."""
+"""Skin outside a hull: what it costs, what is within does not count, what is told of it."""
 
 from dataclasses import dataclass, replace
 from typing import Any
 
+import pytest
 import torch
 from torch import Tensor
 
-from torchhand.fit.hull.inside import hull_inside_residual
+from torchhand.fit import PosedHands, Stage
+from torchhand.fit.hull.inside import InsideObservation
+from torchhand.fit.hull.settings import HullSettings
+from torchhand.fit.hull.skin import SkinPoints
+from torchhand.fit.hull.target import HullTarget
+from torchhand.fit.hull.vertices import SkinVertices
+from torchhand.hand import HandPose
 
 
 @dataclass(frozen=True)
@@ -20,34 +27,62 @@ class Ball:
         return length - self.radius, points / length[..., None]
 
 
-def test_distance_outside_and_nothing_within(skin: Any) -> None:
-    field = Ball(1.5)
-    value, rows = hull_inside_residual(skin, field)
-    outside = skin.points.norm(dim=-1) > 1.5
-    assert 0.2 < float(outside.double().mean()) < 0.9
-    assert torch.allclose(value, (skin.points.norm(dim=-1) - 1.5).clamp_min(0), atol=1e-15)
-    assert bool((rows[~outside] == 0).all())
-    assert float(rows[outside].abs().amax(-1).min()) > 0
+def observation(rig: Any, radius: float, settings: HullSettings) -> InsideObservation:
+    point = torch.zeros(1, 3, dtype=torch.float64)
+    target = HullTarget(field=Ball(radius), points=point, normals=point, inner=point, depth=point[:, 0])
+    return InsideObservation(target=target, vertices=SkinVertices.of(SkinPoints(rig.hand), settings))
 
 
-def test_slack_moves_the_surface(skin: Any) -> None:
-    loose, tight = (hull_inside_residual(skin, Ball(1.5), slack=slack)[0] for slack in (0.2, -0.2))
-    assert torch.allclose(loose, hull_inside_residual(skin, Ball(1.7))[0], atol=1e-15)
-    assert torch.allclose(tight, hull_inside_residual(skin, Ball(1.3))[0], atol=1e-15)
+def hands(rig: Any) -> PosedHands:
+    poses = [rig.person(seed)[0] for seed in (1, 2)]
+    return PosedHands(pose=HandPose.stack(poses), shape=rig.hand.shape)
 
 
-def test_derivative(skin: Any) -> None:
-    field = Ball(1.5)
+def test_cost_is_hubers_of_the_distance_outside(rig: Any) -> None:
+    settings = HullSettings(vertices=200, inside_weight=50.0, inside_gross=3.0, std_m=0.002)
+    stage, both = Stage(gross_m=0.004), hands(rig)
+    own = observation(rig, 0.07, settings)
+    found = own.associate(both, stage).equations(both)
+    distance = rig.vertices(both.pose)[:, own.vertices.index].norm(dim=-1) - 0.07
+    away = distance.clamp_min(0) / 0.002
+    loss = torch.where(away <= 3, away.square(), 2 * 3 * away - 9)
+    torch.testing.assert_close(found.cost, 0.5 * 50 * (own.vertices.area_share * loss).sum(-1))
+    assert bool((away > 3).any())
+    assert bool((away == 0).any())
 
-    def at(free: Tensor) -> Tensor:
-        return hull_inside_residual(replace(skin, free=free), field)[0]
 
-    exact = torch.func.jacrev(at)(skin.free)
-    own = torch.stack([exact[hand, :, hand] for hand in range(3)])
-    assert torch.allclose(hull_inside_residual(skin, field)[1], own, atol=1e-12)
+def test_slack_moves_the_surface(rig: Any) -> None:
+    both, stage = hands(rig), Stage(gross_m=0.004)
+    settings = HullSettings(vertices=100)
+    moved = replace(settings, slack_m=0.01)
+    loose, wide = (
+        own.associate(both, stage).equations(both)
+        for own in (observation(rig, 0.06, moved), observation(rig, 0.07, settings))
+    )
+    for name in ("cost", "gradient", "matrix"):
+        torch.testing.assert_close(getattr(loose, name), getattr(wide, name))
 
 
-def test_one_hand_never_touches_another(skin: Any) -> None:
-    alone = replace(skin, start=skin.start[1:2], slopes=skin.slopes[1:2], free=skin.free[1:2])
-    for both, own in zip(hull_inside_residual(skin, Ball(1.5)), hull_inside_residual(alone, Ball(1.5)), strict=True):
-        assert torch.equal(both[1:2], own)
+def test_a_single_step_leaves_out_what_is_inside_and_is_the_same_step(rig: Any) -> None:
+    own, both = observation(rig, 0.07, HullSettings(vertices=200)), hands(rig)
+    one = PosedHands(pose=both.pose[:1], shape=both.shape)
+    quick = own.associate(one, Stage(gross_m=0.004, method="gauss_newton"))
+    whole = own.associate(one, Stage(gross_m=0.004))
+    assert 0 < len(quick.index) < len(whole.index)
+    for name in ("cost", "gradient", "matrix"):
+        torch.testing.assert_close(getattr(quick.equations(one), name), getattr(whole.equations(one), name))
+
+
+def test_what_is_told_are_shares_of_the_area(rig: Any) -> None:
+    own, both = observation(rig, 0.07, HullSettings(vertices=10_000, near_m=0.003)), hands(rig)
+    [told] = own.associate(both, Stage()).explained()
+    distance = rig.vertices(both.pose).norm(dim=-1) - 0.07
+    area = own.vertices.area_share
+    order = own.vertices.index
+    for found, limit in ((told.share, 0.003), (told.inside, 0.0)):
+        expected = [float(area[(row[order] <= limit)].sum()) for row in distance]
+        assert found is not None
+        assert found.tolist() == pytest.approx(expected)
+    assert 0.2 < float(told.share.min()) < 1
+    expected = [float((row[order].clamp_min(0) * area).sum()) for row in distance]
+    assert told.distance.tolist() == pytest.approx(expected)

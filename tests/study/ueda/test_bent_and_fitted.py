@@ -1,4 +1,4 @@
-"""The study of paper 002: a bent finger found again, methods compared on equal problems, times of the stages."""
+"""The study of Ueda et al. 2003: a bent finger found again, methods compared on equal problems, times of the stages."""
 
 import math
 from dataclasses import replace
@@ -12,12 +12,12 @@ from torchhand.evaluate import flexion_deg
 from torchhand.files import load_hand_model
 from torchhand.fit.hull import HullTorqueSettings
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand import DOFS, pose_space, posture
+from torchhand.hand import DOFS, HandPose, pose_space, posture
 from torchhand.simulate import facing, named_rig
 from torchhand.study.ueda.bent import BentFinger, converge, knuckle_deg, phalanx_turn_deg, turn_of
-from torchhand.study.ueda.cases import fingers, root_at, sitter
-from torchhand.study.ueda.compare import Sitter, fit_errors
-from torchhand.study.ueda.methods import METHODS, FitProblem, FoundHand
+from torchhand.study.ueda.cases import fingers, root_at, subject
+from torchhand.study.ueda.compare import Subject, fit_errors
+from torchhand.study.ueda.methods import METHODS, FitProblem
 from torchhand.study.ueda.stages import STAGES, stage_times
 from torchhand.view import mesh_silhouette
 
@@ -47,8 +47,7 @@ def bent() -> BentFinger:
         hand=HAND,
         shape=HAND.kinematics.default_shape,
         space=pose_space("fingers", fingers()).about(flat(0)),
-        pose=flat(0),
-        root_reference=REFERENCE,
+        start=HandPose.of(flat(0), REFERENCE),
         measure=knuckle_deg,
         truth_deg=10.0,
     )
@@ -68,14 +67,14 @@ def test_the_bent_index_is_found_again(bent: BentFinger, level: int, most_deg: f
 
 def test_another_makers_hand_is_judged_by_the_change(bent: BentFinger) -> None:
     """The start of another hand is off; what it settles to before does not count as a turn."""
-    off = bent.pose.clone()
+    off = bent.start.dofs.clone()
     off[INDEX] = math.radians(4)
     straight = [
         mesh_silhouette(HAND(flat(0), root_reference=REFERENCE).vertices, HAND.faces, camera, is_closed=True)
         for camera in bent.cameras
     ]
-    turn = turn_of(HAND.kinematics, bent.shape, REFERENCE)
-    case = replace(bent, pose=off, measure=turn)
+    turn = turn_of(HAND.kinematics, bent.shape)
+    case = replace(bent, start=HandPose.of(off, REFERENCE), measure=turn)
     by_start, by_change = (converge(replace(case, straight_masks=m), 7, SETTINGS) for m in (None, straight))
     assert by_start.error_deg[-1] == pytest.approx(4, abs=1)
     assert by_change.error_deg[-1] < 1.5
@@ -83,9 +82,9 @@ def test_another_makers_hand_is_judged_by_the_change(bent: BentFinger) -> None:
 
 
 def test_angles_of_the_finger() -> None:
-    poses = torch.stack([flat(deg) for deg in (5.0, 35.0, 65.0)])
+    poses = HandPose.of(torch.stack([flat(deg) for deg in (5.0, 35.0, 65.0)]), REFERENCE)
     assert torch.allclose(knuckle_deg(poses), torch.tensor((5.0, 35.0, 65.0), dtype=torch.float64))
-    turn = turn_of(HAND.kinematics, HAND.kinematics.default_shape, REFERENCE)(poses)
+    turn = turn_of(HAND.kinematics, HAND.kinematics.default_shape)(poses)
     assert torch.allclose(turn, torch.tensor((0.0, 30.0, 60.0), dtype=torch.float64), atol=1e-6)
     points = torch.randn(21, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     spin = rotation_from_vector(torch.tensor((0.0, 0.0, 0.3), dtype=torch.float64))
@@ -95,29 +94,29 @@ def test_angles_of_the_finger() -> None:
 
 
 @pytest.fixture(scope="module")
-def person() -> Sitter:
-    return sitter(MODEL, named_rig("frame4"), 0, 3, noise_px=1.0, off=(4.0, 4.0))
+def person() -> Subject:
+    return subject(MODEL, named_rig("frame4"), 0, 3, noise_px=1.0, off=(4.0, 4.0))
 
 
-def test_methods_on_one_problem(person: Sitter) -> None:
+def test_methods_on_one_problem(person: Subject) -> None:
     errors = fit_errors(person, 4, 7, METHODS)
     assert list(errors) == list(METHODS)
     frames = [
-        person.hand.kinematics(hand.pose, person.shape, root_reference=hand.root_reference).keypoints
+        person.hand.kinematics(hand.dofs, person.shape, root_reference=hand.reference).keypoints
         for hand in (person.guess, person.truth)
     ]
-    apart = 1e3 * float((frames[0] - frames[1]).norm(dim=-1).mean())
-    assert errors["guess"].joint_mm == pytest.approx(apart)
+    distance = 1e3 * float((frames[0] - frames[1]).norm(dim=-1).mean())
+    assert errors["guess"].joint_mm == pytest.approx(distance)
     flexion = [flexion_deg(points.numpy()) for points in frames]
     assert errors["guess"].flexion_deg == pytest.approx(float(np.abs(flexion[0] - flexion[1]).mean()))
     assert errors["LM, contours"].joint_mm < 2.5
     assert errors["LM, contours"].joint_mm < errors["torque"].joint_mm < errors["guess"].joint_mm
 
 
-def test_each_method_is_given_the_views_that_count(person: Sitter) -> None:
+def test_each_method_is_given_the_views_that_count(person: Subject) -> None:
     seen: list[FitProblem] = []
 
-    def looked(problem: FitProblem) -> FoundHand:
+    def looked(problem: FitProblem) -> HandPose:
         seen.append(problem)
         return person.truth
 
@@ -126,19 +125,19 @@ def test_each_method_is_given_the_views_that_count(person: Sitter) -> None:
     [problem] = seen
     assert [camera.name for camera in problem.cameras] == ["front", "side"]
     assert len(problem.masks) == 2
-    assert torch.equal(problem.pose, person.guess.pose)
+    assert torch.equal(problem.guess.dofs, person.guess.dofs)
     inside, _ = problem.target.field.sample(problem.target.inner)
     assert float(inside.max()) < 0
 
 
-def test_people_differ_and_are_seeded(person: Sitter) -> None:
-    same, other = (sitter(MODEL, named_rig("frame4"), number, 3, noise_px=1.0, off=(4.0, 4.0)) for number in (0, 1))
-    assert torch.equal(same.guess.pose, person.guess.pose)
+def test_people_differ_and_are_seeded(person: Subject) -> None:
+    same, other = (subject(MODEL, named_rig("frame4"), number, 3, noise_px=1.0, off=(4.0, 4.0)) for number in (0, 1))
+    assert torch.equal(same.guess.dofs, person.guess.dofs)
     assert all(torch.equal(a, b) for a, b in zip(same.masks, person.masks, strict=True))
     assert not torch.equal(other.shape, person.shape)
-    exact = sitter(MODEL, named_rig("frame4"), 0, 3, noise_px=0.0, off=(0.0, 0.0))
-    assert torch.allclose(exact.guess.pose, exact.truth.pose)
-    assert torch.equal(exact.truth.pose, person.truth.pose)
+    exact = subject(MODEL, named_rig("frame4"), 0, 3, noise_px=0.0, off=(0.0, 0.0))
+    assert torch.allclose(exact.guess.dofs, exact.truth.dofs)
+    assert torch.equal(exact.truth.dofs, person.truth.dofs)
     for mask in exact.masks:
         edge = torch.cat((mask[0], mask[-1], mask[:, 0], mask[:, -1]))
         assert 2000 < int(mask.sum()) < 100_000

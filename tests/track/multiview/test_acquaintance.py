@@ -8,9 +8,9 @@ from torchhand.hand import Anthropometry
 from torchhand.track.multiview.acquaintance import acquaint, moments_of
 from torchhand.track.multiview.fitting import Anchor, MomentFitter
 from torchhand.track.multiview.scale import in_unit, moved_anchor, resized_shape, rough_units, size_factor
-from torchhand.track.multiview.settings import MultiViewSettings
+from torchhand.track.multiview.settings import RigSettings
 
-SETTINGS = MultiViewSettings(
+SETTINGS = RigSettings(
     start=HullStartSettings(places=1, rolls=4, postures=("open",), coarse=6, fine=2, finger_rounds=0),
     shape=HullShapeSettings(rounds=3, iterations=2),
 )

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchhand.fit.hull import rims_of
+from torchhand.fit.hull import silhouette_rays
 from torchhand.geometry import Camera
 from torchhand.simulate import named_rig
 from torchhand.track.multiview.hand_end import HandEnd
@@ -58,12 +58,12 @@ def test_views_that_are_missing_tell_nothing(cameras):
 
 def test_rays_of_the_hand_are_chosen_in_every_view(cameras):
     masks = [_stick(camera, 0.5) for camera in cameras]
-    rims = rims_of(cameras, masks, torch.zeros(3, dtype=torch.float64), count=400)
-    assert rims is not None
-    chosen = HandEnd(cameras, masks, LENGTH).rays(rims, 60)
+    rays = silhouette_rays(cameras, masks, torch.zeros(3, dtype=torch.float64), count=400)
+    assert rays is not None
+    chosen = HandEnd(cameras, masks, LENGTH).rays(rays, 60)
     assert len(chosen.views) == 2
     assert 40 <= len(chosen.points) <= 60
-    assert float(chosen.points[:, 1].max()) < TOP + REACH + 0.02 < float(rims.points[:, 1].max())
+    assert float(chosen.points[:, 1].max()) < TOP + REACH + 0.02 < float(rays.points[:, 1].max())
     assert len(chosen.points) == sum(len(view.plane) for view in chosen.views)
 
 
@@ -76,8 +76,8 @@ def test_hull_of_the_hand_leaves_the_arm_out(cameras):
     assert float(whole.inner[:, 1].max()) > TOP + REACH + 0.05
     assert TOP + REACH - 0.02 < float(hand.inner[:, 1].max()) < TOP + REACH + 0.02
     assert float(hand.points[:, 1].max()) < TOP + REACH + 0.02
-    assert hand.rims is not None
-    assert float(hand.rims.points[:, 1].max()) < TOP + REACH + 0.02
+    assert hand.rays is not None
+    assert float(hand.rays.points[:, 1].max()) < TOP + REACH + 0.02
 
 
 def test_a_view_that_does_not_meet_the_others_has_no_say(cameras):

@@ -10,10 +10,10 @@ from torchhand.fit.hull import HullStartSettings
 from torchhand.hand import posture
 from torchhand.track.multiview.fitting import Anchor
 from torchhand.track.multiview.hindsight import Hindsight, SeenMoment
-from torchhand.track.multiview.settings import MultiViewSettings
+from torchhand.track.multiview.settings import RigSettings
 from torchhand.track.multiview.tracker import MultiViewMemory, MultiViewTracker
 
-SETTINGS = MultiViewSettings(
+SETTINGS = RigSettings(
     start=HullStartSettings(places=1, rolls=4, postures=("open",), coarse=6, fine=2, finger_rounds=0)
 )
 MOMENTS = 5

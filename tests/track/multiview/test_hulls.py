@@ -61,7 +61,7 @@ def test_views_without_silhouette_do_not_carve(rig, pose_at, masks_of, skin):
 
 
 def test_too_few_views_are_told(rig, pose_at, masks_of):
-    hulls, masks = Hulls(rig, HullOctreeSettings(), fewest_views=3), masks_of(pose_at())
+    hulls, masks = Hulls(rig, HullOctreeSettings(), min_views=3), masks_of(pose_at())
     hull = hulls.anywhere([masks[0], masks[1], None, torch.zeros_like(masks[3])])
     assert hull.target is None
     assert hull.reason == "a silhouette in 2 of 4 views (1 missing), 3 are needed"

@@ -4,9 +4,9 @@ import torch
 from torchhand.fit.hull import HullStartSettings
 from torchhand.geometry import rotation_from_vector
 from torchhand.track.multiview.fitting import Anchor, MomentFitter, Placed, chosen
-from torchhand.track.multiview.settings import MultiViewSettings
+from torchhand.track.multiview.settings import RigSettings
 
-SETTINGS = MultiViewSettings(
+SETTINGS = RigSettings(
     start=HullStartSettings(places=1, rolls=8, postures=("open", "point"), coarse=12, fine=2, finger_rounds=0)
 )
 

@@ -8,10 +8,10 @@ from torchhand.geometry import rotation_from_vector
 from torchhand.hand import posture
 from torchhand.track.multiview.fitting import Anchor
 from torchhand.track.multiview.saved import Knowledge, restored, saved
-from torchhand.track.multiview.settings import MultiViewLossSettings, MultiViewSettings
+from torchhand.track.multiview.settings import MultiViewLossSettings, RigSettings
 from torchhand.track.multiview.tracker import MultiViewMemory, MultiViewTracker
 
-SETTINGS = MultiViewSettings(
+SETTINGS = RigSettings(
     start=HullStartSettings(places=1, rolls=4, postures=("open",), coarse=6, fine=2, finger_rounds=0),
     loss=MultiViewLossSettings(search_every=1, search_seldom=1),
 )

@@ -12,7 +12,7 @@ from torchhand.files import find_config, load_hand_model, load_settings, save_ca
 from torchhand.geometry import Camera, rotation_from_vector
 from torchhand.hand import Hand
 from torchhand.simulate import named_rig, scripted_motion, stage_camera
-from torchhand.track.multiview import Anchor, MultiViewMemory, MultiViewSettings, MultiViewTracker, ViewSilhouettes
+from torchhand.track.multiview import Anchor, MultiViewMemory, MultiViewTracker, RigSettings, ViewSilhouettes
 from torchhand.view import mesh_silhouette
 
 RIG, SIZE_PX, MOTION = "frame4", (640, 480), "free"
@@ -56,7 +56,7 @@ def _simulated(frames: int) -> _Recording:
 def track_views(name: str, repeats: int | None, *, must: float, aim: float) -> Figure:
     """Frames per second from pictures to pose: silhouettes, octree, fit and judgement; the start is made."""
     recording = _simulated(FRAMES)
-    settings = load_settings(MultiViewSettings(), find_config("hull_lm"))
+    settings = load_settings(RigSettings(), find_config("hull_lm"))
     silhouettes = ViewSilhouettes(recording.cameras, settings.silhouette)
     tracker = MultiViewTracker(recording.hand, silhouettes.cameras, FRAMES_PER_SECOND, settings)
     with torch.inference_mode():

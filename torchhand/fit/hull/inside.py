@@ -1,51 +1,108 @@
-"""The skin against the hull that the silhouettes leave: what sticks out of it (paper 002, section 5.1).
+"""The skin inside the hull that the silhouettes leave, as an observation (Ueda et al. 2003, section 5.1).
 
 A visual hull holds the whole hand and more, so skin inside it tells nothing and skin outside is wrong. By itself this
-is degenerate: any hand folded into the hull fits. `hull_covered` is the other side.
+is degenerate, for any hand folded into the hull fits; `coverage` is the other side.
 """
 
-from typing import Protocol, runtime_checkable
+from dataclasses import dataclass, replace
 
-import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchhand.fit import Equations, Explained, PosedHands, Stage
+from torchhand.fit.hull.shape_rows import shape_rows
+from torchhand.fit.hull.skin import SkinPoints, WeightedVertices, bones_of, skin_at
+from torchhand.fit.hull.target import HullField, HullTarget
+from torchhand.fit.hull.vertices import SkinVertices
+from torchhand.numerics import RobustLoss
 
-@runtime_checkable
-class HullField(Protocol):
-    """Signed distance from a hull's surface, wherever it is asked for."""
-
-    def sample(
-        self, points: Float[Tensor, "*batch points 3"], /
-    ) -> tuple[Float[Tensor, "*batch points"], Float[Tensor, "*batch points 3"]]:
-        """Metres, negative inside, and its derivative in the place; finite for finite points, however far."""
-        ...
+NAME = "hull"
 
 
-@runtime_checkable
-class PointMotion(Protocol):
-    """Points of a batch of hands in the world, and how they move with the free parameters."""
+@dataclass(frozen=True, kw_only=True)
+class InsideObservation:
+    """What the silhouettes of all views say for certain: no skin outside the hull."""
+
+    target: HullTarget
+    vertices: SkinVertices
 
     @property
-    def points(self) -> Float[Tensor, "hands points 3"]:
-        """Metres."""
-        ...
+    def is_empty(self) -> bool:
+        return self.target.is_empty
 
-    def along(self, direction: Float[Tensor, "hands points 3"]) -> Float[Tensor, "hands points free"]:
-        """Derivative of direction · point in the free parameters, the direction held."""
-        ...
+    def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "InsideObservation":
+        """The same for all hypotheses."""
+        return self
+
+    def associate(self, hands: PosedHands, stage: Stage) -> "InsideFactor":
+        """Where the skin is; of one hand that is not evaluated elsewhere, only what is outside counts."""
+        own, s = self.vertices, self.vertices.settings
+        skin = own.skin.for_shape(hands)
+        beyond, _ = self.target.field.sample(skin_at(skin, hands)[:, own.index])
+        index, weighted, area = own.index, own.weighted, own.area_share
+        if stage.method == "gauss_newton" and len(hands) == 1:
+            outside = beyond[0] > s.slack_m
+            index, area = index[outside], area[outside]
+            weighted = own.skin.weighted(index)
+        precision = max(s.std_m, s.std_share * stage.gross_m) ** -2
+        return InsideFactor(
+            skin=own.skin,
+            field=self.target.field,
+            index=index,
+            vertices=weighted,
+            weight=s.inside_weight * precision * area * own.rigidity[index],
+            robust=RobustLoss(kind="huber", scale=s.inside_gross * precision**-0.5),
+            slack_m=s.slack_m,
+            told=Explained(
+                name=NAME,
+                view=None,
+                share=((beyond <= s.near_m) * own.area_share).sum(-1),
+                distance=(beyond.clamp_min(0) * own.area_share).sum(-1),
+                inside=((beyond <= s.slack_m) * own.area_share).sum(-1),
+            ),
+        )
 
 
-def hull_inside_residual(
-    motion: PointMotion, field: HullField, *, slack: float = 0.0
-) -> tuple[Float[Tensor, "hands points"], Float[Tensor, "hands points free"]]:
-    """How far each point is outside the hull, metres, and its derivative in the pose space; 0 within.
+@dataclass(frozen=True, kw_only=True)
+class InsideFactor:
+    """½ Σ weight ρ(distance outside the hull), ρ of Huber; the same vertices of all hands."""
 
-    slack: distance from the hull's surface up to which a point counts as within, metres; negative where the hull is
-    known to be too large.
-    """
-    value, gradient = field.sample(motion.points)
-    beyond = value - slack
-    is_outside = beyond > 0
-    rows = motion.along(torch.where(is_outside[..., None], gradient, 0.0))
-    return torch.where(is_outside, beyond, 0.0), rows
+    skin: SkinPoints
+    """Of the shape that is held or, where the shape is unknown, was the start."""
+    field: HullField
+    index: Int[Tensor, "points"]
+    vertices: WeightedVertices
+    """Of that skin."""
+    weight: Float[Tensor, "points"]
+    """Inverse variances, m⁻²."""
+    robust: RobustLoss
+    slack_m: float
+    told: Explained
+
+    def equations(self, hands: PosedHands) -> Equations:
+        """In the DOFs, and in the shape where it is unknown."""
+        skin = self.skin.for_shape(hands)
+        vertices = self.vertices if skin is self.skin else skin.weighted(self.index)
+        motion = skin.motion(bones_of(skin, hands), vertices)
+        value, gradient = self.field.sample(motion.points)
+        beyond = (value - self.slack_m).clamp_min(0)
+        direction = (beyond > 0)[..., None] * gradient
+        cost, weight = self.robust.each(beyond)
+        shared = None
+        if hands.unknowns is not None:
+            shared = shape_rows(skin, hands, self.index.expand(len(hands), -1), direction)
+        return Equations.of_rows(
+            beyond,
+            self.weight * weight,
+            motion.along(direction),
+            (self.weight * cost).sum(-1),
+            shared=shared,
+        )
+
+    def rows(self, rows: Int[Tensor, "n"]) -> "InsideFactor":
+        """Of some of the hands."""
+        return replace(self, told=self.told.rows(rows))
+
+    def explained(self) -> tuple[Explained, ...]:
+        """Share of the skin's area near the hull or inside, mean distance outside it, and share inside."""
+        return (self.told,)

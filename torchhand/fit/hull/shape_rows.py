@@ -1,61 +1,76 @@
-"""Derivatives in the shape: of points of the skin, and of what is known of people's proportions."""
+"""Derivatives of points of the skin in the shape, in closed form."""
 
-import math
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchhand.hand import Anthropometry, Hand
+from torchhand.fit import PosedHands
+from torchhand.fit.hull.skin import PosedBones, SkinPoints, bones_of
+
+
+@dataclass(frozen=True, kw_only=True)
+class _ShapeMotion:
+    """How posed hands follow the shared unknowns."""
+
+    metres: Float[Tensor, "shape c"]
+    """Derivative of the parameters in metres."""
+    offsets: Float[Tensor, "k 20 3 c"]
+    """Derivative, in the world, of what each bone adds to a vertex beside the vertex's own place at the bind pose."""
+    breadth: Float[Tensor, "c"]
+    """Relative derivative of the hand's breadth, with which the correctives grow."""
 
 
 def shape_rows(
-    hand: Hand,
-    pose: Float[Tensor, "36"],
-    root_reference: Float[Tensor, "3 3"],
-    shape: Float[Tensor, "shape"],
-    vertices: Int[Tensor, "points"],
-    direction: Float[Tensor, "points 3"],
-    step: Float[Tensor, "shape"],
-) -> Float[Tensor, "points shape"]:
-    """Derivative of direction · vertex in every shape parameter times its step, the pose held.
+    skin: SkinPoints,
+    hands: PosedHands,
+    vertices: Int[Tensor, "k points"],
+    direction: Float[Tensor, "k points 3"],
+) -> Float[Tensor, "k points c"]:
+    """Derivative of direction · vertex in the shared unknowns of posed hands, the poses and directions held.
 
-    With the pose held a vertex is linear in any one parameter, so that the difference over the step is the derivative
-    times it, exactly: bones' rotations do not depend on the shape, their origins and the vertices within them are
-    linear in the parameters in metres, and these in each parameter.
+    skin: of the hands' shape. Unknowns after the shape have no effect.
+
+    With the pose held the bones' rotations do not depend on the shape; their origins, the vertices at the bind pose and
+    the correctives are linear in the parameters in metres.
     """
-    shapes = torch.cat((shape[None], shape + torch.diag(step)))
-    count = len(shapes)
-    frames = hand.kinematics(pose.expand(count, -1), shapes, root_reference=root_reference.expand(count, 3, 3))
-    rotation = frames.rotation[0]
-    metres = hand.kinematics.metres(shapes).T
-    places, weights, correctives = hand.skinning.loads_at(vertices[:, None], metres)
-    features, _ = hand.skinning.corrective_features(pose[:, None].expand(-1, count), metres)
-    local = rotation.mT @ direction.T  # 20 3 points
-    along = torch.einsum("bjp,bjpn->pn", local, places)
-    along = along + torch.einsum("bp,pk,nbk->pn", weights[..., 0], direction, frames.position)
-    bent = local.index_select(0, hand.skinning.corrective_bones)
-    along = along + torch.einsum("cjp,cfjp,cfn->pn", bent, correctives[..., 0], features)
-    return along[:, 1:] - along[:, :1]
+    assert hands.unknowns is not None
+    skinning, bones = skin.hand.skinning, bones_of(skin, hands)
+    motion = hands.once(("shape motion", id(skin)), lambda: _shape_motion(skin, bones, hands))
+    weights = skinning.weights[:, vertices].movedim(1, 0)  # k 20 points
+    force = direction.mT[:, None]
+    at_bind = (bones.rotation @ skinning.bone_from_hand).mT @ force  # k 20 3 points
+    local = (weights[:, :, None] * at_bind).sum(1)
+    of_metres = torch.einsum("kjp,jkps->kps", local, skinning.rest_basis[:, vertices])
+    pull = (weights[:, :, None] * force).flatten(1, 2).mT  # k points 60
+    bent = torch.einsum(
+        "kcjp,cfjkp,cfk->kp",
+        bones.corrective_rotation.mT @ force,
+        skinning.correctives[..., vertices],
+        bones.features,
+    )
+    found = of_metres @ motion.metres + pull @ motion.offsets.flatten(1, 2) + bent[..., None] * motion.breadth
+    return torch.nn.functional.pad(found, (0, len(hands.unknowns.extra)))
 
 
-def people_rows(
-    people: Anthropometry, shape: Float[Tensor, "shape"]
-) -> tuple[Float[Tensor, "rows"], Float[Tensor, "rows shape"]]:
-    """What is known of people's hands as residuals in standard deviations, and their derivative in the parameters over
-    their spreads: the normal distribution over people, and the constraints beyond the bounds, where they are broken."""
-    space, count = people.space, len(people.space.names)
-    std = space.std.to(shape)
-    scaled = (shape - space.default.to(shape)) / std
-    length, breadth = (space.names.index(name) for name in ("hand_length", "hand_breadth"))
-    rho = people.settings.length_breadth_correlation
-    rows = torch.eye(count, dtype=shape.dtype, device=shape.device)
-    rows[breadth] /= math.sqrt(1 - rho * rho)
-    rows[breadth, length] = -rho / math.sqrt(1 - rho * rho)
-    matrix, bound = (x[2 * count :].to(shape) for x in (people.matrix, people.bound))
-    spread = people.spread.to(shape).clone()
-    spread[-1] *= float(space.default[length])
-    scale = people.settings.softness * torch.cat((spread, spread))
-    excess = (matrix @ shape - bound) / scale
-    of_excess = (excess > 0)[:, None] * matrix * std / scale[:, None]
-    return torch.cat((rows @ scaled, excess.clamp_min(0))), torch.cat((rows, of_excess))
+def _shape_motion(skin: SkinPoints, bones: PosedBones, hands: PosedHands) -> _ShapeMotion:
+    """By differences, which are exact: all is linear in any one parameter."""
+    assert hands.unknowns is not None
+    columns, kinematics, skinning = list(hands.unknowns.columns), skin.hand.kinematics, skin.hand.skinning
+    step = kinematics.shape_space.std.to(skin.shape)[columns]
+    shapes = skin.shape.repeat(len(columns), 1)
+    shapes[torch.arange(len(columns)), columns] += step
+    metres = kinematics.metres(skin.shape)
+    of_metres = (kinematics.metres(shapes) - metres).T / step
+    pose = hands.pose.to(skin.shape)
+    wide = (len(pose), len(columns))
+    moved = kinematics(
+        pose.dofs[:, None].expand(*wide, -1), shapes.expand(*wide, -1), root_reference=pose.reference[:, None]
+    )
+    of_origins = (moved.position - bones.position[:, None]).movedim(1, -1) / step  # k 20 3 c
+    return _ShapeMotion(
+        metres=of_metres,
+        offsets=of_origins - bones.rotation @ (skinning.origin_basis @ of_metres),
+        breadth=(skinning.breadth_scale @ of_metres) / (skinning.breadth_scale @ metres),
+    )

@@ -1,21 +1,21 @@
-"""A skinned hand pulled into a visual hull by torques about its joints: paper 002, section 5.2, steps 3 to 7.
+"""A skinned hand pulled into a visual hull by torques about its joints (Ueda et al. 2003, section 5.2, steps 3 to 7).
 
 Every vertex outside the hull is drawn to it by a force, forces become torques about the joints, and every angle takes a
 step in the direction of its torque, until hardly a vertex is outside. Nothing draws the hand to those parts of the hull
 that it does not fill: any hand inside the hull is an end of it.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.fit import free_bounds
-from torchhand.fit.hull.inside import HullField
 from torchhand.fit.hull.settings import HullTorqueSettings, TorqueSteps
-from torchhand.fit.hull.skin import SkinLoads, SkinPoints
-from torchhand.hand import DOFS, Hand, PoseSpace, Skeleton, rebased
+from torchhand.fit.hull.skin import SkinPoints, WeightedVertices
+from torchhand.fit.hull.target import HullField
+from torchhand.hand import DOFS, HandPose, PoseSpace, Skeleton
 from torchhand.hand.limits import clamp_to_limits
 
 _NOTHING = 1e-30
@@ -26,36 +26,30 @@ _SHRINK, _GROW = 0.5, 1.2  # of Δα where a torque turns round, and where it do
 class HullTorqueFit:
     """Fitted hands, one per hypothesis, in the world, with the way there."""
 
-    pose: Float[Tensor, "*hypotheses 36"]
-    """Metres and radians, with a zero rotation vector, within the limits."""
-    root_reference: Float[Tensor, "*hypotheses 3 3"]
-    """world_from_hand"""
+    pose: HandPose
+    """(*hypotheses), with zero rotation vectors, within the limits."""
     converged: Bool[Tensor, "*hypotheses"]
     """Whether the share of vertices outside fell below its threshold."""
     iterations: Int[Tensor, "*hypotheses"]
     """Steps taken."""
     inside_share: Float[Tensor, "*hypotheses steps"]
-    """Of the vertices, at the start and after every step (the paper's rate of convergence, figure 14)."""
-    poses: Float[Tensor, "*hypotheses steps 36"]
-    """At the start and after every step, the rotation vector about `start_reference` (figure 13)."""
-    start_reference: Float[Tensor, "*hypotheses 3 3"]
+    """Share of the vertices inside, at the start and after every step (the rate of convergence of figure 14)."""
+    poses: HandPose
+    """(*hypotheses, steps), at the start and after every step, all about the start's reference (figure 13)."""
 
 
 def fit_by_torques(
     field: HullField,
-    hand: Hand,
+    skin: SkinPoints,
     space: PoseSpace,
-    pose: Float[Tensor, "*hypotheses 36"],
-    root_reference: Float[Tensor, "*#hypotheses 3 3"],
+    starts: HandPose,
     settings: HullTorqueSettings | None = None,
-    *,
-    shape: Float[Tensor, "shape"] | None = None,
 ) -> HullTorqueFit:
     """Pull every hypothesis into a hull from its own start.
 
     space: what moves. With the root's DOFs among them the palm moves too (the paper's real pictures); a space without
         keeps it, as in its simulation: give `space.about(pose)`. Starts are put into the space and the limits.
-    hand: in the dtype to compute in; shape: in place of its own.
+    starts: any batch shape.
 
     How the paper is read where it leaves things open. A vertex outside is drawn along the field's gradient, by a force
     as large as its distance; a joint's torque is the sum over the skin that it carries. Give the field of the surface
@@ -73,40 +67,36 @@ def fit_by_torques(
 
     Never raises for what a hull or a start may be. One hypothesis never touches another.
     """
-    settings = settings or HullTorqueSettings()
-    batch = pose.shape[:-1]
-    flat = pose.reshape(-1, len(DOFS)).to(space.basis)
-    reference = root_reference.to(flat).expand(*batch, 3, 3).reshape(-1, 3, 3)
-    skin = SkinPoints(hand, space.basis, shape)
+    settings, batch = settings or HullTorqueSettings(), starts.batch_shape
     with torch.inference_mode():
-        found = _pulled(field, skin, space, *rebased(flat, reference), settings)
-    values = {f.name: getattr(found, f.name) for f in fields(HullTorqueFit)}
-    return HullTorqueFit(**{name: value.reshape((*batch, *value.shape[1:])) for name, value in values.items()})
+        found = _pulled(field, skin, space, starts.to(space.basis).reshape(-1).normalized(), settings)
+    return HullTorqueFit(
+        pose=found.pose.reshape(*batch),
+        converged=found.converged.reshape(batch),
+        iterations=found.iterations.reshape(batch),
+        inside_share=found.inside_share.reshape(*batch, -1),
+        poses=found.poses.reshape(*batch, settings.iterations + 1),
+    )
 
 
 def _pulled(
-    field: HullField,
-    skin: SkinPoints,
-    space: PoseSpace,
-    pose: Float[Tensor, "k 36"],
-    reference: Float[Tensor, "k 3 3"],
-    settings: HullTorqueSettings,
+    field: HullField, skin: SkinPoints, space: PoseSpace, start: HandPose, settings: HullTorqueSettings
 ) -> HullTorqueFit:
     skeleton: Skeleton = skin.hand.kinematics.skeleton
     bounds = free_bounds(space, skeleton)
-    everything = skin.loads(torch.arange(skin.hand.skinning.weights.shape[1], device=pose.device))
-    values = space.free(pose).clamp(*bounds)
-    step = _first_steps(space, settings).expand(len(pose), -1).clone()
-    most = step
-    least = step * (settings.least_step_deg / settings.step_deg)
+    device = start.dofs.device
+    everything = skin.weighted(torch.arange(skin.hand.skinning.weights.shape[1], device=device))
+    values = space.free(start.dofs).clamp(*bounds)
+    step = _first_steps(space, settings).expand(len(start), -1).clone()
+    max_step, min_step = step, step * (settings.min_step_deg / settings.step_deg)
     before = torch.zeros_like(values)
     digits = _digits(space)
-    is_open = torch.ones(len(pose), dtype=torch.bool, device=pose.device)
-    taken = torch.zeros(len(pose), dtype=torch.long, device=pose.device)
+    is_open = torch.ones(len(start), dtype=torch.bool, device=device)
+    taken = torch.zeros(len(start), dtype=torch.long, device=device)
     shares, poses = [], []
     for turn in range(settings.iterations + 1):
-        here = clamp_to_limits(space.dof(values), skeleton)
-        share, torque, reach = _torques(field, skin, everything, here, reference, settings.slack_m)
+        here = HandPose(dofs=clamp_to_limits(space.dof(values), skeleton), reference=start.reference)
+        share, torque, reach = _torques(field, skin, everything, here, space, settings.slack_m)
         shares.append(share.to(values))
         poses.append(here)
         is_open = is_open & (share < 1 - settings.outside_share)
@@ -114,26 +104,24 @@ def _pulled(
             break
         torque, reach = torque.to(values), reach.to(values)
         at_end = ((values <= bounds[0]) & (torque < 0)) | ((values >= bounds[1]) & (torque > 0))
-        torque = torque.where((torque.abs() > settings.least_torque * reach) & ~at_end, 0.0)
+        torque = torque.where((torque.abs() > settings.min_torque * reach) & ~at_end, 0.0)
         share_of_step = _shares(torque, settings.steps, digits)
         pulled = torque.sign() * (share_of_step > 0)
         agrees = pulled * before
-        step = torch.where(agrees < 0, torch.maximum(_SHRINK * step, least), step)
-        step = torch.where(agrees > 0, torch.minimum(_GROW * step, most), step)
+        step = torch.where(agrees < 0, torch.maximum(_SHRINK * step, min_step), step)
+        step = torch.where(agrees > 0, torch.minimum(_GROW * step, max_step), step)
         before = torch.where(pulled == 0, before, pulled)
         moved = (values + step * pulled * share_of_step).clamp(*bounds)
         values = torch.where(is_open[:, None], moved, values)
         taken = taken + is_open
-    end, turned_reference = rebased(poses[-1], reference)
     missing = settings.iterations + 1 - len(poses)  # all had arrived: they stay
+    way = HandPose.stack([*poses, *[poses[-1]] * missing])
     return HullTorqueFit(
-        pose=end,
-        root_reference=turned_reference,
+        pose=poses[-1].normalized(),
         converged=shares[-1] >= 1 - settings.outside_share,
         iterations=taken,
         inside_share=torch.stack([*shares, *[shares[-1]] * missing], 1),
-        poses=torch.stack([*poses, *[poses[-1]] * missing], 1),
-        start_reference=reference,
+        poses=HandPose(dofs=way.dofs.transpose(0, 1), reference=way.reference.transpose(0, 1)),
     )
 
 
@@ -168,16 +156,16 @@ def _shares(
     if steps == "proportional":
         return size / size.amax(-1, keepdim=True).clamp_min(_NOTHING)
     of_digit = size[:, None] * digits
-    most = of_digit.amax(-1, keepdim=True)
-    return ((of_digit == most) & (most > 0)).any(1).to(size)
+    largest = of_digit.amax(-1, keepdim=True)
+    return ((of_digit == largest) & (largest > 0)).any(1).to(size)
 
 
 def _torques(
     field: HullField,
     skin: SkinPoints,
-    everything: SkinLoads,
-    pose: Float[Tensor, "k 36"],
-    reference: Float[Tensor, "k 3 3"],
+    everything: WeightedVertices,
+    pose: HandPose,
+    space: PoseSpace,
     slack_m: float,
 ) -> tuple[Float[Tensor, "k"], Float[Tensor, "k free"], Float[Tensor, "k free"]]:
     """Share of the vertices inside; torque about every free angle; and the torque if all its parts went one way.
@@ -185,9 +173,8 @@ def _torques(
     The force on a vertex outside draws it to the hull, the more the farther it is. Along its bone it has no torque
     about the bone's joint, so what is left of it is perpendicular to the bone (figure 7).
     """
-    like = skin.shape
-    motion = skin.motion(pose.to(like), reference.to(like), everything)
+    motion = skin.motion(skin.posed(pose), everything)
     value, gradient = field.sample(motion.points)
     beyond = (value - slack_m).clamp_min(0)
-    parts = motion.along(-beyond[..., None] * gradient)
-    return (beyond == 0).to(like).mean(-1), parts.sum(-2), parts.abs().sum(-2)
+    parts = motion.along(-beyond[..., None] * gradient) @ space.basis.to(beyond)
+    return (beyond == 0).to(beyond).mean(-1), parts.sum(-2), parts.abs().sum(-2)

@@ -1,7 +1,7 @@
 """The evaluation of Ueda et al. 2003 again: an index finger bent in a hull, and fits over numbers of cameras."""
 
 from torchhand.study.ueda.bent import converge
-from torchhand.study.ueda.cases import BentCase, open_recording, own_bent, recorded_bent, sitter
+from torchhand.study.ueda.cases import BentCase, open_recording, own_bent, recorded_bent, subject
 from torchhand.study.ueda.compare import fit_errors
 from torchhand.study.ueda.folder import PartsFolder
 from torchhand.study.ueda.methods import METHODS
@@ -21,7 +21,7 @@ __all__ = [
     "own_bent",
     "printed",
     "recorded_bent",
-    "sitter",
     "stage_times",
+    "subject",
     "write_results",
 ]

@@ -1,4 +1,4 @@
-"""Figures 13 and 14 of paper 002: a finger bent at its knuckle, found again by torques, iteration by iteration."""
+"""Figures 13 and 14 of Ueda et al. 2003: a finger bent at its knuckle, found again by torques, step by step."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -10,10 +10,10 @@ from torch import Tensor
 
 from torchhand.fit.hull import HullTorqueFit, HullTorqueSettings, SkinPoints, fit_by_torques
 from torchhand.geometry import Camera
-from torchhand.hand import DOFS, Hand, HandKinematics, PoseSpace
+from torchhand.hand import DOFS, Hand, HandKinematics, HandPose, PoseSpace
 from torchhand.volume import CarvingSettings, Octree, RootCube, carve, hull_field
 
-Measure = Callable[[Float[Tensor, "steps 36"]], Float[Tensor, "steps"]]
+Measure = Callable[[HandPose], Float[Tensor, "steps"]]
 """Degrees by which a finger is bent, by the poses on the way."""
 
 INDEX_KNUCKLE = "index_mcp_fe"
@@ -31,8 +31,8 @@ class BentFinger:
     shape: Float[Tensor, "shape"]
     space: PoseSpace
     """What moves: no DOF of the root, for the palm's place is known."""
-    pose: Float[Tensor, "36"]
-    root_reference: Float[Tensor, "3 3"]
+    start: HandPose
+    """With a zero rotation vector."""
     measure: Measure
     truth_deg: float
     straight_masks: Sequence[Bool[Tensor, "_height _width"]] | None = None
@@ -56,7 +56,7 @@ class Convergence:
 
 def converge(case: BentFinger, level: int, settings: HullTorqueSettings) -> Convergence:
     """Fit at one level of the octree. Every camera must see the hand where it is."""
-    start = case.pose
+    start = case.start
     if case.straight_masks is not None:
         start = _fitted(case, _carved(case, case.straight_masks, level), settings, start).pose
     begun = time.perf_counter()
@@ -64,11 +64,8 @@ def converge(case: BentFinger, level: int, settings: HullTorqueSettings) -> Conv
     found = _fitted(case, octree, settings, start)
     seconds = time.perf_counter() - begun
     error = (case.measure(found.poses) - case.truth_deg).abs()
-    skin = SkinPoints(case.hand, case.space.basis, case.shape)
-    like = skin.shape
     with torch.inference_mode():
-        reference = found.start_reference.to(like).expand(len(found.poses), 3, 3)
-        outside, _ = hull_field(octree).sample(skin.vertices(found.poses.to(like), reference))
+        outside, _ = hull_field(octree).sample(SkinPoints(case.hand, case.shape).vertices(found.poses))
     return Convergence(
         error_deg=tuple(error.tolist()),
         inside_share=tuple((outside <= 0).double().mean(-1).tolist()),
@@ -81,32 +78,30 @@ def _carved(case: BentFinger, masks: Sequence[Tensor], level: int) -> Octree:
     return carve(masks, case.cameras, case.root, CarvingSettings(level=level, least_views=len(case.cameras)))
 
 
-def _fitted(
-    case: BentFinger, octree: Octree, settings: HullTorqueSettings, start: Float[Tensor, "36"]
-) -> HullTorqueFit:
-    field, space = hull_field(octree, surface="middle"), case.space.about(start)
-    return fit_by_torques(field, case.hand, space, start, case.root_reference, settings, shape=case.shape)
+def _fitted(case: BentFinger, octree: Octree, settings: HullTorqueSettings, start: HandPose) -> HullTorqueFit:
+    field, space = hull_field(octree, surface="middle"), case.space.about(start.dofs)
+    return fit_by_torques(field, SkinPoints(case.hand, case.shape), space, start, settings)
 
 
-def knuckle_deg(poses: Float[Tensor, "steps 36"]) -> Float[Tensor, "steps"]:
-    """The index's flexion at the knuckle, degrees: the angle of paper 002 where the hand is the model itself."""
-    return poses[:, DOFS.index(INDEX_KNUCKLE)].rad2deg()
+def knuckle_deg(poses: HandPose) -> Float[Tensor, "steps"]:
+    """The index's flexion at the knuckle, degrees: the paper's angle where the hand is the model itself."""
+    return poses.dofs[:, DOFS.index(INDEX_KNUCKLE)].rad2deg()
 
 
 def phalanx_turn_deg(keypoints: Float[Tensor, "steps 21 3"]) -> Float[Tensor, "steps"]:
     """How far the index's proximal phalanx turned in space since the first row, degrees: any two hands agree on it."""
     first, last = _PROXIMAL
     bone = torch.nn.functional.normalize(keypoints[:, last] - keypoints[:, first], dim=-1)
-    apart, together = (bone - bone[:1]).norm(dim=-1), (bone + bone[:1]).norm(dim=-1)
-    return (2 * torch.atan2(apart, together)).rad2deg()
+    difference, total = (bone - bone[:1]).norm(dim=-1), (bone + bone[:1]).norm(dim=-1)
+    return (2 * torch.atan2(difference, total)).rad2deg()
 
 
-def turn_of(kinematics: HandKinematics, shape: Float[Tensor, "shape"], root_reference: Float[Tensor, "3 3"]) -> Measure:
+def turn_of(kinematics: HandKinematics, shape: Float[Tensor, "shape"]) -> Measure:
     """`phalanx_turn_deg` of poses of that hand."""
 
-    def turn(poses: Float[Tensor, "steps 36"]) -> Float[Tensor, "steps"]:
+    def turn(poses: HandPose) -> Float[Tensor, "steps"]:
         like = kinematics.default_shape
-        frames = kinematics(poses.to(like), shape.to(like), root_reference=root_reference.to(like))
-        return phalanx_turn_deg(frames.keypoints)
+        poses = poses.to(like)
+        return phalanx_turn_deg(kinematics(poses.dofs, shape.to(like), root_reference=poses.reference).keypoints)
 
     return turn

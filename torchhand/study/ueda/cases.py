@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,17 +15,28 @@ from torchhand.evaluate import load_mask, load_truth, numbered_pictures
 from torchhand.files import load_rig, open_rig
 from torchhand.fit import PostureResiduals
 from torchhand.fit.hull import (
-    HullFitSettings,
+    HullFitter,
+    HullSettings,
     HullShapeSettings,
-    HullStartSettings,
     HullTarget,
+    JointPriors,
     find_in_hull,
     fit_shape,
     target_of,
-    with_rims,
+    with_rays,
 )
 from torchhand.geometry import Camera, meeting_point, rotation_from_vector
-from torchhand.hand import DOFS, Hand, HandModel, PoseConstraints, Side, named_pose_space, pose_space, posture
+from torchhand.hand import (
+    DOFS,
+    Hand,
+    HandModel,
+    HandPose,
+    PoseConstraints,
+    Side,
+    named_pose_space,
+    pose_space,
+    posture,
+)
 from torchhand.hand.limits import clamp_to_limits
 from torchhand.image import SilhouetteSettings, segment
 from torchhand.simulate import (
@@ -41,13 +52,12 @@ from torchhand.simulate import (
 )
 from torchhand.study import seed_of
 from torchhand.study.ueda.bent import INDEX_KNUCKLE, BentFinger, knuckle_deg, phalanx_turn_deg, turn_of
-from torchhand.study.ueda.compare import Sitter
-from torchhand.study.ueda.methods import FoundHand
+from torchhand.study.ueda.compare import Subject
 from torchhand.view import mesh_silhouette
 from torchhand.volume import CarvingSettings, RootCube, carve, hull_field
 
 ROOT_SIDE = 0.512
-"""Of the cube that is divided, metres: leaves of 8, 4 and 2 mm at levels 6, 7 and 8 (paper 002, section 6.3)."""
+"""Of the cube that is divided, metres: leaves of 8, 4 and 2 mm at levels 6, 7 and 8 (Ueda et al. 2003, section 6.3)."""
 SPACE = "dof31"
 _TILT = 0.4  # radians, standard deviation about each axis
 _SIZES = (0.92, 1.0, 1.08)
@@ -70,7 +80,7 @@ def fingers() -> tuple[str, ...]:
 
 
 def own_bent(model: HandModel, cameras: Sequence[Camera], angle_deg: float, seed: int) -> BentCase:
-    """Section 6 of paper 002: the index bent at its knuckle, the others straight; place and shape are known."""
+    """Section 6 of Ueda et al. 2003: the index bent at its knuckle, the others straight; place and shape are known."""
     hand = model.hand(dtype=torch.float64)
     kinematics = hand.kinematics
     straight, bent = posture("flat"), posture("flat")
@@ -88,8 +98,7 @@ def own_bent(model: HandModel, cameras: Sequence[Camera], angle_deg: float, seed
         hand=hand,
         shape=kinematics.default_shape,
         space=pose_space("fingers", fingers()).about(motion.poses[0]),
-        pose=motion.poses[0],
-        root_reference=motion.root_reference,
+        start=HandPose.of(motion.poses[0], motion.root_reference),
         measure=knuckle_deg,
         truth_deg=angle_deg,
     )
@@ -148,17 +157,16 @@ def recorded_bent(model: HandModel, recording: Recording, side: Side) -> BentCas
     Raises InputError where no hand fits the first frame.
     """
     hand, cameras = model.hand(side=side, dtype=torch.float64), recording.cameras
-    pose, reference, shape = _fitted(recording.folder, model, hand, cameras, recording.straight)
+    start, shape = _fitted(recording.folder, model, hand, cameras, recording.straight)
     finger = BentFinger(
         cameras=cameras,
         masks=recording.bent,
         root=root_at(cameras),
         hand=hand,
         shape=shape,
-        space=pose_space("fingers", fingers()).about(pose),
-        pose=pose,
-        root_reference=reference,
-        measure=turn_of(hand.kinematics, shape, reference),
+        space=pose_space("fingers", fingers()).about(start.dofs),
+        start=start,
+        measure=turn_of(hand.kinematics, shape),
         truth_deg=recording.truth_deg,
         straight_masks=recording.straight,
     )
@@ -191,50 +199,51 @@ def _frame(
 
 def _fitted(
     folder: Path, model: HandModel, hand: Hand, cameras: Sequence[Camera], masks: Sequence[Tensor]
-) -> tuple[Float[Tensor, "36"], Float[Tensor, "3 3"], Float[Tensor, "shape"]]:
-    """Pose, world_from_hand and shape of our hand in one frame, without a guess."""
+) -> tuple[HandPose, Float[Tensor, "shape"]]:
+    """Pose and shape of our hand in one frame, without a guess."""
 
     def hull(level: int, points: int) -> HullTarget:
         settings = CarvingSettings(level=level, least_views=len(cameras))
         field = hull_field(carve(masks, cameras, root_at(cameras), settings), surface="middle")
-        return with_rims(target_of(field, points=points), cameras, masks)
+        return with_rays(target_of(field, points=points), cameras, masks)
 
     target = hull(_START_LEVEL, 500)
     space, default = model.shape_space, model.shape_space.default.double()
     metric = torch.tensor([unit == "m" for unit in space.units])
     sizes = torch.stack([torch.where(metric, size * default, default) for size in _SIZES])
     sizes = sizes.clamp(space.lower.double(), space.upper.double())
-    beliefs = {
-        "constraints": PoseConstraints(model.skeleton),
-        "prior": PostureResiduals.of(model.prior().postures),
-    }
-    fit = HullFitSettings(beyond_wrist_m=_BEYOND_WRIST_M)
-    free = named_pose_space(SPACE)
-    starts = find_in_hull(target, hand, free, sizes, HullStartSettings(), fit, **beliefs)
+    fitter = HullFitter(
+        hand=hand,
+        space=named_pose_space(SPACE),
+        settings=HullSettings(beyond_wrist_m=_BEYOND_WRIST_M),
+        joints=_joints(model),
+    )
+    starts = find_in_hull(target, fitter, sizes)
     if not starts:
         raise InputError(f"{folder}: the silhouettes leave no hand that could be fitted")
     best = starts[0]
     found = fit_shape(
+        replace(fitter, shape=sizes[best.size]),
         [hull(_SHAPE_LEVEL, _SHAPE_POINTS)],
-        hand,
-        free,
-        best.fit.pose[None],
-        best.fit.root_reference[None],
+        best.found.pose.reshape(1),
         model.prior().people,
-        HullShapeSettings(robust_m=(0.02, 0.006)),
-        fit,
-        shape=sizes[best.size],
-        **beliefs,
+        HullShapeSettings(gross_m=(0.02, 0.006)),
     )
-    return found.pose[0], found.root_reference[0], found.shape
+    return found.pose[0], found.shape
+
+
+def _joints(model: HandModel) -> JointPriors:
+    return JointPriors(
+        constraints=PoseConstraints(model.skeleton), postures=PostureResiduals.of(model.prior().postures)
+    )
 
 
 # ------------------------------------------------------------------ people of our own
 
 
-def sitter(
+def subject(
     model: HandModel, cameras: Sequence[Camera], number: int, seed: int, *, noise_px: float, off: tuple[float, float]
-) -> Sitter:
+) -> Subject:
     """A random person in a random posture, and a guess that is off by so many degrees and mm (standard deviations).
 
     Angles and the palm's turn are off by the first, the palm's place by the second. The same seed and number give the
@@ -253,28 +262,26 @@ def sitter(
     pose[:3] += shift
     masks = [mesh_silhouette(vertices + shift, hand.faces, camera, is_closed=True) for camera in cameras]
     masks = [noisy_mask(mask, noise_px, generator) for mask in masks]
-    return Sitter(
+    truth = HandPose.of(pose, reference)
+    return Subject(
         cameras=cameras,
         masks=masks,
         root=root_at(cameras),
         hand=hand,
         shape=shape,
         space=space,
-        constraints=PoseConstraints(model.skeleton),
-        prior=PostureResiduals.of(model.prior().postures),
-        truth=FoundHand(pose=pose, root_reference=reference),
-        guess=_guess(model, pose, reference, generator, off),
+        joints=_joints(model),
+        truth=truth,
+        guess=_guess(model, truth, generator, off),
     )
 
 
-def _guess(
-    model: HandModel, pose: Tensor, reference: Tensor, generator: torch.Generator, off: tuple[float, float]
-) -> FoundHand:
+def _guess(model: HandModel, truth: HandPose, generator: torch.Generator, off: tuple[float, float]) -> HandPose:
     deg, mm = off
     space = named_pose_space(SPACE)
     shift, turn, bend = (torch.randn(n, generator=generator, dtype=torch.float64) for n in (3, 3, space.size))
     is_joint = torch.tensor([not name.startswith("root") for name in space.free_names])
-    moved = space.dof(space.free(pose) + math.radians(deg) * bend * is_joint)
-    moved[:3] = pose[:3] + 1e-3 * mm / math.sqrt(3) * shift
-    turned = rotation_from_vector(math.radians(deg) / math.sqrt(3) * turn) @ reference
-    return FoundHand(pose=clamp_to_limits(moved, model.skeleton), root_reference=turned)
+    moved = space.dof(space.free(truth.dofs) + math.radians(deg) * bend * is_joint)
+    moved[:3] = truth.dofs[:3] + 1e-3 * mm / math.sqrt(3) * shift
+    turned = rotation_from_vector(math.radians(deg) / math.sqrt(3) * turn) @ truth.reference
+    return HandPose(dofs=clamp_to_limits(moved, model.skeleton), reference=turned)

@@ -10,16 +10,15 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.evaluate import flexion_deg
-from torchhand.fit import PostureResiduals
-from torchhand.fit.hull import target_of, with_rims
+from torchhand.fit.hull import JointPriors, target_of, with_rays
 from torchhand.geometry import Camera
-from torchhand.hand import Hand, PoseConstraints, PoseSpace
-from torchhand.study.ueda.methods import FitProblem, FoundHand, Method, keypoints_of
+from torchhand.hand import Hand, HandPose, PoseSpace
+from torchhand.study.ueda.methods import FitProblem, Method, keypoints_of
 from torchhand.volume import CarvingSettings, RootCube, carve, hull_field
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sitter:
+class Subject:
     """A person's hand seen by all cameras of a rig, its true pose and a guess of it."""
 
     cameras: Sequence[Camera]
@@ -28,10 +27,9 @@ class Sitter:
     hand: Hand
     shape: Float[Tensor, "shape"]
     space: PoseSpace
-    constraints: PoseConstraints
-    prior: PostureResiduals
-    truth: FoundHand
-    guess: FoundHand
+    joints: JointPriors
+    truth: HandPose
+    guess: HandPose
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,25 +43,23 @@ class FitError:
     milliseconds: float
 
 
-def fit_errors(sitter: Sitter, cameras: int, level: int, methods: Mapping[str, Method]) -> dict[str, FitError]:
+def fit_errors(subject: Subject, cameras: int, level: int, methods: Mapping[str, Method]) -> dict[str, FitError]:
     """Each method on the hull of the first so many cameras; the time is that of the fit alone."""
     views = slice(cameras)
     octree = carve(
-        sitter.masks[views], sitter.cameras[views], sitter.root, CarvingSettings(level=level, least_views=cameras)
+        subject.masks[views], subject.cameras[views], subject.root, CarvingSettings(level=level, least_views=cameras)
     )
     problem = FitProblem(
-        cameras=sitter.cameras[views],
-        masks=sitter.masks[views],
-        target=with_rims(target_of(hull_field(octree, surface="middle")), sitter.cameras[views], sitter.masks[views]),
-        hand=sitter.hand,
-        shape=sitter.shape,
-        space=sitter.space,
-        constraints=sitter.constraints,
-        prior=sitter.prior,
-        pose=sitter.guess.pose,
-        root_reference=sitter.guess.root_reference,
+        cameras=subject.cameras[views],
+        masks=subject.masks[views],
+        target=with_rays(target_of(hull_field(octree, surface="middle")), subject.cameras[views], subject.masks[views]),
+        hand=subject.hand,
+        shape=subject.shape,
+        space=subject.space,
+        joints=subject.joints,
+        guess=subject.guess,
     )
-    truth = keypoints_of(problem, sitter.truth)
+    truth = keypoints_of(problem, subject.truth)
     errors = {}
     for name, method in methods.items():
         begun = time.perf_counter()

@@ -7,11 +7,18 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.fit import PostureResiduals
-from torchhand.fit.hull import HullFitter, HullTarget, HullTorqueSettings, TorqueSteps, fit_by_torques
+from torchhand.fit.hull import (
+    HullFitter,
+    HullTarget,
+    HullTorqueSettings,
+    JointPriors,
+    SkinPoints,
+    TorqueSteps,
+    fit_by_torques,
+)
 from torchhand.geometry import Camera
-from torchhand.hand import Hand, PoseConstraints, PoseSpace
-from torchhand.track.multiview import MultiViewSettings
+from torchhand.hand import Hand, HandPose, PoseSpace
+from torchhand.track.multiview import RigSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,56 +32,40 @@ class FitProblem:
     hand: Hand
     shape: Float[Tensor, "shape"]
     space: PoseSpace
-    constraints: PoseConstraints
-    prior: PostureResiduals
-    pose: Float[Tensor, "36"]
-    root_reference: Float[Tensor, "3 3"]
+    joints: JointPriors
+    guess: HandPose
 
 
-@dataclass(frozen=True, kw_only=True)
-class FoundHand:
-    pose: Float[Tensor, "36"]
-    root_reference: Float[Tensor, "3 3"]
+Method = Callable[[FitProblem], HandPose]
 
 
-Method = Callable[[FitProblem], FoundHand]
+def by_torques(problem: FitProblem, steps: TorqueSteps = "largest") -> HandPose:
+    """The fit of Ueda et al. 2003, palm and fingers together."""
+    skin, settings = SkinPoints(problem.hand, problem.shape), HullTorqueSettings(steps=steps)
+    return fit_by_torques(problem.target.field, skin, problem.space, problem.guess, settings).pose
 
 
-def by_torques(problem: FitProblem, steps: TorqueSteps = "largest") -> FoundHand:
-    """Paper 002's fit, palm and fingers together."""
-    found = fit_by_torques(
-        problem.target.field,
-        problem.hand,
-        problem.space,
-        problem.pose,
-        problem.root_reference,
-        HullTorqueSettings(steps=steps),
-        shape=problem.shape,
-    )
-    return FoundHand(pose=found.pose, root_reference=found.root_reference)
-
-
-def by_least_squares(problem: FitProblem, *, contours: bool) -> FoundHand:
+def by_least_squares(problem: FitProblem, *, contours: bool) -> HandPose:
     """Skin inside the hull, limits and prior, by Levenberg-Marquardt, as where the tracker finds a hand.
 
     contours: the edges of all silhouettes must touch the skin; without them the hull's surface must be on it.
     """
-    target = problem.target if contours else replace(problem.target, rims=None)
+    target = problem.target if contours else replace(problem.target, rays=None)
+    settings = RigSettings()
     fitter = HullFitter(
-        problem.hand,
-        problem.space,
-        MultiViewSettings().start_fit,
+        hand=problem.hand,
+        space=problem.space,
         shape=problem.shape,
-        constraints=problem.constraints,
-        prior=problem.prior,
+        settings=settings.hull,
+        schedule=settings.search,
+        joints=replace(problem.joints, weights=settings.joints),
     )
-    found = fitter(target, problem.pose[None], problem.root_reference[None]).select(0)
-    return FoundHand(pose=found.pose, root_reference=found.root_reference)
+    return fitter(target, problem.guess).pose
 
 
-def unmoved(problem: FitProblem) -> FoundHand:
+def unmoved(problem: FitProblem) -> HandPose:
     """The guess itself: what the others have to improve."""
-    return FoundHand(pose=problem.pose, root_reference=problem.root_reference)
+    return problem.guess
 
 
 METHODS: Mapping[str, Method] = {
@@ -87,10 +78,11 @@ METHODS: Mapping[str, Method] = {
 """By the name in tables and plots; each is given the same problems."""
 
 
-def keypoints_of(problem: FitProblem, found: FoundHand) -> Float[Tensor, "21 3"]:
+def keypoints_of(problem: FitProblem, found: HandPose) -> Float[Tensor, "21 3"]:
     """In the world, metres."""
     kinematics = problem.hand.kinematics
     like = kinematics.default_shape
+    found = found.to(like)
     with torch.inference_mode():
-        frames = kinematics(found.pose.to(like), problem.shape.to(like), root_reference=found.root_reference.to(like))
+        frames = kinematics(found.dofs, problem.shape.to(like), root_reference=found.reference)
     return frames.keypoints.double()

@@ -1,4 +1,4 @@
-"""Table 1 of paper 002: how long each stage of a frame takes."""
+"""Table 1 of Ueda et al. 2003: how long each stage of a frame takes."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -7,15 +7,7 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from torchhand.evaluate import time_interleaved
-from torchhand.fit.hull import (
-    HULL_TRACKING_LEVELS,
-    HullFitSettings,
-    HullFitter,
-    HullTorqueSettings,
-    fit_by_torques,
-    target_of,
-    with_rims,
-)
+from torchhand.fit.hull import TRACKING, HullFitter, HullTorqueSettings, fit_by_torques, target_of, with_rays
 from torchhand.image import SilhouetteSettings, segment
 from torchhand.study.ueda.bent import BentFinger
 from torchhand.volume import Carver, CarvingSettings, hull_field
@@ -37,16 +29,16 @@ def stage_times(
     carver = Carver(case.cameras, case.root, CarvingSettings(level=level, least_views=len(case.cameras)))
     octree = carver.carve(case.masks)
     field = hull_field(octree, surface="middle")
-    target = with_rims(target_of(field), case.cameras, case.masks)
-    fitter = HullFitter(case.hand, case.space, HullFitSettings(levels=HULL_TRACKING_LEVELS), shape=case.shape)
+    target = with_rays(target_of(field), case.cameras, case.masks)
+    fitter = HullFitter(hand=case.hand, space=case.space, shape=case.shape, schedule=TRACKING)
     screen = SilhouetteSettings(method="chroma")
-    start = (case.pose[None], case.root_reference[None])
+    skin, start = fitter.vertices.skin, case.start.reshape(1)
     torques = HullTorqueSettings(outside_share=0.0)
     stages: dict[str, Callable[[], object]] = {
         "silhouettes": lambda: [segment(picture, screen) for picture in pictures],
         "octree": partial(carver.carve, case.masks),
-        "field": lambda: with_rims(target_of(hull_field(octree, surface="middle")), case.cameras, case.masks),
-        "fit by torques": lambda: fit_by_torques(field, case.hand, case.space, *start, torques, shape=case.shape),
-        "fit by LM": lambda: fitter(target, *start),
+        "field": lambda: with_rays(target_of(hull_field(octree, surface="middle")), case.cameras, case.masks),
+        "fit by torques": lambda: fit_by_torques(field, skin, case.space, start, torques),
+        "fit by LM": lambda: fitter(target, start),
     }
     return {name: timing.median for name, timing in time_interleaved(stages, repeats).items()}

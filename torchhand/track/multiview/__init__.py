@@ -6,7 +6,7 @@ from torchhand.track.multiview.fitting import Anchor, MomentFitter, Placed
 from torchhand.track.multiview.hulls import Hull
 from torchhand.track.multiview.introduction import Introduction, introduce
 from torchhand.track.multiview.scale import in_unit
-from torchhand.track.multiview.settings import HullOctreeSettings, MultiViewLossSettings, MultiViewSettings
+from torchhand.track.multiview.settings import HullOctreeSettings, RigSettings
 from torchhand.track.multiview.update import HullUpdate, anchor_of, hull_about, hull_anywhere
 
 __all__ = [
@@ -17,9 +17,8 @@ __all__ = [
     "HullUpdate",
     "Introduction",
     "MomentFitter",
-    "MultiViewLossSettings",
-    "MultiViewSettings",
     "Placed",
+    "RigSettings",
     "acquaint",
     "anchor_of",
     "hull_about",

@@ -7,8 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.fit.hull import HullShapeFit, HullTarget, fit_shape
-from torchhand.hand import Anthropometry
+from torchhand.fit import SharedSolution
+from torchhand.fit.hull import HullTarget, fit_shape
+from torchhand.hand import Anthropometry, HandPose
 from torchhand.track.multiview.continuity import most_consistent
 from torchhand.track.multiview.fitting import Anchor, MomentFitter, Placed, chosen
 from torchhand.track.multiview.hulls import Hull
@@ -93,7 +94,7 @@ def acquaint(
         return Acquaintance(shape=shape, shape_std=None, anchors=anchors, learned_from=())
     good = _good(seen)
     fit = _fitted(fits, good, people, own)
-    poses = zip(good, fit.pose, fit.root_reference, strict=True)
+    poses = zip(good, fit.pose.dofs, fit.pose.reference, strict=True)
     anchors |= {one.moment: Anchor(pose=pose, root_reference=reference) for one, pose, reference in poses}
     return Acquaintance(
         shape=fit.shape,
@@ -153,7 +154,7 @@ def _agreed(fits: MomentFitter, seen: Sequence[_Seen], shape: Tensor) -> list[_S
 
 
 def _believed(fits: MomentFitter, placed: Placed | None) -> Placed | None:
-    return None if placed is None or placed.overlap < fits.settings.loss.start_overlap else placed
+    return None if placed is None or placed.overlap < fits.settings.found_overlap else placed
 
 
 def _anchors_of(seen: Sequence[_Seen]) -> list[tuple[Anchor, float]]:
@@ -188,23 +189,16 @@ def _fitted(
     shape: Tensor | None = None,
     *,
     rough: bool = False,
-) -> HullShapeFit:
-    """rough: with half the looks, where more will follow."""
+) -> SharedSolution:
+    """rough: with half the rounds, where more will follow."""
     settings = fits.settings.shape
     if rough:
         settings = replace(settings, rounds=max(1, settings.rounds // 2))
     found: list[tuple[HullTarget, Placed]] = [
         (one.hull.target, one.placed) for one in seen if one.hull.target is not None and one.placed is not None
     ]
-    return fit_shape(
-        [target for target, _ in found],
-        fits.hand,
-        fits.space,
-        torch.stack([placed.fit.pose for _, placed in found]),
-        torch.stack([placed.fit.root_reference for _, placed in found]),
-        people,
-        settings,
-        fits.settings.shape_fit,
-        shape=shape,
-        **fits.beliefs,
+    starts = HandPose(
+        dofs=torch.stack([placed.fit.pose for _, placed in found]),
+        reference=torch.stack([placed.fit.root_reference for _, placed in found]),
     )
+    return fit_shape(fits.shape_fitter(shape), [target for target, _ in found], starts, people, settings)

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.fit.hull import HullRims
+from torchhand.fit.hull import SilhouetteRays
 from torchhand.geometry import Camera
 from torchhand.track.scene import Masks
 
@@ -36,16 +36,16 @@ class HandEnd:
             may_be &= self._in_view(camera, lengths, points)
         return may_be
 
-    def rays(self, rims: HullRims, count: int) -> HullRims:
+    def rays(self, rays: SilhouetteRays, count: int) -> SilhouetteRays:
         """About `count` of those rays that may touch the hand, which are of silhouettes of these cameras; of all where
         none may."""
         first, kept = 0, []
-        for view in rims.views:
-            points = rims.points[first : first + len(view.plane)]
+        for view in rays.views:
+            points = rays.points[first : first + len(view.plane)]
             first += len(points)
             own = [self._in_view(camera, lengths, points) for camera, lengths in self._lengths if camera is view.camera]
             kept.append((own[0] if own else torch.ones(len(points), dtype=torch.bool)).nonzero()[:, 0])
-        return (rims.chosen(kept) if any(map(len, kept)) else rims).thinned(count)
+        return (rays.chosen(kept) if any(map(len, kept)) else rays).thinned(count)
 
     def _in_view(self, camera: Camera, lengths: Tensor, points: Float[Tensor, "n 3"]) -> Bool[Tensor, "n"]:
         points = points.to(camera.rotation)

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.fit.hull import HullTarget, target_of, with_rims
+from torchhand.fit.hull import HullTarget, target_of, with_rays
 from torchhand.geometry import Camera
 from torchhand.track.multiview.hand_end import HandEnd
 from torchhand.track.multiview.settings import HullOctreeSettings
@@ -51,13 +51,13 @@ class Hulls:
         cameras: Sequence[Camera],
         settings: HullOctreeSettings,
         *,
-        fewest_views: int = 2,
+        min_views: int = 2,
         contours: bool = True,
     ) -> None:
         """contours: with the edges of the silhouettes.
 
         Raises ValueError where the cameras see no volume together and no cube is given."""
-        self.cameras, self.settings, self._fewest = tuple(cameras), settings, fewest_views
+        self.cameras, self.settings, self._fewest = tuple(cameras), settings, min_views
         self._contours = contours
         self._carvers: dict[tuple[tuple[int, ...], float, CarvingSettings], Carver] = {}
         self.root = (
@@ -119,9 +119,9 @@ class Hulls:
             target = target.where(end)
         if self._contours:
             cameras, seen = [self.cameras[view] for view in carved.views], [masks[view] for view in carved.views]
-            target = with_rims(target, cameras, seen, rays=_RAYS if end is None else _SPARE * _RAYS)
-            if end is not None and target.rims is not None:
-                target = replace(target, rims=end.rays(target.rims, _RAYS))
+            target = with_rays(target, cameras, seen, count=_RAYS if end is None else _SPARE * _RAYS)
+            if end is not None and target.rays is not None:
+                target = replace(target, rays=end.rays(target.rays, _RAYS))
         return Hull(target=target, views=carved.views)
 
     def _carved(self, masks: Masks, root: RootCube, level: int, least_volume: float) -> "_Carved":

@@ -10,7 +10,7 @@ from torchhand.hand import Anthropometry, Hand
 from torchhand.track.multiview.acquaintance import Acquaintance, acquaint
 from torchhand.track.multiview.fitting import Anchor, MomentFitter
 from torchhand.track.multiview.scale import in_unit, moved_anchor, resized_shape, rough_units, size_factor
-from torchhand.track.multiview.settings import MultiViewSettings
+from torchhand.track.multiview.settings import RigSettings
 from torchhand.track.scene import Images, LearnedSkin, Masks, ViewSilhouettes
 
 Moment = tuple[int, Images, Masks | None]
@@ -32,7 +32,7 @@ def introduce(
     silhouettes: ViewSilhouettes,
     moments: Sequence[Moment],
     people: Anthropometry,
-    settings: MultiViewSettings,
+    settings: RigSettings,
     *,
     shape: Float[Tensor, "shape"] | None = None,
     fits_unit: bool = False,
@@ -61,7 +61,7 @@ def _met(
     fits: MomentFitter,
     seen: Sequence[tuple[int, Masks]],
     people: Anthropometry,
-    settings: MultiViewSettings,
+    settings: RigSettings,
     shape: Tensor | None,
     done: Callable[[], object],
 ) -> Acquaintance:
@@ -75,7 +75,7 @@ def _with_unit(
     silhouettes: ViewSilhouettes,
     seen: Sequence[tuple[int, Masks]],
     people: Anthropometry,
-    settings: MultiViewSettings,
+    settings: RigSettings,
     shape: Tensor | None,
     skins: Sequence[LearnedSkin | None],
     done: Callable[[], object],
@@ -102,7 +102,7 @@ def _agreement(fits: MomentFitter, masks: Masks) -> float:
     """How well a generic hand explains the silhouettes of a moment, 0 to 1: the overlap times the share of their edges
     that it explains."""
     found = fits.searched(fits.hull_anywhere(None, masks), fits.hand.kinematics.default_shape, masks)
-    return 0.0 if found is None else found.overlap * float(found.fit.covered_share)
+    return 0.0 if found is None else found.overlap * found.fit.covered_share
 
 
 def _introduction(

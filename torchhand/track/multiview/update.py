@@ -28,7 +28,7 @@ class HullUpdate:
         if first is None or not self._health.is_failing(first):
             return first
         hull = hull_about(self.fits, scene, self.motion.pose(predicted), shape)
-        if len(hull.views) <= self.fits.settings.loss.fewest_views:
+        if len(hull.views) <= self.fits.settings.min_views:
             return first
         worst = int(first.agreement.overlaps.nan_to_num(torch.inf).argmin())
         return self._health.better(first, self._fitted(predicted, scene.without(worst), shape), None)
@@ -74,10 +74,10 @@ def _candidate(placed: Placed, hand: FollowedHand, predicted: FollowedHand | Non
         hand=hand,
         pose=HandPose.of(fit.pose, fit.root_reference),
         agreement=Agreement(overlaps=placed.overlaps, unexplained=torch.full_like(placed.overlaps, torch.nan)),
-        edges=float(fit.covered_share),
-        inside=float(fit.inside_share),
+        edges=fit.covered_share,
+        inside=fit.inside_share,
         cost=float(fit.cost),
-        is_sound=bool(fit.is_good),
+        is_sound=fit.is_good,
         if_failing=predicted,
     )
 

@@ -1,8 +1,8 @@
-"""The edges of the silhouettes that a hull was carved from: rays that touch the hand somewhere.
+"""Rays through the edges of the silhouettes that a hull was carved from: each of them touches the hand somewhere.
 
-A hull's surface is made of the rays through the silhouettes' edges. Each of these touches the hand at one place at
-least and may be away from it everywhere else: where cameras look at a fist from four sides only, most of the hull's
-surface is no skin. So a ray tells what a point of the surface does not, and it tells it to a fraction of a pixel.
+A hull's surface is made of these rays. Each touches the hand at one place at least and may be away from it everywhere
+else: where cameras look at a fist from four sides only, most of the hull's surface is no skin. So a ray tells what a
+point of the surface does not, and it tells it to a fraction of a pixel.
 """
 
 import itertools
@@ -15,13 +15,13 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchhand.fit.hull.covered import nearest_columns
+from torchhand.fit.hull.nearest import nearest_columns
 from torchhand.geometry import Camera
 from torchhand.image import boundary_points
 
 
 @dataclass(frozen=True, kw_only=True)
-class RimView:
+class RayView:
     """The rays of one view."""
 
     camera: Camera
@@ -32,16 +32,16 @@ class RimView:
 
 
 @dataclass(frozen=True, kw_only=True)
-class HullRims:
+class SilhouetteRays:
     """Rays through the edges of all silhouettes, view by view, in the world."""
 
     points: Float[Tensor, "rays 3"]
     """On the rays, beside the hull's middle, metres."""
-    along: Float[Tensor, "rays 3"]
-    """Directions, unit, away from the camera."""
+    directions: Float[Tensor, "rays 3"]
+    """Unit, away from the camera."""
     normals: Float[Tensor, "rays 3"]
     """Unit, across the ray and away from the silhouette: the hand is on the other side of the plane through the ray."""
-    views: tuple[RimView, ...]
+    views: tuple[RayView, ...]
 
     def match(
         self, vertices: Float[Tensor, "hands points 3"], normals: Float[Tensor, "hands points 3"], *, turn: float
@@ -63,12 +63,12 @@ class HullRims:
     def _stacked(self) -> "_StackedRays":
         return _StackedRays.of(self.views, self.normals)
 
-    def thinned(self, count: int) -> "HullRims":
+    def thinned(self, count: int) -> "SilhouetteRays":
         """About so many of the rays, evenly over all; at least one of each view."""
         step = max(1, math.ceil(len(self.points) / count))
         return self.chosen([torch.arange(0, len(view.plane), step) for view in self.views])
 
-    def chosen(self, rays: Sequence[Int[Tensor, "_kept"]]) -> "HullRims":
+    def chosen(self, rays: Sequence[Int[Tensor, "_kept"]]) -> "SilhouetteRays":
         """Some rays of each view, by their numbers in it. Views of which none is wanted drop out."""
         starts = itertools.accumulate((len(view.plane) for view in self.views), initial=0)
         own = [kept.to(self.points.device) for kept in rays]
@@ -78,36 +78,38 @@ class HullRims:
             for view, numbers in zip(self.views, own, strict=True)
             if len(numbers)
         )
-        return HullRims(points=self.points[kept], along=self.along[kept], normals=self.normals[kept], views=views)
+        return SilhouetteRays(
+            points=self.points[kept], directions=self.directions[kept], normals=self.normals[kept], views=views
+        )
 
-    def near(self, places: Float[Tensor, "*batch rays 3"]) -> Float[Tensor, "*batch rays 3"]:
+    def nearest_to(self, places: Float[Tensor, "*batch rays 3"]) -> Float[Tensor, "*batch rays 3"]:
         """The point of each ray that is nearest to a place of its own."""
-        points, along = self.points.to(places), self.along.to(places)
-        return points + ((places - points) * along).sum(-1, keepdim=True) * along
+        points, directions = self.points.to(places), self.directions.to(places)
+        return points + ((places - points) * directions).sum(-1, keepdim=True) * directions
 
 
 @dataclass(frozen=True, kw_only=True)
 class _StackedRays:
-    """The rays of all views side by side, padded to as many as the view with most of them has; in float64."""
+    """The rays of all views side by side, padded to the number of the view that has most; in float64."""
 
     rotation: Float[Tensor, "views 3 3"]
     translation: Float[Tensor, "views 3 1"]
     is_orthographic: Bool[Tensor, "views 1 1"]
     scale: Float[Tensor, "views 1 1"]
-    plane: Float[Tensor, "views most 2"]
+    plane: Float[Tensor, "views width 2"]
     """Times the scale."""
-    normals: Float[Tensor, "views most 3"]
+    normals: Float[Tensor, "views width 3"]
     kept: Int[Tensor, "rays"] | None
-    """Those that are rays; None where all are."""
+    """Places that hold rays; None where all do."""
 
     @classmethod
-    def of(cls, views: Sequence[RimView], normals: Float[Tensor, "rays 3"]) -> "_StackedRays":
+    def of(cls, views: Sequence[RayView], normals: Float[Tensor, "rays 3"]) -> "_StackedRays":
         counts = [len(view.plane) for view in views]
-        most = max(counts)
+        width = max(counts)
         scale = normals.new_tensor([view.scale for view in views], dtype=torch.float64)[:, None, None]
         kept = None
-        if min(counts) < most:
-            kept = torch.cat([torch.arange(most * row, most * row + n) for row, n in enumerate(counts)])
+        if min(counts) < width:
+            kept = torch.cat([torch.arange(width * row, width * row + n) for row, n in enumerate(counts)])
             kept = kept.to(normals.device)
         pad = torch.nn.utils.rnn.pad_sequence
         return cls(
@@ -123,13 +125,13 @@ class _StackedRays:
         )
 
 
-def rims_of(
+def silhouette_rays(
     cameras: Sequence[Camera],
     masks: Sequence[Bool[Tensor, "_height _width"] | None],
     middle: Float[Tensor, "3"],
     *,
     count: int = 300,
-) -> HullRims | None:
+) -> SilhouetteRays | None:
     """Rays through the edges of the silhouettes, as many for each view up to `count` in all.
 
     masks: one per camera, None where a view is missing or not to be trusted. middle: of the hull, metres. Where the
@@ -137,7 +139,7 @@ def rims_of(
     """
     seen = [(camera, mask) for camera, mask in zip(cameras, masks, strict=True) if mask is not None]
     parts: list[tuple[Tensor, ...]] = []
-    views: list[RimView] = []
+    views: list[RayView] = []
     for camera, mask in seen:
         edge = boundary_points(mask, max(1, count // len(seen)))
         height, width = mask.shape
@@ -151,7 +153,7 @@ def rims_of(
         rotation, translation = camera.rotation.to(along), camera.translation.to(along)
         parts.append(((origin - translation) @ rotation, along @ rotation))
         scale = 1.0 if camera.kind == "orthographic" else float(camera.cam_from_world(middle.to(along))[2])
-        views.append(RimView(camera=camera, scale=scale, plane=(origin + along)[0, :, :2]))
+        views.append(RayView(camera=camera, scale=scale, plane=(origin + along)[0, :, :2]))
     if not parts:
         return None
     origin, along = (torch.cat(one, 1) for one in zip(*parts, strict=True))
@@ -161,4 +163,4 @@ def rims_of(
     normal = torch.nn.functional.normalize(normal * (normal * beyond).sum(-1, keepdim=True).sign(), dim=-1)
     along = torch.nn.functional.normalize(along[0], dim=-1)
     point = origin[0] + ((middle.to(along) - origin[0]) * along).sum(-1, keepdim=True) * along
-    return HullRims(points=point, along=along, normals=normal, views=tuple(views))
+    return SilhouetteRays(points=point, directions=along, normals=normal, views=tuple(views))
