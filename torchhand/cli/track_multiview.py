@@ -13,6 +13,7 @@ from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
 from torchhand.errors import InputError
 from torchhand.files import offsets_of
 from torchhand.runs import Request, how_to_go_on, known_hand, settings_of, summary_of, track_rig
+from torchhand.track import TrackerSettings
 
 
 @dataclass(frozen=True, kw_only=True)

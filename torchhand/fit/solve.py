@@ -237,13 +237,9 @@ class _Evaluated:
             return torch.where(better.reshape(-1, *(1,) * (one.ndim - 1)), two, one)
 
         def told(one: Explained, two: Explained) -> Explained:
-            has_inside = one.inside is not None and two.inside is not None
-            return replace(
-                one,
-                share=chosen(one.share, two.share),
-                distance=chosen(one.distance, two.distance),
-                inside=chosen(one.inside, two.inside) if has_inside else None,
-            )
+            inside = chosen(one.inside, two.inside) if one.inside is not None and two.inside is not None else None
+            share, distance = chosen(one.share, two.share), chosen(one.distance, two.distance)
+            return replace(one, share=share, distance=distance, inside=inside)
 
         return _Evaluated(
             values=chosen(self.values, other.values),

@@ -168,7 +168,6 @@ class _RigStart:
                 Keyframe(time_s=frame / recording.fps, pose=HandPose.of(one.pose, one.root_reference))
                 for frame, one in found.anchors.items()
             ),
-            search_after=self.settings.health.first_search_after,
         )
         provenance = self._provenance(found) | {"unit_m": metres}
         return Run(recording, self.tracker(metres), provenance, state=state, metres=metres)

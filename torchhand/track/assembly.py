@@ -141,7 +141,7 @@ def _of_one_camera(
 
 def _of_a_rig(own: _Ingredients, cameras: Sequence[Camera], plates: Sequence[BackgroundPlate] | None) -> Assembly:
     """The world is that of the cameras."""
-    s, health = own.settings, Health(settings=own.settings.health)
+    s, health = own.settings, Health(settings=own.settings.health.for_rig())
     exact = tuple(camera.to(dtype=torch.float64) for camera in cameras)
     silhouettes = ViewSilhouettes(exact, s.silhouette, plates=plates)
     takes_proposals = s.method == "hull"

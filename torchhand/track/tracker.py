@@ -142,7 +142,7 @@ class Tracker:
     def _started(self, state: TrackerState | None) -> TrackerState:
         if state is not None:
             return state
-        return TrackerState(shape=self.known_shape, search_after=self.settings.health.first_search_after)
+        return TrackerState(shape=self.known_shape, search_after=self._parts.health.settings.first_search_after)
 
     def _check(self, views: Sequence[View], state: TrackerState, time_s: float) -> None:
         if len(views) != len(self.cameras):

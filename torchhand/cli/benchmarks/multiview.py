@@ -8,11 +8,12 @@ from torch import Tensor
 
 from torchhand.cli.benchmarks.figures import Figure
 from torchhand.cli.benchmarks.runs import FRAMES_PER_SECOND, memory_figure, speed_figure, there_and_back, with_bar
-from torchhand.files import find_config, load_hand_model, load_settings, save_cameras, save_hand, write_video
+from torchhand.files import load_hand_model, save_cameras, save_hand, write_video
 from torchhand.geometry import Camera, rotation_from_vector
-from torchhand.hand import Hand
+from torchhand.hand import Hand, HandPose
+from torchhand.runs import settings_of
 from torchhand.simulate import named_rig, scripted_motion, stage_camera
-from torchhand.track.multiview import Anchor, MultiViewMemory, MultiViewTracker, RigSettings, ViewSilhouettes
+from torchhand.track import Keyframe, Tracker, TrackerState, View
 from torchhand.view import mesh_silhouette
 
 RIG, SIZE_PX, MOTION = "frame4", (640, 480), "free"
@@ -29,9 +30,9 @@ class _Recording:
 
     hand: Hand
     cameras: list[Camera]
-    moments: list[list[Tensor]]
-    """Pictures of all views."""
-    start: Anchor
+    frames: list[list[Tensor]]
+    """Pictures of all views, frame by frame."""
+    start: HandPose
 
 
 def _simulated(frames: int) -> _Recording:
@@ -41,39 +42,36 @@ def _simulated(frames: int) -> _Recording:
     course = scripted_motion(MOTION, frames, hand.kinematics, stage, generator, fps=FRAMES_PER_SECOND)
     screen, skin = torch.tensor(_SCREEN), torch.tensor(_SKIN)
     noise = torch.randint(-_NOISE, _NOISE + 1, (SIZE_PX[1], SIZE_PX[0], 3), generator=generator)
-    moments = []
+    seen = []
     for pose in with_bar(course.poses, frames, "rendering"):
         vertices = hand(pose.double(), root_reference=course.root_reference.double()).vertices
         masks = [mesh_silhouette(vertices, hand.faces, camera) for camera in cameras]
-        moments.append([(torch.where(mask[..., None], skin, screen) + noise).to(torch.uint8) for mask in masks])
+        seen.append([(torch.where(mask[..., None], skin, screen) + noise).to(torch.uint8) for mask in masks])
     first = course.poses[0].double().clone()
     reference = rotation_from_vector(first[3:6]) @ course.root_reference.double()
     first[3:6] = 0.0
-    start = Anchor(pose=first, root_reference=reference)
-    return _Recording(hand=hand, cameras=cameras, moments=moments, start=start)
+    start = HandPose(dofs=first, reference=reference)
+    return _Recording(hand=hand, cameras=cameras, frames=seen, start=start)
 
 
 def track_views(name: str, repeats: int | None, *, must: float, aim: float) -> Figure:
     """Frames per second from pictures to pose: silhouettes, octree, fit and judgement; the start is made."""
     recording = _simulated(FRAMES)
-    settings = load_settings(RigSettings(), find_config("hull_lm"))
-    silhouettes = ViewSilhouettes(recording.cameras, settings.silhouette)
-    tracker = MultiViewTracker(recording.hand, silhouettes.cameras, FRAMES_PER_SECOND, settings)
-    with torch.inference_mode():
-        skins = silhouettes.learn(recording.moments[0], [None] * len(recording.cameras))
-        memory = MultiViewMemory(shape=recording.hand.shape)
-        masks = silhouettes(recording.moments[0], skins)
-        start, memory, _ = tracker.step(None, memory, masks, {0: recording.start}, 0)
+    shape = recording.hand.shape
+    tracker = Tracker(recording.hand, recording.cameras, settings_of("hull_lm"), shape=shape)
+    views = [[View(image=image) for image in images] for images in recording.frames]
+    known = TrackerState(shape=shape, keyframes=(Keyframe(time_s=0.0, pose=recording.start),))
+    start, _ = tracker.step(known, views[0], 0.0)
 
-        def run() -> list[str]:
-            state, own, statuses = start, memory, []
-            for images in recording.moments[1:]:
-                state, own, estimate = tracker.step(state, own, silhouettes(images, skins))
-                statuses.append(estimate.status)
-            return statuses
+    def run() -> list[str]:
+        state, statuses = start, []
+        for index, seen in enumerate(views[1:], 1):
+            state, estimate = tracker.step(state, seen, index / FRAMES_PER_SECOND)
+            statuses.append(estimate.status)
+        return statuses
 
-        details = {"rig": RIG, "motion": MOTION}
-        return speed_figure(name, run, repeats or ROUNDS, must=must, aim=aim, details=details)
+    details = {"rig": RIG, "motion": MOTION}
+    return speed_figure(name, run, repeats or ROUNDS, must=must, aim=aim, details=details)
 
 
 def track_views_memory(name: str, repeats: int | None) -> Figure:
@@ -91,6 +89,6 @@ def _long_recording(folder: Path) -> list[str]:
     for view, camera in enumerate(recording.cameras):
         path = rig / f"{camera.name}.mp4"
         with write_video(path, width=camera.width, height=camera.height, fps=FRAMES_PER_SECOND) as writer:
-            for images in there_and_back(recording.moments, MEMORY_FRAMES, f"writing view {view}"):
+            for images in there_and_back(recording.frames, MEMORY_FRAMES, f"writing view {view}"):
                 writer.write(images[view])
-    return ["track_multiview", str(rig), "--hand", str(hand), "--set", "shape_frames=1"]
+    return ["track_multiview", str(rig), "--hand", str(hand), "--set", "rig.shape_frames=1"]

@@ -17,9 +17,9 @@ from torchhand.cli.benchmarks.runs import FRAMES_PER_SECOND, memory_figure, spee
 from torchhand.files import load_hand_model, save_cameras, write_video
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.numerics import Gaussian, UnscentedSettings, sigma_points, update
-from torchhand.runs import AnyTracker, settings_of, tracker_of
+from torchhand.runs import settings_of
 from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
-from torchhand.track import Memory
+from torchhand.track import Tracker, TrackerState, View
 
 STATE, OBSERVED, MEASUREMENTS = 81, 27, 800
 FOV_DEG = 48.0
@@ -99,26 +99,22 @@ def tracking(
 ) -> Figure:
     """Frames per second of the tracker's steps alone: the pictures are there, the start is made."""
     camera, pictures = _simulated(motion, size, frames, SceneSettings())
-    kinematics = load_hand_model().kinematics(dtype=torch.float64)
-    tracker = tracker_of(kinematics, camera, FRAMES_PER_SECOND, settings_of(config))
-    with torch.inference_mode():
-        start, memory, _ = tracker.step(None, Memory(), pictures[0])
-        return speed_figure(
-            name,
-            partial(_track_all, tracker, start, memory, pictures[1:]),
-            repeats or TRACKING_ROUNDS,
-            must=must,
-            aim=aim,
-            details={"config": config, "motion": motion},
-        )
+    tracker = Tracker(load_hand_model().hand(dtype=torch.float64), camera, settings_of(config))
+    start, _ = tracker.step(None, [View(image=pictures[0])], 0.0)
+    return speed_figure(
+        name,
+        partial(_track_all, tracker, start, pictures[1:]),
+        repeats or TRACKING_ROUNDS,
+        must=must,
+        aim=aim,
+        details={"config": config, "motion": motion},
+    )
 
 
-def _track_all(
-    tracker: AnyTracker, state: Any, memory: Memory, pictures: Sequence[UInt8[Tensor, "height width 3"]]
-) -> list[str]:
-    statuses = []
-    for picture in pictures:
-        state, memory, estimate = tracker.step(state, memory, picture)
+def _track_all(tracker: Tracker, start: TrackerState, pictures: Sequence[UInt8[Tensor, "height width 3"]]) -> list[str]:
+    state, statuses = start, []
+    for index, picture in enumerate(pictures, 1):
+        state, estimate = tracker.step(state, [View(image=picture)], index / FRAMES_PER_SECOND)
         statuses.append(estimate.status)
     return statuses
 

@@ -1,12 +1,14 @@
 """Whether a hand is still the one in the pictures: one measure for every tracker."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.errors import require
 from torchhand.track.scene.candidate import Candidate
+
+_RIG_SEARCH_EVERY = 60  # frames from one search of several cameras to the next where they find nothing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +55,16 @@ class HealthSettings:
     def next_search(self, after: int, *, has_found: bool) -> int:
         """Frames to the next search, the last one having come after so many: the more, the longer nothing is found."""
         return self.search_every if has_found else min(max(2 * after, 1), self.search_at_most_every)
+
+    def for_rig(self) -> "HealthSettings":
+        """For several cameras: what one view leaves unexplained the others decide, and a search without a guess takes
+        seconds, so that it comes the less often the longer it finds nothing."""
+        return replace(
+            self,
+            max_unexplained=float("inf"),
+            searches_when_failing=False,
+            search_at_most_every=max(self.search_at_most_every, _RIG_SEARCH_EVERY),
+        )
 
     def __post_init__(self) -> None:
         shares = ("min_overlap", "min_edges", "min_in_view", "found_overlap", "edge_weight", "memory")
