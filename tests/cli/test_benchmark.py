@@ -22,8 +22,7 @@ from torchhand.evaluate import PROC, THREAD_VARIABLES, Timing, memory_growth, ti
 from torchhand.files import load_hand_model
 from torchhand.geometry import assumed_camera
 from torchhand.hand import BONES
-from torchhand.track import Estimate, Memory
-from torchhand.track.unscented import ContourTracker
+from torchhand.track import Estimate, Tracker, TrackerState
 
 KEYS = {"name", "ours_ms", "peer", "peer_ms", "ratio", "repeats", "unit", "value", "must", "aim", "meets", "details"}
 
@@ -143,10 +142,11 @@ def test_compiling_needs_a_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: P
 
 
 def _step_that_loses_every_third(
-    tracker: ContourTracker, state: int | None, memory: Memory, picture: torch.Tensor
-) -> tuple[int, Memory, Estimate]:
-    number = 0 if state is None else state + 1
-    return number, memory, Estimate(status="lost" if number % 3 == 2 else "tracked")
+    tracker: Tracker, state: TrackerState | None, views: object, time_s: float
+) -> tuple[TrackerState, Estimate]:
+    number = 0 if state is None else state.frames_since_search + 1
+    status = "lost" if number % 3 == 2 else "tracked"
+    return TrackerState(frames_since_search=number), Estimate(status=status, time_s=time_s)
 
 
 def test_a_trackers_speed_is_that_of_its_steps(
@@ -155,7 +155,7 @@ def test_a_trackers_speed_is_that_of_its_steps(
     camera = assumed_camera(16, 16)
     pictures = [torch.zeros(16, 16, 3, dtype=torch.uint8)] * 7
     monkeypatch.setattr(benchmark_tracking, "_simulated", lambda *args: (camera, pictures))
-    monkeypatch.setattr(ContourTracker, "step", _step_that_loses_every_third)
+    monkeypatch.setattr(Tracker, "step", _step_that_loses_every_third)
     [entry] = _run(tmp_path / "figures.json", "--only", "track_planar_360x288")["entries"]
     assert (entry["unit"], entry["must"], entry["aim"]) == ("frames/s", 60.0, 150.0)
     assert entry["value"] == pytest.approx(1e3 / entry["ours_ms"])

@@ -35,9 +35,7 @@ from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import DOFS
 from torchhand.runs import settings_of
 from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
-from torchhand.track import ContourTrackerSettings
-from torchhand.track.extended import DistanceTracker, DistanceTrackerSettings
-from torchhand.track.unscented import ContourTracker
+from torchhand.track import DEFAULTS, Tracker, TrackerSettings
 
 FRAMES, WIDTH, HEIGHT = 10, 200, 160
 RESULT_NAMES = {"checkpoint.pt", "config.yaml", "hand.json", "overlay.mp4", "track.jsonl", "track.npz"}
@@ -153,15 +151,16 @@ def test_a_run_leaves_the_whole_result(clip: Clip) -> None:
     np.testing.assert_allclose(track.keypoints3d, again.numpy(), rtol=0, atol=1e-9)  # the pose is absolute
     assert (track.seconds > 0).all()
     assert (track.measures["overlap"] > 0.85).all()
-    assert ((track.measures["found"] > 0) & (track.measures["found"] <= 1)).all()
-    assert {"nis", "overlap", "found"} == set(track.measures)
+    assert ((track.measures["edges"] > 0) & (track.measures["edges"] <= 1)).all()
+    assert set(track.measures) == {"nis", "overlap", "edges", "inside", "unexplained", "score"}
+    assert np.isnan(track.measures["inside"]).all()  # one camera has no hull
     with open_source(clip.result / "overlay.mp4") as video:
         assert len(list(video)) == FRAMES
 
 
 def test_the_saved_settings_are_a_configuration(clip: Clip) -> None:
     path = clip.result / "config.yaml"
-    assert load_settings(ContourTrackerSettings(), path) == settings_of("contour_planar")
+    assert load_settings(TrackerSettings(), path) == settings_of("contour_planar")
     run = yaml.safe_load(path.read_text())["run"]
     assert run["torchhand"] == torchhand.__version__
     assert run["seed"] == 0
@@ -196,13 +195,13 @@ def test_single_settings_from_the_command_line(clip: Clip, run: Run, tmp_path: P
         "--set",
         "noise.rotation=81",
         "--set",
-        "loss.patience=4",
+        "health.patience=4",
         "--set",
         "motion.order=1",
     ]
     assert run(clip.frames, "--out", out, "--max-frames", "1", *changes, *clip.options).code == 0
-    settings = load_settings(ContourTrackerSettings(), out / "config.yaml")
-    assert (settings.noise.rotation, settings.loss.patience, settings.motion.order) == (81.0, 4, 1)
+    settings = load_settings(TrackerSettings(), out / "config.yaml")
+    assert (settings.noise.rotation, settings.health.patience, settings.motion.order) == (81.0, 4, 1)
 
 
 def test_a_known_left_hand_is_not_fitted(clip: Clip, run: Run, tmp_path: Path) -> None:
@@ -263,10 +262,8 @@ def test_a_folder_of_videos_gives_one_result_each_and_one_bad_video_stops_no_oth
 # ---------------------------------------------------------------------------------------- stopping and going on
 
 
-def _stop_after(
-    monkeypatch: pytest.MonkeyPatch, steps: int, error: BaseException, tracker: type[Any] = ContourTracker
-) -> None:
-    original = tracker.step
+def _stop_after(monkeypatch: pytest.MonkeyPatch, steps: int, error: BaseException) -> None:
+    original = Tracker.step
     calls = 0
 
     def step(self: Any, *arguments: Any) -> Any:
@@ -276,7 +273,7 @@ def _stop_after(
             raise error
         return original(self, *arguments)
 
-    monkeypatch.setattr(tracker, "step", step)
+    monkeypatch.setattr(Tracker, "step", step)
 
 
 def test_ctrl_c_keeps_what_is_tracked_and_resume_gives_the_uninterrupted_result(
@@ -297,9 +294,9 @@ def test_ctrl_c_keeps_what_is_tracked_and_resume_gives_the_uninterrupted_result(
 
     (out / "hand.json").unlink()  # a run that goes on writes it again
     steps: list[int] = []
-    original = ContourTracker.step
+    original = Tracker.step
     with monkeypatch.context() as patch:
-        patch.setattr(ContourTracker, "step", lambda *arguments: (steps.append(1), original(*arguments))[1])
+        patch.setattr(Tracker, "step", lambda *arguments: (steps.append(1), original(*arguments))[1])
         assert run(clip.frames, "--out", out, "--resume", *clip.options).code == 0
     assert len(steps) == FRAMES - 4  # from the last saved state on
     assert _lines_without_seconds(out) == _lines_without_seconds(clip.result)
@@ -319,18 +316,18 @@ def test_the_distance_map_tracker_is_chosen_saved_and_resumed(
     track = load_track(whole / "track.npz")
     assert track.status.tolist() == ["tracked"] * 6
     assert (track.measures["overlap"] > 0.85).all()
-    settings = load_settings(DistanceTrackerSettings(), whole / "config.yaml")
+    settings = load_settings(DEFAULTS["distance"], whole / "config.yaml")
     assert settings == settings_of("distance_abduction")
     assert settings_of(str(whole / "config.yaml")) == settings
 
     monkeypatch.setattr("torchhand.runs.tracking.CHECKPOINT_EVERY", 2)
     with monkeypatch.context() as patch:
-        _stop_after(patch, 3, KeyboardInterrupt(), DistanceTracker)
+        _stop_after(patch, 3, KeyboardInterrupt())
         assert run(clip.frames, "--out", parts, *options).code == 130
     assert run(clip.frames, "--out", parts, "--resume", *options).code == 0
     assert _lines_without_seconds(parts) == _lines_without_seconds(whole)
-    other = run(clip.frames, "--out", parts, "--resume", *options, "--set", "pose_weight=0.5")
-    _assert_refused(other, "made_with.settings.pose_weight was", "is now 0.5")
+    other = run(clip.frames, "--out", parts, "--resume", *options, "--set", "update.pose_weight=0.5")
+    _assert_refused(other, "made_with.settings.update.pose_weight was", "is now 0.5")
 
 
 def test_ctrl_c_while_replacing_leaves_the_old_result(
@@ -421,7 +418,7 @@ def test_a_corrupt_picture_in_the_middle_is_skipped_and_reported(clip: Clip, run
     assert outcome.code == 0
     assert outcome.err.count("\n") == 1
     assert str(frames / "3.png") in outcome.err
-    assert "frame 3 is skipped" in outcome.err
+    assert "frame 3: " in outcome.err
     track = load_track(tmp_path / "out")
     assert track.status.tolist() == ["tracked", "tracked", "tracked", "no_hand", "tracked", "tracked"]
     assert np.isnan(track.pose[3]).all()
@@ -438,7 +435,7 @@ def test_many_corrupt_pictures_are_counted_and_end_the_track(clip: Clip, run: Ru
     outcome = run(frames, "--out", tmp_path / "out", *clip.options)
     assert outcome.code == 0
     assert outcome.err.count("\n") == 4
-    assert "3 more corrupt frames are skipped" in outcome.err
+    assert "3 more pictures are missing or unreadable" in outcome.err
     assert load_track(tmp_path / "out").status.tolist() == ["tracked", *["no_hand"] * 6, "recovered"]
 
 
@@ -541,13 +538,13 @@ def test_a_missing_camera_file(clip: Clip, run: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--set", "nois.rotation=3"], ["unknown key nois", "noise", "allowed: method, pose_space"]),
+        (["--set", "nois.rotation=3"], ["unknown key nois", "noise", "allowed: method, update, pose_space"]),
         (["--set", "noise.rotatoin=3"], ["unknown key noise.rotatoin", "rotation"]),
-        (["--set", "gate=-1"], ["gate: expected above 0"]),
-        (["--set", "gate=wide"], ["gate: expected a number, got 'wide'"]),
-        (["--set", "loss.patience=2.5"], ["loss.patience: expected a whole number"]),
+        (["--set", "update.gate=-1"], ["update.gate: expected above 0"]),
+        (["--set", "update.gate=wide"], ["update.gate: expected a number, got 'wide'"]),
+        (["--set", "health.patience=2.5"], ["health.patience: expected a whole number"]),
         (["--set", "gate"], ["--set: expected KEY=VALUE", "'gate'"]),
-        (["--set", "gate=[1"], ["--set gate: expected a value as in YAML"]),
+        (["--set", "update.gate=[1"], ["--set update.gate: expected a value as in YAML"]),
         (["--set", "motion=1", "--set", "motion.order=2"], ["--set: expected each field once"]),
         (["--set", "pose_space=dof99"], ["pose_space: expected one of planar"]),
         (["--posture", "opne"], ["posture: expected one of open", "'opne'"]),
@@ -572,8 +569,8 @@ def test_options_that_cannot_be(clip: Clip, run: Run, tmp_path: Path, options: l
 def test_a_configuration_with_an_unknown_key_or_an_impossible_value(clip: Clip, run: Run, tmp_path: Path) -> None:
     config = tmp_path / "mine.yaml"
     for text, words in (
-        ("edge_std: 2", "unknown key edge_std"),
-        ("edge_std_px: 0", "edge_std_px: expected above 0"),
+        ("update: {edge_std: 2}", "unknown key update.edge_std"),
+        ("update: {edge_std_px: 0}", "update.edge_std_px: expected above 0"),
         ("noise: 3", "noise: expected keys among translation"),
         ("gate: [", "is no valid YAML"),
     ):
@@ -614,8 +611,8 @@ def test_a_folder_with_a_result_is_refused(clip: Clip, run: Run, good: Path) -> 
 
 def test_resume_with_other_options_is_refused(clip: Clip, run: Run, good: Path) -> None:
     before = _contents(good)
-    outcome = run(clip.frames, "--out", good, "--resume", "--set", "gate=7.75", *clip.options)
-    _assert_refused(outcome, good / "track.jsonl", "made_with.settings.gate was", "is now 7.75")
+    outcome = run(clip.frames, "--out", good, "--resume", "--set", "update.gate=7.75", *clip.options)
+    _assert_refused(outcome, good / "track.jsonl", "made_with.settings.update.gate was", "is now 7.75")
     assert _contents(good) == before
 
 

@@ -16,22 +16,22 @@ from torchhand.cli.track_multiview import main
 from torchhand.files import load_hand_model, load_track, read_picture, save_cameras, save_hand, write_video
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import posture
-from torchhand.runs.multiview import MultiViewRun
+from torchhand.runs import Run
 from torchhand.simulate import named_rig
-from torchhand.track.multiview import MultiViewEstimate, MultiViewTracker
+from torchhand.track import Estimate, Tracker
 from torchhand.view import mesh_silhouette
 
 FRAMES, SIZE = 5, (240, 180)
 RESULT_NAMES = {"checkpoint.pt", "config.yaml", "hand.json", "overlay.mp4", "track.jsonl", "track.npz"}
 SKIN, WALL = (125, 150, 205), (120, 70, 40)  # BGR
 FAST = (
-    *("--set", "shape_frames=1"),
-    *("--set", "start.places=1"),
-    *("--set", "start.rolls=4"),
-    *("--set", "start.postures=[open]"),
-    *("--set", "start.coarse=6"),
-    *("--set", "start.fine=2"),
-    *("--set", "start.finger_rounds=0"),
+    *("--set", "rig.shape_frames=1"),
+    *("--set", "rig.start.places=1"),
+    *("--set", "rig.start.rolls=4"),
+    *("--set", "rig.start.postures=[open]"),
+    *("--set", "rig.start.coarse=6"),
+    *("--set", "rig.start.fine=2"),
+    *("--set", "rig.start.finger_rounds=0"),
 )
 Rig = Callable[..., Path]
 
@@ -96,11 +96,11 @@ def test_result_folder(result: Path, recording: Path) -> None:
     assert track.keypoints2d is None
     truth = np.load(recording / "truth.npz")["keypoints3d"]
     assert np.linalg.norm(track.keypoints3d - truth, axis=-1).mean() < 0.004
-    assert {"overlap", "overlap_front", "overlap_top45", "inside", "covered", "views"} <= set(track.measures)
+    assert {"overlap", "overlap_front", "overlap_top45", "inside", "edges", "views"} <= set(track.measures)
     assert np.all(track.measures["views"] == 4)
     assert "world frame" in track.convention
     config = yaml.safe_load((result / "config.yaml").read_text())
-    assert config["run"]["silhouettes"] == "given"
+    assert config["run"]["masks_given"] is True
     assert [camera["name"] for camera in config["run"]["cameras_used"]] == ["front", "side", "top", "top45"]
     overlay = cv2.VideoCapture(str(result / "overlay.mp4"))
     assert overlay.get(cv2.CAP_PROP_FRAME_COUNT) == FRAMES
@@ -126,8 +126,8 @@ def test_skin_in_place_of_masks_and_videos_in_place_of_pictures(recording: Path,
 def test_stopped_run_goes_on_to_the_same_end(
     result: Path, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("torchhand.runs.multiview.tracking.CHECKPOINT_EVERY", 2)
-    step, seen = MultiViewRun.step, []
+    monkeypatch.setattr("torchhand.runs.tracking.CHECKPOINT_EVERY", 2)
+    step, seen = Run.step, []
 
     def stopping(self, frame):
         seen.append(frame.index)
@@ -135,7 +135,7 @@ def test_stopped_run_goes_on_to_the_same_end(
             raise KeyboardInterrupt
         return step(self, frame)
 
-    monkeypatch.setattr(MultiViewRun, "step", stopping)
+    monkeypatch.setattr(Run, "step", stopping)
     out = tmp_path / "out"
     assert run(recording, out) == 130
     seen[:] = [0] * 4
@@ -149,22 +149,23 @@ def test_stopped_run_goes_on_to_the_same_end(
 def test_moments_that_were_lost_are_filled_in_once_the_hand_is_found(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("torchhand.runs.multiview.tracking.CHECKPOINT_EVERY", 2)
-    step, run_step = MultiViewTracker.step, MultiViewRun.step
+    monkeypatch.setattr("torchhand.runs.tracking.CHECKPOINT_EVERY", 2)
+    step, run_step = Tracker.step, Run.step
     stops_at: list[int] = []
 
-    def losing(self, state, memory, masks, anchors=None, moment=None):
-        if moment in (1, 2):
-            return None, memory, MultiViewEstimate(status="lost", reason="looked away")
-        return step(self, state, memory, masks, anchors, moment)
+    def losing(self, state, views, time_s):
+        if round(30 * time_s) in (1, 2):
+            gone = replace(state, hand=None, time_s=time_s)
+            return gone, Estimate(status="lost", time_s=time_s, reason="looked away")
+        return step(self, state, views, time_s)
 
     def stopping(self, frame):
         if frame.index in stops_at:
             raise KeyboardInterrupt
         return run_step(self, frame)
 
-    monkeypatch.setattr(MultiViewTracker, "step", losing)
-    monkeypatch.setattr(MultiViewRun, "step", stopping)
+    monkeypatch.setattr(Tracker, "step", losing)
+    monkeypatch.setattr(Run, "step", stopping)
     whole = tmp_path / "whole"
     assert run(recording, whole, "--no-overlay") == 0
     track = load_track(whole)
@@ -194,8 +195,8 @@ def test_finished_run_is_resumed_without_work(result: Path, recording: Path, tmp
 
 def test_resuming_with_other_settings_is_refused(result: Path, recording: Path, tmp_path: Path, capsys) -> None:
     out = shutil.copytree(result, tmp_path / "out")
-    assert run(recording, out, "--resume", "--set", "octree.level=6") == 2
-    assert "made_with.settings.octree.level was 7, is now 6" in line_of(capsys)
+    assert run(recording, out, "--resume", "--set", "rig.octree.level=6") == 2
+    assert "made_with.settings.rig.octree.level was 7, is now 6" in line_of(capsys)
 
 
 def test_hand_can_be_met_at_the_first_look(recording: Path, tmp_path: Path) -> None:
@@ -253,9 +254,8 @@ def test_unit_from_the_hand(copied: Path, tmp_path: Path, capsys) -> None:
         (("--unit", "furlong"), "unit: expected one of m, cm, mm, inch or a number of metres"),
         (("--silhouettes", "background"), "expected --background with pictures of the empty scene, got none"),
         (("--background", "x"), "--background: expected --silhouettes background with it"),
-        (("--config", "contour_full"), "method: expected hull for several cameras"),
-        (("--set", "octree.depth=3"), "unknown key octree.depth"),
-        (("--set", "octree.level=99"), "octree.level: expected 1 to 10, got 99"),
+        (("--set", "rig.octree.depth=3"), "unknown key rig.octree.depth"),
+        (("--set", "rig.octree.level=99"), "rig.octree.level: expected 1 to 10, got 99"),
         (("--offset", "left=3"), "'left' is no camera; allowed: front, side, top, top45"),
         (("--cameras", "nowhere.json"), "nowhere.json: no such file or folder"),
         (("--start", "-1"), "--start: expected 0 or more"),

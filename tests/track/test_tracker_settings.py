@@ -1,4 +1,4 @@
-"""Settings of the contour tracker: every range says which field, what is allowed and what was given."""
+"""Settings of the tracker: every range says which field, what is allowed and what was given."""
 
 import dataclasses
 import math
@@ -6,49 +6,90 @@ import math
 import pytest
 
 from torchhand.fit.detect import FitSettings
+from torchhand.fit.keypoints import KeypointSettings
 from torchhand.hand import POSE_SPACES, POSTURES
-from torchhand.track.settings import ContourTrackerSettings, LightSettings, LossSettings, NoiseSettings, PriorSettings
+from torchhand.track import DEFAULTS, TrackerSettings
+from torchhand.track.belief import NoiseSettings, PosturePriorSettings
+from torchhand.track.extended import ExtendedUpdateSettings
+from torchhand.track.multiview import RigSettings
+from torchhand.track.scene import ColourUpdateSettings, HealthSettings
+from torchhand.track.unscented import UnscentedUpdateSettings
 
-_POSITIVE = ("edge_std_px", "gate", "search_share")
-_LEAST = {"passes": 1, "points_per_generator": 2, "points_per_arc": 4, "check_side_px": 64}
-_SHARES = ("min_overlap", "min_found", "min_inside", "start_overlap", "doubt_drop", "better_by", "turned_by")
+_SHARES = (
+    "min_overlap",
+    "min_edges",
+    "min_in_view",
+    "found_overlap",
+    "edge_weight",
+    "memory",
+    "max_score_drop",
+    "better_by",
+    "turned_by",
+)
+_PRIOR = ("rest_std_rad", "side_std_rad", "tie_std_rad", "tilt_std_rad")
 
 CASES = [
-    *[(ContourTrackerSettings, name, 0.0, f"{name}: expected above 0 and finite, got 0.0") for name in _POSITIVE],
     *[
-        (ContourTrackerSettings, name, least - 1, f"{name}: expected {least} or more, got {least - 1}")
-        for name, least in _LEAST.items()
+        (TrackerSettings, name, least - 1, f"{name}: expected {least} or more, got {least - 1}")
+        for name, least in {"points_per_generator": 2, "points_per_arc": 4, "check_side_px": 64}.items()
     ],
-    (ContourTrackerSettings, "gate", math.inf, "gate: expected above 0 and finite, got inf"),
-    (ContourTrackerSettings, "edge_std_px", math.nan, "edge_std_px: expected above 0 and finite, got nan"),
-    (ContourTrackerSettings, "inner_weight", -0.1, "inner_weight: expected 0 or more and finite, got -0.1"),
+    (TrackerSettings, "search_overlap", 1.5, "search_overlap: expected 0 to 1, got 1.5"),
+    (TrackerSettings, "smoothing_window_s", -1.0, "smoothing_window_s: expected 0 or more and finite, got -1.0"),
+    (TrackerSettings, "nominal_dt_s", 0.0, "nominal_dt_s: expected above 0 and finite, got 0.0"),
+    (TrackerSettings, "pose_space", "dof99", f"pose_space: expected one of {', '.join(POSE_SPACES)}, got 'dof99'"),
+    (TrackerSettings, "posture", "wave", f"posture: expected one of {', '.join(POSTURES)}, got 'wave'"),
+    *[
+        (UnscentedUpdateSettings, name, 0.0, f"update.{name}: expected above 0 and finite, got 0.0")
+        for name in ("edge_std_px", "gate", "search_share")
+    ],
+    (UnscentedUpdateSettings, "gate", math.inf, "update.gate: expected above 0 and finite, got inf"),
+    (UnscentedUpdateSettings, "edge_std_px", math.nan, "update.edge_std_px: expected above 0 and finite, got nan"),
+    (UnscentedUpdateSettings, "passes", 0, "update.passes: expected 1 or more, got 0"),
+    (UnscentedUpdateSettings, "inner_weight", -0.1, "update.inner_weight: expected 0 or more and finite, got -0.1"),
+    *[
+        (ExtendedUpdateSettings, name, 0.0, f"update.{name}: expected above 0 and finite, got 0.0")
+        for name in ("max_contour_distance_m", "near_m", "gate")
+    ],
+    *[
+        (ExtendedUpdateSettings, name, -1.0, f"update.{name}: expected 0 or more and finite, got -1.0")
+        for name in ("pose_weight", "constraint_weight", "prior_weight")
+    ],
+    *[
+        (ExtendedUpdateSettings, name, 0.5, f"update.{name}: expected 1 or more, got 0.5")
+        for name in ("max_cost_ratio", "relocation_ratio")
+    ],
+    (ExtendedUpdateSettings, "restart_fraction", 1.5, "update.restart_fraction: expected 0 to 1, got 1.5"),
+    (ExtendedUpdateSettings, "finger_proposals", 11, "update.finger_proposals: expected 0 to 10, got 11"),
     (
-        ContourTrackerSettings,
-        "pose_space",
-        "dof99",
-        f"pose_space: expected one of {', '.join(POSE_SPACES)}, got 'dof99'",
+        ExtendedUpdateSettings,
+        "postures",
+        ("open", "wave"),
+        f"update.postures: expected names among {', '.join(POSTURES)}, got 'wave'",
     ),
-    (ContourTrackerSettings, "posture", "wave", f"posture: expected one of {', '.join(POSTURES)}, got 'wave'"),
     *[
         (NoiseSettings, name, -1.0, f"noise.{name}: expected 0 or more and finite, got -1.0")
         for name in ("translation", "rotation", "angle")
     ],
     (NoiseSettings, "angle", math.nan, "noise.angle: expected 0 or more and finite, got nan"),
-    *[
-        (PriorSettings, name, 0.0, f"prior.{name}: expected above 0 and finite, got 0.0")
-        for name in ("rest_std_rad", "side_std_rad", "tie_std_rad", "tilt_std_rad")
-    ],
-    *[(LossSettings, name, 1.5, f"loss.{name}: expected 0 to 1, got 1.5") for name in _SHARES],
-    *[(LossSettings, name, -0.5, f"loss.{name}: expected 0 to 1, got -0.5") for name in _SHARES],
-    (LossSettings, "doubt_unexplained", -1.0, "loss.doubt_unexplained: expected 0 or more, got -1.0"),
-    *[(LossSettings, name, 0, f"loss.{name}: expected 1 or more, got 0") for name in ("patience", "search_every")],
-    (LightSettings, "every", -1, "light.every: expected 0 or more, got -1"),
-    (LightSettings, "keep", 1.5, "light.keep: expected 0 to 1, got 1.5"),
+    *[(PosturePriorSettings, name, 0.0, f"prior.{name}: expected above 0 and finite, got 0.0") for name in _PRIOR],
+    *[(HealthSettings, name, 1.5, f"health.{name}: expected 0 to 1, got 1.5") for name in _SHARES],
+    *[(HealthSettings, name, -0.5, f"health.{name}: expected 0 to 1, got -0.5") for name in _SHARES],
+    (HealthSettings, "max_unexplained", -1.0, "health.max_unexplained: expected 0 or more, got -1.0"),
+    *[(HealthSettings, name, 0, f"health.{name}: expected 1 or more, got 0") for name in ("patience", "search_every")],
+    (HealthSettings, "search_at_most_every", 2, "health.search_at_most_every: expected search_every or more, got 2"),
+    (ColourUpdateSettings, "every", -1, "colours.every: expected 0 or more, got -1"),
+    (ColourUpdateSettings, "keep", 1.5, "colours.keep: expected 0 to 1, got 1.5"),
     *[
         (FitSettings, name, -2.0, f"fit.{name}: expected above 0 and finite, got -2.0")
         for name in ("search_share", "final_search_share", "edge_std_px", "bent_std_rad")
     ],
     (FitSettings, "iterations", 0, "fit.iterations: expected 1 or more, got 0"),
+    (RigSettings, "found_overlap", 1.5, "rig.found_overlap: expected 0 to 1, got 1.5"),
+    (RigSettings, "min_views", 1, "rig.min_views: expected 2 or more, got 1"),
+    (RigSettings, "check_side_px", 10, "rig.check_side_px: expected 64 or more, got 10"),
+    (RigSettings, "shape_frames", -1, "rig.shape_frames: expected 0 or more, got -1"),
+    (RigSettings, "tracking_vertices", 0, "rig.tracking_vertices: expected 1 or more, got 0"),
+    (RigSettings, "shape_posture_weight", -1.0, "rig.shape_posture_weight: expected 0 or more and finite, got -1.0"),
 ]
 
 
@@ -61,20 +102,25 @@ def test_a_value_that_cannot_be(settings: type, name: str, value: object, messag
 
 def test_every_number_of_the_tracker_is_checked() -> None:
     checked = {(settings, name) for settings, name, _, _ in CASES}
-    for settings in (ContourTrackerSettings, NoiseSettings, PriorSettings, LossSettings, FitSettings):
+    for settings in {case[0] for case in CASES}:
         for field in dataclasses.fields(settings):
             if field.type in (int, float):
                 assert (settings, field.name) in checked, f"{settings.__name__}.{field.name}"
 
 
 def test_ends_of_the_ranges_are_allowed() -> None:
-    LossSettings(min_overlap=0.0, min_found=1.0, patience=1, search_every=1)
+    HealthSettings(min_overlap=0.0, min_edges=1.0, patience=1, search_every=1)
     NoiseSettings(translation=0.0, rotation=0.0, angle=0.0)
-    kept = ContourTrackerSettings(inner_weight=0.0, passes=1, points_per_generator=2, points_per_arc=4)
-    assert (kept.inner_weight, kept.points_per_generator) == (0.0, 2)
+    TrackerSettings(points_per_generator=2, points_per_arc=4, smoothing_window_s=0.0)
+    assert UnscentedUpdateSettings(inner_weight=0.0, passes=1).inner_weight == 0.0
+    KeypointSettings()
+
+
+def test_every_method_has_defaults_of_its_own() -> None:
+    assert {name: settings.method for name, settings in DEFAULTS.items()} == {name: name for name in DEFAULTS}
 
 
 def test_settings_cannot_be_changed() -> None:
-    settings = ContourTrackerSettings()
+    settings = TrackerSettings()
     with pytest.raises(dataclasses.FrozenInstanceError):
-        settings.gate = 4.0  # type: ignore[misc]
+        settings.pose_space = "dof26"  # type: ignore[misc]

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from torchhand.errors import require
+from torchhand.errors import require, require_positive
 from torchhand.fit.detect import FitSettings
 from torchhand.fit.keypoints import KeypointSettings
 from torchhand.hand import POSE_SPACES, POSTURES
@@ -63,6 +63,7 @@ class TrackerSettings:
         require(0 <= self.search_overlap <= 1, "search_overlap", "0 to 1", self.search_overlap)
         has_window = 0 <= self.smoothing_window_s < float("inf")
         require(has_window, "smoothing_window_s", "0 or more and finite", self.smoothing_window_s)
+        require_positive("nominal_dt_s", self.nominal_dt_s)
 
 
 _CONTOUR = TrackerSettings()

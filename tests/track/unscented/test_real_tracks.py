@@ -11,8 +11,7 @@ import torch
 from torchhand.evaluate import planar_motion_errors
 from torchhand.files import find_config, load_cameras, load_hand_model, load_settings, open_source
 from torchhand.geometry import Camera, assumed_camera
-from torchhand.track import ContourTrackerSettings, Estimate, Memory
-from torchhand.track.unscented.contour_tracker import ContourTracker
+from torchhand.track import Estimate, Tracker, TrackerSettings, View
 
 
 def _tracked(
@@ -25,15 +24,13 @@ def _tracked(
     **options: Any,
 ) -> list[Estimate]:
     changes = {name: options.pop(name) for name in ("posture",) if name in options}
-    settings = load_settings(ContourTrackerSettings(**changes), find_config(config))
-    kinematics = load_hand_model().kinematics("left" if side == "left" else "right", dtype=torch.float64)
-    state, memory, estimates = None, Memory(), []
-    with torch.no_grad(), open_source(source, max_frames=frames) as pictures:
-        camera = camera or assumed_camera(pictures.width, pictures.height)
-        tracker = ContourTracker(kinematics, camera, pictures.fps, settings, **options)
-        for frame in pictures:
-            assert frame.image is not None
-            state, memory, estimate = tracker.step(state, memory, frame.image)
+    settings = load_settings(TrackerSettings(**changes), find_config(config))
+    hand = load_hand_model().hand(side="left" if side == "left" else "right", dtype=torch.float64)
+    state, estimates = None, []
+    with open_source(source, max_frames=frames) as pictures:
+        tracker = Tracker(hand, camera or assumed_camera(pictures.width, pictures.height), settings, **options)
+        for index, frame in enumerate(pictures):
+            state, estimate = tracker.step(state, (View(image=frame.image),), index / pictures.fps)
             estimates.append(estimate)
     return estimates
 
@@ -63,7 +60,7 @@ def test_planar_motion_of_a_foreign_hand(
         start_points=points,
     )
     assert [estimate.status for estimate in estimates] == ["tracked"] * len(truth)
-    found = np.stack([estimate.keypoints_px.numpy() for estimate in estimates if estimate.keypoints_px is not None])
+    found = np.stack([estimate.keypoints_px[0].numpy() for estimate in estimates if estimate.keypoints_px is not None])
     errors = planar_motion_errors(found, truth)
     assert errors is not None
     assert math.sqrt(float(np.mean(errors.displacement_px[1:] ** 2))) <= most_px
@@ -79,7 +76,7 @@ def test_a_real_hand_waves(data_dir: Path) -> None:
     overlaps = [estimate.overlap or 0.0 for estimate in estimates]
     assert float(np.median(overlaps)) >= 0.85
     assert min(overlaps) > 0.85
-    points = torch.stack([e.keypoints_px for e in estimates if e.keypoints_px is not None])
+    points = torch.stack([e.keypoints_px[0] for e in estimates if e.keypoints_px is not None])
     assert float((points - points[0]).norm(dim=-1).max()) > 5.0  # it moves
 
 

@@ -78,7 +78,9 @@ def test_planar_motion_is_followed(film: Any, followed: Followed) -> None:
         assert (estimate.overlap or 0) > 0.85
         assert (estimate.edges or 0) > 0.9
     pose, keypoints, seen = estimates[5].pose, estimates[5].keypoints, estimates[5].keypoints_px
-    assert pose is not None and keypoints is not None and seen is not None
+    assert pose is not None
+    assert keypoints is not None
+    assert seen is not None
     frames = tracker.kinematics(pose, states[5].shape)  # the pose is absolute
     torch.testing.assert_close(frames.keypoints, keypoints, rtol=0, atol=1e-9)
     torch.testing.assert_close(film.camera.project(frames.keypoints), seen[0], rtol=0, atol=1e-6)
@@ -92,7 +94,8 @@ def test_only_free_parameters_move(followed: Followed) -> None:
     held = [i for i, dof in enumerate(DOFS) if dof not in ("root_tx", "root_ty", "root_rx", "root_ry", "root_rz")]
     assert states[0].hand is not None
     for estimate in estimates:
-        assert estimate.pose is not None and estimate.pose_std is not None
+        assert estimate.pose is not None
+        assert estimate.pose_std is not None
         torch.testing.assert_close(estimate.pose[held], states[0].hand.base[held], rtol=0, atol=1e-12)
         assert bool((estimate.pose_std[held] == 0).all())
     free = [DOFS.index(name) for name in ("root_tx", "root_ty", "root_rz")]
@@ -286,7 +289,9 @@ def test_other_cameras(kind: str, studio: Any) -> None:
     assert [estimate.status for estimate in estimates] == ["tracked"] * 8
     assert float(motion_error_px(estimates, film.keypoints_px).square().mean().sqrt()) < 0.5
     last = estimates[-1]
-    assert last.keypoints is not None and last.keypoints_px is not None and last.keypoints_cov is not None
+    assert last.keypoints is not None
+    assert last.keypoints_px is not None
+    assert last.keypoints_cov is not None
     torch.testing.assert_close(camera.project(last.keypoints), last.keypoints_px[0], rtol=0, atol=1e-9)
     assert float((last.keypoints_px[0] - film.keypoints_px[-1]).norm(dim=-1).mean()) < 3.0
     if kind == "orthographic":  # scale is known, so the only doubt is about joint centres and the filter's own
@@ -304,7 +309,8 @@ def test_fingers_that_move_are_followed(studio: Any) -> None:
     assert [estimate.status for estimate in estimates] == ["tracked"] * 22
     little = DOFS.index("little_mcp_aa")
     first, last = estimates[0].pose, estimates[-1].pose
-    assert first is not None and last is not None
+    assert first is not None
+    assert last is not None
     assert math.degrees(float(first[little] - last[little])) > 4.0
     assert float((points_px(estimates) - film.keypoints_px)[-1].norm(dim=-1).mean()) < 4.0
 
@@ -365,7 +371,8 @@ def test_gradients_flow_after_tracking_in_the_same_process(studio: Any) -> None:
     shape = film.kinematics.default_shape.clone().requires_grad_()
     projector = HandProjector(tracker.kinematics, film.camera, shape)
     projector.outline_px(pose, torch.eye(3, dtype=torch.float64), studio.table).sum().backward()
-    assert pose.grad is not None and shape.grad is not None
+    assert pose.grad is not None
+    assert shape.grad is not None
     assert float(pose.grad.abs().sum()) > 0
     assert float(shape.grad.abs().sum()) > 0
 
@@ -396,7 +403,8 @@ def test_a_correction_that_turns_the_hand_over_must_explain_more(film: Any, foll
     assert score < 0.98
     scene = tracker.scene(state, (View(image=film.images[1]),), FRAME_S)
     at = tracker.pose_of(states[1])
-    assert at is not None and state.shape is not None
+    assert at is not None
+    assert state.shape is not None
     own = first._parts.rule.begin(at, torch.eye(6, dtype=torch.float64) * 1e-6, scene, state.shape)
     assert own is not None
     turn = torch.diag(torch.tensor((-1.0, 1.0, -1.0), dtype=torch.float64))

@@ -1,31 +1,62 @@
-"""The contour tracker from pictures to records, on simulated sequences whose truth is known."""
+"""A run from pictures to records, on simulated sequences whose truth is known."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
+from tests.steps import saved_and_restored
 from torchhand.evaluate import planar_motion_errors
-from torchhand.files import Frame, FrameRecord, find_config, load_hand_model, load_settings
+from torchhand.files import FrameRecord, load_hand_model
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import DOFS, HandKinematics
-from torchhand.runs.sequence import MEASURES, TrackedFrame, follow, record_of
+from torchhand.runs import Run, settings_of
+from torchhand.runs.recording import RecordedFrame
+from torchhand.runs.records import MEASURES, record_of
 from torchhand.simulate import SceneSettings, background_picture, render_sequence, scripted_motion
-from torchhand.track import ContourTrackerSettings, Estimate
-from torchhand.track.unscented import ContourTracker
+from torchhand.track import Estimate, Tracker, TrackerSettings, TrackerState, View
 
-WIDTH, HEIGHT = 240, 192
+WIDTH, HEIGHT, FPS = 240, 192, 30.0
 
 
 @dataclass(frozen=True)
 class Scene:
-    frames: list[Frame]
+    frames: list[RecordedFrame]
     keypoints_px: np.ndarray
     share_in_view: np.ndarray
     """Of the keypoints, per frame."""
+
+
+@dataclass
+class Held:
+    """A recording that is held in memory (`Recording`)."""
+
+    frames: list[RecordedFrame]
+    cameras: Sequence[Camera]
+    name: str = "held"
+    source: str = "memory"
+    fps: float = FPS
+    notes: Sequence[str] = ()
+
+    @property
+    def count(self) -> int | None:
+        return len(self.frames)
+
+    @contextmanager
+    def opened(self, done: int) -> Iterator[Iterator[RecordedFrame]]:
+        yield iter(self.frames[done:])
+
+    def warnings(self) -> Sequence[str]:
+        return ()
+
+
+def _frame(index: int, image: torch.Tensor | None, problem: str | None = None) -> RecordedFrame:
+    return RecordedFrame(index=index, time_s=index / FPS, views=(View(image=image),), problems=(problem,))
 
 
 @pytest.fixture(scope="module")
@@ -39,8 +70,17 @@ def camera() -> Camera:
 
 
 @pytest.fixture(scope="module")
-def settings() -> ContourTrackerSettings:
-    return load_settings(ContourTrackerSettings(), find_config("contour_planar"))
+def settings() -> TrackerSettings:
+    return settings_of("contour_planar")
+
+
+@pytest.fixture(scope="module")
+def begin(camera: Camera, settings: TrackerSettings) -> Any:
+    def begin(state: TrackerState | None = None) -> Run:
+        tracker = Tracker(load_hand_model().hand(side="right", dtype=torch.float64), camera, settings)
+        return Run(Held(frames=[], cameras=[camera]), tracker, {}, state=state)
+
+    return begin
 
 
 def _scene(script: str, frames: int, kinematics: HandKinematics, camera: Camera, *, seed: int = 3) -> Scene:
@@ -51,14 +91,10 @@ def _scene(script: str, frames: int, kinematics: HandKinematics, camera: Camera,
     points = torch.stack([frame.keypoints_px for frame in rendered]).numpy()
     inside = ((points >= 0) & (points <= np.array((WIDTH - 1, HEIGHT - 1)))).all(-1)
     return Scene(
-        frames=[Frame(index=frame.index, image=frame.image) for frame in rendered],
+        frames=[_frame(frame.index, frame.image) for frame in rendered],
         keypoints_px=points,
         share_in_view=inside.mean(-1),
     )
-
-
-def _records(tracked: Sequence[TrackedFrame]) -> list[FrameRecord]:
-    return [one.record for one in tracked]
 
 
 def _keypoints_px(records: Sequence[FrameRecord]) -> np.ndarray:
@@ -78,14 +114,18 @@ def planar(kinematics: HandKinematics, camera: Camera) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def tracked_planar(
-    planar: Scene, kinematics: HandKinematics, camera: Camera, settings: ContourTrackerSettings
-) -> list[TrackedFrame]:
-    return list(follow(ContourTracker(kinematics, camera, 30.0, settings), planar.frames))
+def tracked_planar(planar: Scene, begin: Any) -> list[tuple[FrameRecord, TrackerState]]:
+    run, tracked = begin(), []
+    for frame in planar.frames:
+        record, corrected = run.step(frame)
+        assert corrected == []
+        assert run.state is not None
+        tracked.append((record, run.state))
+    return tracked
 
 
-def test_planar_motion_is_followed_to_a_fraction_of_a_pixel(planar: Scene, tracked_planar: list[TrackedFrame]) -> None:
-    records = _records(tracked_planar)
+def test_planar_motion_is_followed_to_a_fraction_of_a_pixel(planar: Scene, tracked_planar: Any) -> None:
+    records = [record for record, _ in tracked_planar]
     assert [record.status for record in records] == ["tracked"] * 40
     assert [record.frame for record in records] == list(range(40))
     errors = planar_motion_errors(_keypoints_px(records), planar.keypoints_px)
@@ -94,18 +134,13 @@ def test_planar_motion_is_followed_to_a_fraction_of_a_pixel(planar: Scene, track
     assert math.sqrt(float(np.mean(errors.rotation_deg[1:] ** 2))) < 0.7
     moved = np.linalg.norm(planar.keypoints_px - planar.keypoints_px[0], axis=-1).max()
     assert moved > 10.0  # there was something to follow
-    overlaps = [record.measures["overlap"] for record in records]
-    assert min(overlaps) > 0.85
+    assert min(record.measures["overlap"] for record in records) > 0.85
 
 
-def test_records_hold_the_estimate(
-    tracked_planar: list[TrackedFrame], kinematics: HandKinematics, camera: Camera
-) -> None:
-    record, memory = tracked_planar[7].record, tracked_planar[7].memory
-    assert memory.shape is not None
-    keypoints = kinematics(torch.tensor(record.pose), memory.shape).keypoints  # the pose is absolute
+def test_records_hold_the_estimate(tracked_planar: Any, kinematics: HandKinematics, camera: Camera) -> None:
+    record, state = tracked_planar[7]
+    keypoints = kinematics(torch.tensor(record.pose), state.shape).keypoints  # the pose is absolute
     np.testing.assert_allclose(record.keypoints3d, keypoints.numpy(), rtol=0, atol=1e-9)
-    assert record.keypoints2d is not None
     np.testing.assert_allclose(record.keypoints2d, camera.project(keypoints).numpy(), rtol=0, atol=1e-7)
     free = [DOFS.index(name) for name in ("root_tx", "root_ty", "root_rz")]
     assert (record.pose_std[free] > 0).all()
@@ -115,24 +150,19 @@ def test_records_hold_the_estimate(
 
 
 def test_a_run_that_goes_on_from_a_saved_state_gives_the_same_numbers(
-    planar: Scene,
-    tracked_planar: list[TrackedFrame],
-    kinematics: HandKinematics,
-    camera: Camera,
-    settings: ContourTrackerSettings,
+    planar: Scene, tracked_planar: Any, begin: Any
 ) -> None:
-    tracker = ContourTracker(kinematics, camera, 30.0, settings)
-    saved = tracker.state_dict(tracked_planar[9].state, tracked_planar[9].memory)
-    again = list(follow(tracker, planar.frames[10:16], *tracker.restore(saved)))
-    for one, other in zip(_records(again), _records(tracked_planar[10:16]), strict=True):
-        assert replace(one, seconds=0.0).as_json() == replace(other, seconds=0.0).as_json()
+    run = begin(saved_and_restored(tracked_planar[9][1]))
+    for frame, (expected, _) in zip(planar.frames[10:16], tracked_planar[10:16], strict=True):
+        record, _ = run.step(frame)
+        assert replace(record, seconds=0.0).as_json() == replace(expected, seconds=0.0).as_json()
 
 
 def test_a_hand_that_leaves_is_lost_and_recovered_when_it_is_back(
-    kinematics: HandKinematics, camera: Camera, settings: ContourTrackerSettings
+    kinematics: HandKinematics, camera: Camera, begin: Any
 ) -> None:
-    scene = _scene("leave", 60, kinematics, camera)
-    records = _records(list(follow(ContourTracker(kinematics, camera, 30.0, settings), scene.frames)))
+    scene, run = _scene("leave", 60, kinematics, camera), begin()
+    records = [run.step(frame)[0] for frame in scene.frames]
     status = [record.status for record in records]
     gone = np.flatnonzero(scene.share_in_view == 0)
     first, last = int(gone[0]), int(gone[-1])
@@ -154,55 +184,42 @@ def test_a_hand_that_leaves_is_lost_and_recovered_when_it_is_back(
 
 
 @pytest.mark.parametrize("background", ["plain", "dark", "clutter"])
-def test_without_a_hand_there_is_none(
-    background: str, kinematics: HandKinematics, camera: Camera, settings: ContourTrackerSettings
-) -> None:
+def test_without_a_hand_there_is_none(background: str, begin: Any) -> None:
     generator = torch.Generator().manual_seed(0)
     behind = background_picture(background, WIDTH, HEIGHT, generator)  # pyright: ignore[reportArgumentType]
-    noise = [(3.0 * torch.randn(HEIGHT, WIDTH, 3, generator=generator)) for _ in range(3)]
-    images = [(behind + one).round().clamp(0, 255).to(torch.uint8) for one in noise]
-    frames = [Frame(index=i, image=image) for i, image in enumerate(images)]
-    for record in _records(list(follow(ContourTracker(kinematics, camera, 30.0, settings), frames))):
+    run = begin()
+    for index in range(3):
+        noisy = behind + 3.0 * torch.randn(HEIGHT, WIDTH, 3, generator=generator)
+        record, _ = run.step(_frame(index, noisy.round().clamp(0, 255).to(torch.uint8)))
         assert record.status == "no_hand"
         assert record.reason
         _assert_empty(record)
 
 
-def test_a_frame_that_cannot_be_read_is_no_hand_and_the_track_goes_on(
-    planar: Scene, kinematics: HandKinematics, camera: Camera, settings: ContourTrackerSettings
-) -> None:
-    frames = list(planar.frames[:6])
-    frames[0] = Frame(index=0, image=None, problem="0.png: is a truncated JPEG file")
-    frames[3] = Frame(index=3, image=None, problem="3.png: is a truncated JPEG file")
-    tracked = list(follow(ContourTracker(kinematics, camera, 30.0, settings), frames))
-    records = _records(tracked)
+def test_a_frame_that_cannot_be_read_is_no_hand_and_the_track_goes_on(planar: Scene, begin: Any) -> None:
+    frames, run = list(planar.frames[:6]), begin()
+    for index in (0, 3):
+        frames[index] = _frame(index, None, f"{index}.png: is a truncated JPEG file")
+    records = [run.step(frame)[0] for frame in frames]
     assert [record.status for record in records] == ["no_hand", "tracked", "tracked", "no_hand", "tracked", "tracked"]
-    assert records[3].reason == "3.png: is a truncated JPEG file"
-    assert records[3].seconds == 0.0
+    assert "3.png: is a truncated JPEG file" in records[3].reason
     _assert_empty(records[3])
-    assert tracked[0].memory.shape is None
     off = np.linalg.norm(_keypoints_px(records[4:]) - planar.keypoints_px[4:6], axis=-1)
     assert off.mean() < 3.0
 
 
-def test_frames_are_tracked_one_by_one(
-    planar: Scene, kinematics: HandKinematics, camera: Camera, settings: ContourTrackerSettings
-) -> None:
-    asked: list[int] = []
-
-    def source():
-        for frame in planar.frames:
-            asked.append(frame.index)
-            yield frame
-
-    tracked = follow(ContourTracker(kinematics, camera, 30.0, settings), source())
-    assert next(tracked).record.frame == 0
-    assert next(tracked).record.frame == 1
-    assert asked == [0, 1]
-
-
 def test_numbers_of_a_frame_that_is_lost() -> None:
-    record = record_of(4, Estimate(status="lost", reason="edges on 3%"), seconds=0.25)
+    estimate = Estimate(status="lost", time_s=0.1, reason="edges on 3%")
+    record = record_of(4, estimate, ("camera",), seconds=0.25)
     assert (record.frame, record.status, record.seconds, record.reason) == (4, "lost", 0.25, "edges on 3%")
     assert all(math.isnan(value) for value in record.measures.values())
     _assert_empty(record)
+
+
+def test_every_view_of_a_rig_has_its_own_overlap() -> None:
+    names = ("left", "right")
+    estimate = Estimate(status="lost", time_s=0.1, reason="nothing there")
+    record = record_of(0, estimate, names, seconds=0.0, problems="left: gone")
+    assert record.keypoints2d is None
+    assert set(record.measures) == {*MEASURES, "views", "overlap_left", "overlap_right"}
+    assert record.reason == "nothing there; left: gone"

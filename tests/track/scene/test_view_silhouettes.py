@@ -6,7 +6,7 @@ import torch
 from torchhand.geometry import Camera
 from torchhand.image import SilhouetteSettings, learn_background
 from torchhand.simulate import named_rig
-from torchhand.track.multiview.silhouettes import PackedMask, ViewSilhouettes
+from torchhand.track.scene import PackedMask, ViewSilhouettes
 
 SKIN, WALL = (205, 150, 125), (40, 70, 120)
 
