@@ -176,10 +176,11 @@ def test_a_method_that_is_none(method: str) -> None:
     ("values", "message"),
     [
         ({"postures": ("open", "wave")}, "postures: expected names among .*, got 'wave'"),
-        ({"bad_share": 0.0}, "bad_share: expected above 0 and finite, got 0.0"),
+        ({"max_contour_distance_m": 0.0}, "max_contour_distance_m: expected above 0 and finite, got 0.0"),
         ({"pose_weight": -1.0}, "pose_weight: expected 0 or more and finite, got -1.0"),
-        ({"sudden": 0.5}, "sudden: expected 1 or more and finite, got 0.5"),
-        ({"sudden_share": 1.5}, "sudden_share: expected 0 to 1, got 1.5"),
+        ({"relocation_ratio": 0.5}, "relocation_ratio: expected 1 or more and finite, got 0.5"),
+        ({"restart_fraction": 1.5}, "restart_fraction: expected 0 to 1, got 1.5"),
+        ({"schedule": ()}, "schedule: expected at least one stage"),
         ({"pose_space": "dof99"}, "pose_space: expected one of"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Hypotheses for a hand that the prediction does not explain."""
+"""Proposals for a hand that the prediction does not explain."""
 
 import math
 from dataclasses import replace
@@ -7,9 +7,12 @@ from typing import Any
 import pytest
 import torch
 
-from torchhand.geometry import rotation_from_vector
-from torchhand.hand import DOFS, FINGERS, posture
-from torchhand.track.extended.sudden import other_fingers, other_postures, turned_hands
+from torchhand.hand import DOFS, FINGERS, HandPose, posture
+from torchhand.track.extended.proposals import finger_proposals, posture_proposals, turned_proposals
+
+
+def hand_of(placed: Any) -> HandPose:
+    return HandPose.of(placed.pose, placed.root_reference)
 
 
 @pytest.mark.parametrize("kind", ["pinhole", "orthographic"])
@@ -18,11 +21,11 @@ def test_a_hand_turned_and_moved_is_among_the_turned_ones(studio: Any, kind: str
     before = studio.placed(posed="point", camera=camera, size=0.5, at=(-0.2, 0.1))
     size = 0.5 if kind == "orthographic" else 0.6
     after = studio.placed(posed="point", camera=camera, size=size, at=(0.15, -0.05), angle_deg=60.0)
-    starts = turned_hands(before.pose, before.root_reference, before.mask, after.mask, camera)
+    starts = turned_proposals(hand_of(before), before.mask, after.mask, camera)
     assert starts is not None
     drawn = [
         replace(before, pose=pose, root_reference=reference)
-        for pose, reference in zip(starts.pose, starts.root_reference, strict=True)
+        for pose, reference in zip(starts.dofs, starts.reference, strict=True)
     ]
     off = torch.stack([(one.keypoints_px - after.keypoints_px).norm(dim=-1).mean() for one in drawn])
     assert float((before.keypoints_px - after.keypoints_px).norm(dim=-1).mean()) > 50
@@ -36,40 +39,40 @@ def test_a_rotation_vector_counts_as_part_of_the_orientation(studio: Any) -> Non
     vector = torch.tensor([0.1, -0.2, 0.3], dtype=torch.float64)
     pose = placed.pose.clone()
     pose[3:6] = vector
-    about_it = turned_hands(pose, placed.root_reference, placed.mask, placed.mask, placed.camera)
-    flat = turned_hands(
-        placed.pose, rotation_from_vector(vector) @ placed.root_reference, placed.mask, placed.mask, placed.camera
-    )
+    turned = HandPose.of(pose, placed.root_reference)
+    about_it = turned_proposals(turned, placed.mask, placed.mask, placed.camera)
+    flat = turned_proposals(turned.normalized(), placed.mask, placed.mask, placed.camera)
     assert about_it is not None
     assert flat is not None
-    torch.testing.assert_close(about_it.root_reference, flat.root_reference, atol=1e-12, rtol=0)
-    assert not bool(about_it.pose[:, 3:6].any())
-    torch.testing.assert_close(about_it.pose[0, :3], placed.pose[:3], atol=1e-12, rtol=0)
+    torch.testing.assert_close(about_it.reference, flat.reference, atol=1e-12, rtol=0)
+    assert not bool(about_it.dofs[:, 3:6].any())
+    torch.testing.assert_close(about_it.dofs[0, :3], placed.pose[:3], atol=1e-12, rtol=0)
 
 
 def test_without_a_silhouette_there_are_none(studio: Any) -> None:
     placed = studio.placed()
     empty = torch.zeros_like(placed.mask)
-    assert turned_hands(placed.pose, placed.root_reference, placed.mask, empty, placed.camera) is None
-    assert turned_hands(placed.pose, placed.root_reference, empty, placed.mask, placed.camera) is None
+    assert turned_proposals(hand_of(placed), placed.mask, empty, placed.camera) is None
+    assert turned_proposals(hand_of(placed), empty, placed.mask, placed.camera) is None
 
 
 def test_the_distance_follows_the_palms_size_within_bounds(studio: Any) -> None:
     near, far = studio.placed(size=0.75), studio.placed(size=0.25)
-    starts = turned_hands(near.pose, near.root_reference, near.mask, far.mask, near.camera)
+    starts = turned_proposals(hand_of(near), near.mask, far.mask, near.camera)
     assert starts is not None
-    assert math.isclose(float(starts.pose[0, 2] / near.pose[2]), 1.4, rel_tol=0.02)  # and not 3
+    assert math.isclose(float(starts.dofs[0, 2] / near.pose[2]), 1.4, rel_tol=0.02)  # and not 3
 
 
 def test_other_postures_and_fingers_leave_the_rest_alone() -> None:
     start, pose = posture("open"), posture("fist")
     pose[:6] = torch.arange(6.0)
-    whole = other_postures(pose, start, ("flat", "point"))
+    hand = HandPose.of(pose)
+    whole = posture_proposals(hand, start, ("flat", "point")).dofs
     assert whole.shape == (3, len(DOFS))
     assert bool((whole[:, :6] == pose[:6]).all())
     torch.testing.assert_close(whole[0, 6:], start[6:])
     torch.testing.assert_close(whole[1, 6:], posture("flat")[6:])
-    single = other_fingers(pose, start)
+    single = finger_proposals(hand, start).dofs
     assert single.shape == (2 * len(FINGERS), len(DOFS))
     for i, finger in enumerate(FINGERS):
         own = torch.tensor([name.startswith(finger) for name in DOFS])
