@@ -26,7 +26,7 @@ from torchhand.study.hypotheses import CaseStudy, Hypotheses, StudyBatch, frames
 RESULT_NAMES = {"study.csv", "study.png", "hypotheses.npz", "config.yaml"}
 QUICK = (
     *("--size", "96x72", "--starts", "7", "--batch", "3", "--levels", "2", "--iterations", "6"),
-    *("--set", "points_per_generator=6", "--set", "points_per_arc=6", "--set", "registration.boundary_points=64"),
+    *("--set", "points_per_generator=6", "--set", "points_per_arc=6", "--set", "contour.boundary_points=64"),
     *("--set", "best_of=[1,2]", "--threads", "1"),
 )
 FRAMES = ("--frames", "0,2")
@@ -163,8 +163,9 @@ def test_the_configuration_tells_everything(done: Path) -> None:
     config = yaml.safe_load((done / "config.yaml").read_text())
     assert config["starts"] == 7
     assert config["perturbation"] == {"angle_deg": 15.0, "translation_mm": 10.0, "rotation_deg": 15.0, "levels": 2}
-    assert config["registration"]["hypotheses_at_once"] == 3
-    assert [level["iterations"] for level in config["registration"]["levels"]] == [1, 1, 1]
+    assert config["batch"] == 3
+    assert config["contour"]["boundary_points"] == 64
+    assert [stage["iterations"] for stage in config["schedule"]] == [1, 1, 1]
     told = config["run"]
     assert (told["input"], told["frames"], told["seed"]) == ("simulated pictures", [0, 2], 0)
     assert told["reference"] == "exact, of simulated pictures"
@@ -351,7 +352,7 @@ def test_settings_from_a_file_and_single_ones(tmp_path: Path, run: Run) -> None:
         "--success-deg",
         "3",
         "--method",
-        "descent",
+        "gradient_descent",
         "--space",
         "dof27",
         "--starts",
@@ -361,7 +362,7 @@ def test_settings_from_a_file_and_single_ones(tmp_path: Path, run: Run) -> None:
     config = yaml.safe_load((tmp_path / "out" / "config.yaml").read_text())
     assert (config["success_deg"], config["has_prior"], config["space"]) == (3.0, False, "dof27")
     assert config["perturbation"]["levels"] == 2
-    assert config["registration"]["method"] == "descent"
+    assert [stage["method"] for stage in config["schedule"]] == ["gradient_descent"] * 3
     assert config["run"]["seed"] == 0
 
 
@@ -379,7 +380,7 @@ def test_settings_from_a_file_and_single_ones(tmp_path: Path, run: Run) -> None:
         (("--starts", "2", "--frames", "0-4"), "--starts: expected 5 or more, one for each frame, got 2"),
         (("--levels", "0"), "perturbation.levels: expected 1 to 100, got 0"),
         (("--angle-deg", "-3"), "perturbation.angle_deg: expected 0 to 180, got -3.0"),
-        (("--iterations", "5"), "--iterations: expected 6 or more, one for each look of the levels, got 5"),
+        (("--iterations", "5"), "--iterations: expected 6 or more, one for each round of the schedule, got 5"),
         (("--batch", "5000"), "command line: batch: expected 1 to 4096, got 5000"),
         (("--space", "planar"), "space: expected one of planar_abduction, dof26, dof27, dof28, dof31, dof36"),
         (("--surface", "clay"), "invalid choice 'clay'"),
@@ -471,9 +472,9 @@ def test_a_frame_without_contour_leaves_the_others(broken: Broken, tmp_path: Pat
     assert outcome.code == 0
     assert outcome.err == "torchhand study: frame 1: its silhouette has no contour to register on\n"
     table = {(row["frame"], row["size"]): row for row in rows(tmp_path / "out")}
-    assert table["1", "1"]["no_contour"] == "1"
+    assert table["1", "1"]["no_data"] == "1"
     assert table["1", "1"]["angle_median_deg"] == "inf"
-    assert table["0", "1"]["no_contour"] == "0"
+    assert table["0", "1"]["no_data"] == "0"
     assert float(table["all", "1"]["success_high"]) < 0.95
 
 

@@ -25,6 +25,16 @@ class Filter:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Step:
+    length: float
+    count: int = 1
+
+    def __post_init__(self) -> None:
+        if self.length <= 0:
+            raise ValueError(f"length: expected more than 0, got {self.length}")
+
+
+@dataclass(frozen=True, kw_only=True)
 class Options:
     space: str = "planar"
     steps: int = 3
@@ -34,6 +44,7 @@ class Options:
     weights: dict[str, float] = field(default_factory=dict)
     filter: Filter = field(default_factory=Filter)
     stages: tuple[Filter, ...] = (Filter(), Filter(order=1))
+    walk: tuple[Step, ...] = (Step(length=2.0),)
 
 
 def _write(path: Path, text: str) -> Path:
@@ -71,6 +82,13 @@ def test_defaults_without_file_and_with_an_empty_one(tmp_path: Path):
     assert load_settings(Options(steps=9), _write(tmp_path / "a.yaml", "# nothing\n")) == Options(steps=9)
 
 
+def test_a_list_of_records_of_which_some_fields_have_no_default(tmp_path: Path):
+    settings = load_settings(Options(), _write(tmp_path / "a.yaml", "walk: [{length: 3}, {length: 1, count: 4}]"))
+    assert settings.walk == (Step(length=3.0), Step(length=1.0, count=4))
+    save_settings(settings, tmp_path / "b.yaml")
+    assert load_settings(Options(), tmp_path / "b.yaml") == settings
+
+
 def test_the_command_line_wins_over_the_file(tmp_path: Path):
     path = _write(tmp_path / "a.yaml", "steps: 5\nfilter: {order: 1, gate: 3}\n")
     settings = load_settings(Options(), path, {"filter.order": 0, "filter": {"is_robust": True}, "steps": 6})
@@ -98,6 +116,9 @@ def test_the_command_line_wins_over_the_file(tmp_path: Path):
         ("range_deg: 4", "a.yaml: range_deg: expected a list, got 4"),
         ("weights: {edge: x}", "a.yaml: weights.edge: expected a number, got 'x'"),
         ("space: 5", "a.yaml: space: expected a text, got 5"),
+        ("walk: [{count: 3}]", r"a.yaml: walk\[0\].length: expected a value, it has no default; got none"),
+        ("walk: [{length: 1}, {length: -1}]", r"a.yaml: walk\[1\].length: expected more than 0, got -1"),
+        ("walk: [{length: 1, counts: 1}]", r"a.yaml: unknown key walk\[0\].counts"),
         ("- 1", r"a.yaml: expected keys with values, got \[1\]"),
         ("steps: 5\nfilter: {order: 1", "a.yaml, line [23]: is no valid YAML"),
         ("steps: 5\nspace: a\nsteps: 6", "a.yaml, line 3: is no valid YAML .key 'steps' is given twice"),
@@ -136,7 +157,8 @@ def test_saved_settings_are_complete_and_load_again(tmp_path: Path):
     save_settings(settings, tmp_path / "config.yaml", {"seed": 3, "input": Path("wave.mov"), "start_points": (1, 2.5)})
     stored = yaml.safe_load((tmp_path / "config.yaml").read_text())
     assert stored.pop("run") == {"torchhand": __version__, "seed": 3, "input": "wave.mov", "start_points": [1, 2.5]}
-    assert list(stored) == ["space", "steps", "range_deg", "fingers", "background", "weights", "filter", "stages"]
+    names = ["space", "steps", "range_deg", "fingers", "background", "weights", "filter", "stages", "walk"]
+    assert list(stored) == names
     assert stored["filter"] == {"order": 0, "noise_px": 1e-7, "is_robust": False, "gate": None}
     assert load_settings(Options(), tmp_path / "config.yaml") == settings
 

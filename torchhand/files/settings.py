@@ -133,7 +133,7 @@ def _converted(where: str, value: Any, hint: Any) -> Any:
         return value
     if isinstance(hint, type) and dataclasses.is_dataclass(hint) and isinstance(value, dict):
         source, _, name = where.rpartition(": ")
-        return _changed(hint(), value, source, f"{name}.")
+        return _changed(_begun(hint, value, source, f"{name}."), value, source, f"{name}.")
     if origin is typing.Literal:
         if not any(value == choice and type(value) is type(choice) for choice in arguments):
             raise InputError(f"{where}: expected one of {', '.join(map(str, arguments))}, got {short(value)}")
@@ -150,6 +150,19 @@ def _converted(where: str, value: Any, hint: Any) -> Any:
     if origin in (dict, Mapping) and isinstance(value, dict):
         return {str(key): _converted(f"{where}.{key}", item, arguments[1]) for key, item in value.items()}
     return _converted_plain(where, value, hint)
+
+
+def _begun(kind: Any, values: dict[Any, Any], source: str, prefix: str) -> Any:
+    """An instance of a dataclass with its defaults, and of `values` those fields that have none."""
+    hints, missing = typing.get_type_hints(kind), dataclasses.MISSING
+    needed = [f.name for f in dataclasses.fields(kind) if f.default is missing and f.default_factory is missing]
+    for name in needed:
+        if name not in values:
+            raise InputError(f"{source}: {prefix}{name}: expected a value, it has no default; got none")
+    try:
+        return kind(**{name: _converted(f"{source}: {prefix}{name}", values[name], hints[name]) for name in needed})
+    except ValueError as error:
+        raise InputError(f"{source}: {prefix}{error}") from error
 
 
 def _converted_union(where: str, value: Any, kinds: tuple[Any, ...]) -> Any:

@@ -8,10 +8,11 @@ import pytest
 import torch
 
 from torchhand.files import load_hand_model
-from torchhand.fit.contour import RegistrationLevel, RegistrationSettings, RegistrationStatus
+from torchhand.fit import SolveStatus, Stage
+from torchhand.fit.contour import ContourSettings
 from torchhand.fit.detect import facing_rotation
 from torchhand.geometry import assumed_camera, rotation_from_vector
-from torchhand.hand import DOFS, posture
+from torchhand.hand import DOFS, HandPose, posture
 from torchhand.study import PerturbationSettings
 from torchhand.study.hypotheses.case_study import CaseStudy, StudyBatch, StudyCase, plan_batches
 from torchhand.study.hypotheses.record import Hypotheses
@@ -19,14 +20,15 @@ from torchhand.study.hypotheses.settings import HypothesisStudySettings
 from torchhand.view import HandProjector
 
 MODEL = load_hand_model()
-QUICK = RegistrationSettings(levels=(RegistrationLevel(robust_share=0.05, rounds=2, iterations=3),), boundary_points=96)
+QUICK = (Stage(gross_m=0.0093, rounds=2, iterations=3),)
 SETTINGS = HypothesisStudySettings(
     starts=20,
     batch=10,
     perturbation=PerturbationSettings(angle_deg=10.0, translation_mm=8.0, rotation_deg=8.0, levels=2),
     points_per_generator=6,
     points_per_arc=6,
-    registration=QUICK,
+    schedule=QUICK,
+    contour=ContourSettings(boundary_points=96),
 )
 BATCH = StudyBatch(index=1, case=0, first=10, count=10)
 
@@ -46,8 +48,7 @@ def case() -> StudyCase:
         camera=camera,
         side="right",
         shape=kinematics.default_shape,
-        pose=pose,
-        root_reference=reference,
+        pose=HandPose.of(pose, reference),
     )
 
 
@@ -92,7 +93,7 @@ def test_starts_are_as_far_off_as_ordered(found: Hypotheses, study: CaseStudy) -
 
 
 def test_registration_brings_them_nearer(found: Hypotheses) -> None:
-    assert (found.status <= RegistrationStatus.STALLED.value).all()
+    assert (found.status <= SolveStatus.STALLED.value).all()
     large = found.level == 2
     assert np.median(found.keypoint_mm[large]) < 0.6 * np.median(found.start_keypoint_mm[large])
     assert np.median(found.angle_deg[large]) < np.median(found.start_angle_deg[large])
@@ -102,7 +103,7 @@ def test_registration_brings_them_nearer(found: Hypotheses) -> None:
 
 def test_poses_are_those_of_the_errors(found: Hypotheses, study: CaseStudy, case: StudyCase) -> None:
     kinematics = study.kinematics
-    truth = kinematics(case.pose, root_reference=case.root_reference).keypoints
+    truth = kinematics(case.pose.dofs, root_reference=case.pose.reference).keypoints
     points = kinematics(torch.from_numpy(found.pose)).keypoints  # the rotation vector is the whole rotation
     missed = 1e3 * (points - truth).norm(dim=-1).mean(-1)
     np.testing.assert_allclose(found.keypoint_mm, missed.numpy(), atol=1e-6)
@@ -130,7 +131,7 @@ def test_the_mesh_and_the_other_optimiser(case: StudyCase) -> None:
     few = replace(BATCH, count=4)
     for settings in (
         replace(SETTINGS, surface="mesh", mesh_points=150),
-        replace(SETTINGS, registration=replace(QUICK, method="descent")),
+        replace(SETTINGS, schedule=tuple(replace(stage, method="gradient_descent") for stage in QUICK)),
     ):
         study = CaseStudy(case, MODEL, settings)
         found = study.run(few, 5)
@@ -139,56 +140,50 @@ def test_the_mesh_and_the_other_optimiser(case: StudyCase) -> None:
 
 def test_the_reference_lies_in_every_space(case: StudyCase) -> None:
     """What a space ties or holds is as in the reference, so that it is exact."""
-    bent = case.pose.clone()
+    bent = case.pose.dofs.clone()
     bent[DOFS.index("index_dip_fe")] = 0.4  # not two thirds of the PIP's
     bent[DOFS.index("index_mcp_tw")] = 0.05  # not free
     turned = bent.clone()
     turned[3:6] = torch.tensor((0.1, 0.2, -0.1))
-    for pose in (bent, turned):
-        study = CaseStudy(replace(case, pose=pose), MODEL, SETTINGS)
-        expected = MODEL.kinematics(dtype=torch.float64)(pose, root_reference=case.root_reference).keypoints
-        held = study.kinematics(
-            study.space.dof(torch.zeros(study.space.size).double()), root_reference=study.case.root_reference
-        ).keypoints
+    for dofs in (bent, turned):
+        study = CaseStudy(replace(case, pose=HandPose.of(dofs, case.pose.reference)), MODEL, SETTINGS)
+        expected = MODEL.kinematics(dtype=torch.float64)(dofs, root_reference=case.pose.reference).keypoints
+        centre = study.space.dof(torch.zeros(study.space.size).double())
+        held = study.kinematics(centre, root_reference=study.case.pose.reference).keypoints
         torch.testing.assert_close(held, expected, atol=1e-12, rtol=0)
 
 
 def test_overlap_of_the_reference(case: StudyCase, study: CaseStudy) -> None:
     assert study.overlap == 1
-    moved = case.pose + torch.nn.functional.one_hot(torch.tensor(0), 36) * 0.02
+    moved = case.pose.retract(0.02 * torch.nn.functional.one_hot(torch.tensor(0), 36).double())
     assert 0.3 < CaseStudy(replace(case, pose=moved), MODEL, SETTINGS).overlap < 0.9
 
 
 def test_a_reference_is_put_where_registration_wants_it(case: StudyCase) -> None:
-    pose = case.pose.clone()
-    pose[:2] += 0.004
-    wrong = replace(
-        case, pose=pose, root_reference=rotation_from_vector(torch.tensor((0, 0, 0.05)).double()) @ case.root_reference
-    )
+    step = torch.zeros(36, dtype=torch.float64)
+    step[:2], step[5] = 0.004, 0.05
+    wrong = replace(case, pose=case.pose.retract(step))
     study = CaseStudy(wrong, MODEL, SETTINGS)
-    settled = study.settled(6, 0)
+    refined = study.refined(6, 0)
     kinematics = study.kinematics
 
     def missed(one: StudyCase) -> float:
-        points, truth = (kinematics(c.pose, root_reference=c.root_reference).keypoints for c in (one, case))
+        points, truth = (kinematics(c.pose.dofs, root_reference=c.pose.reference).keypoints for c in (one, case))
         return float((points - truth).norm(dim=-1).mean())
 
-    assert missed(settled) < 0.5 * missed(wrong)
-    assert_same_case(settled, study.settled(6, 0))
-
-
-def assert_same_case(one: StudyCase, other: StudyCase) -> None:
-    assert torch.equal(one.pose, other.pose)
-    assert torch.equal(one.root_reference, other.root_reference)
+    assert missed(refined) < 0.5 * missed(wrong)
+    again = study.refined(6, 0)
+    assert torch.equal(again.pose.dofs, refined.pose.dofs)
+    assert torch.equal(again.pose.reference, refined.pose.reference)
 
 
 def test_failures_hold_no_stale_numbers(case: StudyCase) -> None:
-    behind = case.pose.clone()
-    behind[2] = -0.4
+    behind = replace(case.pose, dofs=case.pose.dofs.clone())
+    behind.dofs[2] = -0.4
     empty = torch.zeros_like(case.mask)
-    for wrong, status in ((replace(case, pose=behind), "FAILED"), (replace(case, mask=empty), "NO_CONTOUR")):
+    for wrong, status in ((replace(case, pose=behind), "FAILED"), (replace(case, mask=empty), "NO_DATA")):
         found = CaseStudy(wrong, MODEL, SETTINGS).run(replace(BATCH, count=3), 5)
-        assert found.status.tolist() == [RegistrationStatus[status].value] * 3
+        assert found.status.tolist() == [SolveStatus[status].value] * 3
         assert not found.is_registered.any()
         assert not found.is_success(180.0).any()
         assert np.isinf(found.cost).all()
