@@ -12,7 +12,7 @@ def robust_cholesky(matrix: Float[Tensor, "*batch n n"]) -> Float[Tensor, "*batc
     """Lower triangular L with L Lᵀ = matrix, or nearly so where the matrix is not positive definite.
 
     The symmetric part is factored as it is. Only those matrices of the batch that fail are tried again, with a growing
-    multiple of the identity added and at last with their eigenvalues clipped from below (FACTS section 5.3), so one
+    multiple of the identity added and at last with their eigenvalues clipped from below, so one
     bad matrix changes no other. A matrix of zeros gives zeros. A matrix with a NaN or an infinity gives NaN: one lost
     filter of a batch does not stop the others. Differentiable; at a clipped matrix only in directions that keep it so.
     """

@@ -15,7 +15,7 @@ from torchhand.numerics.gaussian import Gaussian
 from torchhand.numerics.information import correct
 from torchhand.numerics.motion import MotionModel
 from torchhand.numerics.unscented import Update, predict_linear
-from torchhand.numerics.whitening import is_full, masked_noise, noise_root, whiten
+from torchhand.numerics.whitening import is_full, masked_noise, noise_root, usable, whiten
 
 Linearised = Callable[[Tensor], tuple[Tensor, Tensor]]
 """A function of states (*batch, k) that returns values (*batch, m) and their Jacobian (*batch, m, k)."""
@@ -71,12 +71,13 @@ def update_extended(
     group: int = 1,
     form: Literal["joseph", "information"] | None = None,
 ) -> Update:
-    """Measurement update x + K ν, with the covariance in Joseph or in information form (FACTS sections 5.3 and 5.5).
+    """Measurement update x + K ν, with the covariance in Joseph or in information form.
 
     innovation   measurement minus prediction; differences of angles through `wrapped` first
     jacobian     of the prediction in the first k components of the state, k <= n: positions are observed, not rates
     noise        variances (*batch, m) of independent noises, or covariances (*batch, m, m); leading dimensions may be 1
-    valid        False leaves a measurement out; whatever number or NaN stands there has no effect
+    valid        False leaves a measurement out; whatever number or NaN stands there has no effect. A measurement whose
+                 innovation or row of the Jacobian is not finite is left out as well
     gate         leaves out each group with νᵀ S⁻¹ ν > gate, S the group's own block: 9 for three sigma of a group of 1
     group        measurements in a row that are judged together; the whole vector has a multiple of it
     form         "joseph" costs O(m³ + m n²), "information" O(m k² + n³); None takes the cheaper. Both keep the
@@ -116,8 +117,8 @@ def masked_and_gated(
     gate: float | None,
     group: int,
 ) -> tuple[Float[Tensor, "*batch m"], Float[Tensor, "*batch m k"], Float[Tensor, "*batch m"], Bool[Tensor, "*batch m"]]:
-    """Innovation and Jacobian with zeros for what is not valid, the innovation's variance (infinite there), and what
-    is used: valid and inside the gate. Arguments as in `update_extended`."""
+    """Innovation and Jacobian with zeros where a measurement cannot be used, the innovation's variance (infinite there),
+    and what is used: valid, finite and inside the gate. Arguments as in `update_extended`."""
     size, columns = jacobian.shape[-2:]
     if not 1 <= columns <= state.mean.shape[-1]:
         raise ValueError(f"jacobian must have 1 to {state.mean.shape[-1]} columns, got {columns}")
@@ -125,7 +126,7 @@ def masked_and_gated(
         raise ValueError(f"gate must be None or above 0, got {gate!r}")
     if group < 1 or size % group:
         raise ValueError(f"group must divide the {size} measurements, got {group!r}")
-    valid = torch.ones_like(innovation, dtype=torch.bool) if valid is None else valid
+    valid = usable(innovation, valid, jacobian)
     jacobian = torch.where(valid.unsqueeze(-1), jacobian, 0.0)
     innovation = torch.where(valid, innovation, 0.0)
     full, noise = is_full(noise, innovation), masked_noise(noise, valid, innovation)

@@ -66,6 +66,10 @@ class _Point:
     def cost(self) -> Tensor:
         return 0.5 * (self.offset.square().sum(-1) + self.residual.square().sum(-1))
 
+    @property
+    def is_finite(self) -> Tensor:
+        return self.residual.isfinite().all(-1) & self.rows.isfinite().all((-2, -1))
+
     def where(self, choose: Tensor, other: "_Point") -> "_Point":
         """This point where `choose`, the other one elsewhere."""
         return _Point(
@@ -93,10 +97,10 @@ def update_iterated(
     observe    takes states (*batch, k), k = n or `observed`, and returns values (*batch, m) and Jacobian (*batch, m, k)
     period     of each measurement, infinite for those that do not repeat: differences are wrapped by it
     observed   `observe` depends on the first k components only, is given only those and returns k columns
-    noise, valid, gate, group   as in `update_extended`; the gate is decided once, at the prediction
+    noise, valid, gate, group   as in `update_extended`; what is used is decided once, at the prediction: the gate, and
+               that a measurement, its value and its row of the Jacobian there are finite
 
-    Estimates at which `observe` returns NaN for a used measurement count as infinitely bad and are never returned,
-    unless the prediction itself is one.
+    Estimates at which `observe` returns NaN or an infinity for a used measurement are never accepted.
     """
     size = state.mean.shape[-1]
     seen = size if observed is None else observed
@@ -120,8 +124,9 @@ def update_iterated(
     whitener = noise_root(masked_noise(noise, used, measurement), full=full)
 
     def point(offset: Tensor, innovation: Tensor, jacobian: Tensor) -> _Point:
-        both = torch.cat((innovation.unsqueeze(-1), jacobian @ inner), -1)
-        both = whiten(whitener, torch.where(used.unsqueeze(-1), both, 0.0), full=full)
+        kept = torch.where(used, innovation, 0.0).unsqueeze(-1)
+        rows = torch.where(used.unsqueeze(-1), jacobian, 0.0)  # before the product: a NaN spoils no gradient either
+        both = whiten(whitener, torch.cat((kept, rows @ inner), -1), full=full)
         return _Point(offset=offset, residual=both[..., 0], rows=both[..., 1:])
 
     def evaluated(offset: Tensor) -> _Point:
@@ -143,7 +148,7 @@ def update_iterated(
         start, scale = best, torch.ones_like(best.cost)
         for _ in range(settings.halvings + 1):
             trial = evaluated(start.offset + (scale * moving).unsqueeze(-1) * step)
-            improves = moving & ~is_better & (trial.cost <= allowed)
+            improves = moving & ~is_better & trial.is_finite & (trial.cost <= allowed)
             best = trial.where(improves, best)
             is_better = is_better | improves
             if bool((is_better | ~moving).all()):
