@@ -14,6 +14,7 @@ from torch import Tensor
 from torchhand.numerics.cholesky import robust_cholesky
 from torchhand.numerics.extended import Linearised, masked_and_gated
 from torchhand.numerics.gaussian import Gaussian
+from torchhand.numerics.square_root import PosteriorRoot
 from torchhand.numerics.unscented import Update
 from torchhand.numerics.whitening import is_full, masked_noise, noise_root, whiten, wrapped
 
@@ -117,28 +118,29 @@ def update_iterated(
         return measurement - values if period is None else wrapped(measurement - values, period)
 
     values, jacobian = observe(state.mean[..., :seen])
-    innovation, jacobian, variance, used = masked_and_gated(
-        state, difference(values), jacobian, noise, valid=valid, gate=gate, group=group
+    innovation, rows, variance, used = masked_and_gated(
+        root, difference(values), jacobian, noise, valid=valid, gate=gate, group=group
     )
     full = is_full(noise, measurement)
     whitener = noise_root(masked_noise(noise, used, measurement), full=full)
 
-    def point(offset: Tensor, innovation: Tensor, jacobian: Tensor) -> _Point:
-        kept = torch.where(used, innovation, 0.0).unsqueeze(-1)
-        rows = torch.where(used.unsqueeze(-1), jacobian, 0.0)  # before the product: a NaN spoils no gradient either
-        both = whiten(whitener, torch.cat((kept, rows @ inner), -1), full=full)
+    def point(offset: Tensor, innovation: Tensor, rows: Tensor) -> _Point:
+        both = torch.cat((innovation.unsqueeze(-1), rows), -1)
+        both = whiten(whitener, torch.where(used.unsqueeze(-1), both, 0.0), full=full)
         return _Point(offset=offset, residual=both[..., 0], rows=both[..., 1:])
 
     def evaluated(offset: Tensor) -> _Point:
         values, jacobian = observe(state.mean[..., :seen] + (inner @ offset.unsqueeze(-1)).squeeze(-1))
-        return point(offset, difference(values), jacobian)
+        # Masked before the product, so that a NaN spoils no gradient either.
+        return point(offset, difference(values), torch.where(used.unsqueeze(-1), jacobian, 0.0) @ inner)
 
-    best = point(torch.zeros_like(state.mean[..., :seen]), innovation, jacobian)
+    best = point(torch.zeros_like(state.mean[..., :seen]), innovation, rows)
     steps = torch.zeros_like(best.cost, dtype=torch.int64)
     is_converged = torch.zeros_like(best.cost, dtype=torch.bool)
     is_stuck = torch.zeros_like(is_converged)
+    left = PosteriorRoot.of(best.rows)
     for _ in range(settings.iterations):
-        step, length = _gauss_newton(best)
+        step, length = left.step(best.residual, best.offset)
         is_converged = is_converged | (~is_stuck & (length <= settings.tolerance))
         moving = ~is_converged & ~is_stuck
         if not bool(moving.any()):
@@ -156,16 +158,16 @@ def update_iterated(
             scale = torch.where(is_better, scale, 0.5 * scale)
         steps = steps + is_better
         is_stuck = is_stuck | (moving & ~is_better)
-    else:
-        is_converged = is_converged | (~is_stuck & (_gauss_newton(best)[1] <= settings.tolerance))
+        left = PosteriorRoot.of(best.rows)
+    length = left.step(best.residual, best.offset)[1]
+    is_converged = is_converged | (~is_stuck & (length <= settings.tolerance))
 
     count = used.sum(-1)
     has_any = (count > 0).unsqueeze(-1)
-    factor = _factor(best)
     outer, hidden = root[..., :seen], root[..., seen:]
-    half = torch.linalg.solve_triangular(factor, outer.mT, upper=False)
     mean = state.mean + (outer @ best.offset.unsqueeze(-1)).squeeze(-1)
-    covariance = half.mT @ half + hidden @ hidden.mT
+    covariance = left.covariance(outer) + hidden @ hidden.mT
+    covariance = 0.5 * (covariance + covariance.mT)
     posterior = Gaussian(
         torch.where(has_any, mean, state.mean), torch.where(has_any.unsqueeze(-1), covariance, state.covariance)
     )
@@ -178,18 +180,3 @@ def update_iterated(
         count=count,
     )
     return IteratedUpdate(update=update, iterations=steps, is_converged=is_converged)
-
-
-def _factor(point: _Point) -> Tensor:
-    """Cholesky factor of I + BᵀB, the information of y; B the whitened rows."""
-    unit = torch.eye(point.rows.shape[-1], dtype=point.rows.dtype, device=point.rows.device)
-    return robust_cholesky(point.rows.mT @ point.rows + unit)
-
-
-def _gauss_newton(point: _Point) -> tuple[Tensor, Tensor]:
-    """The step of y to the linearised problem's minimum, and its length in posterior standard deviations."""
-    factor = _factor(point)
-    gradient = (point.rows.mT @ point.residual.unsqueeze(-1)).squeeze(-1) - point.offset
-    half = torch.linalg.solve_triangular(factor, gradient.unsqueeze(-1), upper=False)
-    step = torch.linalg.solve_triangular(factor.mT, half, upper=True)
-    return step.squeeze(-1), half.square().sum((-2, -1)).sqrt()

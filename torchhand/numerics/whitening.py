@@ -22,7 +22,7 @@ def usable(
     valid: Bool[Tensor, "*batch m"] | None,
     jacobian: Float[Tensor, "*#batch m k"] | None = None,
 ) -> Bool[Tensor, "*batch m"]:
-    """Which measurements all filters here can use: valid ones with a finite innovation and a finite row of the Jacobian.
+    """Which measurements a filter uses: valid ones with a finite innovation and a finite row of the Jacobian.
 
     A NaN or an infinity, in the measurement or in its prediction, thus counts as a missing measurement, with a gate or
     without one. None for `valid` means that every measurement is.
