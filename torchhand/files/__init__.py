@@ -15,7 +15,7 @@ from torchhand.files.rig import load_rig, rig_notes
 from torchhand.files.rig_source import RigFrame, RigSource, offsets_of, open_rig
 from torchhand.files.settings import load_settings, save_settings, setting_in
 from torchhand.files.track_file import load_track
-from torchhand.files.track_record import FrameRecord, Track, TrackHeader
+from torchhand.files.track_record import FrameRecord, FrameStatus, Track, TrackHeader
 from torchhand.files.video_writer import VideoWriter, write_video
 
 __all__ = [
@@ -24,6 +24,7 @@ __all__ = [
     "Frame",
     "FrameRecord",
     "FrameSource",
+    "FrameStatus",
     "ResumePoint",
     "RigFrame",
     "RigSource",

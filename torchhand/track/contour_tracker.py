@@ -15,10 +15,10 @@ from torchhand.track.measurement import ContourMeasurement, Planes
 from torchhand.track.prior import posture_prior
 from torchhand.track.settings import ContourTrackerSettings
 from torchhand.track.start import Start, StartPoints
-from torchhand.track.state import Estimate, Memory, Status, TrackerState
+from torchhand.track.state import Estimate, Memory, TrackerState
 from torchhand.track.tracker import HandTracker
 
-__all__ = ["ContourTracker", "Estimate", "Memory", "Status", "TrackerState"]
+__all__ = ["ContourTracker", "Estimate", "Memory", "TrackerState"]
 
 _SETTLING = 4  # measurement updates on the starting picture
 

@@ -6,11 +6,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.files import FrameStatus
 from torchhand.geometry import Camera, rotation_from_vector, vector_from_rotation
 from torchhand.hand import HandKinematics, PoseSpace, ShapeSpace
 from torchhand.track.appearance import Agreement
 from torchhand.track.limits import clamp_to_limits
-from torchhand.track.state import Estimate, Status, TrackerState
+from torchhand.track.state import Estimate, TrackerState
 
 _JOINT_CENTRE_STD = 0.004
 """Metres: two hand models place their joint centres a few millimetres apart under the same skin."""
@@ -18,7 +19,7 @@ _STEP = 1e-5  # of the numerical derivative, metres and radians
 
 
 def estimate_of(
-    status: Status,
+    status: FrameStatus,
     state: TrackerState,
     kinematics: HandKinematics,
     space: PoseSpace,

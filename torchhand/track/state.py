@@ -1,16 +1,15 @@
 """What a tracker knows between two frames, what it says of one, and both as plain tensors on disk."""
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.files import FrameStatus
 from torchhand.image import ColourModel
 from torchhand.numerics import Gaussian
 from torchhand.track.appearance import Appearance
-
-Status = Literal["tracked", "lost", "recovered", "no_hand"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +54,7 @@ class Memory:
 class Estimate:
     """One frame's result. Where status is lost or no_hand everything but the reason is None."""
 
-    status: Status
+    status: FrameStatus
     pose: Float[Tensor, "36"] | None = None
     """Full pose in the camera frame with the root's rotation vector; metres and radians."""
     pose_std: Float[Tensor, "36"] | None = None

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from torchhand.files import FrameStatus
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics, PoseSpace, named_pose_space, posture
 from torchhand.image import BackgroundPlate
@@ -27,7 +28,7 @@ from torchhand.track.prior import Kind, kind_of
 from torchhand.track.rebasing import Rebasing
 from torchhand.track.settings import TrackerSettings
 from torchhand.track.start import NoStart, Start, StartPoints, find_hand, start_at_points
-from torchhand.track.state import Estimate, Memory, Status, TrackerState, restored_state, saved_state
+from torchhand.track.state import Estimate, Memory, TrackerState, restored_state, saved_state
 from torchhand.view import HandProjector, outline_table
 
 Settings = TypeVar("Settings", bound=TrackerSettings)
@@ -179,7 +180,7 @@ class HandTracker(ABC, Generic[Settings]):
         is_first = memory.appearance is None
         found = self._found(memory, image)
         if isinstance(found, NoStart):
-            status: Status = "lost" if found.has_foreground and memory.shape is not None else "no_hand"
+            status: FrameStatus = "lost" if found.has_foreground and memory.shape is not None else "no_hand"
             return None, memory, Estimate(status=status, reason=found.reason)
         settled, agreement = self._settled(found, image)
         if settled.found < s.loss.min_found or agreement.overlap < s.loss.min_overlap:
@@ -296,7 +297,7 @@ class HandTracker(ABC, Generic[Settings]):
             unexplained=unexplained_px(model, picture, region, _FINGER * length_px) / length_px**2,
         )
 
-    def _estimate(self, status: Status, measured: Measured, shape: Tensor, agreement: Agreement) -> Estimate:
+    def _estimate(self, status: FrameStatus, measured: Measured, shape: Tensor, agreement: Agreement) -> Estimate:
         return estimate_of(
             status,
             measured.state,

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.files import FrameStatus
 from torchhand.geometry import Camera, vector_from_rotation
 from torchhand.hand import Hand
 from torchhand.numerics import Gaussian, predict_linear
@@ -25,7 +26,7 @@ from torchhand.track.multiview.settings import MultiViewSettings
 from torchhand.track.multiview.silhouettes import Masks
 from torchhand.track.prior import Kind, kind_of
 from torchhand.track.rebasing import Rebasing
-from torchhand.track.state import Status, TrackerState
+from torchhand.track.state import TrackerState
 from torchhand.track.tracker import start_spread
 
 _USUAL, _AT_BEST = 0.9, 0.99  # shares of the usual score, and of the one at best, that outlast a frame
@@ -58,7 +59,7 @@ class MultiViewMemory:
 class MultiViewEstimate:
     """One moment's result. Where status is lost or no_hand everything but overlap, views and reason is None."""
 
-    status: Status
+    status: FrameStatus
     pose: Float[Tensor, "36"] | None = None
     """Full pose in the world frame with the root's rotation vector; metres and radians."""
     pose_std: Float[Tensor, "36"] | None = None
@@ -287,7 +288,7 @@ class MultiViewTracker:
         self, predicted: TrackerState | None, memory: MultiViewMemory, hull: Hull | None
     ) -> tuple[TrackerState | None, MultiViewMemory, MultiViewEstimate]:
         reason = "no hand was looked for in this frame" if hull is None else hull.reason or "no hand fits the hull"
-        status: Status = "lost" if memory.has_started and (hull is None or hull.views) else "no_hand"
+        status: FrameStatus = "lost" if memory.has_started and (hull is None or hull.views) else "no_hand"
         estimate = MultiViewEstimate(status=status, reason=reason, views=0 if hull is None else len(hull.views))
         return self._given_up(predicted), memory, estimate
 
@@ -307,7 +308,7 @@ class MultiViewTracker:
         least = loss.start_overlap if is_new else loss.min_overlap
         if best.overlap < least or not bool(best.fit.covariance.isfinite().all()):
             reason = f"overlap {best.overlap:.2f} with the silhouettes"
-            status: Status = "lost" if memory.has_started else "no_hand"
+            status: FrameStatus = "lost" if memory.has_started else "no_hand"
             return self._given_up(predicted), memory, MultiViewEstimate(status=status, reason=reason, views=best.views)
         following = self._begun(best.fit) if is_new or predicted is None else self._updated(predicted, best.fit)
         was_lost = predicted is None and memory.has_started
@@ -349,7 +350,7 @@ class MultiViewTracker:
         return self._rebased(replace(predicted, belief=belief, failures=0))
 
     def _estimate(
-        self, status: Status, state: TrackerState, placed: Placed, memory: MultiViewMemory
+        self, status: FrameStatus, state: TrackerState, placed: Placed, memory: MultiViewMemory
     ) -> MultiViewEstimate:
         posed = posed_belief(state, self.hand.kinematics, self.space, memory.shape)
         return MultiViewEstimate(
