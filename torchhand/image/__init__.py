@@ -16,6 +16,7 @@ from torchhand.image.edges import EdgeSearch, EdgeSettings, search_edges
 from torchhand.image.fingers import FingerSettings, find_fingers, opened_by_disc
 from torchhand.image.hand_regions import HandRegions, NoRegions, divide_hand
 from torchhand.image.moments import MaskMoments, mask_moments
+from torchhand.image.overlaps import hand_region, intersection_over_union
 from torchhand.image.refinement import RefinementSettings, find_open_hand, refine_silhouette
 from torchhand.image.sampling import is_inside, sample_bilinear
 from torchhand.image.silhouette import SilhouetteSettings, segment
@@ -58,6 +59,8 @@ __all__ = [
     "find_open_hand",
     "find_valleys",
     "foreground_probability",
+    "hand_region",
+    "intersection_over_union",
     "is_inside",
     "largest_component",
     "learn_background",

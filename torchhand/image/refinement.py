@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchhand.image.components import clean, fill_holes, largest_component
 from torchhand.image.fingers import FingerSearch, FingerSettings, find_fingers
+from torchhand.image.overlaps import intersection_over_union
 from torchhand.image.skin_start import bootstrap_skin
 
 _LEAST_SHARE, _MOST_SHARE = 0.02, 0.75  # of the picture that a hand may cover
@@ -226,7 +227,7 @@ def _mean_along(pixels: np.ndarray, start: tuple[float, float], end: tuple[float
 
 def _alike(first: Tensor, second: Tensor) -> bool:
     """Whether a cut about one mask would end where one about the other does."""
-    return float((first & second).sum()) >= _SAME * float((first | second).sum())
+    return float(intersection_over_union(first, second)) >= _SAME
 
 
 def _fingers(found: HandSilhouette) -> int:

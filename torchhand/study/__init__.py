@@ -7,8 +7,7 @@ from torchhand.study.evaluation import evaluate
 from torchhand.study.nees import Consistency, consistency, normalised_errors_squared
 from torchhand.study.planar_motion import PlanarMotionErrors, planar_motion_errors
 from torchhand.study.positions import aligned_errors, joint_errors, root_relative_errors
-from torchhand.study.silhouettes import MaskOfFrame, cut_at_wrist, intersection_over_union
-from torchhand.study.tracked_silhouettes import tracked_projector, tracked_silhouettes
+from torchhand.study.tracked_silhouettes import MaskOfFrame, tracked_projector, tracked_silhouettes
 from torchhand.study.truth import Truth, load_mask, load_truth, numbered_pictures
 
 __all__ = [
@@ -21,11 +20,9 @@ __all__ = [
     "aligned_errors",
     "consistency",
     "continuity",
-    "cut_at_wrist",
     "evaluate",
     "fit_similarity",
     "flexion_deg",
-    "intersection_over_union",
     "joint_errors",
     "load_mask",
     "load_truth",

@@ -15,6 +15,7 @@ from torch import Tensor
 from torchhand.geometry import Camera, vector_from_rotation
 from torchhand.hand import PoseConstraints, Side, named_pose_space, rebased
 from torchhand.hand.model import HandModel
+from torchhand.image import hand_region, intersection_over_union
 from torchhand.residuals import Expectation, PostureResiduals
 from torchhand.study.evaluation import MIDDLE_MCP
 from torchhand.study.hypothesis_record import Hypotheses
@@ -22,7 +23,6 @@ from torchhand.study.hypothesis_settings import HypothesisStudySettings
 from torchhand.study.perturbation import draw_perturbations, seed_of, spread_of_starts
 from torchhand.study.pose_errors import PoseErrors, pose_errors
 from torchhand.study.positions import WRIST
-from torchhand.study.silhouettes import cut_at_wrist, intersection_over_union
 from torchhand.track.picture_contours import picture_contours
 from torchhand.track.registration import Registration, RegistrationStatus, own_limits, register
 from torchhand.view import HandProjector, outline_table
@@ -119,10 +119,10 @@ class CaseStudy:
     def overlap(self) -> float:
         """Intersection over union of the reference hand's silhouette and the mask, forearm cut at the wrist."""
         case, projector = self.case, HandProjector(self.kinematics, self.camera, self.shape)
-        points = self.camera.project(projector.frames(case.pose, case.root_reference).keypoints).cpu().numpy()
+        points = self.camera.project(projector.frames(case.pose, case.root_reference).keypoints)
         drawn = projector.silhouette(case.pose, case.root_reference)
-        masks = (cut_at_wrist(m.cpu().numpy(), points[WRIST], points[MIDDLE_MCP]) for m in (case.mask, drawn))
-        return float(intersection_over_union(*masks))
+        region = hand_region((self.camera.height, self.camera.width), points[WRIST], points[MIDDLE_MCP])
+        return float(intersection_over_union(case.mask.to(drawn.device), drawn, region))
 
     def settled(self, starts: int, seed: int) -> StudyCase:
         """The case with the cheapest of some registrations about its reference in place of it.

@@ -1,5 +1,6 @@
 """The silhouettes of a tracked hand, drawn from what a result folder holds."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +14,10 @@ from torchhand.files.hand_file import load_hand
 from torchhand.files.hand_model import load_hand_model
 from torchhand.files.track_record import Track
 from torchhand.hand import DOFS
-from torchhand.study.silhouettes import MaskOfFrame
 from torchhand.view import HandProjector
+
+MaskOfFrame = Callable[[int], Bool[np.ndarray, "height width"] | None]
+"""The hand's silhouette in the frame of a number; None where there is none."""
 
 
 def tracked_projector(track: Track, hand_file: Path) -> HandProjector:

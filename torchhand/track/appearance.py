@@ -89,20 +89,6 @@ def _without_margin(hand: Tensor, other: Tensor, margin_px: int) -> tuple[Tensor
     return None if min(int(mask.sum()) for mask in shrunk) < _FEWEST_PX else (shrunk[0], shrunk[1])
 
 
-def hand_region(
-    shape: tuple[int, int], wrist_px: Float[Tensor, "2"], knuckle_px: Float[Tensor, "2"], reach_px: float
-) -> Bool[Tensor, "height width"]:
-    """Pixels on the fingers' side of the wrist, within `reach_px` of it: where hand and picture can be compared.
-
-    The line through the wrist, perpendicular to the palm's axis, cuts off the forearm.
-    """
-    along = (knuckle_px - wrist_px).numpy()
-    along = along / max(float(np.hypot(*along)), 1e-9)
-    x = np.arange(shape[1])[None] - float(wrist_px[0])
-    y = np.arange(shape[0])[:, None] - float(wrist_px[1])
-    return torch.from_numpy((x * along[0] + y * along[1] > 0) & (x * x + y * y < reach_px**2))
-
-
 def disc(shape: tuple[int, int], centre_px: Float[Tensor, "2"], radius_px: float) -> Bool[Tensor, "height width"]:
     """Pixels within a radius of a point."""
     x = torch.arange(shape[1], dtype=centre_px.dtype) - centre_px[0]
@@ -117,15 +103,6 @@ def touching(mask: Bool[Tensor, "height width"], other: Bool[Tensor, "height wid
     keeps = np.bincount(labels[other.numpy()], minlength=int(labels.max()) + 1) > 0
     keeps[0] = False  # what is not in the mask
     return torch.from_numpy(keeps[labels])
-
-
-def overlap(
-    model: Bool[Tensor, "height width"], picture: Bool[Tensor, "height width"], region: Bool[Tensor, "height width"]
-) -> float:
-    """Intersection over union of two masks within a region; 0 where both are empty."""
-    model, picture = model & region, picture & region
-    union = int((model | picture).sum())
-    return int((model & picture).sum()) / union if union else 0.0
 
 
 def unexplained_px(

@@ -17,9 +17,9 @@ from torch import Tensor
 from torchhand.files import FrameStatus
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics, PoseSpace, named_pose_space, posture
-from torchhand.image import BackgroundPlate
+from torchhand.image import BackgroundPlate, hand_region, intersection_over_union
 from torchhand.numerics import Gaussian, predict_linear
-from torchhand.track.appearance import Agreement, Appearance, hand_region, overlap, relearned, touching, unexplained_px
+from torchhand.track.appearance import Agreement, Appearance, relearned, touching, unexplained_px
 from torchhand.track.contour_points import hand_length_px
 from torchhand.track.estimate import estimate_of, unknown_scale_std
 from torchhand.track.facing import shows_same_side
@@ -293,7 +293,7 @@ class HandTracker(ABC, Generic[Settings]):
         model = projector.silhouette_of(projector.primitives_cam(frames))
         picture = touching(torch.from_numpy(small > 0.5), model)
         return Agreement(
-            overlap=overlap(model, picture, region),
+            overlap=float(intersection_over_union(model, picture, region, empty=0.0)),
             unexplained=unexplained_px(model, picture, region, _FINGER * length_px) / length_px**2,
         )
 

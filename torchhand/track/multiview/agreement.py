@@ -11,7 +11,8 @@ from torch import Tensor
 
 from torchhand.geometry import Camera
 from torchhand.hand import HandFrames, HandKinematics, Primitives, place_primitives
-from torchhand.track.appearance import hand_region, overlap, touching
+from torchhand.image import hand_region, intersection_over_union
+from torchhand.track.appearance import touching
 from torchhand.track.multiview.silhouettes import Masks
 from torchhand.view import HandProjector
 from torchhand.view.generators import generators
@@ -79,7 +80,7 @@ class ViewAgreement:
             mask.cpu().numpy().view(np.uint8) * 255, (camera.width, camera.height), interpolation=cv2.INTER_AREA
         )
         picture = touching(torch.from_numpy(pixels > 127), model)
-        return overlap(model, picture, self._region(camera, keypoints, model))
+        return float(intersection_over_union(model, picture, self._region(camera, keypoints, model), empty=0.0))
 
     def _region(self, camera: Camera, keypoints: Tensor, model: Tensor) -> Bool[Tensor, "height width"]:
         in_cam = camera.cam_from_world(keypoints[[0, 9]])
