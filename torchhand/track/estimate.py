@@ -8,14 +8,13 @@ from torch import Tensor
 
 from torchhand.files import FrameStatus
 from torchhand.geometry import Camera, rotation_from_vector, vector_from_rotation
-from torchhand.hand import HandKinematics, PoseSpace, ShapeSpace
+from torchhand.hand import HandKinematics, PoseJacobian, PoseSpace, ShapeSpace
 from torchhand.track.appearance import Agreement
 from torchhand.track.limits import clamp_to_limits
 from torchhand.track.state import Estimate, TrackerState
 
 _JOINT_CENTRE_STD = 0.004
 """Metres: two hand models place their joint centres a few millimetres apart under the same skin."""
-_STEP = 1e-5  # of the numerical derivative, metres and radians
 
 
 def estimate_of(
@@ -26,6 +25,7 @@ def estimate_of(
     camera: Camera,
     shape: Float[Tensor, "shape"],
     *,
+    jacobian: PoseJacobian,
     scale_std: float,
     agreement: Agreement,
     found: float,
@@ -33,10 +33,11 @@ def estimate_of(
 ) -> Estimate:
     """The estimate of a frame in which the hand is followed.
 
+    jacobian: of those kinematics in all 36 DOFs.
     scale_std: standard deviation of the hand's size and distance in common, as a share, which no picture of one camera
     tells (`unknown_scale_std`).
     """
-    posed = posed_belief(state, kinematics, space, shape)
+    posed = posed_belief(state, kinematics, space, shape, jacobian=jacobian)
     return Estimate(
         status=status,
         pose=posed.pose,
@@ -68,9 +69,17 @@ class PosedBelief:
 
 
 def posed_belief(
-    state: TrackerState, kinematics: HandKinematics, space: PoseSpace, shape: Float[Tensor, "shape"]
+    state: TrackerState,
+    kinematics: HandKinematics,
+    space: PoseSpace,
+    shape: Float[Tensor, "shape"],
+    *,
+    jacobian: PoseJacobian,
 ) -> PosedBelief:
-    """Pose and keypoints of a tracker's state with their covariances, first order."""
+    """Pose and keypoints of a tracker's state with their covariances, first order.
+
+    jacobian: of those kinematics in all 36 DOFs.
+    """
     count = space.size
     space = space.about(state.base)
     covariance = state.belief.covariance[:count, :count]
@@ -78,17 +87,16 @@ def posed_belief(
     pose = clamp_to_limits(space.dof(mean), kinematics.skeleton)
     moving = pose == space.dof(mean)  # a tied angle may have stopped at its limit
     basis = moving[:, None] * space.basis
-    shifted = torch.cat((pose[None], pose + _STEP * basis.T))
-    keypoints = kinematics(shifted, shape, root_reference=state.reference).keypoints
-    jacobian = (keypoints[1:] - keypoints[0]).permute(1, 2, 0) / _STEP  # 21 3 free
+    frames = kinematics(pose, shape, root_reference=state.reference)
+    columns = jacobian(pose, frames) @ basis  # 21 3 free
     rotation = rotation_from_vector(pose[3:6]) @ state.reference
     eye = torch.eye(3, dtype=pose.dtype)
     return PosedBelief(
         pose=torch.cat((pose[:3], vector_from_rotation(rotation), pose[6:])),
         pose_std=(basis @ covariance @ basis.T).diagonal().clamp_min(0).sqrt(),
         root_rotation=rotation,
-        keypoints=keypoints[0],
-        keypoints_cov=jacobian @ covariance @ jacobian.mT + _JOINT_CENTRE_STD**2 * eye,
+        keypoints=frames.keypoints,
+        keypoints_cov=columns @ covariance @ columns.mT + _JOINT_CENTRE_STD**2 * eye,
     )
 
 

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchhand.files import FrameStatus
 from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics, PoseSpace, named_pose_space, posture
+from torchhand.hand import HandKinematics, PoseJacobian, PoseSpace, named_pose_space, posture
 from torchhand.image import BackgroundPlate, hand_region, intersection_over_union
 from torchhand.numerics import Gaussian, predict_linear
 from torchhand.track.appearance import Agreement, Appearance, relearned, touching, unexplained_px
@@ -89,6 +89,7 @@ class HandTracker(ABC, Generic[Settings]):
         s = self.settings
         self.table = outline_table(s.points_per_generator, s.points_per_arc, without=("palm_wrist",))
         self._rebased = Rebasing(space=self.space, skeleton=self.kinematics.skeleton)
+        self._pose_jacobian = PoseJacobian(self.kinematics)
         self._kinds: list[Kind] = [kind_of(name) for name in self.space.free_names]
         self._dt_s = 1.0 / frames_per_second
         noise = {"translation": s.noise.translation, "rotation": s.noise.rotation, "angle": s.noise.angle}
@@ -305,6 +306,7 @@ class HandTracker(ABC, Generic[Settings]):
             self.space,
             self.camera,
             shape,
+            jacobian=self._pose_jacobian,
             scale_std=self._scale_std,
             agreement=agreement,
             found=measured.found,

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchhand.files import FrameStatus
 from torchhand.geometry import Camera, vector_from_rotation
-from torchhand.hand import Hand
+from torchhand.hand import Hand, PoseJacobian
 from torchhand.numerics import Gaussian, predict_linear
 from torchhand.numerics.conditioning import with_marginal
 from torchhand.track.estimate import posed_belief
@@ -117,6 +117,7 @@ class MultiViewTracker:
         self.fits = MomentFitter(hand, cameras, s)
         self.hand, self.space = hand, self.fits.space
         self._rebased = Rebasing(space=self.space, skeleton=hand.kinematics.skeleton)
+        self._pose_jacobian = PoseJacobian(hand.kinematics)
         self._kinds: list[Kind] = [kind_of(name) for name in self.space.free_names]
         noise = {"translation": s.noise.translation, "rotation": s.noise.rotation, "angle": s.noise.angle}
         density = torch.tensor([noise[kind] ** 2 for kind in self._kinds], dtype=torch.float64)
@@ -352,7 +353,7 @@ class MultiViewTracker:
     def _estimate(
         self, status: FrameStatus, state: TrackerState, placed: Placed, memory: MultiViewMemory
     ) -> MultiViewEstimate:
-        posed = posed_belief(state, self.hand.kinematics, self.space, memory.shape)
+        posed = posed_belief(state, self.hand.kinematics, self.space, memory.shape, jacobian=self._pose_jacobian)
         return MultiViewEstimate(
             status=status,
             pose=posed.pose,
