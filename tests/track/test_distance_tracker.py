@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchhand.cli.request import settings_of
 from torchhand.errors import InputError
+from torchhand.files import load_hand_model
 from torchhand.hand import DOFS
 from torchhand.track.contour_tracker import ContourTracker
 from torchhand.track.distance_settings import DistanceTrackerSettings
@@ -157,6 +158,34 @@ def test_limits_hold_at_every_frame_for_tied_angles_too(studio: Any) -> None:
         assert estimate.status == "tracked"
         joints = estimate.pose[6:]
         assert bool((joints >= skeleton.lower - 1e-12).all() & (joints <= skeleton.upper + 1e-12).all())
+
+
+def test_the_skin_that_is_registered_is_that_of_the_hand_given(studio: Any) -> None:
+    """A model whose skin is a tenth larger about its own bones has contours a tenth wider, and is followed by them."""
+    placed, settings = studio.placed(size=0.7), replace(FULL, surface="mesh")
+    model = load_hand_model()
+    assert model.mesh is not None
+    middle = model.mesh.vertices.mean(0)
+    larger = replace(model, mesh=replace(model.mesh, vertices=middle + 1.1 * (model.mesh.vertices - middle)))
+    widths = []
+    for own, dtype in ((model, torch.float64), (larger, torch.float64), (model, torch.float32)):
+        hand = own.hand(side=placed.kinematics.side, dtype=dtype)
+        tracker = DistanceTracker(hand, placed.camera, 30.0, settings, shape=placed.shape)
+        look = tracker._contours_of(placed.shape).look(placed.pose[None], placed.root_reference[None], beyond_px=2.0)
+        points = look.points_px[0, (look.outer | look.inner)[0]]
+        widths.append(float((points.amax(0) - points.amin(0)).norm()))
+    assert widths[1] == pytest.approx(1.1 * widths[0], rel=0.01)
+    assert widths[2] == pytest.approx(widths[0], rel=1e-5)
+    with pytest.raises(ValueError, match="surface: 'mesh' needs a Hand, whose skin is registered, got HandKinematics"):
+        DistanceTracker(placed.kinematics, placed.camera, 30.0, settings)
+
+
+def test_a_hand_and_its_bones_alone_are_followed_alike(film: Any, followed: Any) -> None:
+    hand = load_hand_model().hand(dtype=torch.float64)
+    assert film.kinematics.side == hand.side
+    *_, estimates = _run(DistanceTracker(hand, film.camera, 30.0, ABDUCTION), film.images[:3])
+    for one, other in zip(estimates, followed[-1], strict=False):
+        _assert_equal(one, other)
 
 
 def test_the_configuration_chooses_the_tracker(film: Any) -> None:

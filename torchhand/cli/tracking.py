@@ -53,11 +53,10 @@ class _Run:
 
     def __init__(self, source: str | Path, camera: Camera, frames_per_second: float, request: Request) -> None:
         self.source, self.request = source, request
-        kinematics = load_hand_model().kinematics(request.side, dtype=torch.float64)
-        hand = request.hand
-        shape = None if hand is None else torch.tensor(list(hand.values.values()), dtype=torch.float64)
+        fitted = request.hand
+        shape = None if fitted is None else torch.tensor(list(fitted.values.values()), dtype=torch.float64)
         self.tracker = tracker_of(
-            kinematics,
+            load_hand_model().hand(side=request.side, dtype=torch.float64),
             camera,
             frames_per_second,
             request.settings,

@@ -6,7 +6,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics
+from torchhand.hand import Hand, HandKinematics
 from torchhand.image import BackgroundPlate
 from torchhand.numerics import Gaussian
 from torchhand.track.appearance import grey
@@ -28,7 +28,7 @@ class ContourTracker(HandTracker[ContourTrackerSettings]):
 
     def __init__(
         self,
-        kinematics: HandKinematics,
+        hand: Hand | HandKinematics,
         camera: Camera,
         frames_per_second: float,
         settings: ContourTrackerSettings | None = None,
@@ -39,7 +39,7 @@ class ContourTracker(HandTracker[ContourTrackerSettings]):
     ) -> None:
         """As `HandTracker`."""
         s = settings or ContourTrackerSettings()
-        super().__init__(kinematics, camera, frames_per_second, s, shape=shape, start_points=start_points, plate=plate)
+        super().__init__(hand, camera, frames_per_second, s, shape=shape, start_points=start_points, plate=plate)
         self._measurement = ContourMeasurement(
             settings=s,
             camera=self.camera,

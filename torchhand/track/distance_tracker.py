@@ -11,9 +11,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.files import load_hand_model
 from torchhand.geometry import Camera, vector_from_rotation
-from torchhand.hand import HandKinematics, HandPrior, PoseConstraints
+from torchhand.hand import Hand, HandKinematics, HandPrior, PoseConstraints
 from torchhand.image import BackgroundPlate, clean, fill_holes, largest_component
 from torchhand.image.distance_fields import channel_of
 from torchhand.numerics import (
@@ -50,7 +49,7 @@ class DistanceTracker(HandTracker[DistanceTrackerSettings]):
 
     def __init__(
         self,
-        kinematics: HandKinematics,
+        hand: Hand | HandKinematics,
         camera: Camera,
         frames_per_second: float,
         settings: DistanceTrackerSettings | None = None,
@@ -59,9 +58,11 @@ class DistanceTracker(HandTracker[DistanceTrackerSettings]):
         start_points: StartPoints | None = None,
         plate: BackgroundPlate | None = None,
     ) -> None:
-        """As `HandTracker`."""
+        """As `HandTracker`. Raises ValueError too where the skin is to be registered and `hand` has none."""
         s = settings or DistanceTrackerSettings()
-        super().__init__(kinematics, camera, frames_per_second, s, shape=shape, start_points=start_points, plate=plate)
+        if s.surface == "mesh" and not isinstance(hand, Hand):
+            raise ValueError("surface: 'mesh' needs a Hand, whose skin is registered, got HandKinematics")
+        super().__init__(hand, camera, frames_per_second, s, shape=shape, start_points=start_points, plate=plate)
         skeleton = self.kinematics.skeleton
         self._constraints = PoseConstraints(skeleton)
         self._prior = PostureResiduals.of(HandPrior(skeleton, self.kinematics.shape_space).postures)
@@ -113,9 +114,8 @@ class DistanceTracker(HandTracker[DistanceTrackerSettings]):
 
     def _contours_of(self, shape: Tensor) -> Contours:
         if self._contours is None or self._contours.shape is not shape:
-            if self.settings.surface == "mesh":
-                hand = load_hand_model().hand(side=self.kinematics.side, dtype=torch.float64)
-                self._contours = MeshContours(hand, self.camera, self.space.basis, shape)
+            if self.settings.surface == "mesh" and self.hand is not None:
+                self._contours = MeshContours(self.hand, self.camera, self.space.basis, shape)
             else:
                 self._contours = PrimitiveContours(self._projectors_of(shape)[0], self.table, self.space.basis)
         return self._contours

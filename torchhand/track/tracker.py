@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchhand.files import FrameStatus
 from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics, PoseJacobian, PoseSpace, named_pose_space, posture
+from torchhand.hand import Hand, HandKinematics, PoseJacobian, PoseSpace, named_pose_space, posture
 from torchhand.image import BackgroundPlate, hand_region, intersection_over_union
 from torchhand.numerics import Gaussian, predict_linear
 from torchhand.track.appearance import Agreement, Appearance, relearned, touching, unexplained_px
@@ -58,7 +58,7 @@ class HandTracker(ABC, Generic[Settings]):
 
     def __init__(
         self,
-        kinematics: HandKinematics,
+        hand: Hand | HandKinematics,
         camera: Camera,
         frames_per_second: float,
         settings: Settings,
@@ -67,7 +67,8 @@ class HandTracker(ABC, Generic[Settings]):
         start_points: StartPoints | None = None,
         plate: BackgroundPlate | None = None,
     ) -> None:
-        """shape: proportions where they are known; else they are fitted to the first picture with a hand.
+        """hand: with its skin, or its bones and primitives alone where no setting asks for the skin.
+        shape: proportions where they are known; else they are fitted to the first picture with a hand.
 
         start_points: where the hand is in the first picture, given by the user, in place of a search.
         plate: the empty scene, for the silhouette method "background".
@@ -76,8 +77,11 @@ class HandTracker(ABC, Generic[Settings]):
         if not (math.isfinite(frames_per_second) and frames_per_second > 0):
             raise ValueError(f"frames_per_second: expected a finite number above 0, got {frames_per_second!r}")
         self.settings: Settings = settings
-        is_exact = kinematics.default_shape.dtype == torch.float64
-        self.kinematics = kinematics if is_exact else copy.deepcopy(kinematics).double()  # the caller's stays as it is
+        kinematics = hand.kinematics if isinstance(hand, Hand) else hand
+        if kinematics.default_shape.dtype != torch.float64:
+            hand = copy.deepcopy(hand).double()  # the caller's stays as it is
+        self.hand: Hand | None = hand if isinstance(hand, Hand) else None
+        self.kinematics: HandKinematics = hand.kinematics if isinstance(hand, Hand) else hand
         eye, zero = torch.eye(3, dtype=torch.float64), torch.zeros(3, dtype=torch.float64)
         self.camera = replace(camera.to(dtype=torch.float64), rotation=eye, translation=zero)
         self.start_points = start_points

@@ -4,7 +4,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics
+from torchhand.hand import Hand, HandKinematics
 from torchhand.image import BackgroundPlate
 from torchhand.track.contour_tracker import ContourTracker
 from torchhand.track.distance_settings import DistanceTrackerSettings
@@ -22,7 +22,7 @@ DEFAULTS: dict[str, AnySettings] = {
 
 
 def tracker_of(
-    kinematics: HandKinematics,
+    hand: Hand | HandKinematics,
     camera: Camera,
     frames_per_second: float,
     settings: AnySettings,
@@ -32,7 +32,7 @@ def tracker_of(
     plate: BackgroundPlate | None = None,
 ) -> AnyTracker:
     """The tracker that some settings are for; arguments and errors as `HandTracker`."""
-    given = (kinematics, camera, frames_per_second)
+    given = (hand, camera, frames_per_second)
     if isinstance(settings, DistanceTrackerSettings):
         return DistanceTracker(*given, settings, shape=shape, start_points=start_points, plate=plate)
     return ContourTracker(*given, settings, shape=shape, start_points=start_points, plate=plate)
