@@ -12,7 +12,6 @@ from torchhand.track.appearance import (
     grey,
     learn_appearance,
     mask_plane,
-    touching,
 )
 
 
@@ -71,17 +70,3 @@ def test_a_disc() -> None:
     drawn = disc((20, 30), torch.tensor((12.5, 7.0)), 4.0)
     expected = [[math.hypot(x - 12.5, y - 7.0) < 4.0 for x in range(30)] for y in range(20)]
     assert drawn.tolist() == expected
-
-
-def test_pieces_apart_from_the_model_do_not_count() -> None:
-    model, picture = torch.zeros(20, 30, dtype=torch.bool), torch.zeros(20, 30, dtype=torch.bool)
-    model[5:15, 5:12] = True
-    picture[4:14, 6:13] = True  # the hand
-    picture[14, 13] = True  # joined by a corner
-    picture[2:6, 20:26] = True  # clutter
-    kept = touching(picture, model)
-    expected = picture.clone()
-    expected[2:6, 20:26] = False
-    assert torch.equal(kept, expected)
-    assert not bool(touching(picture, torch.zeros_like(model)).any())
-    assert not bool(touching(torch.zeros_like(model), model).any())

@@ -16,6 +16,7 @@ from torchhand.image.finger_order import DIGITS
 from torchhand.image.finger_profile import FingerProfile, finger_profile
 from torchhand.image.fingers import FingerPiece, FingerSearch, FingerSettings, find_fingers, opened_by_disc
 from torchhand.image.moments import mask_moments
+from torchhand.image.morphology import gaussian_blur
 
 PALM_LABEL, FOREARM_LABEL = 6, 7
 _LEAST_AREA_PX = 400  # fewer pixels show no fingers
@@ -109,7 +110,7 @@ def _divided(mask: Tensor, search: FingerSearch) -> HandRegions | NoRegions:
     order = search.order
     assert order is not None
     pixels = mask.numpy().astype(np.uint8)
-    plane = cv2.GaussianBlur(pixels.astype(np.float32), (0, 0), 1.0)
+    plane = gaussian_blur(mask.float(), 1.0).numpy()
     pieces = [search.pieces[order.fingers[name]] for name in DIGITS]
     cut = [name for name, piece in zip(DIGITS, pieces, strict=True) if _is_cut(pixels, piece)]
     if cut:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchhand.geometry import Camera, vector_from_rotation
 from torchhand.hand import Hand, HandKinematics, HandPrior, PoseConstraints
-from torchhand.image import BackgroundPlate, clean, fill_holes, largest_component
+from torchhand.image import BackgroundPlate, clean, fill_holes, largest_component, touching
 from torchhand.image.distance_fields import channel_of
 from torchhand.numerics import (
     Gaussian,
@@ -25,7 +25,6 @@ from torchhand.numerics import (
     wrapped,
 )
 from torchhand.residuals import PostureResiduals
-from torchhand.track.appearance import touching
 from torchhand.track.contour_points import hand_length_px, is_in_picture
 from torchhand.track.distance_search import FrameSearch
 from torchhand.track.distance_settings import DistanceTrackerSettings

@@ -8,8 +8,6 @@ hand like the model's let faint changes of taper tell where the joints are.
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import cv2
-import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -17,7 +15,15 @@ from torch import Tensor
 from torchhand.geometry import Camera
 from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, HandKinematics
 from torchhand.hand.skeleton import FINGERS
-from torchhand.image import EdgeSettings, sample_bilinear, search_edges
+from torchhand.image import (
+    EdgeSettings,
+    depth_map,
+    distance_map,
+    gaussian_blur,
+    gradient,
+    sample_bilinear,
+    search_edges,
+)
 from torchhand.numerics.least_squares import NormalEquations
 from torchhand.track.contour_points import hand_length_px, is_outer
 from torchhand.track.open_hand_problem import OpenHandProblem
@@ -147,11 +153,9 @@ class Outline:
 
 def _depth(plane: Float[Tensor, "height width"]) -> tuple[Tensor, Tensor]:
     """How deep every pixel lies in the silhouette, px, negative outside, and its gradient."""
-    inside = (plane.numpy() >= 0.5).astype(np.uint8)
-    within, without = (cv2.distanceTransform(m, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) for m in (inside, 1 - inside))
-    depth = np.where(inside > 0, within - 0.5, 0.5 - without).astype(np.float32)
-    slope = np.stack((cv2.Sobel(depth, cv2.CV_32F, 1, 0), cv2.Sobel(depth, cv2.CV_32F, 0, 1)))
-    return torch.from_numpy(depth)[None], torch.from_numpy(slope)
+    inside = plane >= 0.5
+    depth = torch.where(inside, depth_map(inside) - 0.5, 0.5 - distance_map(inside))
+    return depth[None], gradient(depth)
 
 
 def _unit(vector: Float[Tensor, "points 2"]) -> Float[Tensor, "points 2"]:
@@ -160,8 +164,7 @@ def _unit(vector: Float[Tensor, "points 2"]) -> Float[Tensor, "points 2"]:
 
 def _slopes(plane: Float[Tensor, "height width"]) -> Float[Tensor, "2 height width"]:
     """Outward direction of the silhouette's edge, not of unit length, some pixels to both sides of it."""
-    soft = cv2.GaussianBlur(plane.numpy(), (0, 0), _EDGE_BLUR_PX)
-    return -torch.from_numpy(np.stack((cv2.Sobel(soft, cv2.CV_32F, 1, 0), cv2.Sobel(soft, cv2.CV_32F, 0, 1))))
+    return -gradient(gaussian_blur(plane, _EDGE_BLUR_PX))
 
 
 def _faces(

@@ -9,7 +9,6 @@ from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
-import cv2
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
@@ -17,9 +16,9 @@ from torch import Tensor
 from torchhand.files import FrameStatus
 from torchhand.geometry import Camera
 from torchhand.hand import Hand, HandKinematics, PoseJacobian, PoseSpace, named_pose_space, posture
-from torchhand.image import BackgroundPlate, hand_region, intersection_over_union
+from torchhand.image import BackgroundPlate, hand_region, intersection_over_union, reduced, touching
 from torchhand.numerics import Gaussian, predict_linear
-from torchhand.track.appearance import Agreement, Appearance, relearned, touching, unexplained_px
+from torchhand.track.appearance import Agreement, Appearance, relearned, unexplained_px
 from torchhand.track.contour_points import hand_length_px
 from torchhand.track.estimate import estimate_of, unknown_scale_std
 from torchhand.track.facing import shows_same_side
@@ -290,13 +289,13 @@ class HandTracker(ABC, Generic[Settings]):
         """Comparison with the picture's silhouette, in the reduced picture; pieces apart from the hand do not count."""
         camera, (_, projector) = self._check_camera, self._projectors_of(shape)
         pose = self._rebased.pose(state)
-        small = cv2.resize(probability.numpy(), (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+        small = reduced(probability, camera.height, camera.width)
         frames = projector.frames(pose, state.reference)
         keypoints = camera.project(frames.keypoints)
         length_px = hand_length_px(camera, self.kinematics, pose, shape)
         region = hand_region((camera.height, camera.width), keypoints[0], keypoints[9], _REACH * length_px)
         model = projector.silhouette_of(projector.primitives_cam(frames))
-        picture = touching(torch.from_numpy(small > 0.5), model)
+        picture = touching(small > 0.5, model)
         return Agreement(
             overlap=float(intersection_over_union(model, picture, region, empty=0.0)),
             unexplained=unexplained_px(model, picture, region, _FINGER * length_px) / length_px**2,

@@ -3,16 +3,13 @@
 import math
 from collections.abc import Sequence
 
-import cv2
-import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.geometry import Camera
 from torchhand.hand import HandFrames, HandKinematics, Primitives, place_primitives
-from torchhand.image import hand_region, intersection_over_union
-from torchhand.track.appearance import touching
+from torchhand.image import dilate, disc_kernel, hand_region, intersection_over_union, reduced_mask, touching
 from torchhand.track.multiview.silhouettes import Masks
 from torchhand.view import HandProjector
 from torchhand.view.generators import generators
@@ -76,10 +73,7 @@ class ViewAgreement:
             return math.nan
         camera = projector.camera
         model = projector.silhouette_of(*seen)
-        pixels = cv2.resize(
-            mask.cpu().numpy().view(np.uint8) * 255, (camera.width, camera.height), interpolation=cv2.INTER_AREA
-        )
-        picture = touching(torch.from_numpy(pixels > 127), model)
+        picture = touching(reduced_mask(mask.to(model.device), camera.height, camera.width), model)
         return float(intersection_over_union(model, picture, self._region(camera, keypoints, model), empty=0.0))
 
     def _region(self, camera: Camera, keypoints: Tensor, model: Tensor) -> Bool[Tensor, "height width"]:
@@ -90,9 +84,7 @@ class ViewAgreement:
         length_px = self._length * focal / (max(depth, 1e-3) if camera.kind == "pinhole" else 1.0)
         if float((knuckle - wrist).norm()) > _STEEP * length_px:
             return hand_region((camera.height, camera.width), wrist, knuckle, _REACH * length_px)
-        size = 2 * max(1, round(min(_RING * length_px, camera.width))) + 1
-        kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-        return torch.from_numpy(cv2.dilate(model.numpy().view(np.uint8), kernel) > 0)
+        return dilate(model, disc_kernel(max(1, round(min(_RING * length_px, camera.width)))))
 
 
 def score_of(overlap: float, covered_share: float) -> float:
