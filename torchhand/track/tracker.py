@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.files.results import Status
+from torchhand.files import FrameStatus
 from torchhand.fit.detect import StartPoints
 from torchhand.geometry import Camera
 from torchhand.hand import Hand, HandPose
@@ -294,7 +294,7 @@ class Tracker:
         if best is not None and not is_new and predicted is not None:
             kept = best.hand if best.if_failing is None else best.if_failing
             hand = None if self._parts.health.is_gone(best) else replace(kept, failures=predicted.failures)
-        status: Status = "lost" if state.has_started and search.has_foreground else "no_hand"
+        status: FrameStatus = "lost" if state.has_started and search.has_foreground else "no_hand"
         reason = search.reason
         if best is not None and not is_new:
             share = f"edges on {best.edges:.0%}, overlap {best.overlap:.2f}"
@@ -307,11 +307,11 @@ class Tracker:
             return None
         return replace(hand, failures=hand.failures + 1)
 
-    def _nothing(self, state: TrackerState, status: Status, reason: str) -> Estimate:
+    def _nothing(self, state: TrackerState, status: FrameStatus, reason: str) -> Estimate:
         assert state.time_s is not None
         return Estimate(status=status, time_s=state.time_s, reason=reason)
 
-    def _estimate(self, status: Status, found: Candidate, state: TrackerState, time_s: float) -> Estimate:
+    def _estimate(self, status: FrameStatus, found: Candidate, state: TrackerState, time_s: float) -> Estimate:
         assert state.shape is not None
         posed = posed_belief(found.hand, self._parts.motion, self.kinematics, state.shape)
         inside = found.inside
