@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from torchhand.files import load_hand_model
 from torchhand.geometry import rotation_from_vector
@@ -120,6 +121,30 @@ def test_the_same_pictures_give_the_same_numbers(film: Any, followed: Any) -> No
     tracker = ContourTracker(film.kinematics, film.camera, 30.0)
     for one, other in zip(_run(tracker, film.images[:5])[2], followed[2][:5], strict=True):
         _assert_equal(one, other)
+
+
+class _Threads(TorchDispatchMode):
+    """Records with how many threads every operation computes."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen: set[int] = set()
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        self.seen.add(torch.get_num_threads())
+        return func(*args, **(kwargs or {}))
+
+
+def test_every_operation_of_a_step_has_one_thread(film: Any, followed: Any) -> None:
+    tracker, memory, _, states = followed
+    before = torch.get_num_threads()
+    torch.set_num_threads(3)
+    with torch.no_grad(), _Threads() as threads:
+        tracker.step(states[0], memory, film.images[1])
+    after = torch.get_num_threads()
+    torch.set_num_threads(before)
+    assert threads.seen == {1}
+    assert after == 3
 
 
 def test_a_float32_hand_is_not_changed(film: Any, followed: Any) -> None:

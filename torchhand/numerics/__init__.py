@@ -23,6 +23,7 @@ from torchhand.numerics.motion import MotionModel
 from torchhand.numerics.polytope import Polytope, polytope
 from torchhand.numerics.robust import RobustLoss
 from torchhand.numerics.sigma import SigmaPoints, UnscentedSettings, sigma_points
+from torchhand.numerics.single_thread import single_threaded
 from torchhand.numerics.truncated_normal import (
     log_ndtr,
     log_normal_mass,
@@ -74,6 +75,7 @@ __all__ = [
     "residual_variance",
     "robust_cholesky",
     "sigma_points",
+    "single_threaded",
     "truncated_normal_log_prob",
     "truncated_normal_quantile",
     "update",

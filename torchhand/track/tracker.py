@@ -17,7 +17,7 @@ from torch import Tensor
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics, PoseSpace, named_pose_space, posture
 from torchhand.image import BackgroundPlate
-from torchhand.numerics import Gaussian, predict_linear
+from torchhand.numerics import Gaussian, predict_linear, single_threaded
 from torchhand.track.appearance import Agreement, Appearance, hand_region, overlap, relearned, touching, unexplained_px
 from torchhand.track.contour_points import hand_length_px
 from torchhand.track.estimate import estimate_of, unknown_scale_std
@@ -100,6 +100,7 @@ class HandTracker(ABC, Generic[Settings]):
         )
         self._projectors: tuple[HandProjector, HandProjector] | None = None
 
+    @single_threaded()
     def step(
         self, state: TrackerState | None, memory: Memory, image: UInt8[Tensor, "height width 3"]
     ) -> tuple[TrackerState | None, Memory, Estimate]:

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchhand.geometry import Camera, vector_from_rotation
 from torchhand.hand import Hand
-from torchhand.numerics import Gaussian, predict_linear
+from torchhand.numerics import Gaussian, predict_linear, single_threaded
 from torchhand.numerics.conditioning import with_marginal
 from torchhand.track.estimate import posed_belief
 from torchhand.track.hull_fit import HullFit
@@ -127,6 +127,7 @@ class MultiViewTracker:
 
     # ------------------------------------------------------------------ a moment
 
+    @single_threaded()
     def step(
         self,
         state: TrackerState | None,
