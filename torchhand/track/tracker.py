@@ -16,6 +16,7 @@ from torchhand.fit.detect import StartPoints
 from torchhand.geometry import Camera
 from torchhand.hand import Hand, HandPose
 from torchhand.image import BackgroundPlate
+from torchhand.numerics import single_threaded
 from torchhand.track.assembly import Assembly, assembled
 from torchhand.track.belief import FollowedHand, posed_belief, scale_covariance, unknown_scale_std
 from torchhand.track.knowledge import Estimate, TrackerState
@@ -44,7 +45,8 @@ class Tracker:
     """Follows one hand of a known side. Poses are in the world of the cameras, which is the camera's frame of one
     camera.
 
-    Computes in float64 on the CPU. The same views give the same numbers bit for bit.
+    Computes in float64 on the CPU, on the calling thread alone (`single_threaded`): several trackers may run in several
+    threads. The same views give the same numbers bit for bit.
     """
 
     def __init__(
@@ -77,6 +79,7 @@ class Tracker:
     # ------------------------------------------------------------------ a frame
 
     @torch.inference_mode()
+    @single_threaded()
     def step(self, state: TrackerState | None, views: Sequence[View], time_s: float) -> tuple[TrackerState, Estimate]:
         """The next state and the estimate of this time.
 
@@ -110,6 +113,7 @@ class Tracker:
         return self._adopted(state, search, predicted, scene)
 
     @torch.inference_mode()
+    @single_threaded()
     def follow(
         self, state: TrackerState, hand: FollowedHand, scene: Scene, dt_s: float
     ) -> tuple[FollowedHand, Estimate] | None:
@@ -134,6 +138,7 @@ class Tracker:
         return overlap >= self.settings.health.found_overlap and edges >= _SURE_EDGES
 
     @torch.inference_mode()
+    @single_threaded()
     def scene(self, state: TrackerState, views: Sequence[View], time_s: float) -> Scene:
         """What `step` sees in the views of one time."""
         own = [self._undistorted(view, index) for index, view in enumerate(views)]

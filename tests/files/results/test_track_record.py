@@ -13,7 +13,6 @@ from torchhand.files.results.results import TrackWriter
 from torchhand.files.results.track_file import load_track
 from torchhand.files.results.track_record import STATUSES, FrameRecord, FrameStatus, TrackHeader, track_of
 from torchhand.track import Estimate
-from torchhand.track.multiview import MultiViewEstimate
 
 HEADER = TrackHeader(dof_names=("a", "b"), source="wave.mp4", side="right", camera={})
 
@@ -59,8 +58,8 @@ def test_a_measure_cannot_take_the_name_of_a_field(name: str) -> None:
 
 
 def test_a_tracker_says_what_a_record_takes() -> None:
-    """One definition: the statuses of an estimate, of a moment of several cameras, of a record and of the report."""
-    for result in (Estimate, MultiViewEstimate, FrameRecord):
+    """One definition: the statuses of an estimate and of a record."""
+    for result in (Estimate, FrameRecord):
         assert get_type_hints(result)["status"] is FrameStatus
     for status in get_args(FrameStatus):
         assert replace(_record(0), status=status).status == status
