@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from torchhand.errors import InputError
-from torchhand.evaluate.silhouettes import intersection_over_union
 from torchhand.evaluate.tracked_silhouettes import tracked_projector, tracked_silhouettes
 from torchhand.files import Track, camera_entry, load_hand_model, save_hand
 from torchhand.geometry import Camera, assumed_camera, rotation_from_vector
 from torchhand.hand import DOFS, place_primitives, posture, primitive_sizes
+from torchhand.image import intersection_over_union
 from torchhand.view import raycast
 
 FRAMES = (4, 6, 7)
@@ -80,7 +80,7 @@ def test_they_are_the_ray_casts_by_frame_number(side: str, camera: Camera, hand_
         assert drawn is not None
         true = cast(pose, side)
         assert true.sum() > 500
-        assert intersection_over_union(drawn, true) > 0.96
+        assert float(intersection_over_union(torch.from_numpy(drawn), torch.from_numpy(true))) > 0.96
     assert silhouette(5) is None
 
 

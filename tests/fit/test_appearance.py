@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import torch
 
-from torchhand.fit.appearance import disc, grey, hand_region, learn_appearance, mask_plane, overlap, touching
+from torchhand.fit.appearance import disc, grey, learn_appearance, mask_plane
 from torchhand.simulate import SceneSettings
 
 
@@ -61,46 +61,7 @@ def test_the_plane_of_a_mask_crosses_a_half_on_its_outline() -> None:
     assert float(plane[15, 25]) > 0.999
 
 
-def test_the_region_ends_at_the_wrist_and_at_its_reach() -> None:
-    wrist, knuckle = torch.tensor((30.0, 40.0)), torch.tensor((50.0, 25.0))
-    region = hand_region((80, 100), wrist, knuckle, 33.0)
-    for y in range(80):
-        for x in range(100):
-            along = (x - 30.0) * 20.0 + (y - 40.0) * -15.0
-            expected = along > 0 and math.hypot(x - 30.0, y - 40.0) < 33.0
-            if abs(along) > 1e-6:
-                assert bool(region[y, x]) == expected, (x, y)
-
-
 def test_a_disc() -> None:
     drawn = disc((20, 30), torch.tensor((12.5, 7.0)), 4.0)
     expected = [[math.hypot(x - 12.5, y - 7.0) < 4.0 for x in range(30)] for y in range(20)]
     assert drawn.tolist() == expected
-
-
-def test_overlap_is_intersection_over_union_within_the_region() -> None:
-    one, other = torch.zeros(10, 20, dtype=torch.bool), torch.zeros(10, 20, dtype=torch.bool)
-    one[2:8, 2:10] = True
-    other[2:8, 6:14] = True
-    everywhere = torch.ones_like(one)
-    assert overlap(one, other, everywhere) == 24 / 72
-    left = everywhere.clone()
-    left[:, 10:] = False
-    assert overlap(one, other, left) == 24 / 48
-    nothing = torch.zeros_like(one)
-    assert overlap(one, other, nothing) == 0.0
-    assert overlap(one, one, everywhere) == 1.0
-
-
-def test_pieces_apart_from_the_model_do_not_count() -> None:
-    model, picture = torch.zeros(20, 30, dtype=torch.bool), torch.zeros(20, 30, dtype=torch.bool)
-    model[5:15, 5:12] = True
-    picture[4:14, 6:13] = True  # the hand
-    picture[14, 13] = True  # joined by a corner
-    picture[2:6, 20:26] = True  # clutter
-    kept = touching(picture, model)
-    expected = picture.clone()
-    expected[2:6, 20:26] = False
-    assert torch.equal(kept, expected)
-    assert not bool(touching(picture, torch.zeros_like(model)).any())
-    assert not bool(touching(torch.zeros_like(model), model).any())

@@ -8,7 +8,6 @@ from torchhand.evaluate.nees import Consistency, consistency, normalised_errors_
 from torchhand.evaluate.planar_motion import PlanarMotionErrors, planar_motion_errors
 from torchhand.evaluate.pose_errors import PoseErrors, pose_errors
 from torchhand.evaluate.positions import WRIST, aligned_errors, joint_errors, root_relative_errors
-from torchhand.evaluate.silhouettes import MaskOfFrame, cut_at_wrist, intersection_over_union
 from torchhand.evaluate.timing import (
     PROC,
     THREAD_VARIABLES,
@@ -18,7 +17,7 @@ from torchhand.evaluate.timing import (
     time_interleaved,
     watch_memory,
 )
-from torchhand.evaluate.tracked_silhouettes import tracked_projector, tracked_silhouettes
+from torchhand.evaluate.tracked_silhouettes import MaskOfFrame, tracked_projector, tracked_silhouettes
 from torchhand.evaluate.truth import Truth, load_mask, load_truth, numbered_pictures
 
 __all__ = [
@@ -37,11 +36,9 @@ __all__ = [
     "aligned_errors",
     "consistency",
     "continuity",
-    "cut_at_wrist",
     "evaluate",
     "fit_similarity",
     "flexion_deg",
-    "intersection_over_union",
     "joint_errors",
     "load_mask",
     "load_truth",

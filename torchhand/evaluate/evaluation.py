@@ -4,6 +4,7 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Float
 
 from torchhand.errors import InputError
@@ -19,10 +20,11 @@ from torchhand.evaluate.finite import is_finite_set, max_finite, mean_finite, me
 from torchhand.evaluate.nees import consistency
 from torchhand.evaluate.planar_motion import planar_motion_errors
 from torchhand.evaluate.positions import WRIST, aligned_errors, joint_errors, root_relative_errors
-from torchhand.evaluate.silhouettes import MaskOfFrame, cut_at_wrist, intersection_over_union
+from torchhand.evaluate.tracked_silhouettes import MaskOfFrame
 from torchhand.evaluate.truth import Truth, load_mask
 from torchhand.files import Track
 from torchhand.hand import FINGERS
+from torchhand.image import hand_region, intersection_over_union
 
 MIDDLE_MCP = 9
 GOOD_FRAME_MM = 20.0
@@ -158,10 +160,12 @@ def _silhouettes(track: Track, truth: Truth, predicted_mask: MaskOfFrame) -> Fig
                 f"{truth.mask_files[number]}: expected a mask of {predicted.shape[1]}x{predicted.shape[0]} pixels, "
                 f"got {true.shape[1]}x{true.shape[0]}"
             )
+        region = None
         if truth.keypoints2d is not None:
-            wrist, middle = truth.keypoints2d[number, [WRIST, MIDDLE_MCP]]
-            true, predicted = (cut_at_wrist(mask, wrist, middle) for mask in (true, predicted))
-        overlaps.append(float(intersection_over_union(true, predicted)))
+            wrist, middle = torch.from_numpy(truth.keypoints2d[number, [WRIST, MIDDLE_MCP]])
+            region = hand_region((true.shape[0], true.shape[1]), wrist, middle)
+        overlap = intersection_over_union(torch.from_numpy(true), torch.from_numpy(predicted), region)
+        overlaps.append(float(overlap))
     values = np.asarray(overlaps, dtype=np.float64)
     known = values[np.isfinite(values)]
     return {

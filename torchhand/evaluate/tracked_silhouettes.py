@@ -1,5 +1,6 @@
 """The silhouettes of a tracked hand, drawn from what a result folder holds."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,10 +9,12 @@ import torch
 from jaxtyping import Bool
 
 from torchhand.errors import InputError
-from torchhand.evaluate.silhouettes import MaskOfFrame
 from torchhand.files import Track, camera_of_entry, load_hand, load_hand_model
 from torchhand.hand import DOFS
 from torchhand.view import HandProjector
+
+MaskOfFrame = Callable[[int], Bool[np.ndarray, "height width"] | None]
+"""The hand's silhouette in the frame of a number; None where there is none."""
 
 
 def tracked_projector(track: Track, hand_file: Path) -> HandProjector:

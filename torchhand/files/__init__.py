@@ -16,6 +16,7 @@ from torchhand.files.pictures import (
 )
 from torchhand.files.results import (
     FrameRecord,
+    FrameStatus,
     ResumePoint,
     Track,
     TrackHeader,
@@ -32,6 +33,7 @@ __all__ = [
     "Frame",
     "FrameRecord",
     "FrameSource",
+    "FrameStatus",
     "ResumePoint",
     "RigFrame",
     "RigSource",

@@ -3,13 +3,23 @@ the parts of pictures in which silhouettes are compared."""
 
 from dataclasses import dataclass
 
-import cv2
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from torchhand.image import ColourModel, foreground_probability, learn_colours, relearn_colours
+from torchhand.image import (
+    ColourModel,
+    binomial_blur,
+    disc_kernel,
+    erode,
+    foreground_probability,
+    gaussian_blur,
+    learn_colours,
+    luminance,
+    opened,
+    relearn_colours,
+    touching,
+)
 
 _FEWEST_PX = 50
 
@@ -32,21 +42,17 @@ class Appearance:
 
     def probability(self, image: UInt8[Tensor, "height width 3"]) -> Float[Tensor, "height width"]:
         """Probability that a pixel shows the hand, lightly smoothed."""
-        return _smoothed(foreground_probability(image, self.colours))
-
-
-def _smoothed(plane: Float[Tensor, "height width"]) -> Float[Tensor, "height width"]:
-    return torch.from_numpy(cv2.GaussianBlur(plane.numpy(), (3, 3), 0))
+        return binomial_blur(foreground_probability(image, self.colours))
 
 
 def grey(image: UInt8[Tensor, "height width 3"]) -> Float[Tensor, "height width"]:
-    """Luminance, 0..1."""
-    return torch.from_numpy(cv2.cvtColor(image.numpy(), cv2.COLOR_RGB2GRAY).astype(np.float32) * np.float32(1 / 255))
+    """Luminance, 0..1, rounded to 1/255."""
+    return luminance(image).float() * (1 / 255)
 
 
 def mask_plane(mask: Bool[Tensor, "height width"]) -> Float[Tensor, "height width"]:
     """A mask as a picture to search edges in."""
-    return torch.from_numpy(cv2.GaussianBlur(mask.numpy().astype(np.float32), (0, 0), 1.0))
+    return gaussian_blur(mask.float(), 1.0)
 
 
 def learn_appearance(
@@ -83,24 +89,8 @@ def relearned(
 
 def _without_margin(hand: Tensor, other: Tensor, margin_px: int) -> tuple[Tensor, Tensor] | None:
     """Both masks shrunk; None where one of them is nearly empty."""
-    size = 2 * max(1, margin_px) + 1
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    shrunk = [torch.from_numpy(cv2.erode(mask.numpy().astype(np.uint8), kernel) > 0) for mask in (hand, other)]
+    shrunk = [erode(mask, disc_kernel(max(1, margin_px))) for mask in (hand, other)]
     return None if min(int(mask.sum()) for mask in shrunk) < _FEWEST_PX else (shrunk[0], shrunk[1])
-
-
-def hand_region(
-    shape: tuple[int, int], wrist_px: Float[Tensor, "2"], knuckle_px: Float[Tensor, "2"], reach_px: float
-) -> Bool[Tensor, "height width"]:
-    """Pixels on the fingers' side of the wrist, within `reach_px` of it: where hand and picture can be compared.
-
-    The line through the wrist, perpendicular to the palm's axis, cuts off the forearm.
-    """
-    along = (knuckle_px - wrist_px).numpy()
-    along = along / max(float(np.hypot(*along)), 1e-9)
-    x = np.arange(shape[1])[None] - float(wrist_px[0])
-    y = np.arange(shape[0])[:, None] - float(wrist_px[1])
-    return torch.from_numpy((x * along[0] + y * along[1] > 0) & (x * x + y * y < reach_px**2))
 
 
 def disc(shape: tuple[int, int], centre_px: Float[Tensor, "2"], radius_px: float) -> Bool[Tensor, "height width"]:
@@ -110,24 +100,6 @@ def disc(shape: tuple[int, int], centre_px: Float[Tensor, "2"], radius_px: float
     return x * x + y * y < radius_px**2
 
 
-def touching(mask: Bool[Tensor, "height width"], other: Bool[Tensor, "height width"]) -> Bool[Tensor, "height width"]:
-    """The connected pieces (8 neighbours) of a mask that share a pixel with another mask."""
-    _, labels = cv2.connectedComponents(mask.numpy().view(np.uint8), connectivity=8)
-    labels = np.asarray(labels, np.int32)
-    keeps = np.bincount(labels[other.numpy()], minlength=int(labels.max()) + 1) > 0
-    keeps[0] = False  # what is not in the mask
-    return torch.from_numpy(keeps[labels])
-
-
-def overlap(
-    model: Bool[Tensor, "height width"], picture: Bool[Tensor, "height width"], region: Bool[Tensor, "height width"]
-) -> float:
-    """Intersection over union of two masks within a region; 0 where both are empty."""
-    model, picture = model & region, picture & region
-    union = int((model | picture).sum())
-    return int((model & picture).sum()) / union if union else 0.0
-
-
 def unexplained_px(
     model: Bool[Tensor, "height width"],
     picture: Bool[Tensor, "height width"],
@@ -135,7 +107,4 @@ def unexplained_px(
     radius_px: float,
 ) -> int:
     """Pixels of the picture's hand outside the model, in pieces that a disc fits into: a finger that is not covered."""
-    size = 2 * max(1, round(radius_px)) + 1
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    rest = (picture & region & ~model).numpy().astype(np.uint8)
-    return int(cv2.morphologyEx(rest, cv2.MORPH_OPEN, kernel).sum())
+    return int(opened(picture & region & ~model, disc_kernel(max(1, round(radius_px)))).sum())

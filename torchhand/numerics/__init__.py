@@ -47,6 +47,7 @@ from torchhand.numerics.least_squares import (
 )
 from torchhand.numerics.monotone_cubic import monotone_cubic
 from torchhand.numerics.polytope import Polytope, polytope
+from torchhand.numerics.single_thread import single_threaded
 from torchhand.numerics.truncated_normal import (
     log_ndtr,
     log_normal_mass,
@@ -100,6 +101,7 @@ __all__ = [
     "residual_variance",
     "robust_cholesky",
     "sigma_points",
+    "single_threaded",
     "truncated_normal_log_prob",
     "truncated_normal_quantile",
     "update",

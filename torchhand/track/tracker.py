@@ -11,11 +11,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.files.results import Status
+from torchhand.files import FrameStatus
 from torchhand.fit.detect import StartPoints
 from torchhand.geometry import Camera
 from torchhand.hand import Hand, HandPose
 from torchhand.image import BackgroundPlate
+from torchhand.numerics import single_threaded
 from torchhand.track.assembly import Assembly, assembled
 from torchhand.track.belief import FollowedHand, posed_belief, scale_covariance, unknown_scale_std
 from torchhand.track.knowledge import Estimate, TrackerState
@@ -44,7 +45,8 @@ class Tracker:
     """Follows one hand of a known side. Poses are in the world of the cameras, which is the camera's frame of one
     camera.
 
-    Computes in float64 on the CPU. The same views give the same numbers bit for bit.
+    Computes in float64 on the CPU, on the calling thread alone (`single_threaded`): several trackers may run in several
+    threads. The same views give the same numbers bit for bit.
     """
 
     def __init__(
@@ -77,6 +79,7 @@ class Tracker:
     # ------------------------------------------------------------------ a frame
 
     @torch.inference_mode()
+    @single_threaded()
     def step(self, state: TrackerState | None, views: Sequence[View], time_s: float) -> tuple[TrackerState, Estimate]:
         """The next state and the estimate of this time.
 
@@ -110,6 +113,7 @@ class Tracker:
         return self._adopted(state, search, predicted, scene)
 
     @torch.inference_mode()
+    @single_threaded()
     def follow(
         self, state: TrackerState, hand: FollowedHand, scene: Scene, dt_s: float
     ) -> tuple[FollowedHand, Estimate] | None:
@@ -134,6 +138,7 @@ class Tracker:
         return overlap >= self.settings.health.found_overlap and edges >= _SURE_EDGES
 
     @torch.inference_mode()
+    @single_threaded()
     def scene(self, state: TrackerState, views: Sequence[View], time_s: float) -> Scene:
         """What `step` sees in the views of one time."""
         own = [self._undistorted(view, index) for index, view in enumerate(views)]
@@ -294,7 +299,7 @@ class Tracker:
         if best is not None and not is_new and predicted is not None:
             kept = best.hand if best.if_failing is None else best.if_failing
             hand = None if self._parts.health.is_gone(best) else replace(kept, failures=predicted.failures)
-        status: Status = "lost" if state.has_started and search.has_foreground else "no_hand"
+        status: FrameStatus = "lost" if state.has_started and search.has_foreground else "no_hand"
         reason = search.reason
         if best is not None and not is_new:
             share = f"edges on {best.edges:.0%}, overlap {best.overlap:.2f}"
@@ -307,11 +312,11 @@ class Tracker:
             return None
         return replace(hand, failures=hand.failures + 1)
 
-    def _nothing(self, state: TrackerState, status: Status, reason: str) -> Estimate:
+    def _nothing(self, state: TrackerState, status: FrameStatus, reason: str) -> Estimate:
         assert state.time_s is not None
         return Estimate(status=status, time_s=state.time_s, reason=reason)
 
-    def _estimate(self, status: Status, found: Candidate, state: TrackerState, time_s: float) -> Estimate:
+    def _estimate(self, status: FrameStatus, found: Candidate, state: TrackerState, time_s: float) -> Estimate:
         assert state.shape is not None
         posed = posed_belief(found.hand, self._parts.motion, self.kinematics, state.shape)
         inside = found.inside

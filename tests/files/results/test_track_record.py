@@ -4,13 +4,15 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
 
 from torchhand.files.results.results import TrackWriter
 from torchhand.files.results.track_file import load_track
-from torchhand.files.results.track_record import FrameRecord, TrackHeader, track_of
+from torchhand.files.results.track_record import STATUSES, FrameRecord, FrameStatus, TrackHeader, track_of
+from torchhand.track import Estimate
 
 HEADER = TrackHeader(dof_names=("a", "b"), source="wave.mp4", side="right", camera={})
 
@@ -53,3 +55,12 @@ def test_lines_without_measures_and_reasons_stay_as_they_were() -> None:
 def test_a_measure_cannot_take_the_name_of_a_field(name: str) -> None:
     with pytest.raises(ValueError, match=f"measures: expected names that are not those of the record, got '{name}'"):
         replace(_record(0), measures={name: 1.0})
+
+
+def test_a_tracker_says_what_a_record_takes() -> None:
+    """One definition: the statuses of an estimate and of a record."""
+    for result in (Estimate, FrameRecord):
+        assert get_type_hints(result)["status"] is FrameStatus
+    for status in get_args(FrameStatus):
+        assert replace(_record(0), status=status).status == status
+    assert get_args(FrameStatus) == STATUSES

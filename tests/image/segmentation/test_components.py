@@ -3,7 +3,14 @@
 import pytest
 import torch
 
-from torchhand.image.segmentation.components import clean, component_mask, components, fill_holes, largest_component
+from torchhand.image.segmentation.components import (
+    clean,
+    component_mask,
+    components,
+    fill_holes,
+    largest_component,
+    touching,
+)
 
 
 def flood(mask: torch.Tensor, eight: bool) -> list[set[tuple[int, int]]]:
@@ -90,3 +97,17 @@ def test_clean_removes_specks_closes_slits_and_follows_the_size() -> None:
     assert clean(large, radius_px=0).sum() == 16
     with pytest.raises(ValueError, match="radius_px must be >= 0, got -1"):
         clean(mask, radius_px=-1)
+
+
+def test_pieces_apart_from_the_model_do_not_count() -> None:
+    model, picture = torch.zeros(20, 30, dtype=torch.bool), torch.zeros(20, 30, dtype=torch.bool)
+    model[5:15, 5:12] = True
+    picture[4:14, 6:13] = True  # the hand
+    picture[14, 13] = True  # joined by a corner
+    picture[2:6, 20:26] = True  # clutter
+    kept = touching(picture, model)
+    expected = picture.clone()
+    expected[2:6, 20:26] = False
+    assert torch.equal(kept, expected)
+    assert not bool(touching(picture, torch.zeros_like(model)).any())
+    assert not bool(touching(torch.zeros_like(model), model).any())

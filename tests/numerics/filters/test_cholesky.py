@@ -38,9 +38,22 @@ def test_singular_matrix_gets_the_smallest_jitter() -> None:
     root = torch.randn(6, 2, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
     matrix = root @ root.mT - 1e-13 * torch.eye(6, dtype=torch.float64)
     factor = robust_cholesky(matrix)
-    scale = float(matrix.diagonal().mean())
-    assert torch.allclose(factor @ factor.mT, matrix, rtol=0, atol=1.1e-10 * scale)
+    expected = matrix + 1e-10 * matrix.diagonal().diag()
+    assert torch.allclose(factor @ factor.mT, expected, rtol=0, atol=1e-14)
     assert torch.equal(factor, factor.tril())
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_repair_of_a_singular_matrix_is_relative_to_each_number_s_unit(dtype: torch.dtype) -> None:
+    """Covariance of metres beside radians per second: what is added to one must not drown the other."""
+    root = torch.randn(6, 2, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    matrix = (root @ root.mT).to(dtype)
+    unit = torch.tensor([2.0**10, 2.0**-10, 1.0, 2.0**6, 2.0**-16, 4.0], dtype=dtype)
+    scaled = unit[:, None] * matrix * unit
+    assert int(torch.linalg.cholesky_ex(scaled - 1e-7 * scaled.diagonal().diag()).info)
+    factor = robust_cholesky(scaled - 1e-7 * scaled.diagonal().diag())
+    error = (factor @ factor.mT - scaled) / unit[:, None] / unit
+    assert float(error.abs().max()) < 3e-6 * float(matrix.diagonal().max())
 
 
 def test_indefinite_matrix_gives_the_factor_of_its_clipped_form() -> None:

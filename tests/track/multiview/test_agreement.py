@@ -3,11 +3,18 @@ import math
 import torch
 
 from torchhand.geometry import rotation_from_vector
-from torchhand.track.multiview.agreement import ViewAgreement, mean_overlap
+from torchhand.hand import HandPose
+from torchhand.track.scene import Scene, SilhouetteComparison, View, mean_overlap
+
+
+def comparison(hand, cameras):
+    """Overlaps of a pose with masks."""
+    compare = SilhouetteComparison(hand.kinematics, cameras, hand.kinematics.default_shape, side_px=320)
+    return lambda pose, reference, masks: compare.overlaps(HandPose(dofs=pose, reference=reference), masks)
 
 
 def test_own_silhouettes_agree_and_others_less(rig_hand, rig, pose_at, masks_of):
-    agree = ViewAgreement(rig_hand.kinematics, rig, rig_hand.kinematics.default_shape)
+    agree = comparison(rig_hand, rig)
     pose, reference = pose_at()
     overlaps = agree(pose, reference, masks_of((pose, reference)))
     assert bool((overlaps > 0.8).all())
@@ -19,7 +26,7 @@ def test_own_silhouettes_agree_and_others_less(rig_hand, rig, pose_at, masks_of)
 
 
 def test_forearm_does_not_count(rig_hand, rig, pose_at, masks_of):
-    agree = ViewAgreement(rig_hand.kinematics, rig[:1], rig_hand.kinematics.default_shape)
+    agree = comparison(rig_hand, rig[:1])
     pose, reference = pose_at()
     mask = masks_of((pose, reference))[0]
     rows, columns = mask.nonzero().unbind(1)
@@ -31,7 +38,7 @@ def test_forearm_does_not_count(rig_hand, rig, pose_at, masks_of):
 
 
 def test_view_along_the_palm_is_compared_too(rig_hand, rig, masks_of, pose_at):
-    agree = ViewAgreement(rig_hand.kinematics, rig, rig_hand.kinematics.default_shape)
+    agree = comparison(rig_hand, rig)
     pose, reference = pose_at()
     tilt = rotation_from_vector(torch.tensor((math.pi / 2, 0.0, 0.0), dtype=torch.float64)) @ reference
     pose = pose.clone()
@@ -41,10 +48,36 @@ def test_view_along_the_palm_is_compared_too(rig_hand, rig, masks_of, pose_at):
 
 
 def test_missing_views_have_no_overlap(rig_hand, rig, pose_at, masks_of):
-    agree = ViewAgreement(rig_hand.kinematics, rig, rig_hand.kinematics.default_shape)
+    agree = comparison(rig_hand, rig)
     pose, reference = pose_at()
     masks = masks_of((pose, reference))
     overlaps = agree(pose, reference, [None, *masks[1:]])
     assert bool(overlaps[0].isnan())
     assert mean_overlap(overlaps) == float(overlaps[1:].mean())
     assert mean_overlap(torch.full((2,), math.nan)) == 0.0
+
+
+def test_overlaps_are_those_of_the_whole_comparison(rig_hand, rig, pose_at, masks_of):
+    compare = SilhouetteComparison(rig_hand.kinematics, rig, rig_hand.kinematics.default_shape, side_px=160)
+    pose, reference = pose_at()
+    masks = tuple([None, *masks_of((pose, reference))[1:]])
+    scene = Scene(views=(View(),) * len(rig), masks=masks, probabilities=(None,) * len(rig), time_s=0.0)
+    hand = HandPose(dofs=pose, reference=reference)
+    whole = compare(hand, scene)
+    torch.testing.assert_close(compare.overlaps(hand, masks), whole.overlaps, rtol=0, atol=0, equal_nan=True)
+    assert whole.views == len(rig) - 1
+    assert bool(whole.unexplained[0].isnan())
+
+
+def test_a_finger_that_the_model_lacks_is_unexplained(rig_hand, rig, pose_at, masks_of):
+    compare = SilhouetteComparison(rig_hand.kinematics, rig, rig_hand.kinematics.default_shape, side_px=320)
+    (seen, reference), (fist, _) = pose_at(), pose_at("fist")
+    scene = Scene(
+        views=(View(),) * len(rig),
+        masks=tuple(masks_of((seen, reference))),
+        probabilities=(None,) * len(rig),
+        time_s=0.0,
+    )
+    own, other = (compare(HandPose(dofs=pose, reference=reference), scene) for pose in (seen, fist))
+    assert own.most_unexplained < 0.01  # squares of the hand's length; one finger has some 0.04
+    assert other.most_unexplained > 0.1

@@ -10,6 +10,7 @@ from torchhand.files import load_hand_model
 from torchhand.fit.keypoints import fit_keypoints
 from torchhand.geometry import assumed_camera
 from torchhand.hand import DOFS, HandState, PoseConstraints, named_pose_space, posed_mesh, posture
+from torchhand.image import intersection_over_union
 from torchhand.view import silhouette
 
 HANDS, PICTURE_PX, FIELD_OF_VIEW_DEG, DISTANCE = 100, 320, 25.0, 0.6
@@ -31,7 +32,7 @@ def mesh_silhouettes(name: str, repeats: int | None) -> Figure:
         ahead = torch.tensor((0.0, 0.0, DISTANCE), dtype=torch.float64) - state.keypoints.mean(0)
         surfaces = (state.primitives, posed_mesh(hand, state))
         one, other = (silhouette(surface.moved(identity, ahead), camera) for surface in surfaces)
-        overlaps.append(float((one & other).sum() / (one | other).sum()))
+        overlaps.append(float(intersection_over_union(one, other)))
     found = torch.tensor(overlaps)
     details = {"median": float(found.median()), "lowest": float(found.min()), "hands": HANDS}
     return Figure(name=name, value=float(found.mean()), unit="IoU", must=0.96, aim=0.98, repeats=1, details=details)

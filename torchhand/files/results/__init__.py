@@ -11,7 +11,15 @@ from torchhand.files.results.results import (
     check_output_folder,
 )
 from torchhand.files.results.track_file import JSONL_NAME, NPZ_NAME, load_track, write_npz
-from torchhand.files.results.track_record import CONVENTION, STATUSES, UNITS, FrameRecord, Status, Track, TrackHeader
+from torchhand.files.results.track_record import (
+    CONVENTION,
+    STATUSES,
+    UNITS,
+    FrameRecord,
+    FrameStatus,
+    Track,
+    TrackHeader,
+)
 
 __all__ = [
     "CHECKPOINT_NAME",
@@ -25,8 +33,8 @@ __all__ = [
     "UNFINISHED_NAME",
     "UNITS",
     "FrameRecord",
+    "FrameStatus",
     "ResumePoint",
-    "Status",
     "Track",
     "TrackHeader",
     "TrackWriter",

@@ -4,18 +4,18 @@ import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float, Float64, Int, Shaped
 
-STATUSES = ("tracked", "lost", "recovered", "no_hand")
+FrameStatus = Literal["tracked", "lost", "recovered", "no_hand"]
+STATUSES: tuple[FrameStatus, ...] = get_args(FrameStatus)
 EMPTY_STATUSES = ("lost", "no_hand")
 """Frames of these hold NaN."""
 ARRAY_FIELDS = ("pose", "pose_std", "keypoints3d", "keypoints2d", "keypoints3d_cov")
 RESERVED_NAMES = ("frame", "status", "seconds", "reason", *ARRAY_FIELDS, "dof_names", "units", "convention", "header")
 """In a line of track.jsonl and in track.npz, every other name is that of a measure."""
-Status = Literal["tracked", "lost", "recovered", "no_hand"]
 
 TRACK_FORMAT = "torchhand track 1"
 UNITS = "metres, radians, seconds; keypoints2d px"
@@ -54,7 +54,7 @@ class FrameRecord:
 
     frame: int
     """Index in the source, from 0."""
-    status: Status
+    status: FrameStatus
     pose: Float[np.ndarray, "dofs"]
     """DOFs in the order of the header's dof_names, metres and radians."""
     pose_std: Float[np.ndarray, "dofs"]
@@ -87,7 +87,7 @@ class FrameRecord:
     def empty(
         cls,
         frame: int,
-        status: Status,
+        status: FrameStatus,
         *,
         dofs: int,
         seconds: float,

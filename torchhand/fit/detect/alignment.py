@@ -20,7 +20,7 @@ from torchhand.fit.detect.facing import facing_rotation, turned_in_picture
 from torchhand.fit.detect.template import boundary, draw_template, edge_distance
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandKinematics
-from torchhand.image import mask_moments
+from torchhand.image import depth_map, mask_moments
 
 _WORK_SIDE_PX = 200  # pictures are searched at this size
 _ANGLES = 48
@@ -68,7 +68,9 @@ def align_posture(
     """
     height, width = mask.shape
     scale = min(1.0, _WORK_SIDE_PX / max(height, width))
-    small = cv2.resize(mask.numpy().astype(np.uint8) * 255, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    small = cv2.resize(
+        mask.cpu().numpy().astype(np.uint8) * 255, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA
+    )
     small = (small > 127).astype(np.uint8)
     edge = boundary(small)
     if len(edge) < _FEWEST_EDGE_POINTS:
@@ -97,7 +99,7 @@ def align_posture(
 
 def _discs(mask: np.ndarray) -> list[tuple[np.ndarray, float]]:
     """Largest inscribed discs of the silhouette with distinct centres, and their radii: candidates for the palm."""
-    inscribed = cv2.distanceTransform(np.pad(mask, 1), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    inscribed = depth_map(torch.from_numpy(mask > 0), is_border_outside=True).numpy()
     discs: list[tuple[np.ndarray, float]] = []
     left = inscribed.copy()
     while len(discs) < _DISCS:

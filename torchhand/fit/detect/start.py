@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from torchhand.fit import Appearance, disc, hand_region, learn_appearance, mask_plane, overlap
+from torchhand.fit import Appearance, disc, learn_appearance, mask_plane
 from torchhand.fit.contour import hand_length_px, is_in_picture
 from torchhand.fit.detect.alignment import Alignment, align_points, align_posture
 from torchhand.fit.detect.edge_fit import Fit, FitSettings, fit_contour
@@ -19,6 +19,8 @@ from torchhand.image import (
     bootstrap_skin,
     clean,
     fill_holes,
+    hand_region,
+    intersection_over_union,
     largest_component,
     segment,
 )
@@ -209,7 +211,8 @@ def fit_overlap(mask: Tensor, kinematics: HandKinematics, camera: Camera, fit: F
     keypoints = camera.project(projector.frames(fit.pose, fit.root_reference).keypoints)
     reach = 1.35 * hand_length_px(camera, kinematics, fit.pose, fit.shape)
     region = hand_region((camera.height, camera.width), keypoints[0], keypoints[9], reach)
-    return overlap(projector.silhouette(fit.pose, fit.root_reference), mask, region)
+    model = projector.silhouette(fit.pose, fit.root_reference)
+    return float(intersection_over_union(model, mask, region, empty=0.0))
 
 
 def _appearance_of(

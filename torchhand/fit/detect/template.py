@@ -11,6 +11,7 @@ from torch import Tensor
 from torchhand.fit.detect.facing import facing_rotation
 from torchhand.geometry import assumed_camera
 from torchhand.hand import HandKinematics
+from torchhand.image import depth_map, distance_map
 from torchhand.view import HandProjector
 
 _SIDE_PX = 160
@@ -51,8 +52,8 @@ def draw_template(
     length = kinematics.shape_space.metric(shape)["hand_length"]
     middle = rotation @ torch.tensor((0.0, 0.5 * float(length), 0.0), dtype=pose.dtype)
     placed[:2], placed[2] = -middle[:2], _DEPTH
-    mask = HandProjector(kinematics, camera, shape).silhouette(placed, rotation).numpy().astype(np.uint8)
-    inscribed = cv2.distanceTransform(mask, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    drawn = HandProjector(kinematics, camera, shape).silhouette(placed, rotation)
+    inscribed, mask = depth_map(drawn).numpy(), drawn.numpy().view(np.uint8)
     radius = float(inscribed.max())
     centre = np.argwhere(inscribed >= radius - 0.5).mean(0)[::-1]
     wrist = camera.project(placed[:3])
@@ -80,7 +81,7 @@ def boundary(mask: np.ndarray) -> np.ndarray:
 
 def edge_distance(points: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """Exact distance in px of every pixel of a picture of that shape from the nearest of the points."""
-    canvas = np.full(shape, 255, np.uint8)
-    index = points.astype(int)
-    canvas[index[:, 1], index[:, 0]] = 0
-    return cv2.distanceTransform(canvas, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    marked = torch.zeros(shape, dtype=torch.bool)
+    index = torch.from_numpy(points).long()
+    marked[index[:, 1], index[:, 0]] = True
+    return distance_map(marked).numpy()

@@ -8,8 +8,6 @@ hand like the model's let faint changes of taper tell where the joints are.
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import cv2
-import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -19,7 +17,15 @@ from torchhand.fit.open_hand.problem import OpenHandProblem
 from torchhand.fit.open_hand.settings import OpenHandSettings
 from torchhand.geometry import Camera
 from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, FINGERS, HandKinematics
-from torchhand.image import EdgeSettings, sample_bilinear, search_edges
+from torchhand.image import (
+    EdgeSettings,
+    depth_map,
+    distance_map,
+    gaussian_blur,
+    gradient,
+    sample_bilinear,
+    search_edges,
+)
 from torchhand.numerics import NormalEquations
 from torchhand.view import HandProjector, OutlineTable, outline_table
 
@@ -146,11 +152,9 @@ class Outline:
 
 def _depth(plane: Float[Tensor, "height width"]) -> tuple[Tensor, Tensor]:
     """How deep every pixel lies in the silhouette, px, negative outside, and its gradient."""
-    inside = (plane.numpy() >= 0.5).astype(np.uint8)
-    within, without = (cv2.distanceTransform(m, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) for m in (inside, 1 - inside))
-    depth = np.where(inside > 0, within - 0.5, 0.5 - without).astype(np.float32)
-    slope = np.stack((cv2.Sobel(depth, cv2.CV_32F, 1, 0), cv2.Sobel(depth, cv2.CV_32F, 0, 1)))
-    return torch.from_numpy(depth)[None], torch.from_numpy(slope)
+    inside = plane >= 0.5
+    depth = torch.where(inside, depth_map(inside) - 0.5, 0.5 - distance_map(inside))
+    return depth[None], gradient(depth)
 
 
 def _unit(vector: Float[Tensor, "points 2"]) -> Float[Tensor, "points 2"]:
@@ -159,8 +163,7 @@ def _unit(vector: Float[Tensor, "points 2"]) -> Float[Tensor, "points 2"]:
 
 def _slopes(plane: Float[Tensor, "height width"]) -> Float[Tensor, "2 height width"]:
     """Outward direction of the silhouette's edge, not of unit length, some pixels to both sides of it."""
-    soft = cv2.GaussianBlur(plane.numpy(), (0, 0), _EDGE_BLUR_PX)
-    return -torch.from_numpy(np.stack((cv2.Sobel(soft, cv2.CV_32F, 1, 0), cv2.Sobel(soft, cv2.CV_32F, 0, 1))))
+    return -gradient(gaussian_blur(plane, _EDGE_BLUR_PX))
 
 
 def _faces(

@@ -10,7 +10,6 @@ one light explains it (open_hand_shading_fit), which tells where the joints are.
 from dataclasses import dataclass, replace
 from typing import Literal
 
-import cv2
 import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
@@ -26,7 +25,7 @@ from torchhand.fit.open_hand.soft import soft_silhouette
 from torchhand.fit.open_hand.start import DigitResiduals, fit_digits, placed_open_hand
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, Anthropometry, HandKinematics, ShapeSpace, rebased
-from torchhand.image import HandRegions, NoRegions, divide_hand
+from torchhand.image import HandRegions, NoRegions, divide_hand, gaussian_blur
 from torchhand.view import HandProjector
 
 Facing = Literal["palm", "back"]
@@ -153,7 +152,7 @@ def fit_open_hand(
 
 
 def _smoothed(plane: Float[Tensor, "height width"]) -> Float[Tensor, "height width"]:
-    return torch.from_numpy(cv2.GaussianBlur(plane.numpy(), (0, 0), _SOFT_BLUR_PX))
+    return gaussian_blur(plane, _SOFT_BLUR_PX)
 
 
 def _with_thickness(space: ShapeSpace, shape: Tensor, std: Tensor) -> tuple[Tensor, Tensor]:

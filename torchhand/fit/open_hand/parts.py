@@ -2,13 +2,12 @@
 
 from collections.abc import Sequence
 
-import cv2
-import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchhand.fit.open_hand.pixels import PixelGrid
+from torchhand.image import dilate, square_kernel
 
 _EVERY = 3  # squares from one that is asked at the start to the next, both ways
 _AROUND = 2  # such steps that a part may move by
@@ -30,9 +29,8 @@ class NearestParts:
         lattice = torch.arange(rows * width).reshape(rows, width)[::_EVERY, ::_EVERY]
         asked = lattice.flatten()
         every = _Rays(grid.origin[asked], grid.direction[asked], [torch.arange(len(asked))] * len(numbers))
-        is_met = every.depths(numbers).isfinite().reshape(-1, *lattice.shape).byte().numpy()
-        kernel = np.ones((2 * _AROUND + 1,) * 2, np.uint8)
-        wide = [torch.from_numpy(cv2.dilate(plane, kernel)).flatten() > 0 for plane in is_met]
+        is_met = every.depths(numbers).isfinite().reshape(-1, *lattice.shape)
+        wide = dilate(is_met, square_kernel(_AROUND)).flatten(1)
         row, column = self._square // width, self._square % width
         tall, broad = lattice.shape
         nearest = ((row + 1) // _EVERY).clamp_max(tall - 1) * broad + ((column + 1) // _EVERY).clamp_max(broad - 1)

@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Shaped, UInt8
 from torch import Tensor
 
 from torchhand.geometry import Camera
+from torchhand.image import erode, square_kernel
 
 _MARGIN_PX = 2  # from the silhouette's edge, where pixels mix
 _LUMA = np.array((0.299, 0.587, 0.114), np.float32)  # of red, green and blue, as in JPEG, whose luminance is sharpest
@@ -48,8 +48,8 @@ def pixel_grid(
     rows, columns = (length // step for length in mask.shape)
     if rows == 0 or columns == 0:
         return None
-    shrunk = cv2.erode(mask.numpy().astype(np.uint8), np.ones((2 * _MARGIN_PX + 1,) * 2, np.uint8))
-    luma = image.numpy().astype(np.float32) @ _LUMA
+    shrunk = erode(mask.cpu(), square_kernel(_MARGIN_PX)).numpy()
+    luma = image.cpu().numpy().astype(np.float32) @ _LUMA
     inside, value = (_means(plane.astype(np.float32), rows, columns, step) for plane in (shrunk, luma))
     y, x = np.nonzero(inside >= 1.0)
     if len(y) < _FEWEST:

@@ -8,8 +8,6 @@ photographs to the noise: whoever uses these residuals asks first whether they a
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-import cv2
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -21,6 +19,7 @@ from torchhand.fit.open_hand.pixels import PixelGrid
 from torchhand.fit.open_hand.problem import OpenHandProblem
 from torchhand.fit.open_hand.surface import dot, meet, quadric_numbers
 from torchhand.hand import PRIMITIVE_NAMES, HandKinematics
+from torchhand.image import dilate, square_kernel
 from torchhand.view import HandProjector
 
 _STEP = 1e-4  # of the numerical derivative, prior standard deviations
@@ -139,10 +138,9 @@ class Shading:
         """Of a finer grid the squares near a boundary between parts, joints' balls left out."""
         part, is_used = self._parts(self._numbers(values[None])[..., 0])
         first, second, _ = boundaries(self.grid, part, is_used)
-        plane = np.zeros(len(part), np.uint8)
-        plane[first.numpy()] = plane[second.numpy()] = 1
-        kernel = np.ones((2 * _NEAR + 1,) * 2, np.uint8)
-        near = torch.from_numpy(cv2.dilate(plane.reshape(self.grid.size), kernel)).bool()
+        plane = torch.zeros(len(part), dtype=torch.bool)
+        plane[first] = plane[second] = True
+        near = dilate(plane.reshape(self.grid.size), square_kernel(_NEAR))
         column, row = self.grid.camera.project(finer.origin + finer.direction).round().long().unbind(-1)
         height, width = self.grid.size
         return near[row.clamp(0, height - 1), column.clamp(0, width - 1)]

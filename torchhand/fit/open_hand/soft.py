@@ -1,10 +1,11 @@
 """The silhouette of an open hand with soft edges: from the colours to both sides of a mask's edge."""
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
+
+from torchhand.image import dilate, disc_kernel, erode
 
 _BAND_PX, _BAND_SHARE = 3, 1 / 200  # half width of the band about a mask's edge: at least, and of the longer side
 _LEAST_SPREAD = 1e-3  # variance of colours that is assumed of noise
@@ -22,8 +23,9 @@ def soft_silhouette(
     """
     height, width = mask.shape
     reach = max(_BAND_PX, round(_BAND_SHARE * max(height, width)))
-    inside = mask.cpu().numpy().astype(np.uint8)
-    core, wide, ring = (_grown(inside, by) > 0 for by in (-reach, reach, 4 * reach))
+    inside = mask.cpu()
+    core = erode(inside, disc_kernel(reach)).numpy()
+    wide, ring = (dilate(inside, disc_kernel(by)).numpy() for by in (reach, 4 * reach))
     pixels = image.cpu().numpy().astype(np.float32) / 255.0
     own, other = pixels[core], pixels[ring & ~wide]
     if len(own) < _FEWEST_PIXELS or len(other) < _FEWEST_PIXELS:
@@ -35,10 +37,5 @@ def soft_silhouette(
     share = (score - low) / max(high - low, 1e-9)
     if 0.5 * float((share[core] < 0.5).mean() + (share[ring & ~wide] > 0.5).mean()) > _MOST_CONFUSED:
         return None
-    soft = np.where(wide & ~core, share.clip(0.0, 1.0), inside.astype(np.float32)).astype(np.float32)
+    soft = np.where(wide & ~core, share.clip(0.0, 1.0), inside.float().numpy()).astype(np.float32)
     return torch.from_numpy(soft).to(mask.device)
-
-
-def _grown(mask: np.ndarray, by: int) -> np.ndarray:
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * abs(by) + 1,) * 2)
-    return cv2.dilate(mask, kernel) if by > 0 else cv2.erode(mask, kernel)

@@ -2,7 +2,7 @@
 
 from torchhand.image.contours.boundaries import Boundary, boundary_points
 from torchhand.image.contours.distance_fields import boundary_field, channel_of, point_field
-from torchhand.image.contours.distance_maps import distance_map
+from torchhand.image.contours.distance_maps import depth_map, distance_map
 from torchhand.image.contours.edges import EdgeSearch, EdgeSettings, search_edges
 from torchhand.image.contours.sampled_maps import DistanceField
 from torchhand.image.contours.sampling import is_inside, sample_bilinear
@@ -20,6 +20,7 @@ __all__ = [
     "boundary_field",
     "boundary_points",
     "channel_of",
+    "depth_map",
     "distance_map",
     "find_valleys",
     "is_inside",

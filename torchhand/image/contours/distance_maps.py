@@ -1,4 +1,4 @@
-"""Distance transforms: how far every pixel is from the nearest marked one (paper 000, section 7.4)."""
+"""Distance transforms: how far every pixel is from the nearest marked one (Ouhaddi and Horain 1998, section 7.4)."""
 
 from typing import Literal
 
@@ -8,6 +8,8 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
+
+from torchhand.image.operations import suits_opencv
 
 Method = Literal["exact", "kornia"]
 
@@ -41,8 +43,21 @@ def distance_map(
         return kornia.contrib.distance_transform(flat[:, None], kernel_size).reshape(mask.shape)
     if mask.dtype != torch.bool:
         raise ValueError(f"mask: expected torch.bool for method 'exact', got {mask.dtype}")
-    whole = _by_opencv(flat) if mask.device.type == "cpu" else distance_map_torch(flat)
+    whole = _by_opencv(flat) if suits_opencv(flat) else distance_map_torch(flat)
     return whole.reshape(mask.shape)
+
+
+def depth_map(
+    mask: Bool[Tensor, "*batch height width"], *, is_border_outside: bool = False
+) -> Float[Tensor, "*batch height width"]:
+    """Distance in px of every pixel of a mask from the nearest one beside the mask; 0 beside it.
+
+    The picture's border is no end of the mask, unless `is_border_outside`: then pixels all around it count as beside.
+    Infinite where nothing is beside a mask.
+    """
+    if not is_border_outside:
+        return distance_map(~mask)
+    return distance_map(torch.nn.functional.pad(~mask, (1, 1, 1, 1), value=True))[..., 1:-1, 1:-1]
 
 
 def _by_opencv(masks: Bool[Tensor, "n height width"]) -> Float[Tensor, "n height width"]:

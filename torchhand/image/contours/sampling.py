@@ -6,6 +6,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
+from torchhand.image.operations import suits_opencv
+
 _REMAP_ROWS = 16384  # cv2.remap takes fewer than 32767 rows at once
 
 
@@ -27,8 +29,7 @@ def sample_bilinear(
     first pixel. Differentiable in picture and points. OpenCV reads float32 pictures on a CPU where no gradient is asked
     for (3 times faster; before version 5 it rounds places to 1/32 px); `sample_bilinear_torch` is its specification.
     """
-    needs_gradient = torch.is_grad_enabled() and (image.requires_grad or points_px.requires_grad)
-    if needs_gradient or image.device.type != "cpu" or image.dtype != torch.float32:
+    if image.dtype != torch.float32 or not suits_opencv(image, points_px):
         return sample_bilinear_torch(image, points_px)
     return _sample_bilinear_opencv(image, points_px)
 

@@ -13,6 +13,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.image.contours.distance_maps import depth_map
+from torchhand.image.operations import label_pieces
+
 _INSIDE = 0.52  # the lowest place may lie this far from the pixel's centre along x and y: half, and rounding
 _REACH_SIGMAS = 4.0  # of the filters
 _HEAVY_SIGMAS = 3.0  # places so near to the region's rim are told by the rim
@@ -79,7 +82,7 @@ def find_valleys(
     if within is not None:
         region = within.cpu().numpy()
         picture = _extended(picture, region)
-        depth = cv2.distanceTransform(region.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        depth = depth_map(torch.from_numpy(region)).numpy()
         inside = depth > _HEAVY_SIGMAS * settings.sigma_px * 0.5
     slopes, (xx, xy, yy) = _derivatives(picture, settings.sigma_px)
     half, mean = 0.5 * (xx - yy), 0.5 * (xx + yy)
@@ -139,11 +142,11 @@ def _extended(picture: np.ndarray, region: np.ndarray) -> np.ndarray:
 
 def _linked(y: np.ndarray, x: np.ndarray, strength: np.ndarray, settings: ValleySettings) -> np.ndarray:
     """Which places belong to a line that is strong somewhere and long enough."""
-    canvas = np.zeros(strength.shape, dtype=np.uint8)
-    canvas[y, x] = 1
-    count, label, stats, _ = cv2.connectedComponentsWithStats(canvas, connectivity=8)
-    own = np.asarray(label, dtype=np.int64)[y, x]
-    peak = np.zeros(count)
+    canvas = np.zeros(strength.shape, dtype=bool)
+    canvas[y, x] = True
+    pieces = label_pieces(torch.from_numpy(canvas))
+    own = pieces.labels.numpy()[y, x] - 1
+    peak = np.zeros(len(pieces.areas))
     np.maximum.at(peak, own, strength[y, x])
-    good = (peak >= settings.high) & (stats[:, cv2.CC_STAT_AREA] >= settings.fewest)
+    good = (peak >= settings.high) & (pieces.areas.numpy() >= settings.fewest)
     return good[own]

@@ -1,4 +1,4 @@
-"""Fingers of an open hand's silhouette by a white top-hat whose disc finds its own size (paper 000, section 6.1).
+"""Fingers of an open hand's silhouette by a white top-hat whose disc finds its own size (Ouhaddi and Horain 1998, 6.1).
 
 What an opening by a disc slightly wider than the fingers takes away are the fingers. The disc is found by trying sizes:
 openings by exact discs come from distance transforms, so any radius costs the same, and the one under which five
@@ -11,10 +11,12 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.image.contours import depth_map, distance_map
 from torchhand.image.fingers.order import FingerOrder, order_fingers
+from torchhand.image.operations import dilate, label_pieces, square_kernel
 from torchhand.image.segmentation import fill_holes, largest_component
 
 _SLIVER = 0.045  # pieces smaller than this share of the square of the palm's radius are ragged outline
@@ -95,14 +97,14 @@ def find_fingers(mask: Bool[Tensor, "height width"], settings: FingerSettings | 
     palm's, so any resolution will do. Where fewer than five fingers stand out, `order` names those that do.
     """
     settings = FingerSettings() if settings is None else settings
-    whole = fill_holes(largest_component(mask)).cpu().numpy().astype(np.uint8)
+    whole = fill_holes(largest_component(mask.cpu())).numpy().astype(np.uint8)
     left, top, width, height = cv2.boundingRect(whole)
     nothing = FingerSearch(pieces=(), order=None, disc_radius=0.0, palm_radius=0.0, palm_centre=(0.0, 0.0))
     if not width:
         return nothing
     scale = min(_MOST_ENLARGED, settings.work_side_px / max(width, height))
     work = _resized(whole[top : top + height, left : left + width], scale)
-    depth = cv2.distanceTransform(work, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    depth = depth_map(torch.from_numpy(work > 0)).numpy()
     best: FingerSearch | None = None
     for palm_radius, palm_centre in _palms(depth):
         for share in np.geomspace(settings.smallest_disc, settings.largest_disc, settings.sizes):
@@ -127,18 +129,12 @@ def opened_by_disc(mask: Bool[Tensor, "height width"], radius_px: float) -> Bool
 
     A pixel stays when a disc of that radius within the mask covers it. Beyond the picture there is nothing.
     """
-    pixels = np.pad(mask.cpu().numpy().astype(np.uint8), 1)
-    depth = cv2.distanceTransform(pixels, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return torch.from_numpy(_opened(depth, radius_px)[1:-1, 1:-1] & mask.cpu().numpy()).to(mask.device)
+    return _opened(depth_map(mask, is_border_outside=True), radius_px) & mask
 
 
-def _opened(depth: np.ndarray, radius: float) -> np.ndarray:
+def _opened(depth: Float[Tensor, "height width"], radius: float) -> Bool[Tensor, "height width"]:
     """Pixels within `radius` of one that is deeper than it: erosion and dilation by two distance transforms."""
-    core = depth > radius
-    if not core.any():
-        return np.zeros(depth.shape, bool)
-    away = cv2.distanceTransform((~core).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return away <= radius
+    return distance_map(depth > radius) <= radius
 
 
 def _resized(box: np.ndarray, scale: float) -> np.ndarray:
@@ -174,18 +170,18 @@ def _pieces(
     settings: FingerSettings,
 ) -> list[FingerPiece]:
     """Pieces of the top-hat that have a finger's form, fingers that hang together at their web taken apart."""
-    opened = _opened(depth, radius)
-    rest = (work > 0) & ~opened
-    grown = cv2.dilate(opened.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(rest.astype(np.uint8), connectivity=8)
+    opened = _opened(torch.from_numpy(depth), radius)
+    rest = label_pieces(torch.from_numpy(work > 0) & ~opened)
+    grown, labels = dilate(opened, square_kernel(1)).numpy(), rest.labels.numpy()
+    areas, boxes = rest.areas.tolist(), rest.boxes.tolist()
     pieces = []
-    largest = sorted(range(1, count), key=lambda label: -int(stats[label, cv2.CC_STAT_AREA]))[:_PIECES]
-    for label in largest:
-        if float(stats[label, cv2.CC_STAT_AREA]) < _SLIVER * palm_radius**2:
+    largest = sorted(range(len(areas)), key=lambda piece: -areas[piece])[:_PIECES]
+    for number in largest:
+        if areas[number] < _SLIVER * palm_radius**2:
             break
-        x, y, wide, high = (int(number) for number in stats[label, :4])
+        x, y, wide, high = boxes[number]
         box = (slice(y, y + high), slice(x, x + wide))
-        inside = labels[box] == label
+        inside = labels[box] == number + 1
         contact = inside & grown[box]
         if not contact.any():
             continue
@@ -213,8 +209,8 @@ def _branches(
     distance = np.where(inside, np.hypot(x - centre[0], y - centre[1]), 0.0)
     low, high = float(distance[inside].min()), float(distance.max())
     for level in np.arange(low, high - _LEAST_BRANCH * palm_radius, max(1.0, 0.05 * palm_radius)):
-        count, labels = cv2.connectedComponents((distance > level).astype(np.uint8), connectivity=8)
-        parts = [labels == label for label in range(1, count)]
+        pieces = label_pieces(torch.from_numpy(distance > level))
+        parts = [pieces.labels.numpy() == label for label in range(1, len(pieces.areas) + 1)]
         parts = [part for part in parts if distance[part].max() > level + _LEAST_BRANCH * palm_radius]
         if len(parts) > 1:
             found = []

@@ -13,7 +13,9 @@ import torch
 from jaxtyping import Bool, UInt8
 from torch import Tensor
 
+from torchhand.image.contours import depth_map, distance_map
 from torchhand.image.fingers.fingers import FingerSearch, FingerSettings, find_fingers
+from torchhand.image.operations import dilate, intersection_over_union, square_kernel
 from torchhand.image.segmentation import bootstrap_skin, clean, fill_holes, largest_component
 
 _LEAST_SHARE, _MOST_SHARE = 0.02, 0.75  # of the picture that a hand may cover
@@ -147,12 +149,12 @@ def _edges(image: Tensor) -> np.ndarray:
     for channel in cv2.split(soft):
         gradient = cv2.magnitude(cv2.Sobel(channel, cv2.CV_32F, 1, 0), cv2.Sobel(channel, cv2.CV_32F, 0, 1)) / 8.0
         strength = np.maximum(strength, gradient)
-    return cv2.dilate(strength, np.ones((5, 5), np.uint8))
+    return dilate(torch.from_numpy(strength), square_kernel(2)).numpy()
 
 
 def _cut(pixels: np.ndarray, guess: np.ndarray, settings: RefinementSettings) -> np.ndarray | None:
-    depth = cv2.distanceTransform(guess.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    away = cv2.distanceTransform((~guess).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    inside = torch.from_numpy(guess)
+    depth, away = depth_map(inside).numpy(), distance_map(inside).numpy()
     greatest = float(depth.max())
     marks = np.where(guess, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     marks[depth > settings.core_share * greatest] = cv2.GC_FGD
@@ -225,7 +227,7 @@ def _mean_along(pixels: np.ndarray, start: tuple[float, float], end: tuple[float
 
 def _alike(first: Tensor, second: Tensor) -> bool:
     """Whether a cut about one mask would end where one about the other does."""
-    return float((first & second).sum()) >= _SAME * float((first | second).sum())
+    return float(intersection_over_union(first, second)) >= _SAME
 
 
 def _fingers(found: HandSilhouette) -> int:

@@ -15,6 +15,7 @@ from torchhand.image.fingers.fingers import FingerPiece, FingerSearch, FingerSet
 from torchhand.image.fingers.moments import mask_moments
 from torchhand.image.fingers.order import DIGITS
 from torchhand.image.fingers.profile import FingerProfile, finger_profile
+from torchhand.image.operations import gaussian_blur
 from torchhand.image.segmentation import fill_holes, largest_component
 
 PALM_LABEL, FOREARM_LABEL = 6, 7
@@ -109,7 +110,7 @@ def _divided(mask: Tensor, search: FingerSearch) -> HandRegions | NoRegions:
     order = search.order
     assert order is not None
     pixels = mask.numpy().astype(np.uint8)
-    plane = cv2.GaussianBlur(pixels.astype(np.float32), (0, 0), 1.0)
+    plane = gaussian_blur(mask.float(), 1.0).numpy()
     pieces = [search.pieces[order.fingers[name]] for name in DIGITS]
     cut = [name for name, piece in zip(DIGITS, pieces, strict=True) if _is_cut(pixels, piece)]
     if cut:

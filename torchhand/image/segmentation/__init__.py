@@ -1,7 +1,13 @@
 """Which pixels show a hand: colour models, skin, backgrounds, masks and their components."""
 
 from torchhand.image.segmentation.background import BackgroundPlate, background_mask, chroma_mask, learn_background
-from torchhand.image.segmentation.colours import ColourModel, foreground_probability, learn_colours, relearn_colours
+from torchhand.image.segmentation.colours import (
+    ColourModel,
+    foreground_probability,
+    learn_colours,
+    luminance,
+    relearn_colours,
+)
 from torchhand.image.segmentation.components import (
     Component,
     clean,
@@ -9,6 +15,7 @@ from torchhand.image.segmentation.components import (
     components,
     fill_holes,
     largest_component,
+    touching,
 )
 from torchhand.image.segmentation.silhouette import SilhouetteSettings, segment
 from torchhand.image.segmentation.skin import SkinModel, learn_skin, skin_probability
@@ -34,8 +41,10 @@ __all__ = [
     "learn_background",
     "learn_colours",
     "learn_skin",
+    "luminance",
     "otsu_cr_mask",
     "relearn_colours",
     "segment",
     "skin_probability",
+    "touching",
 ]

@@ -9,8 +9,10 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from torchhand.image.operations import suits_opencv
 from torchhand.image.segmentation.histograms import log_ratio, look_up, probability_u8, smoothed
 
+_LUMINANCE = (9798, 19235, 3735)  # of red, green and blue, 2⁻¹⁵: the fixed point numbers of OpenCV
 _FEW = 10.0  # pixels of a colour that make half a lesson
 
 
@@ -85,9 +87,17 @@ def foreground_probability(image: UInt8[Tensor, "height width 3"], model: Colour
     In clutter its edges are the hand's where grey levels have edges everywhere. On a CPU OpenCV looks the colours up
     (1 ms at 640×480); `foreground_probability_torch` is its specification.
     """
-    if image.device.type != "cpu":
+    if not suits_opencv(image):
         return foreground_probability_torch(image, model)
     return torch.from_numpy(look_up(image.contiguous().numpy(), model.table, (256, 256, 256))) * (1.0 / 255.0)
+
+
+def luminance(image: UInt8[Tensor, "height width 3"]) -> UInt8[Tensor, "height width"]:
+    """0.299 red + 0.587 green + 0.114 blue, rounded."""
+    if suits_opencv(image):
+        return torch.from_numpy(cv2.cvtColor(image.contiguous().numpy(), cv2.COLOR_RGB2GRAY))
+    shares = torch.tensor(_LUMINANCE, device=image.device)
+    return ((image.int() * shares).sum(-1) + 2**14 >> 15).to(torch.uint8)
 
 
 def foreground_probability_torch(

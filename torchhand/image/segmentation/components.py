@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-import cv2
-import numpy as np
 import torch
 from jaxtyping import Bool
 from torch import Tensor
+
+from torchhand.image.operations import bounding_box, closed, count_pieces, disc_kernel, label_pieces, opened
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -14,7 +14,7 @@ class Component:
     """One connected piece (8 neighbours) of a mask."""
 
     label: int
-    """Its number in `label_components`, from 1."""
+    """Its number in `label_pieces`, from 1."""
     area_px: int
     left: int
     top: int
@@ -29,11 +29,11 @@ class Component:
 
 def components(mask: Bool[Tensor, "height width"], min_area: int = 1) -> list[Component]:
     """Pieces of at least `min_area` pixels, the largest first."""
-    _, stats, centroids = _label(mask)
+    pieces = label_pieces(mask)
     height, width = mask.shape
     found = []
-    for label in range(1, len(stats)):
-        left, top, wide, high, area = (int(number) for number in stats[label])
+    numbers = zip(pieces.boxes.tolist(), pieces.areas.tolist(), pieces.centroids.tolist(), strict=True)
+    for label, ((left, top, wide, high), area, (x, y)) in enumerate(numbers, 1):
         if area < min_area:
             continue
         touches = left == 0 or top == 0 or left + wide == width or top + high == height
@@ -45,7 +45,7 @@ def components(mask: Bool[Tensor, "height width"], min_area: int = 1) -> list[Co
                 top=top,
                 width=wide,
                 height=high,
-                centroid=(float(centroids[label][0]), float(centroids[label][1])),
+                centroid=(x, y),
                 touches_border=touches,
             )
         )
@@ -54,21 +54,18 @@ def components(mask: Bool[Tensor, "height width"], min_area: int = 1) -> list[Co
 
 def component_mask(mask: Bool[Tensor, "height width"], component: Component) -> Bool[Tensor, "height width"]:
     """The pixels of one of `components(mask)`."""
-    labels, _, _ = _label(mask)
-    return torch.from_numpy(labels == component.label).to(mask.device)
+    return label_pieces(mask).labels == component.label
 
 
 def largest_component(mask: Bool[Tensor, "height width"]) -> Bool[Tensor, "height width"]:
     """The piece with most pixels; an empty mask stays empty."""
-    kept = torch.zeros_like(mask)
-    x, y, width, height = cv2.boundingRect(_bytes(mask))
-    rows, columns = slice(y, y + height), slice(x, x + width)
-    if not width or _number(_bytes(mask[rows, columns]), connectivity=8) == 1:
+    left, top, width, height = bounding_box(mask)
+    box = (slice(top, top + height), slice(left, left + width))
+    if not width or count_pieces(mask[box]) == 1:
         return mask.clone()
-    labels, stats, _ = _label(mask[rows, columns])
-    if len(stats) > 1:
-        largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
-        kept[rows, columns] = torch.from_numpy(labels == largest).to(mask.device)
+    kept, pieces = torch.zeros_like(mask), label_pieces(mask[box])
+    largest = (pieces.areas == pieces.areas.max()).nonzero()[0, 0]  # the first of equals
+    kept[box] = pieces.labels == largest + 1
     return kept
 
 
@@ -78,25 +75,28 @@ def fill_holes(mask: Bool[Tensor, "height width"], max_area: int | None = None) 
     With `max_area` only holes of up to so many pixels: a ring of thumb and finger keeps its hole.
     """
     filled = mask.clone()
-    x, y, width, height = cv2.boundingRect(_bytes(mask))  # a hole lies inside the mask's box
-    box = filled[y : y + height, x : x + width]
-    around = cv2.copyMakeBorder(_bytes(~box), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=1)
-    if not width or _number(around, connectivity=4) == 1:
+    left, top, width, height = bounding_box(mask)  # a hole lies inside the mask's box
+    box = filled[top : top + height, left : left + width]
+    around = torch.nn.functional.pad(~box, (1, 1, 1, 1), value=True)
+    if not width or count_pieces(around, connectivity=4) == 1:
         return filled
-    labels, stats, _ = _label(~box, connectivity=4)
-    left, top, wide, high, area = stats.T
-    fill = (left > 0) & (top > 0) & (left + wide < width) & (top + high < height)
-    fill[0] = False  # label 0 is the mask itself
+    pieces = label_pieces(~box, connectivity=4)
+    first_x, first_y, wide, high = pieces.boxes.unbind(-1)
+    is_hole = (first_x > 0) & (first_y > 0) & (first_x + wide < width) & (first_y + high < height)
     if max_area is not None:
-        fill &= area <= max_area
-    if fill.any():
-        box |= torch.from_numpy(fill[labels]).to(mask.device)
+        is_hole &= pieces.areas <= max_area
+    if bool(is_hole.any()):
+        box |= _chosen(is_hole)[pieces.labels.long()]
     return filled
 
 
-def opened(mask: Bool[Tensor, "height width"], radius_px: int) -> Bool[Tensor, "height width"]:
-    """Only what a disc of a radius of at least 1 px fits into; the picture's border removes nothing."""
-    return torch.from_numpy(cv2.morphologyEx(_bytes(mask), cv2.MORPH_OPEN, _disc(radius_px)).view(bool)).to(mask.device)
+def touching(mask: Bool[Tensor, "height width"], other: Bool[Tensor, "height width"]) -> Bool[Tensor, "height width"]:
+    """The connected pieces (8 neighbours) of a mask that share a pixel with another mask."""
+    pieces = label_pieces(mask)
+    labels = pieces.labels.long()
+    is_met = torch.zeros(len(pieces.areas) + 1, dtype=torch.bool, device=mask.device)
+    is_met[labels[other]] = True
+    return _chosen(is_met[1:])[labels]
 
 
 def clean(mask: Bool[Tensor, "height width"], radius_px: int | None = None) -> Bool[Tensor, "height width"]:
@@ -110,29 +110,9 @@ def clean(mask: Bool[Tensor, "height width"], radius_px: int | None = None) -> B
         raise ValueError(f"clean: radius_px must be >= 0, got {radius}")
     if radius == 0:
         return mask.clone()
-    closed = cv2.morphologyEx(_bytes(opened(mask, radius)), cv2.MORPH_CLOSE, _disc(radius))
-    return torch.from_numpy(closed.view(bool)).to(mask.device)
+    return closed(opened(mask, disc_kernel(radius)), disc_kernel(radius))
 
 
-def _disc(radius_px: int) -> np.ndarray:
-    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius_px + 1, 2 * radius_px + 1))
-
-
-def _bytes(mask: Tensor) -> np.ndarray:
-    return mask.cpu().contiguous().view(torch.uint8).numpy()
-
-
-def _number(pixels: np.ndarray, *, connectivity: int) -> int:
-    """Of connected pieces; without their areas, which take most of the time of labels."""
-    count, _ = cv2.connectedComponentsWithAlgorithm(pixels, connectivity, cv2.CV_32S, cv2.CCL_WU)
-    return count - 1
-
-
-def _label(mask: Tensor, connectivity: int = 8) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    if mask.numel() == 0:
-        return np.zeros(tuple(mask.shape), np.int32), np.zeros((1, 5), np.int32), np.zeros((1, 2))
-    # Wu's algorithm counts areas 2.5 times faster than the default one.
-    _, labels, stats, centroids = cv2.connectedComponentsWithStatsWithAlgorithm(
-        _bytes(mask), connectivity, cv2.CV_32S, cv2.CCL_WU
-    )
-    return labels, stats, centroids
+def _chosen(pieces: Bool[Tensor, "pieces"]) -> Bool[Tensor, "labels"]:
+    """Whether a label is that of a chosen piece; 0, beside the mask, is not."""
+    return torch.nn.functional.pad(pieces, (1, 0))

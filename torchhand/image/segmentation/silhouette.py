@@ -9,8 +9,9 @@ import torch
 from jaxtyping import Bool, UInt8
 from torch import Tensor
 
+from torchhand.image.operations import disc_kernel, opened
 from torchhand.image.segmentation.background import BackgroundPlate, background_mask, chroma_mask
-from torchhand.image.segmentation.components import clean, fill_holes, largest_component, opened
+from torchhand.image.segmentation.components import clean, fill_holes, largest_component
 from torchhand.image.segmentation.skin import SkinModel, hue_probability_u8, with_dark_u8
 
 _SHADED = 0.7  # of the least probability of skin: what is enough beside lit skin, of a hue that was hardly seen
@@ -121,7 +122,7 @@ def _skin_pixels(image: Tensor, settings: SilhouetteSettings, skin: SkinModel) -
         darkest = max(_DARKEST, settings.shaded_skin * skin.dark_value)
         is_dim = (value < skin.dark_value) & (value >= darkest)
         shaded = is_dim & (found > math.floor(_SHADED * least))
-        mask |= opened(torch.from_numpy(shaded), max(1, round(max(shaded.shape) / _RIM)))
+        mask |= opened(torch.from_numpy(shaded), disc_kernel(max(1, round(max(shaded.shape) / _RIM))))
     return mask.to(image.device)
 
 

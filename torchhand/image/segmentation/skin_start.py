@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, UInt8
 from torch import Tensor
 
+from torchhand.image.operations import dilate, erode, square_kernel
 from torchhand.image.segmentation.components import clean, fill_holes, largest_component
 from torchhand.image.segmentation.skin import SkinModel, learn_skin, skin_probability
 
@@ -136,12 +137,10 @@ def _grow(image: Tensor, proposal: Tensor, rounds: int) -> SkinStart:
 
 def _rim(piece: Tensor) -> Tensor:
     """Pixels within 1 px of the outline, whose colour is mixed; none where the piece is too thin to do without them."""
-    square = np.ones((3, 3), np.uint8)
-    pixels = piece.to(torch.uint8).numpy()
-    core, grown = cv2.erode(pixels, square), cv2.dilate(pixels, square)
-    if core.sum() < 0.25 * pixels.sum() or grown.all():
+    core, grown = erode(piece, square_kernel(1)), dilate(piece, square_kernel(1))
+    if int(core.sum()) < 0.25 * int(piece.sum()) or bool(grown.all()):
         return torch.zeros_like(piece)
-    return torch.from_numpy((grown > 0) & (core == 0))
+    return grown & ~core
 
 
 def _measured(image: Tensor, piece: Tensor, model: SkinModel) -> SkinStart:

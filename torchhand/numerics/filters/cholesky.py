@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-RELATIVE_JITTERS = (1e-10, 1e-8, 1e-6)  # times the mean absolute diagonal
+RELATIVE_JITTERS = (1e-10, 1e-8, 1e-6)  # times the diagonal
 RELATIVE_EIGENVALUE_FLOOR = 1e-12  # times the largest eigenvalue
 
 
@@ -12,9 +12,10 @@ def robust_cholesky(matrix: Float[Tensor, "*batch n n"]) -> Float[Tensor, "*batc
     """Lower triangular L with L Lᵀ = matrix, or nearly so where the matrix is not positive definite.
 
     The symmetric part is factored as it is. Only those matrices of the batch that fail are tried again, with a growing
-    multiple of the identity added and at last with their eigenvalues clipped from below (FACTS section 5.3), so one
-    bad matrix changes no other. A matrix of zeros gives zeros. A matrix with a NaN or an infinity gives NaN: one lost
-    filter of a batch does not stop the others. Differentiable; at a clipped matrix only in directions that keep it so.
+    share of their own diagonal added, which suits states whose numbers have different units, and at last with their
+    eigenvalues clipped from below, so one bad matrix changes no other. A matrix of zeros gives zeros. A matrix with a
+    NaN or an infinity gives NaN: one lost filter of a batch does not stop the others. Differentiable; at a clipped
+    matrix only in directions that keep it so.
     """
     symmetric = 0.5 * (matrix + matrix.mT)
     factor, info = torch.linalg.cholesky_ex(symmetric)
@@ -31,10 +32,9 @@ def _factor_one(symmetric: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
     """Factor of one matrix that plain Cholesky refused."""
     if not bool(symmetric.isfinite().all()):
         return torch.full_like(symmetric, torch.nan)
-    identity = torch.eye(symmetric.shape[-1], dtype=symmetric.dtype, device=symmetric.device)
-    scale = symmetric.diagonal().abs().mean()
+    diagonal = symmetric.diagonal().clamp_min(0.0).diag()
     for jitter in RELATIVE_JITTERS:
-        factor, info = torch.linalg.cholesky_ex(symmetric + jitter * scale * identity)
+        factor, info = torch.linalg.cholesky_ex(symmetric + jitter * diagonal)
         if not bool(info):
             return factor
     values, vectors = torch.linalg.eigh(symmetric)

@@ -4,7 +4,6 @@
 """
 
 from collections.abc import Callable
-from typing import Literal
 
 import torch
 from jaxtyping import Bool, Float
@@ -12,10 +11,10 @@ from torch import Tensor
 
 from torchhand.numerics.filters.cholesky import robust_cholesky
 from torchhand.numerics.filters.gaussian import Gaussian
-from torchhand.numerics.filters.information import correct
 from torchhand.numerics.filters.motion import MotionModel
+from torchhand.numerics.filters.square_root import PosteriorRoot
 from torchhand.numerics.filters.unscented import Update, predict_linear
-from torchhand.numerics.filters.whitening import is_full, masked_noise, noise_root, whiten
+from torchhand.numerics.filters.whitening import is_full, masked_noise, noise_root, usable, whiten
 
 Linearised = Callable[[Tensor], tuple[Tensor, Tensor]]
 """A function of states (*batch, k) that returns values (*batch, m) and their Jacobian (*batch, m, k)."""
@@ -69,34 +68,39 @@ def update_extended(
     valid: Bool[Tensor, "*batch m"] | None = None,
     gate: float | None = None,
     group: int = 1,
-    form: Literal["joseph", "information"] | None = None,
 ) -> Update:
-    """Measurement update x + K ν, with the covariance in Joseph or in information form (FACTS sections 5.3 and 5.5).
+    """Measurement update x + K ν and P - K S Kᵀ, in square-root form.
+
+    With P = L Lᵀ and B = R^(-1/2) H L the posterior is L (I + BᵀB)⁻¹ Lᵀ, its factor taken from B itself
+    (`PosteriorRoot`). It is symmetric, and positive semi-definite up to the rounding of that one product, however close
+    to singular the prior is and however small the noise. Cost: O((m + k) k² + n³).
 
     innovation   measurement minus prediction; differences of angles through `wrapped` first
     jacobian     of the prediction in the first k components of the state, k <= n: positions are observed, not rates
     noise        variances (*batch, m) of independent noises, or covariances (*batch, m, m); leading dimensions may be 1
-    valid        False leaves a measurement out; whatever number or NaN stands there has no effect
+    valid        False leaves a measurement out; whatever number or NaN stands there has no effect. A measurement whose
+                 innovation or row of the Jacobian is not finite is left out as well
     gate         leaves out each group with νᵀ S⁻¹ ν > gate, S the group's own block: 9 for three sigma of a group of 1
     group        measurements in a row that are judged together; the whole vector has a multiple of it
-    form         "joseph" costs O(m³ + m n²), "information" O(m k² + n³); None takes the cheaper. Both keep the
-                 posterior positive semi-definite and give the same numbers
 
     A filter without any used measurement comes back unchanged. Differentiable in everything but the choice of the gate.
     """
-    if form not in (None, "joseph", "information"):
-        raise ValueError(f"form must be None, 'joseph' or 'information', got {form!r}")
-    innovation, jacobian, variance, used = masked_and_gated(
-        state, innovation, jacobian, noise, valid=valid, gate=gate, group=group
+    root = robust_cholesky(state.covariance)
+    innovation, rows, variance, used = masked_and_gated(
+        root, innovation, jacobian, noise, valid=valid, gate=gate, group=group
     )
-    kept = torch.where(used, innovation, 0.0).unsqueeze(-1)
-    rows = torch.where(used.unsqueeze(-1), jacobian, 0.0)
+    both = torch.where(used.unsqueeze(-1), torch.cat((innovation.unsqueeze(-1), rows), -1), 0.0)
     full = is_full(noise, innovation)
-    root = noise_root(masked_noise(noise, used, innovation), full=full)
-    kept, rows = whiten(root, kept, full=full).squeeze(-1), whiten(root, rows, full=full)
+    both = whiten(noise_root(masked_noise(noise, used, innovation), full=full), both, full=full)
+    kept, rows = both[..., 0], both[..., 1:]
 
-    in_joseph_form = rows.shape[-2] <= rows.shape[-1] if form is None else form == "joseph"
-    shift, covariance, nis = (_joseph if in_joseph_form else _information)(state.covariance, rows, kept)
+    left = PosteriorRoot.of(rows)
+    offset, _ = left.step(kept)
+    # The lower triangle of L keeps what is not observed out of the sums: those columns only come back unchanged.
+    seen, hidden = root[..., : rows.shape[-1]], root[..., rows.shape[-1] :]
+    shift = (seen @ offset.unsqueeze(-1)).squeeze(-1)
+    covariance = left.covariance(seen) + hidden @ hidden.mT
+    nis = offset.square().sum(-1) + (kept - (rows @ offset.unsqueeze(-1)).squeeze(-1)).square().sum(-1)
     count = used.sum(-1)
     has_any = (count > 0).unsqueeze(-1)
     posterior = Gaussian(
@@ -107,7 +111,7 @@ def update_extended(
 
 
 def masked_and_gated(
-    state: Gaussian,
+    root: Float[Tensor, "*batch n n"],
     innovation: Float[Tensor, "*batch m"],
     jacobian: Float[Tensor, "*#batch m k"],
     noise: Float[Tensor, "..."],
@@ -116,67 +120,44 @@ def masked_and_gated(
     gate: float | None,
     group: int,
 ) -> tuple[Float[Tensor, "*batch m"], Float[Tensor, "*batch m k"], Float[Tensor, "*batch m"], Bool[Tensor, "*batch m"]]:
-    """Innovation and Jacobian with zeros for what is not valid, the innovation's variance (infinite there), and what
-    is used: valid and inside the gate. Arguments as in `update_extended`."""
+    """Which measurements are used, and what of them does not depend on that.
+
+    `root` is the lower triangular square root of the prior's covariance, the other arguments are those of
+    `update_extended`. Returns the innovation and the Jacobian in units of the prior, H L, with zeros where a
+    measurement cannot be used; the innovation's variance, infinite there; and what is used: valid, finite and inside
+    the gate.
+    """
     size, columns = jacobian.shape[-2:]
-    if not 1 <= columns <= state.mean.shape[-1]:
-        raise ValueError(f"jacobian must have 1 to {state.mean.shape[-1]} columns, got {columns}")
+    if not 1 <= columns <= root.shape[-1]:
+        raise ValueError(f"jacobian must have 1 to {root.shape[-1]} columns, got {columns}")
     if gate is not None and not gate > 0:
         raise ValueError(f"gate must be None or above 0, got {gate!r}")
     if group < 1 or size % group:
         raise ValueError(f"group must divide the {size} measurements, got {group!r}")
-    valid = torch.ones_like(innovation, dtype=torch.bool) if valid is None else valid
-    jacobian = torch.where(valid.unsqueeze(-1), jacobian, 0.0)
+    valid = usable(innovation, valid, jacobian)
+    rows = torch.where(valid.unsqueeze(-1), jacobian, 0.0) @ root[..., :columns, :columns]
     innovation = torch.where(valid, innovation, 0.0)
     full, noise = is_full(noise, innovation), masked_noise(noise, valid, innovation)
-    spread = jacobian @ state.covariance[..., :columns, :columns]
-    variance = (spread * jacobian).sum(-1) + (noise.diagonal(dim1=-2, dim2=-1) if full else noise)
+    variance = rows.square().sum(-1) + (noise.diagonal(dim1=-2, dim2=-1) if full else noise)
     used = valid
     if gate is not None:
         with torch.no_grad():
-            used = valid & (_group_nis(innovation, spread, jacobian, noise, group, full=full) <= gate)
-    return innovation, jacobian, torch.where(valid, variance, torch.inf), used
+            used = valid & (_group_nis(innovation, rows, noise, group, full=full) <= gate)
+    return innovation, rows, torch.where(valid, variance, torch.inf), used
 
 
-def _group_nis(
-    innovation: Tensor, spread: Tensor, jacobian: Tensor, noise: Tensor, group: int, *, full: bool
-) -> Tensor:
+def _group_nis(innovation: Tensor, rows: Tensor, noise: Tensor, group: int, *, full: bool) -> Tensor:
     """νᵀ S⁻¹ ν of every measurement's group: (*batch, m)."""
-    left, right = (x.unflatten(-2, (-1, group)) for x in (spread, jacobian))
+    grouped_rows = rows.unflatten(-2, (-1, group))
     if full:
         blocks = noise.unflatten(-1, (-1, group)).unflatten(-3, (-1, group))  # groups, group, groups, group
         own = blocks.diagonal(dim1=-4, dim2=-2).movedim(-1, -3)
     else:
         own = noise.unflatten(-1, (-1, group)).diag_embed()
-    factor = robust_cholesky(left @ right.mT + own)
+    factor = robust_cholesky(grouped_rows @ grouped_rows.mT + own)
     grouped = innovation.unflatten(-1, (-1, group)).unsqueeze(-1)
     nis = torch.linalg.solve_triangular(factor, grouped, upper=False).square().sum((-2, -1))
     return nis.repeat_interleave(group, -1)
-
-
-def _joseph(prior: Tensor, rows: Tensor, innovation: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Shift, covariance and NIS for unit noise: P = (I - K H) P (I - K H)ᵀ + K Kᵀ."""
-    columns = rows.shape[-1]
-    cross = prior[..., :columns] @ rows.mT
-    unit = torch.eye(rows.shape[-2], dtype=rows.dtype, device=rows.device)
-    factor = robust_cholesky(rows @ cross[..., :columns, :] + unit)
-    gain = torch.cholesky_solve(cross.mT, factor).mT
-    rest = torch.eye(prior.shape[-1], dtype=rows.dtype, device=rows.device) - torch.nn.functional.pad(
-        gain @ rows, (0, prior.shape[-1] - columns)
-    )
-    half = torch.linalg.solve_triangular(factor, innovation.unsqueeze(-1), upper=False)
-    shift = (gain @ innovation.unsqueeze(-1)).squeeze(-1)
-    return shift, rest @ prior @ rest.mT + gain @ gain.mT, half.square().sum((-2, -1))
-
-
-def _information(prior: Tensor, rows: Tensor, innovation: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The same from the prior's square root, which need not be invertible. Its lower triangle keeps what is not
-    observed out of the sums: those columns only come back unchanged."""
-    columns = rows.shape[-1]
-    root = robust_cholesky(prior)
-    seen, hidden = root[..., :columns], root[..., columns:]
-    correction = correct(seen, (rows @ seen[..., :columns, :]).mT, innovation)
-    return correction.shift, correction.covariance + hidden @ hidden.mT, correction.nis
 
 
 def _symmetric(matrix: Tensor) -> Tensor:

@@ -31,10 +31,12 @@ def correct(
     with the state. With J = diag(centre_sign, 1, ..., 1), S = R + E J Eᵀ, the cross covariance A J Eᵀ and
     G = Eᵀ R⁻¹ E, Woodbury's identity gives (A padded with zeros to p columns)
 
-        shift = A (J + G)⁻¹ Eᵀ R⁻¹ ν,   posterior = P - A J Aᵀ + A (J + G)⁻¹ Aᵀ,   NIS = ν'ν' - bᵀ (J + G)⁻¹ b
+        shift = A y,   posterior = P - A J Aᵀ + A (J + G)⁻¹ Aᵀ,   NIS = |ν' - R^(-1/2) E y|² + yᵀ J y
 
-    with b = Eᵀ R⁻¹ ν. Only the last term of the posterior is returned; where A J Aᵀ = P it is all of it, and for
-    centre_sign = 1 it is positive semi-definite by construction. A zero centre row must come with centre_sign 1.
+    with y = (J + G)⁻¹ Eᵀ R⁻¹ ν and ν' = R^(-1/2) ν. The sum of squares stays exact where the state explains nearly all
+    of a large innovation; the shorter ν'ᵀν' - νᵀ R⁻¹ E y is then a difference of large numbers, negative at times.
+    Only the last term of the posterior is returned; where A J Aᵀ = P it is all of it, and for centre_sign = 1 it is
+    positive semi-definite by construction. A zero centre row must come with centre_sign 1.
     """
     information = whitened_spread @ whitened_spread.mT
     projected = whitened_spread @ whitened_innovation.unsqueeze(-1)
@@ -43,7 +45,7 @@ def correct(
     if centre_sign > 0:
         factor = robust_cholesky(information + signature.diag_embed())
         half = torch.linalg.solve_triangular(factor, projected, upper=False)
-        explained = half.square().sum((-2, -1))
+        solved = torch.linalg.solve_triangular(factor.mT, half, upper=True)
         # The last block of the inverse is the inverse of the last block of the factor times its transpose.
         last = factor[..., rows - correlated :, rows - correlated :]
         root = torch.linalg.solve_triangular(last, state_spread.mT, upper=False)
@@ -52,10 +54,11 @@ def correct(
     else:
         signature[0] = -1.0
         padded = torch.nn.functional.pad(state_spread, (rows - correlated, 0)).mT
-        solved = torch.linalg.solve(information + signature.diag_embed(), torch.cat([projected, padded], dim=-1))
-        explained = (projected * solved[..., :1]).sum((-2, -1))
-        shift = padded.mT @ solved[..., :1]
-        covariance = padded.mT @ solved[..., 1:]
+        both = torch.linalg.solve(information + signature.diag_embed(), torch.cat([projected, padded], dim=-1))
+        solved = both[..., :1]
+        shift = padded.mT @ solved
+        covariance = padded.mT @ both[..., 1:]
         covariance = 0.5 * (covariance + covariance.mT)
-    nis = whitened_innovation.square().sum(-1) - explained
+    rest = whitened_innovation - (whitened_spread.mT @ solved).squeeze(-1)
+    nis = rest.square().sum(-1) + (signature * solved.squeeze(-1).square()).sum(-1)
     return Correction(shift=shift.squeeze(-1), covariance=covariance, nis=nis)

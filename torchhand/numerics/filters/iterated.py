@@ -14,6 +14,7 @@ from torch import Tensor
 from torchhand.numerics.filters.cholesky import robust_cholesky
 from torchhand.numerics.filters.extended import Linearised, masked_and_gated
 from torchhand.numerics.filters.gaussian import Gaussian
+from torchhand.numerics.filters.square_root import PosteriorRoot
 from torchhand.numerics.filters.unscented import Update
 from torchhand.numerics.filters.whitening import is_full, masked_noise, noise_root, whiten, wrapped
 
@@ -66,6 +67,10 @@ class _Point:
     def cost(self) -> Tensor:
         return 0.5 * (self.offset.square().sum(-1) + self.residual.square().sum(-1))
 
+    @property
+    def is_finite(self) -> Tensor:
+        return self.residual.isfinite().all(-1) & self.rows.isfinite().all((-2, -1))
+
     def where(self, choose: Tensor, other: "_Point") -> "_Point":
         """This point where `choose`, the other one elsewhere."""
         return _Point(
@@ -93,10 +98,10 @@ def update_iterated(
     observe    takes states (*batch, k), k = n or `observed`, and returns values (*batch, m) and Jacobian (*batch, m, k)
     period     of each measurement, infinite for those that do not repeat: differences are wrapped by it
     observed   `observe` depends on the first k components only, is given only those and returns k columns
-    noise, valid, gate, group   as in `update_extended`; the gate is decided once, at the prediction
+    noise, valid, gate, group   as in `update_extended`; what is used is decided once, at the prediction: the gate, and
+               that a measurement, its value and its row of the Jacobian there are finite
 
-    Estimates at which `observe` returns NaN for a used measurement count as infinitely bad and are never returned,
-    unless the prediction itself is one.
+    Estimates at which `observe` returns NaN or an infinity for a used measurement are never accepted.
     """
     size = state.mean.shape[-1]
     seen = size if observed is None else observed
@@ -113,27 +118,29 @@ def update_iterated(
         return measurement - values if period is None else wrapped(measurement - values, period)
 
     values, jacobian = observe(state.mean[..., :seen])
-    innovation, jacobian, variance, used = masked_and_gated(
-        state, difference(values), jacobian, noise, valid=valid, gate=gate, group=group
+    innovation, rows, variance, used = masked_and_gated(
+        root, difference(values), jacobian, noise, valid=valid, gate=gate, group=group
     )
     full = is_full(noise, measurement)
     whitener = noise_root(masked_noise(noise, used, measurement), full=full)
 
-    def point(offset: Tensor, innovation: Tensor, jacobian: Tensor) -> _Point:
-        both = torch.cat((innovation.unsqueeze(-1), jacobian @ inner), -1)
+    def point(offset: Tensor, innovation: Tensor, rows: Tensor) -> _Point:
+        both = torch.cat((innovation.unsqueeze(-1), rows), -1)
         both = whiten(whitener, torch.where(used.unsqueeze(-1), both, 0.0), full=full)
         return _Point(offset=offset, residual=both[..., 0], rows=both[..., 1:])
 
     def evaluated(offset: Tensor) -> _Point:
         values, jacobian = observe(state.mean[..., :seen] + (inner @ offset.unsqueeze(-1)).squeeze(-1))
-        return point(offset, difference(values), jacobian)
+        # Masked before the product, so that a NaN spoils no gradient either.
+        return point(offset, difference(values), torch.where(used.unsqueeze(-1), jacobian, 0.0) @ inner)
 
-    best = point(torch.zeros_like(state.mean[..., :seen]), innovation, jacobian)
+    best = point(torch.zeros_like(state.mean[..., :seen]), innovation, rows)
     steps = torch.zeros_like(best.cost, dtype=torch.int64)
     is_converged = torch.zeros_like(best.cost, dtype=torch.bool)
     is_stuck = torch.zeros_like(is_converged)
+    left = PosteriorRoot.of(best.rows)
     for _ in range(settings.iterations):
-        step, length = _gauss_newton(best)
+        step, length = left.step(best.residual, best.offset)
         is_converged = is_converged | (~is_stuck & (length <= settings.tolerance))
         moving = ~is_converged & ~is_stuck
         if not bool(moving.any()):
@@ -143,7 +150,7 @@ def update_iterated(
         start, scale = best, torch.ones_like(best.cost)
         for _ in range(settings.halvings + 1):
             trial = evaluated(start.offset + (scale * moving).unsqueeze(-1) * step)
-            improves = moving & ~is_better & (trial.cost <= allowed)
+            improves = moving & ~is_better & trial.is_finite & (trial.cost <= allowed)
             best = trial.where(improves, best)
             is_better = is_better | improves
             if bool((is_better | ~moving).all()):
@@ -151,16 +158,16 @@ def update_iterated(
             scale = torch.where(is_better, scale, 0.5 * scale)
         steps = steps + is_better
         is_stuck = is_stuck | (moving & ~is_better)
-    else:
-        is_converged = is_converged | (~is_stuck & (_gauss_newton(best)[1] <= settings.tolerance))
+        left = PosteriorRoot.of(best.rows)
+    length = left.step(best.residual, best.offset)[1]
+    is_converged = is_converged | (~is_stuck & (length <= settings.tolerance))
 
     count = used.sum(-1)
     has_any = (count > 0).unsqueeze(-1)
-    factor = _factor(best)
     outer, hidden = root[..., :seen], root[..., seen:]
-    half = torch.linalg.solve_triangular(factor, outer.mT, upper=False)
     mean = state.mean + (outer @ best.offset.unsqueeze(-1)).squeeze(-1)
-    covariance = half.mT @ half + hidden @ hidden.mT
+    covariance = left.covariance(outer) + hidden @ hidden.mT
+    covariance = 0.5 * (covariance + covariance.mT)
     posterior = Gaussian(
         torch.where(has_any, mean, state.mean), torch.where(has_any.unsqueeze(-1), covariance, state.covariance)
     )
@@ -173,18 +180,3 @@ def update_iterated(
         count=count,
     )
     return IteratedUpdate(update=update, iterations=steps, is_converged=is_converged)
-
-
-def _factor(point: _Point) -> Tensor:
-    """Cholesky factor of I + BᵀB, the information of y; B the whitened rows."""
-    unit = torch.eye(point.rows.shape[-1], dtype=point.rows.dtype, device=point.rows.device)
-    return robust_cholesky(point.rows.mT @ point.rows + unit)
-
-
-def _gauss_newton(point: _Point) -> tuple[Tensor, Tensor]:
-    """The step of y to the linearised problem's minimum, and its length in posterior standard deviations."""
-    factor = _factor(point)
-    gradient = (point.rows.mT @ point.residual.unsqueeze(-1)).squeeze(-1) - point.offset
-    half = torch.linalg.solve_triangular(factor, gradient.unsqueeze(-1), upper=False)
-    step = torch.linalg.solve_triangular(factor.mT, half, upper=True)
-    return step.squeeze(-1), half.square().sum((-2, -1)).sqrt()

@@ -12,18 +12,19 @@ from torchhand.numerics.filters.cholesky import robust_cholesky
 from torchhand.numerics.filters.gaussian import Gaussian
 from torchhand.numerics.filters.information import correct
 from torchhand.numerics.filters.sigma import UnscentedSettings, Weights, sigma_points, spread_points
+from torchhand.numerics.filters.whitening import usable
 
 DEFAULT_SETTINGS = UnscentedSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Update:
-    """Result of a measurement update. Where `valid` is False, innovation is 0 and its variance infinite."""
+    """Result of a measurement update. A measurement that cannot be used has innovation 0 and infinite variance."""
 
     state: Gaussian  # the posterior
     innovation: Float[Tensor, "*batch m"]  # measurement minus its prediction, gated ones included
     innovation_variance: Float[Tensor, "*batch m"]  # diagonal of S, the covariance of the innovation
-    used: Bool[Tensor, "*batch m"]  # valid and inside the gate
+    used: Bool[Tensor, "*batch m"]  # valid, finite and inside the gate
     nis: Float[Tensor, "*batch"]  # normalised innovation squared of the used measurements; chi-square of `count`
     count: Int[Tensor, "*batch"]  # number of used measurements
 
@@ -47,7 +48,7 @@ def predict(
 ) -> Gaussian:
     """Time update through a nonlinear `transition` of states (*batch, p, n) -> (*batch, p, n).
 
-    `update` draws new points from the result, so the process noise reaches the gain (FACTS section 5.1).
+    `update` draws new points from the result, so the process noise reaches the gain.
     """
     weights = Weights.of(settings, state.mean.shape[-1])
     points = sigma_points(state, settings).points
@@ -78,11 +79,12 @@ def update(
     observed: int | None = None,
     points: Float[Tensor, "*batch p n"] | None = None,
 ) -> Update:
-    """Measurement update: x + K ν and P - K S Kᵀ with the unscented K and S, in information form (FACTS section 5.5).
+    """Measurement update: x + K ν and P - K S Kᵀ with the unscented K and S, in information form (Woodbury).
 
     observe    maps states (*batch, p, k) to measurements (*batch, p, m), k = n or `observed`; any nonlinearity
     variance   of each measurement's noise, > 0; noises are independent
-    valid      False leaves a measurement out; whatever number or NaN stands there has no effect
+    valid      False leaves a measurement out; whatever number or NaN stands there has no effect. A measurement that is
+               not finite, or whose prediction is not, is left out as well
     gate       leaves out each measurement with ν² > gate * S_jj, for example 9 for three sigma
     observed   `observe` depends on the first k components only and is given only those, at 2k + 1 instead of 2n + 1
                points: offsets are columns of a lower triangular factor, so all other points look like the centre
@@ -92,9 +94,6 @@ def update(
     """
     if gate is not None and not gate > 0:
         raise ValueError(f"gate must be None or above 0, got {gate!r}")
-    is_usable = variance > 0 if valid is None else (variance > 0) | ~valid
-    if not bool(is_usable.all()):
-        raise ValueError("variance must be above 0 wherever a measurement is valid, got 0, a negative number or NaN")
     if points is None:
         spread = _spread_of_draw(state, observe, settings, observed, measurement.shape[-1])
     elif observed is not None:
@@ -103,13 +102,15 @@ def update(
         spread = _spread_of_points(state, observe, settings, points, measurement.shape[-1])
 
     rows, innovation = spread.rows, measurement - spread.predicted
-    if valid is not None:  # here, where everything is linear, so that a NaN spoils no gradient either
-        rows = torch.where(valid.unsqueeze(-2), rows, 0.0)
-        innovation = torch.where(valid, innovation, 0.0)
-        variance = torch.where(valid, variance, torch.inf)
+    used = usable(innovation, valid)
+    if not bool(((variance > 0) | ~used).all()):
+        raise ValueError("variance must be above 0 wherever a measurement is valid, got 0, a negative number or NaN")
+    # Here, where everything is linear, so that a NaN spoils no gradient either.
+    rows = torch.where(used.unsqueeze(-2), rows, 0.0)
+    innovation = torch.where(used, innovation, 0.0)
+    variance = torch.where(used, variance, torch.inf)
     squares = rows.square()
     innovation_variance = variance + squares[..., 1:, :].sum(-2) + spread.centre_sign * squares[..., 0, :]
-    used = torch.ones_like(measurement, dtype=torch.bool) if valid is None else valid
     if gate is not None:
         used = used & (innovation.square() <= gate * innovation_variance)
     precision_root = torch.where(used, variance, torch.inf).rsqrt()

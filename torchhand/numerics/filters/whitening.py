@@ -1,4 +1,4 @@
-"""Measurement noise as a square root that whitens residuals and Jacobians; missing measurements are taken out first."""
+"""Which measurements a filter can use, and their noise as a square root that whitens residuals and Jacobians."""
 
 import torch
 from jaxtyping import Bool, Float
@@ -10,11 +10,27 @@ from torchhand.numerics.filters.cholesky import robust_cholesky
 def wrapped(difference: Float[Tensor, "*batch m"], period: Float[Tensor, "m"]) -> Float[Tensor, "*batch m"]:
     """Differences brought into (-period/2, period/2]; a period > 0, infinite where a measurement does not repeat.
 
-    The direction of a line has period π, an angle 2π (FACTS section 5.6).
+    The direction of a line has period π, an angle 2π.
     """
     is_periodic = period.isfinite()
     length = torch.where(is_periodic, period, 1.0)
     return torch.where(is_periodic, difference - length * (difference / length - 0.5).ceil(), difference)
+
+
+def usable(
+    innovation: Float[Tensor, "*batch m"],
+    valid: Bool[Tensor, "*batch m"] | None,
+    jacobian: Float[Tensor, "*#batch m k"] | None = None,
+) -> Bool[Tensor, "*batch m"]:
+    """Which measurements a filter uses: valid ones with a finite innovation and a finite row of the Jacobian.
+
+    A NaN or an infinity, in the measurement or in its prediction, thus counts as a missing measurement, with a gate or
+    without one. None for `valid` means that every measurement is.
+    """
+    finite = innovation.isfinite()
+    if jacobian is not None:
+        finite = finite & jacobian.isfinite().all(-1)
+    return finite if valid is None else finite & valid
 
 
 def is_full(noise: Float[Tensor, "..."], innovation: Float[Tensor, "*batch m"]) -> bool:

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from torchhand.evaluate import MIDDLE_MCP, WRIST, PoseErrors, cut_at_wrist, intersection_over_union, pose_errors
+from torchhand.evaluate import MIDDLE_MCP, WRIST, PoseErrors, pose_errors
 from torchhand.fit import (
     ConstraintPrior,
     GaussianPrior,
@@ -27,6 +27,7 @@ from torchhand.fit import (
 from torchhand.fit.contour import ContourObservation, picture_contours
 from torchhand.geometry import Camera
 from torchhand.hand import HandModel, HandPose, PoseConstraints, Side, named_pose_space
+from torchhand.image import hand_region, intersection_over_union
 from torchhand.study import draw_perturbations, seed_of, spread_of_starts
 from torchhand.study.hypotheses.record import Hypotheses
 from torchhand.study.hypotheses.settings import HypothesisStudySettings
@@ -123,10 +124,10 @@ class CaseStudy:
         """Intersection over union of the reference hand's silhouette and the mask, forearm cut at the wrist."""
         case, projector = self.case, HandProjector(self.kinematics, self.camera, self.shape)
         hand = case.pose
-        points = self.camera.project(projector.frames(hand.dofs, hand.reference).keypoints).cpu().numpy()
+        points = self.camera.project(projector.frames(hand.dofs, hand.reference).keypoints)
         drawn = projector.silhouette(hand.dofs, hand.reference)
-        masks = (cut_at_wrist(m.cpu().numpy(), points[WRIST], points[MIDDLE_MCP]) for m in (case.mask, drawn))
-        return float(intersection_over_union(*masks))
+        region = hand_region((self.camera.height, self.camera.width), points[WRIST], points[MIDDLE_MCP])
+        return float(intersection_over_union(case.mask.to(drawn.device), drawn, region))
 
     def refined(self, starts: int, seed: int) -> StudyCase:
         """The case with the cheapest of some registrations about its reference in place of it.

@@ -2,14 +2,13 @@
 
 import math
 
-import cv2
-import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.geometry import Camera, rotation_from_vector
 from torchhand.hand import DOFS, FINGERS, HandPose, posture
+from torchhand.image import depth_map
 
 _ROOT = 6
 _TURNS = 24  # directions all around
@@ -66,7 +65,7 @@ def turned_proposals(
 
 def _largest_disc(mask: Bool[Tensor, "height width"]) -> tuple[Float[Tensor, "2"], float] | None:
     """Centre (x, y) and radius, px, of the largest disc inside a mask."""
-    inscribed = cv2.distanceTransform(np.pad(mask.cpu().numpy().astype(np.uint8), 1), cv2.DIST_L2, 5)[1:-1, 1:-1]
-    y, x = np.unravel_index(int(inscribed.argmax()), inscribed.shape)
+    inscribed = depth_map(mask, is_border_outside=True)
+    y, x = divmod(int(inscribed.argmax()), mask.shape[1])
     radius = float(inscribed[y, x])
     return (torch.tensor((float(x), float(y)), dtype=torch.float64), radius) if radius > 0 else None

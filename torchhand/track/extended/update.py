@@ -12,13 +12,13 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.fit import ConstraintPrior, Observation, PostureResiduals, Solutions, touching
+from torchhand.fit import ConstraintPrior, Observation, PostureResiduals, Solutions
 from torchhand.fit import PosturePrior as PostureDensity
 from torchhand.fit.contour import PictureContours, is_in_picture
 from torchhand.fit.keypoints import KeypointSettings
 from torchhand.geometry import Camera
 from torchhand.hand import Hand, HandPose, HandPrior, PoseConstraints
-from torchhand.image import channel_of, clean, fill_holes, largest_component
+from torchhand.image import channel_of, clean, fill_holes, largest_component, touching
 from torchhand.numerics import (
     adapted_variance,
     noise_density,

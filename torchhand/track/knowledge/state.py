@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.files.results import Status
+from torchhand.files import FrameStatus
 from torchhand.hand import HandPose
 from torchhand.track.belief import FollowedHand
 from torchhand.track.scene import Looks
@@ -55,7 +55,7 @@ class TrackerState:
 class Estimate:
     """One frame's result. Where status is lost or no_hand the hand's own fields are None."""
 
-    status: Status
+    status: FrameStatus
     time_s: float
     pose: Float[Tensor, "36"] | None = None
     """Full pose with the root's whole rotation vector, metres and radians; the world's frame, which is that of the

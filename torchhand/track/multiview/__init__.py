@@ -1,8 +1,7 @@
 """Several cameras: silhouettes, their hull, a hand found in it without a guess, its proportions, and the MAP update."""
 
 from torchhand.track.multiview.acquaintance import Acquaintance, acquaint, moments_of
-from torchhand.track.multiview.agreement import score_of
-from torchhand.track.multiview.fitting import Anchor, MomentFitter, Placed
+from torchhand.track.multiview.fitting import Anchor, MomentFitter, Placed, score_of
 from torchhand.track.multiview.hulls import Hull
 from torchhand.track.multiview.introduction import Introduction, introduce
 from torchhand.track.multiview.scale import in_unit

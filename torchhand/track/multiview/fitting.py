@@ -19,10 +19,9 @@ from torchhand.fit.hull import (
 )
 from torchhand.geometry import Camera, rotation_from_vector
 from torchhand.hand import ConstraintSettings, Hand, HandPose, HandPrior, PoseConstraints, named_pose_space
-from torchhand.track.multiview.agreement import ViewAgreement, mean_overlap, score_of
 from torchhand.track.multiview.hulls import Hull, Hulls
 from torchhand.track.multiview.settings import RigSettings
-from torchhand.track.scene import Masks
+from torchhand.track.scene import Masks, SilhouetteComparison, mean_overlap
 
 _KNUCKLE = 9  # keypoint about which the hull is carved: the middle finger's
 _SETTLING = (
@@ -120,7 +119,7 @@ class _Made:
     """From one that may be 10 mm off."""
     broad: HullFitter
     """From starts that may be farther off."""
-    agreement: ViewAgreement
+    comparison: SilhouetteComparison
 
 
 class MomentFitter:
@@ -270,19 +269,26 @@ class MomentFitter:
 
     def _placed(self, found: Solutions, shape: Tensor, masks: Masks) -> Placed:
         fit = HullFit.of(found)
-        return Placed(fit=fit, overlaps=self._made_for(shape).agreement(fit.pose, fit.root_reference, masks))
+        return Placed(fit=fit, overlaps=self._made_for(shape).comparison.overlaps(found.pose, masks))
 
     def _made_for(self, shape: Tensor) -> "_Made":
         """What depends on the proportions, kept while they stay the same."""
-        if self._made is None or self._made.agreement.shape is not shape:
+        if self._made is None or self._made.comparison.shape is not shape:
             s = self.settings
             broad = HullFitter(
                 hand=self.hand, space=self.space, shape=shape, settings=s.hull, schedule=s.search, joints=self.joints
             )
             near = replace(broad, settings=replace(s.hull, vertices=s.tracking_vertices), schedule=s.tracking)
-            agreement = ViewAgreement(self.hand.kinematics, self.cameras, shape, side_px=s.check_side_px)
-            self._made = _Made(near=near, settling=replace(near, schedule=_SETTLING), broad=broad, agreement=agreement)
+            comparison = SilhouetteComparison(self.hand.kinematics, self.cameras, shape, side_px=s.check_side_px)
+            self._made = _Made(
+                near=near, settling=replace(near, schedule=_SETTLING), broad=broad, comparison=comparison
+            )
         return self._made
+
+
+def score_of(overlap: float, covered_share: float) -> float:
+    """How much of the pictures a hand explains, 0 to 1: the silhouettes' areas and their edges, in equal shares."""
+    return 0.5 * (overlap + covered_share)
 
 
 def _stacked(anchors: Sequence[Anchor]) -> HandPose:

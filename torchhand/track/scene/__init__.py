@@ -1,6 +1,6 @@
 """One time: what the cameras give, how a hand agrees with it, and which of several hands explains it best."""
 
-from torchhand.track.scene.agreement import Agreement, SilhouetteComparison
+from torchhand.track.scene.agreement import Agreement, SilhouetteComparison, mean_overlap
 from torchhand.track.scene.candidate import Candidate
 from torchhand.track.scene.health import Health, HealthSettings
 from torchhand.track.scene.keypoints import keypoint_observations
@@ -36,4 +36,5 @@ __all__ = [
     "View",
     "ViewSilhouettes",
     "keypoint_observations",
+    "mean_overlap",
 ]

@@ -1,18 +1,26 @@
 """How a posed hand and the silhouettes of all views agree."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import cv2
-import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.fit import hand_region, overlap, touching, unexplained_px
+from torchhand.fit import unexplained_px
 from torchhand.geometry import Camera
 from torchhand.hand import HandFrames, HandKinematics, HandPose, Primitives, place_primitives
+from torchhand.image import (
+    dilate,
+    disc_kernel,
+    hand_region,
+    intersection_over_union,
+    reduced,
+    reduced_mask,
+    touching,
+)
+from torchhand.track.scene.silhouettes import Masks
 from torchhand.track.scene.views import Scene
 from torchhand.view import HandProjector
 from torchhand.view.outlines import Generators, generators
@@ -35,8 +43,7 @@ class Agreement:
     @property
     def overlap(self) -> float:
         """Mean over the views that there are; 0 where there is none."""
-        known = self.overlaps[self.overlaps.isfinite()]
-        return float(known.mean()) if len(known) else 0.0
+        return mean_overlap(self.overlaps)
 
     @property
     def most_unexplained(self) -> float:
@@ -63,21 +70,43 @@ class SilhouetteComparison:
     ) -> None:
         """cameras: as they see the scene's silhouettes. side_px: longer side of the reduced pictures."""
         self.shape = shape
-        reduced = [camera.resized(min(1.0, side_px / max(camera.width, camera.height))) for camera in cameras]
-        self._projectors = [HandProjector(kinematics, camera, shape) for camera in reduced]
+        small = [camera.resized(min(1.0, side_px / max(camera.width, camera.height))) for camera in cameras]
+        self._projectors = [HandProjector(kinematics, camera, shape) for camera in small]
         self._length = float(kinematics.shape_space.metric(shape)["hand_length"])
         kinds = [[v for v, p in enumerate(self._projectors) if p.is_orthographic == kind] for kind in (False, True)]
         self._alike = [views for views in kinds if views]
-        self._rotation = torch.stack([camera.rotation for camera in reduced])
-        self._translation = torch.stack([camera.translation for camera in reduced])
+        self._rotation = torch.stack([camera.rotation for camera in small])
+        self._translation = torch.stack([camera.translation for camera in small])
 
     def __call__(self, pose: HandPose, scene: Scene) -> Agreement:
         """In every view; what is apart from the hand does not count."""
-        frames = self._projectors[0].frames(pose.dofs, pose.reference)
-        parts = zip(self._projectors, self._seen_by_all(frames), range(len(scene.views)), strict=True)
-        found = [self._compared(projector, seen, frames.keypoints, scene, view) for projector, seen, view in parts]
+        found = []
+        for compared in self._compared(pose, [self._reduced(scene, view) for view in range(len(scene.views))]):
+            found.append((math.nan, math.nan) if compared is None else (compared.overlap, compared.unexplained))
         overlaps, unexplained = torch.tensor(found, dtype=torch.float64).T
         return Agreement(overlaps=overlaps, unexplained=unexplained)
+
+    def overlaps(self, pose: HandPose, masks: Masks) -> Float[Tensor, "views"]:
+        """Intersection over union alone, with silhouettes of any size; NaN in views without one."""
+        cameras = [projector.camera for projector in self._projectors]
+        small = [
+            None if mask is None else reduced_mask(mask.cpu(), camera.height, camera.width)
+            for camera, mask in zip(cameras, masks, strict=True)
+        ]
+        found = [math.nan if compared is None else compared.overlap for compared in self._compared(pose, small)]
+        return torch.tensor(found, dtype=torch.float64)
+
+    def _reduced(self, scene: Scene, view: int) -> Bool[Tensor, "height width"] | None:
+        """The silhouette of a view in its reduced picture, made once for all comparisons of that size."""
+        camera = self._projectors[view].camera
+        size = (camera.height, camera.width)
+        return scene.once(("reduced", view, size), lambda: _reduced(scene, view, *size))
+
+    def _compared(self, pose: HandPose, silhouettes: Masks) -> Iterator["_Compared | None"]:
+        frames = self._projectors[0].frames(pose.dofs, pose.reference)
+        parts = zip(self._projectors, self._seen_by_all(frames), silhouettes, strict=True)
+        for projector, seen, silhouette in parts:
+            yield None if silhouette is None else self._in_view(projector, seen, frames.keypoints, silhouette)
 
     def _seen_by_all(self, frames: HandFrames) -> list[tuple[Primitives, Generators]]:
         """The primitives as each camera sees them, with their generators; those of like cameras are found together."""
@@ -94,47 +123,60 @@ class SilhouetteComparison:
                 found[view] = (seen.select(place), (cones.of_hand(place), arcs.of_hand(place)))
         return [found[view] for view in range(len(self._projectors))]
 
-    def _compared(
+    def _in_view(
         self,
         projector: HandProjector,
         seen: tuple[Primitives, Generators],
         keypoints: Tensor,
-        scene: Scene,
-        view: int,
-    ) -> tuple[float, float]:
-        """Overlap, and area unexplained."""
-        camera = projector.camera
-        size = (camera.width, camera.height)
-        reduced = scene.once(("reduced", view, size), lambda: _reduced(scene, view, size))
-        if reduced is None:
-            return math.nan, math.nan
-        model = projector.silhouette_of(*seen)
-        picture = touching(reduced, model)
+        silhouette: Bool[Tensor, "height width"],
+    ) -> "_Compared":
+        camera, model = projector.camera, projector.silhouette_of(*seen)
         in_cam = camera.cam_from_world(keypoints[[0, 9]])
-        depth = float(in_cam[0, 2])
         focal = 0.5 * float(camera.intrinsics[0, 0] + camera.intrinsics[1, 1])
-        length_px = self._length * focal / (max(depth, 1e-3) if camera.kind == "pinhole" else 1.0)
+        depth = max(float(in_cam[0, 2]), 1e-3) if camera.kind == "pinhole" else 1.0
+        length_px = self._length * focal / depth
         region = self._region(camera, in_cam, model, length_px)
-        missed = unexplained_px(model, picture, region, _FINGER * length_px) / length_px**2
-        return overlap(model, picture, region), missed
+        return _Compared(model=model, picture=touching(silhouette, model), region=region, length_px=length_px)
 
     def _region(self, camera: Camera, in_cam: Tensor, model: Tensor, length_px: float) -> Bool[Tensor, "height width"]:
         """Where hand and picture can be compared: on the fingers' side of the wrist, or around the model."""
         wrist, knuckle = camera.pixels_from_plane(camera.plane_from_cam(in_cam))
         if float((knuckle - wrist).norm()) > _STEEP * length_px:
             return hand_region((camera.height, camera.width), wrist, knuckle, _REACH * length_px)
-        size = 2 * max(1, round(min(_RING * length_px, camera.width))) + 1
-        kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-        return torch.from_numpy(cv2.dilate(model.numpy().view(np.uint8), kernel) > 0)
+        return dilate(model, disc_kernel(max(1, round(min(_RING * length_px, camera.width)))))
 
 
-def _reduced(scene: Scene, view: int, size: tuple[int, int]) -> Bool[Tensor, "height width"] | None:
+@dataclass(frozen=True, kw_only=True)
+class _Compared:
+    """A model's silhouette and a picture's, in one reduced picture."""
+
+    model: Bool[Tensor, "height width"]
+    picture: Bool[Tensor, "height width"]
+    """Without what is apart from the model."""
+    region: Bool[Tensor, "height width"]
+    """Where they can be compared."""
+    length_px: float
+    """The hand's length, held parallel to the picture."""
+
+    @property
+    def overlap(self) -> float:
+        return float(intersection_over_union(self.model, self.picture, self.region, empty=0.0))
+
+    @property
+    def unexplained(self) -> float:
+        missed = unexplained_px(self.model, self.picture, self.region, _FINGER * self.length_px)
+        return missed / self.length_px**2
+
+
+def mean_overlap(overlaps: Float[Tensor, "views"]) -> float:
+    """Over the views that there are; 0 where there is none."""
+    known = overlaps[overlaps.isfinite()]
+    return float(known.mean()) if len(known) else 0.0
+
+
+def _reduced(scene: Scene, view: int, height: int, width: int) -> Bool[Tensor, "height width"] | None:
     """The silhouette of a view in a reduced picture: what is probably hand in the mean over a pixel's area."""
     plane, mask = scene.probabilities[view], scene.masks[view]
     if plane is not None:
-        small = cv2.resize(plane.numpy(), size, interpolation=cv2.INTER_AREA)
-        return torch.from_numpy(small > 0.5)
-    if mask is None:
-        return None
-    small = cv2.resize(mask.cpu().numpy().view(np.uint8) * 255, size, interpolation=cv2.INTER_AREA)
-    return torch.from_numpy(small > 127)
+        return reduced(plane, height, width) > 0.5
+    return None if mask is None else reduced_mask(mask.cpu(), height, width)

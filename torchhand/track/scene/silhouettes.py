@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchhand.geometry import Camera
 from torchhand.image import BackgroundPlate, SilhouetteSettings, SkinModel, bootstrap_skin, segment
+from torchhand.numerics import single_threaded
 
 _DARKER = 0.2  # of the pictures have darker skin than is believed: one may be mistaken
 
@@ -72,6 +73,7 @@ class ViewSilhouettes:
         self.cameras = tuple(_without_distortion(camera) for camera in cameras)
         self._maps = [_undistorting(camera) if camera.has_distortion else None for camera in cameras]
 
+    @single_threaded()
     def learn(self, images: Images, known: Sequence[LearnedSkin | None]) -> list[LearnedSkin | None]:
         """What is known of every view's skin with what these pictures teach: the clearest lesson counts, but skin is
         believed as dark as in the darker ones, where parts of the hand were in the shade."""
@@ -89,6 +91,7 @@ class ViewSilhouettes:
             learned[view] = replace(old, model=replace(old.model, dark_value=dark_value), dark_values=dark)
         return learned
 
+    @single_threaded()
     def __call__(self, images: Images, skins: Sequence[LearnedSkin | None]) -> list[Tensor | None]:
         """Silhouettes of hand and bare forearm; None of views that are missing or whose skin is not known."""
         views = range(len(images))

@@ -1,0 +1,41 @@
+"""Operations on pictures and masks: OpenCV on a CPU, kornia and torch elsewhere, to the same result."""
+
+from torchhand.image.operations.backends import suits_opencv
+from torchhand.image.operations.morphology import (
+    binomial_blur,
+    bounding_box,
+    closed,
+    count_pieces,
+    cross_kernel,
+    dilate,
+    disc_kernel,
+    erode,
+    gaussian_blur,
+    gradient,
+    label_pieces,
+    opened,
+    square_kernel,
+)
+from torchhand.image.operations.overlaps import hand_region, intersection_over_union
+from torchhand.image.operations.reduction import reduced, reduced_mask
+
+__all__ = [
+    "binomial_blur",
+    "bounding_box",
+    "closed",
+    "count_pieces",
+    "cross_kernel",
+    "dilate",
+    "disc_kernel",
+    "erode",
+    "gaussian_blur",
+    "gradient",
+    "hand_region",
+    "intersection_over_union",
+    "label_pieces",
+    "opened",
+    "reduced",
+    "reduced_mask",
+    "square_kernel",
+    "suits_opencv",
+]
