@@ -32,7 +32,6 @@ _POSE_DAMPING = 1e-4
 _FOLLOWING = 6  # iterations of the poses for each trial of the shared unknowns; the next trial goes on from there
 _COST_FLOOR = 1e-11  # nats: less than this is nothing
 _DERIVATIVES = 256  # frames whose derivatives are held at a time
-_LEAST_DIAGONAL = 1e-12  # of the largest entry of the diagonal: an unknown without any influence stays solvable
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,14 +129,7 @@ class _Part:
         """Of these poses and the shared unknowns; frames that are not sound tell nothing."""
         each = torch.arange(len(values), device=values.device).split(_DERIVATIVES)
         found = [self._arrow(rows, values[rows], vector, is_sound[rows]) for rows in each]
-        return ArrowEquations(
-            blocks=torch.cat([own.blocks for own in found]),
-            mixed=torch.cat([own.mixed for own in found]),
-            shared=torch.stack([own.shared for own in found]).sum(0),
-            block_gradient=torch.cat([own.block_gradient for own in found]),
-            shared_gradient=torch.stack([own.shared_gradient for own in found]).sum(0),
-            cost=torch.stack([own.cost for own in found]).sum(),
-        )
+        return ArrowEquations.cat(found)
 
     def _arrow(
         self, rows: Int[Tensor, "n"], values: Float[Tensor, "n free"], vector: Tensor, is_sound: Bool[Tensor, "n"]
@@ -147,11 +139,14 @@ class _Part:
         factors = self.here.factors if is_all else tuple(factor.rows(rows) for factor in self.here.factors)
         dofs, moving = problem.dofs_of(values)
         hands = problem.hands(HandPose(dofs=dofs, reference=reference[rows]), vector)
-        found, basis, count = self.here.sum(factors, hands), self.here.basis(moving), len(vector)
-        mixed = found.mixed if found.mixed is not None else values.new_zeros(len(values), basis.shape[-2], count)
-        gradient = found.shared_gradient if found.shared_gradient is not None else values.new_zeros(len(values), count)
-        matrix = (
-            found.shared_matrix if found.shared_matrix is not None else gradient.new_zeros(len(values), count, count)
+        found, basis = self.here.sum(factors, hands), self.here.basis(moving)
+        mixed, gradient, matrix = (  # None where nothing is shared
+            values.new_zeros(len(values), *sizes) if part is None else part
+            for part, sizes in (
+                (found.mixed, (basis.shape[-2], 0)),
+                (found.shared_gradient, (0,)),
+                (found.shared_matrix, (0, 0)),
+            )
         )
 
         def sound(part: Tensor) -> Tensor:
@@ -250,10 +245,12 @@ class _Work:
                 start = (start + self.follow[number] @ (vector - self.vector)).clamp(lower, upper)
             found = part.settled(start, vector, settings).values
             arrow = part.arrow(found, vector, self.is_sound[part.rows])
-            of_part, own = _eliminated(arrow, (found <= lower, found >= upper))
-            matrix, gradient, cost = matrix + of_part.matrix, gradient + of_part.gradient, cost + of_part.cost
+            held = (found <= lower) & (arrow.block_gradient > 0) | (found >= upper) & (arrow.block_gradient < 0)
+            left = arrow.eliminated(held)
+            own = left.equations
+            matrix, gradient, cost = matrix + own.matrix, gradient + own.gradient, cost + own.cost
             values.append(found)
-            follow.append(own)
+            follow.append(left.follow)
         if float(cost) < self.cost:
             self.cost, self.vector = float(cost), vector
             self.values, self.follow = torch.cat(values), tuple(follow)
@@ -312,9 +309,9 @@ class _Work:
             own.append(torch.where(is_known, torch.cholesky_inverse(factor), torch.nan))
             cost += float(arrow.cost)
             if len(self.vector):
-                of_part, following = _eliminated(arrow, None)
-                matrix = matrix + of_part.matrix
-                follow.append(following)
+                left = arrow.eliminated()
+                matrix = matrix + left.equations.matrix
+                follow.append(left.follow)
         covariance = torch.cat(own)
         if not len(self.vector):
             return cost, covariance, matrix
@@ -332,25 +329,3 @@ class _Work:
             step_tolerance=0.01 * self.pose_tolerance,
             cost_floor=_COST_FLOOR,
         )
-
-
-def _eliminated(
-    arrow: ArrowEquations, on_bound: tuple[Bool[Tensor, "k free"], Bool[Tensor, "k free"]] | None
-) -> tuple[NormalEquations, Float[Tensor, "k free c"]]:
-    """Equations of the shared unknowns once every pose has followed them (Schur complement), and how poses follow.
-
-    on_bound: values on their lower and on their upper bound; those that the cost drives against it do not follow. None
-    for no bounds.
-    """
-    if on_bound is None:
-        is_open = torch.ones_like(arrow.block_gradient)
-    else:
-        low, high = on_bound
-        is_open = (~(low & (arrow.block_gradient > 0) | high & (arrow.block_gradient < 0))).to(arrow.blocks)
-    blocks = arrow.blocks * is_open[:, :, None] * is_open[:, None, :]
-    diagonal = blocks.diagonal(dim1=-2, dim2=-1)
-    diagonal += (1 - is_open) + _LEAST_DIAGONAL * diagonal.amax(-1, keepdim=True)
-    matrix, gradient, solved = replace(
-        arrow, blocks=blocks, mixed=arrow.mixed * is_open[..., None], block_gradient=is_open * arrow.block_gradient
-    ).eliminated()
-    return NormalEquations(matrix=matrix, gradient=gradient, cost=arrow.cost), -solved[..., :-1]

@@ -263,7 +263,7 @@ def test_chosen_parameters_only() -> None:
 def test_an_unknown_unit_is_found() -> None:
     kinematics = _hand()
     points = kinematics(_postures(kinematics)).keypoints
-    fit = fit_keypoints(kinematics, 37.0 * points, fit_scale=True)
+    fit = fit_keypoints(kinematics, 37.0 * points, settings=KeypointFitSettings(fit_scale=True))
     assert abs(37 * fit.scale - 1) < 1e-3
     torch.testing.assert_close(fit.keypoints, points, atol=5e-4, rtol=0)
 
@@ -358,7 +358,7 @@ def test_error_messages() -> None:
     with pytest.raises(ValueError, match=r"confidence: expected 0 or more, got -1"):
         fit_keypoints(kinematics, points, confidence=-torch.ones(4, 21, dtype=DOUBLE))
     with pytest.raises(ValueError, match=r"fit_scale: expected points in space, got pixels"):
-        fit_keypoints(kinematics, points[..., :2], camera=_camera(), fit_scale=True)
+        fit_keypoints(kinematics, points[..., :2], camera=_camera(), settings=KeypointFitSettings(fit_scale=True))
     with pytest.raises(ValueError, match=r"'planar': expected one whose first six free parameters are the root's"):
         fit_keypoints(kinematics, points, space=named_pose_space("planar"))
     with pytest.raises(ValueError, match=r"fit_shape: unknown parameter 'nose'; allowed: hand_length"):
@@ -414,7 +414,9 @@ def test_points_in_one_place_are_too_few(fit_scale: bool, generator: torch.Gener
     truth = _random_poses(kinematics, 2, generator)
     points = kinematics(truth).keypoints
     empty = torch.zeros_like(points[:1])
-    fit = fit_keypoints(kinematics, torch.cat((empty, points, empty + 0.3)), fit_scale=fit_scale)
+    fit = fit_keypoints(
+        kinematics, torch.cat((empty, points, empty + 0.3)), settings=KeypointFitSettings(fit_scale=fit_scale)
+    )
     assert fit.status_names() == ["too few points", "fitted", "fitted", "too few points"]
     assert float(_worst_angle_deg(fit.pose[1:3], truth).max()) < 0.01
     assert fit.scale == pytest.approx(1.0, abs=1e-6)

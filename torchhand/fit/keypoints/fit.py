@@ -12,7 +12,7 @@ from torchhand.fit import PosedHands, SharedSolution, SolveStatus, Stage
 from torchhand.fit.keypoints.estimate import KeypointEstimator
 from torchhand.fit.keypoints.observation import PictureKeypoints
 from torchhand.fit.keypoints.points import Detector, KeypointSettings, frames_of
-from torchhand.fit.keypoints.prior import NaturalPosture, natural_posture
+from torchhand.fit.keypoints.prior import natural_posture
 from torchhand.fit.keypoints.settings import KeypointFitSettings
 from torchhand.fit.keypoints.world import WorldKeypoints
 from torchhand.geometry import Camera
@@ -74,22 +74,19 @@ def fit_keypoints(
     space: PoseSpace | None = None,
     shape: Float[Tensor, "shape"] | None = None,
     fit_shape: bool | Sequence[str] = False,
-    fit_scale: bool = False,
-    posture: NaturalPosture | None = None,
     settings: KeypointFitSettings | None = None,
 ) -> KeypointFit:
     """Pose of every frame, and what all frames share, from keypoints in space (metres) or in pictures (px, `camera`).
 
     Minimises ½ Σ confidence · |point - keypoint|² / noise² (Huber beyond `settings.gross`), plus, where
     `settings.prior` says so, the squared distance from the natural posture in units of its spread. Joint limits hold
-    exactly; DOFs that a pose space ties hold theirs through it. All frames are solved at once, in the dtype of the
-    kinematics. Points that are not finite or have confidence 0 are missing.
+    exactly; a DOF that the pose space ties to another stops at its own while the other goes on. All frames are solved
+    at once, in the dtype of the kinematics. Points that are not finite or have confidence 0 are missing.
 
     camera: one, or a batch with one per frame. space: the free DOFs, which must include all six of the root; the 27-DOF
     hand where it is None. shape: the start, the default hand where it is None. fit_shape: True fits all parameters
     that move keypoints, or name some; they stay near the population (std of the shape space) and within its bounds. One
-    camera cannot tell size from distance, so hand_length then comes from that belief. fit_scale: points in space are
-    in an unknown unit; hand length and breadth are then held.
+    camera cannot tell size from distance, so hand_length then comes from that belief.
 
     Raises ValueError for shapes that do not fit together, negative confidences, a camera for points in space or none
     for pixels, spaces without the root, unknown parameter names, a shape that is not finite or outside its bounds. A
@@ -98,7 +95,7 @@ def fit_keypoints(
     settings = settings or KeypointFitSettings()
     like = kinematics.default_levers
     space = (space or named_pose_space("dof27")).to(dtype=like.dtype, device=like.device)
-    _check(keypoints, camera, confidence, space, fit_scale)
+    _check(keypoints, camera, confidence, space, settings.fit_scale)
     if shape is not None:
         kinematics.shape_space.check(shape)
     shape = kinematics.default_shape if shape is None else shape.to(like)
@@ -108,11 +105,11 @@ def fit_keypoints(
     points, trust = torch.where(is_known[..., None], points, torch.nan), torch.where(is_known, trust, 0.0)
     good = ((is_known.sum(-1) >= settings.least_points) & ~_is_one_point(points)).nonzero()[:, 0]
     estimator = KeypointEstimator(
-        observed=_observation(kinematics, points, trust, camera, settings, fit_scale).rows(good),
+        observed=_observation(kinematics, points, trust, camera, settings).rows(good),
         coarse_std_px=None if camera is None else _std_px(points, settings)[1][good],
         space=space,
-        posture=posture or natural_posture(dtype=like.dtype, device=like.device),
-        columns=_free_columns(kinematics, fit_shape, fit_scale),
+        posture=natural_posture(dtype=like.dtype, device=like.device),
+        columns=_free_columns(kinematics, fit_shape, settings.fit_scale),
         settings=settings,
     )
     if not len(good):
@@ -154,13 +151,14 @@ def _observation(
     trust: Float[Tensor, "frames 21"],
     camera: Camera | None,
     settings: KeypointFitSettings,
-    fit_scale: bool,
 ) -> PictureKeypoints | WorldKeypoints:
     """A row for each frame."""
     loss = RobustLoss(kind="squares", group=points.shape[-1])
     if math.isfinite(settings.gross):
         loss = RobustLoss(kind="huber", scale=settings.gross, group=points.shape[-1])
-    detector = replace(Detector.known(points), has_unknown_scale=fit_scale, has_unknown_offsets=settings.offset_std > 0)
+    detector = replace(
+        Detector.known(points), has_unknown_scale=settings.fit_scale, has_unknown_offsets=settings.offset_std > 0
+    )
     noise = KeypointSettings(space_std_m=settings.noise, correlation=0.0)
     if camera is None:
         return WorldKeypoints(

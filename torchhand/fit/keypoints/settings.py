@@ -29,6 +29,8 @@ class KeypointFitSettings:
     offset_std: float = 0.0
     """Spread of the constant offsets between the maker's keypoints and ours, metres, in the frames of the bones; one
     set for all frames, fitted together with the shape. 0 or more; 0 takes the keypoints as ours."""
+    fit_scale: bool = False
+    """Whether points in space are in an unknown unit, which is then fitted; hand length and breadth are held."""
     starts: int = 8
     """Starts per frame that are followed up for pictures; 1 or more."""
 
