@@ -16,7 +16,7 @@ from torch import Tensor
 from torchhand.fit.observation import Explained
 from torchhand.fit.problem import Linearization, Problem
 from torchhand.fit.schedule import Schedule, Stage
-from torchhand.fit.solve import SolveStatus
+from torchhand.fit.solve import SolveStatus, covariance_of
 from torchhand.hand import HandPose
 from torchhand.numerics.least_squares import (
     ArrowEquations,
@@ -304,9 +304,7 @@ class _Work:
         for part in self.parts:
             arrow = part.arrow(self.values[part.rows], self.vector, self.is_sound[part.rows])
             arrow = replace(arrow, blocks=arrow.blocks + believed)
-            factor, info = torch.linalg.cholesky_ex(arrow.blocks)
-            is_known = ((info == 0) & self.is_sound[part.rows])[:, None, None]
-            own.append(torch.where(is_known, torch.cholesky_inverse(factor), torch.nan))
+            own.append(covariance_of(arrow.blocks, self.is_sound[part.rows]))
             cost += float(arrow.cost)
             if len(self.vector):
                 left = arrow.eliminated()
@@ -315,8 +313,7 @@ class _Work:
         covariance = torch.cat(own)
         if not len(self.vector):
             return cost, covariance, matrix
-        root, info = torch.linalg.cholesky_ex(matrix)
-        of_shared = torch.cholesky_inverse(root) if int(info) == 0 else torch.full_like(matrix, torch.nan)
+        of_shared = covariance_of(matrix[None], torch.ones_like(self.is_sound[:1]))[0]
         for part, following in zip(self.parts, follow, strict=True):
             covariance[part.rows] += following @ of_shared @ following.mT
         return cost, covariance, of_shared

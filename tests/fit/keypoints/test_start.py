@@ -5,14 +5,20 @@ import torch
 from torch import Tensor
 
 from torchhand.files import load_hand_model
-from torchhand.fit import free_bounds
+from torchhand.fit import Equations, PosedHands, free_bounds
 from torchhand.fit.keypoints.observation import PictureKeypoints
 from torchhand.fit.keypoints.points import KeypointSettings
-from torchhand.fit.keypoints.prior import limit_information, missing_share, natural_posture, points_of_dofs
+from torchhand.fit.keypoints.prior import (
+    NaturalPrior,
+    limit_information,
+    missing_share,
+    natural_posture,
+    points_of_dofs,
+)
 from torchhand.fit.keypoints.start import PALM, palm_weight, rigid_placement, start_in_space
 from torchhand.fit.keypoints.views import other_ways, starts_in_picture, viewing_directions
 from torchhand.geometry import assumed_camera, rotation_from_vector
-from torchhand.hand import DOFS, HandKinematics, Side, named_pose_space, posture
+from torchhand.hand import DOFS, HandKinematics, HandPose, Side, named_pose_space, posture
 
 DOUBLE = torch.float64
 
@@ -165,3 +171,26 @@ def test_other_ways_bend_and_straighten_one_digit_each() -> None:
     assert float(ways[1, 1, thumb]) > 1.0
     changed = (ways[:, 2] != ways[:, 0]).any(0).nonzero()[:, 0]
     assert all(DOFS[i].startswith("index") for i in changed.tolist())
+
+
+def test_the_natural_prior_counts_as_far_as_it_holds(generator: torch.Generator) -> None:
+    """Gradient and matrix are those of the cost; DOFs of no share feel nothing."""
+    kinematics, natural = _hand(), natural_posture()
+    pose = HandPose.of(_poses(kinematics, 3, generator))
+    share = torch.rand(3, 36, generator=generator, dtype=DOUBLE)
+    share[:, 10:14] = 0.0
+    prior = NaturalPrior(posture=natural, share=share)
+
+    def at(dofs: Tensor) -> Equations:
+        hands = HandPose(dofs=dofs, reference=pose.reference)
+        return prior.equations(PosedHands(pose=hands, shape=kinematics.default_shape))
+
+    found, direction = at(pose.dofs), torch.randn(3, 36, generator=generator, dtype=DOUBLE)
+    own = direction[:, found.first_dof :]
+    slope = (found.gradient * own).sum(-1)
+    bend = (own[:, None] @ found.matrix @ own[..., None]).flatten()
+    torch.testing.assert_close(
+        at(pose.dofs + direction).cost, found.cost + slope + 0.5 * bend, rtol=1e-9, atol=0
+    )  # the cost is quadratic
+    assert not found.gradient[:, 10 - found.first_dof : 14 - found.first_dof].any()
+    torch.testing.assert_close(at(natural.mean.expand(3, -1)).cost, torch.zeros(3, dtype=DOUBLE), rtol=0, atol=1e-20)
