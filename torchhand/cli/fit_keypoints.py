@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -165,7 +165,6 @@ def _fitted(
     shape = None
     if hand is not None:
         shape = torch.tensor([hand.values[name] for name in model.shape_space.names], dtype=torch.float64)
-    settings = KeypointFitSettings(offset_std=_OFFSET_STD if arguments.fit_offsets else 0.0)
     named: Side | None = arguments.side or detections.side
     if named is None and hand is not None:
         named = "left" if hand.side == "left" else "right"
@@ -179,8 +178,7 @@ def _fitted(
             space=named_pose_space(arguments.space),
             shape=shape,
             fit_shape=arguments.fit_shape and hand is None,
-            fit_scale=arguments.units == "any",
-            settings=settings,
+            settings=_settings(arguments),
         )
         for side in sides
     ]
@@ -193,6 +191,11 @@ def _fitted(
         fits[best],
         f", the better fit ({_mean(fits[best], camera)}, else {_mean(fits[1 - best], camera)})",
     )
+
+
+def _settings(arguments: Arguments) -> KeypointFitSettings:
+    offset_std = _OFFSET_STD if arguments.fit_offsets else 0.0
+    return KeypointFitSettings(offset_std=offset_std, fit_scale=arguments.units == "any")
 
 
 def _mean(fit: KeypointFit, camera: Camera | None) -> str:
@@ -238,7 +241,7 @@ def _save(
         "side": side,
         "pose_space": arguments.space,
         "camera": None if camera is None else camera_entry(camera) | {"is_assumed": camera.is_assumed},
-        "settings": asdict(replace(KeypointFitSettings(), offset_std=_OFFSET_STD if arguments.fit_offsets else 0.0)),
+        "settings": asdict(_settings(arguments)),
     }
     arrays: dict[str, Any] = {
         "frame": detections.frame,

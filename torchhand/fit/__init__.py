@@ -26,7 +26,7 @@ from torchhand.fit.schedule import Schedule, Stage
 from torchhand.fit.shared import PopulationPrior, SharedPrior, SharedUnknowns
 from torchhand.fit.smoothness import Expectation, smoothness_residual
 from torchhand.fit.solve import Solutions, SolveStatus, covariance_of, solve
-from torchhand.fit.solve_shared import SharedSolution, covariances, solve_shared
+from torchhand.fit.solve_shared import SharedSolution, solve_shared
 
 __all__ = [
     "Agreement",
@@ -57,7 +57,6 @@ __all__ = [
     "SolveStatus",
     "Stage",
     "covariance_of",
-    "covariances",
     "disc",
     "free_bounds",
     "grey",

@@ -61,17 +61,7 @@ class FrameFactor:
     def explained(self) -> tuple[Explained, ...]:
         """View by view, a row for each frame; of what all frames tell."""
         parts = [factor.explained() for factor in self.frames]
-        return tuple(
-            replace(
-                own[0],
-                share=torch.cat([one.share for one in own]),
-                distance=torch.cat([one.distance for one in own]),
-                inside=None
-                if any(one.inside is None for one in own)
-                else torch.cat([one.inside for one in own if one.inside is not None]),
-            )
-            for own in zip(*parts, strict=True)
-        )
+        return tuple(Explained.cat(own) for own in zip(*parts, strict=True))
 
 
 def _each(hands: PosedHands) -> Sequence[PosedHands]:

@@ -5,10 +5,11 @@ cameras and frames add up. To observe something new is to write one class with `
 returns; it then works in `solve` over many hypotheses, in the shape fit and in the trackers.
 """
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
+import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
@@ -123,6 +124,17 @@ class Explained:
     one."""
     inside: Float[Tensor, "k"] | None = None
     """Share of the hand that lies where the data allow a hand; None where the data say nothing of that kind."""
+
+    @classmethod
+    def cat(cls, parts: "Sequence[Explained]") -> "Explained":
+        """Of one kind and view, for the hands of all parts; what is not told of all is not told."""
+        inside = [one.inside for one in parts if one.inside is not None]
+        return replace(
+            parts[0],
+            share=torch.cat([one.share for one in parts]),
+            distance=torch.cat([one.distance for one in parts]),
+            inside=torch.cat(inside) if len(inside) == len(parts) else None,
+        )
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "Explained":
         """Of the given hands."""

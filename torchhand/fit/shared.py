@@ -73,7 +73,14 @@ class SharedUnknowns:
     extra: Float[Tensor, "extra"]
     """Start of further numbers that belong to an observation, such as a scale; often none. They have no bounds."""
     extra_std: Float[Tensor, "extra"]
-    """Standard deviation of each about its start."""
+    """Standard deviation of each about what is expected of it."""
+    extra_mean: Float[Tensor, "extra"] | None = None
+    """What is expected of them; their start where None."""
+    people: Anthropometry | None = None
+    """Constraints that the estimated shape keeps exactly in the end; on the way there it may violate what the prior
+    does not forbid."""
+    pliable: tuple[int, ...] = ()
+    """Shape parameters of which the observations tell nothing, and which give way to the constraints."""
 
     @classmethod
     def of_shape(
@@ -104,6 +111,14 @@ class SharedUnknowns:
         chosen = torch.tensor(self.columns, dtype=torch.long, device=vector.device)
         return start.index_copy(0, chosen, vector[: len(self.columns)])
 
+    def feasible(self, vector: Float[Tensor, "c"], start: Float[Tensor, "shape"]) -> Float[Tensor, "shape"]:
+        """The whole shape, put into the constraints; parameters that are neither free nor pliable stay."""
+        shape = self.shape(vector, start)
+        if self.people is None or not self.columns:
+            return shape
+        moving = torch.tensor(sorted({*self.columns, *self.pliable}), device=shape.device)
+        return shape.index_copy(0, moving, self.people.project(shape)[moving])
+
     def extras(self, vector: Float[Tensor, "c"]) -> Float[Tensor, "extra"]:
         """The numbers after the shape."""
         return vector[len(self.columns) :]
@@ -117,7 +132,8 @@ class SharedUnknowns:
     def prior_equations(self, vector: Float[Tensor, "c"], start: Float[Tensor, "shape"]) -> NormalEquations:
         """What is believed of the unknowns, in the vector."""
         found, chosen = self.prior.equations(self.shape(vector, start)), list(self.columns)
-        away = (self.extras(vector) - self.extra.to(vector)) / self.extra_std.to(vector)
+        mean = self.extra if self.extra_mean is None else self.extra_mean
+        away = (self.extras(vector) - mean.to(vector)) / self.extra_std.to(vector)
         size, count = self.size, len(self.columns)
         matrix = vector.new_zeros(size, size)
         matrix[:count, :count] = found.matrix[chosen][:, chosen]

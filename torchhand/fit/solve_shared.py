@@ -1,33 +1,45 @@
-"""Poses of several frames and what they share, estimated as one problem: the same loop as `solve`, joint steps."""
+"""Poses of many frames and what they share, estimated as one problem by variable projection.
 
-from dataclasses import dataclass
+The shared unknowns are few and the frames may be thousands, so the cost is minimised over the shared unknowns, that of
+each trial being the cost of the poses that are best for it (Golub and Pereyra 1973). At the best poses its derivative
+is the partial one, and the Schur complement of the joint normal equations is its second derivative as far as
+Gauss-Newton knows it. Every pose keeps its own damping, so that a frame whose posture is badly determined slows down
+none of the others, as it would in joint steps with one damping for all.
+"""
+
+from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.fit.observation import Explained
 from torchhand.fit.problem import Linearization, Problem
-from torchhand.fit.schedule import Schedule
+from torchhand.fit.schedule import Schedule, Stage
+from torchhand.fit.solve import SolveStatus, covariance_of
 from torchhand.hand import HandPose
 from torchhand.numerics.least_squares import (
     ArrowEquations,
-    ArrowSolution,
-    ArrowValues,
+    LeastSquares,
     LevenbergMarquardtSettings,
+    NormalEquations,
     Status,
-    arrow_levenberg_marquardt,
+    levenberg_marquardt,
 )
 
-_DAMPING = 1e-2
+_DAMPING = 1e-3  # of the shared unknowns, at the first step
+_POSE_DAMPING = 1e-4
+_FOLLOWING = 6  # iterations of the poses for each trial of the shared unknowns; the next trial goes on from there
+_COST_FLOOR = 1e-11  # nats: less than this is nothing
+_DERIVATIVES = 256  # frames whose derivatives are held at a time
 
 
 @dataclass(frozen=True, kw_only=True)
 class SharedSolution:
-    """Where a problem with shared unknowns ended."""
+    """Where a problem of many frames ended."""
 
     pose: HandPose
-    """(frames), with zero rotation vectors, within the limits."""
+    """(frames), with zero rotation vectors, within the limits; those of the start where a frame failed."""
     shape: Float[Tensor, "shape"]
     extra: Float[Tensor, "extra"]
     """The shared numbers after the shape."""
@@ -37,11 +49,17 @@ class SharedSolution:
     shared_covariance: Float[Tensor, "c c"]
     """Of the shared unknowns."""
     covariance: Float[Tensor, "frames free free"]
-    """Of the free parameters of every pose, what is shared being uncertain too."""
+    """Of the free parameters of every pose, what is shared being uncertain too; NaN where a frame failed."""
     cost: float
-    """Nats, of all frames together."""
+    """Nats, of all frames that did not fail together, with what is believed of the shared unknowns."""
     status: Status
+    """Of the shared unknowns; that of the worst frame where there are none."""
     iterations: int
+    """Trials of the shared unknowns."""
+    frame_status: Int[Tensor, "frames"]
+    """Numbers of `SolveStatus`. A frame fails whose cost is not finite at its start; it tells nothing."""
+    frame_iterations: Int[Tensor, "frames"]
+    """Evaluations of every frame's last solution."""
     explained: tuple[Explained, ...]
     """A row for each frame."""
 
@@ -52,84 +70,259 @@ def solve_shared(
     schedule: Schedule,
     *,
     cost_tolerance: float = 1e-4,
+    pose_tolerance: float = 1e-3,
+    information: Float[Tensor, "36"] | None = None,
+    at_once: int = 2048,
 ) -> SharedSolution:
     """Estimate the poses of all frames and the problem's shared unknowns, from one start.
 
-    starts: (frames); the problem's shape is its own start. cost_tolerance: share of the cost below which a step is not
-    worth taking.
+    starts: (frames); the problem's shape is its own start. Without shared unknowns every frame is estimated by itself.
+    cost_tolerance: share of the whole cost below which a step of the shared unknowns is not worth taking;
+    pose_tolerance: the same of a frame's own cost and its pose. information: what is known of each DOF besides, such as
+    that it lies between its limits; it counts in the covariances alone. at_once: frames that are worked on together,
+    which bounds the memory.
 
-    Raises ValueError for a problem without shared unknowns, without frames or without data.
+    Raises ValueError for a problem without frames or without data.
     """
-    if problem.shared is None:
-        raise ValueError("problem: expected shared unknowns; without them every frame is a problem of `solve`")
+    if not schedule:
+        raise ValueError("schedule: expected at least one stage, got none")
     if problem.is_empty or not len(starts):
         raise ValueError("problem: expected data and at least one frame")
     with torch.inference_mode():
-        return _solved(problem, starts.to(problem.space.basis).normalized(), schedule, cost_tolerance)
+        work = _Work.begin(problem, starts.to(problem.space.basis).normalized(), pose_tolerance, at_once)
+        for stage in schedule:
+            for _ in range(stage.rounds):
+                work.associate(stage)
+                work.settle(stage.iterations)
+                work.descend(stage.iterations, cost_tolerance)
+        return work.solution(schedule[-1], information)
 
 
-def _solved(problem: Problem, start: HandPose, schedule: Schedule, cost_tolerance: float) -> SharedSolution:
-    shared = problem.shared
-    assert shared is not None
-    values, reference = problem.values_of(start), start.reference
-    vector = shared.vector(problem.shape.to(values))
-    iterations, status = 0, Status.STALLED
-    for stage in schedule:
-        settings = LevenbergMarquardtSettings(
-            iterations=stage.iterations, damping=_DAMPING, cost_tolerance=cost_tolerance
+@dataclass(frozen=True, kw_only=True)
+class _Part:
+    """Some of the frames, with the factors of their association."""
+
+    rows: slice
+    here: Linearization
+
+    def settled(
+        self, values: Float[Tensor, "k free"], vector: Float[Tensor, "c"], settings: LevenbergMarquardtSettings
+    ) -> LeastSquares:
+        """The poses of lowest cost for given shared unknowns, every frame by itself."""
+        hands, (lower, upper) = self.here.problem.hands(self.here.hands.pose, vector), self.here.problem.bounds
+        held = replace(self.here, hands=replace(hands, unknowns=None))
+
+        def equations(values: Tensor, rows: Tensor) -> NormalEquations:
+            found = [
+                held.equations(*some) for some in zip(*(x.split(_DERIVATIVES) for x in (values, rows)), strict=True)
+            ]
+            matrix, gradient, cost = (
+                torch.cat([getattr(own, name) for own in found]) for name in ("matrix", "gradient", "cost")
+            )
+            return NormalEquations(matrix=matrix, gradient=gradient, cost=cost)
+
+        return levenberg_marquardt(equations, values, lower=lower, upper=upper, settings=settings, takes_rows=True)
+
+    def arrow(
+        self, values: Float[Tensor, "k free"], vector: Float[Tensor, "c"], is_sound: Bool[Tensor, "k"]
+    ) -> ArrowEquations:
+        """Of these poses and the shared unknowns; frames that are not sound tell nothing."""
+        each = torch.arange(len(values), device=values.device).split(_DERIVATIVES)
+        found = [self._arrow(rows, values[rows], vector, is_sound[rows]) for rows in each]
+        return ArrowEquations.cat(found)
+
+    def _arrow(
+        self, rows: Int[Tensor, "n"], values: Float[Tensor, "n free"], vector: Tensor, is_sound: Bool[Tensor, "n"]
+    ) -> ArrowEquations:
+        problem, reference = self.here.problem, self.here.hands.pose.reference
+        is_all = len(rows) == len(reference)
+        factors = self.here.factors if is_all else tuple(factor.rows(rows) for factor in self.here.factors)
+        dofs, moving = problem.dofs_of(values)
+        hands = problem.hands(HandPose(dofs=dofs, reference=reference[rows]), vector)
+        found, basis = self.here.sum(factors, hands), self.here.basis(moving)
+        mixed, gradient, matrix = (  # None where nothing is shared
+            values.new_zeros(len(values), *sizes) if part is None else part
+            for part, sizes in (
+                (found.mixed, (basis.shape[-2], 0)),
+                (found.shared_gradient, (0,)),
+                (found.shared_matrix, (0, 0)),
+            )
         )
-        for _ in range(stage.rounds):
-            here = problem.associated(values, reference, stage, vector)
-            found = _minimised(here, values, vector, settings)
-            iterations, status = iterations + found.iterations, found.status
-            values, reference = problem.rebased(found.values.blocks, reference)
-            vector = found.values.shared
-    last = problem.associated(values, reference, schedule[-1], vector)
-    equations = last.arrow(values, vector)
-    covariance, shared_covariance = covariances(equations)
-    shape = shared.shape(vector, problem.shape.to(values))
-    std = torch.zeros_like(shape)
-    count = len(shared.columns)
-    std[list(shared.columns)] = shared_covariance.diagonal()[:count].clamp_min(0).sqrt()
-    return SharedSolution(
-        pose=problem.pose_of(values, reference),
-        shape=shape,
-        extra=shared.extras(vector),
-        shape_std=std,
-        shared_covariance=shared_covariance,
-        covariance=covariance,
-        cost=float(equations.cost),
-        status=status,
-        iterations=iterations,
-        explained=last.explained(),
-    )
+
+        def sound(part: Tensor) -> Tensor:
+            return torch.where(is_sound.reshape(-1, *(1,) * (part.ndim - 1)), part, 0.0)
+
+        return ArrowEquations(
+            blocks=sound(basis.mT @ (found.matrix @ basis)),
+            mixed=sound(basis.mT @ mixed),
+            shared=sound(matrix).sum(0),
+            block_gradient=sound((found.gradient[:, None] @ basis).squeeze(1)),
+            shared_gradient=sound(gradient).sum(0),
+            cost=sound(found.cost).sum(),
+        )
 
 
-def _minimised(
-    here: Linearization, values: Tensor, vector: Tensor, settings: LevenbergMarquardtSettings
-) -> ArrowSolution:
-    problem = here.problem
-    assert problem.shared is not None
-    ends = (
-        ArrowValues(blocks=own.expand_as(values), shared=end)
-        for own, end in zip(problem.bounds, problem.shared.bounds(vector), strict=True)
-    )
-    lower, upper = ends
-    return arrow_levenberg_marquardt(
-        lambda trial: here.arrow(trial.blocks, trial.shared),
-        ArrowValues(blocks=values, shared=vector),
-        lower,
-        upper,
-        settings,
-    )
+@dataclass(kw_only=True)
+class _Work:
+    """Where the estimate of all frames stands."""
 
+    problem: Problem
+    values: Float[Tensor, "frames free"]
+    reference: Float[Tensor, "frames 3 3"]
+    vector: Float[Tensor, "c"]
+    """Shared unknowns that the poses go with."""
+    is_sound: Bool[Tensor, "frames"]
+    frame_status: Int[Tensor, "frames"]
+    frame_iterations: Int[Tensor, "frames"]
+    pose_tolerance: float
+    at_once: int
+    status: Status = Status.CONVERGED
+    iterations: int = 0
+    parts: tuple[_Part, ...] = ()
+    cost: float = torch.inf
+    """Lowest that a trial of the shared unknowns had since the association."""
+    follow: tuple[Float[Tensor, "k free c"], ...] = ()
+    """How the poses of every part change with the shared unknowns."""
 
-def covariances(equations: ArrowEquations) -> tuple[Float[Tensor, "frames free free"], Float[Tensor, "c c"]]:
-    """Of every block with what is shared being uncertain too, and of what is shared; NaN where a matrix is singular."""
-    matrix, _, solved = equations.eliminated()
-    root, info = torch.linalg.cholesky_ex(matrix)
-    shared = torch.cholesky_inverse(root) if int(info) == 0 else torch.full_like(matrix, torch.nan)
-    factor, failed = torch.linalg.cholesky_ex(equations.blocks)
-    own = torch.where((failed == 0)[:, None, None], torch.cholesky_inverse(factor), torch.nan)
-    follow = solved[..., :-1]
-    return own + follow @ shared @ follow.mT, shared
+    @classmethod
+    def begin(cls, problem: Problem, start: HandPose, pose_tolerance: float, at_once: int) -> "_Work":
+        values, shared = problem.values_of(start), problem.shared
+        nothing = torch.zeros(len(start), dtype=torch.long, device=values.device)
+        return cls(
+            problem=problem,
+            values=values,
+            reference=start.reference,
+            vector=values.new_zeros(0) if shared is None else shared.vector(problem.shape.to(values)),
+            is_sound=nothing == 0,
+            frame_status=nothing,
+            frame_iterations=nothing,
+            pose_tolerance=pose_tolerance,
+            at_once=at_once,
+        )
+
+    def associate(self, stage: Stage) -> None:
+        """Data with the hands as they are."""
+        self.values, self.reference = self.problem.rebased(self.values, self.reference)
+        self.parts = tuple(
+            _Part(
+                rows=rows,
+                here=self.problem.rows(rows).associated(self.values[rows], self.reference[rows], stage, self.vector),
+            )
+            for rows in (slice(first, first + self.at_once) for first in range(0, len(self.values), self.at_once))
+        )
+        self.cost, self.follow = torch.inf, ()
+
+    def settle(self, iterations: int) -> None:
+        """Finds the best poses for the shared unknowns as they are."""
+        settings = self._pose_settings(iterations)
+        found = [part.settled(self.values[part.rows], self.vector, settings) for part in self.parts]
+        self.values = torch.cat([own.values for own in found])
+        self.frame_status = torch.cat([own.status for own in found])
+        self.frame_iterations = torch.cat([own.iterations for own in found])
+        self.is_sound = self.frame_status != Status.FAILED.value
+
+    def descend(self, iterations: int, cost_tolerance: float) -> None:
+        """Levenberg-Marquardt over the shared unknowns; the poses go along."""
+        shared = self.problem.shared
+        if shared is None or not shared.size or not bool(self.is_sound.any()):
+            return
+        lower, upper = shared.bounds(self.vector)
+        settings = LevenbergMarquardtSettings(iterations=iterations, damping=_DAMPING, cost_tolerance=cost_tolerance)
+        found = levenberg_marquardt(self._trial, self.vector, lower=lower, upper=upper, settings=settings)
+        self.status, self.iterations = Status(int(found.status)), self.iterations + int(found.iterations)
+
+    def _trial(self, vector: Float[Tensor, "c"]) -> NormalEquations:
+        """Of the shared unknowns, every pose the best for them; the best trial is kept."""
+        shared = self.problem.shared
+        assert shared is not None
+        prior = shared.prior_equations(vector, self.problem.shape.to(vector))
+        (lower, upper), settings = self.problem.bounds, self._pose_settings(_FOLLOWING)
+        matrix, gradient, cost = prior.matrix.clone(), prior.gradient.clone(), prior.cost.clone()
+        values, follow = [], []
+        for number, part in enumerate(self.parts):
+            start = self.values[part.rows]
+            if self.follow:
+                start = (start + self.follow[number] @ (vector - self.vector)).clamp(lower, upper)
+            found = part.settled(start, vector, settings).values
+            arrow = part.arrow(found, vector, self.is_sound[part.rows])
+            held = (found <= lower) & (arrow.block_gradient > 0) | (found >= upper) & (arrow.block_gradient < 0)
+            left = arrow.eliminated(held)
+            own = left.equations
+            matrix, gradient, cost = matrix + own.matrix, gradient + own.gradient, cost + own.cost
+            values.append(found)
+            follow.append(left.follow)
+        if float(cost) < self.cost:
+            self.cost, self.vector = float(cost), vector
+            self.values, self.follow = torch.cat(values), tuple(follow)
+        return NormalEquations(matrix=matrix, gradient=gradient, cost=cost)
+
+    def solution(self, stage: Stage, information: Float[Tensor, "36"] | None) -> SharedSolution:
+        """Of data associated once more; constraints on what is shared are kept from here on."""
+        shared, shape = self.problem.shared, self.problem.shape.to(self.values)
+        if shared is not None and shared.size:
+            shape = shared.feasible(self.vector, shape)
+            self.problem, count = replace(self.problem, shape=shape), len(shared.columns)
+            self.vector = torch.cat((shape[list(shared.columns)], self.vector[count:]))
+            self.associate(stage)
+            self.settle(stage.iterations)
+        self.associate(stage)
+        cost, covariance, shared_covariance = self._covariances(information)
+        std = torch.zeros_like(shape)
+        if shared is not None:
+            columns = list(shared.columns)
+            std[columns] = shared_covariance.diagonal()[: len(columns)].clamp_min(0).sqrt()
+        elif not bool((self.frame_status == Status.CONVERGED.value).all()):
+            self.status = Status(int(self.frame_status.max()))
+        explained = zip(*(part.here.explained() for part in self.parts), strict=True)
+        return SharedSolution(
+            pose=self.problem.pose_of(self.values, self.reference),
+            shape=shape,
+            extra=self.vector[:0] if shared is None else shared.extras(self.vector),
+            shape_std=std,
+            shared_covariance=shared_covariance,
+            covariance=covariance,
+            cost=cost,
+            status=self.status,
+            iterations=self.iterations,
+            frame_status=torch.where(self.is_sound, self.frame_status, SolveStatus.FAILED.value),
+            frame_iterations=self.frame_iterations,
+            explained=tuple(Explained.cat(own) for own in explained),
+        )
+
+    def _covariances(
+        self, information: Float[Tensor, "36"] | None
+    ) -> tuple[float, Float[Tensor, "frames free free"], Float[Tensor, "c c"]]:
+        """The whole cost, and the covariances of poses and shared unknowns."""
+        shared, basis = self.problem.shared, self.problem.space.basis
+        known = basis.new_zeros(len(basis)) if information is None else information.to(basis)
+        believed = torch.diag((basis.square() * known[:, None]).sum(0))
+        matrix, cost = self.vector.new_zeros(len(self.vector), len(self.vector)), 0.0
+        if shared is not None:
+            prior = shared.prior_equations(self.vector, self.problem.shape)
+            matrix, cost = prior.matrix.clone(), float(prior.cost)
+        own, follow = [], []
+        for part in self.parts:
+            arrow = part.arrow(self.values[part.rows], self.vector, self.is_sound[part.rows])
+            arrow = replace(arrow, blocks=arrow.blocks + believed)
+            own.append(covariance_of(arrow.blocks, self.is_sound[part.rows]))
+            cost += float(arrow.cost)
+            if len(self.vector):
+                left = arrow.eliminated()
+                matrix = matrix + left.equations.matrix
+                follow.append(left.follow)
+        covariance = torch.cat(own)
+        if not len(self.vector):
+            return cost, covariance, matrix
+        of_shared = covariance_of(matrix[None], torch.ones_like(self.is_sound[:1]))[0]
+        for part, following in zip(self.parts, follow, strict=True):
+            covariance[part.rows] += following @ of_shared @ following.mT
+        return cost, covariance, of_shared
+
+    def _pose_settings(self, iterations: int) -> LevenbergMarquardtSettings:
+        return LevenbergMarquardtSettings(
+            iterations=iterations,
+            damping=_POSE_DAMPING,
+            cost_tolerance=self.pose_tolerance,
+            step_tolerance=0.01 * self.pose_tolerance,
+            cost_floor=_COST_FLOOR,
+        )

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Literal
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 ASSUMED_HORIZONTAL_FOV_DEG = 55.0
@@ -55,6 +55,13 @@ class Camera:
             for name in ("intrinsics", "rotation", "translation", "distortion")
         }
         return replace(self, **moved)
+
+    def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "Camera":
+        """Some cameras of a batch with one dimension; itself where there is one camera for all."""
+        if self.intrinsics.ndim == 2 or len(self.intrinsics) == 1:
+            return self
+        names = ("intrinsics", "rotation", "translation", "distortion")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     def resized(self, scale: float) -> "Camera":
         """The camera of the picture resampled by `scale`, pixel centres kept at integers: x' = (x + ½) scale - ½."""

@@ -5,13 +5,20 @@ import torch
 from torch import Tensor
 
 from torchhand.files import load_hand_model
-from torchhand.fit.keypoints.fit import free_limits
-from torchhand.fit.keypoints.prior import limit_information, missing_share, natural_posture, points_of_dofs
-from torchhand.fit.keypoints.residuals import Observations
+from torchhand.fit import Equations, PosedHands, free_bounds
+from torchhand.fit.keypoints.observation import PictureKeypoints
+from torchhand.fit.keypoints.points import KeypointSettings
+from torchhand.fit.keypoints.prior import (
+    NaturalPrior,
+    limit_information,
+    missing_share,
+    natural_posture,
+    points_of_dofs,
+)
 from torchhand.fit.keypoints.start import PALM, palm_weight, rigid_placement, start_in_space
 from torchhand.fit.keypoints.views import other_ways, starts_in_picture, viewing_directions
 from torchhand.geometry import assumed_camera, rotation_from_vector
-from torchhand.hand import DOFS, HandKinematics, Side, named_pose_space, posture
+from torchhand.hand import DOFS, HandKinematics, HandPose, Side, named_pose_space, posture
 
 DOUBLE = torch.float64
 
@@ -22,7 +29,7 @@ def _hand(side: Side = "right") -> HandKinematics:
 
 def _poses(kinematics: HandKinematics, count: int, generator: torch.Generator) -> Tensor:
     space = named_pose_space("dof27")
-    lower, upper = free_limits(space, kinematics)
+    lower, upper = free_bounds(space, kinematics.skeleton)
     share = 0.05 + 0.9 * torch.rand(count, space.size, generator=generator, dtype=DOUBLE)
     return space.dof(torch.where(lower.isfinite(), lower + share * (upper - lower), 2 * share - 1))
 
@@ -141,31 +148,49 @@ def test_one_of_the_starts_in_a_picture_is_near(side: Side) -> None:
     generator = torch.Generator().manual_seed(4)
     pose[:, 3:6] = torch.randn(5, 3, generator=generator, dtype=DOUBLE)
     points = kinematics(pose).keypoints
-    observed = Observations(
-        points=camera.project(points),
-        confidence=torch.ones(5, 21, dtype=DOUBLE),
-        noise=torch.ones(5, dtype=DOUBLE),
-        coarse_noise=torch.ones(5, dtype=DOUBLE),
-        camera=camera,
+    observed = PictureKeypoints(
+        points_px=camera.project(points), kinematics=kinematics, camera=camera, settings=KeypointSettings()
     )
-    poses, references = starts_in_picture(kinematics, observed, kinematics.default_shape, natural_posture().mean, 6)
+    poses, references = starts_in_picture(observed, kinematics.default_shape, natural_posture().mean, 6)
     assert poses.shape == (5, 6, 36)
     turned = (references * rotation_from_vector(pose[:, 3:6])[:, None]).sum((-2, -1))  # 1 + 2 cos of the angle between
     assert bool((turned.amax(-1) > 1 + 2 * 0.9).all())
     assert float((poses[:, 0, 2] - 0.5).abs().max()) < 0.12
     placed = kinematics(poses[:, 0], root_reference=references[:, 0]).keypoints
-    assert float((camera.project(placed) - observed.points).norm(dim=-1).mean()) < 40
+    assert float((camera.project(placed) - observed.points_px).norm(dim=-1).mean()) < 40
 
 
 def test_other_ways_bend_and_straighten_one_digit_each() -> None:
-    space = named_pose_space("dof27")
     poses = torch.stack((posture("point"), posture("open")))
-    ways = space.dof(other_ways(space, space.free(poses)))
+    ways = other_ways(poses)
     assert ways.shape == (2, 6, 36)
     index, thumb = DOFS.index("index_pip_fe"), DOFS.index("thumb_ip_fe")
-    torch.testing.assert_close(ways[:, 0], space.dof(space.free(poses)), atol=1e-12, rtol=0)
+    torch.testing.assert_close(ways[:, 0], poses, atol=0, rtol=0)
     assert float(ways[0, 2, index]) > 1.5  # the straight index, bent
     assert float(ways[0, 3, DOFS.index("middle_pip_fe")]) == 0.0
     assert float(ways[1, 1, thumb]) > 1.0
     changed = (ways[:, 2] != ways[:, 0]).any(0).nonzero()[:, 0]
     assert all(DOFS[i].startswith("index") for i in changed.tolist())
+
+
+def test_the_natural_prior_counts_as_far_as_it_holds(generator: torch.Generator) -> None:
+    """Gradient and matrix are those of the cost; DOFs of no share feel nothing."""
+    kinematics, natural = _hand(), natural_posture()
+    pose = HandPose.of(_poses(kinematics, 3, generator))
+    share = torch.rand(3, 36, generator=generator, dtype=DOUBLE)
+    share[:, 10:14] = 0.0
+    prior = NaturalPrior(posture=natural, share=share)
+
+    def at(dofs: Tensor) -> Equations:
+        hands = HandPose(dofs=dofs, reference=pose.reference)
+        return prior.equations(PosedHands(pose=hands, shape=kinematics.default_shape))
+
+    found, direction = at(pose.dofs), torch.randn(3, 36, generator=generator, dtype=DOUBLE)
+    own = direction[:, found.first_dof :]
+    slope = (found.gradient * own).sum(-1)
+    bend = (own[:, None] @ found.matrix @ own[..., None]).flatten()
+    torch.testing.assert_close(
+        at(pose.dofs + direction).cost, found.cost + slope + 0.5 * bend, rtol=1e-9, atol=0
+    )  # the cost is quadratic
+    assert not found.gradient[:, 10 - found.first_dof : 14 - found.first_dof].any()
+    torch.testing.assert_close(at(natural.mean.expand(3, -1)).cost, torch.zeros(3, dtype=DOUBLE), rtol=0, atol=1e-20)

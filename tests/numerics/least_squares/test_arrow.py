@@ -1,28 +1,12 @@
-"""An arrow of normal equations: the step is that of the dense matrix, and the optimiser finds a constrained minimum."""
+"""An arrow of normal equations: what is left after elimination is the Schur complement of the dense matrix."""
 
 import pytest
 import torch
 from torch import Tensor
 
-from torchhand.numerics.least_squares import (
-    ArrowEquations,
-    ArrowValues,
-    LevenbergMarquardtSettings,
-    Status,
-    arrow_levenberg_marquardt,
-    damped_arrow_step,
-    damped_box_step,
-)
+from torchhand.numerics.least_squares import ArrowEquations
 
 FRAMES, OWN, SHARED = 4, 3, 2
-
-
-def _whole(values: ArrowValues) -> Tensor:
-    return torch.cat((values.blocks.flatten(), values.shared))
-
-
-def _parts(whole: Tensor) -> ArrowValues:
-    return ArrowValues(blocks=whole[:-SHARED].unflatten(0, (FRAMES, OWN)), shared=whole[-SHARED:])
 
 
 def _random_rows(seed: int) -> tuple[Tensor, Tensor]:
@@ -51,67 +35,55 @@ def _equations(rows: Tensor, residual: Tensor) -> ArrowEquations:
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("room", [torch.inf, 0.3, 0.05])
-def test_the_step_is_that_of_the_dense_matrix(seed: int, room: float) -> None:
+def test_the_shared_step_is_that_of_the_dense_matrix(seed: int) -> None:
+    """And so are the steps of the blocks that follow."""
     rows, residual = _random_rows(seed)
-    equations, damping = _equations(rows, residual), 0.1
-    rooms = torch.full((FRAMES * OWN + SHARED,), room, dtype=torch.float64)
-    # A damping relative to the diagonal of the whole is one relative to those of the parts.
-    expected, _ = damped_box_step(
-        (rows.T @ rows)[None],
-        (rows.T @ residual)[None],
-        torch.full((1,), damping, dtype=torch.float64),
-        -rooms[None],
-        rooms[None],
+    dense = torch.linalg.solve(rows.T @ rows, -(rows.T @ residual))
+    left = _equations(rows, residual).eliminated()
+    step = torch.linalg.solve(left.equations.matrix, -left.equations.gradient)
+    torch.testing.assert_close(step, dense[-SHARED:], rtol=1e-9, atol=1e-9)
+    own = torch.stack([-torch.linalg.lstsq(r[:, n], residual[k]).solution for r, n, k in _each(rows)])
+    followed = own + left.follow @ step
+    # An entry of 1e-12 is added to the diagonal, which a block that is nearly singular amplifies.
+    torch.testing.assert_close(followed.flatten(), dense[:-SHARED], rtol=1e-7, atol=1e-7)
+
+
+def _each(rows: Tensor) -> list[tuple[Tensor, slice, slice]]:
+    """The rows of every frame, the columns of its own unknowns, and its places among the residuals."""
+    own = [slice(6 * frame, 6 * frame + 6) for frame in range(FRAMES)]
+    return [(rows[k], slice(OWN * i, OWN * (i + 1)), k) for i, k in enumerate(own)]
+
+
+def test_what_is_held_does_not_follow() -> None:
+    """As if its columns were not there."""
+    rows, residual = _random_rows(7)
+    held = torch.zeros(FRAMES, OWN, dtype=torch.bool)
+    held[1, 2] = held[3] = True
+    left = _equations(rows, residual).eliminated(held)
+    without = rows.clone()
+    without[:, :-SHARED] *= ~held.flatten()
+    is_open = torch.cat((~held.flatten(), torch.ones(SHARED, dtype=torch.bool)))
+    dense = (without.T @ without)[is_open][:, is_open]
+    step = torch.linalg.solve(dense, -(without.T @ residual)[is_open])[-SHARED:]
+    torch.testing.assert_close(
+        torch.linalg.solve(left.equations.matrix, -left.equations.gradient), step, rtol=1e-9, atol=1e-9
     )
-    found = damped_arrow_step(equations, damping, _parts(-rooms), _parts(rooms))
-    assert torch.allclose(_whole(found), expected[0], rtol=1e-9, atol=1e-9)
+    assert not left.follow[held].any()
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_linear_problem_ends_at_its_minimum(seed: int) -> None:
-    rows, wanted = _random_rows(seed)
-
-    def linearise(values: ArrowValues) -> ArrowEquations:
-        return _equations(rows, rows @ _whole(values) - wanted)
-
-    unbounded = torch.full((FRAMES * OWN + SHARED,), torch.inf, dtype=torch.float64)
-    start = _parts(torch.zeros_like(unbounded))
-    found = arrow_levenberg_marquardt(
-        linearise, start, _parts(-unbounded), _parts(unbounded), LevenbergMarquardtSettings()
-    )
-    expected = torch.linalg.lstsq(rows, wanted[:, None]).solution[:, 0]
-    assert found.status is Status.CONVERGED
-    assert torch.allclose(_whole(found.values), expected, rtol=0, atol=1e-6)
+def test_blocks_without_influence_follow_nothing() -> None:
+    rows, residual = _random_rows(8)
+    rows[:, :OWN] = 0
+    left = _equations(rows, residual).eliminated()
+    assert not left.follow[0].any()
+    assert bool(left.equations.matrix.isfinite().all())
 
 
-def test_bounds_hold_and_no_feasible_direction_lowers_the_cost() -> None:
-    rows, wanted = _random_rows(7)
-    bound = torch.full((FRAMES * OWN + SHARED,), 0.2, dtype=torch.float64)
-
-    def linearise(values: ArrowValues) -> ArrowEquations:
-        return _equations(rows, rows @ _whole(values) - wanted)
-
-    found = arrow_levenberg_marquardt(
-        linearise, _parts(torch.zeros_like(bound)), _parts(-bound), _parts(bound), LevenbergMarquardtSettings()
-    )
-    values = _whole(found.values)
-    gradient = rows.T @ (rows @ values - wanted)
-    inner = values.abs() < bound
-    assert bool((values.abs() <= bound).all())
-    assert bool((~inner).any())
-    assert float(gradient[inner].abs().max()) < 1e-5
-    assert bool((gradient[~inner] * values[~inner].sign() <= 1e-5).all())
-
-
-def test_a_cost_that_is_no_number_at_the_start_has_failed() -> None:
-    rows, wanted = _random_rows(0)
-
-    def linearise(values: ArrowValues) -> ArrowEquations:
-        return _equations(rows, (rows @ _whole(values) - wanted) * torch.nan)
-
-    bound = torch.full((FRAMES * OWN + SHARED,), 1.0, dtype=torch.float64)
-    start = _parts(torch.zeros_like(bound))
-    found = arrow_levenberg_marquardt(linearise, start, _parts(-bound), _parts(bound), LevenbergMarquardtSettings())
-    assert found.status is Status.FAILED
-    assert torch.equal(_whole(found.values), _whole(start))
+def test_parts_make_the_whole() -> None:
+    (rows, residual), (others, other) = _random_rows(9), _random_rows(10)
+    one, two = _equations(rows, residual), _equations(others, other)
+    both, left = ArrowEquations.cat((one, two)).eliminated(), [part.eliminated() for part in (one, two)]
+    for name in ("matrix", "gradient", "cost"):
+        expected = sum(getattr(part.equations, name) for part in left)
+        torch.testing.assert_close(getattr(both.equations, name), expected, rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(both.follow, torch.cat([part.follow for part in left]), rtol=1e-12, atol=1e-12)

@@ -1,5 +1,6 @@
 """A hand fitted to 21 keypoints, in space or in a picture: a pose for every frame, one shape for all."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -7,13 +8,18 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchhand.fit.keypoints.prior import NaturalPosture, natural_posture
-from torchhand.fit.keypoints.residuals import Observations
+from torchhand.fit import PosedHands, SharedSolution, SolveStatus, Stage
+from torchhand.fit.keypoints.estimate import KeypointEstimator
+from torchhand.fit.keypoints.observation import PictureKeypoints
+from torchhand.fit.keypoints.points import Detector, KeypointSettings, frames_of
+from torchhand.fit.keypoints.prior import natural_posture
 from torchhand.fit.keypoints.settings import KeypointFitSettings
-from torchhand.fit.keypoints.solver import KeypointSolution, KeypointSolver
-from torchhand.geometry import Camera, left_jacobian, rotation_from_vector, vector_from_rotation
-from torchhand.hand import HandKinematics, PoseSpace, moving_parameters, named_pose_space
-from torchhand.numerics import Status
+from torchhand.fit.keypoints.world import WorldKeypoints
+from torchhand.geometry import Camera
+from torchhand.hand import HandKinematics, HandPose, PoseJacobian, PoseSpace, moving_parameters, named_pose_space
+from torchhand.numerics import RobustLoss
+
+_AT_ONCE = 1024  # frames whose derivatives are held at a time
 
 FIT_STATUSES = ("fitted", "too few points", "failed")
 """By the numbers in `KeypointFit.status`."""
@@ -68,22 +74,19 @@ def fit_keypoints(
     space: PoseSpace | None = None,
     shape: Float[Tensor, "shape"] | None = None,
     fit_shape: bool | Sequence[str] = False,
-    fit_scale: bool = False,
-    posture: NaturalPosture | None = None,
     settings: KeypointFitSettings | None = None,
 ) -> KeypointFit:
     """Pose of every frame, and what all frames share, from keypoints in space (metres) or in pictures (px, `camera`).
 
     Minimises ½ Σ confidence · |point - keypoint|² / noise² (Huber beyond `settings.gross`), plus, where
     `settings.prior` says so, the squared distance from the natural posture in units of its spread. Joint limits hold
-    exactly; DOFs that a pose space ties hold theirs through it. All frames are solved at once, in the dtype of the
-    kinematics. Points that are not finite or have confidence 0 are missing.
+    exactly; a DOF that the pose space ties to another stops at its own while the other goes on. All frames are solved
+    at once, in the dtype of the kinematics. Points that are not finite or have confidence 0 are missing.
 
     camera: one, or a batch with one per frame. space: the free DOFs, which must include all six of the root; the 27-DOF
     hand where it is None. shape: the start, the default hand where it is None. fit_shape: True fits all parameters
     that move keypoints, or name some; they stay near the population (std of the shape space) and within its bounds. One
-    camera cannot tell size from distance, so hand_length then comes from that belief. fit_scale: points in space are
-    in an unknown unit; hand length and breadth are then held.
+    camera cannot tell size from distance, so hand_length then comes from that belief.
 
     Raises ValueError for shapes that do not fit together, negative confidences, a camera for points in space or none
     for pixels, spaces without the root, unknown parameter names, a shape that is not finite or outside its bounds. A
@@ -92,49 +95,26 @@ def fit_keypoints(
     settings = settings or KeypointFitSettings()
     like = kinematics.default_levers
     space = (space or named_pose_space("dof27")).to(dtype=like.dtype, device=like.device)
-    _check(keypoints, camera, confidence, space, fit_scale)
+    _check(keypoints, camera, confidence, space, settings.fit_scale)
     if shape is not None:
         kinematics.shape_space.check(shape)
-    batch = keypoints.shape[:-2]
-    observed = _observations(keypoints.to(like), camera, confidence, settings, batch)
-    lower, upper = free_limits(space, kinematics)
-    is_enough = (observed.is_known.sum(-1) >= settings.least_points) & ~_is_one_point(observed)
-    good = is_enough.nonzero()[:, 0]
-    solver = KeypointSolver(
-        kinematics=kinematics,
+    shape = kinematics.default_shape if shape is None else shape.to(like)
+    points = keypoints.reshape(-1, 21, keypoints.shape[-1]).to(like)
+    trust = torch.ones_like(points[..., 0]) if confidence is None else confidence.to(points).reshape(-1, 21)
+    is_known = points.isfinite().all(-1) & trust.isfinite() & (trust > 0)
+    points, trust = torch.where(is_known[..., None], points, torch.nan), torch.where(is_known, trust, 0.0)
+    good = ((is_known.sum(-1) >= settings.least_points) & ~_is_one_point(points)).nonzero()[:, 0]
+    estimator = KeypointEstimator(
+        observed=_observation(kinematics, points, trust, camera, settings).rows(good),
+        coarse_std_px=None if camera is None else _std_px(points, settings)[1][good],
         space=space,
-        lower=lower,
-        upper=upper,
-        observed=observed.rows(good),
-        posture=posture or natural_posture(dtype=like.dtype, device=like.device),
-        columns=_free_columns(kinematics, fit_shape, fit_scale),
-        fit_scale=fit_scale,
+        posture=natural_posture(dtype=like.dtype, device=like.device),
+        columns=_free_columns(kinematics, fit_shape, settings.fit_scale),
         settings=settings,
     )
-    solution = solver.solve((kinematics.default_shape if shape is None else shape.to(like)).clone())
-    return _placed(_result(solver, solution), good, len(observed.points), batch)
-
-
-def free_limits(space: PoseSpace, kinematics: HandKinematics) -> tuple[Float[Tensor, "free"], Float[Tensor, "free"]]:
-    """Limits of a pose space's free parameters that keep every joint angle within its own.
-
-    A tie passes the limits of the angles that follow on. Raises ValueError where an angle depends on more than one
-    free parameter, or the limits leave nothing.
-    """
-    basis, constant = space.basis[6:], space.constant[6:]
-    if bool(((basis != 0).sum(-1) > 1).any()):
-        raise ValueError(f"pose space {space.name!r}: expected every angle to depend on one free parameter at most")
-    lower = basis.new_full((space.size,), -torch.inf)
-    upper = -lower
-    for row, column in basis.nonzero().tolist():
-        factor = basis[row, column]
-        ends = (torch.stack((kinematics.skeleton.lower[row], kinematics.skeleton.upper[row])).to(basis)) - constant[row]
-        ends = (ends / factor).sort().values
-        lower[column], upper[column] = torch.maximum(lower[column], ends[0]), torch.minimum(upper[column], ends[1])
-    if bool((lower > upper).any()):
-        name = space.free_names[int((lower > upper).nonzero()[0])]
-        raise ValueError(f"pose space {space.name!r}: the limits of the angles tied to {name} leave nothing")
-    return lower, upper
+    if not len(good):
+        return _placed(_nothing(estimator, shape), good, len(points), keypoints.shape[:-2])
+    return _placed(_result(estimator, shape), good, len(points), keypoints.shape[:-2])
 
 
 def _check(
@@ -165,47 +145,65 @@ def _check(
         raise ValueError(f"pose space {space.name!r}: expected one whose first six free parameters are the root's")
 
 
-def _observations(
-    keypoints: Tensor,
+def _observation(
+    kinematics: HandKinematics,
+    points: Float[Tensor, "frames 21 d"],
+    trust: Float[Tensor, "frames 21"],
     camera: Camera | None,
-    confidence: Tensor | None,
     settings: KeypointFitSettings,
-    batch: torch.Size,
-) -> Observations:
-    points = keypoints.reshape(-1, 21, keypoints.shape[-1])
-    trust = torch.ones_like(points[..., 0]) if confidence is None else confidence.to(points).reshape(-1, 21)
-    is_known = points.isfinite().all(-1) & trust.isfinite() & (trust > 0)
-    noise = torch.full_like(points[:, 0, 0], settings.noise)
-    coarse = noise
-    if camera is not None:
-        known = torch.where(is_known[..., None], points, torch.nan)
-        extent = (known.nan_to_num(-torch.inf).amax(1) - known.nan_to_num(torch.inf).amin(1)).amax(-1)
-        coarse = settings.noise_share * extent.clamp_min(1.0)
-        noise = coarse if settings.noise_px is None else torch.full_like(coarse, settings.noise_px)
-        camera = camera.to(dtype=points.dtype, device=points.device)
-        if camera.intrinsics.ndim > 2:
-            camera = replace(
-                camera,
-                intrinsics=camera.intrinsics.reshape(-1, 3, 3),
-                rotation=camera.rotation.expand(*batch, 3, 3).reshape(-1, 3, 3),
-                translation=camera.translation.expand(*batch, 3).reshape(-1, 3),
-                distortion=camera.distortion.expand(*batch, camera.distortion.shape[-1]).flatten(0, -2),
-            )
-    return Observations(
-        points=torch.where(is_known[..., None], points, 0.0),
-        confidence=torch.where(is_known, trust, 0.0),
-        noise=noise,
-        coarse_noise=torch.maximum(noise, coarse),
-        camera=camera,
+) -> PictureKeypoints | WorldKeypoints:
+    """A row for each frame."""
+    loss = RobustLoss(kind="squares", group=points.shape[-1])
+    if math.isfinite(settings.gross):
+        loss = RobustLoss(kind="huber", scale=settings.gross, group=points.shape[-1])
+    detector = replace(
+        Detector.known(points), has_unknown_scale=settings.fit_scale, has_unknown_offsets=settings.offset_std > 0
+    )
+    noise = KeypointSettings(space_std_m=settings.noise, correlation=0.0)
+    if camera is None:
+        return WorldKeypoints(
+            points=points, kinematics=kinematics, settings=noise, confidence=trust, loss=loss, detector=detector
+        )
+    return PictureKeypoints(
+        points_px=points,
+        kinematics=kinematics,
+        camera=_flat(camera.to(dtype=points.dtype, device=points.device)),
+        settings=noise,
+        confidence=trust,
+        std_px=_std_px(points, settings)[0],
+        loss=loss,
+        detector=detector,
     )
 
 
-def _is_one_point(observed: Observations) -> Bool[Tensor, "frames"]:
+def _flat(camera: Camera) -> Camera:
+    """One camera, or a batch with one dimension."""
+    batch = camera.intrinsics.shape[:-2]
+    if not batch:
+        return camera
+    return replace(
+        camera,
+        intrinsics=camera.intrinsics.reshape(-1, 3, 3),
+        rotation=camera.rotation.expand(*batch, 3, 3).reshape(-1, 3, 3),
+        translation=camera.translation.expand(*batch, 3).reshape(-1, 3),
+        distortion=camera.distortion.expand(*batch, camera.distortion.shape[-1]).flatten(0, -2),
+    )
+
+
+def _std_px(
+    points: Float[Tensor, "frames 21 2"], settings: KeypointFitSettings
+) -> tuple[Float[Tensor, "frames"], Float[Tensor, "frames"]]:
+    """Standard deviations of points in pictures, and such as are not so small that only near starts can be told
+    apart."""
+    extent = (points.nan_to_num(-torch.inf).amax(1) - points.nan_to_num(torch.inf).amin(1)).amax(-1)
+    coarse = settings.noise_share * extent.clamp_min(1.0)
+    noise = coarse if settings.noise_px is None else torch.full_like(coarse, settings.noise_px)
+    return noise, torch.maximum(noise, coarse)
+
+
+def _is_one_point(points: Float[Tensor, "frames 21 d"]) -> Bool[Tensor, "frames"]:
     """Whether all points of a frame lie in one place: what detectors write where they saw no hand."""
-    is_known = observed.is_known[..., None]
-    low = torch.where(is_known, observed.points, torch.inf).amin(1)
-    high = torch.where(is_known, observed.points, -torch.inf).amax(1)
-    return (low == high).all(-1)
+    return (points.nan_to_num(torch.inf).amin(1) == points.nan_to_num(-torch.inf).amax(1)).all(-1)
 
 
 def _free_columns(kinematics: HandKinematics, fit_shape: bool | Sequence[str], fit_scale: bool) -> tuple[int, ...]:
@@ -240,24 +238,20 @@ def _placed(fit: KeypointFit, rows: Tensor, count: int, batch: torch.Size) -> Ke
     )
 
 
-def _result(solver: KeypointSolver, solution: KeypointSolution) -> KeypointFit:
+def _result(estimator: KeypointEstimator, shape: Float[Tensor, "shape"]) -> KeypointFit:
     """Of the frames that have enough points."""
-    cost, found, common = solution.cost, solution.poses, solution.common
-    pose, frames, residual = cost.distances(found.values, torch.arange(len(found.values)).to(found.status), common)
-    covariance, common_covariance = solver.covariances(solution)
-    # Of the rotation vector about the reference, the covariance becomes that of a further small rotation.
-    about_world = torch.eye(solver.space.size).to(covariance).repeat(len(pose), 1, 1)
-    about_world[:, 3:6, 3:6] = left_jacobian(pose[:, 3:6])
-    covariance = about_world @ covariance @ about_world.mT
-    turned = rotation_from_vector(pose[:, 3:6]) @ cost.reference
-    pose = torch.cat((pose[:, :3], torch.zeros_like(pose[:, :3]), pose[:, 6:]), -1)
-    columns = cost.pose_jacobian(pose, frames)
-    pose = torch.cat((pose[:, :3], vector_from_rotation(turned), pose[:, 6:]), -1)
-    basis = solver.space.basis
-    std = (basis @ covariance @ basis.mT).diagonal(dim1=-2, dim2=-1).clamp_min(0).sqrt()
-    shape_std = torch.zeros_like(common.shape)
-    shape_std[list(solver.columns)] = common_covariance.diagonal()[: len(solver.columns)].clamp_min(0).sqrt()
-    is_sound = (found.status != Status.FAILED) & pose.isfinite().all(-1) & covariance.isfinite().all((-2, -1))
+    found = estimator.estimate(shape)
+    solution, space = found.solution, estimator.space
+    observed = replace(estimator.observed, detector=found.detector)
+    jacobian = PoseJacobian(observed.kinematics, space.basis)
+    parts = [
+        _measured(observed.rows(rows), solution.pose[rows], solution, jacobian, solution.covariance[rows])
+        for rows in (slice(first, first + _AT_ONCE) for first in range(0, len(solution.pose), _AT_ONCE))
+    ]
+    keypoints, keypoints_covariance, residual = (torch.cat(own) for own in zip(*parts, strict=True))
+    pose, std = solution.pose.vector, ((space.basis @ solution.covariance) * space.basis).sum(-1).clamp_min(0).sqrt()
+    is_sound = solution.frame_status != SolveStatus.FAILED.value
+    is_sound &= pose.isfinite().all(-1) & solution.covariance.isfinite().all((-2, -1))
 
     def sound(part: Tensor) -> Tensor:
         return torch.where(is_sound.reshape(-1, *[1] * (part.ndim - 1)), part, torch.nan)
@@ -265,15 +259,56 @@ def _result(solver: KeypointSolver, solution: KeypointSolution) -> KeypointFit:
     return KeypointFit(
         pose=sound(pose),
         pose_std=sound(std),
-        pose_covariance=sound(covariance),
-        shape=common.shape,
-        shape_std=shape_std,
-        keypoints=sound(frames.keypoints),
-        keypoints_covariance=sound(columns @ covariance[:, None] @ columns.mT),
+        pose_covariance=sound(solution.covariance),
+        shape=solution.shape.clone(),
+        shape_std=solution.shape_std.clone(),
+        keypoints=sound(keypoints),
+        keypoints_covariance=sound(keypoints_covariance),
         residual=sound(residual),
         status=torch.where(is_sound, 0, FIT_STATUSES.index("failed")),
-        iterations=found.iterations,
-        scale=float(common.log_scale.exp()),
-        offsets=common.offsets,
-        space=solver.space,
+        iterations=solution.frame_iterations.clone(),
+        scale=float(found.detector.log_scale.exp()),
+        offsets=found.detector.offsets.clone(),
+        space=space,
+    )
+
+
+def _measured(
+    observed: PictureKeypoints | WorldKeypoints,
+    pose: HandPose,
+    solution: SharedSolution,
+    jacobian: PoseJacobian,
+    covariance: Float[Tensor, "k free free"],
+) -> tuple[Float[Tensor, "k 21 3"], Float[Tensor, "k 21 3 3"], Float[Tensor, "k 21"]]:
+    """Keypoints, their covariances, and the distance of each measured point: metres, or px; NaN for missing ones."""
+    hands = PosedHands(pose=pose, shape=solution.shape)
+    frames = frames_of(observed.kinematics, hands)
+    columns = jacobian(pose.dofs, frames).contiguous()
+    spread = (columns.flatten(1, 2) @ covariance).unflatten(1, columns.shape[1:3]) @ columns.mT
+    distance = observed.associate(hands, Stage(gross_m=1.0)).distance(hands)
+    return frames.keypoints, spread, torch.where(observed.is_known, distance, torch.nan)
+
+
+def _nothing(estimator: KeypointEstimator, shape: Float[Tensor, "shape"]) -> KeypointFit:
+    """Of no frame."""
+    free = estimator.space.size
+    detector = estimator.observed.detector
+    assert detector is not None
+    std = torch.zeros_like(shape)
+    columns = list(estimator.columns)
+    std[columns] = estimator.observed.kinematics.shape_space.std.to(shape)[columns]
+    return KeypointFit(
+        pose=shape.new_zeros(0, 36),
+        pose_std=shape.new_zeros(0, 36),
+        pose_covariance=shape.new_zeros(0, free, free),
+        shape=shape.clone(),
+        shape_std=std,
+        keypoints=shape.new_zeros(0, 21, 3),
+        keypoints_covariance=shape.new_zeros(0, 21, 3, 3),
+        residual=shape.new_zeros(0, 21),
+        status=torch.zeros(0, dtype=torch.long, device=shape.device),
+        iterations=torch.zeros(0, dtype=torch.long, device=shape.device),
+        scale=float(detector.log_scale.exp()),
+        offsets=detector.offsets,
+        space=estimator.space,
     )

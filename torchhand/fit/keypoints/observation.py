@@ -6,51 +6,28 @@ similarity that lays them over these best.
 """
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchhand.errors import require
 from torchhand.fit import Equations, Explained, PosedHands, Stage
+from torchhand.fit.keypoints.points import (
+    Detector,
+    KeypointSettings,
+    equations_of_points,
+    frames_of,
+    pose_jacobian,
+    shape_jacobian_of,
+    trusted_share,
+)
 from torchhand.geometry import Camera
-from torchhand.hand import HandFrames, HandKinematics, PoseJacobian, ShapeJacobian
+from torchhand.hand import HandKinematics
+from torchhand.numerics import RobustLoss
 
 IN_PICTURE, IN_SPACE = "keypoints", "keypoints in space"
 _NEAREST = 0.01  # metres from the camera: points nearer than this cannot be compared
 _FEWEST_IN_SPACE = 5  # points that determine a similarity and still say something of the posture
-
-
-@dataclass(frozen=True, kw_only=True)
-class KeypointSettings:
-    """How far detected points are believed, where nothing better is known of the detector."""
-
-    std_m: float = 0.008
-    """Standard deviation of a point in a picture, metres at the hand; above 0."""
-    space_std_m: float = 0.010
-    """Standard deviation of a point in space after the similarity, metres at a hand of mean size; above 0."""
-    gross: float = 3.0
-    """Standard deviations beyond which a point counts for less (Geman and McClure); above 0."""
-    correlation: float = 0.7
-    """Share of a point's variance that it has in common with the others: what all points together are worth is that
-    much less. 0 or more, below 1."""
-
-    min_score: float = 0.3
-    """Smallest score of a detector's hand that is taken at all; 0 to 1."""
-
-    def __post_init__(self) -> None:
-        require(0 <= self.min_score <= 1, "keypoints.min_score", "0 to 1", self.min_score)
-        for name in ("std_m", "space_std_m", "gross"):
-            require(
-                0 < getattr(self, name) < float("inf"), f"keypoints.{name}", "above 0 and finite", getattr(self, name)
-            )
-        require(0 <= self.correlation < 1, "keypoints.correlation", "0 or more and below 1", self.correlation)
-
-    @property
-    def weight(self) -> float:
-        """What a point counts among 21 that are correlated."""
-        return 1 / (1 + self.correlation * 20)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,45 +38,76 @@ class PictureKeypoints:
     """NaN for missing points."""
     kinematics: HandKinematics
     camera: Camera
+    """One, or a batch of one for each row."""
     settings: KeypointSettings
     view: int = 0
+    confidence: Float[Tensor, "#rows 21"] | None = None
+    """Share of a point's information that is believed, 0 for missing points; all of it where None."""
+    std_px: Float[Tensor, "#rows"] | None = None
+    """Standard deviation of a point along each axis; None for that of the settings at the hand's distance."""
+    loss: RobustLoss | None = None
+    """Loss of residuals in standard deviations, evaluated at every hand; None for what each point is trusted at the
+    association."""
+    detector: Detector | None = None
+    """None for one whose keypoints are ours."""
 
     @property
     def is_empty(self) -> bool:
-        return not bool(self.points_px.isfinite().all(-1).any())
+        return not bool(self.is_known.any())
+
+    @property
+    def is_known(self) -> Bool[Tensor, "#rows 21"]:
+        """Points that are not missing."""
+        is_known = self.points_px.isfinite().all(-1)
+        return is_known if self.confidence is None else is_known & (self.confidence > 0)
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "PictureKeypoints":
         """Of some of the frames; itself where the points are the same for all."""
-        return self if len(self.points_px) == 1 else replace(self, points_px=self.points_px[rows])
+        if len(self.points_px) == 1:
+            return self
+        return replace(
+            self,
+            points_px=self.points_px[rows],
+            camera=self.camera.rows(rows),
+            confidence=None if self.confidence is None else self.confidence[rows],
+            std_px=None if self.std_px is None else self.std_px[rows],
+        )
 
     def associate(self, hands: PosedHands, stage: Stage) -> "PictureKeypointFactor":
         """What each point counts: less, the farther it is from the hand."""
-        s = self.settings
-        frames = frames_of(self.kinematics, hands)
-        points = self.points_px.to(frames.keypoints).expand(len(hands), -1, -1)
-        in_cam = self.camera.cam_from_world(frames.keypoints)
-        scale = 0.5 * (self.camera.intrinsics[0, 0] + self.camera.intrinsics[1, 1]).to(points)
-        depth = in_cam[..., 2].clamp_min(_NEAREST) if self.camera.kind == "pinhole" else torch.ones_like(in_cam[..., 2])
-        std = s.std_m * scale / depth
-        is_known = points.isfinite().all(-1) & (in_cam[..., 2] > _NEAREST if self.camera.kind == "pinhole" else True)
-        known = torch.where(is_known[..., None], points, 0.0)
+        keypoints = frames_of(self.kinematics, hands).keypoints
+        camera, is_known = self.camera, self.is_known
+        depth = camera.cam_from_world(keypoints)[..., 2]
+        if self.std_px is None:
+            scale = 0.5 * (camera.intrinsics[..., 0, 0] + camera.intrinsics[..., 1, 1]).to(depth)[..., None]
+            near = depth.clamp_min(_NEAREST) if camera.kind == "pinhole" else torch.ones_like(depth)
+            std = self.settings.std_m * scale / near
+        else:
+            std = self.std_px[:, None].to(depth).expand_as(depth)
+        if self.loss is None and camera.kind == "pinhole":
+            is_known = is_known & (depth > _NEAREST)
+        weight = std.square().reciprocal() * (1.0 if self.confidence is None else self.confidence)
+        known = torch.where(is_known[..., None], self.points_px.to(depth), 0.0)
         factor = PictureKeypointFactor(
             kinematics=self.kinematics,
-            camera=self.camera,
-            points=known,
-            weight=torch.where(is_known, std.square().reciprocal(), 0.0),
-            trust=torch.ones_like(std),
+            camera=camera,
+            points=known.expand(len(hands), -1, -1),
+            weight=torch.where(is_known, weight, 0.0),
+            trust=torch.full_like(std, self.settings.weight),
             view=self.view,
+            loss=self.loss,
+            detector=self.detector or Detector.known(keypoints),
         )
-        distance = factor.distance(frames)
-        gross = max(1.0, stage.gross_m / s.std_m / s.gross) * s.gross  # coarse stages must reach their points
-        trust = (1 + (distance / (gross * std)).square()).square().reciprocal()
-        return replace(factor, trust=s.weight * trust)
+        if self.loss is not None:
+            return factor
+        trust = self.settings.trust(factor.distance(hands), std, self.settings.std_m, stage)
+        return replace(factor, trust=trust)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PictureKeypointFactor:
-    """½ Σ trust · |point - keypoint|² / std²; a row per hand."""
+    """½ Σ trust · |point - keypoint|² / std², or a robust loss of that; a row per hand. A hand with a known point that
+    is not before the camera costs infinitely much."""
 
     kinematics: HandKinematics
     camera: Camera
@@ -109,28 +117,30 @@ class PictureKeypointFactor:
     trust: Float[Tensor, "k 21"]
     """What each point counts, of what it would if it were the only one and no outlier."""
     view: int
+    loss: RobustLoss | None
+    detector: Detector
 
-    def distance(self, frames: HandFrames) -> Float[Tensor, "k 21"]:
+    def distance(self, hands: PosedHands) -> Float[Tensor, "k 21"]:
         """Of every point from the hand's keypoint, px; 0 for missing ones."""
-        away = self._projected(frames)[0] - self.points
+        away = self._projected(hands)[0] - self.points
         return torch.where(self.weight > 0, away.norm(dim=-1), 0.0)
 
     def equations(self, hands: PosedHands) -> Equations:
-        """In the DOFs, and in the shape where it is unknown."""
-        frames = frames_of(self.kinematics, hands)
-        pixels, slopes = self._projected(frames)
-        weight = (self.weight * self.trust)[..., None].expand_as(pixels).flatten(1)
-        residual = torch.where(weight > 0, (pixels - self.points).flatten(1), 0.0)
-        rows = (slopes @ _pose_jacobian(self.kinematics, hands)).flatten(1, 2)
+        """In the DOFs, and in the shared unknowns where there are some."""
+        pixels, slopes, depth = self._projected(hands)
+        rows = slopes @ self.detector.pose_jacobian(self.kinematics, hands)
         shared = None
         if hands.unknowns is not None:
-            shared = (slopes @ _shape_jacobian(self.kinematics, hands)).flatten(1, 2)
-        cost = 0.5 * (weight * residual.square()).sum(-1)
-        return Equations.of_rows(residual, weight, rows, cost, shared=shared)
+            shared = slopes @ self.detector.shared_jacobian(self.kinematics, hands)
+        found = equations_of_points(pixels - self.points, self.weight * self.trust, self.loss, rows, shared)
+        if self.camera.kind != "pinhole":
+            return found
+        is_before = ((depth > _NEAREST) | (self.weight == 0)).all(-1)
+        return replace(found, cost=torch.where(is_before, found.cost, torch.inf))
 
     def predict(self, hands: PosedHands) -> Float[Tensor, "k m"]:
         """Pixels of the keypoints of any number of hands, as `measurement` has them."""
-        return self._projected(frames_of(self.kinematics, hands))[0].flatten(1)
+        return self._projected(hands)[0].flatten(1)
 
     def measurement(self) -> tuple[Float[Tensor, "m"], Float[Tensor, "m"], Bool[Tensor, "m"]]:
         """Of the first row: values, variances, and which are known; for filters."""
@@ -140,30 +150,32 @@ class PictureKeypointFactor:
 
     def rows(self, rows: Int[Tensor, "n"]) -> "PictureKeypointFactor":
         """Of some of the hands."""
-        return replace(self, points=self.points[rows], weight=self.weight[rows], trust=self.trust[rows])
+        own = {name: getattr(self, name)[rows] for name in ("points", "weight", "trust")}
+        return replace(self, camera=self.camera.rows(rows), **own)
 
     def explained(self) -> tuple[Explained, ...]:
         """Share of the points that are trusted by half at least; their distance counts for nothing here."""
-        total = (self.weight > 0).sum(-1).clamp_min(1)
-        highest = self.trust.amax(-1, keepdim=True).clamp_min(1e-30)
-        share = ((self.trust > 0.25 * highest) & (self.weight > 0)).sum(-1) / total
-        return (Explained(name=IN_PICTURE, view=self.view, share=share, distance=torch.zeros_like(self.weight[:, 0])),)
+        share = trusted_share(self.weight, self.trust)
+        return (Explained(name=IN_PICTURE, view=self.view, share=share, distance=torch.zeros_like(share)),)
 
-    def _projected(self, frames: HandFrames) -> tuple[Float[Tensor, "k 21 2"], Float[Tensor, "k 21 2 3"]]:
-        """Pixels of the keypoints, and their derivative in the places in the world."""
+    def _projected(
+        self, hands: PosedHands
+    ) -> tuple[Float[Tensor, "k 21 2"], Float[Tensor, "k 21 2 3"], Float[Tensor, "k 21"]]:
+        """Pixels of the keypoints, their derivative in the places in the world, and the depths."""
         camera = self.camera
-        in_cam = camera.cam_from_world(frames.keypoints)
-        plane = camera.plane_from_cam(in_cam)
+        in_cam = camera.cam_from_world(self.detector.keypoints(self.kinematics, hands))
+        plane = in_cam[..., :2]
         on_plane = torch.zeros(*plane.shape, 3, dtype=plane.dtype, device=plane.device)
         if camera.kind == "pinhole":
             nearness = in_cam[..., 2].clamp_min(_NEAREST).reciprocal()
-            plane = in_cam[..., :2] * nearness[..., None]
+            plane = plane * nearness[..., None]
             on_plane[..., 0, 0] = on_plane[..., 1, 1] = nearness
             on_plane[..., 2] = -plane * nearness[..., None]
         else:
             on_plane[..., 0, 0] = on_plane[..., 1, 1] = 1.0
-        slopes = camera.pixel_jacobian(plane) @ on_plane @ camera.rotation.to(plane)
-        return camera.pixels_from_plane(plane), slopes
+        rotation = camera.rotation.to(plane)
+        turned = on_plane @ (rotation if rotation.ndim == 2 else rotation[:, None])
+        return camera.pixels_from_plane(plane), camera.pixel_jacobian(plane) @ turned, in_cam[..., 2]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,8 +209,7 @@ class SpaceKeypoints:
             trust=torch.ones_like(known[..., 0]),
         )
         away = (keypoints - factor.laid_over(keypoints)).norm(dim=-1)
-        gross = max(1.0, stage.gross_m / s.space_std_m / s.gross) * s.gross
-        return replace(factor, trust=s.weight * (1 + (away / (gross * s.space_std_m)).square()).square().reciprocal())
+        return replace(factor, trust=s.trust(away, s.space_std_m, s.space_std_m, stage))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,7 +248,7 @@ class SpaceKeypointFactor:
         root = (self.weight * self.trust).sqrt()[..., None]
         residual = (root * (keypoints - laid)).flatten(1)
         tangent = _similarity_tangent(root, keypoints, laid)
-        rows = _without(tangent, (root[..., None] * _pose_jacobian(self.kinematics, hands)).flatten(1, 2))
+        rows = _without(tangent, (root[..., None] * pose_jacobian(self.kinematics, hands)).flatten(1, 2))
         shared = None
         if hands.unknowns is not None:
             shared = _without(tangent, (root[..., None] * _shape_jacobian(self.kinematics, hands)).flatten(1, 2))
@@ -269,40 +280,16 @@ class SpaceKeypointFactor:
         return replace(self, points=self.points[rows], weight=self.weight[rows], trust=self.trust[rows])
 
     def explained(self) -> tuple[Explained, ...]:
-        """Share of the points that are trusted by half at least."""
-        total = (self.weight > 0).sum(-1).clamp_min(1)
-        highest = self.trust.amax(-1, keepdim=True).clamp_min(1e-30)
-        share = ((self.trust > 0.25 * highest) & (self.weight > 0)).sum(-1) / total
-        return (Explained(name=IN_SPACE, view=None, share=share, distance=torch.zeros_like(self.weight[:, 0])),)
-
-
-def frames_of(kinematics: HandKinematics, hands: PosedHands) -> HandFrames:
-    """Bones and keypoints of posed hands; computed once for all factors."""
-    pose = hands.pose
-    return hands.once(
-        ("frames", id(kinematics)), lambda: kinematics(pose.dofs, hands.shape, root_reference=pose.reference)
-    )
-
-
-def _pose_jacobian(kinematics: HandKinematics, hands: PosedHands) -> Float[Tensor, "k 21 3 36"]:
-    def found() -> Tensor:
-        return pose_jacobian_of(kinematics)(hands.pose.dofs, frames_of(kinematics, hands))
-
-    return hands.once(("keypoint jacobian", id(kinematics)), found)
+        """Share of the points that are trusted by half at least; their distance counts for nothing here."""
+        share = trusted_share(self.weight, self.trust)
+        return (Explained(name=IN_SPACE, view=None, share=share, distance=torch.zeros_like(share)),)
 
 
 def _shape_jacobian(kinematics: HandKinematics, hands: PosedHands) -> Float[Tensor, "k 21 3 c"]:
     """In the shared unknowns; those after the shape have no effect."""
     assert hands.unknowns is not None
-    found = ShapeJacobian(kinematics, hands.unknowns.columns)(frames_of(kinematics, hands), hands.shape)
+    found = shape_jacobian_of(kinematics, hands.unknowns.columns)(frames_of(kinematics, hands), hands.shape)
     return torch.nn.functional.pad(found, (0, len(hands.unknowns.extra)))
-
-
-@lru_cache(maxsize=8)
-def pose_jacobian_of(kinematics: HandKinematics) -> PoseJacobian:
-    """The Jacobian in all DOFs; laid out once for each kinematics module."""
-    with torch.inference_mode(False):  # kept for callers in any mode
-        return PoseJacobian(kinematics)
 
 
 def _similarity_tangent(

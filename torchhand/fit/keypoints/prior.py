@@ -1,18 +1,19 @@
 """A weak belief in a natural posture, for the joints that keypoints leave open."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchhand.fit import Equations, Explained, PosedHands, Stage
 from torchhand.hand import DOFS, FINGERS, JOINT_DOFS, KEYPOINTS, Skeleton
 
 _DEG = math.pi / 180
 _ROOT = len(DOFS) - len(JOINT_DOFS)
-_TIE = 2 / 3  # flexion of the end joint over that of the middle joint (paper 000, equation 1)
+_TIE = 2 / 3  # flexion of the end joint over that of the middle joint (Ouhaddi and Horain 1998, eq. 1)
 _TIE_STD_DEG = 15.0
 
 # Mean and standard deviation in degrees of a hand at work, by the ending of the DOF's name: rough values of ours.
@@ -44,6 +45,43 @@ class NaturalPosture:
     @cached_property
     def is_empty(self) -> bool:
         return not bool(self.precision.any())
+
+
+@dataclass(frozen=True, kw_only=True)
+class NaturalPrior:
+    """½ |posture - mean|² in the metric of the precision, counted DOF by DOF. Its own factor: nothing is associated."""
+
+    posture: NaturalPosture
+    share: Float[Tensor, "rows 36"]
+    """0 to 1: how far the belief in the natural posture holds for each DOF of each frame."""
+
+    @property
+    def is_empty(self) -> bool:
+        return False
+
+    def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "NaturalPrior":
+        """Of some of the frames."""
+        return replace(self, share=self.share[rows])
+
+    def associate(self, hands: PosedHands, stage: Stage) -> "NaturalPrior":
+        """Itself."""
+        return self
+
+    def equations(self, hands: PosedHands) -> Equations:
+        """In the joint angles."""
+        root = self.share[:, _ROOT:].sqrt()
+        precision = self.posture.precision[_ROOT:, _ROOT:].to(root)
+        away = root * (hands.pose.dofs - self.posture.mean.to(root))[:, _ROOT:]
+        pull = away @ precision
+        return Equations(
+            cost=0.5 * (pull * away).sum(-1),
+            gradient=root * pull,
+            matrix=root[:, :, None] * precision * root[:, None],
+            first_dof=_ROOT,
+        )
+
+    def explained(self) -> tuple[Explained, ...]:
+        return ()
 
 
 def natural_posture(*, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu") -> NaturalPosture:

@@ -6,9 +6,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.fit.keypoints.residuals import Observations
+from torchhand.fit.keypoints.observation import PictureKeypoints
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand import DOFS, FINGERS, HandKinematics, PoseSpace, posture
+from torchhand.hand import DOFS, FINGERS, posture
 
 _POSTURES = ("open", "fist")  # tried besides the natural posture
 _RING, _LATITUDES_DEG = 8, (-60.0, -30.0, 0.0, 30.0, 60.0)
@@ -29,8 +29,7 @@ def viewing_directions() -> Float[Tensor, "views 3 3"]:
 
 
 def starts_in_picture(
-    kinematics: HandKinematics,
-    observed: Observations,
+    observed: PictureKeypoints,
     shape: Float[Tensor, "shape"],
     natural: Float[Tensor, "36"],
     starts: int,
@@ -41,16 +40,17 @@ def starts_in_picture(
     place are those of the plane similarity that brings its points nearest to the measured ones (in complex numbers,
     one division). The directions differ, so the starts do.
     """
-    assert observed.camera is not None
-    camera, points = observed.camera, observed.points
+    camera, points = observed.camera, torch.where(observed.is_known[..., None], observed.points_px, 0.0)
     plane = camera.plane_from_pixels(points)
-    weight = observed.weight * plane.isfinite().all(-1)
+    weight = (observed.is_known & plane.isfinite().all(-1)).to(points)
+    if observed.confidence is not None:
+        weight = weight * observed.confidence
     plane = torch.where(weight[..., None] > 0, plane, 0.0)
     weight = weight / weight.sum(-1, keepdim=True).clamp_min(torch.finfo(weight.dtype).tiny)
     joints = torch.stack([natural, *(posture(name).to(natural) for name in _POSTURES)])
     joints[:, :6] = 0
     views = viewing_directions().to(points)
-    rest = kinematics(joints, shape).keypoints
+    rest = observed.kinematics(joints, shape).keypoints
     seen = torch.einsum("vij,pkj->vpki", views, rest)
     model = torch.complex(seen[..., 0], seen[..., 1])
     measured = torch.complex(plane[..., 0], plane[..., 1])
@@ -86,9 +86,8 @@ def starts_in_picture(
     return poses, world_from_cam @ cam_from_hand
 
 
-def other_ways(space: PoseSpace, free: Float[Tensor, "frames free"]) -> Float[Tensor, "frames 6 free"]:
+def other_ways(pose: Float[Tensor, "frames 36"]) -> Float[Tensor, "frames 6 36"]:
     """The poses, then for each digit the same with that digit bent if it was straight, or straight if it was bent."""
-    pose = space.dof(free)
     bent, straight = (posture(name).to(pose) for name in ("fist", "open"))
     poses = [pose]
     for finger in FINGERS:
@@ -98,4 +97,4 @@ def other_ways(space: PoseSpace, free: Float[Tensor, "frames free"]) -> Float[Te
         changed = pose.clone()
         changed[:, own] = torch.where(is_bent, straight[own], bent[own])
         poses.append(changed)
-    return space.free(torch.stack(poses, 1))
+    return torch.stack(poses, 1)

@@ -1,12 +1,6 @@
 """Damped, bounded, robust nonlinear least squares over many problems at once, and plain gradient descent."""
 
-from torchhand.numerics.least_squares.arrow import (
-    ArrowEquations,
-    ArrowSolution,
-    ArrowValues,
-    arrow_levenberg_marquardt,
-    damped_arrow_step,
-)
+from torchhand.numerics.least_squares.arrow import ArrowEquations, Eliminated
 from torchhand.numerics.least_squares.box_step import damped_box_step
 from torchhand.numerics.least_squares.descent import DescentSettings, gradient_descent
 from torchhand.numerics.least_squares.levenberg_marquardt import levenberg_marquardt
@@ -21,16 +15,13 @@ from torchhand.numerics.least_squares.robust import RobustLoss
 
 __all__ = [
     "ArrowEquations",
-    "ArrowSolution",
-    "ArrowValues",
     "DescentSettings",
+    "Eliminated",
     "LeastSquares",
     "LevenbergMarquardtSettings",
     "NormalEquations",
     "RobustLoss",
     "Status",
-    "arrow_levenberg_marquardt",
-    "damped_arrow_step",
     "damped_box_step",
     "gradient_descent",
     "levenberg_marquardt",

@@ -1,0 +1,218 @@
+"""From measured keypoints to poses and what all frames share: starts, hypotheses, and the whole as one problem."""
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.fit import (
+    PopulationPrior,
+    Problem,
+    SharedSolution,
+    SharedUnknowns,
+    Solutions,
+    Stage,
+    solve,
+    solve_shared,
+)
+from torchhand.fit.keypoints.observation import PictureKeypoints
+from torchhand.fit.keypoints.points import Detector
+from torchhand.fit.keypoints.prior import NaturalPosture, NaturalPrior, limit_information, missing_share
+from torchhand.fit.keypoints.settings import KeypointFitSettings
+from torchhand.fit.keypoints.start import start_in_space
+from torchhand.fit.keypoints.views import other_ways, starts_in_picture
+from torchhand.fit.keypoints.world import WorldKeypoints
+from torchhand.hand import DOFS, Anthropometry, HandKinematics, HandPose, PoseSpace, moving_parameters
+from torchhand.hand.limits import AnthropometrySettings, clamp_to_limits
+
+_ROOT_STD = (1.0, math.pi / math.sqrt(3))  # of a root that points leave open: metres, radians
+_LOG_SCALE_STD = 3.0  # as good as nothing known
+_SOFTNESS = 0.05  # violation of an anthropometric constraint that costs ½, in its spread over people
+_ROUGH = Stage(gross_m=1.0, rounds=1, iterations=25)  # points bring a loss of their own: no distance is gross
+_FINE = Stage(gross_m=1.0, rounds=1, iterations=60)
+_POSE_TOLERANCE, _SHARED_TOLERANCE = 1e-7, 1e-5
+_AT_ONCE = 256
+_KEPT = 3  # of the starts in a picture go on after the first look
+_ROUNDS = 2  # how often pictures are begun anew with the shape found so far
+_SETTLED = 0.2  # mean change of the shape, in its spread over people, after which pictures are not begun anew
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeypointEstimate:
+    """Where the estimate ended."""
+
+    solution: SharedSolution
+    detector: Detector
+    """As it was found to be."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeypointEstimator:
+    """One fit's ingredients; every frame has enough points."""
+
+    observed: PictureKeypoints | WorldKeypoints
+    """A row for each frame; with its detector."""
+    coarse_std_px: Float[Tensor, "frames"] | None
+    """Standard deviation of points in pictures for telling starts apart: not so small that only the nearest of them can
+    be followed."""
+    space: PoseSpace
+    posture: NaturalPosture
+    columns: tuple[int, ...]
+    """Shape parameters that are fitted, index into the shape space's names."""
+    settings: KeypointFitSettings
+
+    def estimate(self, shape: Float[Tensor, "shape"]) -> KeypointEstimate:
+        """Begins with the given shape. Raises ValueError without frames."""
+        detector = self.observed.detector or Detector.known(shape)
+        if isinstance(self.observed, WorldKeypoints):
+            return self._in_space(self.observed, shape, detector)
+        found = self._in_picture(self.observed, shape, detector)
+        # A better shape may tell ways of seeing the hand apart that were confused.
+        for _ in range(_ROUNDS - 1 if self.columns or len(detector.extra) else 0):
+            change = (found.solution.shape - shape) / self._kinematics.shape_space.std.to(shape)
+            if not self.columns or float(change[list(self.columns)].abs().mean()) < _SETTLED:
+                break
+            shape = found.solution.shape
+            found = self._in_picture(self.observed, shape, found.detector)
+        return found
+
+    @property
+    def _kinematics(self) -> HandKinematics:
+        return self.observed.kinematics
+
+    @property
+    def _natural(self) -> Float[Tensor, "36"]:
+        """The natural posture as far as the pose space knows it."""
+        return clamp_to_limits(self.space.dof(self.space.free(self.posture.mean)), self._kinematics.skeleton)
+
+    def _in_space(self, observed: WorldKeypoints, shape: Tensor, detector: Detector) -> KeypointEstimate:
+        points, is_known = observed.points, observed.is_known
+        pose, reference, size = start_in_space(self._kinematics, points, is_known, shape, self._natural)
+        if detector.has_unknown_scale:
+            detector = replace(detector, log_scale=-_middle(size).log())
+            scaled = detector.log_scale.exp() * points
+            pose, reference, _ = start_in_space(self._kinematics, scaled, is_known, shape, self._natural)
+        elif self.columns:
+            shape = self._sized(shape, float(_middle(size)))
+        return self._whole(HandPose.of(pose, reference), shape, detector)
+
+    def _in_picture(self, observed: PictureKeypoints, shape: Tensor, detector: Detector) -> KeypointEstimate:
+        """From the best of several starts for every frame.
+
+        First with points trusted little, so that far starts are drawn in; a few of the best go on as the noise is. In
+        a picture, a digit bent towards the camera may look like one bent away: each is then tried the other way.
+        """
+        pose, reference = starts_in_picture(observed, shape, self._natural, self.settings.starts)
+        fine = self._problem(shape, detector)
+        coarse = replace(fine, observations=(replace(observed, detector=detector, std_px=self.coarse_std_px),))
+        kept = _best(_solved(coarse, HandPose.of(pose, reference)), _KEPT)
+        best = _best(_solved(fine, kept), 1).reshape(len(pose))
+        ways = other_ways(best.dofs)
+        tried = HandPose.of(ways, best.reference[:, None])
+        return self._whole(_best(_solved(fine, tried), 1).reshape(len(pose)), shape, detector)
+
+    def _whole(self, pose: HandPose, shape: Tensor, detector: Detector) -> KeypointEstimate:
+        """All frames with what they share, from one pose each."""
+        problem = replace(self._problem(shape, detector), shared=self._unknowns(detector))
+        known = limit_information(self._kinematics.skeleton).to(shape)
+        known[:3], known[3:6] = _ROOT_STD[0] ** -2, _ROOT_STD[1] ** -2
+        solution = solve_shared(
+            problem,
+            pose,
+            (_FINE,),
+            cost_tolerance=_SHARED_TOLERANCE,
+            pose_tolerance=_POSE_TOLERANCE,
+            information=known,
+        )
+        return KeypointEstimate(solution=solution, detector=detector.at(solution.extra))
+
+    def _problem(self, shape: Tensor, detector: Detector) -> Problem:
+        """Of all frames, with what they share held."""
+        share = self._prior_share()
+        is_believed = not self.posture.is_empty and bool(share.any())
+        return Problem(
+            space=self.space,
+            skeleton=self._kinematics.skeleton,
+            shape=shape,
+            observations=(replace(self.observed, detector=detector),),
+            priors=(NaturalPrior(posture=self.posture, share=share),) if is_believed else (),
+        )
+
+    def _unknowns(self, detector: Detector) -> SharedUnknowns | None:
+        extra = detector.extra
+        if not self.columns and not len(extra):
+            return None
+        space = self._kinematics.shape_space
+        people = Anthropometry(space, AnthropometrySettings(softness=_SOFTNESS))
+        lower, upper = _box(people)
+        scale, offsets = extra.split([int(detector.has_unknown_scale), len(extra) - int(detector.has_unknown_scale)])
+        std = (torch.full_like(scale, _LOG_SCALE_STD), torch.full_like(offsets, self.settings.offset_std))
+        told = moving_parameters(self._kinematics)
+        return SharedUnknowns(
+            columns=self.columns,
+            prior=PopulationPrior(people=people),
+            lower=lower,
+            upper=upper,
+            extra=extra,
+            extra_mean=torch.cat((scale, torch.zeros_like(offsets))),
+            extra_std=torch.cat(std),
+            people=people,
+            pliable=tuple(i for i in range(len(space.names)) if i not in told),
+        )
+
+    def _sized(self, shape: Tensor, size: float) -> Tensor:
+        """The shape grown in length and breadth where these are free."""
+        space = self._kinematics.shape_space
+        sized = shape.clone()
+        for column in (space.names.index(name) for name in ("hand_length", "hand_breadth")):
+            if column in self.columns:
+                low, high = float(space.lower[column]), float(space.upper[column])
+                sized[column] = min(max(size * float(shape[column]), low), high)
+        return sized
+
+    def _prior_share(self) -> Float[Tensor, "frames 36"]:
+        is_in_space, mode = isinstance(self.observed, WorldKeypoints), self.settings.prior
+        if mode == "auto":
+            mode = "where_missing" if is_in_space else "always"
+        confidence = torch.where(self.observed.is_known, 1.0, 0.0).to(self.space.basis)
+        if self.observed.confidence is not None:
+            confidence = confidence * self.observed.confidence
+        if mode == "where_missing":
+            return missing_share(confidence)
+        return torch.full_like(confidence[:, :1], 1.0 if mode == "always" else 0.0).repeat(1, len(DOFS))
+
+
+def _solved(problem: Problem, starts: HandPose) -> Solutions:
+    """Every start (frames, starts) of every frame by itself."""
+    count, each = starts.batch_shape
+    rows = torch.arange(count, device=starts.dofs.device).repeat_interleave(each)
+    return solve(problem.rows(rows), starts, (_ROUGH,), at_once=_AT_ONCE)
+
+
+def _best(found: Solutions, count: int) -> HandPose:
+    """The cheapest poses of every frame (frames, count)."""
+    kept = found.cost.nan_to_num(torch.inf).topk(min(count, found.cost.shape[1]), -1, largest=False).indices
+    frames = torch.arange(len(kept), device=kept.device)[:, None]
+    return HandPose(dofs=found.pose.dofs[frames, kept], reference=found.pose.reference[frames, kept])
+
+
+def _middle(size: Float[Tensor, "frames"]) -> Float[Tensor, ""]:
+    """The median of the sizes that are any; 1 where none is."""
+    size = size[(size > 0) & size.isfinite()]
+    return size.median() if len(size) else size.new_ones(())
+
+
+def _box(people: Anthropometry) -> tuple[Float[Tensor, "shape"], Float[Tensor, "shape"]]:
+    """The tightest bounds among the inequalities matrix · shape <= bound that concern one parameter."""
+    lower, upper = people.space.lower.clone(), people.space.upper.clone()
+    for row, bound in zip(people.matrix, people.bound, strict=True):
+        (places,) = row.nonzero(as_tuple=True)
+        if len(places) == 1:
+            limit, place = bound / row[places[0]], places[0]
+            if row[place] > 0:
+                upper[place] = torch.minimum(upper[place], limit)
+            else:
+                lower[place] = torch.maximum(lower[place], limit)
+    return lower, upper
