@@ -4,21 +4,20 @@ What differs from `fit_contour` is that the prior stays where it was, about peop
 is continued.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.numerics.box_step import damped_box_step
-from torchhand.track.open_hand_edges import Outline
-from torchhand.track.open_hand_problem import OpenHandProblem
-from torchhand.track.open_hand_settings import OpenHandSettings
+from torchhand.numerics.least_squares import LevenbergMarquardtSettings
+from torchhand.numerics.levenberg_marquardt import levenberg_marquardt
+from torchhand.track.open_hand_edges import OutlineEdges, match_edges
+from torchhand.track.open_hand_problem import OpenHandProblem, linearized
 from torchhand.track.open_hand_start import DigitResiduals
 
-_FINE_SHARE = 0.5  # of the iterations, the last, take the noise from the residuals
-_GROSS = 3.0  # standard deviations beyond which a measured digit counts for less
-_DAMPING = 0.05  # of a step's curvature, relative to the prior's
+_BETWEEN_MATCHES = LevenbergMarquardtSettings(iterations=2, cost_tolerance=1e-3)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,46 +26,42 @@ class OutlineFit:
 
     values: Float[Tensor, "n"]
     covariance: Float[Tensor, "n n"]
-    """Of the scaled unknowns, about the last step."""
-    residual_px: float
-    """Median absolute distance of the found edges from the contour."""
-    found_share: float
-    """Share of the visible outer contour points at which an edge was found."""
-    edge_std_px: float
-    """Median of the standard deviations that edges were given, neighbours' agreement included."""
+    """Covariance of the scaled unknowns."""
+    edges: OutlineEdges
+    """The edges that the values were last fitted to."""
 
 
 def fit_outline(
-    outline: Outline,
+    plane: Float[Tensor, "height width"],
+    digits: DigitResiduals,
     problem: OpenHandProblem,
     start: Float[Tensor, "n"],
-    settings: OpenHandSettings,
     *,
-    digits: DigitResiduals,
+    reaches: Sequence[float],
+    digit_weight: float,
 ) -> OutlineFit | None:
-    """Moves the unknowns until the outer contour lies on the silhouette's edge; None where hardly any edge is found."""
-    values = problem.clamped(start)
+    """Moves the unknowns until the outer contour lies on the edge of a silhouette; None where there is no contour.
+
+    In turn the contour is matched with edges within a reach, a fraction of the hand's length, and the unknowns are
+    fitted to these edges, the digits and the prior. `digit_weight` is that of the digits' residuals.
+    """
+    values = start
     result: OutlineFit | None = None
-    for iteration in range(settings.iterations):
-        progress = iteration / (settings.iterations - 1)
-        share = settings.search_share * (settings.final_search_share / settings.search_share) ** progress
-        term = outline.term(values, share, is_fine=progress >= 1 - _FINE_SHARE)
-        if term is None:
-            return result
-        known, slope = problem.prior(values)
-        seen_digits, digit_slope = (settings.digit_share * rows for rows in digits.linearised(values))
-        trust = _GROSS / seen_digits.abs().clamp_min(_GROSS)
-        information = term.information + slope.T @ slope + digit_slope.T @ (trust[:, None] * digit_slope)
-        pull = term.pull - slope.T @ known - digit_slope.T @ (trust * seen_digits)
-        damping = torch.full((1,), _DAMPING * (1 - progress), dtype=values.dtype)
-        below, above = (problem.lower - values)[None], (problem.upper - values)[None]
-        step, _ = damped_box_step(information[None], -pull[None], damping, below, above)
-        values = problem.clamped(values + step[0])
-        result = OutlineFit(
-            values=values,
-            covariance=torch.linalg.inv(information),
-            residual_px=term.residual_px,
-            found_share=term.found_share,
-            edge_std_px=term.edge_std_px,
+    for reach in reaches:
+        edges = match_edges(plane, problem, values, reach)
+        if edges is None:
+            break
+
+        def residuals(hands: Tensor, edges: OutlineEdges = edges) -> Tensor:
+            return torch.cat((edges.residuals(hands), digit_weight * digits(hands), problem.prior(hands)), -1)
+
+        found = levenberg_marquardt(
+            lambda hand, residuals=residuals: linearized(residuals, hand),
+            values,
+            lower=problem.lower,
+            upper=problem.upper,
+            settings=_BETWEEN_MATCHES,
         )
+        values = found.values
+        result = OutlineFit(values=values, covariance=torch.linalg.inv(found.matrix), edges=edges)
     return result
