@@ -13,7 +13,7 @@ from torchhand.image.distance_fields import (
 )
 from torchhand.image.distance_maps import distance_map
 from torchhand.image.edges import EdgeSearch, EdgeSettings, search_edges
-from torchhand.image.fingers import FingerSettings, find_fingers, opened_by_disc
+from torchhand.image.fingers import FingerSettings, find_fingers
 from torchhand.image.hand_regions import HandRegions, NoRegions, divide_hand
 from torchhand.image.moments import MaskMoments, mask_moments
 from torchhand.image.refinement import RefinementSettings, find_open_hand, refine_silhouette
@@ -64,7 +64,6 @@ __all__ = [
     "learn_colours",
     "learn_skin",
     "mask_moments",
-    "opened_by_disc",
     "otsu_cr_mask",
     "point_field",
     "refine_silhouette",

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-import torch
 from jaxtyping import Bool
 from torch import Tensor
 
@@ -122,18 +121,12 @@ def find_fingers(mask: Bool[Tensor, "height width"], settings: FingerSettings | 
     return nothing if best is None else _in_picture(best, scale, (left, top))
 
 
-def opened_by_disc(mask: Bool[Tensor, "height width"], radius_px: float) -> Bool[Tensor, "height width"]:
-    """Morphological opening by a Euclidean disc of any radius, exact up to the pixel grid.
+def opened_by_disc(depth: np.ndarray, radius: float) -> np.ndarray:
+    """Morphological opening of a mask by a Euclidean disc of any radius in px, exact up to the pixel grid.
 
-    A pixel stays when a disc of that radius within the mask covers it. Beyond the picture there is nothing.
+    Pixels within `radius` of one whose depth within the mask, its distance from the nearest pixel outside, exceeds it:
+    erosion and dilation by two distance transforms.
     """
-    pixels = np.pad(mask.cpu().numpy().astype(np.uint8), 1)
-    depth = cv2.distanceTransform(pixels, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return torch.from_numpy(_opened(depth, radius_px)[1:-1, 1:-1] & mask.cpu().numpy()).to(mask.device)
-
-
-def _opened(depth: np.ndarray, radius: float) -> np.ndarray:
-    """Pixels within `radius` of one that is deeper than it: erosion and dilation by two distance transforms."""
     core = depth > radius
     if not core.any():
         return np.zeros(depth.shape, bool)
@@ -174,7 +167,7 @@ def _pieces(
     settings: FingerSettings,
 ) -> list[FingerPiece]:
     """Pieces of the top-hat that have a finger's form, fingers that hang together at their web taken apart."""
-    opened = _opened(depth, radius)
+    opened = opened_by_disc(depth, radius)
     rest = (work > 0) & ~opened
     grown = cv2.dilate(opened.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     count, labels, stats, _ = cv2.connectedComponentsWithStats(rest.astype(np.uint8), connectivity=8)

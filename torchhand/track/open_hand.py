@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from torch import Tensor
 
 from torchhand.geometry import Camera
@@ -25,10 +25,8 @@ from torchhand.track.start import fit_overlap
 
 Facing = Literal["palm", "back"]
 
-_FIRST = (0.04, 0.035, 0.03, 0.025)
-_SECOND = (0.025,) * 4
-_FIRST_WEIGHT = 0.15
-_SECOND_WEIGHT = 1.0
+_ROUNDS, _CORRECTED_ROUNDS = 2, 3  # of matching and fitting the outline, before and after digits are corrected
+_BIASED_WEIGHT = 0.15  # of the digits' residuals before
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,8 +39,6 @@ class OpenHand:
     """Side of the hand that the camera sees."""
     overlap: float
     """Intersection over union of the fitted hand and the silhouette, forearm cut at the wrist."""
-    edge_std_px: float
-    """What one edge of the outline was trusted to, px."""
     corrected: tuple[str, ...]
     """Measures that the anthropometric constraints moved into their intervals."""
 
@@ -76,7 +72,6 @@ def fit_open_hand(
         regions=regions,
         facing=facing,
         overlap=fit_overlap(regions.mask, kinematics, camera, fit),
-        edge_std_px=found.edges.std_px,
         corrected=tuple(
             name for name, amount in zip(broken.names, broken.amount.tolist(), strict=True) if amount > 1e-6
         ),
@@ -87,7 +82,7 @@ def _registered(regions: HandRegions, problem: OpenHandProblem) -> OutlineFit | 
     """Digits, outline, digits freed of the measurement's bias together with the outline."""
     plane, digits = mask_plane(regions.mask), DigitResiduals(regions, problem)
     start = fit_digits(digits, problem)
-    first = fit_outline(plane, digits, problem, start, reaches=_FIRST, digit_weight=_FIRST_WEIGHT)
+    first = fit_outline(plane, digits, problem, start, rounds=_ROUNDS, digit_weight=_BIASED_WEIGHT)
     if first is None:
         return None
     projector, pose = problem.projected(first.values)
@@ -95,7 +90,7 @@ def _registered(regions: HandRegions, problem: OpenHandProblem) -> OutlineFit | 
     if isinstance(drawn, NoRegions):
         return first
     digits = digits.corrected(first.values, drawn)
-    return fit_outline(plane, digits, problem, first.values, reaches=_SECOND, digit_weight=_SECOND_WEIGHT)
+    return fit_outline(plane, digits, problem, first.values, rounds=_CORRECTED_ROUNDS, digit_weight=1.0)
 
 
 def _as_fit(found: OutlineFit, problem: OpenHandProblem) -> Fit:

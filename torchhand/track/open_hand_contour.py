@@ -4,8 +4,8 @@ What differs from `fit_contour` is that the prior stays where it was, about peop
 is continued.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from jaxtyping import Float
@@ -37,26 +37,26 @@ def fit_outline(
     problem: OpenHandProblem,
     start: Float[Tensor, "n"],
     *,
-    reaches: Sequence[float],
+    rounds: int,
     digit_weight: float,
 ) -> OutlineFit | None:
     """Moves the unknowns until the outer contour lies on the edge of a silhouette; None where there is no contour.
 
-    In turn the contour is matched with edges within a reach, a fraction of the hand's length, and the unknowns are
-    fitted to these edges, the digits and the prior. `digit_weight` is that of the digits' residuals.
+    In every round the contour is matched with edges, and the unknowns are fitted to these, the digits and the prior;
+    `digit_weight` is a factor on the digits' residuals.
     """
+
+    def weighted_digits(values: Float[Tensor, "hands n"]) -> Float[Tensor, "hands rows"]:
+        return digit_weight * digits(values)
+
     values = start
     result: OutlineFit | None = None
-    for reach in reaches:
-        edges = match_edges(plane, problem, values, reach)
+    for _ in range(rounds):
+        edges = match_edges(plane, problem, values)
         if edges is None:
             break
-
-        def residuals(hands: Tensor, edges: OutlineEdges = edges) -> Tensor:
-            return torch.cat((edges.residuals(hands), digit_weight * digits(hands), problem.prior(hands)), -1)
-
         found = levenberg_marquardt(
-            lambda hand, residuals=residuals: linearized(residuals, hand),
+            partial(linearized, (edges.residuals, weighted_digits, problem.prior)),
             values,
             lower=problem.lower,
             upper=problem.upper,

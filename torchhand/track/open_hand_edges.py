@@ -13,8 +13,8 @@ from torchhand.view import OutlineTable, outline_table
 
 _POINTS_PER_GENERATOR, _POINTS_PER_ARC = 10, 8  # on each straight side of a primitive and on each round end
 _MIN_POINTS = 30
-_MIN_SEARCH_PX = 4.0
-_GROSS = 0.3  # fraction of the search beyond which an edge counts as another part's
+_REACH, _MIN_REACH_PX = 0.03, 4.0  # how far from the contour edges are looked for, fraction of the hand's length
+_GROSS = 0.3  # fraction of this reach beyond which an edge counts as another part's
 _STD = 0.005  # standard deviation of an edge, fraction of the hand's length: surfaces differ, and neighbours alike
 _FROM_MASK = EdgeSettings(polarity="inside_bright", min_strength=0.15, choose="nearest")
 
@@ -34,8 +34,6 @@ class OutlineEdges:
     """Median absolute distance of the found edges from the contour; infinite without edges."""
     found_fraction: float
     """Fraction of the visible outer contour points at which an edge was found."""
-    std_px: float
-    """Standard deviation of an edge."""
 
     def residuals(self, values: Float[Tensor, "hands n"]) -> Float[Tensor, "hands points"]:
         """Distances of the edges from the same points of other hands' contours, in standard deviations."""
@@ -45,9 +43,9 @@ class OutlineEdges:
 
 
 def match_edges(
-    plane: Float[Tensor, "height width"], problem: OpenHandProblem, values: Float[Tensor, "n"], reach: float
+    plane: Float[Tensor, "height width"], problem: OpenHandProblem, values: Float[Tensor, "n"]
 ) -> OutlineEdges | None:
-    """Edges within `reach`, a fraction of the hand's length, of the model's outer contour; None without a contour.
+    """Edges along the normals of the model's outer contour; None where hardly any contour is visible.
 
     `plane` is the silhouette, smoothed, 1 inside. The picture's own edges would be sharper, but limbs are shaded: they
     lie up to half a pixel inside.
@@ -61,7 +59,7 @@ def match_edges(
     if int(keep.sum()) < _MIN_POINTS:
         return None
     points, normals = contour.points_px[keep], contour.normals[keep]
-    reach_px, std_px = max(reach * length_px, _MIN_SEARCH_PX), _STD * length_px
+    reach_px = max(_REACH * length_px, _MIN_REACH_PX)
     search = torch.full_like(points[:, 0], reach_px)
     seen = search_edges(plane, points, normals, _FROM_MASK, half_length_px=search)
     trust = (1 + (seen.offset_px / (_GROSS * reach_px)) ** 2) ** -2 / seen.candidates.clamp_min(1)
@@ -70,8 +68,7 @@ def match_edges(
         table=table.select(keep),
         edges_px=points + seen.offset_px[:, None] * normals,
         normals=normals,
-        weight=seen.found * trust / std_px**2,
+        weight=seen.found * trust / (_STD * length_px) ** 2,
         residual_px=float(seen.offset_px[seen.found].abs().median()) if bool(seen.found.any()) else float("inf"),
         found_fraction=float(seen.found.double().mean()),
-        std_px=std_px,
     )

@@ -6,7 +6,7 @@ picture cannot tell it from depth.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -143,9 +143,9 @@ class OpenHandProblem:
 
 
 def linearized(
-    residuals: Callable[[Float[Tensor, "hands n"]], Float[Tensor, "hands rows"]], values: Float[Tensor, "n"]
+    terms: Sequence[Callable[[Float[Tensor, "hands n"]], Float[Tensor, "hands _"]]], values: Float[Tensor, "n"]
 ) -> tuple[Float[Tensor, "rows"], Float[Tensor, "rows n"]]:
-    """Residuals of scaled unknowns and their Jacobian by forward differences; `residuals` is called once."""
-    steps = _STEP * torch.eye(len(values), dtype=values.dtype)
-    found = residuals(torch.cat((values[None], values + steps)))
+    """Residuals of all terms at scaled unknowns, one after the other, and their Jacobian by forward differences."""
+    hands = torch.cat((values[None], values + _STEP * torch.eye(len(values), dtype=values.dtype)))
+    found = torch.cat([term(hands) for term in terms], -1)
     return found[0], (found[1:] - found[0]).T / _STEP

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from copy import copy
+from functools import partial
 
 import numpy as np
 import torch
@@ -15,7 +16,6 @@ from torchhand.hand.shape import TIP_DEPTH
 from torchhand.image.hand_regions import HandRegions
 from torchhand.numerics.least_squares import LevenbergMarquardtSettings
 from torchhand.numerics.levenberg_marquardt import levenberg_marquardt
-from torchhand.numerics.robust import RobustLoss
 from torchhand.track.facing import facing_rotation, turned_in_picture
 from torchhand.track.open_hand_problem import OpenHandProblem, linearized
 
@@ -24,7 +24,6 @@ _TIP_STD = 0.008  # a fingertip
 _AXIS_STD = 0.008  # a joint's distance from the axis of its digit
 _WEB_STD = 0.015  # the base of a finger, along its axis
 _WRIST_STD = 0.06
-_GROSS = 3.0  # standard deviations beyond which a residual counts as an error of the measurement
 
 
 def placed_open_hand(
@@ -98,15 +97,11 @@ class DigitResiduals:
 def fit_digits(digits: DigitResiduals, problem: OpenHandProblem) -> Float[Tensor, "n"]:
     """Most probable unknowns given tips, axes and bases of the digits and the wrist."""
 
-    def residuals(values: Tensor) -> Tensor:
-        return torch.cat((digits(values), problem.prior(values)), -1)
-
     found = levenberg_marquardt(
-        lambda values: linearized(residuals, values),
+        partial(linearized, (digits, problem.prior)),
         torch.zeros(problem.size, dtype=torch.float64),
         lower=problem.lower,
         upper=problem.upper,
-        robust=RobustLoss(kind="huber", scale=_GROSS),
         settings=LevenbergMarquardtSettings(iterations=15, cost_tolerance=1e-4),
     )
     return found.values
