@@ -2,7 +2,6 @@
 
 import json
 import math
-from functools import partial
 from pathlib import Path
 
 import cv2
@@ -10,11 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from torchhand.cli import fit_hand
 from torchhand.cli.fit_hand import main
 from torchhand.files import load_hand, load_hand_model, read_picture, save_cameras
 from torchhand.fit.detect import facing_rotation
-from torchhand.fit.open_hand import OpenHandSettings, fit_open_hand
 from torchhand.geometry import assumed_camera
 from torchhand.hand import posture
 from torchhand.simulate import Motion, SceneSettings, render_sequence
@@ -32,13 +29,6 @@ def scene(posed: str = "open", shift: tuple[float, float] = (0.0, 0.09)) -> tupl
     look = SceneSettings(background="plain", supersampling=2)
     frame = next(iter(render_sequence(kinematics, motion, CAMERA, look, torch.Generator().manual_seed(0))))
     return frame.image.numpy()[..., ::-1].copy(), frame.mask.numpy().astype(np.uint8) * 255
-
-
-@pytest.fixture(autouse=True)
-def _roughly_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The command is what these tests are about, not how well it fits."""
-    rough = OpenHandSettings(iterations=6, more_iterations=2, points_per_generator=5, points_per_arc=4)
-    monkeypatch.setattr(fit_hand, "fit_open_hand", partial(fit_open_hand, settings=rough))
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +71,6 @@ def test_writes_a_hand_that_loads(folder: Path, tmp_path: Path, mask: str | None
     assert tuple(facts["std"]) == names
     assert all(math.isfinite(value) and value > 0 for value in facts["std"].values())
     assert facts["overlap"] > 0.9
-    assert facts["from_shading"] is True
     drawn, plain = (read_picture(path).numpy() for path in (overlay, folder / "open.png"))
     assert drawn.shape[1] > plain.shape[1]
     assert int((drawn[:260, :320] != plain).any(-1).sum()) > 300

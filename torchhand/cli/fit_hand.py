@@ -1,7 +1,7 @@
-"""Fit the hand to one picture of an open hand: her own proportions, with a standard deviation for each."""
+"""Fit the hand to one picture of an open hand: its own proportions, with a standard deviation for each."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -21,7 +21,6 @@ from torchhand.fit.open_hand import (
     Facing,
     HandSize,
     OpenHand,
-    OpenHandSettings,
     facing_of,
     fit_open_hand,
     known_length,
@@ -42,7 +41,7 @@ _HAND_LENGTHS = (0.14, 0.24)  # metres: the bounds of the shape space
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
-    """Fit the hand to one picture of an open hand: her own proportions, with a standard deviation for each.
+    """Fit the hand to one picture of an open hand: its own proportions, with a standard deviation for each.
 
     IMAGE shows one open hand, fingers spread and apart, flat and square to the camera, with a bare forearm or none.
     It is found by itself; --mask gives its silhouette instead. The result, hand.json, is what `torchhand track --hand`
@@ -101,7 +100,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     camera = replace(camera, rotation=torch.eye(3).double(), translation=torch.zeros(3).double())
     with threads(arguments.threads):
         mask, source = _silhouette(arguments, image)
-        hand, side, notes = _fitted(arguments, image, mask, camera)
+        hand, side, notes = _fitted(arguments, mask, camera)
         kinematics = load_hand_model().kinematics(side, dtype=torch.float64)
         size = _size(arguments, hand.fit, kinematics, camera)
         fit = sized(hand.fit, kinematics.shape_space, size)
@@ -161,12 +160,12 @@ def _check_found(path: Path, found: HandSilhouette) -> None:
 
 
 def _fitted(
-    arguments: Arguments, image: UInt8[Tensor, "height width 3"], mask: Bool[Tensor, "height width"], camera: Camera
+    arguments: Arguments, mask: Bool[Tensor, "height width"], camera: Camera
 ) -> tuple[OpenHand, Side, list[str]]:
     """The fit, the side, and what the user should know about them."""
     side: Side = arguments.side or "right"
     model = load_hand_model()
-    hand = fit_open_hand(mask, model.kinematics(side, dtype=torch.float64), camera, image=image)
+    hand = fit_open_hand(mask, model.kinematics(side, dtype=torch.float64), camera)
     if isinstance(hand, NoRegions):
         raise InputError(f"{arguments.image}: {hand.reason}")
     notes: list[str] = []
@@ -184,7 +183,7 @@ def _fitted(
                 " check --side and --facing, or whether the picture is mirrored"
             )
         side = "left"
-        mirrored = fit_open_hand(mask, model.kinematics(side, dtype=torch.float64), camera, image=image)
+        mirrored = fit_open_hand(mask, model.kinematics(side, dtype=torch.float64), camera)
         if isinstance(mirrored, NoRegions):
             raise InputError(f"{arguments.image}: {mirrored.reason}")
         hand = mirrored
@@ -256,8 +255,6 @@ def _save(
         "overlap": hand.overlap,
         "median_residual_px": fit.residual_px,
         "edges_found": fit.found_share,
-        "edge_std_px": hand.edge_std_px,
-        "from_shading": hand.is_shaded,
         "corrected": list(hand.corrected),
         "notes": notes,
         "std": dict(zip(space.names, fit.shape_std.tolist(), strict=True)),
@@ -270,7 +267,6 @@ def _save(
             for digit in regions.digits
         },
         "wrist_px": regions.wrist.tolist(),
-        "settings": asdict(OpenHandSettings()),
     }
     with explained_errors(arguments.out):
         save_hand(arguments.out, space.names, fit.shape.tolist(), side, provenance, units=space.units)

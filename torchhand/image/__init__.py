@@ -28,7 +28,6 @@ from torchhand.image.fingers import (
     find_fingers,
     find_open_hand,
     mask_moments,
-    opened_by_disc,
     refine_silhouette,
 )
 from torchhand.image.operations import (
@@ -131,7 +130,6 @@ __all__ = [
     "luminance",
     "mask_moments",
     "opened",
-    "opened_by_disc",
     "otsu_cr_mask",
     "point_field",
     "reduced",

@@ -1,25 +1,25 @@
 """Open hands of known truth: which finger is which, proportions, pose and what the fit says about itself."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
 from torchhand.files import load_hand_model
+from torchhand.fit import mask_plane
 from torchhand.fit.detect import facing_rotation, turned_in_picture
+from torchhand.fit.open_hand.edges import match_edges
 from torchhand.fit.open_hand.fit import OpenHand, facing_of, fit_open_hand
-from torchhand.fit.open_hand.problem import OpenHandProblem
-from torchhand.fit.open_hand.settings import OpenHandSettings
+from torchhand.fit.open_hand.problem import OpenHandProblem, linearized
+from torchhand.fit.open_hand.start import DigitResiduals, fit_digits, placed_open_hand
 from torchhand.geometry import assumed_camera
 from torchhand.hand import DOFS, Anthropometry, Side, posture
-from torchhand.image import NoRegions
+from torchhand.image import HandRegions, NoRegions, divide_hand
 from torchhand.simulate import sample_shape, scripted_motion
 from torchhand.view import HandProjector
 
 CAMERA = assumed_camera(480, 400)
-QUICK = OpenHandSettings(points_per_generator=8, points_per_arc=6)
 
 
 def silhouette(
@@ -37,8 +37,8 @@ def silhouette(
     return projector.silhouette(pose, rotation), shape, keypoints
 
 
-def fitted(mask: torch.Tensor, side: Side, settings: OpenHandSettings = QUICK) -> OpenHand:
-    hand = fit_open_hand(mask, load_hand_model().kinematics(side, dtype=torch.float64), CAMERA, settings)
+def fitted(mask: torch.Tensor, side: Side) -> OpenHand:
+    hand = fit_open_hand(mask, load_hand_model().kinematics(side, dtype=torch.float64), CAMERA)
     assert isinstance(hand, OpenHand), hand
     return hand
 
@@ -84,7 +84,7 @@ def test_proportions_are_read_and_the_deviations_are_honest() -> None:
     errors, thick, guesses, scaled = [], [], [], []
     for seed in range(5):
         mask, shape, _ = silhouette("right", seed)
-        hand = fitted(mask, "right", OpenHandSettings())
+        hand = fitted(mask, "right")
         truth = bone_ratios(shape)
         errors.append((bone_ratios(hand.fit.shape) / truth - 1).abs())
         known = thicknesses(shape)
@@ -153,27 +153,75 @@ def test_facing_follows_from_side_and_thumb() -> None:
     assert facing_of("left", True) == "back"
 
 
-def test_prior_rows_are_the_derivative_and_the_scaled_unknowns() -> None:
+def problem_of(seed: int) -> tuple[OpenHandProblem, HandRegions]:
+    """The problem that a random person's silhouette poses, and its measured digits."""
+    mask, _, _ = silhouette("right", seed)
+    regions = divide_hand(mask)
+    assert isinstance(regions, HandRegions)
     kinematics = load_hand_model().kinematics("right", dtype=torch.float64)
+    placed = placed_open_hand(regions, kinematics, CAMERA, "back")
+    return OpenHandProblem.about(kinematics, CAMERA, *placed), regions
+
+
+def test_values_are_the_scaled_unknowns_and_the_prior_adds_what_leaves_its_interval() -> None:
+    kinematics = load_hand_model().kinematics("right", dtype=torch.float64)
+    identity = torch.eye(3, dtype=torch.float64)
+    problem = OpenHandProblem.about(kinematics, CAMERA, posture("open"), identity)
+    values = 2.5 * torch.randn(3, problem.size, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
+    residual = problem.prior(values)
+    assert bool((residual[:, : problem.size] == values).all())
     people = Anthropometry(kinematics.shape_space)
-    problem = OpenHandProblem.about(kinematics, people, posture("open"))
-    values = 2.5 * torch.randn(problem.size, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
-    residual, jacobian = problem.prior(values)
-    assert bool((residual[: problem.size] == values).all())
-    assert int((residual[problem.size :] > 0).sum()) > 0
-    numeric = torch.autograd.functional.jacobian(lambda x: problem.prior(x)[0], values)
-    assert float((numeric - jacobian).abs().max()) < 1e-9
-    pose, shape = problem.split(torch.stack((values, 0 * values)))
-    assert bool((pose[1] == posture("open")).all())
-    assert float(shape[0, 0]) == pytest.approx(0.187)
-    inside = problem.clamped(1e3 * values)
-    assert bool(problem.on_bound(inside)[problem.upper.isfinite()].all())
+    shapes = problem.split(values)[1]
+    rows = people.matrix[-2 * len(people.mean) :] @ shapes.T - people.bound[-2 * len(people.mean) :, None]
+    assert bool(((residual[:, problem.size :] > 0) == (rows.T > 0)).all())
+    assert bool((rows > 0).any())
+    pose, shape = problem.split(0 * values[0])
+    assert bool((pose == posture("open")).all())
+    assert float(shape[0]) == pytest.approx(0.187)
 
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [("tip_std", 0.0), ("search_share", -1.0), ("iterations", 1), ("least_edge_std_px", 0.0), ("digit_share", -0.1)],
-)
-def test_settings_name_what_is_wrong(field: str, value: float) -> None:
-    with pytest.raises(ValueError, match=field):
-        replace(OpenHandSettings(), **{field: value})
+def test_jacobians_are_the_change_of_the_residuals(generator: torch.Generator) -> None:
+    """Of digits, edges and prior; here differences are taken to both sides and ten times as wide."""
+    problem, regions = problem_of(3)
+    values = 0.2 * torch.randn(problem.size, generator=generator, dtype=torch.float64)
+    edges = match_edges(mask_plane(regions.mask), problem, values)
+    assert edges is not None
+    direction = torch.randn(problem.size, generator=generator, dtype=torch.float64)
+    there = torch.stack((values + 1e-3 * direction, values - 1e-3 * direction))
+    for term in (DigitResiduals(regions, problem), edges.residuals, problem.prior):
+        more, less = term(there)
+        residual, jacobian = linearized((term,), values)
+        torch.testing.assert_close(residual, term(values[None])[0])
+        expected = (more - less) / 2e-3
+        assert float((jacobian @ direction - expected).norm() / expected.norm()) < 1e-3
+
+
+def test_corrected_digits_of_the_models_own_silhouette_have_no_bias() -> None:
+    """Where the picture is the model's own, digits freed of the measurement's bias lie where the model has them."""
+    problem, regions = problem_of(3)
+    digits = DigitResiduals(regions, problem)
+    values = fit_digits(digits, problem)
+    projector, pose = problem.projected(values)
+    drawn = divide_hand(projector.silhouette(pose, problem.root_reference))
+    assert isinstance(drawn, HandRegions)
+    own = DigitResiduals(drawn, problem)
+    tips_and_bases = slice(0, 14)
+    assert float(own(values)[tips_and_bases].abs().max()) > 0.5
+    torch.testing.assert_close(
+        own.corrected(values, drawn)(values)[tips_and_bases], torch.zeros(14).double(), rtol=0, atol=1e-9
+    )
+
+
+def test_edges_of_the_models_own_silhouette_lie_on_its_contour() -> None:
+    problem, _ = problem_of(3)
+    zero = torch.zeros(problem.size, dtype=torch.float64)
+    projector, pose = problem.projected(zero)
+    plane = mask_plane(projector.silhouette(pose, problem.root_reference))
+    edges = match_edges(plane, problem, zero)
+    assert edges is not None
+    assert edges.found_fraction > 0.97
+    assert edges.residual_px < 0.3
+    none = match_edges(torch.zeros_like(plane), problem, zero)
+    assert none is not None
+    assert none.found_fraction == 0.0
+    assert none.residual_px == math.inf

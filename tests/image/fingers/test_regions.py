@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from torchhand.image.fingers.order import DIGITS
-from torchhand.image.fingers.regions import FOREARM_LABEL, PALM_LABEL, HandRegions, NoRegions, divide_hand
+from torchhand.image.fingers.regions import HandRegions, NoRegions, divide_hand
 
 Drawn = Callable[..., tuple[torch.Tensor, np.ndarray]]
 Plan = tuple[tuple[tuple[float, float], ...], tuple[tuple[float, float], ...]]
@@ -15,7 +15,7 @@ Plan = tuple[tuple[tuple[float, float], ...], tuple[tuple[float, float], ...]]
 
 @pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize("turn_deg", [0.0, 140.0, -65.0])
-def test_digits_webs_wrist_and_labels(drawn: Drawn, plan: Plan, turn_deg: float, mirrored: bool) -> None:
+def test_digits_webs_and_wrist(drawn: Drawn, plan: Plan, turn_deg: float, mirrored: bool) -> None:
     bases, ends = plan
     mask, tips = drawn(turn_deg=turn_deg, mirrored=mirrored)
     regions = divide_hand(mask)
@@ -30,15 +30,9 @@ def test_digits_webs_wrist_and_labels(drawn: Drawn, plan: Plan, turn_deg: float,
         assert digit.direction @ along > np.cos(np.deg2rad(2.5))
         assert np.hypot(*(digit.tip - tip)) < 1.5
         assert digit.radius == pytest.approx(9.5, abs=0.6)  # OpenCV draws lines a pixel wider
-        x, y = np.rint(digit.tip - 6 * along).astype(int)
-        assert int(regions.labels[y, x]) == number + 1
     up = rotation @ (0.0, -1.0)
     assert regions.axis @ up > np.cos(np.deg2rad(8))
     assert -2.2 < (regions.wrist - 200) @ up / 40 < -0.9
-    assert int(regions.labels[200, 200]) == PALM_LABEL
-    x, y = np.rint(200 - 2.8 * 40 * up).astype(int)
-    assert int(regions.labels[y, x]) == FOREARM_LABEL
-    assert bool(((regions.labels > 0) == mask).all())
     between = [0.5 * (np.array(bases[i]) + bases[i + 1]) * ((-1, 1) if mirrored else (1, 1)) for i in range(1, 4)]
     for web, place in zip(regions.webs[1:], between, strict=True):
         assert np.hypot(*(web - 200 - 40 * rotation @ place)) < 10.0

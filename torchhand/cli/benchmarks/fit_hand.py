@@ -89,21 +89,19 @@ def fit_hand_bones(name: str, repeats: int | None) -> Figure:
     count = repeats or PEOPLE
     errors: list[float] = []
     spent: list[float] = []
-    shaded = 0
     for picture in pictures(count):
         start = perf_counter()
         mask = find_open_hand(picture.image).mask
-        hand = fit_open_hand(mask, picture.kinematics, picture.camera, image=picture.image)
+        hand = fit_open_hand(mask, picture.kinematics, picture.camera)
         spent.append(1e3 * (perf_counter() - start))
         if isinstance(hand, NoRegions):
             continue
-        shaded += hand.is_shaded
         fit = sized(hand.fit, picture.kinematics.shape_space, known_length(picture.hand_length))
         found = picture.kinematics(fit.pose, fit.shape, root_reference=fit.root_reference).keypoints
         errors += (100 * (bone_lengths(found) / picture.bones - 1).abs()).tolist()
     fitted = len(errors) // len(BONES)
     middle, most = np.percentile(errors, (50, 95)).tolist() if errors else (None, None)
-    note = f"{fitted} of {count} people fitted, {shaded} by their shading, the others refused or by the outline alone"
+    note = f"{fitted} of {count} people fitted, the others refused"
     if middle is not None:
         verdict = "" if middle < MEDIAN_MUST else " NOT MET"
         note = f"median {middle:.3g} % (must < {MEDIAN_MUST:g} %, aim {MEDIAN_AIM:g} %){verdict}; {note}"
@@ -116,7 +114,7 @@ def fit_hand_bones(name: str, repeats: int | None) -> Figure:
         ours_ms=statistics.median(spent),
         repeats=count,
         note=note,
-        details={"median": middle, "people": count, "fitted": fitted, "shaded": shaded, "slowest_ms": max(spent)},
+        details={"median": middle, "people": count, "fitted": fitted, "slowest_ms": max(spent)},
     )
 
 

@@ -1,36 +1,31 @@
-"""Shape and first pose of a hand from one picture of it open (paper 000, sections 6.2 and 7.1).
+"""Shape and first pose of a hand from one picture of it open (Ouhaddi and Horain 1998, sections 6.2 and 7.1).
 
 The digits are measured, the unknowns placed by them, and the model's outline registered on the silhouette's, all under
 what is known of people's hands. Then the digits of the model's own silhouette are measured in the same way, which tells
-what the measuring adds by itself, and the outline is registered once more. Given the picture, its shading is used where
-one light explains it (open_hand_shading_fit), which tells where the joints are. Hand length is that of the mean person;
-`sized` of the module hand_size gives the hand a metric size.
+the bias of the measurement, and the outline is registered once more. Hand length is that of the mean person; `sized` of
+the module hand_size gives the hand a metric size.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool
 from torch import Tensor
 
 from torchhand.fit import mask_plane
 from torchhand.fit.detect import Fit, fit_overlap
 from torchhand.fit.open_hand.contour import OutlineFit, fit_outline
-from torchhand.fit.open_hand.edges import Outline
 from torchhand.fit.open_hand.problem import OpenHandProblem
-from torchhand.fit.open_hand.settings import OpenHandSettings
-from torchhand.fit.open_hand.shading_fit import ShadingFit, fit_shading
-from torchhand.fit.open_hand.soft import soft_silhouette
 from torchhand.fit.open_hand.start import DigitResiduals, fit_digits, placed_open_hand
 from torchhand.geometry import Camera
-from torchhand.hand import DOFS, Anthropometry, HandKinematics, ShapeSpace, rebased
-from torchhand.image import HandRegions, NoRegions, divide_hand, gaussian_blur
-from torchhand.view import HandProjector
+from torchhand.hand import DOFS, HandKinematics, ShapeSpace, rebased
+from torchhand.image import HandRegions, NoRegions, divide_hand
 
 Facing = Literal["palm", "back"]
 
-_SOFT_BLUR_PX = 0.7  # of a silhouette that is soft by itself
+_ROUNDS, _CORRECTED_ROUNDS = 2, 3  # of matching and fitting the outline, before and after digits are corrected
+_BIASED_WEIGHT = 0.15  # of the digits' residuals before
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,10 +38,6 @@ class OpenHand:
     """Side of the hand that the camera sees."""
     overlap: float
     """Intersection over union of the fitted hand and the silhouette, forearm cut at the wrist."""
-    edge_std_px: float
-    """What one edge of the outline was trusted to, px."""
-    is_shaded: bool
-    """Whether the shading was used."""
     corrected: tuple[str, ...]
     """Measures that the anthropometric constraints moved into their intervals."""
 
@@ -57,106 +48,72 @@ def facing_of(side: str, is_mirrored: bool) -> Facing:
 
 
 def fit_open_hand(
-    mask: Bool[Tensor, "height width"],
-    kinematics: HandKinematics,
-    camera: Camera,
-    settings: OpenHandSettings | None = None,
-    *,
-    image: UInt8[Tensor, "height width 3"] | None = None,
+    mask: Bool[Tensor, "height width"], kinematics: HandKinematics, camera: Camera
 ) -> OpenHand | NoRegions:
     """Measures the digits of a silhouette and fits pose and shape; or says why it shows no open hand.
 
-    The camera's frame is the world. With the picture itself, shading is used too where it is as simple as the model's.
+    The camera's frame is the world.
     """
-    settings = settings or OpenHandSettings()
     regions = divide_hand(mask)
     if isinstance(regions, NoRegions):
         return regions
-    people = Anthropometry(kinematics.shape_space)
     facing = facing_of(kinematics.side, regions.is_mirrored)
-    pose, root_reference = placed_open_hand(regions, kinematics, camera, facing)
-    problem = OpenHandProblem.about(kinematics, people, pose)
-    digits = DigitResiduals(regions, problem, kinematics, camera, root_reference, settings)
-
-    def outline_of(plane: Float[Tensor, "height width"]) -> Outline:
-        return Outline(plane, problem, kinematics, camera, root_reference, settings)
-
-    outline = outline_of(mask_plane(regions.mask))
-    found = fit_outline(outline, problem, fit_digits(digits, problem), settings, digits=digits)
-    if found is not None:
-        pose, shape = problem.split(found.values)
-        drawn = divide_hand(HandProjector(kinematics, camera, shape).silhouette(pose, root_reference))
-        if isinstance(drawn, HandRegions):
-            digits = digits.corrected(found.values, drawn)
-            sure = replace(
-                settings,
-                digit_share=settings.corrected_share,
-                iterations=settings.more_iterations,
-                search_share=settings.final_search_share,
-            )
-            found = fit_outline(outline, problem, found.values, sure, digits=digits)
+    problem = OpenHandProblem.about(kinematics, camera, *placed_open_hand(regions, kinematics, camera, facing))
+    found = _registered(regions, problem)
     if found is None:
         return NoRegions(
             reason="the fitted hand has hardly any edge in the picture", found=tuple(d.name for d in regions.digits)
         )
-    shaded: ShadingFit | None = None
-    if image is not None:
-        soft = soft_silhouette(image, regions.mask)
-        shaded = fit_shading(
-            image,
-            regions.mask,
-            camera,
-            problem,
-            kinematics,
-            root_reference,
-            found.values,
-            outline if soft is None else outline_of(_smoothed(soft)),
-            settings,
-        )
-    if shaded is not None:
-        found = OutlineFit(
-            values=shaded.values,
-            covariance=shaded.covariance,
-            residual_px=shaded.outline.residual_px,
-            found_share=shaded.outline.found_share,
-            edge_std_px=shaded.outline.edge_std_px,
-        )
-    pose, shape = problem.split(found.values)
-    broken = people.violation(shape)
-    std = found.covariance.diagonal().clamp_min(0).sqrt() * problem.std
-    count = len(problem.free_pose)
-    pose_std = torch.zeros(len(DOFS), dtype=pose.dtype).index_copy(0, problem.free_pose, std[:count])
-    shape_std = torch.zeros_like(shape).index_copy(0, problem.free_shape, std[count:])
-    shape, shape_std = _with_thickness(kinematics.shape_space, people.project(shape), shape_std)
-    flat, reference = rebased(pose, root_reference)
-    fit = Fit(
-        pose=flat,
-        root_reference=reference,
-        shape=shape,
-        pose_std=pose_std,
-        shape_std=shape_std,
-        residual_px=found.residual_px,
-        found_share=found.found_share,
-    )
+    broken = problem.people.violation(problem.split(found.values)[1])
+    fit = _as_fit(found, problem)
     return OpenHand(
         fit=fit,
         regions=regions,
         facing=facing,
         overlap=fit_overlap(regions.mask, kinematics, camera, fit),
-        edge_std_px=found.edge_std_px,
-        is_shaded=shaded is not None,
         corrected=tuple(
             name for name, amount in zip(broken.names, broken.amount.tolist(), strict=True) if amount > 1e-6
         ),
     )
 
 
-def _smoothed(plane: Float[Tensor, "height width"]) -> Float[Tensor, "height width"]:
-    return gaussian_blur(plane, _SOFT_BLUR_PX)
+def _registered(regions: HandRegions, problem: OpenHandProblem) -> OutlineFit | None:
+    """Digits, outline, digits freed of the measurement's bias together with the outline."""
+    plane, digits = mask_plane(regions.mask), DigitResiduals(regions, problem)
+    start = fit_digits(digits, problem)
+    first = fit_outline(plane, digits, problem, start, rounds=_ROUNDS, digit_weight=_BIASED_WEIGHT)
+    if first is None:
+        return None
+    projector, pose = problem.projected(first.values)
+    drawn = divide_hand(projector.silhouette(pose, problem.root_reference))
+    if isinstance(drawn, NoRegions):
+        return first
+    digits = digits.corrected(first.values, drawn)
+    return fit_outline(plane, digits, problem, first.values, rounds=_CORRECTED_ROUNDS, digit_weight=1.0)
+
+
+def _as_fit(found: OutlineFit, problem: OpenHandProblem) -> Fit:
+    """Pose and feasible shape with their standard deviations."""
+    pose, shape = problem.split(found.values)
+    std = found.covariance.diagonal().clamp_min(0).sqrt() * problem.std
+    count = len(problem.free_pose)
+    pose_std = torch.zeros(len(DOFS), dtype=pose.dtype).index_copy(0, problem.free_pose, std[:count])
+    shape_std = torch.zeros_like(shape).index_copy(0, problem.free_shape, std[count:])
+    shape, shape_std = _with_thickness(problem.people.space, problem.people.project(shape), shape_std)
+    flat, reference = rebased(pose, problem.root_reference)
+    return Fit(
+        pose=flat,
+        root_reference=reference,
+        shape=shape,
+        pose_std=pose_std,
+        shape_std=shape_std,
+        residual_px=found.edges.residual_px,
+        found_share=found.edges.found_fraction,
+    )
 
 
 def _with_thickness(space: ShapeSpace, shape: Tensor, std: Tensor) -> tuple[Tensor, Tensor]:
-    """The palm as thick as the thumb, by the rule of paper 000, section 6.2: the picture shows no thickness."""
+    """The palm as thick as the thumb (Ouhaddi and Horain 1998, section 6.2): the picture shows no thickness."""
     palm, thumb = space.names.index("palm_thickness"), space.names.index("thumb_mcp_radius")
     shape, std = shape.clone(), std.clone()
     shape[palm] = (2 * shape[thumb]).clamp(space.lower[palm], space.upper[palm])

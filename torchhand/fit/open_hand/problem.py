@@ -1,18 +1,21 @@
 """The unknowns of an open hand in one picture, with what is known of them before the picture is looked at.
 
-Pose: fingers straight, seen square on (paper 000, section 7.1), each with a spread. Shape: mean and spread over people,
-hand length and breadth correlated, and the 21 anthropometric intervals. Hand length is held: one picture cannot tell it
-from depth.
+Pose: fingers straight, seen square on (Ouhaddi and Horain 1998, section 7.1), each with a spread. Shape: mean and
+spread over people, hand length and breadth correlated, and the 21 anthropometric intervals. Hand length is held: one
+picture cannot tell it from depth.
 """
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.geometry import Camera
 from torchhand.hand import DOFS, Anthropometry, HandKinematics
+from torchhand.view import HandProjector
 
 # Prior standard deviations about the start: metres and radians, by ending of the DOF's name.
 _POSE_STD = {
@@ -32,30 +35,48 @@ _POSE_STD = {
     "dip_fe": 0.07,
 }
 
-# Two published tables of the fingers' proximal phalanges differ by up to 8 % (FACTS 1.1 and 1.3); bone lengths (1.4)
-# lie between. Their mean is the prior's.
+# Published tables of the fingers' proximal phalanges differ by up to 8 % (Buchholz et al. 1992 among them). The prior's
+# means lie between two of them.
 _PROXIMAL = {"index": 0.255, "middle": 0.2715, "ring": 0.2515, "little": 0.205}
+
+_STEP = 1e-4  # of the numerical derivative, prior standard deviations
 
 
 @dataclass(frozen=True, kw_only=True)
 class OpenHandProblem:
-    """Values x = (x - mean) / std of the free pose DOFs, then of the free shape parameters."""
+    """Scaled unknowns (x - mean) / std of the free pose DOFs, then of the free shape parameters, before one camera."""
 
+    kinematics: HandKinematics
+    camera: Camera
+    """Its frame is the world."""
+    root_reference: Float[Tensor, "3 3"]
+    """Orientation about which the root turns, cam_from_hand."""
     people: Anthropometry
     pose: Float[Tensor, "36"]
     """Mean of the pose, and the values of what is held."""
     shape: Float[Tensor, "shape"]
+    """Mean of the shape."""
     free_pose: Tensor
+    """Indices of the free DOFs."""
     free_shape: Tensor
+    """Indices of the free shape parameters."""
     std: Float[Tensor, "n"]
     """Prior standard deviations of the unknowns, in their own units."""
     lower: Float[Tensor, "n"]
+    """Joint limits and lower bounds of the shape, scaled."""
     upper: Float[Tensor, "n"]
-    """Joint limits and bounds of the shape, of the scaled unknowns."""
+    """Joint limits and upper bounds of the shape, scaled."""
 
     @classmethod
-    def about(cls, kinematics: HandKinematics, people: Anthropometry, pose: Float[Tensor, "36"]) -> "OpenHandProblem":
-        """With a pose and people's mean shape as the means."""
+    def about(
+        cls,
+        kinematics: HandKinematics,
+        camera: Camera,
+        pose: Float[Tensor, "36"],
+        root_reference: Float[Tensor, "3 3"],
+    ) -> "OpenHandProblem":
+        """The problem with a pose and the mean shape over people as means."""
+        people = Anthropometry(kinematics.shape_space)
         space, skeleton = people.space, kinematics.skeleton
         pose_std = torch.tensor(
             [next((std for end, std in _POSE_STD.items() if dof.endswith(end)), 0.0) for dof in DOFS], dtype=pose.dtype
@@ -74,6 +95,9 @@ class OpenHandProblem:
             shape[space.names.index(f"{finger}_proximal")] = proximal
         mean = torch.cat((pose[free_pose], shape[free_shape]))
         return cls(
+            kinematics=kinematics,
+            camera=camera,
+            root_reference=root_reference,
             people=people,
             pose=pose,
             shape=shape,
@@ -86,6 +110,7 @@ class OpenHandProblem:
 
     @property
     def size(self) -> int:
+        """Number of unknowns."""
         return len(self.std)
 
     def split(
@@ -98,36 +123,29 @@ class OpenHandProblem:
         shape = self.shape.expand(*batch, -1).index_add(-1, self.free_shape, change[..., count:])
         return pose, shape
 
-    def enlarged(self, values: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
-        """Change of the scaled unknowns with the logarithm of a factor on the hand's size and its distance.
-
-        The picture stays as it is.
-        """
-        space = self.people.space
+    def projected(self, values: Float[Tensor, "*batch n"]) -> tuple[HandProjector, Float[Tensor, "*batch 36"]]:
+        """Hands of these shapes before the camera, and their poses."""
         pose, shape = self.split(values)
-        names = [DOFS[i] for i in self.free_pose.tolist()]
-        place = torch.tensor([name.startswith("root_t") for name in names])
-        units = [(space.names[i], space.units[i]) for i in self.free_shape.tolist()]
-        length = torch.tensor([unit == "/HL" or name == "hand_breadth" for name, unit in units])
-        grown = torch.cat((place * pose[self.free_pose], length * shape[self.free_shape]))
-        return grown / self.std
+        return HandProjector(self.kinematics, self.camera, shape), pose
 
-    def clamped(self, values: Float[Tensor, "n"]) -> Float[Tensor, "n"]:
-        return values.clamp(self.lower, self.upper)
+    def prior(self, values: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch rows"]:
+        """Residuals of what is known beforehand: the unknowns, and by how much they leave anthropometric intervals.
 
-    def on_bound(self, values: Float[Tensor, "n"]) -> Bool[Tensor, "n"]:
-        return (values <= self.lower) | (values >= self.upper)
-
-    def prior(self, values: Float[Tensor, "n"]) -> tuple[Float[Tensor, "rows"], Float[Tensor, "rows n"]]:
-        """Residuals of what is known beforehand, in standard deviations, and their Jacobian."""
-        eye = torch.eye(self.size, dtype=values.dtype)
+        In standard deviations.
+        """
         people, count = self.people, len(self.people.space.names)
         matrix, bound = people.matrix[2 * count :], people.bound[2 * count :]
         spread = people.spread.clone()
         spread[-1] *= self.shape[people.space.names.index("hand_length")]
         scale = people.settings.softness * torch.cat((spread, spread))
-        excess = (matrix @ self.split(values)[1] - bound) / scale
-        slope = torch.zeros(len(matrix), self.size, dtype=values.dtype)
-        slope[:, len(self.free_pose) :] = matrix[:, self.free_shape] * self.std[len(self.free_pose) :] / scale[:, None]
-        is_over = excess > 0
-        return torch.cat((values, excess.clamp_min(0))), torch.cat((eye, slope * is_over[:, None]))
+        excess = (self.split(values)[1] @ matrix.T - bound) / scale
+        return torch.cat((values, excess.clamp_min(0)), -1)
+
+
+def linearized(
+    terms: Sequence[Callable[[Float[Tensor, "hands n"]], Float[Tensor, "hands _"]]], values: Float[Tensor, "n"]
+) -> tuple[Float[Tensor, "rows"], Float[Tensor, "rows n"]]:
+    """Residuals of all terms at scaled unknowns, one after the other, and their Jacobian by forward differences."""
+    hands = torch.cat((values[None], values + _STEP * torch.eye(len(values), dtype=values.dtype)))
+    found = torch.cat([term(hands) for term in terms], -1)
+    return found[0], (found[1:] - found[0]).T / _STEP

@@ -1,8 +1,9 @@
-"""First pose and shape of an open hand from its measured digits (paper 000, section 7.1)."""
+"""First pose and shape of an open hand from its measured digits (Ouhaddi and Horain 1998, section 7.1)."""
 
 import math
 from collections.abc import Sequence
 from copy import copy
+from functools import partial
 
 import numpy as np
 import torch
@@ -10,15 +11,18 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.fit.detect import facing_rotation, turned_in_picture
-from torchhand.fit.open_hand.problem import OpenHandProblem
-from torchhand.fit.open_hand.settings import OpenHandSettings
+from torchhand.fit.open_hand.problem import OpenHandProblem, linearized
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics, posture
 from torchhand.hand.kinematics import TIP_DEPTH
 from torchhand.image import HandRegions
-from torchhand.numerics import LevenbergMarquardtSettings, RobustLoss, levenberg_marquardt
+from torchhand.numerics import LevenbergMarquardtSettings, levenberg_marquardt
 
-_STEP = 1e-4  # of the numerical derivative, prior standard deviations
+# Standard deviations of what is measured, fractions of the hand's length in the picture.
+_TIP_STD = 0.008  # a fingertip
+_AXIS_STD = 0.008  # a joint's distance from the axis of its digit
+_WEB_STD = 0.015  # the base of a finger, along its axis
+_WRIST_STD = 0.06
 
 
 def placed_open_hand(
@@ -38,28 +42,19 @@ def placed_open_hand(
 
 
 class DigitResiduals:
-    """How far the model's digits are from the measured ones, in standard deviations, and the derivative."""
+    """How far the model's digits are from the measured ones, in standard deviations."""
 
-    def __init__(
-        self,
-        regions: HandRegions,
-        problem: OpenHandProblem,
-        kinematics: HandKinematics,
-        camera: Camera,
-        root_reference: Float[Tensor, "3 3"],
-        settings: OpenHandSettings,
-    ) -> None:
+    def __init__(self, regions: HandRegions, problem: OpenHandProblem) -> None:
         self._tip = _rows([digit.tip for digit in regions.digits])
         self._base = _rows([digit.base for digit in regions.digits])
         self._along = _rows([digit.direction for digit in regions.digits])
         self._across = torch.stack((-self._along[:, 1], self._along[:, 0]), -1)
         self._wrist = torch.from_numpy(regions.wrist).double()
-        self._unit = regions.hand_length
-        self._problem, self._kinematics, self._camera = problem, kinematics, camera
-        self._root_reference, self._settings = root_reference, settings
+        self._unit_px = regions.hand_length
+        self._problem = problem
 
     def corrected(self, values: Float[Tensor, "n"], drawn: HandRegions) -> "DigitResiduals":
-        """The same, free of what the measuring itself adds: `drawn` is measured on the model's own silhouette.
+        """The same, free of the measurement's own bias: `drawn` is measured on the silhouette of the model.
 
         Webs lie where the flesh of two fingers meets, not where the model's formula has them, and axes of curved digits
         end beside their tips; but the same so in both pictures.
@@ -73,51 +68,39 @@ class DigitResiduals:
 
     def __call__(self, values: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch rows"]:
         """Tips, bases along their digits, two joints of each digit across its axis, and the wrist."""
-        settings = self._settings
         tips, bases, joints, wrist = self._points(values)
         parts = (
-            (tips - self._tip) / settings.tip_std,
-            ((bases - self._base[1:]) * self._along[1:]).sum(-1) / settings.web_std,
-            ((joints - self._tip[:, None]) * self._across[:, None]).sum(-1) / settings.axis_std,
-            (wrist - self._wrist) / settings.wrist_std,
+            (tips - self._tip) / _TIP_STD,
+            ((bases - self._base[1:]) * self._along[1:]).sum(-1) / _WEB_STD,
+            ((joints - self._tip[:, None]) * self._across[:, None]).sum(-1) / _AXIS_STD,
+            (wrist - self._wrist) / _WRIST_STD,
         )
-        return torch.cat([part.reshape(*values.shape[:-1], -1) for part in parts], -1) / self._unit
+        return torch.cat([part.reshape(*values.shape[:-1], -1) for part in parts], -1) / self._unit_px
 
     def _points(self, values: Float[Tensor, "*batch n"]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Tips (5), bases of the fingers (4), two joints of each digit and the wrist in the picture, px."""
-        camera = self._camera
-        pose, shape = self._problem.split(values)
-        points = self._kinematics(pose, shape, root_reference=self._root_reference).keypoints
-        metric = self._kinematics.shape_space.metric(shape)
+        problem = self._problem
+        pose, shape = problem.split(values)
+        points = problem.kinematics(pose, shape, root_reference=problem.root_reference).keypoints
+        metric = problem.kinematics.shape_space.metric(shape)
         digits = points[..., 1:, :].unflatten(-2, (5, 4))
         depth = (TIP_DEPTH * metric["hand_length"])[..., None, None]
-        tips = camera.project(digits[..., 3, :] + depth * _unit(digits[..., 3, :] - digits[..., 2, :]))
+        tips = digits[..., 3, :] + depth * _unit(digits[..., 3, :] - digits[..., 2, :])
         fingers = digits[..., 1:, :, :]
         web = metric["web_length"][..., None, None]
-        bases = camera.project(fingers[..., 0, :] + web * _unit(fingers[..., 1, :] - fingers[..., 0, :]))
-        return tips, bases, camera.project(digits[..., 1:3, :]), camera.project(points[..., 0, :])
-
-    def linearised(self, values: Float[Tensor, "n"]) -> tuple[Float[Tensor, "rows"], Float[Tensor, "rows n"]]:
-        """Residuals and their Jacobian, by forward differences."""
-        steps = _STEP * torch.eye(len(values), dtype=values.dtype)
-        measured = self(torch.cat((values[None], values + steps)))
-        return measured[0], (measured[1:] - measured[0]).T / _STEP
+        bases = fingers[..., 0, :] + web * _unit(fingers[..., 1, :] - fingers[..., 0, :])
+        project = problem.camera.project
+        return project(tips), project(bases), project(digits[..., 1:3, :]), project(points[..., 0, :])
 
 
 def fit_digits(digits: DigitResiduals, problem: OpenHandProblem) -> Float[Tensor, "n"]:
     """Most probable unknowns given tips, axes and bases of the digits and the wrist."""
 
-    def linearise(values: Tensor) -> tuple[Tensor, Tensor]:
-        measured, slope = digits.linearised(values)
-        known, known_slope = problem.prior(values)
-        return torch.cat((measured, known)), torch.cat((slope, known_slope))
-
     found = levenberg_marquardt(
-        linearise,
+        partial(linearized, (digits, problem.prior)),
         torch.zeros(problem.size, dtype=torch.float64),
         lower=problem.lower,
         upper=problem.upper,
-        robust=RobustLoss(kind="huber", scale=3.0),
         settings=LevenbergMarquardtSettings(iterations=15, cost_tolerance=1e-4),
     )
     return found.values

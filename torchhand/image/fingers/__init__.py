@@ -1,6 +1,6 @@
 """The fingers of an open hand in a mask: their order, profiles, regions and the refinement of its silhouette."""
 
-from torchhand.image.fingers.fingers import FingerSettings, find_fingers, opened_by_disc
+from torchhand.image.fingers.fingers import FingerSettings, find_fingers
 from torchhand.image.fingers.moments import MaskMoments, mask_moments
 from torchhand.image.fingers.order import DIGITS
 from torchhand.image.fingers.refinement import HandSilhouette, RefinementSettings, find_open_hand, refine_silhouette
@@ -18,6 +18,5 @@ __all__ = [
     "find_fingers",
     "find_open_hand",
     "mask_moments",
-    "opened_by_disc",
     "refine_silhouette",
 ]

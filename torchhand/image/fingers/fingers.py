@@ -124,16 +124,12 @@ def find_fingers(mask: Bool[Tensor, "height width"], settings: FingerSettings | 
     return nothing if best is None else _in_picture(best, scale, (left, top))
 
 
-def opened_by_disc(mask: Bool[Tensor, "height width"], radius_px: float) -> Bool[Tensor, "height width"]:
-    """Morphological opening by a Euclidean disc of any radius, exact up to the pixel grid.
+def opened_by_disc(depth: Float[Tensor, "height width"], radius: float) -> Bool[Tensor, "height width"]:
+    """Morphological opening of a mask by a Euclidean disc of any radius in px, exact up to the pixel grid.
 
-    A pixel stays when a disc of that radius within the mask covers it. Beyond the picture there is nothing.
+    Pixels within `radius` of one whose depth within the mask, its distance from the nearest pixel outside, exceeds it:
+    erosion and dilation by two distance transforms.
     """
-    return _opened(depth_map(mask, is_border_outside=True), radius_px) & mask
-
-
-def _opened(depth: Float[Tensor, "height width"], radius: float) -> Bool[Tensor, "height width"]:
-    """Pixels within `radius` of one that is deeper than it: erosion and dilation by two distance transforms."""
     return distance_map(depth > radius) <= radius
 
 
@@ -170,7 +166,7 @@ def _pieces(
     settings: FingerSettings,
 ) -> list[FingerPiece]:
     """Pieces of the top-hat that have a finger's form, fingers that hang together at their web taken apart."""
-    opened = _opened(torch.from_numpy(depth), radius)
+    opened = opened_by_disc(torch.from_numpy(depth), radius)
     rest = label_pieces(torch.from_numpy(work > 0) & ~opened)
     grown, labels = dilate(opened, square_kernel(1)).numpy(), rest.labels.numpy()
     areas, boxes = rest.areas.tolist(), rest.boxes.tolist()

@@ -1,6 +1,7 @@
-"""From the silhouette of an open hand to its parts: five digits with axes, ends and widths, webs, palm, wrist, forearm.
+"""From the silhouette of an open hand to its parts: five digits with axes, ends and widths, webs, wrist.
 
-Paper 000, section 6.1, at any angle in the picture and for either hand. Nothing here knows lengths in metres.
+Ouhaddi and Horain 1998, section 6.1, at any angle in the picture and for either hand. Nothing here knows lengths in
+metres.
 """
 
 from dataclasses import dataclass
@@ -8,17 +9,16 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 from torch import Tensor
 
-from torchhand.image.fingers.fingers import FingerPiece, FingerSearch, FingerSettings, find_fingers, opened_by_disc
+from torchhand.image.fingers.fingers import FingerPiece, FingerSearch, FingerSettings, find_fingers
 from torchhand.image.fingers.moments import mask_moments
 from torchhand.image.fingers.order import DIGITS
 from torchhand.image.fingers.profile import FingerProfile, finger_profile
 from torchhand.image.operations import gaussian_blur
 from torchhand.image.segmentation import fill_holes, largest_component
 
-PALM_LABEL, FOREARM_LABEL = 6, 7
 _LEAST_AREA_PX = 400  # fewer pixels show no fingers
 _LEAST_PARALLEL = 0.1  # radians between a finger's axis and the hand's for their crossing to tell anything
 _PLAN_WEIGHT = 2.0  # of the plan's wrist, in crossings
@@ -61,15 +61,8 @@ class HandRegions:
     """Unit vector from the wrist to the fingers."""
     hand_length: float
     """Wrist to middle fingertip, as an open hand of common proportions lies over the digits."""
-    palm_centre: np.ndarray
-    palm_radius: float
-    """Largest disc within the palm."""
     is_mirrored: bool
     """False where the thumb lies on the left of upright fingers: a right hand's back or a left hand's palm."""
-    misfit: float
-    """Root mean square distance from the plan of an open hand, over hand length."""
-    labels: Int[Tensor, "height width"]
-    """0 none, 1 to 5 thumb to little, 6 palm, 7 forearm."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,19 +117,15 @@ def _divided(mask: Tensor, search: FingerSearch) -> HandRegions | NoRegions:
     digits = tuple(
         _digit(i, profile, piece, webs) for i, (profile, piece) in enumerate(zip(known, pieces, strict=True))
     )
-    wrist, axis = _wrist(mask, digits, np.array(order.wrist), np.array(order.axis), order.hand_length)
+    axis = np.array(order.axis)
     return HandRegions(
         mask=mask,
         digits=digits,
         webs=webs,
-        wrist=wrist,
+        wrist=_wrist(mask, digits, np.array(order.wrist), axis, order.hand_length),
         axis=axis,
         hand_length=order.hand_length,
-        palm_centre=np.array(search.palm_centre),
-        palm_radius=search.palm_radius,
         is_mirrored=order.is_mirrored,
-        misfit=order.misfit,
-        labels=_labels(mask, digits, wrist, axis, search.disc_radius),
     )
 
 
@@ -211,9 +200,9 @@ def _digit(i: int, profile: FingerProfile, piece: FingerPiece, webs: np.ndarray)
 
 def _wrist(
     mask: Tensor, digits: tuple[Digit, ...], plan_wrist: np.ndarray, plan_axis: np.ndarray, length: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Wrist and direction of the hand: the paper's crossings of the four finger axes with the hand's inertia axis,
-    held near the wrist of the plan, which alone decides where axes are too parallel to cross."""
+) -> np.ndarray:
+    """The paper's crossings of the four finger axes with the hand's inertia axis, held near the wrist of the plan,
+    which alone decides where axes are too parallel to cross."""
     height, width = mask.shape
     y, x = np.mgrid[:height, :width]
     above = (x - plan_wrist[0]) * plan_axis[0] + (y - plan_wrist[1]) * plan_axis[1] > 0
@@ -231,29 +220,7 @@ def _wrist(
         place = centre + along * inertia
         if np.hypot(*(place - plan_wrist)) < _FARTHEST_CROSSING * length:
             places.append(place)
-    return np.mean(places, 0), plan_axis
-
-
-def _labels(
-    mask: Tensor, digits: tuple[Digit, ...], wrist: np.ndarray, axis: np.ndarray, disc_radius: float
-) -> Int[Tensor, "height width"]:
-    """The silhouette divided: digits above their bases, forearm beyond the wrist, palm between."""
-    height, width = mask.shape
-    y, x = np.mgrid[:height, :width].astype(np.float64)
-    inside = mask.numpy()
-    labels = np.where(inside, PALM_LABEL, 0)
-    labels[inside & ((x - wrist[0]) * axis[0] + (y - wrist[1]) * axis[1] < 0)] = FOREARM_LABEL
-    opened = opened_by_disc(mask, max(disc_radius, 1.0)).numpy()
-    nearest = np.full(mask.shape, np.inf)
-    for number, digit in enumerate(digits, 1):
-        along = (x - digit.base[0]) * digit.direction[0] + (y - digit.base[1]) * digit.direction[1]
-        across = np.abs((y - digit.base[1]) * digit.direction[0] - (x - digit.base[0]) * digit.direction[1])
-        mine = inside & (along > 0) & (along < 1.1 * digit.length + 2)
-        mine &= (across < 2.2 * digit.radius) & (across < nearest)
-        mine &= ~opened | (across < 1.3 * digit.radius)
-        labels[mine] = number
-        nearest[mine] = across[mine]
-    return torch.from_numpy(labels.astype(np.int64))
+    return np.mean(places, 0)
 
 
 def _listed(names: tuple[str, ...] | list[str]) -> str:
