@@ -237,12 +237,12 @@ class _Evaluated:
             return torch.where(better.reshape(-1, *(1,) * (one.ndim - 1)), two, one)
 
         def told(one: Explained, two: Explained) -> Explained:
-            has_inside = one.inside is not None and two.inside is not None
+            inside = None if one.inside is None or two.inside is None else chosen(one.inside, two.inside)
             return replace(
                 one,
                 share=chosen(one.share, two.share),
                 distance=chosen(one.distance, two.distance),
-                inside=chosen(one.inside, two.inside) if has_inside else None,
+                inside=inside,
             )
 
         return _Evaluated(

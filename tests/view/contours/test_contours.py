@@ -81,9 +81,7 @@ def test_edges_of_the_mesh_move_exactly(scene: Any, generator: torch.Generator) 
 
 @pytest.mark.parametrize("kind", ["pinhole", "orthographic", "lens"])
 @pytest.mark.parametrize("surface", ["primitives", "mesh"])
-def test_terms_add_up_as_rows_of_a_jacobian_do(
-    surface: str, kind: str, scene: Any, generator: torch.Generator
-) -> None:
+def test_terms_add_up_as_rows_of_a_jacobian_do(surface: str, kind: str, scene: Any, generator: torch.Generator) -> None:
     """Normal equations in all DOFs against those of the rows, for two terms at every point."""
     camera = scene.camera("orthographic" if kind == "orthographic" else "pinhole", lens=5 if kind == "lens" else 0)
     contours = (

@@ -51,9 +51,7 @@ class ContourObservation:
         length_px = px_per_m * hands.shape[contours.kinematics.shape_space.names.index("hand_length")]
         field, boundary, gross_px = picture.field(stage.pitch_px), picture.boundary, stage.gross_m * px_per_m
         visible = contours.visible(hands.pose, probe_distance_px=1 + s.probe_distance_m * px_per_m)
-        match = match_boundary(
-            boundary, visible.points_px, visible.normals, visible.outer, turn_px=s.turn_m * px_per_m
-        )
+        match = match_boundary(boundary, visible.points_px, visible.normals, visible.outer, turn_px=s.turn_m * px_per_m)
         pairs = Correspondences.of(
             visible,
             field.channels,

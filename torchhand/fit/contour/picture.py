@@ -59,7 +59,8 @@ def picture_contours(
     """Contours of a silhouette, and valleys within it where the picture is given, RGB or grey levels.
 
     schedule: whose maps are wanted. ignored: where the silhouette's boundary is none of the hand, such as where a
-    forearm was cut off, or a sleeve. The picture's edge is no boundary anyway. An empty silhouette gives empty contours.
+    forearm was cut off, or a sleeve. The picture's edge is no boundary anyway. An empty silhouette gives empty
+    contours.
     """
     settings = settings or ContourSettings()
     window = Window.around(mask.cpu().numpy(), valley_reach(settings.valleys))

@@ -33,10 +33,11 @@ class ContourSettings:
     """Standard deviation of the contour's distance over the distance at which a stage takes residuals for gross: coarse
     stages may be wrong about what belongs to what, and leave more to the priors. Above 0."""
     contour_weight: float = 60.0
-    """Independent measurements that all outer model points together are worth, neighbours being correlated; 0 or more."""
+    """Independent measurements that all outer model points together are worth, neighbours being correlated; 0 or
+    more."""
     coverage_weight: float = 60.0
-    """Independent measurements that the picture's contour points are worth; 0 or more. Without them a hand folded inside
-    the silhouette costs nothing."""
+    """Independent measurements that the picture's contour points are worth; 0 or more. Without them a hand folded
+    inside the silhouette costs nothing."""
     valley_weight: float = 0.5
     """Worth of an inner model point near a valley over that of an outer one; 0 or more, 0 leaves valleys out."""
     valley_gross_m: float = 0.0028
@@ -53,7 +54,14 @@ class ContourSettings:
     def __post_init__(self) -> None:
         require(1 <= self.directions <= 64, "contour.directions", "1 to 64", self.directions)
         require(self.boundary_points >= 8, "contour.boundary_points", "8 or more", self.boundary_points)
-        for name in ("contour_std_px", "contour_std_fraction", "valley_gross_m", "turn_m", "probe_distance_m", "near_m"):
+        for name in (
+            "contour_std_px",
+            "contour_std_fraction",
+            "valley_gross_m",
+            "turn_m",
+            "probe_distance_m",
+            "near_m",
+        ):
             require_positive(f"contour.{name}", getattr(self, name))
         for name in ("contour_weight", "coverage_weight", "valley_weight"):
             value = getattr(self, name)

@@ -1,4 +1,4 @@
-"""The tracker of Ouhaddi and Horain 1998, section 7: registration on distance maps, steadied by an extended Kalman filter.
+"""The tracker of Ouhaddi and Horain 1998, section 7: registration on distance maps, and an extended Kalman filter.
 
 Every picture is registered from the filter's prediction and from the last pose; the better one's limb segments are what
 the filter observes (section 7.5). What the paper only announces is here: flexion and self-occlusion, noise that is

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, UInt8
 from torch import Tensor
 
 from torchhand.fit import ConstraintPrior, PosturePrior, Problem, Schedule, Solutions, solve

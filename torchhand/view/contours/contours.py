@@ -86,9 +86,7 @@ class Contours(Protocol):
         """Of a hand of another shape."""
         ...
 
-    def visible(
-        self, pose: HandPose, *, probe_distance_px: float | Float[Tensor, "hands"] = 1.0
-    ) -> VisibleContour:
+    def visible(self, pose: HandPose, *, probe_distance_px: float | Float[Tensor, "hands"] = 1.0) -> VisibleContour:
         """At the poses (hands). probe_distance_px: how far outside a point the picture is asked for the hand."""
         ...
 

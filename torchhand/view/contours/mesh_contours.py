@@ -115,9 +115,7 @@ class MeshContours:
     def motion(self, pose: HandPose, visible: VisibleContour) -> EdgeMotion:
         """The same points with their motion."""
         edges = _edges_of(visible)
-        points, jacobian = skin_jacobian(
-            self.hand, pose.dofs, edges, shape=self._shape, root_reference=pose.reference
-        )
+        points, jacobian = skin_jacobian(self.hand, pose.dofs, edges, shape=self._shape, root_reference=pose.reference)
         points_cam = self._camera.cam_from_world(points)
         plane = self._camera.plane_from_cam(points_cam)
         return EdgeMotion(
