@@ -1,4 +1,4 @@
-"""Priors as factors: derivatives by finite differences, a Gaussian about any reference, the closed form of linear ones."""
+"""Priors as factors: derivatives, a Gaussian about any reference, the closed form of a linear problem."""
 
 import math
 from dataclasses import dataclass
@@ -58,9 +58,7 @@ def prior_of(kind: str, postures: PostureResiduals, generator: torch.Generator) 
     return GaussianPrior.of_covariance(hands(generator, 3), covariance(generator, 3), SPACE)
 
 
-@pytest.mark.parametrize(
-    "kind", ["constraints", "constraints with ties", "posture", "posture with a tail", "gaussian"]
-)
+@pytest.mark.parametrize("kind", ["constraints", "constraints with ties", "posture", "posture with a tail", "gaussian"])
 def test_the_equations_are_the_derivatives_of_the_cost(
     kind: str, postures: PostureResiduals, generator: torch.Generator
 ) -> None:
@@ -123,9 +121,11 @@ def test_a_gaussian_costs_half_the_squared_mahalanobis_distance(generator: torch
     step[:, named] = 0.1 * normal(generator, 5, SPACE.size)
     there = expected.retract(step)
     prior = GaussianPrior.of_covariance(expected, spread, SPACE)
-    cost = prior.associate(posed(there.about(expected.rotation)), STAGE).equations(
-        posed(there.about(expected.rotation))
-    ).cost
+    cost = (
+        prior.associate(posed(there.about(expected.rotation)), STAGE)
+        .equations(posed(there.about(expected.rotation)))
+        .cost
+    )
     apart = step[:, named] / SPACE.basis[named].diagonal()
     torch.testing.assert_close(cost, 0.5 * (apart @ torch.linalg.inv(spread) * apart).sum(-1))
     at_home = posed(expected)

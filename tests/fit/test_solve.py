@@ -1,5 +1,6 @@
-"""The laws of the one outer loop: hypotheses that do not touch each other, the best iterate, statuses, limits, pieces."""
+"""The laws of the outer loop: hypotheses that do not touch, the best iterate, statuses, limits, pieces."""
 
+import itertools
 import math
 from dataclasses import dataclass, field, replace
 
@@ -182,7 +183,7 @@ def test_more_rounds_never_make_it_worse(points: Points, generator: torch.Genera
     for rounds in (1, 2, 4, 8):
         stage = Stage(gross_m=0.01, rounds=rounds, iterations=2)
         costs.append(solve(problem(points), starts, (stage,)).cost)
-    for before, after in zip(costs[:-1], costs[1:], strict=True):
+    for before, after in itertools.pairwise(costs):
         assert bool((after <= before * (1 + 1e-12)).all())
 
 

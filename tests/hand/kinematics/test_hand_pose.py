@@ -118,7 +118,10 @@ def test_records_are_joined_cut_and_repeated(generator: torch.Generator) -> None
     assert torch.equal(shared.reference[1], other.reference[0])
     plain = HandPose.of(one.dofs)
     torch.testing.assert_close(plain.rotation, rotation_from_vector(one.dofs[:, 3:6]))
-    same_hands(both.to(torch.zeros((), dtype=torch.float32)).to(both.dofs), HandPose.of(both.dofs.float().double(), both.reference.float().double()))
+    same_hands(
+        both.to(torch.zeros((), dtype=torch.float32)).to(both.dofs),
+        HandPose.of(both.dofs.float().double(), both.reference.float().double()),
+    )
 
 
 def test_a_rotation_vector_longer_than_half_a_turn_is_read_as_the_shorter_one() -> None:

@@ -11,7 +11,7 @@ from torchhand.files import load_hand_model
 from torchhand.fit import SolveStatus, Stage
 from torchhand.fit.contour import ContourSettings
 from torchhand.fit.detect import facing_rotation
-from torchhand.geometry import assumed_camera, rotation_from_vector
+from torchhand.geometry import assumed_camera
 from torchhand.hand import DOFS, HandPose, posture
 from torchhand.study import PerturbationSettings
 from torchhand.study.hypotheses.case_study import CaseStudy, StudyBatch, StudyCase, plan_batches
