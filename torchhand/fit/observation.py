@@ -5,10 +5,11 @@ cameras and frames add up. To observe something new is to write one class with `
 returns; it then works in `solve` over many hypotheses, in the shape fit and in the trackers.
 """
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
+import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
@@ -79,6 +80,19 @@ class Equations:
     """Second derivative in pose and shared unknowns; None where these were not asked for or do not matter."""
     shared_gradient: Float[Tensor, "k c"] | None = None
     shared_matrix: Float[Tensor, "k c c"] | None = None
+
+    @classmethod
+    def cat(cls, parts: "Sequence[Equations]") -> "Equations":
+        """Of the hands of all parts, at least one, one part after the other."""
+        if len(parts) == 1:
+            return parts[0]
+
+        def whole(name: str) -> Any:
+            values = [getattr(part, name) for part in parts]
+            return None if values[0] is None else torch.cat(values)
+
+        names = ("cost", "gradient", "matrix", "mixed", "shared_gradient", "shared_matrix")
+        return cls(first_dof=parts[0].first_dof, **{name: whole(name) for name in names})
 
     @classmethod
     def of_rows(
