@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import torch
 from jaxtyping import Int
@@ -45,14 +44,7 @@ class FrameFactor:
 
     def equations(self, hands: PosedHands) -> Equations:
         """A row for each frame."""
-        parts = [factor.equations(own) for factor, own in zip(self.frames, _each(hands), strict=True)]
-
-        def whole(name: str) -> Any:
-            values = [getattr(part, name) for part in parts]
-            return None if values[0] is None else torch.cat(values)
-
-        names = ("cost", "gradient", "matrix", "mixed", "shared_gradient", "shared_matrix")
-        return Equations(first_dof=parts[0].first_dof, **{name: whole(name) for name in names})
+        return Equations.cat([factor.equations(own) for factor, own in zip(self.frames, _each(hands), strict=True)])
 
     def rows(self, rows: Int[Tensor, "n"]) -> "FrameFactor":
         """Of some of the frames."""

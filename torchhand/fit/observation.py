@@ -82,6 +82,19 @@ class Equations:
     shared_matrix: Float[Tensor, "k c c"] | None = None
 
     @classmethod
+    def cat(cls, parts: "Sequence[Equations]") -> "Equations":
+        """Of the hands of all parts, at least one, one part after the other."""
+        if len(parts) == 1:
+            return parts[0]
+
+        def whole(name: str) -> Any:
+            values = [getattr(part, name) for part in parts]
+            return None if values[0] is None else torch.cat(values)
+
+        names = ("cost", "gradient", "matrix", "mixed", "shared_gradient", "shared_matrix")
+        return cls(first_dof=parts[0].first_dof, **{name: whole(name) for name in names})
+
+    @classmethod
     def of_rows(
         cls,
         residual: Float[Tensor, "k m"],

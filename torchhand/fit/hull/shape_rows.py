@@ -45,10 +45,7 @@ def shape_rows(
     of_metres = torch.einsum("kjp,jkps->kps", local, skinning.rest_basis[:, vertices])
     pull = (weights[:, :, None] * force).flatten(1, 2).mT  # k points 60
     bent = torch.einsum(
-        "kcjp,cfjkp,cfk->kp",
-        bones.corrective_rotation.mT @ force,
-        skinning.correctives[..., vertices],
-        bones.features,
+        "kcis,cskp,kpi->kp", bones.bending, skinning.correctives.flatten(1, 2)[..., vertices], direction
     )
     found = of_metres @ motion.metres + pull @ motion.offsets.flatten(1, 2) + bent[..., None] * motion.breadth
     return torch.nn.functional.pad(found, (0, len(hands.unknowns.extra)))

@@ -22,18 +22,19 @@ from torchhand.hand.kinematics import world_axes
 class WeightedVertices:
     """Skinning of some vertices of a shape; the leading dimension is 1 where all hands have the same vertices."""
 
-    places: Float[Tensor, "#hands 20 3 points"]
-    """In the bones' frames, times the weights."""
-    weights: Float[Tensor, "#hands 20 points"]
-    correctives: Float[Tensor, "2 #hands c 3 points"]
+    places: Float[Tensor, "#hands 20 4 points"]
+    """In the bones' frames, times the weights; then the weights."""
+    carried: Float[Tensor, "#hands 20 points"]
+    """Weights of each bone and of those beyond it."""
+    correctives: Float[Tensor, "#hands c 6 points"]
     """By feature, in the frames of the bones that the angles move."""
 
     def rows(self, rows: Int[Tensor, "n"]) -> "WeightedVertices":
         """Those of the given hands."""
-        if len(self.weights) == 1:
+        if len(self.places) == 1:
             return self
         return WeightedVertices(
-            places=self.places[rows], weights=self.weights[rows], correctives=self.correctives[:, rows]
+            places=self.places[rows], carried=self.carried[rows], correctives=self.correctives[rows]
         )
 
 
@@ -47,11 +48,10 @@ class PosedBones:
     """Origins in the world, metres."""
     turns: Float[Tensor, "hands 33 3"]
     """Axes of the rotation vector's columns, then of the angles."""
-    corrective_rotation: Float[Tensor, "hands c 3 3"]
-    """world_from_bone of the bones that the correctives are given in."""
-    features: Float[Tensor, "c 2 hands"]
-    slopes: Float[Tensor, "c 2 hands"]
-    """Derivatives of the features in their angles."""
+    bending: Float[Tensor, "hands c 3 6"]
+    """world_from_bone of the bones that the correctives are given in, times the features of their angles."""
+    slopes: Float[Tensor, "hands c 3 6"]
+    """Its derivative in those angles."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,10 +67,8 @@ class SkinMotion:
     """Axes of the rotation vector's columns, then of the angles."""
     bones: Int[Tensor, "33"]
     """Bone that each of them turns."""
-    corrective_rotation: Float[Tensor, "hands c 3 3"]
-    """world_from_bone of the bones that the correctives are given in."""
     bends: Float[Tensor, "hands c 3 points"]
-    """Derivatives of the correctives in their angles, in the bones' frames."""
+    """Derivatives of the correctives in their angles."""
     bend_rows: Int[Tensor, "c"]
     """Their angles, among the 36 DOFs."""
 
@@ -79,10 +77,8 @@ class SkinMotion:
         force = direction.mT
         torque = _cross(self.levers, force[:, None])
         of_turns = (self.turns[..., None] * torque.index_select(1, self.bones)).sum(2)
-        of_shift = force * self.share[:, None]
-        found = torch.cat((of_shift, of_turns), 1)
-        local = self.corrective_rotation.mT @ force[:, None]
-        of_bends = (self.bends * local).sum(2)
+        found = torch.cat((force * self.share[:, None], of_turns), 1)
+        of_bends = (self.bends * force[:, None]).sum(2)
         return found.index_add(1, self.bend_rows, of_bends).mT
 
 
@@ -98,10 +94,10 @@ class SkinPoints:
             raise ValueError(f"shape: expected that of one hand, got shape {tuple(self.shape.shape)}")
         metres = hand.kinematics.metres(self.shape)
         loads = hand.skinning.loads(metres)
-        correctives = loads[80:].unflatten(0, (-1, 2, 3)).movedim(1, 0)  # 2 c 3 vertices
-        self._rows = torch.cat((loads[:80], correctives.flatten(0, 2))).T.contiguous()
-        of_bones = torch.cat((loads[:60].unflatten(0, (20, 3)), loads[60:80, None]), 1)  # 20 4 vertices
-        self._together = torch.cat((of_bones.flatten(0, 1), correctives.flatten(0, 2)))
+        places = torch.cat((loads[:60].unflatten(0, (20, 3)), loads[60:80, None]), 1).flatten(0, 1)
+        self._together = torch.cat((places, loads[80:]))
+        carried = _with_what_they_carry(loads[None, 60:80])[0]
+        self._rows = torch.cat((places, carried, loads[80:])).T.contiguous()
         self._metres = metres[:, None]
         self._corners = hand.faces.T.flatten()
         self._around = _faces_around(hand.faces, self._together.shape[1])
@@ -119,9 +115,9 @@ class SkinPoints:
         each = vertices if vertices.ndim > 1 else vertices[None]
         own = self._rows.index_select(0, each.flatten()).unflatten(0, each.shape).mT.contiguous()  # hands k points
         return WeightedVertices(
-            places=own[:, :60].unflatten(1, (20, 3)),
-            weights=own[:, 60:80],
-            correctives=own[:, 80:].unflatten(1, (2, -1, 3)).movedim(1, 0),
+            places=own[:, :80].unflatten(1, (20, 4)),
+            carried=own[:, 80:100],
+            correctives=own[:, 100:].unflatten(1, (-1, 6)),
         )
 
     def posed(self, pose: HandPose) -> PosedBones:
@@ -131,13 +127,16 @@ class SkinPoints:
         features, slopes = self.hand.skinning.corrective_features(pose.dofs.T, self._metres)
         constants = self.hand.kinematics.chain.constants
         axes = world_axes(pose.dofs.T, frames.rotation.permute(1, 2, 3, 0), constants).permute(2, 0, 1)
+        turned = frames.rotation.index_select(1, self.hand.skinning.corrective_bones)[:, :, :, None]
+        bending, bend_slopes = (
+            (turned * factor.permute(2, 0, 1)[:, :, None, :, None]).flatten(-2) for factor in (features, slopes)
+        )
         return PosedBones(
             rotation=frames.rotation,
             position=frames.position,
             turns=torch.cat((left_jacobian(pose.dofs[:, 3:6]).mT, axes), 1),
-            corrective_rotation=frames.rotation.index_select(1, self.hand.skinning.corrective_bones),
-            features=features,
-            slopes=slopes,
+            bending=bending,
+            slopes=bend_slopes,
         )
 
     def vertices(self, pose: HandPose) -> Float[Tensor, "hands vertices 3"]:
@@ -146,9 +145,8 @@ class SkinPoints:
 
     def skin_on(self, bones: PosedBones) -> Float[Tensor, "hands vertices 3"]:
         """The whole skin in the world, by its bones."""
-        bending = bones.corrective_rotation[:, None] * bones.features.permute(2, 1, 0)[..., None, None]  # hands 2 c 3 3
         columns = torch.cat((bones.rotation, bones.position[..., None]), -1)  # hands 20 3 4
-        coefficients = torch.cat((columns.mT.flatten(1, 2), bending.mT.flatten(1, 3)), 1).mT  # hands 3 k
+        coefficients = torch.cat((columns.transpose(1, 2).flatten(2), bones.bending.transpose(1, 2).flatten(2)), -1)
         return (coefficients.flatten(0, 1) @ self._together).unflatten(0, (-1, 3)).mT
 
     def normals(self, vertices: Float[Tensor, "hands vertices 3"]) -> Float[Tensor, "hands vertices 3"]:
@@ -160,20 +158,18 @@ class SkinPoints:
 
     def motion(self, bones: PosedBones, vertices: WeightedVertices) -> SkinMotion:
         """Some vertices of posed hands, and how they move."""
-        skinning, rotation, position = self.hand.skinning, bones.rotation, bones.position
-        bent = _weighted(vertices.correctives, bones.features)
-        parts = rotation @ vertices.places + vertices.weights[:, :, None] * position[..., None]
-        parts = parts.index_add(1, skinning.corrective_bones, bones.corrective_rotation @ bent)
-        beyond, share = _beyond(parts), _beyond(vertices.weights)
+        columns = torch.cat((bones.rotation, bones.position[..., None]), -1)  # hands 20 3 4
+        bent = bones.bending @ vertices.correctives
+        parts = (columns @ vertices.places).index_add_(1, self.hand.skinning.corrective_bones, bent)
+        whole = _with_what_they_carry(parts)
         return SkinMotion(
-            points=beyond[:, 0].mT,
-            levers=beyond - share[:, :, None] * position[..., None],
-            share=share[:, 0],
+            points=whole[:, 0].mT,
+            levers=torch.addcmul(whole, vertices.carried[:, :, None], bones.position[..., None], value=-1),
+            share=vertices.carried[:, 0],
             turns=bones.turns,
             bones=self._bones,
-            corrective_rotation=bones.corrective_rotation,
-            bends=_weighted(vertices.correctives, bones.slopes),
-            bend_rows=skinning.corrective_rows,
+            bends=bones.slopes @ vertices.correctives,
+            bend_rows=self.hand.skinning.corrective_rows,
         )
 
 
@@ -190,22 +186,18 @@ def skin_at(skin: SkinPoints, hands: PosedHands) -> Float[Tensor, "hands vertice
 def _cross(one: Float[Tensor, "*#batch 3 n"], other: Float[Tensor, "*#batch 3 n"]) -> Float[Tensor, "*batch 3 n"]:
     """The cross product along the last but one dimension, faster than torch's own."""
     (a, b, c), (x, y, z) = one.unbind(-2), other.unbind(-2)
-    return torch.stack((b * z - c * y, c * x - a * z, a * y - b * x), -2)
+    products = ((b * z, c, y), (c * x, a, z), (a * y, b, x))
+    return torch.stack([product.addcmul_(left, right, value=-1) for product, left, right in products], -2)
 
 
-def _weighted(correctives: Tensor, factors: Tensor) -> Tensor:
-    """Offsets of the two features times their factors (c, 2, n): (n, c, 3, points)."""
-    sine, cosine = factors.permute(1, 2, 0)[..., None, None]
-    return torch.addcmul(correctives[0] * sine, correctives[1], cosine)
-
-
-def _beyond(parts: Tensor) -> Tensor:
-    """Sums over every bone and those that it carries, from the tips to the root; hands first, then bones."""
-    fourth = parts[:, 16:]
-    third = torch.cat((parts[:, 11:12], parts[:, 12:16] + fourth), 1)
-    second = parts[:, 6:11] + third
-    first = parts[:, 1:6] + second
-    return torch.cat((parts[:, :1] + first.sum(1, keepdim=True), first, second, third, fourth), 1)
+def _with_what_they_carry(parts: Float[Tensor, "hands 20 *more"]) -> Float[Tensor, "hands 20 *more"]:
+    """Sums over every bone and those beyond it, from the tips to the root."""
+    whole = parts.clone()
+    whole[:, 12:16] += whole[:, 16:]
+    whole[:, 6:11] += whole[:, 11:16]
+    whole[:, 1:6] += whole[:, 6:11]
+    whole[:, 0] += whole[:, 1:6].sum(1)
+    return whole
 
 
 @lru_cache(maxsize=8)
