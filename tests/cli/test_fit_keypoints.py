@@ -112,6 +112,32 @@ def test_mediapipe_with_the_size_of_the_pictures(tmp_path: Path) -> None:
         assert float(np.nanmean(result["residual"])) < 6.0
 
 
+def test_arrays_of_a_detector_in_space_and_in_pictures(tmp_path: Path) -> None:
+    """World landmarks without a camera, points of the pictures with one; frames without a hand stay empty."""
+    _, points = _points("left")
+    world = points - points.mean(1, keepdims=True)
+    pixels = assumed_camera(640, 480).project(torch.from_numpy(points)).numpy()
+    label = np.array(["Right"] * len(points))  # as in a mirror: a left hand
+    world[1] = pixels[1] = np.nan
+    label[1] = ""
+    names = np.array([f"{i}.png" for i in range(len(points))])
+    source = tmp_path / "mediapipe.npz"
+    np.savez(source, points_px=pixels, world=world, label=label, score=np.full(len(points), 0.9), image=names)
+    assert _run(source, "--out", tmp_path / "space", "--no-fit-shape") == 0
+    assert _run(source, "--out", tmp_path / "picture", "--no-fit-shape", "--size", "640x480") == 0
+    good = [0, 2, 3]
+    for folder in ("space", "picture"):
+        with np.load(tmp_path / folder / "keypoints_fit.npz") as result:
+            assert result["status"].tolist() == ["fitted", "too few points", "fitted", "fitted"]
+            assert json.loads(str(result["header"]))["side"] == "left"
+            assert result["image"].tolist() == names.tolist()
+            if folder == "space":
+                np.testing.assert_allclose(result["keypoints3d"][good], world[good], atol=1e-6)
+            else:
+                assert result["keypoints3d"][good, 0, 2].min() > 0.2  # before the camera
+                assert float(np.nanmean(result["residual"])) < 6.0
+
+
 def test_any_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _, points = _points("right")
     np.save(tmp_path / "mm.npy", 1000 * points)

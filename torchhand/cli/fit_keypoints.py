@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -41,9 +41,10 @@ _OFFSET_STD = 0.005
 class Arguments:
     """Fit the hand to keypoints that a detector found: joint angles and one shape from MediaPipe or OpenPose files.
 
-    INPUT is JSON of MediaPipe or OpenPose, a folder of OpenPose's *_keypoints.json, or an array (frames, 21, 2 or 3) as
-    .npy or .npz. DIR gets keypoints_fit.npz (pose, pose_std, keypoints3d, residual, status ... per frame) and hand.json
-    (the shape). Points in a picture need --camera, or --size for an assumed field of view.
+    INPUT is JSON of MediaPipe or OpenPose, a folder of OpenPose's *_keypoints.json, or arrays (frames, 21, 2 or 3) as
+    .npy or .npz (points_px and world of MediaPipe, keypoints3d, keypoints2d ...). DIR gets keypoints_fit.npz (pose,
+    pose_std, keypoints3d, residual, status ... per frame) and hand.json (the shape). Points in a picture need --camera,
+    or --size for an assumed field of view.
 
     Example:
         torchhand fit_keypoints hands.json --out out/hands --side left --size 1280x720
@@ -64,7 +65,8 @@ class Arguments:
     space: Annotated[str, arg(metavar="NAME")] = "dof27"
     """Free joint angles: dof26, dof27, dof28, dof31 or dof36."""
     points: Literal["auto", "space", "picture"] = "auto"
-    """Of MediaPipe's files: world landmarks (space) or image landmarks (picture); auto prefers space."""
+    """Of files with both: those in space (MediaPipe's world landmarks) or in the picture; auto takes the picture's with
+    --camera or --size, else those in space."""
     units: Literal["auto", "metres", "px", "normalised", "any"] = "auto"
     """Unit of arrays; any: points in space in an unknown unit, whose scale is fitted at the default hand length."""
     mirrored: bool = False
@@ -126,6 +128,11 @@ def _detections(arguments: Arguments, hand: FittedHand | None) -> Detections:
         units=units.get(arguments.units),
         is_mirrored=arguments.mirrored,
     )
+    is_seen = found.picture is not None and (arguments.camera is not None or arguments.size is not None)
+    if found.space is not None and not is_seen:
+        found = found.in_space()
+    elif found.space is not None:
+        found = replace(found, space=None)
     if found.units == "metres" and arguments.units != "any":
         palm = np.linalg.norm(found.keypoints[:, 9] - found.keypoints[:, 0], axis=-1)
         palm = palm[np.isfinite(palm)]
@@ -141,10 +148,7 @@ def _camera(arguments: Arguments, detections: Detections) -> Camera | None:
     if detections.units == "metres":
         for name in ("camera", "size"):
             if getattr(arguments, name) is not None:
-                raise InputError(
-                    f"--{name}: expected points of a picture with it, got points in space; give --points picture"
-                    " where the file has both"
-                )
+                raise InputError(f"--{name}: expected points of a picture with it, got points in space alone")
         return None
     if arguments.camera is not None:
         cameras = load_cameras(arguments.camera)
@@ -261,6 +265,8 @@ def _save(
         "convention": np.array(CONVENTION if camera is not None else _in_own_frame(CONVENTION)),
         "header": np.array(json.dumps(header)),
     }
+    if detections.image is not None:
+        arrays["image"] = np.array(detections.image)
     if camera is not None:
         arrays["keypoints2d"] = camera.project(fit.keypoints).numpy()
     with replacing(out / FIT_NAME) as temporary:

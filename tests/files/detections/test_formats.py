@@ -119,7 +119,7 @@ def test_shares_of_the_picture_become_pixels(tmp_path: Path) -> None:
     assert (found.units, found.size) == ("px", (640, 480))
     np.testing.assert_array_equal(found.in_pixels(1, 1).keypoints, found.keypoints)
     with pytest.raises(ValueError, match="expected points of a picture, got metres"):
-        read_detections(_write(tmp_path / "space.json", [_tasks(0)])).in_pixels(640, 480)
+        read_detections(_write(tmp_path / "space.json", [_tasks(0)]), points="space").in_pixels(640, 480)
 
 
 def _person(points: np.ndarray | None, side: str, confidence: float = 0.8) -> dict[str, Any]:
@@ -201,6 +201,103 @@ def test_named_arrays(tmp_path: Path) -> None:
     assert read_detections(path, points="picture").units == "px"
 
 
+def _detector_arrays(**changed: np.ndarray) -> dict[str, Any]:
+    """What a detector's run over pictures leaves: the second has no hand, the third the other one."""
+    px, world = (300 * POINTS[..., :2]).astype(np.float32), WORLD.astype(np.float32)
+    px[1] = world[1] = np.nan
+    arrays = {
+        "points_px": px,
+        "world": world,
+        "label": np.array(("Left", "", "Right", "Left")),
+        "score": np.array((0.9, 0.0, 0.6, 0.8), dtype=np.float32),
+        "image": np.array(("b.jpg", "a.jpg", "c.jpg", "d.jpg")),
+    }
+    return arrays | changed
+
+
+def test_a_detectors_arrays_hold_both_kinds(tmp_path: Path) -> None:
+    """MediaPipe's names are those of a mirror image; a hand of the other name is not this one."""
+    path, arrays = tmp_path / "mediapipe.npz", _detector_arrays()
+    np.savez(path, **arrays)
+    found = read_detections(path)
+    assert found.picture is not None
+    assert found.space is not None
+    np.testing.assert_array_equal(found.picture[[0, 3]], arrays["points_px"][[0, 3]])
+    np.testing.assert_array_equal(found.space[[0, 3]], arrays["world"][[0, 3]])
+    assert np.isnan(found.picture[1:3]).all()
+    assert found.confidence.any(1).tolist() == [True, False, False, True]
+    assert (found.side, found.label) == ("right", ("right", None, "left", "right"))
+    np.testing.assert_array_equal(found.score, arrays["score"])
+    assert found.is_normalised is False
+    assert read_detections(path, is_mirrored=True).side == "left"
+    other = read_detections(path, side="left")
+    assert other.confidence.any(1).tolist() == [False, False, True, False]
+    assert read_detections(path, points="space").units == "metres"
+    assert read_detections(path, points="picture").units == "px"
+
+
+def test_points_in_pictures_without_those_in_space(tmp_path: Path) -> None:
+    """Pixels stay pixels, however few."""
+    arrays = _detector_arrays(points_px=POINTS[..., :2])
+    del arrays["world"], arrays["label"]
+    np.savez(tmp_path / "px.npz", **arrays)
+    found = read_detections(tmp_path / "px.npz")
+    assert found.space is None
+    assert (found.units, found.side, found.label) == ("px", None, (None,) * 4)
+    np.testing.assert_array_equal(found.in_pixels(640, 480).keypoints, POINTS[..., :2])
+
+
+def test_a_hand_is_found_by_the_number_of_its_frame_and_the_name_of_its_picture(tmp_path: Path) -> None:
+    path, arrays = tmp_path / "mediapipe.npz", _detector_arrays(frame=np.array((3, 5, 7, 9)))
+    np.savez(path, **arrays)
+    found = read_detections(path)
+    for hand in (found.at_frame(9), found.in_image("some/where/d.jpg")):
+        assert hand is not None
+        assert hand.space is not None
+        np.testing.assert_array_equal(hand.space, arrays["world"][3])
+        np.testing.assert_array_equal(hand.picture, arrays["points_px"][3])
+        assert (hand.label, hand.score) == ("right", pytest.approx(0.8))
+    assert [found.at_frame(number) for number in (0, 4, 5, 7)] == [None] * 4  # not there, no hand, the other hand
+    assert found.in_image("a.jpg") is None
+    assert found.in_image("z.jpg") is None
+    np.savez(path, **{name: array for name, array in arrays.items() if name != "image"})
+    with pytest.raises(ValueError, match="image: expected detections that name their pictures"):
+        read_detections(path).in_image("d.jpg")
+
+
+def test_mediapipes_results_hold_both_kinds(tmp_path: Path) -> None:
+    found = read_detections(_write(tmp_path / "hands.json", [_tasks(i) for i in range(4)]))
+    assert found.picture is not None
+    assert found.space is not None
+    np.testing.assert_array_equal(found.space, WORLD)
+    np.testing.assert_allclose(found.in_pixels(640, 480).keypoints[..., 0], 640 * POINTS[..., 0] - 0.5)
+    assert found.score.tolist() == [0.98] * 4
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"points_px": POINTS[:3, :, :2]}, r"points_px: expected 4 frames as in world, got 3"),
+        ({"points_px": POINTS[:, :20, :2]}, r"points_px: expected an array \(frames, 21, 2 or 3\), got \(4, 20, 2\)"),
+        ({"world": WORLD[0, 0]}, r"world: expected an array \(frames, 21, 2 or 3\), got \(3,\)"),
+        ({"label": np.array(["Left"] * 3)}, r"label: expected texts of shape \(4,\), got <U4 of \(3,\)"),
+        ({"label": np.zeros(4)}, r"label: expected texts of shape \(4,\), got float64 of \(4,\)"),
+        ({"label": np.array(["Left", "Both", "", ""])}, r"label: expected Left, Right or nothing .*, got 'Both'"),
+        ({"score": np.zeros(3)}, r"score: expected numbers of shape \(4, 21\) or \(4,\), got float64 of \(3,\)"),
+        ({"image": np.arange(4)}, r"image: expected texts of shape \(4,\), got int64 of \(4,\)"),
+        ({"frame": np.arange(3)}, r"frame: expected numbers of shape \(4,\), got int64 of \(3,\)"),
+        ({"world": WORLD * np.nan, "points_px": WORLD[..., :2] * np.nan}, r"world: expected numbers, got NaN"),
+    ],
+)
+def test_wrong_arrays_of_a_detector(changed: dict[str, np.ndarray], message: str, tmp_path: Path) -> None:
+    path = tmp_path / "mediapipe.npz"
+    np.savez(path, **_detector_arrays(**changed))
+    with pytest.raises(InputError, match=message) as error:
+        read_detections(path)
+    assert str(path) in str(error.value)
+    assert "\n" not in str(error.value)
+
+
 BROKEN = {
     "truncated": ('[{"multi_hand_landmarks": [{"landmark": [{"x": 0.1', r"line 1: is no valid JSON"),
     "empty": ("[]", r"expected MediaPipe's hand landmarks.*; got \[\]"),
@@ -265,9 +362,9 @@ def test_broken_arrays(tmp_path: Path) -> None:
     check("text.npz", "expected numbers, got <U1", landmarks=np.full((2, 21, 3), "a"))
     check(
         "trust.npz",
-        r"score: expected numbers of shape \(4, 21\), got float64 of \(4,\)",
+        r"score: expected numbers of shape \(4, 21\) or \(4,\), got float64 of \(4, 3\)",
         landmarks=WORLD,
-        score=WORLD[:, 0, 0],
+        score=WORLD[:, 0],
     )
     check("below.npz", "confidence: expected 0 or more, got -1", landmarks=WORLD, confidence=-np.ones((4, 21)))
     for name in ("text.npy", "cut.npz", "cut.npy"):

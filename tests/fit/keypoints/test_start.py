@@ -66,7 +66,8 @@ def test_closed_form_angles_of_exact_points(side: Side, generator: torch.Generat
     shape = kinematics.default_shape
     points = kinematics(truth).keypoints
     known = torch.ones(200, 21, dtype=torch.bool)
-    pose, reference, size = start_in_space(kinematics, points, known, shape, natural_posture().mean)
+    start, size = start_in_space(kinematics, points, known, shape, natural_posture().mean)
+    pose, reference = start.dofs, start.reference
     fingers = [i for i, dof in enumerate(DOFS) if i >= 6 and not dof.startswith("thumb") and "_cmc" not in dof]
     error = (pose - truth)[:, fingers].abs().rad2deg()
     assert float(error.median()) < 0.5
@@ -84,7 +85,8 @@ def test_missing_points_take_the_posture_given(generator: torch.Generator) -> No
     known = torch.ones(20, 21, dtype=torch.bool)
     known[:, 6:9] = False
     natural = natural_posture().mean
-    pose, _, _ = start_in_space(kinematics, points, known, kinematics.default_shape, natural)
+    start, _ = start_in_space(kinematics, points, known, kinematics.default_shape, natural)
+    pose = start.dofs
     index = [DOFS.index(f"index_{joint}") for joint in ("mcp_fe", "mcp_aa", "pip_fe", "dip_fe")]
     torch.testing.assert_close(pose[:, index], natural[index].expand(20, -1), atol=0, rtol=0)
     assert pose.isfinite().all()
@@ -151,8 +153,9 @@ def test_one_of_the_starts_in_a_picture_is_near(side: Side) -> None:
     observed = PictureKeypoints(
         points_px=camera.project(points), kinematics=kinematics, camera=camera, settings=KeypointSettings()
     )
-    poses, references = starts_in_picture(observed, kinematics.default_shape, natural_posture().mean, 6)
-    assert poses.shape == (5, 6, 36)
+    starts = starts_in_picture(observed, kinematics.default_shape, natural_posture().mean, 6)
+    assert starts.batch_shape == (5, 6)
+    poses, references = starts.dofs, starts.reference
     turned = (references * rotation_from_vector(pose[:, 3:6])[:, None]).sum((-2, -1))  # 1 + 2 cos of the angle between
     assert bool((turned.amax(-1) > 1 + 2 * 0.9).all())
     assert float((poses[:, 0, 2] - 0.5).abs().max()) < 0.12
@@ -162,7 +165,7 @@ def test_one_of_the_starts_in_a_picture_is_near(side: Side) -> None:
 
 def test_other_ways_bend_and_straighten_one_digit_each() -> None:
     poses = torch.stack((posture("point"), posture("open")))
-    ways = other_ways(poses)
+    ways = other_ways(HandPose.of(poses)).dofs
     assert ways.shape == (2, 6, 36)
     index, thumb = DOFS.index("index_pip_fe"), DOFS.index("thumb_ip_fe")
     torch.testing.assert_close(ways[:, 0], poses, atol=0, rtol=0)

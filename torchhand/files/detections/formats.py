@@ -23,10 +23,10 @@ def read_detections(
 ) -> Detections:
     """The keypoints of one hand in a file or folder: JSON of MediaPipe or OpenPose, npz or npy arrays.
 
-    side: which hand, where the file has both; without it the one seen more often. points: of MediaPipe files with
-    both, "space" are the world landmarks (metres, about the hand's centre), "picture" the image landmarks; auto prefers
-    space. units: of arrays, where their numbers leave a doubt. is_mirrored: MediaPipe names the hand as if the picture
-    were a mirror image (a selfie); True says it was one, so its names hold, False swaps them (FACTS 9.1).
+    side: which hand, where the file has both; without it the one seen more often. points: of files with both, "space"
+    reads those in space alone (MediaPipe's world landmarks: metres, about the hand's centre), "picture" those in the
+    pictures alone, auto both. units: of arrays, where their numbers leave a doubt. is_mirrored: MediaPipe names the
+    hand as if the picture were a mirror image (a selfie); True says it was one, so its names hold, False swaps them.
 
     Raises InputError naming the file (and the frame), what was expected and what was got.
     """
@@ -37,7 +37,7 @@ def read_detections(
         raise InputError(f"{path}: no such file or folder")
     suffix = path.suffix.lower()
     if suffix in (".npz", ".npy"):
-        return read_keypoint_arrays(path, side=side, units=units, points=points)
+        return read_keypoint_arrays(path, side=side, units=units, points=points, is_mirrored=is_mirrored)
     if suffix != ".json":
         raise InputError(
             f"{path}: expected keypoints as .json (MediaPipe, OpenPose), .npz, .npy, or a folder of OpenPose's .json,"

@@ -1,26 +1,37 @@
-"""Keypoints as numpy arrays: .npy, or .npz under one of the usual names."""
+"""Keypoints as numpy arrays: .npy, or .npz under one of the usual names, in space, in pictures, or both."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from torchhand.errors import InputError
-from torchhand.files.detections.record import COUNT, Detections, Side, Units, detections_of
-from torchhand.files.disk import opened_arrays
+from torchhand.files.detections.record import COUNT, DetectedHand, Detections, Side, Units, detections_of, most_seen
+from torchhand.files.disk import opened_arrays, short
 
-_SPACE_NAMES = (
-    "keypoints3d",
-    "world_landmarks",
-    "hand_world_landmarks",
-    "joints3d",
-    "joints",
-    "keypoints",
-    "landmarks",
-)
-_PICTURE_NAMES = ("keypoints2d", "image_landmarks", "hand_landmarks", "joints2d", "keypoints", "landmarks")
+_SPACE_NAMES = ("keypoints3d", "world", "world_landmarks", "hand_world_landmarks", "joints3d", "joints")
+_PICTURE_NAMES = ("keypoints2d", "points_px", "image_landmarks", "hand_landmarks", "joints2d")
+_EITHER_NAMES = ("", "keypoints", "landmarks")
+_IN_PIXELS = "points_px"
 _CONFIDENCE_NAMES = ("confidence", "confidences", "visibility", "scores", "score")
 _BEYOND_PICTURE = 2.0  # shares of a picture may lie outside it, but not by more than its size
+
+_MEANT: dict[str, Side | None] = {"": None, "left": "left", "right": "right"}
+
+Points = Literal["auto", "space", "picture"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Kind:
+    """Points of one kind."""
+
+    name: str
+    values: np.ndarray
+    """(frames, 21, 3) in space, (frames, 21, 2) in pictures"""
+    units: Units
+    is_single: bool
+    """Whether the file holds one frame, without a dimension for frames."""
 
 
 def read_keypoint_arrays(
@@ -28,43 +39,49 @@ def read_keypoint_arrays(
     *,
     side: Side | None = None,
     units: Units | None = None,
-    points: Literal["auto", "space", "picture"] = "auto",
+    points: Points = "auto",
+    is_mirrored: bool = False,
 ) -> Detections:
     """(frames, 21, 3) or (21, 3) in metres, or (frames, 21, 2) in px or shares of the picture; NaN for missing points.
 
     Without `units`, three columns are metres; two are shares where none is beyond ±2, else px. With normalised or px
-    given, a third column (MediaPipe's z) is dropped. Of an .npz, the array under a usual name (keypoints3d,
-    keypoints2d, world_landmarks, landmarks ...), or the only one; also confidence (frames, 21), frame and side.
+    given, a third column (MediaPipe's z) is dropped. Of an .npz, the arrays under usual names (keypoints3d, world,
+    keypoints2d, points_px, landmarks ...), one in space and one in pictures, or the only one; also confidence
+    (frames, 21), and for each frame its number (frame), the detector's score, the name of the picture (image), and
+    MediaPipe's name of the hand (label, empty where it found none; see `read_detections` for what it means).
     """
     arrays = _arrays(path)
-    name, found = _keypoints(
-        path, arrays, "picture" if points == "picture" or units in ("px", "normalised") else points
-    )
-    where = f"{path}: {name}" if name else str(path)
-    if not (np.issubdtype(found.dtype, np.floating) or np.issubdtype(found.dtype, np.integer)):
-        raise InputError(f"{where}: expected numbers, got {found.dtype}")
-    shape = found.shape
-    if found.ndim == 2:
-        found = found[None]
-    if found.ndim != 3 or found.shape[1] != COUNT or found.shape[2] not in (2, 3) or not len(found):
-        raise InputError(f"{where}: expected an array (frames, {COUNT}, 2 or 3), got {shape}")
-    found = found.astype(np.float64)
-    if not np.isfinite(found).all(-1).any():
+    kinds = _kinds(path, arrays, points, units)
+    first, count = kinds[0], len(kinds[0].values)
+    for other in kinds[1:]:
+        if len(other.values) != count:
+            raise InputError(
+                f"{path}: {other.name}: expected {count} frames as in {first.name}, got {len(other.values)}"
+            )
+    if not any(np.isfinite(kind.values).all(-1).any() for kind in kinds):
+        where = f"{path}: {first.name}" if first.name else str(path)
         raise InputError(f"{where}: expected numbers, got NaN or infinity at every point")
-    if units == "metres" and found.shape[2] == 2:
-        raise InputError(f"{where}: expected three columns for metres, got two")
-    if units is None:
-        is_share = np.nanmax(np.abs(np.where(np.isfinite(found), found, np.nan))) <= _BEYOND_PICTURE
-        units = "metres" if found.shape[2] == 3 else "normalised" if is_share else "px"
-    trust = _beside(path, arrays, _CONFIDENCE_NAMES, found.shape[:2], of_one_frame=shape[:1])
-    if trust is not None and (trust < 0).any():
-        raise InputError(f"{path}: confidence: expected 0 or more, got {np.nanmin(trust):g}")
-    numbers = _beside(path, arrays, ("frame",), found.shape[:1])
-    if numbers is not None and not ((np.abs(numbers) < 2.0**63) & (numbers == np.floor(numbers))).all():
-        raise InputError(f"{path}: frame: expected whole numbers below 2^63, got others")
-    frames = np.arange(len(found)) if numbers is None else numbers.astype(np.int64)
-    rows = [(int(n), found[i], None if trust is None else trust[i].clip(0, 1)) for i, n in enumerate(frames)]
-    return detections_of(where, rows, side=side or _side(arrays), units=units)
+    by_units = {"metres" if kind.units == "metres" else "picture": kind for kind in kinds}
+    space, picture = by_units.get("metres"), by_units.get("picture")
+    trust = _confidences(path, arrays, count, first.is_single)
+    labels, score = _labels(path, arrays, count, is_mirrored), _scores(path, arrays, count)
+    hands = [
+        DetectedHand(
+            picture=None if picture is None else picture.values[i],
+            space=None if space is None else space.values[i],
+            confidence=None if trust is None else trust[i].clip(0, 1),
+            label=labels[i],
+            score=score[i],
+        )
+        for i in range(count)
+    ]
+    return detections_of(
+        f"{path}: {first.name}" if first.name else str(path),
+        list(zip(_numbers(path, arrays, count), hands, strict=True)),
+        side=side or _side(arrays) or most_seen(labels),
+        is_normalised=picture is not None and picture.units == "normalised",
+        image=_texts(path, arrays, "image", count),
+    )
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
@@ -73,34 +90,110 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
         return dict(stored)
 
 
-def _keypoints(path: Path, arrays: dict[str, np.ndarray], points: str) -> tuple[str, np.ndarray]:
-    names = {"space": _SPACE_NAMES, "picture": _PICTURE_NAMES}.get(points, (*_SPACE_NAMES, *_PICTURE_NAMES))
-    for name in ("", *names):
-        if name in arrays:
-            return name, arrays[name]
-    if len(arrays) == 1:
-        return next(iter(arrays.items()))
-    expected, got = ", ".join(dict.fromkeys(names)), ", ".join(arrays) or "none"
-    raise InputError(f"{path}: expected an array named {expected}, got {got}")
+def _kinds(path: Path, arrays: dict[str, np.ndarray], points: Points, units: Units | None) -> list[_Kind]:
+    """At most one kind in space and one in pictures, at least one of either."""
+    in_space = points != "picture" and units not in ("px", "normalised")
+    names = [*(_SPACE_NAMES if in_space else ()), *(_PICTURE_NAMES if points != "space" else ()), *_EITHER_NAMES]
+    chosen = [name for name in names if name in arrays]
+    if not chosen and len(arrays) == 1:
+        chosen = list(arrays)
+    if not chosen:
+        expected, got = ", ".join(filter(None, names)), ", ".join(arrays) or "none"
+        raise InputError(f"{path}: expected an array named {expected}, got {got}")
+    kinds: dict[bool, _Kind] = {}
+    for name in chosen:
+        is_picture = name in _PICTURE_NAMES or points == "picture"
+        if bool(kinds) and name in _EITHER_NAMES:
+            continue  # a plain name beside one that tells the kind
+        kind = _kind(f"{path}: {name}" if name else str(path), name, arrays[name], units, is_picture)
+        kinds.setdefault(kind.units == "metres", kind)
+    return list(kinds.values())
 
 
-def _beside(
-    path: Path,
-    arrays: dict[str, np.ndarray],
-    names: tuple[str, ...],
-    shape: tuple[int, ...],
-    *,
-    of_one_frame: tuple[int, ...] | None = None,
-) -> np.ndarray | None:
-    name = next((name for name in names if name in arrays), None)
-    if name is None:
+def _kind(where: str, name: str, found: np.ndarray, units: Units | None, is_picture: bool) -> _Kind:
+    if not _is_numeric(found):
+        raise InputError(f"{where}: expected numbers, got {found.dtype}")
+    shape, is_single = found.shape, found.ndim == 2
+    if is_single:
+        found = found[None]
+    if found.ndim != 3 or found.shape[1] != COUNT or found.shape[2] not in (2, 3) or not len(found):
+        raise InputError(f"{where}: expected an array (frames, {COUNT}, 2 or 3), got {shape}")
+    if units == "metres" and found.shape[2] == 2 and not is_picture:
+        raise InputError(f"{where}: expected three columns for metres, got two")
+    found = found.astype(np.float64)
+    if units not in ("px", "normalised") and found.shape[2] == 3 and not is_picture:
+        return _Kind(name=name, values=found, units="metres", is_single=is_single)
+    found = found[..., :2]
+    if name == _IN_PIXELS:
+        units = "px"
+    elif units not in ("px", "normalised"):
+        known = np.abs(found[np.isfinite(found)])
+        units = "normalised" if not len(known) or known.max() <= _BEYOND_PICTURE else "px"
+    return _Kind(name=name, values=found, units=units, is_single=is_single)
+
+
+def _is_numeric(values: np.ndarray) -> bool:
+    return np.issubdtype(values.dtype, np.floating) or np.issubdtype(values.dtype, np.integer)
+
+
+def _confidences(path: Path, arrays: dict[str, np.ndarray], count: int, is_single: bool) -> np.ndarray | None:
+    """(frames, 21); None where there are none."""
+    names = [name for name in _CONFIDENCE_NAMES if name in arrays and not _is_score(name, arrays[name], count)]
+    if not names:
+        return None
+    name, found = names[0], arrays[names[0]]
+    if is_single and found.shape == (COUNT,):
+        found = found[None]
+    if found.shape != (count, COUNT) or not _is_numeric(found):
+        shapes = f"({count}, {COUNT}){f' or ({count},)' if name == 'score' else ''}"
+        raise InputError(f"{path}: {name}: expected numbers of shape {shapes}, got {found.dtype} of {found.shape}")
+    if (found < 0).any():
+        raise InputError(f"{path}: confidence: expected 0 or more, got {np.nanmin(found):g}")
+    return found
+
+
+def _is_score(name: str, found: np.ndarray, count: int) -> bool:
+    """Whether an array holds one number for each frame."""
+    return name == "score" and found.shape == (count,) and _is_numeric(found)
+
+
+def _scores(path: Path, arrays: dict[str, np.ndarray], count: int) -> list[float]:
+    if "score" not in arrays or not _is_score("score", arrays["score"], count):
+        return [float("nan")] * count
+    return [float(value) for value in arrays["score"]]
+
+
+def _labels(path: Path, arrays: dict[str, np.ndarray], count: int, is_mirrored: bool) -> list[Side | None]:
+    """Which hand, frame by frame."""
+    texts = _texts(path, arrays, "label", count)
+    if texts is None:
+        return [None] * count
+    meant = _MEANT if is_mirrored else {"": None, "left": _MEANT["right"], "right": _MEANT["left"]}
+    for text in texts:
+        if text.casefold() not in meant:
+            raise InputError(f"{path}: label: expected Left, Right or nothing for every frame, got {short(text)}")
+    return [meant[text.casefold()] for text in texts]
+
+
+def _texts(path: Path, arrays: dict[str, np.ndarray], name: str, count: int) -> tuple[str, ...] | None:
+    if name not in arrays:
         return None
     found = arrays[name]
-    if found.shape == of_one_frame and shape[0] == 1:
-        found = found[None]
-    if found.shape != shape or not (np.issubdtype(found.dtype, np.floating) or np.issubdtype(found.dtype, np.integer)):
-        raise InputError(f"{path}: {name}: expected numbers of shape {shape}, got {found.dtype} of {found.shape}")
-    return found
+    if found.shape != (count,) or not np.issubdtype(found.dtype, np.str_):
+        raise InputError(f"{path}: {name}: expected texts of shape ({count},), got {found.dtype} of {found.shape}")
+    return tuple(str(text) for text in found)
+
+
+def _numbers(path: Path, arrays: dict[str, np.ndarray], count: int) -> list[int]:
+    """Of the frames."""
+    if "frame" not in arrays:
+        return list(range(count))
+    found = arrays["frame"]
+    if found.shape != (count,) or not _is_numeric(found):
+        raise InputError(f"{path}: frame: expected numbers of shape ({count},), got {found.dtype} of {found.shape}")
+    if not ((np.abs(found) < 2.0**63) & (found == np.floor(found))).all():
+        raise InputError(f"{path}: frame: expected whole numbers below 2^63, got others")
+    return [int(number) for number in found]
 
 
 def _side(arrays: dict[str, np.ndarray]) -> Side | None:

@@ -1,14 +1,14 @@
 """What people save of MediaPipe's hand landmarks as JSON: results of both its interfaces, and plain lists."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from torchhand.errors import InputError
-from torchhand.files.detections.record import COUNT, Detections, Side, detections_of
+from torchhand.files.detections.record import COUNT, DetectedHand, Detections, Side, detections_of, most_seen
 from torchhand.files.disk import read_number, short
 
 _PICTURE_KEYS = ("multi_hand_landmarks", "multiHandLandmarks", "hand_landmarks", "handLandmarks", "landmarks")
@@ -24,15 +24,6 @@ _FORMS = (
     "expected MediaPipe's hand landmarks: an object with multi_hand_landmarks or hand_landmarks (also world ones),"
     " a list of such objects, or lists of 21 {x, y, z}"
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Hand:
-    points: np.ndarray
-    """21 3"""
-    confidence: np.ndarray | None
-    side: Side | None
-    score: float
 
 
 def mediapipe_detections(
@@ -51,18 +42,31 @@ def mediapipe_detections(
     """
     frames = _frames(path, content)
     has_space = any(_found(frame, _SPACE_KEYS) is not None for _, _, frame in frames if isinstance(frame, Mapping))
-    in_space = points == "space" or (points == "auto" and has_space)
-    hands = [(number, _hands(where, frame, in_space, is_mirrored)) for number, where, frame in frames]
+    has_picture = not has_space or any(
+        _found(f, _PICTURE_KEYS) is not None for _, _, f in frames if isinstance(f, Mapping)
+    )
+    kinds = (points == "space" or (points == "auto" and has_space), points != "space" and has_picture)
+    hands = [(number, _hands_of_both(where, frame, *kinds, is_mirrored)) for number, where, frame in frames]
     if side is None:
-        seen = [hand.side for _, found in hands for hand in found]
-        left, right = seen.count("left"), seen.count("right")
-        side = None if not left + right else "left" if left > right else "right"
+        side = most_seen([hand.label for _, found in hands for hand in found])
     rows = []
     for number, found in hands:
-        own = [hand for hand in found if hand.side in (side, None)]
-        best = max(own, key=lambda hand: hand.score, default=None)
-        rows.append((number, None, None) if best is None else (number, best.points, best.confidence))
-    return detections_of(str(path), rows, side=side, units="metres" if in_space else "normalised")
+        own = [hand for hand in found if hand.label in (side, None)]
+        rows.append((number, max(own, key=lambda hand: np.nan_to_num(hand.score), default=None)))
+    return detections_of(str(path), rows, side=side, is_normalised=True)
+
+
+def _hands_of_both(where: str, frame: Any, has_space: bool, has_picture: bool, is_mirrored: bool) -> list[DetectedHand]:
+    """Hands of a frame; of both kinds the hands stand in the same order. What does not tell its kind is in space."""
+    if not isinstance(frame, Mapping) or _HAND_KEY in frame:
+        has_picture = has_picture and not has_space
+    space = _hands(where, frame, True, is_mirrored) if has_space else []
+    picture = _hands(where, frame, False, is_mirrored) if has_picture else []
+    both = [
+        replace(own, picture=other.picture, confidence=other.confidence if own.confidence is None else own.confidence)
+        for own, other in zip(space, picture, strict=False)
+    ]
+    return [*both, *space[len(both) :], *picture[len(both) :]]
 
 
 def _frames(path: Path, content: Any) -> list[tuple[int, str, Any]]:
@@ -106,7 +110,7 @@ def _found(content: Mapping[str, Any], keys: tuple[str, ...]) -> Any:
     return next((content[key] for key in keys if content.get(key) is not None), None)
 
 
-def _hands(where: str, frame: Any, in_space: bool, is_mirrored: bool) -> list[_Hand]:
+def _hands(where: str, frame: Any, in_space: bool, is_mirrored: bool) -> list[DetectedHand]:
     if frame is None:
         return []
     labels: Any = []
@@ -133,7 +137,8 @@ def _hands(where: str, frame: Any, in_space: bool, is_mirrored: bool) -> list[_H
         side, score = _label(f"{where}: hand {i}", labels[i] if i < len(labels) else None)
         if side is not None and not is_mirrored:
             side = "left" if side == "right" else "right"
-        result.append(_Hand(points=points, confidence=confidence, side=side, score=score))
+        kinds = {"space": points if in_space else None, "picture": None if in_space else points}
+        result.append(DetectedHand(**kinds, confidence=confidence, label=side, score=score))
     return result
 
 
@@ -160,15 +165,16 @@ def _points(where: str, hand: Any) -> tuple[np.ndarray, np.ndarray | None]:
 
 
 def _label(where: str, label: Any) -> tuple[Side | None, float]:
-    """Side as the file names it, and its score."""
+    """Side as the file names it, and its score; NaN where there is none."""
     if isinstance(label, Mapping) and isinstance(label.get("classification"), list):
         label = label["classification"]
     if isinstance(label, list):
         label = label[0] if label else None
     if label is None:
-        return None, 0.0
+        return None, float("nan")
     name = _found(label, _LABEL_KEYS) if isinstance(label, Mapping) else label
     if not isinstance(name, str) or name.casefold() not in ("left", "right"):
         raise InputError(f"{where}: handedness: expected Left or Right, got {short(name)}")
-    score = label.get("score", 0.0) if isinstance(label, Mapping) else 0.0
-    return ("left" if name.casefold() == "left" else "right"), read_number(f"{where}: handedness.score", score)
+    score = label.get("score") if isinstance(label, Mapping) else None
+    side: Side = "left" if name.casefold() == "left" else "right"
+    return side, float("nan") if score is None else read_number(f"{where}: handedness.score", score)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from torchhand.errors import InputError
-from torchhand.files.detections.record import COUNT, Detections, Side, detections_of
+from torchhand.files.detections.record import COUNT, DetectedHand, Detections, Side, detections_of
 from torchhand.files.disk import read_json, read_numbers, short
 from torchhand.files.pictures import natural_key
 
@@ -49,8 +49,9 @@ def openpose_detections(frames: Sequence[tuple[Path, int, Any]], *, side: Side |
     rows = []
     for (_, number, _), hand in zip(frames, hands, strict=True):
         found = hand[side]
-        rows.append((number, None, None) if found is None else (number, found[:, :2], found[:, 2]))
-    return detections_of(_source(frames), rows, side=side, units="px")
+        own = None if found is None else DetectedHand(picture=found, space=None, confidence=found[:, 2], label=side)
+        rows.append((number, own))
+    return detections_of(_source(frames), rows, side=side)
 
 
 def _source(frames: Sequence[tuple[Path, int, Any]]) -> str:

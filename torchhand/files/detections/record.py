@@ -1,10 +1,13 @@
 """Hand keypoints that a detector found, whatever file they come from."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float64, Int
+from jaxtyping import Float, Float64, Int
 
 from torchhand.errors import InputError
 
@@ -14,65 +17,166 @@ COUNT = 21
 
 
 @dataclass(frozen=True, kw_only=True)
-class Detections:
-    """One hand's keypoints, frame by frame."""
+class DetectedHand:
+    """What a detector found in one frame."""
 
-    keypoints: Float64[np.ndarray, "frames 21 d"]
-    """In the project's order (wrist, thumb, index, middle, ring, little; MediaPipe's and OpenPose's); NaN where
-    missing. d is 3 for metres, 2 for pictures."""
+    picture: Float[np.ndarray, "21 _"] | None
+    """In the picture; NaN where missing, None where the file has none. Columns after the second do not count."""
+    space: Float[np.ndarray, "21 3"] | None
+    """In space, metres in the detector's own frame; NaN where missing, None where the file has none."""
+    confidence: Float[np.ndarray, "21"] | None
+    """Of every point, 0 to 1; None where the detector gives none."""
+    label: Side | None = None
+    """Which hand it is to the detector, where the file tells."""
+    score: float = float("nan")
+    """How sure the detector is of this hand, 0 to 1; NaN where the file does not tell."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Detections:
+    """One hand's keypoints, frame by frame: in the pictures, in space, or both.
+
+    In the project's order: wrist, thumb, index, middle, ring, little, which is that of MediaPipe and OpenPose.
+    """
+
+    picture: Float64[np.ndarray, "frames 21 2"] | None
+    """In px, or in shares of the picture's width and height (`is_normalised`); NaN where missing, None where the file
+    has none."""
+    space: Float64[np.ndarray, "frames 21 3"] | None
+    """Metres in the detector's own frame; NaN where missing, None where the file has none."""
     confidence: Float64[np.ndarray, "frames 21"]
-    """0 where missing, 1 where the detector gives none."""
+    """Of every point, 0 where it is missing, 1 where the detector gives none."""
     frame: Int[np.ndarray, "frames"]
     """Number of each frame in its sequence."""
+    label: tuple[Side | None, ...]
+    """Which hand the detector saw in each frame, where the file tells; points of the other hand are missing."""
+    score: Float64[np.ndarray, "frames"]
+    """How sure the detector was of the hand in each frame, 0 to 1; NaN where the file does not tell."""
     side: Side | None
     """Which hand, where the file tells."""
-    units: Units
-    """metres (in the detector's own frame), px, or shares of the picture's width and height."""
+    is_normalised: bool = False
+    image: tuple[str, ...] | None = None
+    """Name of each frame's picture, where the file tells."""
     size: tuple[int, int] | None = None
     """Width and height of the pictures, px, where the file tells."""
 
     def __len__(self) -> int:
         return len(self.frame)
 
+    @property
+    def units(self) -> Units:
+        """Of `keypoints`."""
+        return "metres" if self.space is not None else "normalised" if self.is_normalised else "px"
+
+    @property
+    def keypoints(self) -> Float64[np.ndarray, "frames 21 d"]:
+        """Those in space where there are some, else those in the pictures."""
+        found = self.picture if self.space is None else self.space
+        assert found is not None
+        return found
+
+    def in_space(self) -> "Detections":
+        """Without what is known of the pictures. Raises ValueError where the points are those of pictures alone."""
+        if self.space is None:
+            raise ValueError("units: expected points in space, got those of a picture")
+        return replace(self, picture=None, is_normalised=False)
+
     def in_pixels(self, width: int, height: int) -> "Detections":
-        """Shares of the picture as px: 0 and 1 are the picture's edges, the centre of the first pixel is (0, 0)."""
-        if self.units == "metres":
+        """Those in the pictures alone, as px: of shares, 0 and 1 are the picture's edges; the centre of the first pixel
+        is (0, 0). Raises ValueError where there are none."""
+        if self.picture is None:
             raise ValueError("units: expected points of a picture, got metres")
-        if self.units == "px":
-            return self
-        points = self.keypoints * np.array((width, height), dtype=np.float64) - 0.5
-        return replace(self, keypoints=points, units="px", size=(width, height))
+        if not self.is_normalised:
+            return replace(self, space=None)
+        points = self.picture * np.array((width, height), dtype=np.float64) - 0.5
+        return replace(self, picture=points, space=None, is_normalised=False, size=(width, height))
+
+    def at_frame(self, number: int) -> DetectedHand | None:
+        """The hand in the frame of a number; None where the file has no such frame, or no hand in it."""
+        return self._at(self._rows_of_frames.get(number))
+
+    def in_image(self, name: str | Path) -> DetectedHand | None:
+        """The hand in the picture of a name, of which folders do not count; None where the file has no such picture, or
+        no hand in it. Raises ValueError where the file does not name its pictures."""
+        if self.image is None:
+            raise ValueError("image: expected detections that name their pictures, got some without names")
+        return self._at(self._rows_of_images.get(Path(name).name))
+
+    @cached_property
+    def _rows_of_frames(self) -> dict[int, int]:
+        return {int(number): row for row, number in enumerate(self.frame)}
+
+    @cached_property
+    def _rows_of_images(self) -> dict[str, int]:
+        return {Path(name).name: row for row, name in enumerate(self.image or ())}
+
+    def _at(self, row: int | None) -> DetectedHand | None:
+        if row is None or not self.confidence[row].any():
+            return None
+        return DetectedHand(
+            picture=None if self.picture is None else self.picture[row],
+            space=None if self.space is None else self.space[row],
+            confidence=self.confidence[row],
+            label=self.label[row],
+            score=float(self.score[row]),
+        )
 
 
 def detections_of(
     where: str,
-    rows: list[tuple[int, np.ndarray | None, np.ndarray | None]],
+    rows: Sequence[tuple[int, DetectedHand | None]],
     *,
     side: Side | None,
-    units: Units,
-    size: tuple[int, int] | None = None,
+    is_normalised: bool = False,
+    image: tuple[str, ...] | None = None,
 ) -> Detections:
-    """The record of frames (number, points, confidences); a frame without a hand has None.
+    """The record of numbered frames; a frame without a hand has None. Hands that are labelled as the other one are no
+    hands.
 
     Raises InputError where no frame has a hand.
     """
-    dimension = 3 if units == "metres" else 2
-    keypoints = np.full((len(rows), COUNT, dimension), np.nan)
-    confidence = np.zeros((len(rows), COUNT))
-    for i, (_, found, trust) in enumerate(rows):
-        if found is not None:
-            keypoints[i] = found[:, :dimension]
-            confidence[i] = 1.0 if trust is None else trust
-    is_missing = ~np.isfinite(keypoints).all(-1) | ~np.isfinite(confidence) | (confidence <= 0)
-    if is_missing.all():
+    labels: tuple[Side | None, ...] = tuple(None if hand is None else hand.label for _, hand in rows)
+    score = np.array([np.nan if hand is None else hand.score for _, hand in rows], dtype=np.float64)
+    hands = [None if hand is None or (side and hand.label not in (side, None)) else hand for _, hand in rows]
+    confidence = np.stack([_confidence(hand) for hand in hands])
+    picture = _stacked([None if hand is None else hand.picture for hand in hands], 2)
+    space = _stacked([None if hand is None else hand.space for hand in hands], 3)
+    is_known = np.zeros(confidence.shape, dtype=bool)
+    for points in (picture, space):
+        if points is not None:
+            points[~np.isfinite(points).all(-1) | ~(confidence > 0)] = np.nan
+            is_known |= np.isfinite(points).all(-1)
+    if not is_known.any():
         of_side = "" if side is None else f" {side}"
         raise InputError(f"{where}: expected at least one{of_side} hand, got none in {len(rows)} frames")
-    keypoints[is_missing], confidence[is_missing] = np.nan, 0.0
     return Detections(
-        keypoints=keypoints,
-        confidence=confidence,
-        frame=np.array([number for number, _, _ in rows], dtype=np.int64),
+        picture=picture,
+        space=space,
+        confidence=np.where(is_known, confidence, 0.0),
+        frame=np.array([number for number, _ in rows], dtype=np.int64),
+        label=labels,
+        score=score,
         side=side,
-        units=units,
-        size=size,
+        is_normalised=is_normalised and picture is not None,
+        image=image,
     )
+
+
+def most_seen(labels: Sequence[Side | None]) -> Side | None:
+    """The side that is told more often, right where both are; None where neither is."""
+    left, right = list(labels).count("left"), list(labels).count("right")
+    return None if not left + right else "left" if left > right else "right"
+
+
+def _confidence(hand: DetectedHand | None) -> Float64[np.ndarray, "21"]:
+    """Of every point; what is no number is 0."""
+    if hand is None:
+        return np.zeros(COUNT)
+    return np.ones(COUNT) if hand.confidence is None else np.nan_to_num(hand.confidence, posinf=0.0).astype(np.float64)
+
+
+def _stacked(rows: Sequence[np.ndarray | None], dimension: int) -> Float64[np.ndarray, "frames 21 d"] | None:
+    if all(points is None for points in rows):
+        return None
+    empty = np.full((COUNT, dimension), np.nan)
+    return np.stack([empty if points is None else points[:, :dimension].astype(np.float64) for points in rows])

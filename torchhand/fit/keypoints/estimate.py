@@ -34,7 +34,7 @@ _ROUGH = Stage(gross_m=1.0, rounds=1, iterations=25)  # points bring a loss of t
 _FINE = Stage(gross_m=1.0, rounds=1, iterations=60)
 _POSE_TOLERANCE, _SHARED_TOLERANCE = 1e-7, 1e-5
 _AT_ONCE = 256
-_KEPT = 3  # of the starts in a picture go on after the first look
+_KEPT = 3  # of the starts in a picture go on after the rough solution
 _ROUNDS = 2  # how often pictures are begun anew with the shape found so far
 _SETTLED = 0.2  # mean change of the shape, in its spread over people, after which pictures are not begun anew
 
@@ -89,14 +89,14 @@ class KeypointEstimator:
 
     def _in_space(self, observed: WorldKeypoints, shape: Tensor, detector: Detector) -> KeypointEstimate:
         points, is_known = observed.points, observed.is_known
-        pose, reference, size = start_in_space(self._kinematics, points, is_known, shape, self._natural)
+        pose, size = start_in_space(self._kinematics, points, is_known, shape, self._natural)
         if detector.has_unknown_scale:
             detector = replace(detector, log_scale=-_middle(size).log())
             scaled = detector.log_scale.exp() * points
-            pose, reference, _ = start_in_space(self._kinematics, scaled, is_known, shape, self._natural)
+            pose, _ = start_in_space(self._kinematics, scaled, is_known, shape, self._natural)
         elif self.columns:
             shape = self._sized(shape, float(_middle(size)))
-        return self._whole(HandPose.of(pose, reference), shape, detector)
+        return self._whole(pose, shape, detector)
 
     def _in_picture(self, observed: PictureKeypoints, shape: Tensor, detector: Detector) -> KeypointEstimate:
         """From the best of several starts for every frame.
@@ -104,14 +104,13 @@ class KeypointEstimator:
         First with points trusted little, so that far starts are drawn in; a few of the best go on as the noise is. In
         a picture, a digit bent towards the camera may look like one bent away: each is then tried the other way.
         """
-        pose, reference = starts_in_picture(observed, shape, self._natural, self.settings.starts)
+        starts = starts_in_picture(observed, shape, self._natural, self.settings.starts)
         fine = self._problem(shape, detector)
         coarse = replace(fine, observations=(replace(observed, detector=detector, std_px=self.coarse_std_px),))
-        kept = _best(_solved(coarse, HandPose.of(pose, reference)), _KEPT)
-        best = _best(_solved(fine, kept), 1).reshape(len(pose))
-        ways = other_ways(best.dofs)
-        tried = HandPose.of(ways, best.reference[:, None])
-        return self._whole(_best(_solved(fine, tried), 1).reshape(len(pose)), shape, detector)
+        kept = _best(_solved(coarse, starts), _KEPT)
+        best = _best(_solved(fine, kept), 1).reshape(-1)
+        best = _best(_solved(fine, other_ways(best)), 1).reshape(-1)
+        return self._whole(best, shape, detector)
 
     def _whole(self, pose: HandPose, shape: Tensor, detector: Detector) -> KeypointEstimate:
         """All frames with what they share, from one pose each."""

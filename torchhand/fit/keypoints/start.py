@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand import BONES, DOFS, FINGERS, JOINT_DOFS, HandKinematics
+from torchhand.hand import BONES, DOFS, FINGERS, JOINT_DOFS, HandKinematics, HandPose
 
 PALM = (0, 5, 9, 13, 17)
 """Wrist and knuckles: they move as one body but for the slight bend of the palm."""
@@ -50,8 +50,8 @@ def start_in_space(
     is_known: Bool[Tensor, "frames 21"],
     shape: Float[Tensor, "shape"],
     posture: Float[Tensor, "36"],
-) -> tuple[Float[Tensor, "frames 36"], Float[Tensor, "frames 3 3"], Float[Tensor, "frames"]]:
-    """Pose with a zero rotation vector, world_from_hand, and the size of the points' palm over that of the shape.
+) -> tuple[HandPose, Float[Tensor, "frames"]]:
+    """Poses with zero rotation vectors, and the sizes of the points' palms over that of the shape.
 
     Exact for points without noise in so far as only wrist-side twists and bends of the palm are those of `posture`,
     from which also come the angles whose points are missing. Angles lie within the limits.
@@ -67,7 +67,7 @@ def start_in_space(
     pose[:, :3] = translation
     pose[:, 3:6] = 0
     pose[:, _ROOT:] = _DigitAngles(kinematics, local, pose[:, _ROOT:]).found()
-    return pose, rotation, scale
+    return HandPose(dofs=pose, reference=rotation), scale
 
 
 class _DigitAngles:

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchhand.fit.keypoints.observation import PictureKeypoints
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand import DOFS, FINGERS, posture
+from torchhand.hand import DOFS, FINGERS, HandPose, posture
 
 _POSTURES = ("open", "fist")  # tried besides the natural posture
 _RING, _LATITUDES_DEG = 8, (-60.0, -30.0, 0.0, 30.0, 60.0)
@@ -33,8 +33,8 @@ def starts_in_picture(
     shape: Float[Tensor, "shape"],
     natural: Float[Tensor, "36"],
     starts: int,
-) -> tuple[Float[Tensor, "frames starts 36"], Float[Tensor, "frames starts 3 3"]]:
-    """Poses with a zero rotation vector and their world_from_hand, the best under weak perspective first.
+) -> HandPose:
+    """Poses (frames, starts) with zero rotation vectors, the best under weak perspective first.
 
     For every viewing direction the best of a few postures is kept; the rotation in the picture, the depth and the
     place are those of the plane similarity that brings its points nearest to the measured ones (in complex numbers,
@@ -83,11 +83,13 @@ def starts_in_picture(
     translation = camera.translation if camera.translation.ndim == 1 else camera.translation[:, None]
     poses = joints[which]
     poses[..., :3] = (world_from_cam @ (root - translation)[..., None]).squeeze(-1)
-    return poses, world_from_cam @ cam_from_hand
+    return HandPose(dofs=poses, reference=world_from_cam @ cam_from_hand)
 
 
-def other_ways(pose: Float[Tensor, "frames 36"]) -> Float[Tensor, "frames 6 36"]:
-    """The poses, then for each digit the same with that digit bent if it was straight, or straight if it was bent."""
+def other_ways(start: HandPose) -> HandPose:
+    """Of each pose (frames) six (frames, 6): itself, then for each digit the same with that digit bent if it was
+    straight, or straight if it was bent."""
+    pose = start.dofs
     bent, straight = (posture(name).to(pose) for name in ("fist", "open"))
     poses = [pose]
     for finger in FINGERS:
@@ -97,4 +99,4 @@ def other_ways(pose: Float[Tensor, "frames 36"]) -> Float[Tensor, "frames 6 36"]
         changed = pose.clone()
         changed[:, own] = torch.where(is_bent, straight[own], bent[own])
         poses.append(changed)
-    return torch.stack(poses, 1)
+    return HandPose.of(torch.stack(poses, 1), start.reference[:, None])
