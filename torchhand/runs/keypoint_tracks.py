@@ -1,12 +1,13 @@
 """Keypoints that a detector found in a recording, read from files and handed out view by view and frame by frame."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 
 from torchhand.errors import InputError
-from torchhand.files import Detections, read_detections
+from torchhand.files import read_detections
 from torchhand.geometry import Camera
 from torchhand.hand import Side
 from torchhand.track import DetectedHand
@@ -35,32 +36,21 @@ class _View:
     """The detections of one camera."""
 
     def __init__(self, path: Path, camera: Camera, side: Side) -> None:
-        picture = read_detections(path, side=side, points="picture")
-        if picture.units == "metres":
+        self._found = read_detections(path, side=side)
+        if self._found.picture is None:
             raise InputError(f"{path}: expected points in the picture, got points in space alone")
-        self._picture = picture.in_pixels(camera.width, camera.height)
-        self._space = _space_of(path, side)
-        self._rows = {int(number): row for row, number in enumerate(self._picture.frame)}
-        self._space_rows = {} if self._space is None else {int(n): row for row, n in enumerate(self._space.frame)}
+        self._pixels = self._found.in_pixels(camera.width, camera.height)
 
     def hand(self, frame: int) -> DetectedHand | None:
-        row = self._rows.get(frame)
-        if row is None:
+        seen, in_picture = self._found.at_frame(frame), self._pixels.at_frame(frame)
+        if seen is None or in_picture is None or in_picture.picture is None or in_picture.confidence is None:
             return None
-        points = torch.from_numpy(self._picture.keypoints[row])
+        points = torch.from_numpy(in_picture.picture)
         is_known = points.isfinite().all(-1)
         if not bool(is_known.any()):
             return None
-        confidence = torch.from_numpy(self._picture.confidence[row])
-        space, place = self._space, self._space_rows.get(frame)
-        in_space = None if space is None or place is None else torch.from_numpy(space.keypoints[place])
-        return DetectedHand(points_px=points, points=in_space, score=float(confidence[is_known].mean()))
-
-
-def _space_of(path: Path, side: Side) -> Detections | None:
-    """Points in space, where the file holds some."""
-    try:
-        found = read_detections(path, side=side, points="space")
-    except InputError:
-        return None
-    return found if found.units == "metres" else None
+        score = seen.score
+        if math.isnan(score):  # of the hand, where the file tells; else the mean of its points
+            score = float(torch.from_numpy(in_picture.confidence)[is_known].mean())
+        space = None if seen.space is None else torch.from_numpy(seen.space)
+        return DetectedHand(points_px=points, points=space, score=score)

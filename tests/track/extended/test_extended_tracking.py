@@ -47,7 +47,7 @@ def test_the_filter_learns_rates_and_noise(followed: Any) -> None:
     assert hand.belief.mean.shape == (2 * count,)  # parameters and velocities
     assert float(hand.belief.mean[count:].abs().max()) > 0.01
     assert hand.density is not None
-    nominal, bounds = motion.density, ABDUCTION.update.adaptive
+    nominal, bounds = motion.density, ExtendedUpdateSettings().adaptive
     assert not torch.equal(hand.density, nominal)
     assert bool((hand.density >= bounds.floor * nominal).all() & (hand.density <= bounds.ceiling * nominal).all())
     last = estimates[-1].pose_std
