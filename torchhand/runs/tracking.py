@@ -67,7 +67,8 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
             if writer.resume_point is not None:
                 run.go_on_from(writer.resume_point.state)
                 done = writer.resume_point.last_frame + 1 - request.start
-            run.save_config(writer.folder, _asked(request), recording.cameras)
+            used = {"camera_is_assumed": recording.cameras[0].is_assumed}
+            run.save_config(writer.folder, _asked(request) | used, recording.cameras)
             run.save_hand(writer.folder)
             _follow(run, recording, writer, done, request, say)
             track, projector = load_track(writer.folder), _projector(run)

@@ -21,6 +21,7 @@ from torchhand.track.tracker import Tracker
 _MOTION = 3.0  # score that a metre of motion is worth, in the mean over the keypoints
 _HOPELESS = 0.1  # gain less than with fewer frames, from which on no more are estimated again
 _LEAP = 0.015  # metres from one frame to the next, in the mean over the keypoints, that few hands move
+_CLOCK_S = 1e-6  # times are compared to this
 _SAME = 0.002  # metres between two hands, in the same mean, that are one
 
 
@@ -68,7 +69,7 @@ class Smoother:
     def remember(self, past: PastFrame) -> None:
         """One more frame, after the last one."""
         self._past.append(past)
-        while self._past and self._past[0].time_s < past.time_s - self._window_s:
+        while self._past and self._past[0].time_s < past.time_s - self._window_s - _CLOCK_S:
             self._past.popleft()
 
     def corrections(self, state: TrackerState, estimate: Estimate) -> list[Estimate]:
@@ -83,7 +84,8 @@ class Smoother:
         after: list[Estimate] = []
         gains = [0.0]
         for past in reversed(self._past):
-            if gains[-1] < max(gains) - _HOPELESS:
+            is_out = past.time_s < estimate.time_s - self._window_s - _CLOCK_S
+            if is_out or gains[-1] < max(gains) - _HOPELESS:
                 break
             followed = self._tracker.follow(state, hand, past.scene(), time_s - past.time_s)
             if followed is None or _distance(followed[1].keypoints, past.keypoints) < _SAME:
