@@ -105,8 +105,8 @@ class SkinPoints:
         self._bones = torch.tensor(bones, device=self.shape.device)
 
     def for_shape(self, hands: PosedHands) -> "SkinPoints":
-        """The skin of the hands' own shape where that is among the unknowns, else this one."""
-        if hands.unknowns is None:
+        """The skin of the hands' own shape: this one where that is its shape."""
+        if hands.shape is self.shape or torch.equal(hands.shape.to(self.shape), self.shape):
             return self
         return hands.once_for_shape(("skin", id(self)), lambda: SkinPoints(self.hand, hands.shape.to(self.shape)))
 
