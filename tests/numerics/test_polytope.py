@@ -47,7 +47,8 @@ def test_feasible_and_idempotent(small: Polytope, generator: torch.Generator, dt
     points = reach * torch.randn(5000, 3, generator=generator, dtype=dtype)
     near = small.nearest(points)
     assert near.dtype == dtype
-    assert float(small.excess(near).max()) < (3e-7 if dtype == torch.float32 else 1e-12)
+    # measured in float64: in float32 the sum alone may be off by one unit in the last place of its terms
+    assert float(small.excess(near.double()).max()) < (3e-7 if dtype == torch.float32 else 1e-12)
     assert torch.equal(small.nearest(near), near)
     inside = points[(small.excess(points) <= 0).all(-1)]
     assert len(inside) > 5
