@@ -85,3 +85,13 @@ def test_the_installed_command_tracks_a_hand(environment: Path, tmp_path: Path) 
     for name in ("track.npz", "track.jsonl", "hand.json", "config.yaml", "overlay.mp4"):
         assert name in found
     assert [name for name in found if name.endswith((".png", ".jpg"))], "the demo leaves a picture to look at"
+
+
+def test_everything_that_the_top_level_names_is_there(environment: Path) -> None:
+    script = (
+        "import sys, torchhand; assert 'torch' not in sys.modules;"
+        "print(*(getattr(torchhand, name) for name in torchhand.__all__))"
+    )
+    python = environment / "bin" / "python"
+    assert "Tracker" in run([str(python), "-c", script], cwd=environment)
+    assert list(environment.rglob("torchhand/py.typed"))

@@ -3,12 +3,41 @@
 import re
 from pathlib import Path
 
+import cv2
+import pytest
+
+from tests.studio import Studio
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
 
 
+def _examples() -> list[str]:
+    return re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+
+
+class _Webcam:
+    """Two pictures of an open hand, then the end."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+        self._pictures = [Studio().placed().picture(seed=seed).numpy()[..., ::-1].copy() for seed in range(2)]
+
+    def read(self) -> tuple:
+        return (True, self._pictures.pop()) if self._pictures else (False, None)
+
+
+def test_the_webcam_example_tracks(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(cv2, "VideoCapture", _Webcam)
+    names: dict = {}
+    exec(compile(_examples()[1], "README.md", "exec"), names)
+    assert names["video"].number == 0
+    assert names["estimate"].status == "tracked"
+    assert capsys.readouterr().out.count("tracked tensor(") == 2
+
+
 def test_the_example_runs_and_its_gradients_are_those_of_the_pinch(capsys) -> None:
-    (example,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+    example = _examples()[0]
     names: dict = {}
     exec(compile(example, "README.md", "exec"), names)
     gradient = names["pose"].grad

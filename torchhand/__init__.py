@@ -1,20 +1,63 @@
 """torchhand: the open, anatomical, differentiable hand, and the trackers that fit it to video.
 
-`Hand` makes the hand as a torch module; import everything else by name, for example
-`from torchhand.hand import HandPrior`. This file loads nothing before it is used, so that the command line answers at
-once.
+`Hand` makes the hand as a torch module, `Tracker` follows one. What is named here is the short way to the packages'
+doors. Nothing is loaded before it is used, so that the command line answers at once.
 """
 
-from typing import TYPE_CHECKING
+import importlib
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import torch
 
     import torchhand.hand
+    from torchhand.files import load_cameras, load_hand_model
+    from torchhand.fit.keypoints import fit_keypoints
+    from torchhand.geometry import Camera, assumed_camera
+    from torchhand.hand import HandPrior
+    from torchhand.runs import settings_of
+    from torchhand.track import Estimate, Tracker, TrackerSettings, TrackerState, View
 
 __version__ = "0.1.0"
 
-__all__ = ["Hand", "__version__"]
+__all__ = [
+    "Camera",
+    "Estimate",
+    "Hand",
+    "HandPrior",
+    "Tracker",
+    "TrackerSettings",
+    "TrackerState",
+    "View",
+    "__version__",
+    "assumed_camera",
+    "fit_keypoints",
+    "load_cameras",
+    "load_hand_model",
+    "settings_of",
+]
+
+_DOORS = {
+    "Camera": "torchhand.geometry",
+    "Estimate": "torchhand.track",
+    "HandPrior": "torchhand.hand",
+    "Tracker": "torchhand.track",
+    "TrackerSettings": "torchhand.track",
+    "TrackerState": "torchhand.track",
+    "View": "torchhand.track",
+    "assumed_camera": "torchhand.geometry",
+    "fit_keypoints": "torchhand.fit.keypoints",
+    "load_cameras": "torchhand.files",
+    "load_hand_model": "torchhand.files",
+    "settings_of": "torchhand.runs",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """What a package's door exports, loaded at its first use."""
+    if name not in _DOORS:
+        raise AttributeError(f"module 'torchhand' has no attribute {name!r}")
+    return getattr(importlib.import_module(_DOORS[name]), name)
 
 
 def Hand(
