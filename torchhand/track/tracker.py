@@ -100,6 +100,7 @@ class Tracker:
         views = [self._undistorted(view, index) for index, view in enumerate(views)]
         looks = state.appearance or self._parts.segmentation.first_looks(views)
         scene = self._parts.segmentation.scene(views, looks, time_s)
+        scene = replace(scene, guesses=tuple(one.pose for one in state.keyframes if one.is_of(time_s)))
         state = replace(
             state,
             appearance=looks,

@@ -10,6 +10,8 @@ from torchhand.hand import HandPose
 from torchhand.track.belief import FollowedHand
 from torchhand.track.scene import Looks
 
+_SAME_TIME_S = 1e-3
+
 
 @dataclass(frozen=True, kw_only=True)
 class Keyframe:
@@ -18,6 +20,10 @@ class Keyframe:
     time_s: float
     pose: HandPose
     """With a zero rotation vector."""
+
+    def is_of(self, time_s: float) -> bool:
+        """Whether it is of this very time."""
+        return abs(self.time_s - time_s) < _SAME_TIME_S
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -58,7 +58,8 @@ class HullUpdate:
     def _fitted(self, predicted: FollowedHand, scene: Scene, shape: Tensor) -> Candidate | None:
         own, prior = self.motion.pose(predicted), self.motion.prior(predicted)
         hull = hull_about(self.fits, scene, own, shape)
-        placed = self.fits.expected(hull, [anchor_of(own)], prior.mean, prior.covariance, shape, scene.masks)
+        starts = [anchor_of(own), *(anchor_of(guess) for guess in scene.guesses)]
+        placed = self.fits.expected(hull, starts, prior.mean, prior.covariance, shape, scene.masks)
         if placed is None or not bool(placed.fit.covariance.isfinite().all()):
             return None
         if self.fits.settings.fitting == "torque":  # which knows no prediction: the fit alone

@@ -21,7 +21,6 @@ from torchhand.track.proposals.protocol import Occasion, Proposals, ProposalSour
 from torchhand.track.scene import Candidate, Health, Scene
 
 _NEAREST = 6  # keyframes that are tried
-_SAME_TIME_S = 1e-3
 _ALTERNATIONS = 3  # of turns and fingers: after a fast turn one leads to the other
 
 
@@ -64,7 +63,7 @@ class KeyframeHere:
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """At most one hand."""
-        here = [one for one in state.keyframes if abs(one.time_s - scene.time_s) < _SAME_TIME_S]
+        here = [one for one in state.keyframes if one.is_of(scene.time_s)]
         if not here or state.shape is None:
             return Proposals()
         fits, anchor = self.shared.fits, anchor_of(here[0].pose)

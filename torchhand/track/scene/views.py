@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from torchhand.fit import mask_plane
+from torchhand.hand import HandPose
 
 T = TypeVar("T")
 
@@ -52,6 +53,8 @@ class Scene:
     probabilities: tuple[Float[Tensor, "_height _width"] | None, ...]
     """Probability that a pixel shows the hand, where colours tell it; None elsewhere."""
     time_s: float
+    guesses: tuple[HandPose, ...] = ()
+    """Hands that were found at this very time before tracking began: further starts of an update."""
     kept: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @property
@@ -74,6 +77,7 @@ class Scene:
             masks=tuple(None if index == view else own for index, own in enumerate(self.masks)),
             probabilities=tuple(None if index == view else own for index, own in enumerate(self.probabilities)),
             time_s=self.time_s,
+            guesses=self.guesses,
         )
 
     def once(self, key: Hashable, make: Callable[[], T]) -> T:
