@@ -21,27 +21,22 @@ from torchhand.fit.observation import Equations, Explained, Factor, Observation,
 from torchhand.fit.posture import PostureResiduals
 from torchhand.fit.priors import ConstraintPrior, GaussianPrior, PosturePrior
 from torchhand.fit.problem import Linearization, Problem
-from torchhand.fit.registration_beliefs import Beliefs, HeldBeliefs
 from torchhand.fit.schedule import Schedule, Stage
 from torchhand.fit.shared import PopulationPrior, SharedPrior, SharedUnknowns
-from torchhand.fit.smoothness import Expectation, smoothness_residual
 from torchhand.fit.solve import Solutions, SolveStatus, covariance_of, solve
 from torchhand.fit.solve_shared import SharedSolution, solve_shared
 
 __all__ = [
     "Agreement",
     "Appearance",
-    "Beliefs",
     "ConstraintPrior",
     "DynamicConstraints",
     "Equations",
-    "Expectation",
     "Explained",
     "Factor",
     "FrameFactor",
     "FrameObservations",
     "GaussianPrior",
-    "HeldBeliefs",
     "Linearization",
     "Observation",
     "PopulationPrior",
@@ -63,7 +58,6 @@ __all__ = [
     "learn_appearance",
     "mask_plane",
     "relearned",
-    "smoothness_residual",
     "solve",
     "solve_shared",
     "summed",

@@ -53,15 +53,6 @@ class PosedHands:
             self.kept_of_shape[key] = make()
         return self.kept_of_shape[key]
 
-    def in_dtype(self, like: Tensor) -> "PosedHands":
-        """The same hands in the dtype and on the device of a tensor."""
-        if self.pose.dofs.dtype == like.dtype and self.pose.dofs.device == like.device:
-            return self
-        return self.once(
-            (like.dtype, like.device),
-            lambda: replace(self, pose=self.pose.to(like), shape=self.shape.to(like), kept={}, kept_of_shape={}),
-        )
-
 
 @dataclass(frozen=True, kw_only=True)
 class Equations:

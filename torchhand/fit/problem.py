@@ -13,7 +13,7 @@ from torchhand.fit.schedule import Stage
 from torchhand.fit.shared import SharedUnknowns
 from torchhand.hand import DOFS, HandPose, PoseSpace, Skeleton
 from torchhand.hand.limits import clamp_to_limits
-from torchhand.numerics.least_squares import ArrowEquations, NormalEquations
+from torchhand.numerics.least_squares import NormalEquations
 
 _ROTATIONS = ("root_rx", "root_ry", "root_rz")
 
@@ -137,29 +137,6 @@ class Linearization:
         hands = replace(self.hands, pose=HandPose(dofs=dofs, reference=reference), kept={})
         factors = self.factors if is_all else tuple(factor.rows(rows) for factor in self.factors)
         return self._in_free(self.sum(factors, hands), moving)
-
-    def arrow(self, values: Float[Tensor, "k free"], vector: Float[Tensor, "c"]) -> ArrowEquations:
-        """Of all rows together with the shared unknowns, their prior included."""
-        problem, shared = self.problem, self.problem.shared
-        assert shared is not None
-        dofs, moving = problem.dofs_of(values)
-        found = self.sum(self.factors, problem.hands(HandPose(dofs=dofs, reference=self.hands.pose.reference), vector))
-        assert found.mixed is not None
-        assert found.shared_gradient is not None
-        assert found.shared_matrix is not None
-        own, prior, basis = (
-            self._in_free(found, moving),
-            shared.prior_equations(vector, problem.shape),
-            self.basis(moving),
-        )
-        return ArrowEquations(
-            blocks=own.matrix,
-            mixed=basis.mT @ found.mixed,
-            shared=found.shared_matrix.sum(0) + prior.matrix,
-            block_gradient=own.gradient,
-            shared_gradient=found.shared_gradient.sum(0) + prior.gradient,
-            cost=own.cost.sum() + prior.cost,
-        )
 
     def explained(self) -> tuple[Explained, ...]:
         """By the hands that data were associated with, observation by observation and view by view."""

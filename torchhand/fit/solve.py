@@ -275,15 +275,7 @@ def _unmoved(problem: Problem, start: HandPose, status: SolveStatus) -> Solution
 
 def _joined(parts: list[Solutions], batch: torch.Size) -> Solutions:
     """The hypotheses of all parts, in the shape of the starts."""
-    explained = tuple(
-        replace(
-            own[0],
-            share=torch.cat([one.share for one in own]),
-            distance=torch.cat([one.distance for one in own]),
-            inside=None if own[0].inside is None else torch.cat([one.inside for one in own if one.inside is not None]),
-        )
-        for own in zip(*(part.explained for part in parts), strict=True)
-    )
+    explained = tuple(Explained.cat(own) for own in zip(*(part.explained for part in parts), strict=True))
     names = [f.name for f in fields(Solutions) if f.name not in ("pose", "explained")]
     tensors = {name: torch.cat([getattr(part, name) for part in parts]) for name in names}
     return Solutions(
