@@ -9,20 +9,24 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.fit.detect import StartPoints
+from torchhand.fit.keypoints import KeypointSettings
 from torchhand.geometry import Camera
 from torchhand.hand import Hand, HandKinematics, named_pose_space
 from torchhand.image import BackgroundPlate
 from torchhand.track.belief import HandMotion
 from torchhand.track.extended import ExtendedUpdate, ExtendedUpdateSettings
 from torchhand.track.multiview import HullUpdate, MomentFitter
-from torchhand.track.proposals import PostureSearch, ProposalSource, hull_sources
+from torchhand.track.proposals import KeypointHand, KeypointStart, PostureSearch, ProposalSource, hull_sources
 from torchhand.track.scene import (
     ColourSegmentation,
     Health,
     RigSegmentation,
+    Scene,
+    SceneKeypoints,
     Segmentation,
     UpdateRule,
     ViewSilhouettes,
+    scene_keypoints,
 )
 from torchhand.track.settings import TrackerSettings
 from torchhand.track.unscented import UnscentedUpdate, UnscentedUpdateSettings
@@ -47,6 +51,11 @@ class Assembly:
     health: Health
     takes_proposals: bool
     """Whether proposals come as candidates of the tracker's own update rule."""
+    keypoint_settings: KeypointSettings
+
+    def keypoints(self, scene: Scene) -> SceneKeypoints:
+        """What detectors found in a scene."""
+        return scene_keypoints(scene, self.cameras, self.kinematics, self.keypoint_settings)
 
 
 def assembled(
@@ -126,6 +135,9 @@ def _of_one_camera(
         start_points=start_points,
         known_shape=shape,
     )
+    start = KeypointStart(
+        kinematics=kinematics, camera=here, settings=s.keypoints, table=own.table, fit=s.fit, known_shape=shape
+    )
     return Assembly(
         kinematics=kinematics,
         cameras=(here,),
@@ -133,9 +145,10 @@ def _of_one_camera(
         motion=own.motion,
         segmentation=ColourSegmentation(kinematics=kinematics, camera=here, settings=s.colours),
         rule=own.rule((here,)),
-        sources=(search,),
+        sources=(KeypointHand(kinematics=kinematics, cameras=(here,), settings=s.keypoints), search, start),
         health=Health(settings=s.health),
         takes_proposals=False,
+        keypoint_settings=s.keypoints,
     )
 
 
@@ -149,6 +162,7 @@ def _of_a_rig(own: _Ingredients, cameras: Sequence[Camera], plates: Sequence[Bac
     fits = MomentFitter(own.hand, silhouettes.cameras, rig)
     motion = own.motion if takes_proposals else replace(own.motion, space=fits.space)
     hull = HullUpdate(fits, motion, health)
+    detected = KeypointHand(kinematics=own.hand.kinematics, cameras=silhouettes.cameras, settings=s.keypoints)
     return Assembly(
         kinematics=own.hand.kinematics,
         cameras=silhouettes.cameras,
@@ -156,7 +170,8 @@ def _of_a_rig(own: _Ingredients, cameras: Sequence[Camera], plates: Sequence[Bac
         motion=own.motion,
         segmentation=RigSegmentation(silhouettes=silhouettes),
         rule=hull if takes_proposals else own.rule(silhouettes.cameras),
-        sources=hull_sources(hull, health),
+        sources=(detected, *hull_sources(hull, health)),
         health=health,
         takes_proposals=takes_proposals,
+        keypoint_settings=s.keypoints,
     )

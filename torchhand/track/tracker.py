@@ -110,6 +110,7 @@ class Tracker:
         followed = None
         if state.hand is not None and predicted is not None and state.shape is not None:
             followed = self._parts.rule.follow(state.hand, predicted, scene, state.shape)
+            followed = self._compared_with_keypoints(followed, scene, state.shape)
         state, search = self._searched(state, followed, predicted, scene)
         return self._adopted(state, search, predicted, scene)
 
@@ -171,6 +172,12 @@ class Tracker:
         seen = view.keypoints
         moved = DetectedHand(points_px=used.pixels_from_plane(points), points=seen.points, score=seen.score)
         return replace(view, keypoints=moved)
+
+    def _compared_with_keypoints(self, found: Candidate | None, scene: Scene, shape: Tensor) -> Candidate | None:
+        """A candidate with what detected keypoints say of it."""
+        if found is None:
+            return None
+        return replace(found, keypoints=self._parts.keypoints(scene).agreement(found.pose, shape))
 
     def _unseen(self, state: TrackerState, predicted: FollowedHand | None) -> tuple[TrackerState, Estimate]:
         """The step over a time of which nothing was seen: after `health.patience` in a row the track is given up."""
@@ -237,14 +244,15 @@ class Tracker:
 
     def _judged(self, proposed: Proposed, scene: Scene, state: TrackerState) -> Candidate | None:
         """A proposal as the tracker's own update rule sees it."""
-        if proposed.candidate is not None and self._parts.takes_proposals:
-            return proposed.candidate
         shape = state.shape if proposed.shape is None else proposed.shape
         if shape is None:
             return None
+        if proposed.candidate is not None and self._parts.takes_proposals:
+            return self._compared_with_keypoints(proposed.candidate, scene, shape)
         if proposed.appearance is not None:  # the first hand: the scene has been segmented without its colours
             scene = self._parts.segmentation.scene(scene.views, (proposed.appearance,), scene.time_s)
-        return self._parts.rule.begin(proposed.pose, proposed.covariance, scene, shape)
+        begun = self._parts.rule.begin(proposed.pose, proposed.covariance, scene, shape)
+        return self._compared_with_keypoints(begun, scene, shape)
 
     # ------------------------------------------------------------------ what follows
 

@@ -2,7 +2,15 @@
 
 from torchhand.fit.detect.edge_fit import Fit, FitSettings
 from torchhand.fit.detect.facing import facing_rotation, shows_same_side, turned_in_picture
-from torchhand.fit.detect.start import NoStart, Start, StartPoints, find_hand, fit_overlap, start_at_points
+from torchhand.fit.detect.start import (
+    NoStart,
+    Start,
+    StartPoints,
+    find_hand,
+    fit_overlap,
+    start_at_points,
+    start_at_pose,
+)
 
 __all__ = [
     "Fit",
@@ -15,5 +23,6 @@ __all__ = [
     "fit_overlap",
     "shows_same_side",
     "start_at_points",
+    "start_at_pose",
     "turned_in_picture",
 ]

@@ -12,7 +12,7 @@ from torchhand.fit.contour import hand_length_px, is_in_picture
 from torchhand.fit.detect.alignment import Alignment, align_points, align_posture
 from torchhand.fit.detect.edge_fit import Fit, FitSettings, fit_contour
 from torchhand.geometry import Camera
-from torchhand.hand import DOFS, HandKinematics
+from torchhand.hand import DOFS, HandKinematics, HandPose
 from torchhand.image import (
     BackgroundPlate,
     SilhouetteSettings,
@@ -142,28 +142,42 @@ def start_at_points(
     """
     best: Start | None = None
     for alignment in align_points(points[:2], points[2:], camera, kinematics, shape, posture):
-        placed = Fit.of_start(alignment.pose, alignment.root_reference, shape)
-        start: Start | None = None
-        for is_first in (True, False, False):
-            appearance = _appearance_of(image, kinematics, camera, placed, palm_only=is_first)
-            if appearance is None:
-                break
-            mask = fill_holes(clean(appearance.probability(image) > 0.5))
-            placed = fit_contour(
-                mask_plane(mask),
-                kinematics,
-                camera,
-                table,
-                placed.pose,
-                placed.root_reference,
-                placed.shape,
-                settings,
-                fit_shape=fit_shape,
-            )
-            start = Start(fit=placed, appearance=appearance, overlap=fit_overlap(mask, kinematics, camera, placed))
-        if start is not None and (best is None or start.overlap > best.overlap):
+        pose = HandPose.of(alignment.pose, alignment.root_reference)
+        start = start_at_pose(image, pose, kinematics, camera, shape, table, fit_shape=fit_shape, settings=settings)
+        if isinstance(start, Start) and (best is None or start.overlap > best.overlap):
             best = start
     return best or NoStart(reason="the hand placed at the start points lies outside the picture", has_foreground=False)
+
+
+def start_at_pose(
+    image: UInt8[Tensor, "height width 3"],
+    pose: HandPose,
+    kinematics: HandKinematics,
+    camera: Camera,
+    shape: Float[Tensor, "shape"],
+    table: OutlineTable,
+    *,
+    fit_shape: bool = True,
+    settings: FitSettings | None = None,
+) -> Start | NoStart:
+    """Starts from a hand that is placed already, in the camera's frame.
+
+    The colours of the palm so placed, against those around the hand, give a silhouette to fit; then those of the fitted
+    hand give a better one. A small overlap is the caller's to judge.
+    """
+    at = pose.normalized()
+    placed = Fit.of_start(at.dofs, at.reference, shape)
+    start: Start | None = None
+    for is_first in (True, False, False):
+        appearance = _appearance_of(image, kinematics, camera, placed, palm_only=is_first)
+        if appearance is None:
+            break
+        mask = fill_holes(clean(appearance.probability(image) > 0.5))
+        plane = mask_plane(mask)
+        where = (placed.pose, placed.root_reference, placed.shape)
+        placed = fit_contour(plane, kinematics, camera, table, *where, settings, fit_shape=fit_shape)
+        start = Start(fit=placed, appearance=appearance, overlap=fit_overlap(mask, kinematics, camera, placed))
+    return start or NoStart(reason="the placed hand lies outside the picture", has_foreground=False)
 
 
 def _spread(alignment: Alignment, factor: float) -> Alignment:

@@ -1,8 +1,10 @@
 """Hands fitted to keypoints, in space or in pictures; keypoints as observations."""
 
 from torchhand.fit.keypoints.fit import KeypointFit, fit_keypoints
-from torchhand.fit.keypoints.observation import PictureKeypoints, SpaceKeypoints
+from torchhand.fit.keypoints.observation import PictureKeypoints
+from torchhand.fit.keypoints.placement import place_hand
 from torchhand.fit.keypoints.points import Detector, KeypointSettings
+from torchhand.fit.keypoints.posture import PostureKeypoints
 from torchhand.fit.keypoints.settings import KeypointFitSettings
 from torchhand.fit.keypoints.world import WorldKeypoints
 
@@ -12,7 +14,8 @@ __all__ = [
     "KeypointFitSettings",
     "KeypointSettings",
     "PictureKeypoints",
-    "SpaceKeypoints",
+    "PostureKeypoints",
     "WorldKeypoints",
     "fit_keypoints",
+    "place_hand",
 ]

@@ -1,9 +1,4 @@
-"""Detected keypoints as observations: in one camera's picture, and in space up to a similarity.
-
-A detector's points in space (such as MediaPipe's world landmarks) have an origin, a size and, for want of the camera,
-an orientation of their own. What they tell is the posture, so they are compared with the hand's keypoints after the
-similarity that lays them over these best.
-"""
+"""Keypoints that a detector found in one camera's picture, as an observation."""
 
 from dataclasses import dataclass, replace
 
@@ -17,17 +12,14 @@ from torchhand.fit.keypoints.points import (
     KeypointSettings,
     equations_of_points,
     frames_of,
-    pose_jacobian,
-    shape_jacobian_of,
     trusted_share,
 )
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics
 from torchhand.numerics import RobustLoss
 
-IN_PICTURE, IN_SPACE = "keypoints", "keypoints in space"
+IN_PICTURE = "keypoints"
 _NEAREST = 0.01  # metres from the camera: points nearer than this cannot be compared
-_FEWEST_IN_SPACE = 5  # points that determine a similarity and still say something of the posture
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,6 +117,12 @@ class PictureKeypointFactor:
         away = self._projected(hands)[0] - self.points
         return torch.where(self.weight > 0, away.norm(dim=-1), 0.0)
 
+    def deviation(self, hands: PosedHands) -> Float[Tensor, "k 21"]:
+        """Distance of every point from the hand's keypoint in standard deviations along one axis, over √2; NaN for
+        missing ones."""
+        away = (0.5 * self.weight).sqrt() * self.distance(hands)
+        return torch.where(self.weight > 0, away, torch.nan)
+
     def equations(self, hands: PosedHands) -> Equations:
         """In the DOFs, and in the shared unknowns where there are some."""
         pixels, slopes, depth = self._projected(hands)
@@ -176,146 +174,3 @@ class PictureKeypointFactor:
         rotation = camera.rotation.to(plane)
         turned = on_plane @ (rotation if rotation.ndim == 2 else rotation[:, None])
         return camera.pixels_from_plane(plane), camera.pixel_jacobian(plane) @ turned, in_cam[..., 2]
-
-
-@dataclass(frozen=True, kw_only=True)
-class SpaceKeypoints:
-    """Points in space up to a similarity; one hand for all hypotheses, or a row for each frame."""
-
-    points: Float[Tensor, "#rows 21 3"]
-    """Metres, any frame; NaN for missing points."""
-    kinematics: HandKinematics
-    settings: KeypointSettings
-
-    @property
-    def is_empty(self) -> bool:
-        return int(self.points.isfinite().all(-1).sum(-1).max()) < _FEWEST_IN_SPACE
-
-    def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "SpaceKeypoints":
-        """Of some of the frames; itself where the points are the same for all."""
-        return self if len(self.points) == 1 else replace(self, points=self.points[rows])
-
-    def associate(self, hands: PosedHands, stage: Stage) -> "SpaceKeypointFactor":
-        """What each point counts: less, the farther it is from the hand."""
-        s, keypoints = self.settings, frames_of(self.kinematics, hands).keypoints
-        points = self.points.to(keypoints).expand(len(hands), -1, -1)
-        is_known = points.isfinite().all(-1)
-        is_known &= is_known.sum(-1, keepdim=True) >= _FEWEST_IN_SPACE
-        known = torch.where(is_known[..., None], points, 0.0)
-        factor = SpaceKeypointFactor(
-            kinematics=self.kinematics,
-            points=known,
-            weight=torch.where(is_known, s.space_std_m**-2, 0.0).to(known),
-            trust=torch.ones_like(known[..., 0]),
-        )
-        away = (keypoints - factor.laid_over(keypoints)).norm(dim=-1)
-        return replace(factor, trust=s.trust(away, s.space_std_m, s.space_std_m, stage))
-
-
-@dataclass(frozen=True, kw_only=True)
-class SpaceKeypointFactor:
-    """½ Σ trust · |keypoint - similarity(point)|² / std² for the best similarity; a row per hand.
-
-    The derivative is that of the variable projection (Kaufman 1975): what a similarity of the points can follow costs
-    nothing, so that place, orientation and size of the hand are left to others.
-    """
-
-    kinematics: HandKinematics
-    points: Float[Tensor, "k 21 3"]
-    weight: Float[Tensor, "k 21"]
-    """Inverse variances, m⁻²; 0 for missing points."""
-    trust: Float[Tensor, "k 21"]
-
-    def laid_over(self, keypoints: Float[Tensor, "k 21 3"]) -> Float[Tensor, "k 21 3"]:
-        """The points after the similarity that lays them over the keypoints best (Umeyama 1991)."""
-        weight = self.weight * self.trust
-        total = weight.sum(-1).clamp_min(torch.finfo(weight.dtype).tiny)[:, None]
-        middle, wanted = ((weight[..., None] * x).sum(-2) / total for x in (self.points, keypoints))
-        own, other = self.points - middle[:, None], keypoints - wanted[:, None]
-        product = (weight[..., None] * other).mT @ own
-        left, singular, right = torch.linalg.svd(product)
-        sign = torch.ones_like(singular)
-        sign[:, 2] = torch.where(torch.linalg.det(left) * torch.linalg.det(right) < 0, -1.0, 1.0)
-        spread = (weight * own.square().sum(-1)).sum(-1).clamp_min(torch.finfo(weight.dtype).tiny)
-        scale = (singular * sign).sum(-1) / spread
-        rotation = (left * sign[:, None]) @ right
-        return scale[:, None, None] * (own @ rotation.mT) + wanted[:, None]
-
-    def equations(self, hands: PosedHands) -> Equations:
-        """In the DOFs, and in the shape where it is unknown."""
-        keypoints = frames_of(self.kinematics, hands).keypoints
-        laid = self.laid_over(keypoints)
-        root = (self.weight * self.trust).sqrt()[..., None]
-        residual = (root * (keypoints - laid)).flatten(1)
-        tangent = _similarity_tangent(root, keypoints, laid)
-        rows = _without(tangent, (root[..., None] * pose_jacobian(self.kinematics, hands)).flatten(1, 2))
-        shared = None
-        if hands.unknowns is not None:
-            shared = _without(tangent, (root[..., None] * _shape_jacobian(self.kinematics, hands)).flatten(1, 2))
-        cost = 0.5 * residual.square().sum(-1)
-        return Equations.of_rows(residual, torch.ones_like(residual), rows, cost, shared=shared)
-
-    def predict(self, hands: PosedHands) -> Float[Tensor, "k m"]:
-        """Keypoints of any number of hands, each laid over the points of the first row by the similarity that fits
-        best:
-        what of them the points can tell."""
-        keypoints = frames_of(self.kinematics, hands).keypoints
-        count = len(keypoints)
-        inverse = SpaceKeypointFactor(
-            kinematics=self.kinematics,
-            points=keypoints,
-            weight=self.weight[:1].expand(count, -1),
-            trust=self.trust[:1].expand(count, -1),
-        )
-        return inverse.laid_over(self.points[:1].expand(count, -1, -1)).flatten(1)
-
-    def measurement(self) -> tuple[Float[Tensor, "m"], Float[Tensor, "m"], Bool[Tensor, "m"]]:
-        """Of the first row: values, variances, and which are known; for filters."""
-        precision = (self.weight[0] * self.trust[0])[:, None].expand(-1, 3).flatten()
-        is_known = precision > 0
-        return self.points[0].flatten(), torch.where(is_known, precision, 1.0).reciprocal(), is_known
-
-    def rows(self, rows: Int[Tensor, "n"]) -> "SpaceKeypointFactor":
-        """Of some of the hands."""
-        return replace(self, points=self.points[rows], weight=self.weight[rows], trust=self.trust[rows])
-
-    def explained(self) -> tuple[Explained, ...]:
-        """Share of the points that are trusted by half at least; their distance counts for nothing here."""
-        share = trusted_share(self.weight, self.trust)
-        return (Explained(name=IN_SPACE, view=None, share=share, distance=torch.zeros_like(share)),)
-
-
-def _shape_jacobian(kinematics: HandKinematics, hands: PosedHands) -> Float[Tensor, "k 21 3 c"]:
-    """In the shared unknowns; those after the shape have no effect."""
-    assert hands.unknowns is not None
-    found = shape_jacobian_of(kinematics, hands.unknowns.columns)(frames_of(kinematics, hands), hands.shape)
-    return torch.nn.functional.pad(found, (0, len(hands.unknowns.extra)))
-
-
-def _similarity_tangent(
-    root: Float[Tensor, "k 21 1"], keypoints: Float[Tensor, "k 21 3"], laid: Float[Tensor, "k 21 3"]
-) -> Float[Tensor, "k 63 7"]:
-    """An orthonormal basis of how weighted residuals change with translation, rotation and size.
-
-    The residuals of the best similarity are at right angles to all of it: to turns of the keypoints as to those of the
-    points laid over them, and to a change of these points' size.
-    """
-    count = len(laid)
-    shift = torch.eye(3, dtype=laid.dtype, device=laid.device).expand(count, laid.shape[1], 3, 3)
-    arm, size = (x - _weighted_mean(root, x) for x in (keypoints, laid))
-    x, y, z = arm.unbind(-1)
-    zero = torch.zeros_like(x)
-    turn = torch.stack((zero, z, -y, -z, zero, x, y, -x, zero), -1).unflatten(-1, (3, 3))
-    columns = torch.cat((shift, turn, size[..., None]), -1)
-    basis, _ = torch.linalg.qr((root[..., None] * columns).flatten(1, 2))
-    return basis
-
-
-def _weighted_mean(root: Float[Tensor, "k 21 1"], points: Float[Tensor, "k 21 3"]) -> Float[Tensor, "k 1 3"]:
-    weight = root.square()
-    return (weight * points).sum(1, keepdim=True) / weight.sum(1, keepdim=True).clamp_min(1e-30)
-
-
-def _without(basis: Float[Tensor, "k 63 7"], rows: Float[Tensor, "k 63 n"]) -> Float[Tensor, "k 63 n"]:
-    """The part of the columns that is at right angles to the basis."""
-    return rows - basis @ (basis.mT @ rows)

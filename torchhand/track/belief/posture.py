@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.geometry import vector_from_rotation
@@ -23,6 +23,9 @@ class PostureMeasurements:
     """Radians squared."""
     tilts: tuple[tuple[int, int], ...]
     """(row, axis of the camera) of the beliefs about the tilt since the start."""
+    is_tie: Bool[Tensor, "rows"]
+    """Beliefs that hold for every posture; the others say that a hand stays like that of the start, for want of
+    anything that tells."""
 
     def value(self, reference: Float[Tensor, "3 3"], start_reference: Float[Tensor, "3 3"]) -> Float[Tensor, "rows"]:
         """What the beliefs expect of a hand whose rotation is a left perturbation of `reference`, radians.
@@ -44,6 +47,7 @@ def posture_prior(space: PoseSpace, settings: PosturePriorSettings, *, has_tilt:
     """
     rows: list[Tensor] = []
     variances: list[float] = []
+    ties: list[bool] = []
     tilts: list[tuple[int, int]] = []
     names = space.free_names
     for i, name in enumerate(names):
@@ -64,7 +68,13 @@ def posture_prior(space: PoseSpace, settings: PosturePriorSettings, *, has_tilt:
             std = settings.side_std_rad
         else:
             std = settings.rest_std_rad
+        ties.append(name.endswith("_dip_fe") and middle_joint in names)
         rows.append(row)
         variances.append(std**2)
     matrix = torch.stack(rows) if rows else torch.zeros(0, len(names), dtype=torch.float64)
-    return PostureMeasurements(matrix=matrix, variance=torch.tensor(variances, dtype=torch.float64), tilts=tuple(tilts))
+    return PostureMeasurements(
+        matrix=matrix,
+        variance=torch.tensor(variances, dtype=torch.float64),
+        tilts=tuple(tilts),
+        is_tie=torch.tensor(ties, dtype=torch.bool),
+    )

@@ -31,7 +31,7 @@ from torchhand.track.belief import FollowedHand, HandMotion
 from torchhand.track.extended.registration import Pictures, SceneRegistration
 from torchhand.track.extended.segment_observation import SCALARS, SegmentObservation, StackedSegments
 from torchhand.track.extended.settings import ExtendedUpdateSettings
-from torchhand.track.scene import Candidate, Scene, SilhouetteComparison, keypoint_observations
+from torchhand.track.scene import Candidate, Scene, SilhouetteComparison, detected_hand, scene_keypoints
 from torchhand.view import Contours, HandProjector, MeshContours, OutlineTable, PrimitiveContours
 
 _HOLE = 3e-4  # largest hole of a silhouette that is filled, squares of the hand's length
@@ -80,8 +80,12 @@ class ExtendedUpdate:
         expected, last = self.motion.pose(predicted), self.motion.pose(hand)
         registration = self._registration(hand, last, scene, shape)
         pictures = registration.pictures(self._silhouettes(expected, scene, made), s.schedule)
-        starts = HandPose.stack([expected.about(last.reference), last])
-        found = registration.best(pictures, starts, s.schedule)
+        starts = [expected.about(last.reference), last]
+        where = (self.cameras, self.kinematics, self.keypoints, shape)
+        if (detected := detected_hand(scene, *where)) is not None:
+            starts.append(detected)
+
+        found = registration.best(pictures, HandPose.stack(starts), s.schedule)
         if s.hypotheses and bool(self.motion.space.basis[_ROOT:].any()):
             if registration.normalized_residual(found) > 1:
                 found, pictures = registration.reinitialized(found, pictures, _foreground(scene))
@@ -119,7 +123,7 @@ class ExtendedUpdate:
             shape=shape,
             contours=made.contours,
             projectors=made.projectors,
-            keypoints=keypoint_observations(scene, self.cameras, self.kinematics, self.keypoints),
+            keypoints=scene_keypoints(scene, self.cameras, self.kinematics, self.keypoints).observations,
             priors=self._priors,
             scene=scene,
             pose=last,

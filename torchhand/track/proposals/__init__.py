@@ -1,7 +1,8 @@
 """Proposals: other hands that may explain a scene, by the shape of a posture, of a hull, by turns and fingers."""
 
 from torchhand.track.proposals.hull import hull_sources
+from torchhand.track.proposals.keypoints import KeypointHand, KeypointStart
 from torchhand.track.proposals.posture_search import PostureSearch
 from torchhand.track.proposals.protocol import Proposals, ProposalSource, Proposed
 
-__all__ = ["PostureSearch", "ProposalSource", "Proposals", "Proposed", "hull_sources"]
+__all__ = ["KeypointHand", "KeypointStart", "PostureSearch", "ProposalSource", "Proposals", "Proposed", "hull_sources"]

@@ -3,7 +3,7 @@
 from torchhand.track.scene.agreement import Agreement, SilhouetteComparison, mean_overlap
 from torchhand.track.scene.candidate import Candidate
 from torchhand.track.scene.health import Health, HealthSettings
-from torchhand.track.scene.keypoints import keypoint_observations
+from torchhand.track.scene.keypoints import SceneKeypoints, detected_hand, scene_keypoints
 from torchhand.track.scene.segmentation import (
     ColourSegmentation,
     ColourUpdateSettings,
@@ -30,11 +30,13 @@ __all__ = [
     "PackedMask",
     "RigSegmentation",
     "Scene",
+    "SceneKeypoints",
     "Segmentation",
     "SilhouetteComparison",
     "UpdateRule",
     "View",
     "ViewSilhouettes",
-    "keypoint_observations",
+    "detected_hand",
     "mean_overlap",
+    "scene_keypoints",
 ]

@@ -25,6 +25,8 @@ class Candidate:
     """Normalised innovation squared per accepted measurement; None where it means nothing."""
     inside: float | None = None
     """Share of the skin inside the hull of all silhouettes; None where there is no hull."""
+    keypoints: float | None = None
+    """How far the hand is the one that a detector found, 0 to 1; None where it found none."""
     cost: float = 0.0
     """Nats, comparable between candidates of one scene; 0 where the update has no cost."""
     is_sound: bool = True

@@ -27,6 +27,10 @@ class HealthSettings:
     """Smallest overlap with which a proposed hand is taken as found; 0 to 1."""
     edge_weight: float = 0.0
     """Share of the score that edges have beside areas; 0 to 1."""
+    keypoint_weight: float = 0.3
+    """Share of the score that detected keypoints have, where there are any; 0 to 1."""
+    min_keypoints: float = 0.5
+    """Agreement with detected keypoints below which a hand is degraded; 0 to 1."""
     memory: float = 1.0
     """Share of the usual score that outlasts a frame; 0 to 1, 1 keeps that of the start."""
     max_score_drop: float = 0.06
@@ -67,8 +71,16 @@ class HealthSettings:
         )
 
     def __post_init__(self) -> None:
-        shares = ("min_overlap", "min_edges", "min_in_view", "found_overlap", "edge_weight", "memory")
-        for name in (*shares, "max_score_drop", "better_by", "turned_by"):
+        shares = (
+            "min_overlap",
+            "min_edges",
+            "min_in_view",
+            "found_overlap",
+            "edge_weight",
+            "memory",
+            "keypoint_weight",
+        )
+        for name in (*shares, "min_keypoints", "max_score_drop", "better_by", "turned_by"):
             require(0 <= getattr(self, name) <= 1, f"health.{name}", "0 to 1", getattr(self, name))
         require(self.max_unexplained >= 0, "health.max_unexplained", "0 or more", self.max_unexplained)
         for name in ("patience", "search_every"):
@@ -79,14 +91,22 @@ class HealthSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Health:
-    """Judges candidates by areas and edges of the silhouettes."""
+    """Judges candidates by areas and edges of the silhouettes, and by detected keypoints."""
 
     settings: HealthSettings
 
     def score(self, candidate: Candidate) -> float:
         """How much of the pictures a candidate explains, 0 to 1."""
         weight = self.settings.edge_weight
-        return (1 - weight) * candidate.overlap + weight * candidate.edges
+        own = (1 - weight) * candidate.overlap + weight * candidate.edges
+        if candidate.keypoints is None:
+            return own
+        weight = self.settings.keypoint_weight
+        return (1 - weight) * own + weight * candidate.keypoints
+
+    def is_detected_elsewhere(self, candidate: Candidate) -> bool:
+        """Whether a detector found another hand than this one."""
+        return candidate.keypoints is not None and candidate.keypoints < self.settings.min_keypoints
 
     def is_failing(self, candidate: Candidate | None) -> bool:
         """Whether the pictures do not bear a hand out."""
@@ -109,6 +129,8 @@ class Health:
         """Whether alternatives should be tried. usual: the score of the frames before, 0 where there are none."""
         s = self.settings
         if candidate is None or self.is_failing(candidate) or not candidate.is_sound:
+            return True
+        if self.is_detected_elsewhere(candidate):
             return True
         has_dropped = self.score(candidate) < usual - s.max_score_drop
         return has_dropped or candidate.agreement.most_unexplained > s.max_unexplained

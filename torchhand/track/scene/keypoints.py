@@ -1,25 +1,57 @@
-"""Detected keypoints of a scene as observations of the hand."""
+"""Detected keypoints of a scene as observations of the hand, and the hand that they alone tell of."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
-from torchhand.fit.keypoints import KeypointSettings, PictureKeypoints, SpaceKeypoints
+from torchhand.fit import PosedHands, Stage
+from torchhand.fit.keypoints import KeypointSettings, PictureKeypoints, PostureKeypoints, place_hand
 from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics
+from torchhand.hand import HandKinematics, HandPose
 from torchhand.track.scene.views import Scene
 
-KeypointObservation = PictureKeypoints | SpaceKeypoints
+_COMPARED = Stage(gross_m=0.01)
 
 
-def keypoint_observations(
+@dataclass(frozen=True, kw_only=True)
+class SceneKeypoints:
+    """Of every view in which a detector found a hand."""
+
+    pictures: tuple[PictureKeypoints, ...]
+    postures: tuple[PostureKeypoints, ...]
+    """Of those that have points in space."""
+
+    @property
+    def observations(self) -> tuple[PictureKeypoints | PostureKeypoints, ...]:
+        return (*self.pictures, *self.postures)
+
+    def agreement(self, pose: HandPose, shape: Float[Tensor, "shape"]) -> float | None:
+        """How far a hand is the detector's, 0 to 1: mean over the points in the pictures and over the fingers of the
+        postures of 1 / (1 + d² / 4), d in root mean square standard deviations. None where nothing was detected."""
+        hands = PosedHands(pose=pose.reshape(1), shape=shape)
+        found = [one.associate(hands, _COMPARED).deviation(hands)[0] for one in self.observations]
+        shares = [float((1 / (1 + one[one.isfinite()] ** 2 / 4)).mean()) for one in found if bool(one.isfinite().any())]
+        return sum(shares) / len(shares) if shares else None
+
+
+def scene_keypoints(
     scene: Scene, cameras: Sequence[Camera], kinematics: HandKinematics, settings: KeypointSettings
-) -> tuple[KeypointObservation, ...]:
-    """Of every view in which a detector found a hand: its points in the picture, and in space up to a similarity.
+) -> SceneKeypoints:
+    """The detector's hands; computed once for a scene.
 
-    Points that a detector does not believe itself (a score below `settings.min_score`) are left out.
+    Hands that a detector does not believe itself (a score below `settings.min_score`) are left out.
     """
-    found: list[KeypointObservation] = []
+    return scene.once("keypoints", lambda: _made(scene, cameras, kinematics, settings))
+
+
+def _made(
+    scene: Scene, cameras: Sequence[Camera], kinematics: HandKinematics, settings: KeypointSettings
+) -> SceneKeypoints:
+    pictures: list[PictureKeypoints] = []
+    postures: list[PostureKeypoints] = []
     for index, (view, camera) in enumerate(zip(scene.views, cameras, strict=True)):
         seen = view.keypoints
         if seen is None or seen.score < settings.min_score:
@@ -28,8 +60,35 @@ def keypoint_observations(
         in_picture = PictureKeypoints(
             points_px=points_px, kinematics=kinematics, camera=camera, settings=settings, view=index
         )
-        found.append(in_picture)
+        if in_picture.is_empty:
+            continue
+        pictures.append(in_picture)
         if seen.points is not None:
-            points = seen.points.to(torch.float64)[None]
-            found.append(SpaceKeypoints(points=points, kinematics=kinematics, settings=settings))
-    return tuple(one for one in found if not one.is_empty)
+            posture = PostureKeypoints.of_points(
+                seen.points.to(torch.float64)[None],
+                kinematics,
+                kinematics.default_shape,  # angles between bones do not depend on it
+                settings,
+                world_from_points=camera.rotation.to(torch.float64).mT,
+                view=index,
+            )
+            postures += [] if posture.is_empty else [posture]
+    return SceneKeypoints(pictures=tuple(pictures), postures=tuple(postures))
+
+
+def detected_hand(
+    scene: Scene,
+    cameras: Sequence[Camera],
+    kinematics: HandKinematics,
+    settings: KeypointSettings,
+    shape: Float[Tensor, "shape"],
+) -> HandPose | None:
+    """The hand that the detected points of all views tell of; computed once for a scene. None without any, and where
+    none fits them."""
+    seen = scene_keypoints(scene, cameras, kinematics, settings)
+
+    def placed() -> HandPose | None:
+        found = place_hand(seen.pictures, seen.postures, kinematics, shape)
+        return None if found is None or not bool(found.cost.isfinite()) else found.pose.normalized()
+
+    return scene.once(("detected", id(shape)), placed)

@@ -13,7 +13,7 @@ from torchhand.geometry import Camera
 from torchhand.hand import HandFrames, HandKinematics, HandPose
 from torchhand.numerics import Gaussian, observed_points, update
 from torchhand.track.belief import FollowedHand, HandMotion, posture_prior
-from torchhand.track.scene import Candidate, Scene, SilhouetteComparison, keypoint_observations
+from torchhand.track.scene import Candidate, Scene, SilhouetteComparison, scene_keypoints
 from torchhand.track.unscented.edges import ContourVisibility, EdgeMeasurement, EdgeSearch, Planes
 from torchhand.track.unscented.settings import UnscentedUpdateSettings
 from torchhand.view import HandProjector, OutlineTable
@@ -60,8 +60,9 @@ class UnscentedUpdate:
     def follow(
         self, hand: FollowedHand, predicted: FollowedHand, scene: Scene, shape: Float[Tensor, "shape"]
     ) -> Candidate | None:
-        """The prediction corrected in `passes` updates with fresh edges."""
-        measured = _Measured(hand=predicted)
+        """The prediction corrected by detected keypoints, which tell which finger is where, then in `passes` updates
+        with fresh edges."""
+        measured = _Measured(hand=self._with_keypoints(predicted, scene, shape))
         for _ in range(self.settings.passes):
             measured = self._updated(measured, scene, shape)
         return self._candidate(measured, scene, shape)
@@ -94,6 +95,23 @@ class UnscentedUpdate:
             nis=measured.nis,
         )
 
+    def _with_keypoints(self, hand: FollowedHand, scene: Scene, shape: Tensor) -> FollowedHand:
+        """A hand corrected by all detected keypoints; those far from it count less, but none is refused."""
+        seen = scene_keypoints(scene, self.cameras, self.kinematics, self.keypoints).observations
+        if not seen:
+            return hand
+        s, count = self.settings, self.motion.space.size
+        candidates = observed_points(hand.belief, s.transform, count)
+        poses = HandPose.of(self.motion.space.about(hand.base).dof(candidates), hand.reference)
+        posed = PosedHands(pose=poses, shape=shape)
+        stack = _Stack()
+        for one in seen:
+            factor = one.associate(replace(posed, pose=poses[:1], kept={}), _KEYPOINTS)
+            stack.add(factor.predict(posed), *factor.measurement())
+        predicted, value, variance, valid = stack.joined()
+        result = update(hand.belief, lambda _: predicted, value, variance, s.transform, valid=valid, observed=count)
+        return self.motion.limited(replace(hand, belief=result.state))
+
     def _updated(self, before: _Measured, scene: Scene, shape: Tensor) -> _Measured:
         """One measurement update with fresh edges of all views, the keypoints, and weak beliefs about posture.
 
@@ -108,18 +126,14 @@ class UnscentedUpdate:
         edges = self._edges(before, frames, projectors, scene)
         if not any(edges):
             return _Measured(hand=hand)
-        posed = PosedHands(pose=poses, shape=shape, kept={("frames", id(self.kinematics)): frames})
         prior = self._prior.value(hand.reference, hand.start_reference)
         stack = _Stack()
         for one in edges:
             if one is not None:
                 stack.add(one.predicted, one.value, one.variance, one.is_found)
-        stack.add(
-            candidates @ self._prior.matrix.T, prior, self._prior.variance, torch.ones_like(prior, dtype=torch.bool)
-        )
-        for observation in keypoint_observations(scene, self.cameras, self.kinematics, self.keypoints):
-            factor = observation.associate(replace(posed, pose=poses[:1], kept={}), _KEYPOINTS)
-            stack.add(factor.predict(posed), *factor.measurement())
+        is_told = bool(scene_keypoints(scene, self.cameras, self.kinematics, self.keypoints).postures)
+        is_believed = self._prior.is_tie if is_told else torch.ones_like(prior, dtype=torch.bool)
+        stack.add(candidates @ self._prior.matrix.T, prior, self._prior.variance, is_believed)
         predicted, value, variance, valid = stack.joined()
         result = update(
             hand.belief,

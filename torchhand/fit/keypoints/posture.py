@@ -1,0 +1,169 @@
+"""What detected points in space tell of the hand, whatever their frame and size: its joint angles, each with an error.
+
+A detector's points in space (such as MediaPipe's world landmarks) have an origin, a size and bones of their own, and
+their errors go on from one end of a finger to the other. Angles between bones are free of all of that, so the points
+are read as a posture once, and hands are compared with the posture.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from torchhand.fit import Equations, Explained, PosedHands, Stage
+from torchhand.fit.keypoints.points import KeypointSettings
+from torchhand.fit.keypoints.prior import missing_share, natural_posture
+from torchhand.fit.keypoints.start import palm_weight, start_in_space
+from torchhand.hand import FINGERS, JOINT_DOFS, HandKinematics, HandPose
+
+POSTURE = "posture of keypoints"
+_FEWEST = 5  # points that tell how the hand is turned and still something of its fingers
+_FREEDOM = 4.0  # degrees of freedom of the t distribution of a finger's errors
+_PER_FINGER = len(JOINT_DOFS) // len(FINGERS)
+
+# Root mean square error in radians of the angles of MediaPipe's world landmarks, read as here, by the ending of the
+# DOF's name: medians over the recordings of tests/fit/keypoints/test_posture_keypoints.py. Others are not read.
+_STD = {
+    "thumb_cmc_fe": 0.25,
+    "thumb_cmc_aa": 0.20,
+    "thumb_mcp_fe": 0.20,
+    "thumb_ip_fe": 0.30,
+    "_mcp_fe": 0.26,
+    "_pip_fe": 0.31,
+    "_dip_fe": 0.40,
+    "_mcp_aa": 0.16,
+}
+
+
+def _std_of(dof: str) -> float:
+    if dof in _STD:
+        return _STD[dof]
+    endings = [ending for ending in _STD if ending.startswith("_") and dof.endswith(ending)]
+    return _STD[endings[0]] if endings and not dof.startswith("thumb") else math.inf
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureKeypoints:
+    """Joint angles as points in space have them; one hand for all hypotheses, or a row for each frame."""
+
+    pose: HandPose
+    """(#rows), the points' hand in the world: angles within the limits, rotation if the points' axes are the camera's;
+    its place says nothing."""
+    precision: Float[Tensor, "#rows 30"]
+    """Inverse variances of the angles, radians⁻²; 0 where points are missing or tell nothing."""
+    view: int = 0
+
+    @classmethod
+    def of_points(
+        cls,
+        points: Float[Tensor, "#rows 21 3"],
+        kinematics: HandKinematics,
+        shape: Float[Tensor, "shape"],
+        settings: KeypointSettings,
+        *,
+        world_from_points: Float[Tensor, "3 3"] | None = None,
+        view: int = 0,
+    ) -> "PostureKeypoints":
+        """points: any frame and unit; NaN for missing ones. world_from_points: where their axes are known; they are
+        the world's where it is None."""
+        is_known = points.isfinite().all(-1)
+        is_known &= is_known.sum(-1, keepdim=True) >= _FEWEST
+        natural = natural_posture(dtype=points.dtype, device=points.device).mean
+        pose, _ = start_in_space(kinematics, points.nan_to_num(), is_known, shape, natural)
+        if world_from_points is not None:
+            pose = replace(pose, reference=world_from_points.to(points) @ pose.reference)
+        std = settings.angle_error * points.new_tensor([_std_of(dof) for dof in JOINT_DOFS])
+        is_placed = (palm_weight(is_known) > 0.5).sum(-1, keepdim=True) >= 3
+        told = (missing_share(is_known.to(points))[:, -len(JOINT_DOFS) :] < 0.5) & is_placed
+        return cls(pose=pose, precision=torch.where(told, std.square().reciprocal(), 0.0), view=view)
+
+    @cached_property
+    def is_empty(self) -> bool:
+        return not bool((self.precision > 0).any())
+
+    @property
+    def angles(self) -> Float[Tensor, "#rows 30"]:
+        """Radians, in the order of JOINT_DOFS."""
+        return self.pose.dofs[:, -len(JOINT_DOFS) :]
+
+    def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "PostureKeypoints":
+        """Of some of the frames; itself where the points are the same for all."""
+        if len(self.pose) == 1:
+            return self
+        return replace(self, pose=self.pose[rows], precision=self.precision[rows])
+
+    def associate(self, hands: PosedHands, stage: Stage) -> "PostureKeypointFactor":
+        """What each finger counts: less, the farther it is from the hand's (Student's t)."""
+        joints = hands.pose.dofs[:, -len(JOINT_DOFS) :]
+        precision = self.precision.to(joints).expand(len(joints), -1)
+        missed = _by_finger(precision * (joints - self.angles.to(joints)).square())
+        count = _by_finger(precision > 0)
+        trust = (_FREEDOM + count) / (_FREEDOM + missed)
+        cost = 0.5 * ((_FREEDOM + count) * (missed / _FREEDOM).log1p() - trust * missed)
+        return PostureKeypointFactor(
+            angles=self.angles.to(joints).expand(len(joints), -1),
+            precision=precision,
+            trust=trust.repeat_interleave(_PER_FINGER, -1),
+            least_cost=cost.sum(-1),
+            share=(missed <= 2 * count).to(joints).mean(-1),
+            view=self.view,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureKeypointFactor:
+    """½ Σ trust · precision · (angle - detected angle)² above a least cost, which makes it the logarithm of the t
+    distribution at the association; a row per hand."""
+
+    angles: Float[Tensor, "k 30"]
+    precision: Float[Tensor, "k 30"]
+    """0 where nothing is known."""
+    trust: Float[Tensor, "k 30"]
+    """What each angle counts: more than 1 near the hand."""
+    least_cost: Float[Tensor, "k"]
+    share: Float[Tensor, "k"]
+    view: int
+
+    def equations(self, hands: PosedHands) -> Equations:
+        """In the joint angles."""
+        missed = hands.pose.dofs[:, -len(JOINT_DOFS) :] - self.angles
+        weight = self.trust * self.precision
+        pull = weight * missed
+        return Equations(
+            cost=self.least_cost + 0.5 * (pull * missed).sum(-1),
+            gradient=pull,
+            matrix=weight.diag_embed(),
+            first_dof=hands.pose.dofs.shape[-1] - len(JOINT_DOFS),
+        )
+
+    def deviation(self, hands: PosedHands) -> Float[Tensor, "k 5"]:
+        """Root mean square difference of each finger's angles, in standard deviations; NaN where nothing is known."""
+        missed = hands.pose.dofs[:, -len(JOINT_DOFS) :] - self.angles
+        return (_by_finger(self.precision * missed.square()) / _by_finger(self.precision > 0)).sqrt()
+
+    def predict(self, hands: PosedHands) -> Float[Tensor, "k m"]:
+        """Joint angles of any number of hands, as `measurement` has them."""
+        return hands.pose.dofs[:, -len(JOINT_DOFS) :]
+
+    def measurement(self) -> tuple[Float[Tensor, "m"], Float[Tensor, "m"], Bool[Tensor, "m"]]:
+        """Of the first row: values, variances, and which are known; for filters."""
+        precision = (self.trust * self.precision)[0]
+        is_known = precision > 0
+        return self.angles[0], torch.where(is_known, precision, 1.0).reciprocal(), is_known
+
+    def rows(self, rows: Int[Tensor, "n"]) -> "PostureKeypointFactor":
+        """Of some of the hands."""
+        own = {name: getattr(self, name)[rows] for name in ("angles", "precision", "trust", "least_cost", "share")}
+        return replace(self, **own)
+
+    def explained(self) -> tuple[Explained, ...]:
+        """Share of the fingers whose angles are those of the points within √2 standard deviations on average; their
+        distance counts for nothing here."""
+        return (Explained(name=POSTURE, view=self.view, share=self.share, distance=torch.zeros_like(self.share)),)
+
+
+def _by_finger(values: Tensor) -> Float[Tensor, "k 5"]:
+    return values.unflatten(-1, (-1, _PER_FINGER)).sum(-1)
