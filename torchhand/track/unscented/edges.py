@@ -46,6 +46,9 @@ class EdgeMeasurement:
     value: Float[Tensor, "points"]
     variance: Float[Tensor, "points"]
     is_found: Bool[Tensor, "points"]
+    surface_variance: Float[Tensor, "points"]
+    """Of the error of the model's surface, which all edges on one primitive have in common, as if it were each edge's
+    own: that variance times their number."""
     visibility: ContourVisibility
     """For a further pass over the same picture, which does not judge it again."""
     in_picture: Bool[Tensor, "points"]
@@ -89,8 +92,12 @@ class EdgeSearch:
         else:
             outer = before.outer
         offset, is_found, variance = self._searched(points, normals, outer, planes, length_px, failures)
+        seen = self.table.select(contour.visible)
+        together = torch.bincount(seen.primitive, weights=is_found.to(offset))[seen.primitive]
+        surface_px = self.settings.surface_std * length_px
         return EdgeMeasurement(
-            predicted=projector.along_normals_px((cones, arcs), self.table.select(contour.visible), normals),
+            predicted=projector.along_normals_px((cones, arcs), seen, normals),
+            surface_variance=together * surface_px**2,
             value=(points * normals).sum(-1) + offset,
             variance=variance,
             is_found=is_found,

@@ -126,12 +126,13 @@ class UnscentedUpdate:
         edges = self._edges(before, frames, projectors, scene)
         if not any(edges):
             return _Measured(hand=hand)
+        is_told = bool(scene_keypoints(scene, self.cameras, self.kinematics, self.keypoints).postures)
         prior = self._prior.value(hand.reference, hand.start_reference)
         stack = _Stack()
         for one in edges:
             if one is not None:
-                stack.add(one.predicted, one.value, one.variance, one.is_found)
-        is_told = bool(scene_keypoints(scene, self.cameras, self.kinematics, self.keypoints).postures)
+                variance = one.variance + one.surface_variance if is_told else one.variance
+                stack.add(one.predicted, one.value, variance, one.is_found)
         is_believed = self._prior.is_tie if is_told else torch.ones_like(prior, dtype=torch.bool)
         stack.add(candidates @ self._prior.matrix.T, prior, self._prior.variance, is_believed)
         predicted, value, variance, valid = stack.joined()
