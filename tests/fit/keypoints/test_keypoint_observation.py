@@ -9,8 +9,9 @@ from torch import Tensor
 
 from torchhand.files import load_hand_model
 from torchhand.fit import Observation, PosedHands, Problem, SharedUnknowns, Stage, solve
-from torchhand.fit.keypoints.observation import PictureKeypoints, SpaceKeypoints
+from torchhand.fit.keypoints.observation import PictureKeypoints
 from torchhand.fit.keypoints.points import Detector, KeypointSettings
+from torchhand.fit.keypoints.posture import PostureKeypoints
 from torchhand.fit.keypoints.world import WorldKeypoints
 from torchhand.geometry import assumed_camera, rotation_from_vector
 from torchhand.hand import Anthropometry, HandPose, Side, named_pose_space, posture
@@ -42,13 +43,17 @@ def _keypoints(pose: HandPose) -> Tensor:
     return KINEMATICS(pose.dofs, root_reference=pose.reference).keypoints
 
 
+def _posture(points: Tensor, settings: KeypointSettings) -> PostureKeypoints:
+    return PostureKeypoints.of_points(points, KINEMATICS, KINEMATICS.default_shape, settings)
+
+
 def _observations(truth: HandPose) -> dict[str, Observation]:
     points, settings = _keypoints(truth), KeypointSettings()
     return {
         "picture": PictureKeypoints(
             points_px=CAMERA.project(points), kinematics=KINEMATICS, camera=CAMERA, settings=settings
         ),
-        "space": SpaceKeypoints(points=points, kinematics=KINEMATICS, settings=settings),
+        "space": _posture(points, settings),
     }
 
 
@@ -67,7 +72,9 @@ def test_the_gradient_is_that_of_the_cost(kind: str) -> None:
         ]
         numerical = (costs[0] - costs[1]) / (2 * step)
         scale = found.gradient.abs().amax(-1)
-        assert bool(((found.gradient[:, dof] - numerical).abs() <= 1e-5 * scale + 1e-6).all()), dof
+        own = dof - found.first_dof
+        exact = found.gradient[:, own] if own >= 0 else torch.zeros(3, dtype=torch.float64)
+        assert bool(((exact - numerical).abs() <= 1e-5 * scale + 1e-6).all()), dof
 
 
 def _detector(seed: int) -> Detector:
@@ -212,11 +219,10 @@ def test_points_in_space_tell_nothing_of_place_direction_and_size() -> None:
     moved = 1.7 * points @ turn.T + torch.tensor((0.3, 0.1, -0.2), dtype=torch.float64)
     costs = []
     for given in (points, moved):
-        observation = SpaceKeypoints(points=given, kinematics=KINEMATICS, settings=KeypointSettings())
+        observation = _posture(given, KeypointSettings())
         found = observation.associate(_posed(hands), FINE).equations(_posed(hands))
         costs.append(found.cost)
-        root = found.matrix[:, :6, :6].abs().amax((-2, -1))
-        assert bool((root <= 1e-9 * found.matrix.abs().amax((-2, -1))).all())
+        assert found.first_dof == 6  # the root is left out
     assert torch.allclose(costs[0], costs[1], rtol=1e-9, atol=0)
 
 
@@ -226,7 +232,7 @@ def test_both_together_recover_the_hand(missing: tuple[int, ...]) -> None:
     own = _observations(truth)
     picture, space = own["picture"], own["space"]
     assert isinstance(picture, PictureKeypoints)
-    assert isinstance(space, SpaceKeypoints)
+    assert isinstance(space, PostureKeypoints)
     picture.points_px[:, list(missing)] = torch.nan
     starts = HandPose(dofs=starts.dofs, reference=truth.reference.expand(6, 3, 3))
     problem = Problem(
@@ -236,7 +242,7 @@ def test_both_together_recover_the_hand(missing: tuple[int, ...]) -> None:
     found = solve(problem, starts, schedule)
     best = found.select(found.best)
     error = (_keypoints(best.pose) - _keypoints(truth)[0]).norm(dim=-1)
-    assert float(error.max()) < 1e-4
+    assert float(error.max()) < 2e-3  # the palm's own bend is not read from points
 
 
 def test_a_point_that_jumped_counts_for_next_to_nothing() -> None:

@@ -95,12 +95,18 @@ class PostureKeypoints:
             return self
         return replace(self, pose=self.pose[rows], precision=self.precision[rows])
 
+    def deviation(self, joints: Float[Tensor, "k 30"]) -> Float[Tensor, "k 5"]:
+        """Root mean square difference of each finger's angles, in standard deviations; NaN where nothing is known."""
+        precision = self.precision.to(joints).expand(len(joints), -1)
+        missed = _by_finger(precision * (joints - self.angles.to(joints)).square())
+        return (missed / _by_finger(precision > 0)).sqrt()
+
     def associate(self, hands: PosedHands, stage: Stage) -> "PostureKeypointFactor":
         """What each finger counts: less, the farther it is from the hand's (Student's t)."""
         joints = hands.pose.dofs[:, -len(JOINT_DOFS) :]
         precision = self.precision.to(joints).expand(len(joints), -1)
-        missed = _by_finger(precision * (joints - self.angles.to(joints)).square())
         count = _by_finger(precision > 0)
+        missed = count * self.deviation(joints).square().nan_to_num()
         trust = (_FREEDOM + count) / (_FREEDOM + missed)
         cost = 0.5 * ((_FREEDOM + count) * (missed / _FREEDOM).log1p() - trust * missed)
         return PostureKeypointFactor(
@@ -139,18 +145,14 @@ class PostureKeypointFactor:
             first_dof=hands.pose.dofs.shape[-1] - len(JOINT_DOFS),
         )
 
-    def deviation(self, hands: PosedHands) -> Float[Tensor, "k 5"]:
-        """Root mean square difference of each finger's angles, in standard deviations; NaN where nothing is known."""
-        missed = hands.pose.dofs[:, -len(JOINT_DOFS) :] - self.angles
-        return (_by_finger(self.precision * missed.square()) / _by_finger(self.precision > 0)).sqrt()
-
     def predict(self, hands: PosedHands) -> Float[Tensor, "k m"]:
         """Joint angles of any number of hands, as `measurement` has them."""
         return hands.pose.dofs[:, -len(JOINT_DOFS) :]
 
     def measurement(self) -> tuple[Float[Tensor, "m"], Float[Tensor, "m"], Bool[Tensor, "m"]]:
-        """Of the first row: values, variances, and which are known; for filters."""
-        precision = (self.trust * self.precision)[0]
+        """Of the first row: values, variances, and which are known; for filters, which have a belief of their own to
+        weigh a finger against: trust does not count."""
+        precision = self.precision[0]
         is_known = precision > 0
         return self.angles[0], torch.where(is_known, precision, 1.0).reciprocal(), is_known
 
@@ -165,5 +167,6 @@ class PostureKeypointFactor:
         return (Explained(name=POSTURE, view=self.view, share=self.share, distance=torch.zeros_like(self.share)),)
 
 
-def _by_finger(values: Tensor) -> Float[Tensor, "k 5"]:
+def _by_finger(values: Tensor) -> Tensor:
+    """Sums (k, 5)."""
     return values.unflatten(-1, (-1, _PER_FINGER)).sum(-1)

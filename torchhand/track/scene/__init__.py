@@ -3,7 +3,7 @@
 from torchhand.track.scene.agreement import Agreement, SilhouetteComparison, mean_overlap
 from torchhand.track.scene.candidate import Candidate
 from torchhand.track.scene.health import Health, HealthSettings
-from torchhand.track.scene.keypoints import SceneKeypoints, detected_hand, scene_keypoints
+from torchhand.track.scene.keypoints import SceneKeypoints, detected_hand, parts_of, scene_keypoints
 from torchhand.track.scene.segmentation import (
     ColourSegmentation,
     ColourUpdateSettings,
@@ -38,5 +38,6 @@ __all__ = [
     "ViewSilhouettes",
     "detected_hand",
     "mean_overlap",
+    "parts_of",
     "scene_keypoints",
 ]

@@ -4,15 +4,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchhand.fit import PosedHands, Stage
 from torchhand.fit.keypoints import KeypointSettings, PictureKeypoints, PostureKeypoints, place_hand
 from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics, HandPose
+from torchhand.hand import FINGERS, JOINT_DOFS, HandKinematics, HandPose
 from torchhand.track.scene.views import Scene
 
+_POINTS = ((0, 1, 5, 9, 13, 17), *((first + 1, first + 2, first + 3) for first in (1, 5, 9, 13, 17)))
+"""Keypoints of the palm and of each digit."""
 _COMPARED = Stage(gross_m=0.01)
 
 
@@ -28,13 +30,35 @@ class SceneKeypoints:
     def observations(self) -> tuple[PictureKeypoints | PostureKeypoints, ...]:
         return (*self.pictures, *self.postures)
 
+    def deviation(self, pose: HandPose, shape: Float[Tensor, "shape"]) -> Float[Tensor, "6"]:
+        """How far the palm and the five digits of a hand lie from the detector's, in root mean square standard
+        deviations: the largest over pictures and the smallest over postures, whichever is more. 0 where nothing is
+        known."""
+        hands = PosedHands(pose=pose.reshape(1), shape=shape)
+        points = [one.associate(hands, _COMPARED).deviation(hands)[0] for one in self.pictures]
+        parts = [torch.stack([one[list(part)].square().nanmean().sqrt() for part in _POINTS]) for one in points]
+        found = torch.stack(parts).nan_to_num().amax(0) if parts else pose.dofs.new_zeros(len(_POINTS))
+        if self.postures:
+            joints = hands.pose.dofs[:, -len(JOINT_DOFS) :]
+            digits = torch.stack([one.deviation(joints)[0] for one in self.postures])
+            found[1:] = torch.maximum(found[1:], digits.nan_to_num().amin(0))
+        return found
+
     def agreement(self, pose: HandPose, shape: Float[Tensor, "shape"]) -> float | None:
         """How far a hand is the detector's, 0 to 1: mean over the points in the pictures and over the fingers of the
         postures of 1 / (1 + d² / 4), d in root mean square standard deviations. None where nothing was detected."""
         hands = PosedHands(pose=pose.reshape(1), shape=shape)
-        found = [one.associate(hands, _COMPARED).deviation(hands)[0] for one in self.observations]
+        found = [one.associate(hands, _COMPARED).deviation(hands)[0] for one in self.pictures]
+        found += [one.deviation(hands.pose.dofs[:, -len(JOINT_DOFS) :])[0] for one in self.postures]
         shares = [float((1 / (1 + one[one.isfinite()] ** 2 / 4)).mean()) for one in found if bool(one.isfinite().any())]
         return sum(shares) / len(shares) if shares else None
+
+
+def parts_of(dofs: Sequence[str]) -> Int[Tensor, "dofs"]:
+    """Which part of the hand (as `SceneKeypoints.deviation` has them) a degree of freedom moves: 0 the whole, then
+    digits."""
+    names = [name.split("_")[0] for name in dofs]
+    return torch.tensor([1 + FINGERS.index(name) if name in FINGERS else 0 for name in names], dtype=torch.long)
 
 
 def scene_keypoints(

@@ -13,12 +13,21 @@ from torchhand.geometry import Camera
 from torchhand.hand import HandFrames, HandKinematics, HandPose
 from torchhand.numerics import Gaussian, observed_points, update
 from torchhand.track.belief import FollowedHand, HandMotion, posture_prior
-from torchhand.track.scene import Candidate, Scene, SilhouetteComparison, scene_keypoints
+from torchhand.track.scene import (
+    Candidate,
+    Scene,
+    SceneKeypoints,
+    SilhouetteComparison,
+    detected_hand,
+    parts_of,
+    scene_keypoints,
+)
 from torchhand.track.unscented.edges import ContourVisibility, EdgeMeasurement, EdgeSearch, Planes
 from torchhand.track.unscented.settings import UnscentedUpdateSettings
 from torchhand.view import HandProjector, OutlineTable
 
 _STARTING_UPDATES = 4  # measurement updates on the picture in which a hand was found
+_CREDIBLE = 2.2  # root mean square deviation of a part's three or four measurements: one in a thousand (χ²) by chance
 _KEYPOINTS = Stage(gross_m=0.004)
 
 
@@ -55,6 +64,7 @@ class UnscentedUpdate:
         self.settings, self.keypoints, self._side_px = settings, keypoints, side_px
         self._search = EdgeSearch(settings=settings, table=table)
         self._prior = posture_prior(motion.space, settings.prior, has_tilt=len(self.cameras) == 1)
+        self._parts_of_free = parts_of(motion.space.free_names)
         self._made: tuple[Tensor, list[HandProjector], SilhouetteComparison] | None = None
 
     def follow(
@@ -96,21 +106,35 @@ class UnscentedUpdate:
         )
 
     def _with_keypoints(self, hand: FollowedHand, scene: Scene, shape: Tensor) -> FollowedHand:
-        """A hand corrected by all detected keypoints; those far from it count less, but none is refused."""
-        seen = scene_keypoints(scene, self.cameras, self.kinematics, self.keypoints).observations
-        if not seen:
+        """A hand corrected by all detected keypoints. Outliers among these are told by the hand that they themselves
+        tell of, not by the one that is followed: that may be the wrong one."""
+        where = (scene, self.cameras, self.kinematics, self.keypoints)
+        seen, detected = scene_keypoints(*where), detected_hand(*where, shape)
+        if detected is None:
             return hand
-        s, count = self.settings, self.motion.space.size
+        s, count, hand = self.settings, self.motion.space.size, self._loosened(hand, seen, detected, shape)
         candidates = observed_points(hand.belief, s.transform, count)
         poses = HandPose.of(self.motion.space.about(hand.base).dof(candidates), hand.reference)
-        posed = PosedHands(pose=poses, shape=shape)
-        stack = _Stack()
-        for one in seen:
-            factor = one.associate(replace(posed, pose=poses[:1], kept={}), _KEYPOINTS)
+        posed, stack = PosedHands(pose=poses, shape=shape), _Stack()
+        for one in seen.observations:
+            factor = one.associate(PosedHands(pose=detected.reshape(1), shape=shape), _KEYPOINTS)
             stack.add(factor.predict(posed), *factor.measurement())
         predicted, value, variance, valid = stack.joined()
         result = update(hand.belief, lambda _: predicted, value, variance, s.transform, valid=valid, observed=count)
         return self.motion.limited(replace(hand, belief=result.state))
+
+    def _loosened(self, hand: FollowedHand, seen: SceneKeypoints, detected: HandPose, shape: Tensor) -> FollowedHand:
+        """A hand whose parts are as uncertain as they differ from the detected ones, where that is more than an error
+        of the detector explains: what was believed of them is no longer credible (a manoeuvre)."""
+        is_lost = seen.deviation(self.motion.pose(hand), shape) > _CREDIBLE
+        if not bool(is_lost.any()):
+            return hand
+        count = self.motion.space.size
+        missed = self.motion.free_of(hand, detected) - hand.belief.mean[:count]
+        spread = torch.where(is_lost[self._parts_of_free], missed, 0.0).square()
+        covariance = hand.belief.covariance.clone()
+        covariance.diagonal()[:count] += spread
+        return replace(hand, belief=Gaussian(hand.belief.mean, covariance))
 
     def _updated(self, before: _Measured, scene: Scene, shape: Tensor) -> _Measured:
         """One measurement update with fresh edges of all views, the keypoints, and weak beliefs about posture.
