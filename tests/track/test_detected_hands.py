@@ -1,0 +1,118 @@
+"""Detected keypoints in the tracker: they start it, bring it back, and tell it which finger is where."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from tests.steps import FRAME_S, right_hand
+from tests.studio import Placed
+from torchhand.hand import DOFS, posture
+from torchhand.track import DEFAULTS, DetectedHand, Estimate, Tracker, TrackerSettings, View
+
+CONTOUR = replace(DEFAULTS["contour"], pose_space="dof26")
+DISTANCE = replace(DEFAULTS["distance"], pose_space="dof26")
+FLEXIONS = [i for i, n in enumerate(DOFS) if n.endswith(("mcp_fe", "pip_fe")) and not n.startswith("thumb")]
+BY_NAME = pytest.mark.parametrize("settings", [CONTOUR, DISTANCE], ids=["contour", "distance"])
+
+
+def _detected(placed: Placed, seed: int = 1, *, away_px: float = 0.0) -> DetectedHand:
+    """As a detector would: two pixels of noise, points in space about their own middle and in a size of their own."""
+    generator = torch.Generator().manual_seed(seed)
+    noise = 2.0 * torch.randn(21, 2, generator=generator, dtype=torch.float64)
+    points = placed.projector.frames(placed.pose, placed.root_reference).keypoints
+    return DetectedHand(
+        points_px=placed.keypoints_px + noise + away_px, points=0.9 * (points - points.mean(0)), score=0.9
+    )
+
+
+def _with_posture(placed: Placed, name: str) -> Placed:
+    return replace(placed, pose=torch.cat((placed.pose[:6], posture(name)[6:].to(placed.pose))))
+
+
+def _steps(tracker: Tracker, views: list[View]) -> list[Estimate]:
+    state, estimates = None, []
+    for frame, view in enumerate(views):
+        state, estimate = tracker.step(state, (view,), frame * FRAME_S)
+        estimates.append(estimate)
+    return estimates
+
+
+def _flexion_error(estimate: Estimate, placed: Placed) -> float:
+    """Radians, mean over the fingers' flexions."""
+    assert estimate.pose is not None
+    return float((estimate.pose - placed.pose)[FLEXIONS].abs().mean())
+
+
+@BY_NAME
+def test_a_fist_is_found_by_its_keypoints_and_not_without(studio: Any, settings: TrackerSettings) -> None:
+    fist = _with_posture(studio.placed(size=0.8), "fist")
+    image, detected = fist.picture(seed=1), _detected(fist)
+    tracker = Tracker(right_hand(), fist.camera, settings, shape=fist.shape)
+    found = _steps(tracker, [View(image=image, keypoints=detected)] * 3)
+    assert [one.status for one in found] == ["tracked"] * 3
+    assert _flexion_error(found[-1], fist) < 0.2
+    without = _steps(tracker, [View(image=image)])
+    assert without[0].status != "tracked" or _flexion_error(without[0], fist) > 0.5
+
+
+@BY_NAME
+def test_fingers_that_closed_within_a_frame_are_followed(studio: Any, settings: TrackerSettings) -> None:
+    """The outline of a fist bears out a half open hand as well: it is the points that tell."""
+    opened = studio.placed(size=0.8)
+    fist = _with_posture(opened, "fist")
+    views = [View(image=one.picture(seed=1), keypoints=_detected(one)) for one in (opened, opened, fist, fist, fist)]
+    tracker = Tracker(right_hand(), opened.camera, settings, shape=opened.shape)
+    estimates = _steps(tracker, views)
+    assert [one.status for one in estimates[3:]] == ["tracked"] * 2
+    assert _flexion_error(estimates[1], opened) < 0.15
+    assert _flexion_error(estimates[-1], fist) < 0.2
+
+
+@BY_NAME
+def test_a_lost_hand_comes_back_where_the_points_are(studio: Any, settings: TrackerSettings) -> None:
+    """In another posture than that of the start, which alone is searched without points."""
+    opened = studio.placed(size=0.7, at=(-0.15, 0.0))
+    back = _with_posture(studio.placed(size=0.7, at=(0.2, 0.05), angle_deg=25.0), "fist")
+    empty = torch.zeros_like(opened.picture(seed=1)) + opened.picture(seed=1)[0, 0]
+    views = [View(image=opened.picture(seed=1), keypoints=_detected(opened)), *([View(image=empty)] * 4)]
+    views += [View(image=back.picture(seed=1), keypoints=_detected(back))] * 2
+    tracker = Tracker(right_hand(), opened.camera, settings, shape=opened.shape)
+    estimates = _steps(tracker, views)
+    assert estimates[4].status in ("lost", "no_hand")
+    assert estimates[5].status == "recovered"
+    assert _flexion_error(estimates[6], back) < 0.25
+
+
+@BY_NAME
+def test_frames_without_detection_points_missing_and_hands_that_are_not_believed(
+    studio: Any, settings: TrackerSettings
+) -> None:
+    """Nothing, half of the points, no points in space, and a hand elsewhere with a low score: all are followed."""
+    placed = studio.placed(size=0.8)
+    image, whole = placed.picture(seed=1), _detected(placed)
+    half: Tensor = whole.points_px.clone()
+    half[::2] = torch.nan
+    elsewhere = replace(_detected(placed, away_px=60.0), score=0.1)
+    seen = [whole, None, replace(whole, points_px=half), replace(whole, points=None), elsewhere]
+    tracker = Tracker(right_hand(), placed.camera, settings, shape=placed.shape)
+    for estimate in _steps(tracker, [View(image=image, keypoints=one) for one in seen]):
+        assert estimate.status == "tracked"
+        assert estimate.keypoints_px is not None
+        assert float((estimate.keypoints_px[0] - placed.keypoints_px).norm(dim=-1).mean()) < 3.0
+        assert _flexion_error(estimate, placed) < 0.15
+
+
+@BY_NAME
+def test_one_wild_point_moves_nothing(studio: Any, settings: TrackerSettings) -> None:
+    placed = studio.placed(size=0.8)
+    image, detected = placed.picture(seed=1), _detected(placed)
+    wild = detected.points_px.clone()
+    wild[8] += torch.tensor((40.0, 25.0), dtype=wild.dtype)
+    views = [View(image=image, keypoints=one) for one in (detected, replace(detected, points_px=wild))]
+    first, second = _steps(Tracker(right_hand(), placed.camera, settings, shape=placed.shape), views)
+    assert first.keypoints_px is not None
+    assert second.keypoints_px is not None
+    assert float((second.keypoints_px - first.keypoints_px)[0].norm(dim=-1).max()) < 3.0
