@@ -112,7 +112,7 @@ class UnscentedUpdate:
         seen, detected = scene_keypoints(*where), detected_hand(*where, shape)
         if detected is None:
             return hand
-        s, count, hand = self.settings, self.motion.space.size, self._loosened(hand, seen, detected, shape)
+        s, count, hand = self.settings, self.motion.space.size, self._relocated(hand, seen, detected, shape)
         candidates = observed_points(hand.belief, s.transform, count)
         poses = HandPose.of(self.motion.space.about(hand.base).dof(candidates), hand.reference)
         posed, stack = PosedHands(pose=poses, shape=shape), _Stack()
@@ -123,18 +123,21 @@ class UnscentedUpdate:
         result = update(hand.belief, lambda _: predicted, value, variance, s.transform, valid=valid, observed=count)
         return self.motion.limited(replace(hand, belief=result.state))
 
-    def _loosened(self, hand: FollowedHand, seen: SceneKeypoints, detected: HandPose, shape: Tensor) -> FollowedHand:
-        """A hand whose parts are as uncertain as they differ from the detected ones, where that is more than an error
-        of the detector explains: what was believed of them is no longer credible (a manoeuvre)."""
+    def _relocated(self, hand: FollowedHand, seen: SceneKeypoints, detected: HandPose, shape: Tensor) -> FollowedHand:
+        """A hand with those parts as detected that differ from the detected ones by more than an error of the detector
+        explains: what was believed of them is no longer credible (a manoeuvre). They are as uncertain as they moved,
+        and are put there at once because a far finger is no linear matter: what bends towards the camera hardly moves
+        at first."""
         is_lost = seen.deviation(self.motion.pose(hand), shape) > _CREDIBLE
         if not bool(is_lost.any()):
             return hand
         count = self.motion.space.size
         missed = self.motion.free_of(hand, detected) - hand.belief.mean[:count]
-        spread = torch.where(is_lost[self._parts_of_free], missed, 0.0).square()
-        covariance = hand.belief.covariance.clone()
-        covariance.diagonal()[:count] += spread
-        return replace(hand, belief=Gaussian(hand.belief.mean, covariance))
+        missed = torch.where(is_lost[self._parts_of_free], missed, 0.0)
+        mean, covariance = hand.belief.mean.clone(), hand.belief.covariance.clone()
+        mean[:count] += missed
+        covariance.diagonal()[:count] += missed.square()
+        return replace(hand, belief=Gaussian(mean, covariance))
 
     def _updated(self, before: _Measured, scene: Scene, shape: Tensor) -> _Measured:
         """One measurement update with fresh edges of all views, the keypoints, and weak beliefs about posture.
