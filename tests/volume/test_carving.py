@@ -106,7 +106,7 @@ def test_equals_a_loop_over_octants_and_views(margin: int, least: int, tolerated
     cameras = rigs.random(generator, 3, width=48, height=36, focal=60.0, kind=kind)
     masks = [rigs.ball(camera, CENTRE, 0.05) for camera in cameras]
     masks[0] = rigs.ball(cameras[0], CENTRE + 0.03, 0.05)
-    settings = CarvingSettings(level=4, margin_px=margin, least_views=least, tolerated_views=tolerated)
+    settings = CarvingSettings(level=4, margin_px=margin, min_views=least, tolerated_views=tolerated)
     states = Carver(cameras, CUBE, settings).dense(masks)
     expected = loop_states(masks, cameras, CUBE, 4, margin, least, tolerated)
     assert all((expected == state).any() for state in (WHITE, GRAY))
@@ -128,7 +128,7 @@ def test_leaves_are_those_of_dense_carving(seed: int, rigs: Any) -> None:
     masks = [rigs.ball(camera, balls, torch.tensor((0.03, 0.02, 0.015, 0.01))) for camera in cameras]
     masks[3] &= torch.rand(masks[3].shape, generator=generator) < 0.995  # holes
     for tolerated, least in ((0, 1), (0, 2), (0, 4), (1, 2), (2, 1)):
-        settings = CarvingSettings(level=6, tolerated_views=tolerated, least_views=least)
+        settings = CarvingSettings(level=6, tolerated_views=tolerated, min_views=least)
         octree = assert_equals_dense(Carver(cameras, CUBE, settings), masks)
         assert float(octree.volume()) > 0
     settings = CarvingSettings(level=3)
@@ -209,7 +209,7 @@ def test_outside_the_picture_nothing_is_known(rigs: Any) -> None:
     cameras = [whole, narrow]
     masks = [rigs.ball(camera, CENTRE, 0.05) for camera in cameras]
     masks[1][:] = False
-    octree = carve(masks, cameras, CUBE, CarvingSettings(level=6, least_views=1))
+    octree = carve(masks, cameras, CUBE, CarvingSettings(level=6, min_views=1))
     points = torch.tensor(CUBE.corner) + CUBE.side * torch.rand(3000, 3, generator=torch.Generator().manual_seed(0))
     column, row = narrow.project(points.double()).unbind(-1)
     states = state_at(octree, points)
@@ -221,7 +221,7 @@ def test_outside_the_picture_nothing_is_known(rigs: Any) -> None:
     deep = (column > 8) & (column < 71) & (row > 8) & (row < 111)
     assert bool((states[deep] == WHITE).all())
     # Where two views have to show the object, that is unknown instead.
-    octree = carve(masks, cameras, CUBE, CarvingSettings(level=6, least_views=2))
+    octree = carve(masks, cameras, CUBE, CarvingSettings(level=6, min_views=2))
     assert bool(octree.is_empty)
     assert float(octree.volume("unknown")) > 0
 
@@ -235,7 +235,7 @@ def test_what_lies_across_the_plane_of_a_camera_is_not_carved_away(rigs: Any) ->
     x, y, z = middle.tolist()
     z -= 0.0019
     camera = rigs.looking((x, y, z), at=(x, y, z + 1.0), focal=30.0)
-    octree = carve([torch.zeros(120, 160, dtype=torch.bool)], [camera], CUBE, CarvingSettings(level=6, least_views=1))
+    octree = carve([torch.zeros(120, 160, dtype=torch.bool)], [camera], CUBE, CarvingSettings(level=6, min_views=1))
     points = torch.tensor([(x, y, z + ahead) for ahead in (-0.05, -0.00005, 0.05)], dtype=torch.float64)
     assert state_at(octree, points).tolist() == [UNKNOWN, UNKNOWN, WHITE]
 
@@ -256,7 +256,7 @@ def test_correcting_a_barrel_lens_loses_no_pixel(rigs: Any) -> None:
     """What is seen in one pixel alone stays, although corrected pictures show the nearest pixels only."""
     lens = torch.tensor((-0.2, 0.03, 0.004, -0.003, 0.0), dtype=torch.float64)
     camera = replace(rigs.looking((0.0, 0.0, -0.5), focal=170.0), distortion=lens)
-    settings = CarvingSettings(level=8, margin_px=0, least_views=1)
+    settings = CarvingSettings(level=8, margin_px=0, min_views=1)
     cube = RootCube(centre=(0.0, 0.0, 0.0), side=0.24)
     generator = torch.Generator().manual_seed(0)
     pixels = torch.stack([torch.randint(30, n - 30, (80,), generator=generator) for n in (160, 120)], -1)
@@ -306,7 +306,7 @@ def test_batches_equal_a_loop(batch: tuple[int, ...], rigs: Any) -> None:
     flat = [torch.stack([rigs.ball(camera, centre, 0.04) for centre in centres]) for camera in cameras]
     masks = [mask.reshape(*batch, *mask.shape[1:]) for mask in flat]
     there = torch.rand(*batch, 3, generator=generator) < 0.8
-    carver = Carver(cameras, CUBE, CarvingSettings(level=5, least_views=1))
+    carver = Carver(cameras, CUBE, CarvingSettings(level=5, min_views=1))
     together = assert_equals_dense(carver, masks, there)
     assert together.volume().shape == together.is_empty.shape == batch
     for frame in range(count):
@@ -326,7 +326,7 @@ def test_a_carver_moved_is_one_made_there(lens: tuple[float, ...] | None, rigs: 
     if lens is not None:
         cameras[1] = replace(cameras[1], distortion=torch.tensor(lens, dtype=torch.float64))
     masks = [rigs.ball(camera, CENTRE, 0.04) for camera in cameras]
-    settings = CarvingSettings(level=5, least_views=1)
+    settings = CarvingSettings(level=5, min_views=1)
     carver = Carver(cameras, CUBE, settings)
     behind = (-cameras[0].rotation.T @ cameras[0].translation).tolist()
     for centre in ((0.03, -0.04, 0.02), tuple(behind), CUBE.centre):

@@ -16,7 +16,7 @@ from torchhand.hand import Side
 from torchhand.image import BackgroundPlate, learn_background
 from torchhand.runs.keypoint_tracks import KeypointTracks
 from torchhand.track import View
-from torchhand.track.multiview import moments_of
+from torchhand.track.multiview import evenly_spaced_frames
 
 _UNKNOWN_LENGTH = 300  # frames among which samples are taken where nobody knows how many there are
 
@@ -188,7 +188,7 @@ class RigRecording:
 
     def sample(self, frames: int) -> list[RecordedFrame]:
         """At most so many frames, evenly over the part that is tracked."""
-        chosen = {self.start + place for place in moments_of(self.count or _UNKNOWN_LENGTH, frames)}
+        chosen = {self.start + place for place in evenly_spaced_frames(self.count or _UNKNOWN_LENGTH, frames)}
         found = []
         with self._open(0) as source:
             for frame in self._frames(source):

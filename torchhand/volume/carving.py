@@ -44,7 +44,7 @@ class Carver:
         self.root = root_cube(cameras) if root is None else root
         self._device = cameras[0].rotation.device
         self._views = {tuple(range(len(cameras))): self._seen_by(cameras)}
-        self._least = min(settings.least_views, len(cameras) - settings.tolerated_views)
+        self._least = min(settings.min_views, len(cameras) - settings.tolerated_views)
         self._children = torch.cartesian_prod(*3 * [torch.arange(2.0)]).T.contiguous().to(self._device)
         self._coarse = torch.zeros(3, 1, device=self._device)
         for _ in range(min(DENSE_LEVELS, settings.level)):

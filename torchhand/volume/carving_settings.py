@@ -20,7 +20,7 @@ class CarvingSettings:
     """
     tolerated_views: int = 0
     """Views that may be wrong: an octant is carved away only where more than these see background."""
-    least_views: int = 2
+    min_views: int = 2
     """Views in which the object has to appear where an octant is, for the octant to be of the hull.
 
     At most the number of cameras less the tolerated ones counts. Octants where it appears in fewer, because the others
@@ -34,7 +34,7 @@ class CarvingSettings:
             ("level", 1, 10),
             ("margin_px", 0, 1000),
             ("tolerated_views", 0, 200),
-            ("least_views", 1, 200),
+            ("min_views", 1, 200),
             ("most_octants", 8**DENSE_LEVELS, 1 << 31),
         ):
             value = getattr(self, name)

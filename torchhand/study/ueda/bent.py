@@ -75,7 +75,7 @@ def converge(case: BentFinger, level: int, settings: HullTorqueSettings) -> Conv
 
 
 def _carved(case: BentFinger, masks: Sequence[Tensor], level: int) -> Octree:
-    return carve(masks, case.cameras, case.root, CarvingSettings(level=level, least_views=len(case.cameras)))
+    return carve(masks, case.cameras, case.root, CarvingSettings(level=level, min_views=len(case.cameras)))
 
 
 def _fitted(case: BentFinger, octree: Octree, settings: HullTorqueSettings, start: HandPose) -> HullTorqueFit:

@@ -203,7 +203,7 @@ def _fitted(
     """Pose and shape of our hand in one frame, without a guess."""
 
     def hull(level: int, points: int) -> HullTarget:
-        settings = CarvingSettings(level=level, least_views=len(cameras))
+        settings = CarvingSettings(level=level, min_views=len(cameras))
         field = hull_field(carve(masks, cameras, root_at(cameras), settings), surface="middle")
         return with_rays(target_of(field, points=points), cameras, masks)
 

@@ -47,7 +47,7 @@ def fit_errors(subject: Subject, cameras: int, level: int, methods: Mapping[str,
     """Each method on the hull of the first so many cameras; the time is that of the fit alone."""
     views = slice(cameras)
     octree = carve(
-        subject.masks[views], subject.cameras[views], subject.root, CarvingSettings(level=level, least_views=cameras)
+        subject.masks[views], subject.cameras[views], subject.root, CarvingSettings(level=level, min_views=cameras)
     )
     problem = FitProblem(
         cameras=subject.cameras[views],

@@ -26,7 +26,7 @@ def stage_times(
 
     pictures: of the case's cameras, before a screen of the default key's colour.
     """
-    carver = Carver(case.cameras, case.root, CarvingSettings(level=level, least_views=len(case.cameras)))
+    carver = Carver(case.cameras, case.root, CarvingSettings(level=level, min_views=len(case.cameras)))
     octree = carver.carve(case.masks)
     field = hull_field(octree, surface="middle")
     target = with_rays(target_of(field), case.cameras, case.masks)
