@@ -94,9 +94,9 @@ def memory_figure(
     )
 
 
-def there_and_back(moments: Sequence[Item], frames: int, what: str) -> Iterable[Item]:
+def there_and_back(items: Sequence[Item], frames: int, what: str) -> Iterable[Item]:
     """So many frames of a motion that goes forth and back again and again, with a progress bar."""
-    return with_bar(islice(cycle((*moments, *moments[-2:0:-1])), frames), frames, what)
+    return with_bar(islice(cycle((*items, *items[-2:0:-1])), frames), frames, what)
 
 
 def with_bar(steps: Iterable[Any] | None, total: int, what: str) -> Any:
