@@ -44,12 +44,12 @@ class Placed:
         points = self.keypoints_px
         return float((points[12] - points[0]).norm())
 
-    def picture(self, look: SceneSettings | None = None, *, seed: int = 0) -> Tensor:
+    def picture(self, scene: SceneSettings | None = None, *, seed: int = 0) -> Tensor:
         """RGB."""
         generator = torch.Generator().manual_seed(seed)
         motion = Motion(name="still", poses=self.pose[None], root_reference=self.root_reference, fps=30.0)
-        look = look or SceneSettings(supersampling=2)
-        frames = render_sequence(self.kinematics, motion, self.camera, look, generator, shape=self.shape)
+        scene = scene or SceneSettings(supersampling=2)
+        frames = render_sequence(self.kinematics, motion, self.camera, scene, generator, shape=self.shape)
         return next(iter(frames)).image
 
 
@@ -118,7 +118,7 @@ class Studio:
         frames: int,
         *,
         camera: Camera | None = None,
-        look: SceneSettings | None = None,
+        scene: SceneSettings | None = None,
         seed: int = 3,
         total: int | None = None,
         pace: float = 1.0,
@@ -128,8 +128,8 @@ class Studio:
         generator = torch.Generator().manual_seed(seed)
         motion = scripted_motion(script, total or frames, kinematics, camera, generator, pace=pace)
         motion = replace(motion, poses=motion.poses[:frames])
-        look = look or SceneSettings(supersampling=2)
-        rendered = list(render_sequence(kinematics, motion, camera, look, generator))
+        scene = scene or SceneSettings(supersampling=2)
+        rendered = list(render_sequence(kinematics, motion, camera, scene, generator))
         return Filmed(
             images=[frame.image for frame in rendered],
             keypoints_px=torch.stack([frame.keypoints_px for frame in rendered]),

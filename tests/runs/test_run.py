@@ -86,8 +86,8 @@ def begin(camera: Camera, settings: TrackerSettings) -> Any:
 def _scene(script: str, frames: int, kinematics: HandKinematics, camera: Camera, *, seed: int = 3) -> Scene:
     generator = torch.Generator().manual_seed(seed)
     motion = scripted_motion(script, frames, kinematics, camera, generator)
-    look = SceneSettings(noise=3.0, supersampling=2)
-    rendered = list(render_sequence(kinematics, motion, camera, look, generator))
+    scene = SceneSettings(noise=3.0, supersampling=2)
+    rendered = list(render_sequence(kinematics, motion, camera, scene, generator))
     points = torch.stack([frame.keypoints_px for frame in rendered]).numpy()
     inside = ((points >= 0) & (points <= np.array((WIDTH - 1, HEIGHT - 1)))).all(-1)
     return Scene(

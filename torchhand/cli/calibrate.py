@@ -34,7 +34,7 @@ from torchhand.files import RigSource, offsets_of, save_cameras
 from torchhand.files.disk import replacing
 from torchhand.files.rigs import open_uncalibrated
 
-_VIDEO_MOMENTS = 60  # looked at in a video, unless --every says otherwise
+_VIDEO_FRAMES = 60  # frames searched in a video, unless --every says otherwise
 _MAX_FRAMES = 80  # used; more only cost time
 _FEWEST = 3  # pictures without which there is nothing to compute
 _TRIED = 3  # pictures without the board that are searched for another one
@@ -187,7 +187,7 @@ def _views(arguments: Arguments, folder: Path, board: Board) -> list[CameraViews
     with open_uncalibrated(folder, offsets=offsets) as whole:
         check_board(board, len(whole.names))
         count, has_videos = whole.count, whole.has_videos
-    every = arguments.every or (max(1, (count or 0) // _VIDEO_MOMENTS) if has_videos else 1)
+    every = arguments.every or (max(1, (count or 0) // _VIDEO_FRAMES) if has_videos else 1)
     with open_uncalibrated(folder, offsets=offsets, every=every) as source:
         corners, others = _search(source, board)
         for line in source.warnings:

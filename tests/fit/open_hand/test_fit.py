@@ -170,9 +170,11 @@ def test_values_are_the_scaled_unknowns_and_the_prior_adds_what_leaves_its_inter
     values = 2.5 * torch.randn(3, problem.size, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
     residual = problem.prior(values)
     assert bool((residual[:, : problem.size] == values).all())
-    people = Anthropometry(kinematics.shape_space)
+    population = Anthropometry(kinematics.shape_space)
     shapes = problem.split(values)[1]
-    rows = people.matrix[-2 * len(people.mean) :] @ shapes.T - people.bound[-2 * len(people.mean) :, None]
+    rows = (
+        population.matrix[-2 * len(population.mean) :] @ shapes.T - population.bound[-2 * len(population.mean) :, None]
+    )
     assert bool(((residual[:, problem.size :] > 0) == (rows.T > 0)).all())
     assert bool((rows > 0).any())
     pose, shape = problem.split(0 * values[0])

@@ -275,7 +275,7 @@ def test_a_known_hand_is_certain_of_its_distance(film: Any, followed: Followed) 
     ids=["grey", "paper_weights", "paper", "order0", "order1", "scale"],
 )
 def test_configurations_follow_a_hand_on_black(settings: TrackerSettings, studio: Any) -> None:
-    film = studio.film("planar", 10, pace=1.7, look=DARK, seed=4)
+    film = studio.film("planar", 10, pace=1.7, scene=DARK, seed=4)
     _, estimates = run(_tracker(film, settings), film.images)
     assert [estimate.status for estimate in estimates] == ["tracked"] * 10
     assert float(motion_error_px(estimates, film.keypoints_px).square().mean().sqrt()) < 0.7
@@ -380,7 +380,7 @@ def test_gradients_flow_after_tracking_in_the_same_process(studio: Any) -> None:
 @pytest.mark.parametrize(("every", "is_right"), [(2, True), (0, False)])
 def test_the_colours_follow_changing_light(studio: Any, every: int, is_right: bool) -> None:
     """The light goes down to a half and turns red within 24 frames: colours of the start alone lose the hand."""
-    film = studio.film("planar", 24, look=SceneSettings(supersampling=2, background="plain", noise=2.0))
+    film = studio.film("planar", 24, scene=SceneSettings(supersampling=2, background="plain", noise=2.0))
     dimmed = 1 + torch.linspace(0, 1, 24)[:, None] * (torch.tensor((0.55, 0.4, 0.3)) - 1)
     images = [(image * share).round().to(torch.uint8) for image, share in zip(film.images, dimmed, strict=True)]
     settings = TrackerSettings(colours=ColourUpdateSettings(every=every))

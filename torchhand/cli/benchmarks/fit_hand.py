@@ -66,8 +66,8 @@ def pictures(count: int) -> Iterator[Picture]:
         )
         motion = replace(motion, poses=motion.poses[-1:])
         background = _BACKGROUNDS[index // 5 % 4] if index % 5 == 0 else "plain"
-        look = SceneSettings(background=background, forearm=index // 8 % 2 == 0)
-        frame = next(iter(render_sequence(kinematics, motion, camera, look, generator, shape=shape)))
+        scene = SceneSettings(background=background, forearm=index // 8 % 2 == 0)
+        frame = next(iter(render_sequence(kinematics, motion, camera, scene, generator, shape=shape)))
         frames = HandProjector(kinematics, camera, shape).frames(motion.poses[0], motion.root_reference)
         yield Picture(
             image=_as_jpeg(frame.image),

@@ -135,7 +135,7 @@ class Arguments:
         return width, height
 
     @property
-    def look(self) -> SceneSettings:
+    def scene(self) -> SceneSettings:
         return SceneSettings(
             surface=self.surface or "primitives",
             background=self.background,

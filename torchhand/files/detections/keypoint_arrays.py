@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from torchhand.errors import InputError
-from torchhand.files.detections.record import COUNT, DetectedHand, Detections, Side, Units, detections_of, most_seen
+from torchhand.files.detections.record import COUNT, Detections, HandDetection, Side, Units, detections_of, most_seen
 from torchhand.files.disk import opened_arrays, short
 
 _SPACE_NAMES = ("keypoints3d", "world", "world_landmarks", "hand_world_landmarks", "joints3d", "joints")
@@ -66,7 +66,7 @@ def read_keypoint_arrays(
     trust = _confidences(path, arrays, count, first.is_single)
     labels, score = _labels(path, arrays, count, is_mirrored), _scores(path, arrays, count)
     hands = [
-        DetectedHand(
+        HandDetection(
             picture=None if picture is None else picture.values[i],
             space=None if space is None else space.values[i],
             confidence=None if trust is None else trust[i].clip(0, 1),

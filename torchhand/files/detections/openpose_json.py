@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from torchhand.errors import InputError
-from torchhand.files.detections.record import COUNT, DetectedHand, Detections, Side, detections_of
+from torchhand.files.detections.record import COUNT, Detections, HandDetection, Side, detections_of
 from torchhand.files.disk import read_json, read_numbers, short
 from torchhand.files.pictures import natural_key
 
@@ -49,7 +49,7 @@ def openpose_detections(frames: Sequence[tuple[Path, int, Any]], *, side: Side |
     rows = []
     for (_, number, _), hand in zip(frames, hands, strict=True):
         found = hand[side]
-        own = None if found is None else DetectedHand(picture=found, space=None, confidence=found[:, 2], label=side)
+        own = None if found is None else HandDetection(picture=found, space=None, confidence=found[:, 2], label=side)
         rows.append((number, own))
     return detections_of(_source(frames), rows, side=side)
 

@@ -36,7 +36,7 @@ _POSE_TOLERANCE, _SHARED_TOLERANCE = 1e-7, 1e-5
 _AT_ONCE = 256
 _KEPT = 3  # of the starts in a picture go on after the rough solution
 _ROUNDS = 2  # how often pictures are begun anew with the shape found so far
-_SETTLED = 0.2  # mean change of the shape, in its spread over people, after which pictures are not begun anew
+_MAX_SHAPE_CHANGE = 0.2  # mean change of the shape, in its spread over people, after which pictures are not begun anew
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +72,7 @@ class KeypointEstimator:
         # A better shape may tell ways of seeing the hand apart that were confused.
         for _ in range(_ROUNDS - 1 if self.columns or len(detector.extra) else 0):
             change = (found.solution.shape - shape) / self._kinematics.shape_space.std.to(shape)
-            if not self.columns or float(change[list(self.columns)].abs().mean()) < _SETTLED:
+            if not self.columns or float(change[list(self.columns)].abs().mean()) < _MAX_SHAPE_CHANGE:
                 break
             shape = found.solution.shape
             found = self._in_picture(self.observed, shape, found.detector)
@@ -144,20 +144,20 @@ class KeypointEstimator:
         if not self.columns and not len(extra):
             return None
         space = self._kinematics.shape_space
-        people = Anthropometry(space, AnthropometrySettings(softness=_SOFTNESS))
-        lower, upper = _box(people)
+        population = Anthropometry(space, AnthropometrySettings(softness=_SOFTNESS))
+        lower, upper = _box(population)
         scale, offsets = extra.split([int(detector.has_unknown_scale), len(extra) - int(detector.has_unknown_scale)])
         std = (torch.full_like(scale, _LOG_SCALE_STD), torch.full_like(offsets, self.settings.offset_std))
         told = moving_parameters(self._kinematics)
         return SharedUnknowns(
             columns=self.columns,
-            prior=PopulationPrior(people=people),
+            prior=PopulationPrior(population=population),
             lower=lower,
             upper=upper,
             extra=extra,
             extra_mean=torch.cat((scale, torch.zeros_like(offsets))),
             extra_std=torch.cat(std),
-            people=people,
+            population=population,
             pliable=tuple(i for i in range(len(space.names)) if i not in told),
         )
 
@@ -203,10 +203,10 @@ def _middle(size: Float[Tensor, "frames"]) -> Float[Tensor, ""]:
     return size.median() if len(size) else size.new_ones(())
 
 
-def _box(people: Anthropometry) -> tuple[Float[Tensor, "shape"], Float[Tensor, "shape"]]:
+def _box(population: Anthropometry) -> tuple[Float[Tensor, "shape"], Float[Tensor, "shape"]]:
     """The tightest bounds among the inequalities matrix · shape <= bound that concern one parameter."""
-    lower, upper = people.space.lower.clone(), people.space.upper.clone()
-    for row, bound in zip(people.matrix, people.bound, strict=True):
+    lower, upper = population.space.lower.clone(), population.space.upper.clone()
+    for row, bound in zip(population.matrix, population.bound, strict=True):
         (places,) = row.nonzero(as_tuple=True)
         if len(places) == 1:
             limit, place = bound / row[places[0]], places[0]

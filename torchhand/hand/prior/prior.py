@@ -39,9 +39,9 @@ class HandPriorSettings:
 
 
 class HandPrior(nn.Module):
-    """p(pose, shape) ∝ postures(joint angles) · people(shape) · exp(−penetration(joint angles, shape)).
+    """p(pose, shape) ∝ postures(joint angles) · population(shape) · exp(−penetration(joint angles, shape)).
 
-    `postures` is a mixture of truncated normals on the feasible set (`PostureMixture`), normalised exactly; `people` a
+    `postures` is a mixture of truncated normals on the feasible set (`PostureMixture`), normalised exactly; `population` a
     normal distribution cut off at the 21 anthropometric intervals and the shape's bounds (`Anthropometry`); penetration
     as in `penetration`, infinite beyond `settings.deepest`. The constant that cutting off and penetration take away is
     left out: log-probabilities of one prior can be compared, and `sample` follows them exactly. The root is uniform,
@@ -52,7 +52,7 @@ class HandPrior(nn.Module):
         super().__init__()
         self.settings = settings or HandPriorSettings()
         self.constraints = PoseConstraints(skeleton, self.settings.constraints)
-        self.people = Anthropometry(shape_space, self.settings.anthropometry)
+        self.population = Anthropometry(shape_space, self.settings.anthropometry)
         self.postures = PostureMixture(self.constraints, self.settings.components)
         self.kinematics = HandKinematics(skeleton, shape_space)
 
@@ -71,8 +71,8 @@ class HandPrior(nn.Module):
         density = self.postures.log_density(pose) - cost
         possible = self.constraints.is_feasible(pose) & (excess <= self.settings.deepest)
         if shape is not None:
-            density = density + self.people.log_density(shape)
-            possible = possible & self.people.is_feasible(shape)
+            density = density + self.population.log_density(shape)
+            possible = possible & self.population.is_feasible(shape)
         return torch.where(possible, density, -torch.inf)
 
     def energy(
@@ -86,7 +86,7 @@ class HandPrior(nn.Module):
         _, cost = self._penetration(pose, shape)
         energy = cost - self.postures.log_density(pose) + self.constraints.wall(pose)
         if shape is not None:
-            energy = energy - self.people.log_density(shape) + self.people.penalty(shape)
+            energy = energy - self.population.log_density(shape) + self.population.penalty(shape)
         return energy
 
     def sample(
@@ -128,7 +128,7 @@ class HandPrior(nn.Module):
 
     def _propose(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         pose, _ = self.postures.sample(count, generator)
-        return pose, self.people.sample(count, generator).to(pose)
+        return pose, self.population.sample(count, generator).to(pose)
 
     @torch.no_grad()
     def _accepts(self, pose: Tensor, shape: Tensor, chance: Tensor) -> Tensor:

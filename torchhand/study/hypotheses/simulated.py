@@ -54,10 +54,10 @@ def simulated_case(
     middle = torch.tensor((0.0, 0.0, ahead), dtype=torch.float64)
     pose[:3] = middle - reference @ torch.tensor((0.0, _MIDDLE * length, 0.0), dtype=torch.float64)
     pose[3:6] = 0
-    look = SceneSettings(surface=settings.surface, supersampling=2)
+    scene = SceneSettings(surface=settings.surface, supersampling=2)
     motion = Motion(name="still", poses=pose[None], root_reference=reference, fps=30.0)
     hand = model.hand(side=side, dtype=torch.float64) if settings.surface == "mesh" else None
-    frame = next(iter(render_sequence(kinematics, motion, camera, look, generator, shape=shape, hand=hand)))
+    frame = next(iter(render_sequence(kinematics, motion, camera, scene, generator, shape=shape, hand=hand)))
     return StudyCase(
         frame=number,
         image=frame.image,

@@ -88,9 +88,9 @@ def own_bent(model: HandModel, cameras: Sequence[Camera], angle_deg: float, seed
     stage = stage_camera(cameras, hand_length(kinematics))
     motion = posed_motion([straight, bent], 2, kinematics, stage, view="palm")
     only = Motion(name="bent", poses=motion.poses[1:], root_reference=motion.root_reference, fps=motion.fps)
-    look = SceneSettings(surface="mesh", background="blue", supersampling=2)
+    scene = SceneSettings(surface="mesh", background="blue", supersampling=2)
     generator = torch.Generator().manual_seed(seed_of(seed, "bent"))
-    [views] = list(render_rig(kinematics, only, cameras, look, generator, hand=hand))
+    [views] = list(render_rig(kinematics, only, cameras, scene, generator, hand=hand))
     finger = BentFinger(
         cameras=cameras,
         masks=[view.mask for view in views],
@@ -226,7 +226,7 @@ def _fitted(
         replace(fitter, shape=sizes[best.size]),
         [hull(_SHAPE_LEVEL, _SHAPE_POINTS)],
         best.found.pose.reshape(1),
-        model.prior().people,
+        model.prior().population,
         HullShapeSettings(gross_m=(0.02, 0.006)),
     )
     return found.pose[0], found.shape

@@ -8,7 +8,7 @@ from torch import Tensor
 from torchhand.files import FrameStatus
 from torchhand.hand import HandPose
 from torchhand.track.belief import FollowedHand
-from torchhand.track.scene import Looks
+from torchhand.track.scene import Appearances
 
 _SAME_TIME_S = 1e-3
 
@@ -36,10 +36,10 @@ class TrackerState:
     """The hand that is followed; None while there is none."""
     shape: Float[Tensor, "shape"] | None = None
     """The proportions; None until they are known."""
-    appearance: Looks = ()
-    """What the hand looks like, view by view."""
+    appearance: Appearances = ()
+    """Appearance of the hand, view by view; empty until it is known."""
     posture: Float[Tensor, "36"] | None = None
-    """The posture of the start as it was fitted, which a search looks for."""
+    """Posture of the first hand as it was fitted, for which a search looks."""
     keyframes: tuple[Keyframe, ...] = ()
     """Hands that were found before tracking began."""
     usual_score: float = 0.0
