@@ -58,7 +58,7 @@ class Arguments:
     Example:
         torchhand study --out out/study --starts 10000
         torchhand study out/sequence --out out/study --frames 0,20,40 --surface mesh
-        torchhand study ueda --help     (another study: the evaluation of hands fitted into hulls, paper 002)
+        torchhand study ueda --help     (another study: hands fitted into hulls, Ueda et al. 2003)
     """
 
     input: Annotated[Positional[Path | None], arg(metavar="INPUT")] = None
@@ -127,7 +127,7 @@ class Arguments:
 
 @command
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one study, or go on with it; `ueda` as the first word asks for that of paper 002."""
+    """Run one study, or go on with it; `ueda` as the first word asks for that of Ueda et al. (2003)."""
     words = sys.argv[1:] if argv is None else list(argv)
     if words[:1] == [study_ueda.WORD]:
         return study_ueda.run(words[1:])

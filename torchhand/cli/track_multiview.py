@@ -34,8 +34,8 @@ class Arguments:
     out: Annotated[Path, arg(metavar="DIR")]
     """Folder for the results."""
     config: Annotated[str, arg(metavar="NAME")] = "hull_lm"
-    """Method: hull_lm (least squares, both sides of skin and hull), hull_torque (paper 002 as printed), or a YAML
-    file."""
+    """Method: hull_lm (least squares, both sides of skin and hull), hull_torque (Ueda et al. 2003 as printed), or a
+    YAML file."""
     cameras: Annotated[Path | None, arg(metavar="FILE")] = None
     """Cameras in another place than RIG."""
     unit: Annotated[str | None, arg(metavar="UNIT")] = None

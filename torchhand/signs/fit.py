@@ -93,8 +93,8 @@ def solve_signs(
     """The signs, each of HANDSHAPES, of a right hand of these proportions; deterministic.
 
     Least squares over the 30 joint angles within their limits: distance to the table, contacts, overlap of parts,
-    equation (2) of paper 000. Tried from three starts, the best is taken; from `start` alone where that is given,
-    such as the solution of another hand. kinematics: float64.
+    equation (2) of Ouhaddi and Horain (1998). Tried from three starts, the best is taken; from `start` alone where that
+    is given, such as the solution of another hand. kinematics: float64.
 
     Raises KeyError for a sign that the table lacks.
     """

@@ -1,7 +1,7 @@
 """The manual alphabet and digits of American Sign Language as a table: which finger does what, what touches what.
 
-Codes of the joints are those of Johnson and Liddell as FACTS 8.1 has them: E straight, i half bent, F bent; one letter
-each for MCP, PIP and DIP. Degrees are design values (FACTS 8.2), a starting point: `sign_fit` solves the contacts.
+Codes of the joints are those of Johnson and Liddell: E straight, i half bent, F bent; one letter
+each for MCP, PIP and DIP. Degrees are design values, a starting point: `sign_fit` solves the contacts.
 Signs of one shape share a row: H is U pointing sideways, P is K and Q is G pointing down, J is I and Z is 1 in motion.
 """
 

@@ -1,4 +1,4 @@
-"""Hulls from silhouettes: an octree carved level by level (paper 002, section 3.2; Szeliski 1993)."""
+"""Hulls from silhouettes: an octree carved level by level (Ueda et al. 2003, 3.2; Szeliski 1993)."""
 
 import copy
 from collections.abc import Sequence

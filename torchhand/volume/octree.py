@@ -1,4 +1,4 @@
-"""The octree of a hull, level by level (paper 002, section 3.1): black inside, white outside, grey across."""
+"""The octree of a hull, level by level (Ueda et al. 2003, section 3.1): black inside, white outside, grey across."""
 
 from dataclasses import dataclass
 from functools import cached_property

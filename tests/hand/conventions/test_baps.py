@@ -10,7 +10,7 @@ from torchhand.geometry import rotation_from_vector
 from torchhand.hand.conventions.baps import LARGEST_ID, NUMBERINGS, bap_ids, baps_of_pose, pose_of_baps
 from torchhand.hand.kinematics import DOFS, JOINT_DOFS
 
-FINAL_LEFT = {  # FACTS 3.5, as printed there
+FINAL_LEFT = {  # as ISO/IEC 14496-2 prints them
     **{"little_cmc_fe": 123, "little_mcp_fe": 125, "little_mcp_aa": 127, "little_mcp_tw": 129, "little_pip_fe": 131},
     **{"little_dip_fe": 133, "ring_cmc_fe": 135, "ring_mcp_fe": 137, "ring_mcp_aa": 139, "ring_mcp_tw": 141},
     **{"ring_pip_fe": 143, "ring_dip_fe": 145, "middle_cmc_fe": 147, "middle_mcp_fe": 149, "middle_mcp_aa": 151},

@@ -53,7 +53,7 @@ def _surface(primitives: Primitives) -> tuple[Tensor, Tensor]:
 
 
 def test_thirty_seven_parts() -> None:
-    """FACTS 4.1: palm 3, each finger 7, thumb 6."""
+    """Counts that add up to 37: palm 3, each finger 7, thumb 6."""
     assert len(PRIMITIVE_NAMES) == len(set(PRIMITIVE_NAMES)) == 37
     assert len(CONE_NAMES) == 15
     assert len(ELLIPSOID_NAMES) == 22

@@ -112,7 +112,7 @@ def test_process_noise_converges_to_the_true_one() -> None:
 
 
 def test_the_plain_sample_finds_the_noise_of_a_random_walk_and_not_that_of_a_velocity() -> None:
-    """FACTS 5.5: G ν νᵀ Gᵀ averages to P⁻ - P⁺, which is Q for a random walk in its steady state."""
+    """The sample G ν νᵀ Gᵀ averages to P⁻ - P⁺, which is Q for a random walk in its steady state."""
     walk, rate = MotionModel(order=0), torch.tensor([0.7], dtype=torch.float64)
     generator = torch.Generator().manual_seed(4)
     truth, r = torch.zeros(400, 1, dtype=torch.float64), torch.full((400, 1), 0.3, dtype=torch.float64)

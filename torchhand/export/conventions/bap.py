@@ -1,4 +1,4 @@
-"""MPEG-4 BAP text files of one hand, written and read in both numberings (FACTS 3.5).
+"""MPEG-4 BAP text files of one hand, written and read in both numberings (ISO/IEC 14496-2 and its draft).
 
 Header `version name fps frames`; then per frame a line of flags, one per parameter, and a line with the frame's number
 and the values of the flagged parameters; `#` begins a comment. Version 3.1 has 186 flags, 3.2 has 296 with the

@@ -1,4 +1,4 @@
-"""Motion as X3D 4.0: an H-Anim 2 hand (ISO/IEC 19774, names of FACTS 3.4) with its skin, moved by interpolators.
+"""Motion as X3D 4.0: an H-Anim 2 hand (ISO/IEC 19774) with its skin, moved by interpolators.
 
 Frame: y up, metres. The humanoid stands in our hand frame at the open hand, in which the skin is bound: at rest all
 joints' frames are parallel. The wrist's joint carries the hand's place and rotation in the world. Players blend the

@@ -1,4 +1,5 @@
-"""Gestures at a low bit rate: poses as whole steps, predicted frame by frame, range coded (paper 000, section 9).
+"""Gestures at a low bit rate: poses as whole steps, predicted frame by frame, range coded (Ouhaddi and Horain 1998,
+section 9).
 
 A .thp file: b"THP" and the version's digit; lengths of header and stream and the CRC-32 of both (three unsigned 32-bit
 numbers, little-endian); the header, JSON under zlib; the stream of `step_coder`. The header names everything: fps,

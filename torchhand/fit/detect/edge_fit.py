@@ -1,7 +1,7 @@
 """Fits pose and proportions to one picture: maximum a posteriori Gauss-Newton on edges along the contour's normals.
 
-The start of a track: paper 003 sets the model's parameters by hand and names their estimation within the same framework
-as future work (its section 6.1); this is that. The measurement is the tracker's own.
+The start of a track: Stenger et al. (2001) set the model's parameters by hand and name their estimation within the same
+framework as future work (section 6.1); this is that. The measurement is the tracker's own.
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """MANO's sixteen axis-angle rotations and our angles. Only its joint order and axes are used: no file of MANO's.
 
 At zero all frames of MANO's skeleton are parallel: fingers along -x of the right hand (+x of the left one), the back of
-the hand to +y, the thumb's side to +z (FACTS 3.3, 9.1). A joint's rotation is its turn relative to its parent since
+the hand to +y, the thumb's side to +z. A joint's rotation is its turn relative to its parent since
 then. Its fingers have no metacarpals: what bends in our palm is part of the rotation at the knuckle, and only the
 direction of the finger survives, not the knuckle's place.
 

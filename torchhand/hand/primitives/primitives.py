@@ -1,4 +1,4 @@
-"""The hand of paper 003, section 4.1: 37 truncated quadrics that follow the bones and the shape vector."""
+"""The hand of Stenger et al. (2001, section 4.1): 37 truncated quadrics that follow the bones and the shape vector."""
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
@@ -16,7 +16,7 @@ _FINGER_BALLS = [f"{finger}_{joint}" for finger in FINGERS[1:] for joint in ("mc
 CONE_NAMES = ("palm", *_FINGER_CONES, "thumb_proximal", "thumb_distal")
 ELLIPSOID_NAMES = ("palm_fingers", "palm_wrist", *_FINGER_BALLS, "thumb_thenar", "thumb_mcp", "thumb_ip", "thumb_tip")
 PRIMITIVE_NAMES = CONE_NAMES + ELLIPSOID_NAMES
-"""Fifteen cones, then twenty-two ellipsoids (FACTS 4.1)."""
+"""Names of all primitives: fifteen cones, then twenty-two ellipsoids."""
 
 _JOINT_BONES = {"mcp": "proximal", "pip": "middle", "dip": "distal", "ip": "distal", "tip": "distal"}
 
@@ -140,7 +140,7 @@ class Primitives:
         return Primitives(sizes=sizes, rotation=self.rotation[index], position=self.position[index])
 
     def quadrics(self) -> tuple[Float[Tensor, "*batch 37 4 4"], Float[Tensor, "*batch 37 4 4"]]:
-        """Matrices Q and Π of every primitive in PRIMITIVE_NAMES order (paper 003, equations 1 and 2)."""
+        """Matrices Q and Π of every primitive in PRIMITIVE_NAMES order (Stenger et al. 2001, equations 1 and 2)."""
         s = self.sizes
         cones = moved(cone(s.cone_start, s.cone_end_scale, s.cone_length), self.cone_rotation, self.cone_position)
         zero = torch.zeros_like(s.cone_length)

@@ -41,11 +41,11 @@ class HandPriorSettings:
 class HandPrior(nn.Module):
     """p(pose, shape) ∝ postures(joint angles) · population(shape) · exp(−penetration(joint angles, shape)).
 
-    `postures` is a mixture of truncated normals on the feasible set (`PostureMixture`), normalised exactly; `population` a
-    normal distribution cut off at the 21 anthropometric intervals and the shape's bounds (`Anthropometry`); penetration
-    as in `penetration`, infinite beyond `settings.deepest`. The constant that cutting off and penetration take away is
-    left out: log-probabilities of one prior can be compared, and `sample` follows them exactly. The root is uniform,
-    which is improper: it has no part in the density, and samples have it at zero.
+    `postures` is a mixture of truncated normals on the feasible set (`PostureMixture`), normalised exactly;
+    `population` a normal distribution cut off at the 21 anthropometric intervals and the shape's bounds
+    (`Anthropometry`); penetration as in `penetration`, infinite beyond `settings.deepest`. The constant that cutting
+    off and penetration take away is left out: log-probabilities of one prior can be compared, and `sample` follows them
+    exactly. The root is uniform, which is improper: it has no part in the density, and samples have it at zero.
     """
 
     def __init__(self, skeleton: Skeleton, shape_space: ShapeSpace, settings: HandPriorSettings | None = None) -> None:

@@ -25,7 +25,7 @@ class EdgeSettings:
     polarity: Literal["any", "inside_bright", "inside_dark"] = "any"
     """Which side of an edge must be the brighter; inside is where the normal comes from."""
     choose: Literal["strongest", "nearest"] = "strongest"
-    """The strongest edge (paper 003), or the one nearest to the predicted point among the rivals."""
+    """The strongest edge (Stenger et al. 2001), or the one nearest to the predicted point among the rivals."""
     rival_fraction: float = 0.5
     """An edge at least this share as strong as the strongest is its rival; 0..1."""
 
@@ -70,7 +70,7 @@ def search_edges(
     half_length_px: Float[Tensor, "*batch points"] | None = None,
     channel_weights: Float[Tensor, " channels"] | None = None,
 ) -> EdgeSearch:
-    """Edge nearest the truth along each contour normal (paper 003, section 4.3; FACTS 7, one-dimensional search).
+    """Edge nearest the truth along each contour normal (Stenger et al. 2001, section 4.3).
 
     The picture, one plane (height, width) or several (channels, height, width), is read bilinearly along each unit,
     outward normal and correlated with t/sigma² exp(-t²/2 sigma²), cut off at 3 sigma and scaled so that a step of

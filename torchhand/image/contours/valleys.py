@@ -1,7 +1,7 @@
-"""Dark lines of a picture, between its pixels: where fingers touch or hide each other (paper 000, section 7.3).
+"""Dark lines of a picture, between its pixels: where fingers touch or hide each other (Ouhaddi and Horain 1998, 7.3).
 
 The paper seeks inner contours as thalwegs, valleys of the grey levels taken as a relief, since operators for edges
-answer twice, on both sides of such a line. Its operator is not printed; this is the usual one (FACTS section 7): the
+answer twice, on both sides of such a line. Its operator is not printed; this is the usual one (Steger 1998): the
 Hessian of the smoothed picture, its largest eigenvalue and where the slope along its eigenvector is zero.
 """
 

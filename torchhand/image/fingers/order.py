@@ -10,7 +10,7 @@ Point = tuple[float, float]
 DIGITS = ("thumb", "index", "middle", "ring", "little")
 
 # Plan of a right hand's back, fingers up and spread, the wrist at the origin, x to the right and y down, shares of hand
-# length: where each digit leaves the palm, and its tip. From the published ratios (FACTS 1.1, 1.2) at medium spread.
+# length: where each digit leaves the palm, and its tip. From the ratios of Buchholz et al. (1992) at medium spread.
 _BASES = np.array(((-0.28, -0.20), (-0.145, -0.583), (0.0, -0.586), (0.116, -0.547), (0.234, -0.496)))
 _TIPS = np.array(((-0.555, -0.38), (-0.228, -0.918), (0.0, -0.99), (0.18, -0.917), (0.342, -0.747)))
 _PALM = np.array((0.0, -0.32))

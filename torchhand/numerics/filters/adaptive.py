@@ -1,4 +1,4 @@
-"""Noise that a filter learns while it runs: the adaptive filter that paper 000, section 7.5, announces (FACTS 5.5).
+"""Noise that a filter learns while it runs: the adaptive filter that Ouhaddi and Horain (1998, 7.5) announce.
 
 After every frame the filter says what it believes of the noise that it has just met: the measurement noise from the
 residual, the process noise from the innovation. Exponential forgetting averages these samples, and bounds relative to
@@ -68,7 +68,7 @@ def residual_variance(
 
 
 def gain_covariance(predicted: Gaussian, updated: Gaussian) -> Float[Tensor, "*batch n n"]:
-    """G ν νᵀ Gᵀ, the plain sample of the process noise Q (FACTS 5.5): the square of the correction, never negative.
+    """G ν νᵀ Gᵀ, the plain sample of the process noise Q: the square of the correction, never negative.
 
     Its mean is P⁻ - P⁺: the noise of a random walk in its steady state, but not of a model with velocities, and not
     while the filter settles or misses measurements. `process_covariance` has none of these faults.

@@ -58,7 +58,7 @@ def planar_course(stage: Stage, share: float = 1.0) -> tuple[Float[Tensor, "fram
 
 
 def _planar(stage: Stage) -> Course:
-    """An open hand moves in the picture plane (paper 003, section 5)."""
+    """An open hand moves in the picture plane (Stenger et al. 2001, section 5)."""
     centre, turn = planar_course(stage)
     return Course(posture="open", centre=centre, turn=turn)
 
@@ -70,7 +70,7 @@ def _planar_point(stage: Stage) -> Course:
 
 
 def _abduction(stage: Stage) -> Course:
-    """The fingers close and spread together, each a little on its own (paper 000, section 9); small planar motion."""
+    """The fingers close and spread together, each a little on its own (Ouhaddi and Horain 1998, section 9)."""
     centre, turn = planar_course(stage, 0.25)
     together = 0.5 - 0.5 * torch.cos(2 * torch.pi * 0.35 * stage.pace * stage.seconds)
     own = stage.wander(5)

@@ -1,4 +1,4 @@
-"""Named rigs of cameras around one place: the frame of paper 002, and a ring."""
+"""Named rigs of cameras around one place: the frame of Ueda et al. (2003), and a ring."""
 
 import math
 import re
@@ -33,9 +33,9 @@ _DEFAULTS = {"frame": 4, "ring": 8}
 
 
 def named_rig(name: str, *, size: tuple[int, int] = SIZE_PX, fov_deg: float = FOV_DEG) -> list[Camera]:
-    """frame3 is that of paper 002's simulator (section 6.1: front, side, top), frame or frame4 that of its real
-    pictures (7.1: top at 45° as well); frame1 to frame8 leave some away or add more directions. ring8 or another number
-    stands around the upright axis.
+    """frame3 is that of the simulator of Ueda et al. (2003, section 6.1: front, side, top), frame or frame4 that of its
+    real pictures (7.1: top at 45° as well); frame1 to frame8 leave some away or add more directions. ring8 or another
+    number stands around the upright axis.
 
     The middle is the world's origin, whose axes are those of the first camera: x right, y down, z away from it. size:
     px.

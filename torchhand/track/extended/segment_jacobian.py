@@ -1,10 +1,10 @@
 """Limb segments of the last two phalanges, and how their ends move with the pose, in closed form.
 
-A limb is a straight contour generator of a phalanx's cone, between the cone's two ends (paper 000, section 7.2). When
-the pose changes, its ends move with the bone, and they slide around the cone, because the contour is where the camera
-grazes it: at the angle θ of the section with cos(θ ∓ α) = c, (cos α, sin α) the direction of the camera in units of the
-section and c as in `torchhand.view.outlines.generators`. Both parts are needed: seen at a slant, sliding moves an end
-along the segment.
+A limb is a straight contour generator of a phalanx's cone, between the cone's two ends (Ouhaddi and Horain 1998, 7.2).
+When the pose changes, its ends move with the bone, and they slide around the cone, because the contour is where the
+camera grazes it: at the angle θ of the section with cos(θ ∓ α) = c, (cos α, sin α) the direction of the camera in units
+of the section and c as in `torchhand.view.outlines.generators`. Both parts are needed: seen at a slant, sliding moves
+an end along the segment.
 """
 
 from dataclasses import dataclass

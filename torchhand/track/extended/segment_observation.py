@@ -1,6 +1,7 @@
-"""What the extended Kalman filter of paper 000 observes: middles, lengths and directions of registered limb segments.
+"""Observation of the extended Kalman filter of Ouhaddi and Horain (1998): registered limb segments, of each the middle,
+length and direction.
 
-The observation is loosely coupled (paper 000, section 7.5; FACTS 5.6): registration fits the model to the picture
+The observation is loosely coupled (section 7.5 of the paper): registration fits the model to the picture
 first, and the segments of the fitted pose are what the filter measures, never raw edges. Twenty segments of the last
 two phalanges give 80 numbers.
 """

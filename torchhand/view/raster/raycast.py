@@ -68,7 +68,7 @@ def raycast(primitives_world: Primitives, camera: Camera) -> Raycast:
 def _meet(parts: Implicit, index: int, plane: Tensor, is_orthographic: bool) -> tuple[Tensor, Tensor]:
     """Depth of the first point of one primitive on the rays through points of the plane, and half the gradient there.
 
-    The nearer of the roots that lie in front of the camera and within the truncation (FACTS 4.4, points 1, 2 and 5).
+    The nearer of the roots that lie in front of the camera and within the truncation.
     """
     upper, edge, axis = parts.upper[index, ..., 0], parts.edge[index, :, 0], parts.axis[index, :, 0]
     corner, low, high = parts.corner[index, 0], parts.low[index, 0], parts.high[index, 0]
