@@ -314,8 +314,8 @@ def test_a_picture_without_truth_is_its_own_reference(sequence: Path, tmp_path: 
     assert outcome.code == 0, outcome.err
     assert "reference: the best registration about the fit of an open hand" in outcome.out
     with np.load(tmp_path / "out" / "hypotheses.npz") as stored, np.load(sequence / "truth.npz") as truth:
-        apart = np.abs(stored["reference_pose"][0] - truth["pose"][0])[6:]
-        assert np.degrees(apart.mean()) < 6
+        difference = np.abs(stored["reference_pose"][0] - truth["pose"][0])[6:]
+        assert np.degrees(difference.mean()) < 6
         assert float(stored["reference_overlap"][0]) > 0.9
         kinematics = load_hand_model().kinematics(dtype=torch.float64)
         points = kinematics(torch.from_numpy(stored["reference_pose"][0])).keypoints.numpy()

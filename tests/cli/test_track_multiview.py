@@ -156,7 +156,7 @@ def test_frames_that_were_lost_are_filled_in_once_the_hand_is_found(
     def losing(self, state, views, time_s):
         if round(30 * time_s) in (1, 2):
             gone = replace(state, hand=None, time_s=time_s)
-            return gone, Estimate(status="lost", time_s=time_s, reason="looked away")
+            return gone, Estimate(status="lost", time_s=time_s, reason="occluded")
         return step(self, state, views, time_s)
 
     def stopping(self, frame):

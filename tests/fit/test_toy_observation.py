@@ -169,14 +169,14 @@ def test_many_hypotheses_with_one_camera_and_with_four(cameras: int, generator: 
     own = rays(target, cameras)
     found = solve(problem(own, starts), starts, SCHEDULE)
     assert bool((found.status <= SolveStatus.STALLED.value).all())
-    apart = tips(found.pose) - target
+    difference = tips(found.pose) - target
     for ray in own:
-        across = apart - (apart @ ray.direction)[:, None] * ray.direction
+        across = difference - (difference @ ray.direction)[:, None] * ray.direction
         assert float(across.norm(dim=-1).max()) < 2e-4
     if cameras == 4:
-        assert float(apart.norm(dim=-1).max()) < 2e-4
+        assert float(difference.norm(dim=-1).max()) < 2e-4
     else:
-        assert float(apart.norm(dim=-1).median()) > 5e-3  # one camera does not tell how far away
+        assert float(difference.norm(dim=-1).median()) > 5e-3  # one camera does not tell how far away
     assert [one.view for one in found.explained] == list(range(cameras))
     assert bool(torch.stack([one.share for one in found.explained]).all())
     assert float((tips(starts) - target).norm(dim=-1).median()) > 0.02

@@ -343,8 +343,8 @@ def test_a_carver_moved_is_one_made_there(lens: tuple[float, ...] | None, rigs: 
 
 def test_silhouettes_that_do_not_meet_are_a_frame_without_hull(rigs: Any) -> None:
     cameras = [rigs.looking((0.0, 0.0, -0.5)), rigs.looking((0.5, 0.0, 0.0))]
-    apart = torch.tensor((0.0, 0.06, 0.0), dtype=torch.float64)
-    masks = [rigs.ball(cameras[0], apart, 0.02), rigs.ball(cameras[1], -apart, 0.02)]
+    shift = torch.tensor((0.0, 0.06, 0.0), dtype=torch.float64)
+    masks = [rigs.ball(cameras[0], shift, 0.02), rigs.ball(cameras[1], -shift, 0.02)]
     octree = carve(masks, cameras, CUBE)
     assert bool(octree.is_empty)
     assert float(octree.volume()) == 0

@@ -166,9 +166,9 @@ def _begins_at_white(grey: np.ndarray, grid: np.ndarray) -> bool:
 
 def _refined(grey: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Corners (n, 2) moved to where the gradients around them meet, within a quarter of the smallest square."""
-    apart = np.linalg.norm(corners[:, None] - corners[None], axis=-1)
-    np.fill_diagonal(apart, np.inf)
-    half = int(np.clip(_REACH * apart.min(), 2, _MOST_REACH_PX))
+    distances = np.linalg.norm(corners[:, None] - corners[None], axis=-1)
+    np.fill_diagonal(distances, np.inf)
+    half = int(np.clip(_REACH * distances.min(), 2, _MOST_REACH_PX))
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
     points = np.array(corners, order="C").reshape(-1, 1, 2)
     return cv2.cornerSubPix(grey, points, (half, half), (-1, -1), stop)

@@ -92,7 +92,7 @@ class Arguments:
     """Pose space: dof26 if not given, dof27, dof28, dof31, dof36 or planar_abduction."""
     prior: bool = True
     """Let the registration know which postures are likely."""
-    expectation: bool = True
+    start_prior: bool = True
     """Let the registration know how far starts may be off, as a tracker knows of its prediction."""
     success_deg: Annotated[float | None, arg(metavar="DEG")] = None
     """Largest mean error of the joint angles of a success; 5 if not given."""
@@ -209,7 +209,7 @@ def _settings(arguments: Arguments) -> HypothesisStudySettings:
         **{name: f"perturbation.{name}" for name in ("levels", "angle_deg", "translation_mm", "rotation_deg")},
     }
     given = {key: value for name, key in named.items() if (value := getattr(arguments, name)) is not None}
-    given |= {f"has_{name}": False for name in ("prior", "expectation") if not getattr(arguments, name)}
+    given |= {f"has_{name}": False for name in ("prior", "start_prior") if not getattr(arguments, name)}
     changes = changes_of(arguments.changes, "contour.coverage_weight=0")
     settings = load_settings(HypothesisStudySettings(), arguments.config, changes)
     settings = load_settings(settings, None, given)

@@ -50,8 +50,8 @@ def planar_motion_errors(
     for with_scale in (False, True):
         estimated = fit_similarity(estimate_px[reference], estimate_px, with_scale=with_scale)
         true = fit_similarity(truth_px[reference], truth_px, with_scale=with_scale)
-        apart = estimated.apply(centroid) - true.apply(centroid)
-        displacement[with_scale] = _without(np.linalg.norm(apart[..., 0, :], axis=-1), reference)
+        difference = estimated.apply(centroid) - true.apply(centroid)
+        displacement[with_scale] = _without(np.linalg.norm(difference[..., 0, :], axis=-1), reference)
         scale[with_scale] = estimated.scale / true.scale
         turn[with_scale] = np.swapaxes(true.rotation, -1, -2) @ estimated.rotation
     true_scale = fit_similarity(truth_px[reference], truth_px, with_scale=True).scale

@@ -189,9 +189,9 @@ class GaussianFactor:
 
     def equations(self, hands: PosedHands) -> Equations:
         """In all DOFs."""
-        apart = hands.pose.dofs - self.expected
-        pull = (self.information @ apart[..., None]).squeeze(-1)
-        return Equations(cost=0.5 * (apart * pull).sum(-1), gradient=pull, matrix=self.information)
+        deviation = hands.pose.dofs - self.expected
+        pull = (self.information @ deviation[..., None]).squeeze(-1)
+        return Equations(cost=0.5 * (deviation * pull).sum(-1), gradient=pull, matrix=self.information)
 
     def rows(self, rows: Int[Tensor, "n"]) -> "GaussianFactor":
         """Of some of the hands."""

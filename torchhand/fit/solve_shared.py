@@ -93,7 +93,7 @@ def solve_shared(
         for stage in schedule:
             for _ in range(stage.rounds):
                 work.associate(stage)
-                work.settle(stage.iterations)
+                work.solve_poses(stage.iterations)
                 work.descend(stage.iterations, cost_tolerance)
         return work.solution(schedule[-1], information)
 
@@ -105,7 +105,7 @@ class _Part:
     rows: slice
     here: Linearization
 
-    def settled(
+    def solved(
         self, values: Float[Tensor, "k free"], vector: Float[Tensor, "c"], settings: LevenbergMarquardtSettings
     ) -> LeastSquares:
         """The poses of lowest cost for given shared unknowns, every frame by itself."""
@@ -212,10 +212,10 @@ class _Work:
         )
         self.cost, self.follow = torch.inf, ()
 
-    def settle(self, iterations: int) -> None:
+    def solve_poses(self, iterations: int) -> None:
         """Finds the best poses for the shared unknowns as they are."""
         settings = self._pose_settings(iterations)
-        found = [part.settled(self.values[part.rows], self.vector, settings) for part in self.parts]
+        found = [part.solved(self.values[part.rows], self.vector, settings) for part in self.parts]
         self.values = torch.cat([own.values for own in found])
         self.frame_status = torch.cat([own.status for own in found])
         self.frame_iterations = torch.cat([own.iterations for own in found])
@@ -243,7 +243,7 @@ class _Work:
             start = self.values[part.rows]
             if self.follow:
                 start = (start + self.follow[number] @ (vector - self.vector)).clamp(lower, upper)
-            found = part.settled(start, vector, settings).values
+            found = part.solved(start, vector, settings).values
             arrow = part.arrow(found, vector, self.is_sound[part.rows])
             held = (found <= lower) & (arrow.block_gradient > 0) | (found >= upper) & (arrow.block_gradient < 0)
             left = arrow.eliminated(held)
@@ -264,7 +264,7 @@ class _Work:
             self.problem, count = replace(self.problem, shape=shape), len(shared.columns)
             self.vector = torch.cat((shape[list(shared.columns)], self.vector[count:]))
             self.associate(stage)
-            self.settle(stage.iterations)
+            self.solve_poses(stage.iterations)
         self.associate(stage)
         cost, covariance, shared_covariance = self._covariances(information)
         std = torch.zeros_like(shape)

@@ -49,8 +49,8 @@ def skin_jacobian(
     # Parts of the point that each bone carries, correctives included: (20, 3, points, n).
     parts = _turned(rotation, places) + bone_shares[:, None] * position[:, :, None]
     features, slopes = hand.skinning.corrective_features(flat_pose, metres)
-    carriers = rotation.index_select(0, hand.skinning.corrective_bones)
-    parts = parts.index_add(0, hand.skinning.corrective_bones, _corrective(carriers, features, offsets))
+    bone_rotation = rotation.index_select(0, hand.skinning.corrective_bones)
+    parts = parts.index_add(0, hand.skinning.corrective_bones, _corrective(bone_rotation, features, offsets))
     beyond, share_beyond = _beyond(parts), _beyond(bone_shares.expand(*bone_shares.shape[:2], parts.shape[-1]))
     points, share = beyond[0], share_beyond[0]
 
@@ -59,7 +59,7 @@ def skin_jacobian(
     axes = world_axes(flat_pose, rotation, hand.kinematics.chain.constants)
     of_angles = torch.linalg.cross(axes[:, :, None], levers.index_select(0, bones), dim=1)
     own = hand.skinning.corrective_rows - len(ROOT_DOFS)
-    of_angles = of_angles.index_add(0, own, _corrective(carriers, slopes, offsets))
+    of_angles = of_angles.index_add(0, own, _corrective(bone_rotation, slopes, offsets))
     spin = left_jacobian(flat_pose[3:6].T).permute(2, 1, 0)  # columns first: 3 3 n
     of_vector = torch.linalg.cross(spin[:, :, None], levers[:1], dim=1)
     identity = torch.eye(3, dtype=pose.dtype, device=pose.device)
@@ -74,9 +74,9 @@ def _turned(rotation: Tensor, vectors: Tensor) -> Tensor:
     return columns[0] * rows[0] + columns[1] * rows[1] + columns[2] * rows[2]
 
 
-def _corrective(carriers: Tensor, factors: Tensor, offsets: Tensor) -> Tensor:
+def _corrective(bone_rotation: Tensor, factors: Tensor, offsets: Tensor) -> Tensor:
     """Sum over the two features of an angle's offsets times `factors` (c, 2, n), turned into the world."""
-    return _turned(carriers, (offsets * factors[:, :, None, None]).sum(1))
+    return _turned(bone_rotation, (offsets * factors[:, :, None, None]).sum(1))
 
 
 def _beyond(parts: Tensor) -> Tensor:

@@ -151,12 +151,12 @@ def loss_terms(
     """The weighted terms of the loss by name, means over the hands."""
     weights, few = settings.weights, slice(settings.energy_hands)
     own, true = estimate.keypoints, samples.keypoints
-    apart = (own - own[:, :1]) - (true - true[:, :1])
+    difference = (own - own[:, :1]) - (true - true[:, :1])
     picture, true_picture = (points[..., :2] / points[..., 2:].clamp_min(_NEAREST) for points in (own, true))
     spread = (true_picture - true_picture.mean(1, keepdim=True)).square().sum(-1).mean(1).sqrt()
     ratio = own[:, 0, 2].clamp_min(_NEAREST) / true[:, 0, 2]
     terms = {
-        "keypoints": 100 * apart[:, 1:].norm(dim=-1).mean(),
+        "keypoints": 100 * difference[:, 1:].norm(dim=-1).mean(),
         "reprojection": ((picture - true_picture).norm(dim=-1).mean(1) / spread).mean(),
         "distance": ratio.log().abs().mean(),
         "joints": (estimate.pose[:, -len(JOINT_DOFS) :] - samples.joints).abs().mean(),

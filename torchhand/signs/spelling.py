@@ -130,7 +130,7 @@ def spell(
             centre, rotation = segment.course(share, side)
             centres.append(centre)
             rotations.append(rotation)
-    found, rotation = clearance.apart(torch.cat(values)), torch.cat(rotations)
+    found, rotation = clearance.separated(torch.cat(values)), torch.cat(rotations)
     root = torch.cat(centres) - rotation @ _middle(model, shape)
     return Spelling(
         text=text,

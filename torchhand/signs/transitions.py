@@ -74,7 +74,7 @@ RECIPES: tuple[Recipe, ...] = (
 """All ways, the shorter ones first."""
 
 GOOD_ENOUGH = 1.2e-3
-"""Overlap with which the search ends, metres: so much `Clearance.apart` takes away without a trace."""
+"""Overlap with which the search ends, metres: so much `Clearance.separated` takes away without a trace."""
 _SAMPLES_PER_SEGMENT = 12
 _TRIED_AT_ONCE = 10
 _UNCROSSED_DEG = {"index_mcp_fe": 32.0, "index_mcp_aa": 12.0, "middle_mcp_aa": -8.0, "middle_mcp_fe": 0.0}

@@ -99,18 +99,18 @@ def hull_field(octree: Octree, *, margin: float = MARGIN, surface: Literal["oute
     if not 0 <= margin < float("inf"):
         raise ValueError(f"margin: expected 0 or more metres, got {margin}")
     boxes = [octree.occupancy(frame=frame) for frame in range(octree.frame_count)]
-    rim = max(1, round(margin / octree.leaf_side))
-    nx, ny, nz = (2 * rim + max([1, *(filled.shape[axis] for filled, _ in boxes)]) for axis in range(3))
+    border = max(1, round(margin / octree.leaf_side))
+    nx, ny, nz = (2 * border + max([1, *(filled.shape[axis] for filled, _ in boxes)]) for axis in range(3))
     size = (nx, ny, nz)
     device = octree.levels[0].states.device
     values = torch.empty(octree.frame_count, *size, device=device)
     first = torch.zeros(octree.frame_count, 3, dtype=torch.float64)
     for frame, (filled, start) in enumerate(boxes):
-        start = (start[0] - rim, start[1] - rim, start[2] - rim)
+        start = (start[0] - border, start[1] - border, start[2] - border)
         first[frame] = torch.tensor(start)
         whole = torch.zeros(size, dtype=torch.bool, device=device)
         nx, ny, nz = filled.shape
-        whole[rim : rim + nx, rim : rim + ny, rim : rim + nz] = filled
+        whole[border : border + nx, border : border + ny, border : border + nz] = filled
         cells = _signed(whole)
         if surface == "middle" and filled.numel():
             cells = cells + 0.5 * _shell(cells, octree.occupancy_in(start, size, frame=frame, inner=True))

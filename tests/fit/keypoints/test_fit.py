@@ -57,8 +57,8 @@ def _postures(kinematics: HandKinematics) -> Tensor:
 
 def _worst_angle_deg(found: Tensor, truth: Tensor) -> Tensor:
     """Of every frame, over the joint angles and the rotation of the root."""
-    apart = rotation_from_vector(found[..., 3:6]) @ rotation_from_vector(truth[..., 3:6]).mT
-    root = vector_from_rotation(apart).norm(dim=-1, keepdim=True)
+    difference = rotation_from_vector(found[..., 3:6]) @ rotation_from_vector(truth[..., 3:6]).mT
+    root = vector_from_rotation(difference).norm(dim=-1, keepdim=True)
     return torch.cat((root, (found - truth)[..., 6:].abs()), -1).amax(-1).rad2deg()
 
 
@@ -127,8 +127,8 @@ def test_spreads_are_honest(generator: torch.Generator) -> None:
     assert not fit.pose_std[:, [DOFS.index("index_mcp_tw")]].any()
     # The whole covariance, of angles and keypoints: normalised squared errors have the mean of their dimension.
     error = (fit.pose - truth)[:, free]
-    apart = rotation_from_vector(fit.pose[:, 3:6]) @ rotation_from_vector(truth[:, 3:6]).mT
-    error[:, 3:6] = vector_from_rotation(apart)
+    difference = rotation_from_vector(fit.pose[:, 3:6]) @ rotation_from_vector(truth[:, 3:6]).mT
+    error[:, 3:6] = vector_from_rotation(difference)
     nees = (error * torch.linalg.solve(fit.pose_covariance, error)).sum(-1)
     assert 0.9 < float(nees.median()) / 27 < 1.15
     missed = (fit.keypoints - points)[..., None]

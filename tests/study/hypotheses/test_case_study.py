@@ -120,7 +120,7 @@ def test_a_batch_is_the_same_whenever_it_is_run(found: Hypotheses, case: StudyCa
 
 
 def test_what_the_registration_knows_makes_a_difference(found: Hypotheses, case: StudyCase) -> None:
-    for change in ({"has_prior": False}, {"has_expectation": False}):
+    for change in ({"has_prior": False}, {"has_start_prior": False}):
         other = CaseStudy(case, MODEL, replace(SETTINGS, **change)).run(BATCH, 5)
         np.testing.assert_array_equal(other.perturbation, found.perturbation)
         assert np.abs(other.angle_deg - found.angle_deg).min() > 1e-3

@@ -79,7 +79,7 @@ class Iteration:
         return residual, jacobian
 
     def run(self, linearise: Callable[..., Any], first: NormalEquations) -> Tensor:
-        """Propose a step, evaluate it with its derivatives, and judge it."""
+        """Propose a step, evaluate it with its derivatives, and accept or reject it."""
         with torch.inference_mode(linearise == self.in_closed_form):
             return levenberg_marquardt(linearise, self.start, settings=self.settings, first=first).values
 

@@ -114,7 +114,7 @@ class RigSource:
                 problem or (blackness(name, image) if image is not None and view < self._cameras else None)
                 for view, (name, image, problem) in enumerate(zip(self.names, images, problems, strict=True))
             ]
-            problems = frozen.judge(images, problems)
+            problems = frozen.check(images, problems)
             good = tuple(None if p else image for p, image in zip(problems, images, strict=True))
             count = self._cameras
             yield RigFrame(

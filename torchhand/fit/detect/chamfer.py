@@ -103,8 +103,8 @@ def thinned(points: np.ndarray, count: int) -> np.ndarray:
 
 def _differs(one: Candidate, other: Candidate) -> bool:
     turn = abs(math.remainder(one.angle - other.angle, 2 * math.pi))
-    apart = float(np.hypot(*(one.centre - other.centre))) / max(one.radius, other.radius)
-    return one.template.facing != other.template.facing or turn > _SAME_TURN or apart > _SAME_PLACE
+    distance = float(np.hypot(*(one.centre - other.centre))) / max(one.radius, other.radius)
+    return one.template.facing != other.template.facing or turn > _SAME_TURN or distance > _SAME_PLACE
 
 
 def _lookup(grid: np.ndarray, points: np.ndarray, outside: float) -> np.ndarray:

@@ -155,7 +155,7 @@ class ShapeJacobian:
         matrix = kinematics.lever_matrix.unflatten(0, (len(LEVER_ENDS), 3))
         sizes = [space.names.index(name) for name in ("hand_length", "hand_breadth")]
         units = [[i for i, unit in enumerate(space.units) if unit == name] for name in ("/HL", "/HB")]
-        carriers = (*[0] * 5, *range(1, len(BONES)))  # the bone that carries each lever
+        lever_bones = (*[0] * 5, *range(1, len(BONES)))  # the bone that carries each lever
         bones, levers, parameters, places, sources = [], [], [], [], []
         for lever, end in enumerate(LEVER_ENDS):
             touched = set(matrix[lever].any(0).nonzero()[:, 0].tolist())
@@ -165,7 +165,7 @@ class ShapeJacobian:
                 for point in _beyond(end):
                     places += [(3 * point + i) * len(self.columns) + column for i in range(3)]
                     sources.append(len(bones))
-                bones.append(carriers[lever])
+                bones.append(lever_bones[lever])
                 levers.append(lever)
                 parameters.append(parameter)
 

@@ -176,11 +176,11 @@ def place_primitives(frames: HandFrames, sizes: PrimitiveSizes, *, is_left: bool
     batch = frames.position.shape[:-2]
     turned, origin = sizes.mirrored_placement if is_left else sizes.placement
     bones = _bone_index(frames.position.device)
-    carriers = batch_last(frames.rotation, 3, batch).index_select(0, bones)
+    bone_rotation = batch_last(frames.rotation, 3, batch).index_select(0, bones)
     position = batch_last(frames.position, 2, batch).index_select(0, bones) + turn(
-        carriers, batch_last(origin, 2, batch)
+        bone_rotation, batch_last(origin, 2, batch)
     )
-    rotation = compose(carriers, batch_last(turned, 3, batch))
+    rotation = compose(bone_rotation, batch_last(turned, 3, batch))
     return Primitives(sizes=sizes, rotation=batch_first(rotation, batch), position=batch_first(position, batch))
 
 

@@ -13,7 +13,7 @@ from torchhand.image.operations import suits_opencv
 from torchhand.image.segmentation.histograms import log_ratio, look_up, probability_u8, smoothed
 
 _LUMINANCE = (9798, 19235, 3735)  # of red, green and blue, 2⁻¹⁵: the fixed point numbers of OpenCV
-_FEW = 10.0  # pixels of a colour that make half a lesson
+_HALF_WEIGHT = 10.0  # pixels of a colour with which a picture counts as much as what was known before
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +61,7 @@ def relearn_colours(
     """
     counts = _counts(image, inside, outside, tuple(model.log_ratio.shape), smoothing_bins)
     pixels = counts[0] + counts[1]
-    share = torch.from_numpy((1.0 - keep) * pixels / (pixels + _FEW)).to(model.log_ratio)
+    share = torch.from_numpy((1.0 - keep) * pixels / (pixels + _HALF_WEIGHT)).to(model.log_ratio)
     fresh = torch.from_numpy(log_ratio(*counts)).to(model.log_ratio)
     return ColourModel(log_ratio=torch.lerp(model.log_ratio, fresh, share))
 

@@ -1,4 +1,5 @@
-"""The state of many damped Gauss-Newton iterations: propose a step for each problem, judge it, drop what is done."""
+"""The state of many damped Gauss-Newton iterations: propose a step for each problem, accept or reject it, drop what is
+done."""
 
 from dataclasses import dataclass, fields
 from typing import Any
@@ -89,7 +90,7 @@ class DampedIteration:
         self.trial = torch.where((self.is_open & is_solved)[:, None], trial, self.values)
         self.promised = promised.masked_fill(~is_solved, torch.inf)
 
-    def judge(self, found: NormalEquations, settings: LevenbergMarquardtSettings) -> None:
+    def accept_or_reject(self, found: NormalEquations, settings: LevenbergMarquardtSettings) -> None:
         """Take the trials that lower the cost, and set the damping."""
         share = (self.cost - found.cost) / self.promised
         better = self.is_open & _is_finite(found) & (found.cost < self.cost) & (share >= _ACCEPTED_SHARE)

@@ -84,7 +84,7 @@ def levenberg_marquardt(
         if takes_rows and len(left) <= _WORTH_DROPPING * len(work.rows):
             done.append(work.select((~work.is_open).nonzero()[:, 0]))
             work = work.select(left)
-        work.judge(evaluate(work.trial, work.rows), settings)
+        work.accept_or_reject(evaluate(work.trial, work.rows), settings)
     done.append(work)
     whole = DampedIteration.joined(done)
     on_bound = torch.zeros_like(whole.values, dtype=torch.bool)

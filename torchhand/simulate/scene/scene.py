@@ -194,7 +194,8 @@ def _exposed(
 
 
 def _window(projector: HandProjector, frames: HandFrames, scene: SceneSettings) -> tuple[int, int, int, int]:
-    """Pixels x0, y0, x1, y1 (exclusive) that hold all of the hand and its forearm; the whole picture where in doubt."""
+    """Pixels x0, y0, x1, y1 (exclusive) that hold all of the hand and its forearm; the whole picture where that is not
+    certain."""
     camera = projector.camera
     space = projector.kinematics.shape_space
     reach = _REACH * space.metric(projector.shape)["hand_length"]

@@ -150,7 +150,7 @@ class CaseStudy:
         change = draw_perturbations(self.space, size, s.perturbation, generator)
         change = change.to(self.device).clamp(*free_bounds(self.space, self.kinematics.skeleton))
         starts = self._hands(change)
-        found = self._registered(starts, starts if s.has_expectation else None)
+        found = self._registered(starts, starts if s.has_start_prior else None)
         return self._told(batch, own_seed, level, change, found)
 
     def _told(

@@ -37,13 +37,13 @@ class HypothesisStudySettings:
     """Most points of the mesh's contours; 50 or more."""
     has_prior: bool = True
     """The registration knows which postures are likely."""
-    has_expectation: bool = True
+    has_start_prior: bool = True
     """The registration knows how far starts may be off: normal errors with the spread of the largest perturbation, as a
     tracker's prediction has."""
     success_deg: float = 5.0
     """Largest mean error of the joint angles of a success; above 0."""
     best_of: tuple[int, ...] = (1, 2, 4, 8, 16)
-    """Numbers of starts of which the cheapest is judged; increasing, 1 or more."""
+    """Numbers of starts of which the cheapest is evaluated; increasing, 1 or more."""
     schedule: Schedule = SEARCH
     """Registration from coarse to fine; at least one stage."""
     contour: ContourSettings = field(default_factory=ContourSettings)

@@ -42,7 +42,7 @@ class SegmentSettings:
     least_length_px: float = 3.0
     """Shorter segments have no direction worth the name; above 0."""
     samples: int = 8
-    """Points per segment at which visibility is judged; 1 or more."""
+    """Points per segment at which visibility is tested; 1 or more."""
 
     def __post_init__(self) -> None:
         for name in ("position_std_px", "length_std_px", "least_length_px"):

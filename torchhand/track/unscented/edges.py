@@ -47,7 +47,7 @@ class EdgeMeasurement:
     variance: Float[Tensor, "points"]
     is_found: Bool[Tensor, "points"]
     visibility: ContourVisibility
-    """For a further pass over the same picture, which does not judge it again."""
+    """For a further pass over the same picture, which does not evaluate it again."""
     in_picture: Bool[Tensor, "points"]
 
     @property
