@@ -105,7 +105,7 @@ class FingertipRayFactor:
     def explained(self) -> tuple[Explained, ...]:
         """Whether the fingertip is on the ray."""
         is_on = (self.distance < 3 * self.ray.std_m).to(self.distance)
-        return (Explained(name="fingertip", view=self.ray.view, share=is_on, distance=self.distance),)
+        return (Explained(name="fingertip", view=self.ray.view, fraction=is_on, distance=self.distance),)
 
 
 # ------------------------------------------------------------------ and where it works
@@ -178,7 +178,7 @@ def test_many_hypotheses_with_one_camera_and_with_four(cameras: int, generator: 
     else:
         assert float(difference.norm(dim=-1).median()) > 5e-3  # one camera does not tell how far away
     assert [one.view for one in found.explained] == list(range(cameras))
-    assert bool(torch.stack([one.share for one in found.explained]).all())
+    assert bool(torch.stack([one.fraction for one in found.explained]).all())
     assert float((tips(starts) - target).norm(dim=-1).median()) > 0.02
 
 
@@ -227,4 +227,4 @@ def test_the_shape_fit_takes_it_as_it_is(cameras: int, generator: torch.Generato
     assert abs(float(found.shape[length] / longer[length]) - 1) < 0.004
     assert 0 < float(found.shape_std[length]) < 0.001
     assert [one.view for one in found.explained] == list(range(cameras))
-    assert all(bool(one.share.all()) for one in found.explained)
+    assert all(bool(one.fraction.all()) for one in found.explained)

@@ -28,7 +28,7 @@ WIDTH, HEIGHT, FPS = 240, 192, 30.0
 class Scene:
     frames: list[RecordedFrame]
     keypoints_px: np.ndarray
-    share_in_view: np.ndarray
+    fraction_in_view: np.ndarray
     """Of the keypoints, per frame."""
 
 
@@ -93,7 +93,7 @@ def _scene(script: str, frames: int, kinematics: HandKinematics, camera: Camera,
     return Scene(
         frames=[_frame(frame.index, frame.image) for frame in rendered],
         keypoints_px=points,
-        share_in_view=inside.mean(-1),
+        fraction_in_view=inside.mean(-1),
     )
 
 
@@ -164,9 +164,9 @@ def test_a_hand_that_leaves_is_lost_and_recovered_when_it_is_back(
     scene, run = _scene("leave", 60, kinematics, camera), begin()
     records = [run.step(frame)[0] for frame in scene.frames]
     status = [record.status for record in records]
-    gone = np.flatnonzero(scene.share_in_view == 0)
+    gone = np.flatnonzero(scene.fraction_in_view == 0)
     first, last = int(gone[0]), int(gone[-1])
-    back = int(np.flatnonzero((np.arange(60) > last) & (scene.share_in_view == 1))[0])
+    back = int(np.flatnonzero((np.arange(60) > last) & (scene.fraction_in_view == 1))[0])
     assert first > 5
     assert last > first + 6
     assert set(status[:5]) == {"tracked"}

@@ -25,13 +25,13 @@ CENTRE = torch.tensor((0.02, -0.01, 0.0), dtype=torch.float64)
 def state_at(octree: Octree, points: Tensor, frame: int = 0) -> Tensor:
     """The state of the leaf that each point lies in; WHITE outside the root cube."""
     corner = torch.tensor(octree.root.corner, dtype=torch.float64)
-    share = (points.double() - corner) / octree.root.side
+    fraction = (points.double() - corner) / octree.root.side
     found = torch.full((len(points),), WHITE, dtype=torch.uint8)
     for level in octree.levels:
         grid = torch.full((2**level.level,) * 3, 255, dtype=torch.uint8)
         own = level.frames == frame
         grid[tuple(level.cells[own].long().T)] = level.states[own]
-        cell = (share * 2**level.level).floor().long()
+        cell = (fraction * 2**level.level).floor().long()
         inside = ((cell >= 0) & (cell < 2**level.level)).all(-1)
         there = grid[tuple(cell[inside].T)]
         place = inside.nonzero()[:, 0][there != 255]
@@ -40,7 +40,7 @@ def state_at(octree: Octree, points: Tensor, frame: int = 0) -> Tensor:
 
 
 def loop_states(
-    masks: list[Tensor], cameras: list[Camera], root: RootCube, level: int, margin: int, least: int, tolerated: int
+    masks: list[Tensor], cameras: list[Camera], root: RootCube, level: int, margin: int, min_views: int, tolerated: int
 ) -> np.ndarray:
     """The specification: every finest octant's pixels, one octant and view at a time, in float64."""
     n, side = 2**level, root.side / 2**level
@@ -69,10 +69,10 @@ def loop_states(
             against += not (is_in or is_unseen)
         if out > tolerated:
             states[cell] = WHITE
-        elif bare > len(masks) - least:
+        elif bare > len(masks) - min_views:
             states[cell] = UNKNOWN
         else:
-            states[cell] = BLACK if against <= tolerated and inner >= least else GRAY
+            states[cell] = BLACK if against <= tolerated and inner >= min_views else GRAY
     return states
 
 
@@ -99,16 +99,19 @@ def _centres(carver: Carver) -> Tensor:
 
 
 @pytest.mark.parametrize(
-    ("margin", "least", "tolerated", "kind"), [(1, 2, 0, "pinhole"), (0, 3, 0, "orthographic"), (2, 2, 1, "pinhole")]
+    ("margin", "min_views", "tolerated", "kind"),
+    [(1, 2, 0, "pinhole"), (0, 3, 0, "orthographic"), (2, 2, 1, "pinhole")],
 )
-def test_equals_a_loop_over_octants_and_views(margin: int, least: int, tolerated: int, kind: str, rigs: Any) -> None:
+def test_equals_a_loop_over_octants_and_views(
+    margin: int, min_views: int, tolerated: int, kind: str, rigs: Any
+) -> None:
     generator = torch.Generator().manual_seed(margin)
     cameras = rigs.random(generator, 3, width=48, height=36, focal=60.0, kind=kind)
     masks = [rigs.ball(camera, CENTRE, 0.05) for camera in cameras]
     masks[0] = rigs.ball(cameras[0], CENTRE + 0.03, 0.05)
-    settings = CarvingSettings(level=4, margin_px=margin, min_views=least, tolerated_views=tolerated)
+    settings = CarvingSettings(level=4, margin_px=margin, min_views=min_views, tolerated_views=tolerated)
     states = Carver(cameras, CUBE, settings).dense(masks)
-    expected = loop_states(masks, cameras, CUBE, 4, margin, least, tolerated)
+    expected = loop_states(masks, cameras, CUBE, 4, margin, min_views, tolerated)
     assert all((expected == state).any() for state in (WHITE, GRAY))
     # float32 may widen a rectangle over the edge of a pixel: then less is certain, never something else.
     differs = states.numpy() != expected
@@ -127,8 +130,8 @@ def test_leaves_are_those_of_dense_carving(seed: int, rigs: Any) -> None:
     balls = CENTRE + 0.03 * torch.randn(4, 3, generator=generator, dtype=torch.float64)
     masks = [rigs.ball(camera, balls, torch.tensor((0.03, 0.02, 0.015, 0.01))) for camera in cameras]
     masks[3] &= torch.rand(masks[3].shape, generator=generator) < 0.995  # holes
-    for tolerated, least in ((0, 1), (0, 2), (0, 4), (1, 2), (2, 1)):
-        settings = CarvingSettings(level=6, tolerated_views=tolerated, min_views=least)
+    for tolerated, min_views in ((0, 1), (0, 2), (0, 4), (1, 2), (2, 1)):
+        settings = CarvingSettings(level=6, tolerated_views=tolerated, min_views=min_views)
         octree = assert_equals_dense(Carver(cameras, CUBE, settings), masks)
         assert float(octree.volume()) > 0
     settings = CarvingSettings(level=3)
@@ -367,7 +370,7 @@ def test_noise_ends_at_a_coarser_level(rigs: Any) -> None:
     generator = torch.Generator().manual_seed(0)
     cameras = rigs.random(generator, 3)
     masks = [torch.rand(120, 160, generator=generator) < 0.5 for _ in cameras]
-    octree = carve(masks, cameras, CUBE, CarvingSettings(level=8, most_octants=300_000))
+    octree = carve(masks, cameras, CUBE, CarvingSettings(level=8, max_octants=300_000))
     assert octree.level == 6
     assert len(octree.levels[-1].states) <= 300_000
     assert octree.leaf_side == pytest.approx(CUBE.side / 64)

@@ -26,9 +26,9 @@ def ball_hull(rigs: Any, *, level: int = 6, views: int = 16, centres: Any = None
 
 
 @pytest.mark.parametrize("size", [(1, 1, 1), (20, 17, 9), (3, 40, 31)])
-@pytest.mark.parametrize("share", [0.01, 0.4])
-def test_distances_are_scipys(size: tuple[int, int, int], share: float, generator: torch.Generator) -> None:
-    marked = torch.rand(*size, generator=generator) < share
+@pytest.mark.parametrize("fraction", [0.01, 0.4])
+def test_distances_are_scipys(size: tuple[int, int, int], fraction: float, generator: torch.Generator) -> None:
+    marked = torch.rand(*size, generator=generator) < fraction
     marked[-1, 0, -1] = True
     expected = np.asarray(scipy.ndimage.distance_transform_edt(~marked.numpy())).astype(np.float32)
     torch.testing.assert_close(distance_grid(marked), torch.from_numpy(expected), atol=1e-6, rtol=1e-6)

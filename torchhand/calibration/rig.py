@@ -19,7 +19,7 @@ from torchhand.geometry import Camera
 _OUTLIER_RATIO = 5.0  # a picture's residual against the median
 _OUTLIER_PX = 1.0
 _ROUNDS = 4
-_MOST_OUTLIERS = 0.25  # share of the pictures; more are no outliers
+_MAX_OUTLIERS = 0.25  # share of the pictures; more are no outliers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,7 +143,7 @@ def _outliers(rms: Mapping) -> set:
     values = torch.tensor(list(rms.values()), dtype=torch.float64)
     limit = max(_OUTLIER_PX, _OUTLIER_RATIO * float(values.median()))
     bad = {key for key, value in rms.items() if value > limit}
-    return bad if len(bad) <= _MOST_OUTLIERS * len(rms) else set()
+    return bad if len(bad) <= _MAX_OUTLIERS * len(rms) else set()
 
 
 def _worst_of_moments(keys: set, rms: Mapping) -> set:

@@ -36,7 +36,7 @@ from torchhand.files.rigs import open_uncalibrated
 
 _VIDEO_FRAMES = 60  # frames searched in a video, unless --every says otherwise
 _MAX_FRAMES = 80  # used; more only cost time
-_FEWEST = 3  # pictures without which there is nothing to compute
+_MIN_PICTURES = 3  # pictures without which there is nothing to compute
 _TRIED = 3  # pictures without the board that are searched for another one
 
 
@@ -197,7 +197,7 @@ def _views(arguments: Arguments, folder: Path, board: Board) -> list[CameraViews
             for name, size, found in zip(source.names, source.sizes, corners, strict=True)
         ]
     for view, other in zip(views, others, strict=True):
-        if len(view.corners) < _FEWEST:
+        if len(view.corners) < _MIN_PICTURES:
             what = f"{board.kind} of {board.columns}x{board.rows} squares"
             hint = f"; its pictures show {other}" if other else ""
             raise InputError(

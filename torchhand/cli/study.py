@@ -41,7 +41,7 @@ from torchhand.study.hypotheses import (
 REFERENCE_STARTS = 16
 """Registrations of which the best is the reference of a picture without truth."""
 
-_MOST_SIDE_BY_SIDE = 4  # unless the user wants more: each needs memory of its own
+_MAX_SIDE_BY_SIDE = 4  # unless the user wants more: each needs memory of its own
 _GOOD_OVERLAP = 0.8  # of the reference hand and the mask, below which the user is told
 _SMALLEST_PX = 64
 
@@ -136,7 +136,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     check_output_folder(arguments.out, resume=arguments.resume, overwrite=arguments.overwrite)
     side_by_side = arguments.threads
     if side_by_side is None:
-        side_by_side = min(_MOST_SIDE_BY_SIDE, os.cpu_count() or 1)
+        side_by_side = min(_MAX_SIDE_BY_SIDE, os.cpu_count() or 1)
     with threads(side_by_side), threads(1):  # the first for its check: each of them computes with one
         work = _work(arguments, settings)
         folder = StudyFolder(arguments.out, work.header(), resume=arguments.resume, overwrite=arguments.overwrite)

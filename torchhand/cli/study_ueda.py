@@ -37,7 +37,7 @@ from torchhand.study.ueda import (
 WORD = "ueda"
 """The word after `torchhand study` that asks for this study."""
 
-_MOST_CAMERAS = 8
+_MAX_CAMERAS = 8
 _TABLE_LEVEL = 7  # the paper's
 _REPEATS = 5
 
@@ -155,7 +155,7 @@ def _header(arguments: Arguments) -> dict[str, Any]:
 def _plan(arguments: Arguments) -> dict[str, Part]:
     """The parts by name. What they need of pictures and fits is made when the first of them runs."""
     levels = numbers_of(arguments.levels, "--levels", 3, 9)
-    counts = numbers_of(arguments.cameras, "--cameras", 1, _MOST_CAMERAS)
+    counts = numbers_of(arguments.cameras, "--cameras", 1, _MAX_CAMERAS)
     cameras, model = rig_cameras(arguments.rig), load_hand_model()
     cases: dict[str, Callable[[], BentCase]] = {
         "own": lambda: own_bent(model, cameras, arguments.angle_deg, arguments.seed)
@@ -173,10 +173,10 @@ def _plan(arguments: Arguments) -> dict[str, Part]:
                     case,
                     source,
                     level,
-                    HullTorqueSettings(iterations=arguments.iterations, steps=steps, outside_share=0.0),
+                    HullTorqueSettings(iterations=arguments.iterations, steps=steps, outside_fraction=0.0),
                 )
         plan[f"stages-{source}"] = partial(_timed, case, source)
-    eight = rig_cameras(f"frame{_MOST_CAMERAS}")
+    eight = rig_cameras(f"frame{_MAX_CAMERAS}")
     seat = lru_cache(maxsize=1)(
         lambda number: subject(
             model,

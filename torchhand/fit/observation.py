@@ -121,7 +121,7 @@ class Explained:
     """Of the observation's kind."""
     view: int | None
     """None for what is seen by all views together."""
-    share: Float[Tensor, "k"]
+    fraction: Float[Tensor, "k"]
     """Share of the data that the hand explains, 0 to 1."""
     distance: Float[Tensor, "k"]
     """Mean distance of the data from the hand, cut off where residuals are gross: px of that view, metres without
@@ -135,7 +135,7 @@ class Explained:
         inside = [one.inside for one in parts if one.inside is not None]
         return replace(
             parts[0],
-            share=torch.cat([one.share for one in parts]),
+            fraction=torch.cat([one.fraction for one in parts]),
             distance=torch.cat([one.distance for one in parts]),
             inside=torch.cat(inside) if len(inside) == len(parts) else None,
         )
@@ -143,7 +143,7 @@ class Explained:
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "Explained":
         """Of the given hands."""
         inside = None if self.inside is None else self.inside[rows]
-        return replace(self, share=self.share[rows], distance=self.distance[rows], inside=inside)
+        return replace(self, fraction=self.fraction[rows], distance=self.distance[rows], inside=inside)
 
 
 @runtime_checkable

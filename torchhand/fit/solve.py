@@ -238,8 +238,8 @@ class _Evaluated:
 
         def told(one: Explained, two: Explained) -> Explained:
             inside = chosen(one.inside, two.inside) if one.inside is not None and two.inside is not None else None
-            share, distance = chosen(one.share, two.share), chosen(one.distance, two.distance)
-            return replace(one, share=share, distance=distance, inside=inside)
+            fraction, distance = chosen(one.fraction, two.fraction), chosen(one.distance, two.distance)
+            return replace(one, fraction=fraction, distance=distance, inside=inside)
 
         return _Evaluated(
             values=chosen(self.values, other.values),

@@ -163,9 +163,9 @@ def _orientations(
     return rolled @ tilted @ faces
 
 
-def _directions(largest_deg: float, share: Tensor, about: Tensor) -> Float[Tensor, "hands 3"]:
+def _directions(largest_deg: float, fraction: Tensor, about: Tensor) -> Float[Tensor, "hands 3"]:
     """Unit vectors within a cone about the optical axis."""
-    angle, about = math.radians(largest_deg) * share.sqrt(), 2 * math.pi * about
+    angle, about = math.radians(largest_deg) * fraction.sqrt(), 2 * math.pi * about
     return torch.stack((angle.sin() * about.cos(), angle.sin() * about.sin(), angle.cos()), -1)
 
 

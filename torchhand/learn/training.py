@@ -168,8 +168,8 @@ def loss_terms(
 
 def learning_rate(settings: TrainingSettings, step: int) -> float:
     """Of one step: up over the first twentieth, then down to zero along a cosine."""
-    share = (step + 1) / settings.steps
-    return settings.learning_rate * min(share * 20, 0.5 * (1 + math.cos(math.pi * share)) + 1e-3)
+    fraction = (step + 1) / settings.steps
+    return settings.learning_rate * min(fraction * 20, 0.5 * (1 + math.cos(math.pi * fraction)) + 1e-3)
 
 
 def snapshot(training: Training) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from torchhand.numerics.filters import Gaussian
 
-_MOST_ROUNDS = 3  # times the number of variables; each round changes at least one
+_MAX_ROUNDS = 3  # times the number of variables; each round changes at least one
 
 
 def mode_in_box(
@@ -23,7 +23,7 @@ def mode_in_box(
     lower, upper = lower.expand(mean.shape), upper.expand(mean.shape)
     below, above = mean < lower, mean > upper
     value = mean
-    for _ in range(_MOST_ROUNDS * mean.shape[-1]):
+    for _ in range(_MAX_ROUNDS * mean.shape[-1]):
         held = below | above
         if not bool(held.any()):
             break

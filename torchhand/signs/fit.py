@@ -156,9 +156,9 @@ class _Problem:
         self._shape = kinematics.default_shape.double() if shape is None else shape.double()
         self._sizes = primitive_sizes(kinematics.shape_space, self._shape)
         names = self._parts(target[0])[1].names
-        count, most = len(rows), max(1, *(len(row.meet) + len(row.gap) for row in rows))
-        first, second = (torch.zeros(count, most, dtype=torch.long) for _ in range(2))
-        meets, gaps = torch.zeros(count, most, dtype=torch.float64), torch.full((count, most), -1.0).double()
+        count, width = len(rows), max(1, *(len(row.meet) + len(row.gap) for row in rows))
+        first, second = (torch.zeros(count, width, dtype=torch.long) for _ in range(2))
+        meets, gaps = torch.zeros(count, width, dtype=torch.float64), torch.full((count, width), -1.0).double()
         touches = torch.zeros(count, len(names), dtype=torch.float64)
         for i, row in enumerate(rows):
             pairs = [(*pair, None) for pair in row.meet] + list(row.gap)

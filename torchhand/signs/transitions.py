@@ -87,7 +87,7 @@ def choose_recipe(
 
     The first one whose overlap is at most GOOD_ENOUGH, or else the one with least.
     """
-    best, least = 0, math.inf
+    best, lowest = 0, math.inf
     for chunk in range(0, len(RECIPES), _TRIED_AT_ONCE):
         numbers = range(chunk, min(chunk + _TRIED_AT_ONCE, len(RECIPES)))
         paths = [sampled(waypoints(first, second, start, end, number)) for number in numbers]
@@ -96,9 +96,9 @@ def choose_recipe(
             worst = float(depth.max())
             if worst <= GOOD_ENOUGH:
                 return number, worst
-            if worst < least:
-                best, least = number, worst
-    return best, least
+            if worst < lowest:
+                best, lowest = number, worst
+    return best, lowest
 
 
 def waypoints(
@@ -125,10 +125,10 @@ def waypoints(
     return torch.stack([*points, end])
 
 
-def curve(points: Float[Tensor, "points 30"], share: Float[Tensor, "places"]) -> Float[Tensor, "places 30"]:
+def curve(points: Float[Tensor, "points 30"], fraction: Float[Tensor, "places"]) -> Float[Tensor, "places 30"]:
     """The eased curve through the points, evenly spread in time, at shares of the whole, 0 to 1."""
     segments = len(points) - 1
-    return monotone_cubic(torch.arange(segments + 1, dtype=points.dtype), points, segments * share)
+    return monotone_cubic(torch.arange(segments + 1, dtype=points.dtype), points, segments * fraction)
 
 
 def sampled(points: Float[Tensor, "points 30"]) -> Float[Tensor, "places 30"]:

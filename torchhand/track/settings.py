@@ -58,8 +58,8 @@ class TrackerSettings:
     def __post_init__(self) -> None:
         require(self.pose_space in POSE_SPACES, "pose_space", f"one of {', '.join(POSE_SPACES)}", self.pose_space)
         require(self.posture in POSTURES, "posture", f"one of {', '.join(POSTURES)}", self.posture)
-        for name, least in (("points_per_generator", 2), ("points_per_arc", 4), ("check_side_px", 64)):
-            require(getattr(self, name) >= least, name, f"{least} or more", getattr(self, name))
+        for name, minimum in (("points_per_generator", 2), ("points_per_arc", 4), ("check_side_px", 64)):
+            require(getattr(self, name) >= minimum, name, f"{minimum} or more", getattr(self, name))
         require(0 <= self.search_overlap <= 1, "search_overlap", "0 to 1", self.search_overlap)
         has_window = 0 <= self.smoothing_window_s < float("inf")
         require(has_window, "smoothing_window_s", "0 or more and finite", self.smoothing_window_s)

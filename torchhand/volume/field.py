@@ -132,22 +132,22 @@ def distance_grid(marked: Bool[Tensor, "nx ny nz"]) -> Float[Tensor, "nx ny nz"]
     """
     first = min(range(3), key=lambda axis: marked.shape[axis])
     squared = distance_map(marked.movedim(first, 0)).square_().round_()
-    least = squared.clone()
+    lowest = squared.clone()
     if marked.device.type == "cpu":  # half the time that torch takes for so little
-        _least_along(squared.numpy(), least.numpy(), np.minimum)
+        _min_along(squared.numpy(), lowest.numpy(), np.minimum)
     else:
-        _least_along(squared, least, torch.minimum)
-    return least.sqrt_().movedim(0, first)
+        _min_along(squared, lowest, torch.minimum)
+    return lowest.sqrt_().movedim(0, first)
 
 
-def _least_along(squared: Any, least: Any, minimum: Callable[..., object]) -> None:
-    """The least over the first axis of its squared distance and what is there, written to `least`."""
+def _min_along(squared: Any, lowest: Any, minimum: Callable[..., object]) -> None:
+    """The least over the first axis of its squared distance and what is there, written to `lowest`."""
     for step in range(1, len(squared)):
-        if step**2 >= float(least.max()):
+        if step**2 >= float(lowest.max()):
             break
         moved = squared + step**2
-        minimum(least[step:], moved[:-step], out=least[step:])
-        minimum(least[:-step], moved[step:], out=least[:-step])
+        minimum(lowest[step:], moved[:-step], out=lowest[step:])
+        minimum(lowest[:-step], moved[step:], out=lowest[:-step])
 
 
 def _signed(filled: Bool[Tensor, "nx ny nz"]) -> Float[Tensor, "nx ny nz"]:

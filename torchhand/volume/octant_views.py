@@ -105,8 +105,8 @@ class OctantViews:
         depth = start[2] + root.side * self._matrix[2].clamp_max(0).sum(-1)  # of the nearest corner
         self._is_in_front = bool((depth > 2 * torch.tensor(self._near, dtype=torch.float64)).all())
         halves = 0.5 * root.side * self._matrix.sum(-1).flatten()
-        shares = 0.5 ** torch.arange(self._finest + 1, dtype=torch.float64)
-        middles = torch.addcmul(start.flatten(), shares[:, None], halves)  # of each level's first octant
+        fractions = 0.5 ** torch.arange(self._finest + 1, dtype=torch.float64)
+        middles = torch.addcmul(start.flatten(), fractions[:, None], halves)  # of each level's first octant
         self._starts = middles.to(self._device, torch.float32)[..., None]
 
     def _constants(self, level: int, finer: int) -> _Level:

@@ -224,12 +224,12 @@ def test_hands_that_are_seen_explain_the_picture(studio: Any, generator: torch.G
     hands = scene.posed(HandPose.cat((truth, pose, gone)))
     [found] = scene.observation.associate(hands, TRACKING[0]).explained()
     assert (found.name, found.view) == ("contour", 0)
-    assert float(found.share[0]) > 0.95
+    assert float(found.fraction[0]) > 0.95
     assert float(found.distance[0]) < 0.6
-    assert bool((found.share[1 : 1 + COUNT] < found.share[0]).all())
+    assert bool((found.fraction[1 : 1 + COUNT] < found.fraction[0]).all())
     assert bool((found.distance[1 : 1 + COUNT] > found.distance[0]).all())
     assert bool(found.distance[1 : 1 + COUNT].isfinite().all())
-    assert bool((found.share[1 + COUNT :] == 0).all())
+    assert bool((found.fraction[1 + COUNT :] == 0).all())
     assert bool(found.distance[1 + COUNT :].isinf().all())
 
 

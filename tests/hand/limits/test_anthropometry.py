@@ -28,8 +28,8 @@ def test_there_are_21_and_the_default_has_the_published_means() -> None:
     measures = dict(zip(MEASURES, population.measures(_space().default).tolist(), strict=True))
     published = {"thumb_length": 0.354, "index_length": 0.485, "middle_length": 0.544, "little_length": 0.414}
     published |= {"middle_proximal": 0.266, "thumb_distal": 0.158, "palm_length": 0.602}
-    for name, share in published.items():
-        assert measures[name] == pytest.approx(share, abs=1e-9), name
+    for name, fraction in published.items():
+        assert measures[name] == pytest.approx(fraction, abs=1e-9), name
     assert measures["palm_breadth"] == pytest.approx(0.4445, abs=1e-3)
     assert population.violation(_space().default).describe() == "none"
 

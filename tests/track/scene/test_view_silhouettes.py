@@ -61,9 +61,9 @@ def test_skin_is_as_dark_as_in_the_darker_pictures_but_one(cameras):
     """A part in the shade shows in some pictures only; the darkest may be mistaken."""
     makes = ViewSilhouettes(cameras)
     disc, skins = _disc(cameras[0], (100, 90), 40), [None, None]
-    for share in (1.0, 0.9, 0.8, 0.7, 0.6):
+    for fraction in (1.0, 0.9, 0.8, 0.7, 0.6):
         picture = _picture(cameras[0], disc)
-        picture[disc] = (share * picture[disc].float()).to(torch.uint8)
+        picture[disc] = (fraction * picture[disc].float()).to(torch.uint8)
         skins = makes.learn([picture, None], skins)
     skin = skins[0]
     assert skin is not None

@@ -246,8 +246,8 @@ def test_a_known_hand_is_certain_of_its_distance(film: Any, followed: Followed) 
     assert torch.equal(state.shape, shape)
     known, fitted = (float(one.keypoints_cov[0, 2, 2]) for one in (first, followed[1][0]))  # type: ignore[index]
     length = film.kinematics.shape_space.names.index("hand_length")
-    share = float(film.kinematics.shape_space.std[length] / shape[length])
-    expected = (share * float(followed[1][0].keypoints[0, 2])) ** 2  # type: ignore[index]
+    fraction = float(film.kinematics.shape_space.std[length] / shape[length])
+    expected = (fraction * float(followed[1][0].keypoints[0, 2])) ** 2  # type: ignore[index]
     assert fitted - known == pytest.approx(expected, rel=0.05)
 
 
@@ -382,7 +382,7 @@ def test_the_colours_follow_changing_light(studio: Any, every: int, is_right: bo
     """The light goes down to a half and turns red within 24 frames: colours of the start alone lose the hand."""
     film = studio.film("planar", 24, scene=SceneSettings(supersampling=2, background="plain", noise=2.0))
     dimmed = 1 + torch.linspace(0, 1, 24)[:, None] * (torch.tensor((0.55, 0.4, 0.3)) - 1)
-    images = [(image * share).round().to(torch.uint8) for image, share in zip(film.images, dimmed, strict=True)]
+    images = [(image * fraction).round().to(torch.uint8) for image, fraction in zip(film.images, dimmed, strict=True)]
     settings = TrackerSettings(colours=ColourUpdateSettings(every=every))
     _, estimates = run(_tracker(film, settings, shape=film.kinematics.default_shape), images)
     assert [estimate.status for estimate in estimates[:12]] == ["tracked"] * 12

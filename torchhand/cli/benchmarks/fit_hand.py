@@ -100,14 +100,14 @@ def fit_hand_bones(name: str, repeats: int | None) -> Figure:
         found = picture.kinematics(fit.pose, fit.shape, root_reference=fit.root_reference).keypoints
         errors += (100 * (bone_lengths(found) / picture.bones - 1).abs()).tolist()
     fitted = len(errors) // len(BONES)
-    middle, most = np.percentile(errors, (50, 95)).tolist() if errors else (None, None)
+    middle, upper = np.percentile(errors, (50, 95)).tolist() if errors else (None, None)
     note = f"{fitted} of {count} people fitted, the others refused"
     if middle is not None:
         verdict = "" if middle < MEDIAN_MUST else " NOT MET"
         note = f"median {middle:.3g} % (must < {MEDIAN_MUST:g} %, aim {MEDIAN_AIM:g} %){verdict}; {note}"
     return Figure(
         name=name,
-        value=most,
+        value=upper,
         unit="%",
         must=MUST,
         aim=AIM,

@@ -113,9 +113,9 @@ def lm_iteration_pypose(name: str, repeats: int | None) -> Figure:
         f"{HYPOTHESES} hypotheses of ours, {PEER_HYPOTHESES} of the peer's one by one, per hypothesis; {SPACE.size}"
         f" parameters, {TABLE.size} residuals"
     )
-    share = HYPOTHESES / PEER_HYPOTHESES
+    fraction = HYPOTHESES / PEER_HYPOTHESES
     rounds = repeats or ROUNDS
-    return against_peer(name, rounds, "pypose", candidates, must=5.0, aim=20.0, work=share, note=note)
+    return against_peer(name, rounds, "pypose", candidates, must=5.0, aim=20.0, work=fraction, note=note)
 
 
 class _Model(nn.Module):

@@ -23,7 +23,7 @@ from torchhand.hand.conventions import LARGEST_ID, NUMBERINGS, Numbering, bap_id
 BapVersion = Literal["3.1", "3.2"]
 FLAGS: dict[str, int] = {"3.1": 186, "3.2": 296}
 _NUMBERING_COMMENT, _SIDE_COMMENT = "# numbering", "# hand"
-_MOST_FRAMES = 10_000_000
+_MAX_FRAMES = 10_000_000
 _LARGEST_VALUE = 1 << 31
 _UNITS = {"1e-5 rad": 1.0, "1e-5 pi rad": torch.pi}
 BapUnit = Literal["1e-5 rad", "1e-5 pi rad"]
@@ -81,7 +81,7 @@ def read_bap(path: str | Path) -> BapMotion:
         raise InputError(f"{path}: expected a BAP file that begins with '3.1 NAME FPS FRAMES' or '3.2 …', got {got}")
     (version, name, rate, count), i = content[0]
     fps, frames = finite(f"{path}, line {i}", rate), whole(f"{path}, line {i}", count)
-    if not 0 < fps <= 1e6 or not 1 <= frames <= _MOST_FRAMES:
+    if not 0 < fps <= 1e6 or not 1 <= frames <= _MAX_FRAMES:
         raise InputError(f"{path}, line {i}: expected a rate above 0 and one frame or more, got {rate} and {count}")
     words = [(word, i) for row, i in content[1:] for word in row][::-1]
     flags = FLAGS[version]

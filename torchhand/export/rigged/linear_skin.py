@@ -14,7 +14,7 @@ from torch import Tensor
 from torchhand.export.clip import MotionClip
 from torchhand.hand import HandFrames
 
-MOST_TARGETS = 32
+MAX_TARGETS = 32
 ERROR_BOUND = 1e-4
 """Metres, at every vertex of the frames that the targets are made of."""
 _FRAMES_FOR_TARGETS = 192
@@ -38,8 +38,8 @@ class LinearSkin:
     """The same without targets."""
 
 
-def linear_skin(clip: MotionClip, *, most_targets: int = MOST_TARGETS, bound: float = ERROR_BOUND) -> LinearSkin:
-    """The skin of a clip; without targets where blending alone is within the bound, or `most_targets` is 0."""
+def linear_skin(clip: MotionClip, *, max_targets: int = MAX_TARGETS, bound: float = ERROR_BOUND) -> LinearSkin:
+    """The skin of a clip; without targets where blending alone is within the bound, or `max_targets` is 0."""
     mesh = clip.model.mesh
     if mesh is None:
         raise ValueError(f"model: expected one with a mesh, {clip.model.name!r} has none")
@@ -51,16 +51,16 @@ def linear_skin(clip: MotionClip, *, most_targets: int = MOST_TARGETS, bound: fl
         _lack(clip, chosen_part, vertices, weights, at_bind.frames) for chosen_part in chosen.split(_FRAMES_AT_ONCE)
     ]
     lack = torch.cat([part.flatten(1) for part in lacks])
-    targets = _targets(lack, bound, most_targets)
+    targets = _targets(lack, bound, max_targets)
     found, error, linear_error = [], 0.0, 0.0
     for part in torch.arange(len(clip)).split(_FRAMES_AT_ONCE):
         lack = _lack(clip, part, vertices, weights, at_bind.frames).flatten(1)
-        share = lack @ targets.T
-        rest = (lack - share @ targets).unflatten(1, (-1, 3))
+        fraction = lack @ targets.T
+        rest = (lack - fraction @ targets).unflatten(1, (-1, 3))
         blended = _blend(clip, part, weights, at_bind.frames)
         error = max(error, _largest(blended @ rest[..., None]))
         linear_error = max(linear_error, _largest(blended @ lack.unflatten(1, (-1, 3))[..., None]))
-        found.append(share)
+        found.append(fraction)
     scale = targets.abs().amax(1, keepdim=True) if len(targets) else targets.new_ones(0, 1)
     return LinearSkin(
         vertices=vertices,
@@ -91,17 +91,17 @@ def _lack(
     return torch.linalg.solve(blended, lack[..., None]).squeeze(-1)
 
 
-def _targets(lack: Float64[Tensor, "n m"], bound: float, most: int) -> Float64[Tensor, "targets m"]:
+def _targets(lack: Float64[Tensor, "n m"], bound: float, max_targets: int) -> Float64[Tensor, "targets m"]:
     """Orthonormal rows; as few as leave no vertex of any frame off by more than the bound."""
     left = lack.clone()
-    if not most or float(_norms(left).max()) <= bound:
+    if not max_targets or float(_norms(left).max()) <= bound:
         return lack[:0]
     _, _, directions = torch.linalg.svd(lack, full_matrices=False)
-    for count, direction in enumerate(directions[:most], start=1):
+    for count, direction in enumerate(directions[:max_targets], start=1):
         left -= (left @ direction)[:, None] * direction
         if float(_norms(left).max()) <= bound:
             return directions[:count]
-    return directions[:most]
+    return directions[:max_targets]
 
 
 def _norms(flat: Tensor) -> Tensor:

@@ -43,9 +43,9 @@ class StreamSettings:
     """A value that is nearer than so many steps stays as it was; 0.5 to 1."""
 
     def __post_init__(self) -> None:
-        for name, most in (("step_deg", 30), ("root_step_deg", 30), ("root_step_mm", 1000)):
-            if not 0 < getattr(self, name) <= most:
-                raise ValueError(f"{name}: expected more than 0, {most} at most, got {getattr(self, name):g}")
+        for name, maximum in (("step_deg", 30), ("root_step_deg", 30), ("root_step_mm", 1000)):
+            if not 0 < getattr(self, name) <= maximum:
+                raise ValueError(f"{name}: expected more than 0, {maximum} at most, got {getattr(self, name):g}")
         if not 0.5 <= self.dead_zone <= 1:
             raise ValueError(f"dead_zone: expected 0.5 to 1, got {self.dead_zone:g}")
 

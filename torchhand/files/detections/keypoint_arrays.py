@@ -7,7 +7,15 @@ from typing import Literal
 import numpy as np
 
 from torchhand.errors import InputError
-from torchhand.files.detections.record import COUNT, Detections, HandDetection, Side, Units, detections_of, most_seen
+from torchhand.files.detections.record import (
+    COUNT,
+    Detections,
+    HandDetection,
+    Side,
+    Units,
+    detections_of,
+    majority_side,
+)
 from torchhand.files.disk import opened_arrays, short
 
 _SPACE_NAMES = ("keypoints3d", "world", "world_landmarks", "hand_world_landmarks", "joints3d", "joints")
@@ -78,7 +86,7 @@ def read_keypoint_arrays(
     return detections_of(
         f"{path}: {first.name}" if first.name else str(path),
         list(zip(_numbers(path, arrays, count), hands, strict=True)),
-        side=side or _side(arrays) or most_seen(labels),
+        side=side or _side(arrays) or majority_side(labels),
         is_normalised=picture is not None and picture.units == "normalised",
         image=_texts(path, arrays, "image", count),
     )

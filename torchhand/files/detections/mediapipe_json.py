@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from torchhand.errors import InputError
-from torchhand.files.detections.record import COUNT, Detections, HandDetection, Side, detections_of, most_seen
+from torchhand.files.detections.record import COUNT, Detections, HandDetection, Side, detections_of, majority_side
 from torchhand.files.disk import read_number, short
 
 _PICTURE_KEYS = ("multi_hand_landmarks", "multiHandLandmarks", "hand_landmarks", "handLandmarks", "landmarks")
@@ -48,7 +48,7 @@ def mediapipe_detections(
     kinds = (points == "space" or (points == "auto" and has_space), points != "space" and has_picture)
     hands = [(number, _hands_of_both(where, frame, *kinds, is_mirrored)) for number, where, frame in frames]
     if side is None:
-        side = most_seen([hand.label for _, found in hands for hand in found])
+        side = majority_side([hand.label for _, found in hands for hand in found])
     rows = []
     for number, found in hands:
         own = [hand for hand in found if hand.label in (side, None)]

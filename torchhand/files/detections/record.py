@@ -162,7 +162,7 @@ def detections_of(
     )
 
 
-def most_seen(labels: Sequence[Side | None]) -> Side | None:
+def majority_side(labels: Sequence[Side | None]) -> Side | None:
     """The side that is told more often, right where both are; None where neither is."""
     left, right = list(labels).count("left"), list(labels).count("right")
     return None if not left + right else "left" if left > right else "right"

@@ -15,7 +15,7 @@ from torchhand.files.rigs.view import Picture, RigView, open_view
 from torchhand.files.rigs.views import find_views, mask_paths, view_paths
 from torchhand.geometry import Camera
 
-_LEAST_AGREEMENT = 0.5  # share of the shortest view's numbers that all views have
+_MIN_AGREEMENT = 0.5  # share of the shortest view's numbers that all views have
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,7 +153,7 @@ class RigSource:
             if keep_all:
                 agree = len(usable) == 1 or any(a & b for a, b in itertools.combinations(numbers, 2))
             else:
-                agree = len(set.intersection(*numbers)) >= _LEAST_AGREEMENT * min(map(len, numbers))
+                agree = len(set.intersection(*numbers)) >= _MIN_AGREEMENT * min(map(len, numbers))
             if agree:
                 if len({min(found) for found in numbers}) > 1 and not keep_all:
                     texts = ", ".join(f"{view.name} {view.first}" for view in usable)

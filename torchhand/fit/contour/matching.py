@@ -31,8 +31,8 @@ def match_boundary(
     model = torch.cat((points_px, normals), -1).to(torch.float32)
     model = model.nan_to_num(nan=1e6, posinf=1e6, neginf=-1e6) - middle  # keeps the products small, as do the weights
     turn = torch.as_tensor(turn_px, dtype=torch.float32, device=model.device).expand(len(model))
-    most = turn.clamp_min(1.0)
-    near, alike = (1 / most).square(), (turn / most).square()
+    ratio = turn.clamp_min(1.0)
+    near, alike = (1 / ratio).square(), (turn / ratio).square()
     weighted = model * torch.stack((near, near, alike, alike), -1)[:, None]
     length = torch.where(is_usable, (weighted * model).sum(-1), torch.inf)
     # The weighted |model - picture|² less what is the same for all of the model, as one product.

@@ -149,7 +149,7 @@ class ContourFactor:
             Explained(
                 name=CONTOUR,
                 view=self.view,
-                share=torch.where(is_seen, near, 0.0),
+                fraction=torch.where(is_seen, near, 0.0),
                 distance=torch.where(is_seen, mean, torch.inf),
             ),
         )

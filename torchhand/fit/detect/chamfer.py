@@ -9,7 +9,7 @@ import numpy as np
 from torchhand.fit.detect.template import Template
 
 _REACH = 0.5  # distances are cut off here, palm radii
-_FEWEST = 10  # outline points on the fingers' side of the wrist, below which nothing is believed
+_MIN_POINTS = 10  # outline points on the fingers' side of the wrist, below which nothing is believed
 _ROUNDS = 10  # of the refinement
 _FIRST_SHIFT, _FIRST_TURN, _FIRST_STRETCH = 0.25, 0.07, 0.08  # palm radii, radians, share of the radius
 _SAME_TURN, _SAME_PLACE = 0.12, 0.25  # radians, palm radii: nearer candidates are one
@@ -62,7 +62,7 @@ def chamfer_costs(
     behind = _lookup(template.distance, back * template.pixels_per_radius + template.centre_px, _REACH)
     behind = np.minimum(behind, _REACH)
     backward = np.where(is_hand, behind, 0).sum(-1) / np.maximum(is_hand.sum(-1), 1)
-    backward = np.where(is_hand.sum(-1) < _FEWEST, _REACH, backward)
+    backward = np.where(is_hand.sum(-1) < _MIN_POINTS, _REACH, backward)
     return 0.5 * (ahead + backward) / _REACH
 
 

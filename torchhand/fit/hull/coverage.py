@@ -47,7 +47,7 @@ class CoverageObservation:
         distance = torch.where(beside > _BESIDE, torch.inf, across)
         is_hand = _is_hand(matched.data_places, bones, s.beyond_wrist_m)
         count = is_hand.sum(-1, keepdim=True).clamp_min(1)
-        precision = max(s.std_m, s.std_share * stage.gross_m) ** -2
+        precision = max(s.std_m, s.std_fraction * stage.gross_m) ** -2
         worth = s.surface_weight if self.target.rays is None else s.edge_weight
         return CoverageFactor(
             skin=self.vertices.skin,
@@ -60,7 +60,7 @@ class CoverageObservation:
             told=Explained(
                 name=NAME,
                 view=None,
-                share=((distance <= s.near_m) * is_hand).sum(-1) / count[:, 0],
+                fraction=((distance <= s.near_m) * is_hand).sum(-1) / count[:, 0],
                 distance=(distance.clamp_max(stage.gross_m) * is_hand).sum(-1) / count[:, 0],
             ),
         )

@@ -87,9 +87,10 @@ class HullEvidence:
             return cls(covered=nothing, held=nothing, inside=nothing)
         skin, edges = found.explained_by(inside.NAME), found.explained_by(coverage.NAME)
         assert skin.inside is not None
-        shares = (edges.share, skin.share, skin.inside)
+        fractions = (edges.fraction, skin.fraction, skin.inside)
         covered, held, within = (
-            torch.where(found.is_sound, share.reshape(found.cost.shape).to(nothing), nothing) for share in shares
+            torch.where(found.is_sound, fraction.reshape(found.cost.shape).to(nothing), nothing)
+            for fraction in fractions
         )
         return cls(covered=covered, held=held, inside=within)
 

@@ -39,12 +39,12 @@ class InsideObservation:
         own, s = self.vertices, self.vertices.settings
         skin = own.skin.for_shape(hands)
         beyond, _ = self.target.field.sample(skin_at(skin, hands)[:, own.index])
-        index, weighted, area = own.index, own.weighted, own.area_share
+        index, weighted, area = own.index, own.weighted, own.area_fraction
         if stage.method == "gauss_newton" and len(hands) == 1:
             outside = beyond[0] > s.slack_m
             index, area = index[outside], area[outside]
             weighted = own.skin.weighted(index)
-        precision = max(s.std_m, s.std_share * stage.gross_m) ** -2
+        precision = max(s.std_m, s.std_fraction * stage.gross_m) ** -2
         return InsideFactor(
             skin=own.skin,
             field=self.target.field,
@@ -56,9 +56,9 @@ class InsideObservation:
             told=Explained(
                 name=NAME,
                 view=None,
-                share=((beyond <= s.near_m) * own.area_share).sum(-1),
-                distance=(beyond.clamp_min(0) * own.area_share).sum(-1),
-                inside=((beyond <= s.slack_m) * own.area_share).sum(-1),
+                fraction=((beyond <= s.near_m) * own.area_fraction).sum(-1),
+                distance=(beyond.clamp_min(0) * own.area_fraction).sum(-1),
+                inside=((beyond <= s.slack_m) * own.area_fraction).sum(-1),
             ),
         )
 

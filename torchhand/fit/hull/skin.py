@@ -61,7 +61,7 @@ class SkinMotion:
     points: Float[Tensor, "hands points 3"]
     levers: Float[Tensor, "hands 20 3 points"]
     """What each joint turns of each point, from the joint."""
-    share: Float[Tensor, "#hands points"]
+    fraction: Float[Tensor, "#hands points"]
     """Of each point that all bones carry together: 1 up to rounding."""
     turns: Float[Tensor, "hands 33 3"]
     """Axes of the rotation vector's columns, then of the angles."""
@@ -77,7 +77,7 @@ class SkinMotion:
         force = direction.mT
         torque = _cross(self.levers, force[:, None])
         of_turns = (self.turns[..., None] * torque.index_select(1, self.bones)).sum(2)
-        found = torch.cat((force * self.share[:, None], of_turns), 1)
+        found = torch.cat((force * self.fraction[:, None], of_turns), 1)
         of_bends = (self.bends * force[:, None]).sum(2)
         return found.index_add(1, self.bend_rows, of_bends).mT
 
@@ -165,7 +165,7 @@ class SkinPoints:
         return SkinMotion(
             points=whole[:, 0].mT,
             levers=torch.addcmul(whole, vertices.carried[:, :, None], bones.position[..., None], value=-1),
-            share=vertices.carried[:, 0],
+            fraction=vertices.carried[:, 0],
             turns=bones.turns,
             bones=self._bones,
             bends=bones.slopes @ vertices.correctives,

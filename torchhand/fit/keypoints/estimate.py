@@ -19,7 +19,7 @@ from torchhand.fit import (
 )
 from torchhand.fit.keypoints.observation import PictureKeypoints
 from torchhand.fit.keypoints.points import Detector
-from torchhand.fit.keypoints.prior import NaturalPosture, NaturalPrior, limit_information, missing_share
+from torchhand.fit.keypoints.prior import NaturalPosture, NaturalPrior, limit_information, missing_fraction
 from torchhand.fit.keypoints.settings import KeypointFitSettings
 from torchhand.fit.keypoints.start import start_in_space
 from torchhand.fit.keypoints.views import other_ways, starts_in_picture
@@ -129,14 +129,14 @@ class KeypointEstimator:
 
     def _problem(self, shape: Tensor, detector: Detector) -> Problem:
         """Of all frames, with what they share held."""
-        share = self._prior_share()
-        is_believed = not self.posture.is_empty and bool(share.any())
+        fraction = self._prior_fraction()
+        is_believed = not self.posture.is_empty and bool(fraction.any())
         return Problem(
             space=self.space,
             skeleton=self._kinematics.skeleton,
             shape=shape,
             observations=(replace(self.observed, detector=detector),),
-            priors=(NaturalPrior(posture=self.posture, share=share),) if is_believed else (),
+            priors=(NaturalPrior(posture=self.posture, fraction=fraction),) if is_believed else (),
         )
 
     def _unknowns(self, detector: Detector) -> SharedUnknowns | None:
@@ -171,7 +171,7 @@ class KeypointEstimator:
                 sized[column] = min(max(size * float(shape[column]), low), high)
         return sized
 
-    def _prior_share(self) -> Float[Tensor, "frames 36"]:
+    def _prior_fraction(self) -> Float[Tensor, "frames 36"]:
         is_in_space, mode = isinstance(self.observed, WorldKeypoints), self.settings.prior
         if mode == "auto":
             mode = "where_missing" if is_in_space else "always"
@@ -179,7 +179,7 @@ class KeypointEstimator:
         if self.observed.confidence is not None:
             confidence = confidence * self.observed.confidence
         if mode == "where_missing":
-            return missing_share(confidence)
+            return missing_fraction(confidence)
         return torch.full_like(confidence[:, :1], 1.0 if mode == "always" else 0.0).repeat(1, len(DOFS))
 
 

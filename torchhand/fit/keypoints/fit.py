@@ -103,7 +103,7 @@ def fit_keypoints(
     trust = torch.ones_like(points[..., 0]) if confidence is None else confidence.to(points).reshape(-1, 21)
     is_known = points.isfinite().all(-1) & trust.isfinite() & (trust > 0)
     points, trust = torch.where(is_known[..., None], points, torch.nan), torch.where(is_known, trust, 0.0)
-    good = ((is_known.sum(-1) >= settings.least_points) & ~_is_one_point(points)).nonzero()[:, 0]
+    good = ((is_known.sum(-1) >= settings.min_points) & ~_is_one_point(points)).nonzero()[:, 0]
     estimator = KeypointEstimator(
         observed=_observation(kinematics, points, trust, camera, settings).rows(good),
         coarse_std_px=None if camera is None else _std_px(points, settings)[1][good],
@@ -196,7 +196,7 @@ def _std_px(
     """Standard deviations of points in pictures, and such as are not so small that only near starts can be told
     apart."""
     extent = (points.nan_to_num(-torch.inf).amax(1) - points.nan_to_num(torch.inf).amin(1)).amax(-1)
-    coarse = settings.noise_share * extent.clamp_min(1.0)
+    coarse = settings.noise_fraction * extent.clamp_min(1.0)
     noise = coarse if settings.noise_px is None else torch.full_like(coarse, settings.noise_px)
     return noise, torch.maximum(noise, coarse)
 

@@ -19,7 +19,7 @@ from torchhand.fit.keypoints.points import (
     frames_of,
     pose_jacobian,
     shape_jacobian_of,
-    trusted_share,
+    trusted_fraction,
 )
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics
@@ -27,7 +27,7 @@ from torchhand.numerics import RobustLoss
 
 IN_PICTURE, IN_SPACE = "keypoints", "keypoints in space"
 _NEAREST = 0.01  # metres from the camera: points nearer than this cannot be compared
-_FEWEST_IN_SPACE = 5  # points that determine a similarity and still say something of the posture
+_MIN_IN_SPACE = 5  # points that determine a similarity and still say something of the posture
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,8 +155,8 @@ class PictureKeypointFactor:
 
     def explained(self) -> tuple[Explained, ...]:
         """Share of the points that are trusted by half at least; their distance counts for nothing here."""
-        share = trusted_share(self.weight, self.trust)
-        return (Explained(name=IN_PICTURE, view=self.view, share=share, distance=torch.zeros_like(share)),)
+        fraction = trusted_fraction(self.weight, self.trust)
+        return (Explained(name=IN_PICTURE, view=self.view, fraction=fraction, distance=torch.zeros_like(fraction)),)
 
     def _projected(
         self, hands: PosedHands
@@ -189,7 +189,7 @@ class SpaceKeypoints:
 
     @property
     def is_empty(self) -> bool:
-        return int(self.points.isfinite().all(-1).sum(-1).max()) < _FEWEST_IN_SPACE
+        return int(self.points.isfinite().all(-1).sum(-1).max()) < _MIN_IN_SPACE
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "SpaceKeypoints":
         """Of some of the frames; itself where the points are the same for all."""
@@ -200,7 +200,7 @@ class SpaceKeypoints:
         s, keypoints = self.settings, frames_of(self.kinematics, hands).keypoints
         points = self.points.to(keypoints).expand(len(hands), -1, -1)
         is_known = points.isfinite().all(-1)
-        is_known &= is_known.sum(-1, keepdim=True) >= _FEWEST_IN_SPACE
+        is_known &= is_known.sum(-1, keepdim=True) >= _MIN_IN_SPACE
         known = torch.where(is_known[..., None], points, 0.0)
         factor = SpaceKeypointFactor(
             kinematics=self.kinematics,
@@ -281,8 +281,8 @@ class SpaceKeypointFactor:
 
     def explained(self) -> tuple[Explained, ...]:
         """Share of the points that are trusted by half at least; their distance counts for nothing here."""
-        share = trusted_share(self.weight, self.trust)
-        return (Explained(name=IN_SPACE, view=None, share=share, distance=torch.zeros_like(share)),)
+        fraction = trusted_fraction(self.weight, self.trust)
+        return (Explained(name=IN_SPACE, view=None, fraction=fraction, distance=torch.zeros_like(fraction)),)
 
 
 def _shape_jacobian(kinematics: HandKinematics, hands: PosedHands) -> Float[Tensor, "k 21 3 c"]:

@@ -151,7 +151,7 @@ def equations_of_points(
     )
 
 
-def trusted_share(weight: Float[Tensor, "k 21"], trust: Float[Tensor, "k 21"]) -> Float[Tensor, "k"]:
+def trusted_fraction(weight: Float[Tensor, "k 21"], trust: Float[Tensor, "k 21"]) -> Float[Tensor, "k"]:
     """Share of the known points (weight above 0) that are trusted by half of the best one at least."""
     highest = trust.amax(-1, keepdim=True).clamp_min(1e-30)
     is_trusted = (trust > 0.25 * highest) & (weight > 0)

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.fit import Equations, Explained, PosedHands, Stage
-from torchhand.fit.keypoints.points import Detector, KeypointSettings, equations_of_points, trusted_share
+from torchhand.fit.keypoints.points import Detector, KeypointSettings, equations_of_points, trusted_fraction
 from torchhand.hand import HandKinematics
 from torchhand.numerics import RobustLoss
 
@@ -98,8 +98,8 @@ class WorldKeypointFactor:
 
     def explained(self) -> tuple[Explained, ...]:
         """Share of the points that are trusted by half at least; their distance counts for nothing here."""
-        share = trusted_share(self.weight, self.trust)
-        return (Explained(name=IN_WORLD, view=None, share=share, distance=torch.zeros_like(share)),)
+        fraction = trusted_fraction(self.weight, self.trust)
+        return (Explained(name=IN_WORLD, view=None, fraction=fraction, distance=torch.zeros_like(fraction)),)
 
     def _missed(self, hands: PosedHands) -> Float[Tensor, "k 21 3"]:
         return self.detector.keypoints(self.kinematics, hands) - self._scale(hands) * self.points

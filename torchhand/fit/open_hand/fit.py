@@ -108,7 +108,7 @@ def _as_fit(found: OutlineFit, problem: OpenHandProblem) -> Fit:
         pose_std=pose_std,
         shape_std=shape_std,
         residual_px=found.edges.residual_px,
-        found_share=found.edges.found_fraction,
+        found_fraction=found.edges.found_fraction,
     )
 
 

@@ -117,5 +117,5 @@ def _start(joint: Tensor, axes: Tensor, is_used: Tensor) -> Tensor:
 
 def _any_across(axis: Float[Tensor, "19 3"]) -> Float[Tensor, "19 3"]:
     """Some direction that is not parallel to each axis."""
-    least = axis.abs().argmin(-1)
-    return torch.nn.functional.one_hot(least, 3).to(axis)
+    minimum = axis.abs().argmin(-1)
+    return torch.nn.functional.one_hot(minimum, 3).to(axis)

@@ -159,7 +159,7 @@ class ShapeJacobian:
         bones, levers, parameters, places, sources = [], [], [], [], []
         for lever, end in enumerate(LEVER_ENDS):
             touched = set(matrix[lever].any(0).nonzero()[:, 0].tolist())
-            touched |= {size for size, shares in zip(sizes, units, strict=True) if touched & set(shares)}
+            touched |= {size for size, fractions in zip(sizes, units, strict=True) if touched & set(fractions)}
             for parameter in sorted(touched & set(self.columns)):
                 column = self.columns.index(parameter)
                 for point in _beyond(end):
@@ -178,9 +178,9 @@ class ShapeJacobian:
         self._sizes = index(sizes)
         self._size_of = index([("m", "/HL", "/HB").index(unit) for unit in space.units])[self._parameters]
         # Of every size: the offsets that grow with it, as a map of the shares; and the entries that stand for the size.
-        self._shares = torch.zeros(2, 3 * len(LEVER_ENDS), len(space.names), dtype=like.dtype, device=like.device)
-        for i, shares in enumerate(units):
-            self._shares[i][:, shares] = kinematics.lever_matrix[:, shares]
+        self._fractions = torch.zeros(2, 3 * len(LEVER_ENDS), len(space.names), dtype=like.dtype, device=like.device)
+        for i, fractions in enumerate(units):
+            self._fractions[i][:, fractions] = kinematics.lever_matrix[:, fractions]
         self._is_size = (self._parameters == self._sizes[:, None]).to(like.dtype)[..., None, None]
 
     def __call__(
@@ -198,7 +198,7 @@ class ShapeJacobian:
         """The same with the batch last; a shape for all may have n = 1."""
         factors = torch.cat((torch.ones_like(shape[:1]), shape.index_select(0, self._sizes)))
         per_unit = self._per_metre * factors.index_select(0, self._size_of)[:, None]
-        for grown, is_size in zip(self._shares @ shape, self._is_size, strict=True):
+        for grown, is_size in zip(self._fractions @ shape, self._is_size, strict=True):
             per_unit = per_unit + is_size * grown.unflatten(0, (-1, 3)).index_select(0, self._levers)
         turned = turn(rotation.index_select(0, self._bones), per_unit)
         out = rotation.new_zeros(3 * _POINTS * len(self.columns), rotation.shape[-1])

@@ -122,8 +122,8 @@ class PostureMixture(nn.Module):
         """
         device = generator.device
         uniform = torch.rand(count, 1 + _COUNT, generator=generator, dtype=torch.float64, device=device)
-        shares = self.log_weight.double().to(device).exp().cumsum(0)
-        kind = torch.searchsorted(shares, uniform[:, 0].contiguous())
+        fractions = self.log_weight.double().to(device).exp().cumsum(0)
+        kind = torch.searchsorted(fractions, uniform[:, 0].contiguous())
         kind = kind.clamp_max(len(self.names) - 1)
         offset, std, tied = (x.double().to(device)[kind] for x in (self.offset, self.std, self.tied))
         slopes = self.slopes.double().cpu()

@@ -15,8 +15,8 @@ from torchhand.hand.prior.mixture import PostureMixture
 from torchhand.hand.prior.postures import COMPONENTS
 
 _CHUNK = 1024  # hands that are placed at once when sampling
-_MOST = 32 * _CHUNK  # proposals of one round
-_PATIENCE, _FEWEST = 10_000, 1e-3  # tries after which sampling gives up if it keeps a smaller share than that
+_MAX_PROPOSALS = 32 * _CHUNK  # proposals of one round
+_PATIENCE, _MIN_ACCEPTED = 10_000, 1e-3  # tries after which sampling gives up if it keeps a smaller share than that
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,14 +102,14 @@ class HandPrior(nn.Module):
         poses, shapes, found, tried = [], [], 0, 0
         while found < count:
             rate = max(found, 1) / tried if tried else 1.0
-            wanted = min(max(math.ceil(1.1 * (count - found) / rate), 16), _MOST)
+            wanted = min(max(math.ceil(1.1 * (count - found) / rate), 16), _MAX_PROPOSALS)
             pose, shape = self._propose(wanted, generator)
             chance = torch.rand(wanted, generator=generator, dtype=torch.float64)
             kept = self._accepts(pose, shape, chance)
             poses.append(pose[kept])
             shapes.append(shape[kept])
             found, tried = found + int(kept.sum()), tried + wanted
-            if tried >= _PATIENCE and found < _FEWEST * tried:
+            if tried >= _PATIENCE and found < _MIN_ACCEPTED * tried:
                 raise ValueError(
                     f"sample: expected postures that hardly penetrate themselves, found {found} in {tried} tries"
                 )

@@ -31,7 +31,7 @@ class ValleySettings:
     """Least σ² × second derivative across the line, grey levels; a place counts if linked to one above `high`."""
     high: float = 7.0
     """Where a line begins; not below `low`."""
-    fewest: int = 8
+    min_points: int = 8
     """Pixels of the shortest line; 1 or more."""
     steepest: float = 0.5
     """Largest |slope across the line| · σ of a place relative to the strength: edges are steep, valleys level; above
@@ -42,8 +42,8 @@ class ValleySettings:
             raise ValueError(f"valleys.sigma_px: expected 0.5 to 20, got {self.sigma_px!r}")
         if not 0 < self.low <= self.high < float("inf"):
             raise ValueError(f"valleys.low: expected above 0 and at most high, got {self.low!r} and {self.high!r}")
-        if self.fewest < 1:
-            raise ValueError(f"valleys.fewest: expected 1 or more, got {self.fewest!r}")
+        if self.min_points < 1:
+            raise ValueError(f"valleys.min_points: expected 1 or more, got {self.min_points!r}")
         if not 0 < self.steepest < float("inf"):
             raise ValueError(f"valleys.steepest: expected above 0 and finite, got {self.steepest!r}")
 
@@ -148,5 +148,5 @@ def _linked(y: np.ndarray, x: np.ndarray, strength: np.ndarray, settings: Valley
     own = pieces.labels.numpy()[y, x] - 1
     peak = np.zeros(len(pieces.areas))
     np.maximum.at(peak, own, strength[y, x])
-    good = (peak >= settings.high) & (pieces.areas.numpy() >= settings.fewest)
+    good = (peak >= settings.high) & (pieces.areas.numpy() >= settings.min_points)
     return good[own]

@@ -20,7 +20,7 @@ _TIP_WEIGHTS = np.array((0.35, 0.7, 0.7, 0.7, 0.6))
 _PALM_WEIGHT = 1.0
 _WORST_MISFIT = 0.14  # root mean square over hand length; above it, it is no hand
 _PALM_SIZE_WEIGHT = 0.1  # of the logarithm of the palm's size over the plan's
-_FEWEST = 2
+_MIN_FINGERS = 2
 _SCALES = (0.7, 1.5)  # of the palm's disc over the plan's
 
 
@@ -43,7 +43,7 @@ class FingerOrder:
 
 
 def order_fingers(
-    tips: list[Point], bases: list[Point], palm_centre: Point, palm_radius: float, most: int = 8
+    tips: list[Point], bases: list[Point], palm_centre: Point, palm_radius: float, max_tips: int = 8
 ) -> FingerOrder | None:
     """The largest set of pieces that agrees with the plan of an open hand, as many as five; None where no two do.
 
@@ -51,13 +51,13 @@ def order_fingers(
     which; the plan is laid over tips, bases and the palm's centre by the similarity that fits best, as it is and
     mirrored, and the choice that fits best among the largest that fit is taken.
     """
-    count = min(len(tips), most)
-    if count < _FEWEST:
+    count = min(len(tips), max_tips)
+    if count < _MIN_FINGERS:
         return None
     unit = np.array((1.0, 1.0j))
     tip, base, palm = np.array(tips[:count]) @ unit, np.array(bases[:count]) @ unit, complex(*palm_centre)
     sweep = np.argsort(np.angle(tip + base - 2 * palm))
-    for size in range(min(5, count), _FEWEST - 1, -1):
+    for size in range(min(5, count), _MIN_FINGERS - 1, -1):
         pieces, digits = _choices(sweep, size)
         found = _best(pieces, digits, tip, base, palm, palm_radius)
         if found is not None and found.misfit < _WORST_MISFIT:

@@ -97,9 +97,9 @@ def _first_below(values: np.ndarray, steps: np.ndarray) -> np.ndarray:
     index = below.argmax(1)
     rows = np.arange(len(values))
     before, after = values[rows, np.maximum(index - 1, 0)], values[rows, index]
-    share = (before - 0.5) / np.maximum(before - after, 1e-9)
+    fraction = (before - 0.5) / np.maximum(before - after, 1e-9)
     found = below.any(1) & (index > 0)
-    return np.where(found, steps[np.maximum(index - 1, 0)] + share * _STEP_PX, np.nan)
+    return np.where(found, steps[np.maximum(index - 1, 0)] + fraction * _STEP_PX, np.nan)
 
 
 def sampled(plane: Float[np.ndarray, "height width"], places: Float[np.ndarray, "*points 2"]) -> np.ndarray:

@@ -116,12 +116,12 @@ def _foreground(
 def _skin_pixels(image: Tensor, settings: SilhouetteSettings, skin: SkinModel) -> Tensor:
     """What is lit as the skin that the model learned, and patches of its hue that are in the shade."""
     found, value = hue_probability_u8(image, skin)
-    least = 255.0 * settings.skin_threshold
-    mask = torch.from_numpy(with_dark_u8(found, value, skin) > math.floor(least))
+    floor = 255.0 * settings.skin_threshold
+    mask = torch.from_numpy(with_dark_u8(found, value, skin) > math.floor(floor))
     if settings.shaded_skin < 1.0:
         darkest = max(_DARKEST, settings.shaded_skin * skin.dark_value)
         is_dim = (value < skin.dark_value) & (value >= darkest)
-        shaded = is_dim & (found > math.floor(_SHADED * least))
+        shaded = is_dim & (found > math.floor(_SHADED * floor))
         mask |= opened(torch.from_numpy(shaded), disc_kernel(max(1, round(max(shaded.shape) / _RIM))))
     return mask.to(image.device)
 

@@ -146,8 +146,8 @@ def adapted_covariance(
         inside = used.unsqueeze(-1) & used.unsqueeze(-2)
         sample = torch.where(inside, sample, 0.0)
         is_known = used & sample.isfinite().all(-1).all(-1, keepdim=True)
-    root_of_share = estimate.new_tensor(settings.forgetting).sqrt()  # in the estimate's precision
-    keep = torch.where(is_known, root_of_share, 1.0)
+    root_of_fraction = estimate.new_tensor(settings.forgetting).sqrt()  # in the estimate's precision
+    keep = torch.where(is_known, root_of_fraction, 1.0)
     inside = is_known.unsqueeze(-1) & is_known.unsqueeze(-2)
     learned = (1 - settings.forgetting) * torch.where(inside, sample, 0.0)
     mixed = keep.unsqueeze(-1) * estimate * keep.unsqueeze(-2) + learned

@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 _PASSES = 3  # after them, what still leads out of the box is cut off
-_LEAST_DIAGONAL = 1e-12  # of the largest entry of the diagonal: a variable without any influence stays solvable
+_MIN_DIAGONAL = 1e-12  # of the largest entry of the diagonal: a variable without any influence stays solvable
 
 
 def damped_box_step(
@@ -24,8 +24,8 @@ def damped_box_step(
     matrix could be factored; elsewhere the step is 0.
     """
     diagonal = matrix.diagonal(dim1=-2, dim2=-1)
-    least = _LEAST_DIAGONAL * diagonal.amax(-1, keepdim=True) + torch.finfo(matrix.dtype).tiny
-    damped = matrix + (damping[:, None] * torch.maximum(diagonal, least) + least).diag_embed()
+    minimum = _MIN_DIAGONAL * diagonal.amax(-1, keepdim=True) + torch.finfo(matrix.dtype).tiny
+    damped = matrix + (damping[:, None] * torch.maximum(diagonal, minimum) + minimum).diag_embed()
     if room_below is None or room_above is None:
         return _solved(damped, -gradient)
     pinned = ((room_below >= 0) & (gradient > 0)) | ((room_above <= 0) & (gradient < 0))

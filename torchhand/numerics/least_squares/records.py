@@ -28,7 +28,7 @@ class LevenbergMarquardtSettings:
     """Most evaluations after that at the start; 1 or more."""
     damping: float = 1e-3
     """At the start, relative to the diagonal of JᵀJ; above 0."""
-    most_damping: float = 1e8
+    max_damping: float = 1e8
     """Where no step lowers the cost up to this damping, the problem has stalled; above `damping`."""
     cost_tolerance: float = 1e-12
     """Converged when the predicted decrease is at most this share of the cost; 0 or more."""
@@ -40,10 +40,10 @@ class LevenbergMarquardtSettings:
     def __post_init__(self) -> None:
         if self.iterations < 1:
             raise ValueError(f"iterations: expected 1 or more, got {self.iterations!r}")
-        if not 0 < self.damping < self.most_damping < float("inf"):
+        if not 0 < self.damping < self.max_damping < float("inf"):
             raise ValueError(
-                "damping: expected above 0 and below most_damping, both finite,"
-                f" got {self.damping!r} and {self.most_damping!r}"
+                "damping: expected above 0 and below max_damping, both finite,"
+                f" got {self.damping!r} and {self.max_damping!r}"
             )
         for name in ("cost_tolerance", "step_tolerance", "cost_floor"):
             if not 0 <= getattr(self, name) < float("inf"):

@@ -50,10 +50,10 @@ class HypothesisStudySettings:
     """Weights and tolerances of the contours in a picture."""
 
     def __post_init__(self) -> None:
-        for name, most in (("starts", _MAX_STARTS), ("batch", _MAX_AT_ONCE)):
-            require(1 <= getattr(self, name) <= most, name, f"1 to {most}", getattr(self, name))
-        for name, least in (("points_per_generator", 2), ("points_per_arc", 4), ("mesh_points", 50)):
-            require(getattr(self, name) >= least, name, f"{least} or more", getattr(self, name))
+        for name, maximum in (("starts", _MAX_STARTS), ("batch", _MAX_AT_ONCE)):
+            require(1 <= getattr(self, name) <= maximum, name, f"1 to {maximum}", getattr(self, name))
+        for name, minimum in (("points_per_generator", 2), ("points_per_arc", 4), ("mesh_points", 50)):
+            require(getattr(self, name) >= minimum, name, f"{minimum} or more", getattr(self, name))
         require(self.space in STUDY_SPACES, "space", f"one of {', '.join(STUDY_SPACES)}", self.space)
         require(
             self.surface in get_args(SurfaceName), "surface", f"one of {', '.join(get_args(SurfaceName))}", self.surface
@@ -69,20 +69,20 @@ def total_iterations(schedule: Schedule) -> int:
     return sum(stage.rounds * stage.iterations for stage in schedule)
 
 
-def with_iterations(schedule: Schedule, most: int) -> Schedule:
+def with_iterations(schedule: Schedule, total: int) -> Schedule:
     """The stages with their iterations scaled so that there are at most so many in all, and hardly fewer.
 
     Raises ValueError for fewer than one per association.
     """
     rounds, whole = sum(stage.rounds for stage in schedule), total_iterations(schedule)
-    if most < rounds:
-        raise ValueError(f"iterations: expected {rounds} or more, one for each round of the schedule, got {most}")
-    scaled = [replace(stage, iterations=max(1, stage.iterations * most // whole)) for stage in schedule]
-    for i in sorted(range(len(schedule)), key=lambda i: -(schedule[i].iterations * most % whole)):
-        left = most - total_iterations(tuple(scaled))
+    if total < rounds:
+        raise ValueError(f"iterations: expected {rounds} or more, one for each round of the schedule, got {total}")
+    scaled = [replace(stage, iterations=max(1, stage.iterations * total // whole)) for stage in schedule]
+    for i in sorted(range(len(schedule)), key=lambda i: -(schedule[i].iterations * total % whole)):
+        left = total - total_iterations(tuple(scaled))
         if left >= scaled[i].rounds:
             scaled[i] = replace(scaled[i], iterations=scaled[i].iterations + 1)
-    while total_iterations(tuple(scaled)) > most:  # where the one iteration that every round needs was too many
+    while total_iterations(tuple(scaled)) > total:  # where the one iteration that every round needs was too many
         i = max(range(len(scaled)), key=lambda i: scaled[i].iterations)
         scaled[i] = replace(scaled[i], iterations=scaled[i].iterations - 1)
     return tuple(scaled)

@@ -53,7 +53,7 @@ class StudyRow:
     @property
     def failed(self) -> float:
         """Share of the starts that could not be registered."""
-        return sum(share for name, share in zip(STATUS_NAMES, self.statuses, strict=True) if name in _FAILURES)
+        return sum(fraction for name, fraction in zip(STATUS_NAMES, self.statuses, strict=True) if name in _FAILURES)
 
 
 _FAILURES = ("failed", "no_data")

@@ -46,9 +46,9 @@ class Convergence:
 
     error_deg: tuple[float, ...]
     """Figure 13: |estimated - true| angle."""
-    inside_share: tuple[float, ...]
+    inside_fraction: tuple[float, ...]
     """Figure 14: of the vertices, those in the voxel model, which is the BLACK and GRAY octants (section 3.2)."""
-    within_share: tuple[float, ...]
+    within_fraction: tuple[float, ...]
     """The same of the surface that the fit goes by, in the middle of the GRAY shell."""
     milliseconds: float
     """Of carving and fit together."""
@@ -68,8 +68,8 @@ def converge(case: BentFinger, level: int, settings: HullTorqueSettings) -> Conv
         outside, _ = hull_field(octree).sample(SkinPoints(case.hand, case.shape).vertices(found.poses))
     return Convergence(
         error_deg=tuple(error.tolist()),
-        inside_share=tuple((outside <= 0).double().mean(-1).tolist()),
-        within_share=tuple(found.inside_share.double().tolist()),
+        inside_fraction=tuple((outside <= 0).double().mean(-1).tolist()),
+        within_fraction=tuple(found.inside_fraction.double().tolist()),
         milliseconds=1e3 * seconds,
     )
 

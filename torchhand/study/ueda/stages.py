@@ -33,7 +33,7 @@ def stage_times(
     fitter = HullFitter(hand=case.hand, space=case.space, shape=case.shape, schedule=TRACKING)
     screen = SilhouetteSettings(method="chroma")
     skin, start = fitter.vertices.skin, case.start.reshape(1)
-    torques = HullTorqueSettings(outside_share=0.0)
+    torques = HullTorqueSettings(outside_fraction=0.0)
     stages: dict[str, Callable[[], object]] = {
         "silhouettes": lambda: [segment(picture, screen) for picture in pictures],
         "octree": partial(carver.carve, case.masks),

@@ -35,24 +35,24 @@ class SegmentSettings:
     """Standard deviation of each coordinate of a segment's middle. That of its direction is this over its length."""
     length_std_px: float = 1.5
     """Standard deviation of the length of a segment that faces the camera; grows with 1 / foreshortening."""
-    least_visible: float = 0.5
+    min_visible: float = 0.5
     """Share of a segment that must be seen, not hidden by the hand itself; 0 to 1."""
-    least_foreshortening: float = 0.25
+    min_foreshortening: float = 0.25
     """Sine of the angle between segment and line of sight that must be reached; above 0, at most 1."""
-    least_length_px: float = 3.0
+    min_length_px: float = 3.0
     """Shorter segments have no direction worth the name; above 0."""
     samples: int = 8
     """Points per segment at which visibility is tested; 1 or more."""
 
     def __post_init__(self) -> None:
-        for name in ("position_std_px", "length_std_px", "least_length_px"):
+        for name in ("position_std_px", "length_std_px", "min_length_px"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise ValueError(f"segments.{name}: expected above 0 and finite, got {getattr(self, name)!r}")
-        if not 0 <= self.least_visible <= 1:
-            raise ValueError(f"segments.least_visible: expected 0 to 1, got {self.least_visible!r}")
-        if not 0 < self.least_foreshortening <= 1:
+        if not 0 <= self.min_visible <= 1:
+            raise ValueError(f"segments.min_visible: expected 0 to 1, got {self.min_visible!r}")
+        if not 0 < self.min_foreshortening <= 1:
             raise ValueError(
-                f"segments.least_foreshortening: expected above 0, at most 1, got {self.least_foreshortening!r}"
+                f"segments.min_foreshortening: expected above 0, at most 1, got {self.min_foreshortening!r}"
             )
         if self.samples < 1:
             raise ValueError(f"segments.samples: expected 1 or more, got {self.samples!r}")
@@ -111,9 +111,9 @@ class SegmentObservation:
         """The segments themselves, for drawing and for judging."""
         return self._placed(free).segments
 
-    def visible_share(self, free: Float[Tensor, "*batch free"]) -> Float[Tensor, "*batch 20"]:
+    def visible_fraction(self, free: Float[Tensor, "*batch free"]) -> Float[Tensor, "*batch 20"]:
         """Share of every segment that the camera sees past the rest of the hand."""
-        return self._visible_share(self._placed(free))
+        return self._visible_fraction(self._placed(free))
 
     def usable(self, free: Float[Tensor, "*batch free"]) -> Bool[Tensor, "*batch 20"]:
         """Segments that are real, in the picture, seen, long enough and not too foreshortened."""
@@ -157,7 +157,7 @@ class SegmentObservation:
         )
         return _of_values(placed.segments.ends_px, of_ends)
 
-    def _visible_share(self, placed: "_Placed") -> Tensor:
+    def _visible_fraction(self, placed: "_Placed") -> Tensor:
         with torch.no_grad():
             table = _sample_table(self.settings.samples, placed.pose)
             is_orthographic = self.projector.is_orthographic
@@ -171,16 +171,16 @@ class SegmentObservation:
         return (
             segments.is_real
             & is_in_picture(segments.ends_px.mean(-2), self.projector.camera)
-            & (_length(segments.ends_px) >= s.least_length_px)
-            & (facing >= s.least_foreshortening)
-            & (self._visible_share(placed) >= s.least_visible)
+            & (_length(segments.ends_px) >= s.min_length_px)
+            & (facing >= s.min_foreshortening)
+            & (self._visible_fraction(placed) >= s.min_visible)
         )
 
     def _variances(self, segments: Segments) -> Tensor:
         s = self.settings
         facing = foreshortening(segments.ends_cam, is_orthographic=self.projector.is_orthographic)
-        length = _length(segments.ends_px).clamp_min(s.least_length_px)
-        of_length = s.length_std_px / facing.clamp_min(s.least_foreshortening)
+        length = _length(segments.ends_px).clamp_min(s.min_length_px)
+        of_length = s.length_std_px / facing.clamp_min(s.min_foreshortening)
         position = torch.full_like(length, s.position_std_px)
         return torch.stack((position, position, of_length, position / length), -1).flatten(-2).square()
 

@@ -193,10 +193,10 @@ class ExtendedUpdate:
         made, pose = self._for(shape), self.motion.pose(hand)
         near, in_view = [], []
         for picture, contours, projector in zip(pictures, made.contours, made.projectors, strict=True):
-            share, inside = self._contour_share(picture, contours, projector, pose)
+            fraction, inside = self._contour_fraction(picture, contours, projector, pose)
             in_view.append(inside)
             if picture is not None:
-                near.append(share)
+                near.append(fraction)
         return Candidate(
             hand=hand,
             pose=pose,
@@ -205,7 +205,7 @@ class ExtendedUpdate:
             in_view=max(in_view),
         )
 
-    def _contour_share(
+    def _contour_fraction(
         self, picture: PictureContours | None, contours: Contours, projector: HandProjector, pose: HandPose
     ) -> tuple[float, float]:
         """Share of the outer contour near the picture's, and share of the visible contour in the picture."""

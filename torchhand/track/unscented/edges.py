@@ -104,7 +104,7 @@ class EdgeSearch:
         """Offsets along the normals, where an edge was found, and variances: an edge among rivals deserves less
         trust."""
         s = self.settings
-        reach_px = max(_MIN_SEARCH_PX, s.search_share * length_px) * (1 + _WIDENING * failures)
+        reach_px = max(_MIN_SEARCH_PX, s.search_fraction * length_px) * (1 + _WIDENING * failures)
         offset, is_found = torch.zeros_like(points[:, 0]), torch.zeros_like(outer)
         rivals, weight = torch.ones_like(outer, dtype=torch.long), torch.ones_like(offset)
         searches: list[tuple[Tensor, Tensor, EdgeSettings, float, float]] = [
@@ -112,11 +112,11 @@ class EdgeSearch:
         ]
         if planes.inner is not None:
             searches.append((~outer, planes.inner, s.inner_edges, _INNER_REACH * reach_px, s.inner_weight))
-        for which, plane, how, half_length_px, share in searches:
+        for which, plane, how, half_length_px, fraction in searches:
             if bool(which.any()):
                 edges = search_edges(plane, points[which], normals[which], replace(how, half_length_px=half_length_px))
                 offset[which], is_found[which], rivals[which] = edges.offset_px, edges.found, edges.candidates
-                weight[which] = share
+                weight[which] = fraction
         return offset, is_found, s.edge_std_px**2 * rivals.clamp_min(1) / weight
 
 

@@ -28,7 +28,7 @@ class UnscentedUpdateSettings:
     """Standard deviation of one edge, neighbours being correlated; above 0."""
     gate: float = 9.0
     """Edges whose squared innovation exceeds this many times its variance are refused; above 0."""
-    search_share: float = 0.06
+    search_fraction: float = 0.06
     """Half length of the edge search as a share of the hand's length in the picture; above 0."""
     passes: int = 1
     """Measurement updates per frame with fresh edges, each with its share of the weight; 1 or more."""
@@ -36,7 +36,7 @@ class UnscentedUpdateSettings:
 
     def __post_init__(self) -> None:
         require(self.edges_in in ("colour", "grey"), "update.edges_in", "colour or grey", self.edges_in)
-        for name in ("edge_std_px", "gate", "search_share"):
+        for name in ("edge_std_px", "gate", "search_fraction"):
             require_positive(f"update.{name}", getattr(self, name))
         require(self.passes >= 1, "update.passes", "1 or more", self.passes)
         is_weight = 0 <= self.inner_weight < float("inf")

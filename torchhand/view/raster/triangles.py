@@ -126,7 +126,7 @@ def _cut(
 
 def _crossing(ahead: Float[Tensor, "n c"], behind: Float[Tensor, "n c"]) -> Float[Tensor, "n c"]:
     """Where the edges meet the plane; the same for both faces of an edge, as it always runs away from the camera."""
-    share = (ahead[:, 2:3] - NEAREST) / (ahead[:, 2:3] - behind[:, 2:3])
-    crossing = ahead + share * (behind - ahead)
+    fraction = (ahead[:, 2:3] - NEAREST) / (ahead[:, 2:3] - behind[:, 2:3])
+    crossing = ahead + fraction * (behind - ahead)
     crossing[:, 2] = NEAREST
     return crossing
