@@ -57,7 +57,7 @@ class FingertipRay:
         return not bool(self.direction.isfinite().all())
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "FingertipRay":
-        """The same for all hypotheses."""
+        """This observation itself, which all hypotheses have in common."""
         return self
 
     def associate(self, hands: PosedHands, stage: Stage) -> "FingertipRayFactor":

@@ -25,7 +25,7 @@ class Bundle:
     board: Board
     lenses: tuple[Float[Tensor, "_lens"], ...]
     cam_from_world: Pose
-    """(cameras,)"""
+    """Poses of the cameras, (cameras,)."""
     world_from_board: Pose
     """Poses of the board, (frames,)."""
     frames: tuple[FrameIndex, ...]

@@ -28,7 +28,7 @@ class RigCalibration:
 
     cameras: tuple[Camera, ...]
     views: tuple[CameraViews, ...]
-    """What they were computed from."""
+    """Views from which the cameras were computed."""
     alone: tuple[SingleCalibration, ...]
     """Each camera by itself."""
     world_from_board: Mapping[FrameIndex, Pose]

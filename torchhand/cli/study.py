@@ -76,9 +76,9 @@ class Arguments:
     angle_deg: Annotated[float | None, arg(metavar="DEG")] = None
     """Largest perturbation of every joint angle, either way; 15 if not given."""
     translation_mm: Annotated[float | None, arg(metavar="MM")] = None
-    """The same of every coordinate of the wrist; 10 if not given."""
+    """Largest perturbation of every coordinate of the wrist; 10 if not given."""
     rotation_deg: Annotated[float | None, arg(metavar="DEG")] = None
-    """The same of the hand's orientation, about any axis; 15 if not given."""
+    """Largest perturbation of the hand's orientation, about any axis; 15 if not given."""
     iterations: Annotated[int | None, arg(metavar="N")] = None
     """Most iterations of a start, over all stages from coarse to fine; 20 if not given."""
     batch: Annotated[int | None, arg(metavar="N")] = None

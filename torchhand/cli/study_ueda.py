@@ -62,7 +62,7 @@ class Arguments:
     """Recording of several cameras with truth.npz, in which the index is bent while the palm stays: another hand than
     our own."""
     data_frames: tuple[int, int] = (0, 1)
-    """Its frames: one to fit the hand's shape on, and one to find the bent finger in."""
+    """Frames of the recording: one to fit the hand's shape on, and one to find the bent finger in."""
     side: Literal["left", "right"] = "right"
     """Which hand the recording shows."""
     levels: Annotated[str, arg(metavar="N,N-N")] = "6-8"
@@ -84,7 +84,7 @@ class Arguments:
     off_deg: float = 5.0
     """Standard deviation by which guesses are off, of every angle and of the palm's turn."""
     off_mm: float = 5.0
-    """The same of the palm's place."""
+    """Standard deviation by which guesses of the palm's place are off."""
     seed: int = 0
     """Seed of everything that is random."""
     threads: int = 1

@@ -23,7 +23,7 @@ class PlanarMotionErrors:
     displacement_px: Float[np.ndarray, "frames"]
     """Distance between the images of one point, the centroid of the true keypoints in the reference frame."""
     displacement_with_scale_px: Float[np.ndarray, "frames"]
-    """The same where both motions may also scale, for a hand that moves in depth."""
+    """Displacement error where both motions may also scale, for a hand that moves in depth."""
     scale_percent: Float[np.ndarray, "frames"]
     """Estimated scale over true scale, minus one, in percent."""
     true_scale: Float[np.ndarray, "frames"]

@@ -55,7 +55,8 @@ class _Constants:
     """Numbers of the constraints, laid out once."""
 
     rows: Float[Tensor, "rows 30"]
-    """Of the bands and of the abductions, over the softness; then of the flexions, over that which leaves no room."""
+    """Rows of the bands and of the abductions, over the softness; then of the flexions, over that which leaves no
+    room."""
     bound: Float[Tensor, "bands"]
     """Over the softness, like the limits."""
     lower: Float[Tensor, "4"]
@@ -99,7 +100,7 @@ class _Constants:
         )
 
     def to(self, dtype: torch.dtype, device: torch.device) -> "_Constants":
-        """The same in another dtype and elsewhere."""
+        """The constants in a dtype and on a device."""
         tensors = {f.name: getattr(self, f.name).to(device) for f in fields(self)}
         return _Constants(**{name: x.to(dtype) if x.is_floating_point() else x for name, x in tensors.items()})
 

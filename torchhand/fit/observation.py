@@ -28,7 +28,7 @@ class PosedHands:
     """
 
     pose: HandPose
-    """(k,), within the joint limits."""
+    """Poses (k,), within the joint limits."""
     shape: Float[Tensor, "shape"]
     unknowns: SharedUnknowns | None = None
     """Shared unknowns in which derivatives are wanted; None for those of the pose alone."""
@@ -36,7 +36,7 @@ class PosedHands:
     """The numbers after the shape among the shared unknowns."""
     kept: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
     kept_of_shape: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
-    """What is kept that depends on the shape alone: all rows and frames of a problem have it in common."""
+    """Cache of what depends on the shape alone: all rows and frames of a problem have it in common."""
 
     def __len__(self) -> int:
         return len(self.pose)
@@ -118,9 +118,9 @@ class Explained:
     """How well hands explain the data of one observation in one view; a row per hand."""
 
     name: str
-    """Of the observation's kind."""
+    """Name of the observation's kind."""
     view: int | None
-    """None for what is seen by all views together."""
+    """Index of the view; None for what is seen by all views together."""
     fraction: Float[Tensor, "k"]
     """Share of the data that the hand explains, 0 to 1."""
     distance: Float[Tensor, "k"]

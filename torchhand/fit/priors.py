@@ -25,7 +25,7 @@ class ConstraintPrior:
 
     constraints: PoseConstraints
     weight: float = 1.0
-    """Of the squared violations in units of their softness; above 0."""
+    """Weight of the squared violations in units of their softness; above 0."""
     has_ties: bool = True
     """Whether the ties between joints are among them; False beside a posture prior that holds them."""
 
@@ -38,7 +38,7 @@ class ConstraintPrior:
         return DynamicConstraints(constraints=self.constraints)
 
     def associate(self, hands: PosedHands, stage: Stage) -> "ConstraintPrior":
-        """The same for all hands."""
+        """This prior itself, which is one and the same for all hands."""
         return self
 
     def equations(self, hands: PosedHands) -> Equations:
@@ -53,7 +53,7 @@ class ConstraintPrior:
         )
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "ConstraintPrior":
-        """The same for all hands."""
+        """This prior itself, which is one and the same for all hands."""
         return self
 
     def explained(self) -> tuple[Explained, ...]:
@@ -76,7 +76,7 @@ class PosturePrior:
         return False
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "PosturePrior":
-        """The same for all hands."""
+        """This prior itself, which is one and the same for all hands."""
         return self
 
     def associate(self, hands: PosedHands, stage: Stage) -> "PostureFactor":
@@ -124,7 +124,7 @@ class GaussianPrior:
     """A pose that is expected, such as a prediction, with its covariance in the free parameters of a pose space."""
 
     pose: HandPose
-    """(), for all hypotheses, or (k,), one for each."""
+    """Expected pose: (), for all hypotheses, or (k,), one for each."""
     information: Float[Tensor, "*#k free free"]
     """Inverse covariance of the free parameters, the rotation a left perturbation of the pose."""
     space: PoseSpace

@@ -23,17 +23,18 @@ class Problem:
     """Poses of hands of one shape, under observations and priors, whose costs in nats add up."""
 
     space: PoseSpace
-    """Which degrees of freedom are free, in the dtype to solve in (float64 is meant). To keep what a small space does
-    not know, use `space.about(pose)`; rotations of the root are about the references of the poses."""
+    """Pose space that says which degrees of freedom are free, in the dtype to solve in (float64 is meant). To keep what
+    a small space does not know, use `space.about(pose)`; rotations of the root are about the references of the
+    poses."""
     skeleton: Skeleton
-    """Whose joint limits hold."""
+    """Skeleton whose joint limits hold."""
     shape: Float[Tensor, "shape"]
-    """Of the hand; where it is unknown, its start."""
+    """Shape of the hand; where it is unknown, its start."""
     observations: tuple[Observation, ...]
     priors: tuple[Observation, ...] = ()
     shared: SharedUnknowns | None = None
-    """What all rows have in common and is unknown: rows are then the frames of one problem. None: rows are hypotheses
-    that have nothing to do with each other."""
+    """Unknowns that all rows have in common: rows are then the frames of one problem. None: rows are hypotheses that
+    have nothing to do with each other."""
 
     @property
     def is_empty(self) -> bool:

@@ -75,7 +75,7 @@ class SharedUnknowns:
     extra_std: Float[Tensor, "extra"]
     """Standard deviation of each about what is expected of it."""
     extra_mean: Float[Tensor, "extra"] | None = None
-    """What is expected of them; their start where None."""
+    """Expected values of the extra unknowns; their start where None."""
     population: Anthropometry | None = None
     """Constraints that the estimated shape keeps exactly in the end; on the way there it may violate what the prior
     does not forbid."""

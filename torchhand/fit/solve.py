@@ -52,7 +52,7 @@ class Solutions:
     """Estimated hands, one per hypothesis, in the world."""
 
     pose: HandPose
-    """(*hypotheses), with zero rotation vectors, within the limits."""
+    """Poses (*hypotheses), with zero rotation vectors, within the limits."""
     cost: Float[Tensor, "*hypotheses"]
     """Nats, associated at the pose itself with the tolerance of the last stage: comparable between hypotheses; infinite
     if failed."""
@@ -61,7 +61,7 @@ class Solutions:
     iterations: Int[Tensor, "*hypotheses"]
     """Evaluations over all associations."""
     covariance: Float[Tensor, "*hypotheses free free"]
-    """Of the free parameters, the rotation as a left perturbation of the reference; NaN if failed."""
+    """Covariance of the free parameters, the rotation as a left perturbation of the reference; NaN if failed."""
     explained: tuple[Explained, ...]
     """How well every observation is explained, view by view; a row per flattened hypothesis."""
 

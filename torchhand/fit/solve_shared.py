@@ -39,7 +39,7 @@ class SharedSolution:
     """Where a problem of many frames ended."""
 
     pose: HandPose
-    """(frames), with zero rotation vectors, within the limits; those of the start where a frame failed."""
+    """Poses (frames), with zero rotation vectors, within the limits; those of the start where a frame failed."""
     shape: Float[Tensor, "shape"]
     extra: Float[Tensor, "extra"]
     """The shared numbers after the shape."""
@@ -47,13 +47,13 @@ class SharedSolution:
     """Standard deviations by the curvature of the cost, of the poses' uncertainty too; 0 for parameters that were
     held."""
     shared_covariance: Float[Tensor, "c c"]
-    """Of the shared unknowns."""
+    """Covariance of the shared unknowns."""
     covariance: Float[Tensor, "frames free free"]
-    """Of the free parameters of every pose, what is shared being uncertain too; NaN where a frame failed."""
+    """Covariance of the free parameters of every pose, what is shared being uncertain too; NaN where a frame failed."""
     cost: float
     """Nats, of all frames that did not fail together, with what is believed of the shared unknowns."""
     status: Status
-    """Of the shared unknowns; that of the worst frame where there are none."""
+    """Status of the shared unknowns; that of the worst frame where there are none."""
     iterations: int
     """Trials of the shared unknowns."""
     frame_status: Int[Tensor, "frames"]

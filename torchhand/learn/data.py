@@ -35,7 +35,7 @@ class SampleSettings:
     """Largest turn of palm or back away from the camera, about any axis of the picture; about the line of sight the
     hand is turned anyhow."""
     distance: tuple[float, float] = (0.2, 1.5)
-    """From the camera to the middle of the hand, metres; uniform in its logarithm."""
+    """Distance from the camera to the middle of the hand, metres; uniform in its logarithm."""
     off_axis_deg: float = 30.0
     """Largest angle between the optical axis and the middle of the hand."""
     scale: float = 0.05
@@ -79,7 +79,7 @@ class Samples:
     """Hands before cameras, and the points that were seen."""
 
     points_plane: Float[Tensor, "hands 21 2"]
-    """On the normalised image plane, with all errors."""
+    """Points on the normalised image plane, with all errors."""
     seen: Bool[Tensor, "hands 21"]
     keypoints: Float[Tensor, "hands 21 3"]
     """Truth: metres, camera frame."""

@@ -26,7 +26,7 @@ class HandEstimate:
     """cam_from_hand"""
     shape: Float[Tensor, "*batch shape"]
     keypoints: Float[Tensor, "*batch 21 3"]
-    """Metres, camera frame."""
+    """Keypoints in metres, camera frame."""
 
 
 class PoseNetwork(nn.Module):

@@ -26,7 +26,7 @@ class RecordedFrame:
     """What all cameras give at one time."""
 
     index: int
-    """Counted from 0 at the recording's first frame, also when reading starts later."""
+    """Index of the frame, counted from 0 at the recording's first frame, also when reading starts later."""
     time_s: float
     views: tuple[View, ...]
     problems: tuple[str | None, ...]

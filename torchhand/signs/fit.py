@@ -54,7 +54,7 @@ class SolvedSigns:
 
     signs: str
     joints: Float[Tensor, "signs 30"]
-    """Radians, within the limits; the same for left and right hands."""
+    """Joint angles, radians, within the limits; the same for left and right hands."""
     contact: Float[Tensor, "signs"]
     """Largest distance of two points that ought to meet, metres; 0 where the sign has none. Points are places on the
     skin: digits may touch beside them."""

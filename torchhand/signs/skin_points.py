@@ -19,8 +19,8 @@ class SkinPoint:
     along: float
     """Share of the cone, 0 at its beginning; above 1 on the rounded tip."""
     palmar: float
-    """Which way around, degrees: 0 towards the thumb's side, 90 to the palmar side, 180 away from the thumb, −90 to
-    the back."""
+    """Direction around the segment, degrees: 0 towards the thumb's side, 90 to the palmar side, 180 away from the
+    thumb, −90 to the back."""
 
 
 PAD, SIDE, BACK = 90.0, 0.0, -90.0

@@ -31,7 +31,7 @@ class SpellingSettings:
     fps: float = 25.0
     """Frames per second; above 0, 1000 at most."""
     seconds_per_sign: float = 1.0
-    """From one sign to the next where the way is straight; 0.2 to 20."""
+    """Time from one sign to the next where the way is straight; 0.2 to 20."""
     hold_fraction: float = 0.55
     """Share of that for which the hand holds still; 0.1 to 0.9."""
     traced_seconds: float = 1.2
@@ -56,13 +56,13 @@ class Spelling:
     """A spelled text."""
 
     text: str
-    """As it is spelled: capitals, digits and spaces."""
+    """Text as it is spelled: capitals, digits and spaces."""
     poses: Float64[Tensor, "frames 36"]
     """Metres and radians in the order of DOFS, whole rotation vectors; in the frame of a camera (x right, y down, z
     forward) about whose origin the hand moves."""
     fps: float
     place: tuple[int, ...]
-    """For every frame the place in `text` of the sign that is held or that is being left."""
+    """Place, for every frame, in `text` of the sign that is held or that is being left."""
     overlap: Float64[Tensor, "frames"]
     """The deepest overlap of any two parts of the hand, metres: no slack for soft skin; below 0 the smallest gap."""
 
@@ -190,7 +190,7 @@ class _Segment:
     first: str
     second: str | None
     offsets: tuple[Float64[Tensor, "3"], Float64[Tensor, "3"]]
-    """Where the hand slid to, at the beginning and at the end, right hand."""
+    """Offsets to which the hand slid, at the beginning and at the end, right hand."""
 
     def joints(self, fraction: Float64[Tensor, "frames"]) -> Float64[Tensor, "frames 30"]:
         return self.points.expand(len(fraction), -1) if len(self.points) == 1 else curve(self.points, fraction)

@@ -42,7 +42,7 @@ class Handshape:
     """Gaps from index to middle, middle to ring, ring to little."""
     thumb: ThumbPlace
     thumb_deg: tuple[float, float, float, float] | None = None
-    """In place of what THUMB_DEG has for `thumb`."""
+    """Angles of the thumb in place of those that THUMB_DEG has for `thumb`."""
     meet: tuple[tuple[str, str], ...] = ()
     """Points of the skin (`skin_points.POINTS`) that touch."""
     touch: tuple[tuple[str, str], ...] = ()

@@ -28,11 +28,11 @@ class Recipe:
     """A way from one posture to another by way of open ones."""
 
     leaving: Stage | None
-    """What has opened at the first via-pose; the rest is still as in the first sign."""
+    """Digits that have opened at the first via-pose; the rest is still as in the first sign."""
     middle: bool
     """Whether there is a via-pose with all of it open."""
     arriving: Stage | None
-    """What is still open at the last via-pose; the rest is as in the second sign already."""
+    """Digits that are still open at the last via-pose; the rest is as in the second sign already."""
     thumb: int = 0
     """Index into OPEN_THUMBS."""
     fingers: int = 0

@@ -41,7 +41,7 @@ class RigRecord:
     """What the cameras saw of the hand, a column each."""
 
     in_view: np.ndarray
-    """(frames, cameras)"""
+    """Whether the camera sees the hand, (frames, cameras)."""
     is_cut: np.ndarray
     """Whether the hand reaches the picture's edge."""
 

@@ -43,7 +43,7 @@ class TrackerSettings:
     keypoints: KeypointSettings = field(default_factory=KeypointSettings)
     """How far detected keypoints are believed, where there are any."""
     fit: FitSettings = field(default_factory=FitSettings)
-    """Of the picture in which a hand is found."""
+    """Settings of the fit to the picture in which a hand is found."""
     search_overlap: float = 0.80
     """Smallest overlap with which a search of one camera takes a hand as found; 0 to 1."""
     rig: RigSettings = field(default_factory=RigSettings)

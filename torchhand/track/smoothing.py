@@ -34,7 +34,7 @@ class PastFrame:
     """Keypoints alone."""
     masks: tuple[PackedMask | None, ...]
     keypoints: Float[Tensor, "21 3"] | None
-    """Of the hand as it was found, metres; None where it was lost."""
+    """Keypoints of the hand as it was found, metres; None where it was lost."""
     score: float
     """How much of the silhouettes that explains, 0 to 1; 0 where the hand was lost."""
 

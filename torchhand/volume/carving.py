@@ -66,7 +66,7 @@ class Carver:
         return Octree(root=self.root, batch=batch, levels=tuple(levels))
 
     def moved(self, root: RootCube) -> "Carver":
-        """The same for another cube of the same size, such as one that follows something; quick.
+        """The carver for another cube of the same size, such as one that follows something; quick.
 
         Raises ValueError for one of another size.
         """

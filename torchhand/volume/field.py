@@ -22,7 +22,7 @@ class HullField:
     """Distance in metres from the surface of the hull of each frame, negative inside."""
 
     values: Float[Tensor, "*batch nx ny nz"]
-    """At the centres of finest octants, float32; the grid's diagonal everywhere in a frame without hull."""
+    """Distances at the centres of finest octants, float32; the grid's diagonal everywhere in a frame without hull."""
     origin: Float[Tensor, "*batch 3"]
     """Place of the first value, world frame, metres, float64: every frame has its own."""
     pitch: float

@@ -29,13 +29,15 @@ class Verdicts:
     """What every silhouette says about every octant; where it is neither in nor out, it is ON_BORDER."""
 
     is_out: Bool[Tensor, "views octants"]
-    """All pixels that the octant may cover are background."""
+    """Whether all pixels that the octant may cover are background."""
     is_in: Bool[Tensor, "views octants"]
-    """All are object."""
+    """Whether all pixels that the octant may cover are object."""
     is_unseen: Bool[Tensor, "views octants"]
-    """All lie outside the picture, or the octant behind the camera, or the view is missing in the frame."""
+    """Whether all these pixels lie outside the picture, or the octant behind the camera, or the view is missing in the
+    frame."""
     is_bare: Bool[Tensor, "views octants"]
-    """None is object: out, unseen, or half outside the picture with nothing in the other half."""
+    """Whether no pixel of the octant is object: out, unseen, or half outside the picture with nothing in the other
+    half."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +45,7 @@ class _Level:
     """What octants of one level have in common, as (axes, views, 1); x and y in px times depth."""
 
     matrix: Float[Tensor, "axes_views 3"]
-    """From cells to camera coordinates, x and y of all views first, then z."""
+    """Map from cells to camera coordinates, x and y of all views first, then z."""
     reach: Float[Tensor, "2 views 1"]
     reach_z: Float[Tensor, "views 1"]
     before: Float[Tensor, "2 views 1"]

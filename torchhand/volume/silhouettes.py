@@ -29,7 +29,7 @@ class SumTables:
     sizes: Int[Tensor, "2 views 1"]
     """Columns and rows of each window."""
     starts: Int[Tensor, "views 1"]
-    """Where a view's table starts."""
+    """Index at which a view's table starts."""
 
     def places(
         self, begin: Int[Tensor, "2 views n"], beyond: Int[Tensor, "2 views n"]

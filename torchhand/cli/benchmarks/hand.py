@@ -56,7 +56,7 @@ def kinematics_forward_backward(name: str, repeats: int | None) -> Figure:
 
 
 def kinematics_compiled(name: str, repeats: int | None) -> Figure:
-    """The same with ours compiled, and, as a variant, with gradients to the pose alone, as the peer's."""
+    """Forward and backward with ours compiled, and, as a variant, with gradients to the pose alone, as the peer's."""
     if not any(shutil.which(compiler) for compiler in (os.environ.get("CXX") or "g++", "g++", "clang++")):
         note = "torch.compile needs a C++ compiler (g++), which was not found"
         return Figure(name=name, value=None, unit="ratio", must=COMPILED_MUST, aim=COMPILED_AIM, repeats=0, note=note)

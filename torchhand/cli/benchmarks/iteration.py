@@ -41,12 +41,12 @@ class Iteration:
         self.settings = LevenbergMarquardtSettings(iterations=1, damping=1e-2, cost_tolerance=0.0, step_tolerance=0.0)
 
     def residual(self, free: Tensor, channel: Tensor) -> Tensor:
-        """Of one hand."""
+        """The residual of one hand."""
         points = self.case.projector.outline_px(SPACE.dof(free)[None], self.case.reference, TABLE)[0]
         return self.field.sample(points, channel)[0]
 
     def residual_plainly(self, free: Tensor, channel: Tensor) -> Tensor:
-        """The same in operations that every automatic derivative knows."""
+        """The residual in operations that every automatic derivative knows."""
         projector, constants = self.case.projector, self.case.projector.kinematics.chain.constants
         pose, reference = SPACE.dof(free)[:, None], self.case.reference[..., None]
         placed = place_chain_plainly(pose, reference, projector.kinematics.default_levers, constants)

@@ -64,7 +64,7 @@ class BapMotion:
     flagged: tuple[int, ...]
     """Parameters that any frame has, increasing."""
     values: Float64[Tensor, "frames flagged"]
-    """In the file's units. A parameter without a flag in a frame keeps its last value, 0 before the first."""
+    """Values in the file's units. A parameter without a flag in a frame keeps its last value, 0 before the first."""
 
 
 def read_bap(path: str | Path) -> BapMotion:

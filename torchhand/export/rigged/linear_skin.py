@@ -26,7 +26,7 @@ class LinearSkin:
     """A mesh at its bind pose, its targets, and how well they do."""
 
     vertices: Float64[Tensor, "vertices 3"]
-    """At the bind pose, hand frame, metres."""
+    """Vertices at the bind pose, hand frame, metres."""
     bind: HandFrames
     """The bones there."""
     weights: Float64[Tensor, "vertices 20"]
@@ -35,7 +35,7 @@ class LinearSkin:
     error: float
     """Largest distance of a vertex from our own skin over all frames of the clip, metres."""
     linear_error: float
-    """The same without targets."""
+    """Largest error without targets, by blending alone."""
 
 
 def linear_skin(clip: MotionClip, *, max_targets: int = MAX_TARGETS, bound: float = ERROR_BOUND) -> LinearSkin:

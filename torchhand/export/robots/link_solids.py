@@ -27,7 +27,7 @@ class LinkSolid:
     """One bone's part of the hand, in the bone's frame."""
 
     vertices: Float64[np.ndarray, "vertices 3"]
-    """Metres."""
+    """Vertices of the solid, metres."""
     faces: Int[np.ndarray, "faces 3"]
     """Counter-clockwise seen from outside; every edge has two faces."""
     mass: float

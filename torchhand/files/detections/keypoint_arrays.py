@@ -36,7 +36,7 @@ class _Kind:
 
     name: str
     values: np.ndarray
-    """(frames, 21, 3) in space, (frames, 21, 2) in pictures"""
+    """Points: (frames, 21, 3) in space, (frames, 21, 2) in pictures"""
     units: Units
     is_single: bool
     """Whether the file holds one frame, without a dimension for frames."""

@@ -37,7 +37,7 @@ class TrackHeader:
     side: str
     """left or right"""
     camera: Mapping[str, Any]
-    """What identifies the camera: name, size, numbers, whether it was assumed. Values that JSON knows."""
+    """Identity of the camera: name, size, numbers, whether it was assumed. Values that JSON knows."""
     units: str = UNITS
     convention: str = CONVENTION
     made_with: Mapping[str, Any] = field(default_factory=dict)
@@ -60,9 +60,9 @@ class FrameRecord:
     pose_std: Float[np.ndarray, "dofs"]
     """Standard deviation of each DOF."""
     keypoints3d: Float[np.ndarray, "21 3"]
-    """Metres, camera frame (world frame for several cameras)."""
+    """Keypoints in space, metres, camera frame (world frame for several cameras)."""
     keypoints2d: Float[np.ndarray, "21 2"] | None
-    """px; None for several cameras."""
+    """Keypoints in the picture, px; None for several cameras."""
     keypoints3d_cov: Float[np.ndarray, "21 3 3"]
     """m²"""
     seconds: float

@@ -25,7 +25,7 @@ class RigFrame:
     index: int
     """Index of the frame, counted from 0 at the rig's first one, also when reading starts later."""
     images: tuple[UInt8[Tensor, "_height _width 3"] | None, ...]
-    """RGB; None where a view is missing, unreadable, of another size, black or frozen."""
+    """Pictures, RGB; None where a view is missing, unreadable, of another size, black or frozen."""
     problems: tuple[str | None, ...]
     """One line for every picture that is None."""
     masks: tuple[Bool[Tensor, "_height _width"] | None, ...] | None = None

@@ -30,8 +30,8 @@ class ContourObservation:
 
     picture: PictureContours
     contours: Contours
-    """Of the surface to fit, primitives or mesh, before this camera. They are remade where the hand's shape is another
-    than theirs."""
+    """Contours of the surface to fit, primitives or mesh, before this camera. They are remade where the hand's shape is
+    another than theirs."""
     settings: ContourSettings
     view: int = 0
 
@@ -40,7 +40,7 @@ class ContourObservation:
         return self.picture.is_empty
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "ContourObservation":
-        """The same for all hypotheses."""
+        """This observation itself, which all hypotheses have in common."""
         return self
 
     def associate(self, hands: PosedHands, stage: Stage) -> "ContourFactor":

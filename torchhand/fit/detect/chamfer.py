@@ -22,11 +22,11 @@ class Candidate:
     cost: float
     template: Template
     centre: np.ndarray
-    """Of the palm, (x, y) px."""
+    """Centre of the palm, (x, y) px."""
     radius: float
-    """Of the palm, px."""
+    """Radius of the palm, px."""
     angle: float
-    """From upright, radians, clockwise in the picture."""
+    """Angle from upright, radians, clockwise in the picture."""
 
 
 def chamfer_costs(

@@ -35,7 +35,7 @@ class CoverageObservation:
         return self.target.is_empty
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "CoverageObservation":
-        """The same for all hypotheses."""
+        """This observation itself, which all hypotheses have in common."""
         return self
 
     def associate(self, hands: PosedHands, stage: Stage) -> "CoverageFactor":
@@ -95,7 +95,7 @@ class _Matched:
 
     match: Int[Tensor, "k data"]
     places: Float[Tensor, "k data 3"]
-    """Of those vertices."""
+    """Places of the matched vertices."""
     points: Float[Tensor, "data 3"]
     """Any point of each ray, or the point of the surface."""
     data_places: Float[Tensor, "k data 3"]
@@ -121,11 +121,11 @@ class CoverageFactor:
     """½ Σ weight ρ(normal · (skin - data)), ρ of Geman and McClure; a row per hand. The skin is free to slide."""
 
     skin: SkinPoints
-    """Of the shape that is held or, where the shape is unknown, was the start."""
+    """Skin of the shape that is held fixed or, where the shape is unknown, was the start."""
     match: Int[Tensor, "k data"]
     """The vertex of each datum."""
     vertices: WeightedVertices
-    """Of that skin."""
+    """Vertices of the skin."""
     points: Float[Tensor, "data 3"]
     normals: Float[Tensor, "k data 3"]
     weight: Float[Tensor, "k data"]

@@ -33,11 +33,11 @@ class HullFitter:
     """Fits one hand of one shape, in one pose space, into any number of hulls."""
 
     hand: Hand
-    """In the dtype to compute its skin in."""
+    """The hand, in the dtype to compute its skin in."""
     space: PoseSpace
-    """In the dtype to solve in (float64 is meant); starts are put into it."""
+    """Pose space, in the dtype to solve in (float64 is meant); starts are put into it."""
     shape: Float[Tensor, "shape"] | None = None
-    """In place of the hand's own."""
+    """Shape in place of the hand's own."""
     settings: HullSettings = field(default_factory=HullSettings)
     schedule: Schedule = SEARCH
     joints: JointPriors = field(default_factory=JointPriors)

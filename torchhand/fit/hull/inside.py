@@ -31,7 +31,7 @@ class InsideObservation:
         return self.target.is_empty
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "InsideObservation":
-        """The same for all hypotheses."""
+        """This observation itself, which all hypotheses have in common."""
         return self
 
     def associate(self, hands: PosedHands, stage: Stage) -> "InsideFactor":
@@ -68,11 +68,11 @@ class InsideFactor:
     """½ Σ weight ρ(distance outside the hull), ρ of Huber; the same vertices of all hands."""
 
     skin: SkinPoints
-    """Of the shape that is held or, where the shape is unknown, was the start."""
+    """Skin of the shape that is held fixed or, where the shape is unknown, was the start."""
     field: HullField
     index: Int[Tensor, "points"]
     vertices: WeightedVertices
-    """Of that skin."""
+    """Vertices of the skin."""
     weight: Float[Tensor, "points"]
     """Inverse variances, m⁻²."""
     robust: RobustLoss

@@ -28,7 +28,7 @@ class RayView:
     scale: float
     """Metres that a unit of the normalised image plane is worth where the hull is."""
     plane: Float[Tensor, "rays 2"]
-    """Of the normalised image plane."""
+    """Points of the normalised image plane."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,7 @@ class SilhouetteRays:
     """Rays through the edges of all silhouettes, view by view, in the world."""
 
     points: Float[Tensor, "rays 3"]
-    """On the rays, beside the hull's middle, metres."""
+    """Points on the rays, beside the hull's middle, metres."""
     directions: Float[Tensor, "rays 3"]
     """Unit, away from the camera."""
     normals: Float[Tensor, "rays 3"]

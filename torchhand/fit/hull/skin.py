@@ -23,11 +23,11 @@ class WeightedVertices:
     """Skinning of some vertices of a shape; the leading dimension is 1 where all hands have the same vertices."""
 
     places: Float[Tensor, "#hands 20 4 points"]
-    """In the bones' frames, times the weights; then the weights."""
+    """Places in the bones' frames, times the weights; then the weights."""
     carried: Float[Tensor, "#hands 20 points"]
     """Weights of each bone and of those beyond it."""
     correctives: Float[Tensor, "#hands c 6 points"]
-    """By feature, in the frames of the bones that the angles move."""
+    """Correctives by feature, in the frames of the bones that the angles move."""
 
     def rows(self, rows: Int[Tensor, "n"]) -> "WeightedVertices":
         """Those of the given hands."""
@@ -51,7 +51,7 @@ class PosedBones:
     bending: Float[Tensor, "hands c 3 6"]
     """world_from_bone of the bones that the correctives are given in, times the features of their angles."""
     slopes: Float[Tensor, "hands c 3 6"]
-    """Its derivative in those angles."""
+    """Derivative of `bending` in the correctives' angles."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,9 +60,9 @@ class SkinMotion:
 
     points: Float[Tensor, "hands points 3"]
     levers: Float[Tensor, "hands 20 3 points"]
-    """What each joint turns of each point, from the joint."""
+    """Levers from each joint to what it turns of each point."""
     fraction: Float[Tensor, "#hands points"]
-    """Of each point that all bones carry together: 1 up to rounding."""
+    """Fraction of each point that all bones carry together: 1 up to rounding."""
     turns: Float[Tensor, "hands 33 3"]
     """Axes of the rotation vector's columns, then of the angles."""
     bones: Int[Tensor, "33"]
@@ -70,7 +70,7 @@ class SkinMotion:
     bends: Float[Tensor, "hands c 3 points"]
     """Derivatives of the correctives in their angles."""
     bend_rows: Int[Tensor, "c"]
-    """Their angles, among the 36 DOFs."""
+    """Rows of the correctives' angles among the 36 DOFs."""
 
     def along(self, direction: Float[Tensor, "hands points 3"]) -> Float[Tensor, "hands points 36"]:
         """Derivative of direction · point in the DOFs, per metre and per radian, the direction held."""

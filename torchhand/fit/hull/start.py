@@ -56,9 +56,9 @@ class HullStart:
     """A hand found in a hull."""
 
     found: Solutions
-    """Of one hypothesis, without batch dimensions."""
+    """Solution of one hypothesis, without batch dimensions."""
     size: int
-    """Which of the given shapes it has."""
+    """Index of the hand's shape among those given."""
 
 
 def palm_of(keypoints: Float[Tensor, "*batch 21 3"]) -> Float[Tensor, "*batch 3"]:

@@ -27,7 +27,7 @@ class HullTorqueFit:
     """Fitted hands, one per hypothesis, in the world, with the way there."""
 
     pose: HandPose
-    """(*hypotheses), with zero rotation vectors, within the limits."""
+    """Poses (*hypotheses), with zero rotation vectors, within the limits."""
     converged: Bool[Tensor, "*hypotheses"]
     """Whether the share of vertices outside fell below its threshold."""
     iterations: Int[Tensor, "*hypotheses"]
@@ -35,7 +35,7 @@ class HullTorqueFit:
     inside_fraction: Float[Tensor, "*hypotheses steps"]
     """Share of the vertices inside, at the start and after every step (the rate of convergence of figure 14)."""
     poses: HandPose
-    """(*hypotheses, steps), at the start and after every step, all about the start's reference (figure 13)."""
+    """Poses (*hypotheses, steps), at the start and after every step, all about the start's reference (figure 13)."""
 
 
 def fit_by_torques(

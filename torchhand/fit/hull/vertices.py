@@ -23,7 +23,7 @@ class SkinVertices:
     area_fraction: Float[Tensor, "points"]
     """Share of the skin's area that each of these stands for."""
     rigidity: Float[Tensor, "vertices"]
-    """What each vertex of the whole skin counts, by `HullSettings.rigidity_exponent`."""
+    """Weight of each vertex of the whole skin, by `HullSettings.rigidity_exponent`."""
 
     @classmethod
     def of(cls, skin: SkinPoints, settings: HullSettings) -> "SkinVertices":

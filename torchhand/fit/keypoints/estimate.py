@@ -45,7 +45,7 @@ class KeypointEstimate:
 
     solution: SharedSolution
     detector: Detector
-    """As it was found to be."""
+    """The detector as it was found to be."""
 
 
 @dataclass(frozen=True, kw_only=True)

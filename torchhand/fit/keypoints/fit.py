@@ -34,8 +34,8 @@ class KeypointFit:
     pose_std: Float[Tensor, "*frames 36"]
     """Standard deviations, 0 for DOFs that the pose space holds; rotations of the root are about the world's axes."""
     pose_covariance: Float[Tensor, "*frames free free"]
-    """Of the pose space's free parameters; the root's rotation is a left perturbation. The limits count as information
-    (a uniform distribution between them), so that it is finite; an angle at its limit keeps its spread."""
+    """Covariance of the pose space's free parameters; the root's rotation is a left perturbation. The limits count as
+    information (a uniform distribution between them), so that it is finite; an angle at its limit keeps its spread."""
     shape: Float[Tensor, "shape"]
     shape_std: Float[Tensor, "shape"]
     """0 for parameters that were held."""
@@ -48,7 +48,7 @@ class KeypointFit:
     status: Int[Tensor, "*frames"]
     """Index into FIT_STATUSES."""
     iterations: Int[Tensor, "*frames"]
-    """Of the poses' last solution."""
+    """Iterations of the poses' last solution."""
     scale: float
     """Metres per unit of the measured points in space; 1 unless it was asked for."""
     offsets: Float[Tensor, "21 3"]

@@ -49,7 +49,7 @@ class PictureKeypoints:
     """Loss of residuals in standard deviations, evaluated at every hand; None for what each point is trusted at the
     association."""
     detector: Detector | None = None
-    """None for one whose keypoints are ours."""
+    """Properties of the detector; None for one whose keypoints are ours."""
 
     @property
     def is_empty(self) -> bool:
@@ -115,7 +115,7 @@ class PictureKeypointFactor:
     weight: Float[Tensor, "k 21"]
     """Inverse variances, px⁻²; 0 for missing points."""
     trust: Float[Tensor, "k 21"]
-    """What each point counts, of what it would if it were the only one and no outlier."""
+    """Weight of each point, as a fraction of what it would if it were the only one and no outlier."""
     view: int
     loss: RobustLoss | None
     detector: Detector
@@ -183,7 +183,7 @@ class SpaceKeypoints:
     """Points in space up to a similarity; one hand for all hypotheses, or a row for each frame."""
 
     points: Float[Tensor, "#rows 21 3"]
-    """Metres, any frame; NaN for missing points."""
+    """Points in metres, in any coordinates; NaN for missing points."""
     kinematics: HandKinematics
     settings: KeypointSettings
 

@@ -82,7 +82,7 @@ class Detector:
         return torch.cat(parts) if parts else self.offsets.new_zeros(0)
 
     def at(self, extra: Float[Tensor, "extra"] | None) -> "Detector":
-        """The same with other values of the unknown ones; None for its own."""
+        """The detector with other values of its unknown properties; None keeps its own."""
         if extra is None or not len(extra):
             return self
         log_scale = extra[0] if self.has_unknown_scale else self.log_scale

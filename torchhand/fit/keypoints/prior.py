@@ -38,7 +38,7 @@ class NaturalPosture:
     """A Gaussian over the joint angles."""
 
     mean: Float[Tensor, "36"]
-    """Radians; zeros for the root, of which nothing is believed."""
+    """Mean angles, radians; zeros for the root, of which nothing is believed."""
     precision: Float[Tensor, "36 36"]
     """Inverse covariance; zero rows and columns for the root."""
 

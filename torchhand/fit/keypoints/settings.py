@@ -22,8 +22,8 @@ class KeypointFitSettings:
     gross: float = 5.0
     """Standard deviations beyond which points count for less (Huber); above 0, infinite for none."""
     prior: str = "auto"
-    """When the natural posture counts: for the joints whose points are missing, always, or never. auto is
-    where_missing in space, where a full set of points needs no belief that would only pull, and always in pictures."""
+    """Use of the natural posture: for the joints whose points are missing, always, or never. auto is where_missing in
+    space, where a full set of points needs no belief that would only pull, and always in pictures."""
     min_points: int = 5
     """Frames with fewer points, or with all of them in one place, are not fitted; 4 or more."""
     offset_std: float = 0.0

@@ -20,7 +20,7 @@ class WorldKeypoints:
     frame."""
 
     points: Float[Tensor, "#rows 21 3"]
-    """In the world, in the detector's unit; NaN for missing points."""
+    """Points in the world, in the detector's unit; NaN for missing points."""
     kinematics: HandKinematics
     settings: KeypointSettings
     confidence: Float[Tensor, "#rows 21"] | None = None
@@ -29,7 +29,7 @@ class WorldKeypoints:
     """Loss of residuals in standard deviations, evaluated at every hand; None for what each point is trusted at the
     association."""
     detector: Detector | None = None
-    """None for one that measures in metres and whose keypoints are ours."""
+    """Properties of the detector; None for one that measures in metres and whose keypoints are ours."""
 
     @property
     def is_empty(self) -> bool:
@@ -74,7 +74,7 @@ class WorldKeypointFactor:
     weight: Float[Tensor, "k 21"]
     """Inverse variances, m⁻²; 0 for missing points."""
     trust: Float[Tensor, "k 21"]
-    """What each point counts, of what it would if it were the only one and no outlier."""
+    """Weight of each point, as a fraction of what it would if it were the only one and no outlier."""
     loss: RobustLoss | None
     detector: Detector
 

@@ -21,9 +21,9 @@ class HandSize:
     """Length of a hand, and how it is known."""
 
     length: float
-    """Metres."""
+    """Hand length, metres."""
     std: float
-    """Metres."""
+    """Standard deviation of the hand length, metres."""
     source: SizeSource
 
 

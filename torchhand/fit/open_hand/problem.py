@@ -48,7 +48,7 @@ class OpenHandProblem:
 
     kinematics: HandKinematics
     camera: Camera
-    """Its frame is the world."""
+    """The camera, whose coordinates are the world."""
     root_reference: Float[Tensor, "3 3"]
     """Orientation about which the root turns, cam_from_hand."""
     population: Anthropometry

@@ -56,7 +56,7 @@ class BapValues:
     """Names of the columns: joint angles, then tr_vertical … rt_body_tilt."""
     values: Int[Tensor, "*batch parameters"]
     residual: Float[Tensor, "*batch 30"]
-    """What is lost of each joint angle, radians: all of those without a parameter, the rounding of the others."""
+    """Error of each joint angle, radians: all of those without a parameter, the rounding of the others."""
 
 
 def baps_of_pose(pose: Float[Tensor, "*batch 36"], numbering: Numbering, side: Side) -> BapValues:

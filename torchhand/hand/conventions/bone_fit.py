@@ -19,7 +19,7 @@ class BoneFit:
     """A pose found from rotations of bones."""
 
     pose: Float[Tensor, "*batch 36"]
-    """In the order of DOFS; the angles are not held to their limits (`Skeleton.within_limits` does that)."""
+    """Pose in the order of DOFS; the angles are not held to their limits (`Skeleton.within_limits` does that)."""
     residual: Float[Tensor, "*batch 20"]
     """Angle, radians, between each bone's rotation relative to its parent as given and as the pose has it."""
 

@@ -46,7 +46,8 @@ class ManoPose:
     axis_angle: Float[Tensor, "*batch 16 3"]
     """Rotation vector of each joint relative to its parent, radians; the first is the hand's in the world."""
     wrist: Float[Tensor, "*batch 3"]
-    """Where our wrist is, metres; smplx's `transl` is this less MANO's wrist joint at rest, which its shape moves."""
+    """Position of our wrist, metres; smplx's `transl` is this less MANO's wrist joint at rest, which its shape
+    moves."""
     residual: Float[Tensor, "*batch 21"]
     """Metres by which each of our keypoints is off when MANO's rotations alone pose the hand (the palm rigid)."""
 

@@ -42,7 +42,7 @@ class OpenXRJoints:
     """Where the 26 joints are, in the frame of the bones they were made of."""
 
     position: Float[Tensor, "*batch 26 3"]
-    """Metres."""
+    """Positions of the joints, metres."""
     rotation: Float[Tensor, "*batch 26 3 3"]
     """world_from_joint"""
 

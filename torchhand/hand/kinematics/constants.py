@@ -39,7 +39,7 @@ class ChainConstants:
     angles: Int[Tensor, "31"]
     """Rows of the pose: the angles of the 13 hinges, then three of each free bone; a missing angle's row is any."""
     angle_rows: Int[Tensor, "30"]
-    """Where each joint angle stands among those 31."""
+    """Row of each joint angle among the 31 of the chain."""
     keypoint_points: Int[Tensor, "21"]
     """The points that are keypoints."""
     point_keypoints: Int[Tensor, "25"]

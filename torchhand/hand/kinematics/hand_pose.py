@@ -23,7 +23,7 @@ class HandPose:
     """
 
     dofs: Float[Tensor, "*batch 36"]
-    """In the order of DOFS; metres and radians."""
+    """Degrees of freedom in the order of DOFS; metres and radians."""
     reference: Float[Tensor, "*batch 3 3"]
     """world_from_hand where the rotation vector is zero."""
 

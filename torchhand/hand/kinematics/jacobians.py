@@ -101,7 +101,7 @@ class PoseJacobian:
         position: Float[Tensor, "20 3 n"],
         keypoints: Float[Tensor, "21 3 n"],
     ) -> Float[Tensor, "21 3 free n"]:
-        """The same with the batch last, as the memory of HandFrames has it."""
+        """The derivative with the batch last, as the memory of HandFrames has it."""
         count = pose.shape[-1]
         axes = world_axes(pose, rotation, self._constants).index_select(0, self._angles)
         levers = keypoints.index_select(0, self._points) - position.index_select(0, self._bones)
@@ -195,7 +195,7 @@ class ShapeJacobian:
     def batch_last(
         self, rotation: Float[Tensor, "20 3 3 n"], shape: Float[Tensor, "shape #n"]
     ) -> Float[Tensor, "21 3 columns n"]:
-        """The same with the batch last; a shape for all may have n = 1."""
+        """The derivative with the batch last; a shape for all may have n = 1."""
         factors = torch.cat((torch.ones_like(shape[:1]), shape.index_select(0, self._sizes)))
         per_unit = self._per_metre * factors.index_select(0, self._size_of)[:, None]
         for grown, is_size in zip(self._fractions @ shape, self._is_size, strict=True):

@@ -60,7 +60,7 @@ class PrimitiveSizes:
 
     @cached_property
     def mirrored_placement(self) -> tuple[Float[Tensor, "*batch 37 3 3"], Float[Tensor, "*batch 37 3"]]:
-        """The same of a left hand: mirrored in z = 0. The surfaces themselves are symmetric."""
+        """`placement` of a left hand: mirrored in z = 0. The surfaces themselves are symmetric."""
         turned, origin = self.placement
         mirror = torch.tensor((1.0, 1.0, -1.0), dtype=origin.dtype, device=origin.device)
         return turned * (mirror[:, None] * mirror), origin * mirror

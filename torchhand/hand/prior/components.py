@@ -49,9 +49,9 @@ class PostureComponent:
     weight: float
     """Relative; above 0."""
     mean: Float[Tensor, "30"]
-    """Radians, JOINT_DOFS."""
+    """Means in the order of JOINT_DOFS, radians."""
     std: Float[Tensor, "30"]
-    """Radians; of each angle given the ones before it."""
+    """Standard deviation, radians, of each angle given the ones before it."""
 
     def __post_init__(self) -> None:
         if not 0 < self.weight < math.inf:

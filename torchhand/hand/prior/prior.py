@@ -26,7 +26,8 @@ class HandPriorSettings:
     constraints: ConstraintSettings = field(default_factory=ConstraintSettings)
     anthropometry: AnthropometrySettings = field(default_factory=AnthropometrySettings)
     penetration: PenetrationSettings | None = field(default_factory=PenetrationSettings)
-    """None lets parts of the hand pass through each other: the density is then normalised exactly."""
+    """Settings of the penetration; None lets parts of the hand pass through each other: the density is then normalised
+    exactly."""
     deepest: float = 0.004
     """No sample, and no pose of finite log-probability, has a pair of parts deeper in each other than its slack and
     this, metres; above 0."""

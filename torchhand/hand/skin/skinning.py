@@ -111,7 +111,7 @@ class Skinning(nn.Module):
     def loads_at(
         self, index: Int[Tensor, "points #n"], metres: Float[Tensor, "shape #n"]
     ) -> tuple[Float[Tensor, "20 3 points #n"], Float[Tensor, "20 points #n"], Float[Tensor, "c 2 3 points #n"]]:
-        """The same three parts for some vertices, which may differ from hand to hand, as may the shapes."""
+        """The three parts of `loads` for some vertices, which may differ from hand to hand, as may the shapes."""
         rest = self.rest_vertices[..., None] + self.rest_basis @ metres
         rest = torch.take_along_dim(rest, index[None], 1)
         places = torch.einsum("bji,ipn->bjpn", self.bone_from_hand, rest)

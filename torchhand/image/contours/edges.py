@@ -23,7 +23,7 @@ class EdgeSettings:
     min_strength: float = 0.03
     """Weakest edge accepted: height of the step in the picture's own units (0.03 is 8 grey levels of 255)."""
     polarity: Literal["any", "inside_bright", "inside_dark"] = "any"
-    """Which side of an edge must be the brighter; inside is where the normal comes from."""
+    """Side of an edge that must be the brighter; inside is where the normal comes from."""
     choose: Literal["strongest", "nearest"] = "strongest"
     """The strongest edge (Stenger et al. 2001), or the one nearest to the predicted point among the rivals."""
     rival_fraction: float = 0.5

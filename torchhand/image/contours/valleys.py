@@ -30,7 +30,7 @@ class ValleySettings:
     low: float = 3.0
     """Least σ² × second derivative across the line, grey levels; a place counts if linked to one above `high`."""
     high: float = 7.0
-    """Where a line begins; not below `low`."""
+    """Strength at which a line begins; not below `low`."""
     min_points: int = 8
     """Pixels of the shortest line; 1 or more."""
     steepest: float = 0.5
@@ -53,7 +53,7 @@ class Valleys:
     """Places on dark lines, float64; one per pixel that a line crosses."""
 
     points_px: Float[Tensor, "points 2"]
-    """(x, y), between the pixels."""
+    """Points (x, y) of the lines, between the pixels."""
     directions: Float[Tensor, "points 2"]
     """Unit, across the line; its sign means nothing."""
     strength: Float[Tensor, "points"]

@@ -41,7 +41,7 @@ class FingerSettings:
     min_elongation: float = 1.15
     """Length over mean width of a piece that can be a finger; above 0."""
     min_length: float = 0.5
-    """Its least length, over the radius of the palm; above 0."""
+    """Smallest length of a finger, over the radius of the palm; above 0."""
 
     def __post_init__(self) -> None:
         if not 0 < self.smallest_disc < self.largest_disc < 1:
@@ -63,7 +63,7 @@ class FingerPiece:
     """One piece that the top-hat left and that has a finger's form; px of the whole picture, (x, y)."""
 
     tip: tuple[float, float]
-    """Its point farthest from its base."""
+    """The piece's point farthest from its base."""
     base: tuple[float, float]
     """Middle of its contact with what the opening kept."""
     width: float
@@ -80,11 +80,11 @@ class FingerSearch:
     """What the top-hat found in one silhouette."""
 
     pieces: tuple[FingerPiece, ...]
-    """Those that have a finger's form, at the disc that was chosen, the largest first."""
+    """Pieces that have a finger's form, at the disc that was chosen, the largest first."""
     order: FingerOrder | None
-    """Which of them are thumb to little; None where none agree with an open hand."""
+    """Order of the pieces, thumb to little; None where none agree with an open hand."""
     disc_radius: float
-    """px; 0 where no disc showed a piece."""
+    """Radius of the disc that was chosen, px; 0 where no disc showed a piece."""
     palm_radius: float
     """Radius of the largest disc within the silhouette that has the fingers around it, px."""
     palm_centre: tuple[float, float]
@@ -235,7 +235,7 @@ def _merit(found: FingerSearch) -> float:
 
 
 def _in_picture(found: FingerSearch, scale: float, corner: tuple[int, int]) -> FingerSearch:
-    """The same in px of the whole picture."""
+    """A search's result in px of the whole picture."""
 
     def moved(point: tuple[float, float]) -> tuple[float, float]:
         x, y = ((coordinate - 1.0 + 0.5) / scale - 0.5 for coordinate in point)

@@ -35,11 +35,11 @@ class FingerOrder:
     misfit: float
     """Weighted root mean square distance from the plan, over hand length."""
     wrist: Point
-    """Where the plan puts the wrist, px."""
+    """Position of the wrist by the plan, px."""
     axis: Point
     """Unit vector from the wrist along the middle finger, as the plan lies."""
     hand_length: float
-    """px, as the plan lies."""
+    """Length of the hand by the plan, px."""
 
 
 def order_fingers(

@@ -17,7 +17,7 @@ class FingerProfile:
     """One finger's axis in the picture; px, (x, y)."""
 
     tip: Float[np.ndarray, "2"]
-    """Where the axis leaves the silhouette."""
+    """Point where the axis leaves the silhouette."""
     direction: Float[np.ndarray, "2"]
     """Unit vector from base to tip."""
     along: Float[np.ndarray, "samples"]

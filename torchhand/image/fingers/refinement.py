@@ -36,9 +36,9 @@ class RefinementSettings:
     max_side_px: int = 320
     """Larger pictures are reduced to this longer side for the cut; >= 32."""
     core_fraction: float = 0.35
-    """What lies deeper than this share of a guess's greatest depth is surely inside; between 0 and 1."""
+    """Fraction of a guess's greatest depth beyond which a pixel is surely inside; between 0 and 1."""
     band_fraction: float = 0.5
-    """What lies farther from the guess than this share of its greatest depth is surely outside; above 0."""
+    """Distance from a guess, as a fraction of its greatest depth, beyond which a pixel is surely outside; above 0."""
     iterations: int = 3
     """Rounds of the cut; 1 or more."""
 
@@ -62,7 +62,7 @@ class HandSilhouette:
     source: str
     """How it was found: the guess, and whether it was refined."""
     search: FingerSearch | None
-    """Its fingers."""
+    """Search for the silhouette's fingers."""
     edge_fraction: float
     """Share of its outline, the picture's border left out, that lies on edges of the picture."""
     odd_digits: tuple[str, ...] = ()

@@ -35,7 +35,7 @@ class Digit:
 
     name: str
     tip: np.ndarray
-    """Its end on its axis."""
+    """End of the digit on its axis."""
     base: np.ndarray
     """The point of its axis level with the webs beside it; of the thumb, with the end of its top-hat piece."""
     direction: np.ndarray
@@ -55,7 +55,7 @@ class HandRegions:
     digits: tuple[Digit, ...]
     """Thumb to little."""
     webs: np.ndarray
-    """(4, 2): deepest points between neighbouring digits, thumb and index first."""
+    """Webs (4, 2): deepest points between neighbouring digits, thumb and index first."""
     wrist: np.ndarray
     axis: np.ndarray
     """Unit vector from the wrist to the fingers."""

@@ -46,7 +46,7 @@ def look_up(picture: np.ndarray, table: np.ndarray, ends: tuple[int, ...]) -> np
 
 
 def _look_up_pairs(picture: np.ndarray, table: np.ndarray, ends: tuple[int, ...]) -> np.ndarray:
-    """The same for two channels: the table, spread over their values, is read as a picture; in half the time."""
+    """`look_up` for two channels: the table, spread over their values, is read as a picture; in half the time."""
     first, second = (np.arange(end) * size // end for size, end in zip(table.shape, ends, strict=True))
     spread = np.ascontiguousarray(table.T.astype(np.uint8)[second].take(first, 1))
     place = np.empty((*picture.shape[:2], 2), np.uint8)

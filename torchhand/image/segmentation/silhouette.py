@@ -22,7 +22,8 @@ _RIM = 200  # as a share of the picture's longer side, half the width of a rim o
 @dataclass(frozen=True, kw_only=True)
 class SilhouetteSettings:
     method: Literal["skin", "background", "chroma"] = "skin"
-    """By a skin model, by a plate of the empty scene, or by the hue of a coloured screen."""
+    """Method of the segmentation: by a skin model, by a plate of the empty scene, or by the hue of a coloured
+    screen."""
     skin_threshold: float = 0.5
     """Least probability of skin; between 0 and 1."""
     shaded_skin: float = 1.0

@@ -31,7 +31,8 @@ class MotionModel:
     velocity_decay_s: float | None = None
     """Seconds until a velocity has fallen to 37 %; None: never. Ignored at order 0, which has no velocity."""
     acceleration_decay_s: float | None = None
-    """The same for an acceleration. Ignored below order 2, which has no acceleration."""
+    """Seconds until an acceleration has fallen to 37 %; None: never. Ignored below order 2, which has no
+    acceleration."""
 
     def __post_init__(self) -> None:
         if self.order not in (0, 1, 2):

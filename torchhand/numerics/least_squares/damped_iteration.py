@@ -33,7 +33,7 @@ class DampedIteration:
     cost: Tensor
     damping: Tensor
     factor: Tensor
-    """By what a refused step multiplies the damping."""
+    """Factor by which a refused step multiplies the damping."""
     status: Tensor
     is_open: Tensor
     iterations: Tensor

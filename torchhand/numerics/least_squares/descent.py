@@ -23,13 +23,13 @@ class DescentSettings:
     rate: float = 0.2
     """First step, in units of scale² × gradient; above 0."""
     growth: float = 1.5
-    """By what a step that lowers the cost multiplies the rate; 1 or more."""
+    """Factor by which a step that lowers the cost multiplies the rate; 1 or more."""
     shrink: float = 0.4
-    """By what one that does not multiplies it; between 0 and 1."""
+    """Factor by which a step that does not lower the cost multiplies the rate; between 0 and 1."""
     cost_tolerance: float = 1e-9
     """Converged when a step taken lowers the cost by at most this share of it; 0 or more."""
     min_rate: float = 1e-10
-    """Where no step lowers the cost down to this rate, the problem has stalled; above 0."""
+    """Rate at which a problem has stalled whose cost no step has lowered; above 0."""
 
     def __post_init__(self) -> None:
         if self.iterations < 1:

@@ -27,9 +27,9 @@ class LevenbergMarquardtSettings:
     iterations: int = 50
     """Most evaluations after that at the start; 1 or more."""
     damping: float = 1e-3
-    """At the start, relative to the diagonal of JᵀJ; above 0."""
+    """Damping at the start, relative to the diagonal of JᵀJ; above 0."""
     max_damping: float = 1e8
-    """Where no step lowers the cost up to this damping, the problem has stalled; above `damping`."""
+    """Damping at which a problem has stalled whose cost no step has lowered; above `damping`."""
     cost_tolerance: float = 1e-12
     """Converged when the predicted decrease is at most this share of the cost; 0 or more."""
     step_tolerance: float = 1e-9

@@ -50,9 +50,9 @@ class GloveRecording:
     """Joint angles as they were recorded."""
 
     seconds: Float[np.ndarray, "rows"]
-    """From the first row on, increasing."""
+    """Times from the first row on, increasing."""
     angles: Float[np.ndarray, "rows 23"]
-    """Radians, GLOVE_COLUMNS."""
+    """Angles in the order of GLOVE_COLUMNS, radians."""
 
 
 def read_glove(path: str | Path) -> GloveRecording:

@@ -25,9 +25,9 @@ class Stage:
     width: float
     """Width of the picture at the distance of the hand, metres."""
     height: float
-    """The same, height."""
+    """Height that the picture shows at the hand's distance, metres."""
     distance: float
-    """Of the hand from the camera, metres."""
+    """Distance of the hand from the camera, metres."""
 
     def wander(self, count: int) -> Float[Tensor, "frames {count}"]:
         """`count` independent smooth curves within [-1, 1] that start from rest at 0."""

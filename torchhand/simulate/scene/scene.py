@@ -77,11 +77,11 @@ class RenderedFrame:
 
     index: int
     image: UInt8[Tensor, "height width 3"]
-    """RGB."""
+    """The picture, RGB."""
     mask: Bool[Tensor, "height width"]
     """Pixels whose centre sees the hand; not its forearm."""
     keypoints_cam: Float[Tensor, "21 3"]
-    """Metres, camera frame."""
+    """Keypoints in metres, camera frame."""
     keypoints_px: Float[Tensor, "21 2"]
 
 

@@ -43,14 +43,14 @@ class StudyCase:
 
     frame: int
     image: UInt8[Tensor, "height width 3"]
-    """RGB."""
+    """The picture, RGB."""
     mask: Bool[Tensor, "height width"]
     """Silhouette of the hand; a forearm may be part of it."""
     camera: Camera
     side: Side
     shape: Float[Tensor, "shape"]
     pose: HandPose
-    """() float64; what starts are perturbed from and errors are against."""
+    """Reference pose, () float64: starts are perturbed from it, and errors are against it."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,15 +35,15 @@ class Given:
     """What the user says about the pictures."""
 
     source: Path | None
-    """None: simulated pictures."""
+    """Source of the pictures; None: simulated pictures."""
     frames: tuple[int, ...] | None
-    """None: all that there are."""
+    """Frames of the source; None: all that there are."""
     camera: Path | None = None
     hand: FittedHand | None = None
     side: Side | None = None
     mask: Path | None = None
     size: tuple[int, int] = (640, 480)
-    """Of simulated pictures, px."""
+    """Size of simulated pictures, px."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,11 +19,12 @@ class Hypotheses:
     frame: Int[np.ndarray, "starts"]
     batch: Int[np.ndarray, "starts"]
     seed: Int[np.ndarray, "starts"]
-    """Of the batch's generator."""
+    """Seed of the batch's generator."""
     level: Int[np.ndarray, "starts"]
     """Size of the perturbation: 1 to the number of levels."""
     perturbation: Float[np.ndarray, "starts free"]
-    """Of the pose space's free parameters, metres and radians, within the limits; the rotation is a left one."""
+    """Perturbation of the pose space's free parameters, metres and radians, within the limits; the rotation is a left
+    one."""
     start_angle_deg: Float[np.ndarray, "starts"]
     start_keypoint_mm: Float[np.ndarray, "starts"]
     start_rotation_deg: Float[np.ndarray, "starts"]

@@ -21,14 +21,14 @@ class HypothesisStudySettings:
     """Starts, registration, and what counts as success."""
 
     starts: int = 10_000
-    """Of all pictures together, shared out evenly; 1 to 10,000,000."""
+    """Starts of all pictures together, shared out evenly; 1 to 10,000,000."""
     batch: int = 128
     """Starts that are registered together: bounds the memory. Other batches draw other starts. 1 to 4096."""
     perturbation: PerturbationSettings = field(default_factory=PerturbationSettings)
     space: str = "dof26"
     """Pose space, through the reference pose: what it ties or holds is as in the reference."""
     surface: SurfaceName = "primitives"
-    """Whose contours are registered: those of the quadrics, or those of the skinned mesh."""
+    """Surface whose contours are registered: those of the quadrics, or those of the skinned mesh."""
     points_per_generator: int = 12
     """Outline points on each side of a cone; 2 or more."""
     points_per_arc: int = 8

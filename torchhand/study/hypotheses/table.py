@@ -33,7 +33,7 @@ class StudyRow:
     """Wilson's 95 % interval."""
     success_high: float
     start_success: float
-    """The same share before they were registered."""
+    """Fraction of the starts that were successes before they were registered."""
     start_angle_median_deg: float
     angle_median_deg: float
     angle_p90_deg: float

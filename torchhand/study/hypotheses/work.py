@@ -43,13 +43,13 @@ class Work:
 
     settings: HypothesisStudySettings
     cases: Sequence[StudyCase]
-    """With their final references."""
+    """Cases with their final references."""
     overlaps: Sequence[float]
-    """Of the reference hands and the silhouettes."""
+    """Overlaps of the reference hands and the silhouettes."""
     prior: PostureResiduals | None
     seed: int
     source: str
-    """Of the pictures, for the user."""
+    """Source of the pictures, for the user."""
     reference: str
     """How the reference poses are known, for the user."""
     device: str

@@ -121,7 +121,7 @@ class Recording:
     folder: Path
     cameras: Sequence[Camera]
     pictures: Sequence[UInt8[Tensor, "_height _width 3"]]
-    """Of the second frame."""
+    """Pictures of the second frame."""
     straight: Sequence[Bool[Tensor, "_height _width"]]
     bent: Sequence[Bool[Tensor, "_height _width"]]
     truth_deg: float

@@ -20,9 +20,9 @@ class PostureMeasurements:
 
     matrix: Float[Tensor, "rows free"]
     variance: Float[Tensor, "rows"]
-    """Radians squared."""
+    """Variances, radians squared."""
     tilts: tuple[tuple[int, int], ...]
-    """(row, axis of the camera) of the beliefs about the tilt since the start."""
+    """Pairs (row, axis of the camera) of the beliefs about the tilt since the start."""
 
     def value(self, reference: Float[Tensor, "3 3"], start_reference: Float[Tensor, "3 3"]) -> Float[Tensor, "rows"]:
         """What the beliefs expect of a hand whose rotation is a left perturbation of `reference`, radians.

@@ -31,14 +31,14 @@ class SceneRegistration:
     """About the pose of the track's start."""
     shape: Float[Tensor, "shape"]
     contours: tuple[Contours, ...]
-    """Of the surface to fit, before each camera."""
+    """Contours of the surface to fit, before each camera."""
     projectors: tuple[HandProjector, ...]
     keypoints: tuple[Observation, ...]
     """Detected keypoints, where there are any."""
     priors: tuple[Observation, ...]
     scene: Scene
     pose: HandPose
-    """Of the frame before."""
+    """Pose in the frame before."""
 
     def pictures(self, masks: tuple[Bool[Tensor, "_height _width"] | None, ...], schedule: Schedule) -> Pictures:
         """Contours of the silhouettes, and the valleys within them, for a schedule."""

@@ -40,7 +40,7 @@ class Segments:
     ends_px: Float[Tensor, "*batch 20 2 2"]
     """Beginning (towards the palm) and end; x, y."""
     ends_cam: Float[Tensor, "*batch 20 2 3"]
-    """Metres."""
+    """Ends of the segments, camera frame, metres."""
     is_real: Bool[Tensor, "*batch 20"]
     """False where the cone has no outline (seen along its axis, or from inside) or lies behind the camera."""
 

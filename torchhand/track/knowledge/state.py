@@ -19,7 +19,7 @@ class Keyframe:
 
     time_s: float
     pose: HandPose
-    """With a zero rotation vector."""
+    """Pose with a zero rotation vector."""
 
     def is_of(self, time_s: float) -> bool:
         """Whether it is of this very time."""
@@ -31,7 +31,7 @@ class TrackerState:
     """Everything a tracker knows between two frames; `Tracker.step` takes one and returns the next."""
 
     time_s: float | None = None
-    """Of the last frame; None before the first."""
+    """Time of the last frame; None before the first."""
     hand: FollowedHand | None = None
     """The hand that is followed; None while there is none."""
     shape: Float[Tensor, "shape"] | None = None
@@ -70,9 +70,9 @@ class Estimate:
     """Standard deviations, 0 for DOFs that are held; those of the root's rotation are of a small turn in the world's
     axes."""
     keypoints: Float[Tensor, "21 3"] | None = None
-    """Metres, world frame."""
+    """Keypoints in metres, world frame."""
     keypoints_px: Float[Tensor, "views 21 2"] | None = None
-    """In every camera's picture."""
+    """Keypoints in every camera's picture."""
     keypoints_cov: Float[Tensor, "21 3 3"] | None = None
     """Square metres: the belief's covariance and what no filter can know."""
     overlaps: Float[Tensor, "views"] | None = None

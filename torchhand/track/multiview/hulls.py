@@ -27,7 +27,7 @@ class Hull:
     """The hull of one frame."""
 
     target: HullTarget | None
-    """What a hand is fitted to; None where the silhouettes have no hull."""
+    """Target that a hand is fitted to; None where the silhouettes have no hull."""
     views: tuple[int, ...]
     """Views from which the hull was carved."""
     reason: str = ""

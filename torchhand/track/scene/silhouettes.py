@@ -46,7 +46,7 @@ class LearnedSkin:
     model: SkinModel
     separability: float
     dark_values: tuple[int, ...] = ()
-    """Of all pictures that showed skin: how dark it gets in any of them."""
+    """Darkest brightness of skin in each picture that showed skin."""
 
 
 class ViewSilhouettes:

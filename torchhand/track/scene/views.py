@@ -71,7 +71,7 @@ class Scene:
         return self.once(("plane", view), lambda: mask_plane(mask))
 
     def without(self, view: int) -> "Scene":
-        """The same without one view."""
+        """The scene without one view."""
         gone = View()
         return Scene(
             views=tuple(gone if index == view else own for index, own in enumerate(self.views)),

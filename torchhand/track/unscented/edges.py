@@ -24,9 +24,9 @@ class Planes:
     """The pictures of one view in which edges are searched, 0..1."""
 
     outer: Float[Tensor, "height width"]
-    """For the silhouette."""
+    """Picture for the edges of the silhouette."""
     inner: Float[Tensor, "height width"] | None
-    """For parts of the hand before others; None leaves those out."""
+    """Picture for the edges of parts of the hand before others; None leaves those out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,12 +42,12 @@ class EdgeMeasurement:
     """Edges found in one view, as measurements of the contour's points along its normals, px."""
 
     predicted: Float[Tensor, "sigma points"]
-    """Of every sigma point's hand."""
+    """Predictions of every sigma point's hand."""
     value: Float[Tensor, "points"]
     variance: Float[Tensor, "points"]
     is_found: Bool[Tensor, "points"]
     visibility: ContourVisibility
-    """For a further pass over the same picture, which does not evaluate it again."""
+    """Visibility of the points, for a further pass over the same picture, which does not evaluate it again."""
     in_picture: Bool[Tensor, "points"]
 
     @property

@@ -53,11 +53,11 @@ class VisibleContour:
     """Visible, with more of the hand beyond."""
     wrist_px: Float[Tensor, "hands 2"]
     distal_px: Float[Tensor, "hands 2"]
-    """From the wrist to the middle finger's knuckle."""
+    """Direction in the picture from the wrist to the middle finger's knuckle."""
     edges: Int[Tensor, "hands points 2"] | None = None
-    """Of a mesh: the vertices at the ends of each point's edge."""
+    """Edges of a mesh: the vertices at the ends of each point's edge."""
     motion: ContourMotion | None = None
-    """At these poses, where it is known."""
+    """Motion of the points at these poses, where it is known."""
 
     def rows(self, rows: Int[Tensor, "k"]) -> "VisibleContour":
         """Of some of the hands, without their motion."""

@@ -33,11 +33,11 @@ class OutlineMotion:
     columns_px: Float[Tensor, "hands 2 points"]
     """The points; here and below a row for each coordinate, which is faster for many."""
     columns_cam: Float[Tensor, "hands 3 points"]
-    """Metres; of points that are not before the camera, any that are."""
+    """Points in the camera frame, metres; of points that are not before the camera, any that are."""
     columns_plane: Float[Tensor, "hands 2 points"]
-    """On the normalised image plane."""
+    """Points on the normalised image plane."""
     screws: Float[Tensor, "hands 36 6"]
-    """Of the DOFs: turn, then shift of the camera's centre."""
+    """Screws of the DOFs: turn, then shift of the camera's centre."""
     camera: Camera
     outlines: PartOutlines
     carried: CarriedParts

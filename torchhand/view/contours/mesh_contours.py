@@ -27,11 +27,11 @@ class EdgeMotion:
     columns_px: Float[Tensor, "hands 2 points"]
     """The points, a row for each coordinate."""
     columns_cam: Float[Tensor, "hands 3 points"]
-    """Metres."""
+    """Points in the camera frame, metres."""
     columns_plane: Float[Tensor, "hands 2 points"]
-    """On the normalised image plane."""
+    """Points on the normalised image plane."""
     jacobian: Float[Tensor, "hands points 3 36"]
-    """Of the points in the camera frame, in the pose."""
+    """Jacobian of the points in the camera frame, in the pose."""
     camera: Camera
 
     def slopes(self, direction: Float[Tensor, "hands terms 2 points"]) -> Float[Tensor, "hands terms points 36"]:

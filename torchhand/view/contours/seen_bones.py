@@ -28,7 +28,8 @@ class SeenBones:
     cam_from_bone: Float[Tensor, "hands 20 3 4"]
     """Rotation and, last, origin in metres."""
     screws: Float[Tensor, "hands 36 6"]
-    """What each DOF does to all that it carries: turn, and shift of the camera's centre, per radian or metre."""
+    """Screw by which each DOF moves all that it carries: turn, and shift of the camera's centre, per radian or
+    metre."""
 
 
 class BonePlacer:

@@ -82,7 +82,8 @@ class _Rays:
     products: Float[Tensor, "hands 6 rays"]
     """x², xy, y², x, y, 1"""
     depth: Float[Tensor, "hands rays"]
-    """Of what is looked at: a part that begins before it and ends behind it swallows it."""
+    """Depth of the point that the ray is for: a part that begins before it and ends behind it holds the point
+    inside."""
     enough: Float[Tensor, "hands rays"]
     """A part that begins or ends before this hides it."""
 
@@ -95,7 +96,7 @@ class _Parts:
     """The quadrics along the rays."""
 
     conic: Float[Tensor, "hands 37 6"]
-    """Its coefficients of the rays' products."""
+    """Coefficients of the conic, in terms of the rays' products."""
     rows: Float[Tensor, "hands 10 37"]
     """l, then axis, both of (x, y, 1); s; rate, low, high. A part ends where axis + rate t is low and high, all of this
     over the depth where rays are central."""

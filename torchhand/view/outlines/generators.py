@@ -20,13 +20,13 @@ class ConeGenerators:
     """Two straight generators per cone: low + fraction · rise."""
 
     low: Tensor
-    """(15, 2, 3, n) metres"""
+    """Lower ends (15, 2, 3, n), metres."""
     rise: Tensor
-    """(15, 2, 3, n) metres"""
+    """Vectors from the lower to the upper ends (15, 2, 3, n), metres."""
     normal: Tensor | None
-    """(15, 2, 3, n) outward, the same all along a generator"""
+    """Outward normals (15, 2, 3, n), the same all along a generator."""
     is_real: Tensor
-    """(15, n)"""
+    """Whether a cone has generators that the camera sees (15, n)."""
 
     def of_hand(self, index: int) -> "ConeGenerators":
         """Those of one hand of the batch, with n = 1."""
@@ -40,15 +40,15 @@ class EllipsoidArcs:
     """One arc per ellipsoid: centre + cos φ · first + sin φ · second, |φ| <= half_angle."""
 
     curve: Tensor
-    """(22, 3, 3, n) columns centre, first, second; metres"""
+    """Curve (22, 3, 3, n) in columns centre, first, second; metres."""
     normal: Tensor | None
-    """(22, 3, 3, n) the outward normal in the same three parts"""
+    """Outward normal (22, 3, 3, n) in the same three parts as the curve."""
     half_angle: Tensor
-    """(22, n)"""
+    """Half of the angle that the arc spans (22, n)."""
     is_real: Tensor
-    """(22, n)"""
+    """Whether an ellipsoid has an arc that the camera sees (22, n)."""
     is_outside: Tensor
-    """(22, n) where the camera is not within the ellipsoid"""
+    """Whether the camera is outside the ellipsoid (22, n)."""
 
     def of_hand(self, index: int) -> "EllipsoidArcs":
         """Those of one hand of the batch, with n = 1."""

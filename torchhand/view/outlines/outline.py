@@ -86,7 +86,7 @@ class Outline:
     """Points of the contour generators in the camera frame."""
 
     points_cam: Float[Tensor, "*batch points 3"]
-    """Metres."""
+    """Points in the camera frame, metres."""
     normals_cam: Float[Tensor, "*batch points 3"]
     """Outward surface normals, not of unit length; as a homogeneous line, the tangent l = C x of the outline there."""
     is_real: Bool[Tensor, "*batch points"]

@@ -28,7 +28,7 @@ class OutlineColumns:
     """Points of outlines in the camera's frame, a row for each coordinate."""
 
     points: Float[Tensor, "hands 3 points"]
-    """Metres."""
+    """Points in the camera frame, metres."""
     normals: Float[Tensor, "hands 3 points"] | None
     """Outward surface normals, not of unit length."""
     is_real: Bool[Tensor, "hands points"] | None

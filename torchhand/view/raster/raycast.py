@@ -18,8 +18,8 @@ class Raycast:
     depth: Float[Tensor, "height width"]
     """z in the camera frame, metres; infinite where nothing is."""
     part: Int[Tensor, "height width"]
-    """What the nearest surface belongs to, -1 where nothing is: of primitives the one of PRIMITIVE_NAMES, of a skinned
-    mesh the bone of BONES."""
+    """Part that the nearest surface belongs to, -1 where nothing is: of primitives the one of PRIMITIVE_NAMES, of a
+    skinned mesh the bone of BONES."""
     normal: Float[Tensor, "height width 3"]
     """Unit outward normal in the camera frame; zero where nothing is."""
 
