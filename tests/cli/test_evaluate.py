@@ -99,7 +99,7 @@ def test_the_file_may_go_elsewhere(result_dir: Path, truth_dir: Path, tmp_path: 
     assert not (result_dir / "evaluation.json").exists()
 
 
-def test_silhouettes_are_judged_where_both_have_masks(result_dir: Path, truth_dir: Path) -> None:
+def test_silhouettes_are_evaluated_where_both_have_masks(result_dir: Path, truth_dir: Path) -> None:
     square = np.zeros((40, 40), dtype=np.uint8)
     square[10:30, 10:30] = 255
     with np.load(truth_dir / "truth.npz") as truth:

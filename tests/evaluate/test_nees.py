@@ -40,7 +40,7 @@ def test_honest_covariances_are_inside_and_wrong_ones_are_not() -> None:
     assert timid.fraction_inside < 0.8
 
 
-def test_a_covariance_of_a_planar_hand_is_judged_in_its_plane() -> None:
+def test_a_covariance_of_a_planar_hand_is_evaluated_in_its_plane() -> None:
     covariance = np.diag([4.0, 9.0, 0.0])
     nees, rank = normalised_errors_squared(np.array([2.0, 3.0, 100.0]), covariance)
     assert rank == 2

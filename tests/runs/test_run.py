@@ -33,12 +33,12 @@ class Scene:
 
 
 @dataclass
-class Held:
-    """A recording that is held in memory (`Recording`)."""
+class RecordingInMemory:
+    """A recording in memory (`Recording`)."""
 
     frames: list[RecordedFrame]
     cameras: Sequence[Camera]
-    name: str = "held"
+    name: str = "recording"
     source: str = "memory"
     fps: float = FPS
     notes: Sequence[str] = ()
@@ -78,7 +78,7 @@ def settings() -> TrackerSettings:
 def begin(camera: Camera, settings: TrackerSettings) -> Any:
     def begin(state: TrackerState | None = None) -> Run:
         tracker = Tracker(load_hand_model().hand(side="right", dtype=torch.float64), camera, settings)
-        return Run(Held(frames=[], cameras=[camera]), tracker, {}, state=state)
+        return Run(RecordingInMemory(frames=[], cameras=[camera]), tracker, {}, state=state)
 
     return begin
 

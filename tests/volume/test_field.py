@@ -133,8 +133,8 @@ def test_a_frame_without_hull_is_flat_and_far(rigs: Any) -> None:
     value, _ = field.sample(CENTRE.expand(2, 1, 3))
     assert float(value[0]) < 0
     assert float(value[1]) > 0.15
-    held = field.origin[1] + field.pitch
-    assert float(field.sample(held.expand(2, 1, 3))[1][1].abs().max()) == 0
+    corner_point = field.origin[1] + field.pitch
+    assert float(field.sample(corner_point.expand(2, 1, 3))[1][1].abs().max()) == 0
 
 
 def test_says_what_is_wrong(rigs: Any) -> None:

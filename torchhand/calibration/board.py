@@ -47,9 +47,9 @@ class Board:
             if self.dictionary not in dictionaries():
                 raise ValueError(f"dictionary: expected one of {', '.join(dictionaries())}, got {self.dictionary!r}")
             count = self.columns * self.rows // 2
-            held = len(_dictionary(self.dictionary).bytesList)
-            if count > held:
-                raise ValueError(f"dictionary: {self.dictionary} holds {held} markers, the board needs {count}")
+            available = len(_dictionary(self.dictionary).bytesList)
+            if count > available:
+                raise ValueError(f"dictionary: {self.dictionary} holds {available} markers, the board needs {count}")
 
     @property
     def corners(self) -> int:

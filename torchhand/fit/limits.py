@@ -44,9 +44,9 @@ class DynamicConstraints:
         if not has_ties:
             return values, slopes
         wanted = c.tie_factor * joints[..., c.sources] + c.tie_offset
-        held = torch.minimum(torch.maximum(wanted, c.tie_lower), c.tie_upper)
-        missed = (joints[..., c.targets] - held) / c.tie_spread
-        of_ties = c.target_rows - (wanted == held)[..., None] * c.source_rows
+        followed = torch.minimum(torch.maximum(wanted, c.tie_lower), c.tie_upper)
+        missed = (joints[..., c.targets] - followed) / c.tie_spread
+        of_ties = c.target_rows - (wanted == followed)[..., None] * c.source_rows
         return torch.cat((values, missed), -1), torch.cat((slopes, of_ties), -2)
 
 

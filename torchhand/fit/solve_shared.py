@@ -45,7 +45,7 @@ class SharedSolution:
     """The shared numbers after the shape."""
     shape_std: Float[Tensor, "shape"]
     """Standard deviations by the curvature of the cost, of the poses' uncertainty too; 0 for parameters that were
-    held."""
+    frozen."""
     shared_covariance: Float[Tensor, "c c"]
     """Covariance of the shared unknowns."""
     covariance: Float[Tensor, "frames free free"]
@@ -110,11 +110,11 @@ class _Part:
     ) -> LeastSquares:
         """The poses of lowest cost for given shared unknowns, every frame by itself."""
         hands, (lower, upper) = self.here.problem.hands(self.here.hands.pose, vector), self.here.problem.bounds
-        held = replace(self.here, hands=replace(hands, unknowns=None))
+        given = replace(self.here, hands=replace(hands, unknowns=None))
 
         def equations(values: Tensor, rows: Tensor) -> NormalEquations:
             found = [
-                held.equations(*some) for some in zip(*(x.split(_DERIVATIVES) for x in (values, rows)), strict=True)
+                given.equations(*some) for some in zip(*(x.split(_DERIVATIVES) for x in (values, rows)), strict=True)
             ]
             matrix, gradient, cost = (
                 torch.cat([getattr(own, name) for own in found]) for name in ("matrix", "gradient", "cost")
@@ -245,8 +245,8 @@ class _Work:
                 start = (start + self.follow[number] @ (vector - self.vector)).clamp(lower, upper)
             found = part.solved(start, vector, settings).values
             arrow = part.arrow(found, vector, self.is_sound[part.rows])
-            held = (found <= lower) & (arrow.block_gradient > 0) | (found >= upper) & (arrow.block_gradient < 0)
-            left = arrow.eliminated(held)
+            fixed = (found <= lower) & (arrow.block_gradient > 0) | (found >= upper) & (arrow.block_gradient < 0)
+            left = arrow.eliminated(fixed)
             own = left.equations
             matrix, gradient, cost = matrix + own.matrix, gradient + own.gradient, cost + own.cost
             values.append(found)

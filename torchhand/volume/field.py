@@ -47,9 +47,9 @@ class HullField:
         # From here on x, y and z come first and the points last.
         place = ((flat - self.origin.to(flat)[..., None, :]) / self.pitch).movedim(-1, 0).contiguous()
         last = place.new_tensor(size).reshape(3, *(1,) * (place.ndim - 1)) - 1
-        held = place.clamp(torch.zeros_like(last), last)
-        cell = torch.minimum(held.detach().nan_to_num().floor(), last - 1)
-        x, y, z = held - cell
+        clamped = place.clamp(torch.zeros_like(last), last)
+        cell = torch.minimum(clamped.detach().nan_to_num().floor(), last - 1)
+        x, y, z = clamped - cell
         corners = self._corners(cell)
         # Along z, then y, then x; each step keeps the slopes of the ones before.
         low, high = corners[:, :, 0], corners[:, :, 1]
@@ -59,7 +59,7 @@ class HullField:
         low, high = along_y[:, 0], along_y[:, 1]
         value, slope_z, slope_y = torch.lerp(low, high, x)
         slopes = torch.stack(((high - low)[0], slope_y, slope_z)) / self.pitch
-        outside = place - held
+        outside = place - clamped
         beyond = outside * self.pitch
         length = (beyond.square().sum(0) + _NOTHING).sqrt()
         gradient = torch.where(outside == 0, slopes, beyond / length)

@@ -117,7 +117,7 @@ def test_limits_bounds_and_the_hands_length_are_kept(studio: Any) -> None:
     assert bool((fit.shape_std <= space.std * (1 + 1e-9)).all())  # a picture only adds knowledge
 
 
-def test_the_pose_comes_back_with_a_zero_rotation_vector_and_held_joints(studio: Any) -> None:
+def test_the_pose_comes_back_with_a_zero_rotation_vector_and_frozen_joints(studio: Any) -> None:
     generator = torch.Generator().manual_seed(3)
     placed = studio.placed()
     start, _ = _perturbed(placed, torch.Generator().manual_seed(3))
@@ -125,11 +125,11 @@ def test_the_pose_comes_back_with_a_zero_rotation_vector_and_held_joints(studio:
     assert bool((fit.pose[3:6] == 0).all())
     eye = torch.eye(3, dtype=torch.float64)
     torch.testing.assert_close(fit.root_reference @ fit.root_reference.T, eye, rtol=0, atol=1e-12)
-    held = pose_prior_std(start, 0.25) == 0
-    held[3:6] = False
-    assert bool(held.any())
-    assert torch.equal(fit.pose[held], start[held])
-    assert bool((fit.pose_std[held] == 0).all())
+    is_frozen = pose_prior_std(start, 0.25) == 0
+    is_frozen[3:6] = False
+    assert bool(is_frozen.any())
+    assert torch.equal(fit.pose[is_frozen], start[is_frozen])
+    assert bool((fit.pose_std[is_frozen] == 0).all())
 
 
 def test_edges_that_are_none_leave_the_start(studio: Any) -> None:

@@ -93,9 +93,9 @@ def test_proportions_are_read_and_the_deviations_are_honest() -> None:
         radii = [i for i, name in enumerate(space.names) if name.endswith(("pip_radius", "dip_radius"))]
         ratio = hand.fit.shape[radii] * hand.fit.shape[1] / hand.fit.shape[0] / (shape[radii] * shape[1] / shape[0])
         assert float((ratio - 1).abs().median()) < 0.07  # over hand length, of which the picture shows most
-        held = hand.fit.shape_std > 0
-        held[space.names.index("palm_thickness")] = False
-        scaled.append(((hand.fit.shape - shape) / hand.fit.shape_std)[held])
+        is_fitted = hand.fit.shape_std > 0
+        is_fitted[space.names.index("palm_thickness")] = False
+        scaled.append(((hand.fit.shape - shape) / hand.fit.shape_std)[is_fitted])
     assert float(torch.cat(errors).median()) < 0.035
     assert float(torch.cat(thick).mean()) < 0.5 * float(torch.cat(guesses).mean())
     assert float(torch.cat(scaled).square().mean().sqrt()) < 2.5

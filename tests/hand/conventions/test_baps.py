@@ -58,11 +58,11 @@ def test_rounding_is_half_a_unit(numbering, side, generator: torch.Generator) ->
     poses = _poses(50, generator)
     baps = baps_of_pose(poses, numbering, side)
     back = pose_of_baps(baps.values, numbering, side)
-    held = [i for i, dof in enumerate(JOINT_DOFS) if dof in baps.names]
-    assert len(held) == {"final": 29, "draft": 25}[numbering]
-    assert float(baps.residual[:, held].abs().max()) <= 0.5e-5 * (1 + 1e-9)
+    kept = [i for i, dof in enumerate(JOINT_DOFS) if dof in baps.names]
+    assert len(kept) == {"final": 29, "draft": 25}[numbering]
+    assert float(baps.residual[:, kept].abs().max()) <= 0.5e-5 * (1 + 1e-9)
     assert torch.allclose(baps.residual, (poses - back)[:, 6:], rtol=0, atol=1e-15)
-    lost = [i for i in range(30) if i not in held]
+    lost = [i for i in range(30) if i not in kept]
     assert torch.equal(baps.residual[:, lost], poses[:, 6:][:, lost])
     assert float((poses - back)[:, :3].abs().max()) <= 0.5e-3 * (1 + 1e-9)
 

@@ -155,7 +155,7 @@ def test_both_noises_together_make_the_filter_consistent() -> None:
     assert sum(scores[-100:]) / 100 == pytest.approx(1.0, abs=0.06)
 
 
-def test_a_sudden_change_of_noise_is_followed_at_the_rate_of_forgetting() -> None:
+def test_a_step_of_the_noise_is_followed_at_the_rate_of_forgetting() -> None:
     settings = AdaptiveNoiseSettings(forgetting=0.9)
     variance = torch.ones(1, dtype=torch.float64)
     for _ in range(7):

@@ -65,7 +65,7 @@ def test_the_bent_index_is_found_again(bent: BentFinger, level: int, max_deg: fl
     assert found.milliseconds > 0
 
 
-def test_another_makers_hand_is_judged_by_the_change(bent: BentFinger) -> None:
+def test_another_makers_hand_is_evaluated_by_the_change(bent: BentFinger) -> None:
     """The start of another hand is off; what it settles to before does not count as a turn."""
     off = bent.start.dofs.clone()
     off[INDEX] = math.radians(4)

@@ -44,7 +44,7 @@ def test_skin_is_learned_in_every_view_and_found_in_later_pictures(cameras):
         assert _iou(mask, expected) > 0.95
 
 
-def test_clearest_lesson_counts(cameras):
+def test_clearest_picture_counts(cameras):
     makes = ViewSilhouettes(cameras)
     pictures = [_picture(camera, _disc(camera, (100, 90), 40)) for camera in cameras]
     clear = makes.learn(pictures, [None, None])

@@ -91,13 +91,13 @@ def test_planar_motion_is_followed(film: Any, followed: Followed) -> None:
 
 def test_only_free_parameters_move(followed: Followed) -> None:
     _, estimates, states = followed
-    held = [i for i, dof in enumerate(DOFS) if dof not in ("root_tx", "root_ty", "root_rx", "root_ry", "root_rz")]
+    frozen = [i for i, dof in enumerate(DOFS) if dof not in ("root_tx", "root_ty", "root_rx", "root_ry", "root_rz")]
     assert states[0].hand is not None
     for estimate in estimates:
         assert estimate.pose is not None
         assert estimate.pose_std is not None
-        torch.testing.assert_close(estimate.pose[held], states[0].hand.base[held], rtol=0, atol=1e-12)
-        assert bool((estimate.pose_std[held] == 0).all())
+        torch.testing.assert_close(estimate.pose[frozen], states[0].hand.base[frozen], rtol=0, atol=1e-12)
+        assert bool((estimate.pose_std[frozen] == 0).all())
     free = [DOFS.index(name) for name in ("root_tx", "root_ty", "root_rz")]
     assert estimates[-1].pose_std is not None
     assert bool((estimates[-1].pose_std[free] > 0).all())
@@ -145,7 +145,7 @@ def test_a_hand_that_vanishes_is_lost_and_recovered(film: Any, followed: Followe
     assert state.hand.failures == 0
 
 
-def test_a_sudden_jump_is_caught_at_once(film: Any, followed: Followed) -> None:
+def test_a_jump_is_caught_at_once(film: Any, followed: Followed) -> None:
     """Frames are missing: a jump beyond the search. A frame that fails is searched afresh, not at the next due time."""
     tracker, _, states = followed
     assert tracker.settings.health.search_every > 1
@@ -332,7 +332,7 @@ def test_joint_limits_hold_at_every_frame(studio: Any) -> None:
     assert bool(((poses[:, 6:] - skeleton.lower).abs() < 1e-9).any())  # some joint is at its limit
 
 
-def test_start_points_are_used_once_and_judged(film: Any) -> None:
+def test_start_points_are_used_once_and_evaluated(film: Any) -> None:
     wrist, tip = film.keypoints_px[0, 0].tolist(), film.keypoints_px[0, 12].tolist()
     _, estimates = run(_tracker(film, start_points=(*wrist, *tip)), film.images[:2])
     assert [estimate.status for estimate in estimates] == ["tracked"] * 2

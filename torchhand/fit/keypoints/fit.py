@@ -38,7 +38,7 @@ class KeypointFit:
     information (a uniform distribution between them), so that it is finite; an angle at its limit keeps its spread."""
     shape: Float[Tensor, "shape"]
     shape_std: Float[Tensor, "shape"]
-    """0 for parameters that were held."""
+    """Standard deviations of the parameters; 0 for those that were frozen."""
     keypoints: Float[Tensor, "*frames 21 3"]
     """Our keypoints of the fitted hand, metres in the world."""
     keypoints_covariance: Float[Tensor, "*frames 21 3 3"]
@@ -217,8 +217,8 @@ def _free_columns(kinematics: HandKinematics, fit_shape: bool | Sequence[str], f
         if still := [name for name in fit_shape if names.index(name) not in moving]:
             raise ValueError(f"fit_shape: {still[0]} moves no keypoint")
         chosen = tuple(names.index(name) for name in fit_shape)
-    held = ("hand_length", "hand_breadth") if fit_scale else ()
-    return tuple(i for i in chosen if names[i] not in held)
+    fixed = ("hand_length", "hand_breadth") if fit_scale else ()
+    return tuple(i for i in chosen if names[i] not in fixed)
 
 
 def _placed(fit: KeypointFit, rows: Tensor, count: int, batch: torch.Size) -> KeypointFit:

@@ -135,7 +135,7 @@ def adapted_covariance(
     *,
     used: Bool[Tensor, "*batch m"] | None = None,
 ) -> Float[Tensor, "*batch m m"]:
-    """`adapted` for full matrices, positive definite whenever the nominal one is.
+    """`adapted_variance` for full matrices, positive definite whenever the nominal one is.
 
     floor · nominal <= result <= ceiling · nominal in every direction: the bounds hold for the eigenvalues relative to
     the nominal noise, so units do not matter. Rows and columns of measurements that are not used keep their values;

@@ -238,7 +238,7 @@ def _joints(model: HandModel) -> JointPriors:
     )
 
 
-# ------------------------------------------------------------------ people of our own
+# ------------------------------------------------------------------ random people
 
 
 def subject(
