@@ -46,7 +46,8 @@ class Bundle:
         return residuals
 
     def standard_deviations(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Of each camera's fx, relative, and of its translation (largest of three; metres), from the residuals."""
+        """Standard deviations of each camera's fx, relative, and of its translation (largest of three; metres), from
+        the residuals."""
         found = self.normal_equations(torch.zeros(self._size, dtype=torch.float64))
         count = 2 * sum(len(seen.points_px) for seen in self._observations)
         variance = 2 * float(found.cost) / max(1, count - self._size)
@@ -75,7 +76,8 @@ class Bundle:
         )
 
     def normal_equations(self, values: Float[Tensor, "n"]) -> NormalEquations:
-        """At `values` (see `moved`), block by block: a corner depends on one lens, one camera and one board only."""
+        """Normal equations at `values` (see `moved`), block by block: a corner depends on one lens, one camera and one
+        board only."""
         at = self.moved(values)
         matrix = torch.zeros(self._size, self._size, dtype=torch.float64)
         gradient = torch.zeros(self._size, dtype=torch.float64)

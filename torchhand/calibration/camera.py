@@ -45,7 +45,7 @@ class CameraViews:
 
 @dataclass(frozen=True, kw_only=True)
 class SingleCalibration:
-    """Of one camera by itself."""
+    """Calibration of one camera by itself."""
 
     lens: Float[Tensor, "lens"]
     """fx, fy, cx, cy, then the distortion."""

@@ -121,7 +121,7 @@ def check_board(board: Board, cameras: int) -> None:
 
 
 def shared_frames(views: Sequence[CameraViews]) -> dict[tuple[int, int], list[FrameIndex]]:
-    """For every pair of cameras the frames in which both saw the board."""
+    """Frames, for every pair of cameras, in which both saw the board."""
     return {
         (a, b): sorted(set(views[a].corners) & set(views[b].corners)) for a, b in combinations(range(len(views)), 2)
     }

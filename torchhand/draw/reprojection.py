@@ -89,7 +89,7 @@ def _draw_cells(
 
 
 def _heat(fraction: float, *, pale: float = 0.0) -> tuple[int, int, int]:
-    """From blue at 0 to red at 1 and above, mixed with white."""
+    """Colour from blue at 0 to red at 1 and above, mixed with white."""
     fraction = min(max(fraction, 0.0), 1.0)
     mixed = [(1 - fraction) * cold + fraction * hot for cold, hot in zip(_COLD, _HOT, strict=True)]
     r, g, b = (round((1 - pale) * value + pale * 255) for value in mixed)
@@ -101,6 +101,6 @@ def _text(canvas: np.ndarray, text: str, x: int, y: int) -> None:
 
 
 def _fixed(point: list[float]) -> tuple[int, int]:
-    """For OpenCV's coordinates with fractional bits, kept within what they hold."""
+    """Numbers for OpenCV's coordinates with fractional bits, kept within what they hold."""
     x, y = (int(np.clip(round(value * (1 << _SHIFT)), -(1 << 24), 1 << 24)) for value in point)
     return x, y

@@ -140,7 +140,7 @@ def _hand_of(path: Path, model: HandModel) -> tuple[Side, torch.Tensor]:
 
 
 def _source_fps(track: Track) -> float:
-    """That of the video that was tracked, if it is still there."""
+    """Frame rate of the video that was tracked, if it is still there."""
     source = track.header.get("source")
     if not isinstance(source, str) or source.isdecimal() or not Path(source).exists():
         return ASSUMED_FPS

@@ -74,7 +74,7 @@ class Equations:
 
     @classmethod
     def cat(cls, parts: "Sequence[Equations]") -> "Equations":
-        """Of the hands of all parts, at least one, one part after the other."""
+        """Equations of the hands of all parts, at least one, one part after the other."""
         if len(parts) == 1:
             return parts[0]
 
@@ -96,7 +96,8 @@ class Equations:
         first_dof: int = 0,
         shared: Float[Tensor, "k m c"] | None = None,
     ) -> "Equations":
-        """From residuals r with derivatives J: matrix Jᵀ W J and gradient Jᵀ W r of the weights W, with a given cost.
+        """Equations from residuals r with derivatives J: matrix Jᵀ W J and gradient Jᵀ W r of the weights W, with a
+        given cost.
 
         For a robust loss ½ Σ w ρ(r²) the weight is w ρ'(r²) (iteratively reweighted least squares; exact gradient).
         """
@@ -131,7 +132,7 @@ class Explained:
 
     @classmethod
     def cat(cls, parts: "Sequence[Explained]") -> "Explained":
-        """Of one kind and view, for the hands of all parts; what is not told of all is not told."""
+        """Explanations of one kind and view, for the hands of all parts; what is not told of all is not told."""
         inside = [one.inside for one in parts if one.inside is not None]
         return replace(
             parts[0],
@@ -141,7 +142,7 @@ class Explained:
         )
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "Explained":
-        """Of the given hands."""
+        """The rows of the given hands."""
         inside = None if self.inside is None else self.inside[rows]
         return replace(self, fraction=self.fraction[rows], distance=self.distance[rows], inside=inside)
 
@@ -151,11 +152,12 @@ class Factor(Protocol):
     """One term of the cost, frozen about the hands that data were associated with."""
 
     def equations(self, hands: PosedHands) -> Equations:
-        """At the given hands, a row for each; rotation vectors are about the references of the association."""
+        """Equations at the given hands, a row for each; rotation vectors are about the references of the
+        association."""
         ...
 
     def rows(self, rows: Int[Tensor, "n"]) -> "Factor":
-        """Of some of the hands."""
+        """The rows of some of the hands."""
         ...
 
     def explained(self) -> tuple[Explained, ...]:
@@ -173,7 +175,7 @@ class Observation(Protocol):
         ...
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "Observation":
-        """Of some of the hypotheses or frames; itself where the data are the same for all."""
+        """The rows of some of the hypotheses or frames; itself where the data are the same for all."""
         ...
 
     def associate(self, hands: PosedHands, stage: Stage) -> Factor:

@@ -42,7 +42,7 @@ class ConstraintPrior:
         return self
 
     def equations(self, hands: PosedHands) -> Equations:
-        """In the joint angles."""
+        """Normal equations in the joint angles."""
         value, slope = self._residuals.of_joints(hands.pose.dofs, has_ties=self.has_ties)
         weighted = self.weight * slope
         return Equations(
@@ -102,7 +102,7 @@ class PostureFactor:
     information: Float[Tensor, "k 30 30"]
 
     def equations(self, hands: PosedHands) -> Equations:
-        """In the joint angles."""
+        """Normal equations in the joint angles."""
         missed = (self.matrix @ hands.pose.dofs[:, _ROOT:, None]).squeeze(-1) - self.offset
         return Equations(
             cost=0.5 * missed.square().sum(-1),
@@ -112,7 +112,7 @@ class PostureFactor:
         )
 
     def rows(self, rows: Int[Tensor, "n"]) -> "PostureFactor":
-        """Of some of the hands."""
+        """The rows of some of the hands."""
         return PostureFactor(matrix=self.matrix[rows], offset=self.offset[rows], information=self.information[rows])
 
     def explained(self) -> tuple[Explained, ...]:
@@ -139,7 +139,7 @@ class GaussianPrior:
 
     @classmethod
     def of_std(cls, pose: HandPose, std: Float[Tensor, "free"], space: PoseSpace) -> "GaussianPrior":
-        """With independent errors; an infinite standard deviation expects nothing."""
+        """A prior with independent errors; an infinite standard deviation expects nothing."""
         return cls(pose=pose, information=torch.diag(std.reciprocal().square()), space=space)
 
     @property
@@ -171,7 +171,7 @@ class GaussianPrior:
         )
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "GaussianPrior":
-        """Of some of the hypotheses; itself where it is the same for all."""
+        """The rows of some of the hypotheses; itself where it is the same for all."""
         if not self.pose.batch_shape:
             return self
         information = self.information if self.information.ndim == 2 else self.information[rows]
@@ -188,13 +188,13 @@ class GaussianFactor:
     """Zero in the DOFs that no free parameter is named after."""
 
     def equations(self, hands: PosedHands) -> Equations:
-        """In all DOFs."""
+        """Normal equations in all DOFs."""
         deviation = hands.pose.dofs - self.expected
         pull = (self.information @ deviation[..., None]).squeeze(-1)
         return Equations(cost=0.5 * (deviation * pull).sum(-1), gradient=pull, matrix=self.information)
 
     def rows(self, rows: Int[Tensor, "n"]) -> "GaussianFactor":
-        """Of some of the hands."""
+        """The rows of some of the hands."""
         return GaussianFactor(expected=self.expected[rows], information=self.information[rows])
 
     def explained(self) -> tuple[Explained, ...]:

@@ -42,7 +42,7 @@ class Problem:
         return all(one.is_empty for one in self.observations)
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "Problem":
-        """With the data and priors of some of the hypotheses."""
+        """The problem with the data and priors of some of the hypotheses."""
         own = {name: tuple(one.rows(rows) for one in getattr(self, name)) for name in ("observations", "priors")}
         return replace(self, **own)
 
@@ -54,7 +54,7 @@ class Problem:
 
     @cached_property
     def bounds(self) -> tuple[Float[Tensor, "free"], Float[Tensor, "free"]]:
-        """Of the free parameters."""
+        """Bounds of the free parameters."""
         return free_bounds(self._own_space, self.skeleton)
 
     @cached_property
@@ -126,12 +126,12 @@ class Linearization:
     factors: tuple[Factor, ...]
 
     def here(self) -> NormalEquations:
-        """In the free parameters, at the hands that data were associated with."""
+        """Normal equations in the free parameters, at the hands that data were associated with."""
         _, moving = self.problem.dofs_of(self.values)
         return self._in_free(self.sum(self.factors, self.hands), moving)
 
     def equations(self, values: Float[Tensor, "n free"], rows: Int[Tensor, "n"]) -> NormalEquations:
-        """In the free parameters, at other values of the given rows."""
+        """Normal equations in the free parameters, at other values of the given rows."""
         is_all = len(rows) == len(self.hands)
         reference = self.hands.pose.reference if is_all else self.hands.pose.reference[rows]
         dofs, moving = self.problem.dofs_of(values)
@@ -140,7 +140,8 @@ class Linearization:
         return self._in_free(self.sum(factors, hands), moving)
 
     def explained(self) -> tuple[Explained, ...]:
-        """By the hands that data were associated with, observation by observation and view by view."""
+        """What is explained by the hands that data were associated with, observation by observation and view by
+        view."""
         return tuple(one for factor in self.factors for one in factor.explained())
 
     def sum(self, factors: tuple[Factor, ...], hands: PosedHands) -> Equations:

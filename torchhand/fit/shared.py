@@ -17,7 +17,7 @@ class SharedPrior(Protocol):
     """A belief about the shape in nats."""
 
     def equations(self, shape: Float[Tensor, "shape"]) -> NormalEquations:
-        """In all shape parameters, in their own units; no batch dimension."""
+        """Normal equations in all shape parameters, in their own units; no batch dimension."""
         ...
 
 
@@ -30,7 +30,7 @@ class PopulationPrior:
     weight: float = 1.0
 
     def equations(self, shape: Float[Tensor, "shape"]) -> NormalEquations:
-        """In all shape parameters."""
+        """Normal equations in all shape parameters."""
         residual, rows = population_rows(self.population, shape)
         weighted = self.weight * rows
         return NormalEquations(
@@ -124,7 +124,7 @@ class SharedUnknowns:
         return vector[len(self.columns) :]
 
     def bounds(self, like: Tensor) -> tuple[Float[Tensor, "c"], Float[Tensor, "c"]]:
-        """Of the vector."""
+        """Bounds of the vector."""
         open_end = like.new_full((len(self.extra),), torch.inf)
         chosen = list(self.columns)
         return torch.cat((self.lower.to(like)[chosen], -open_end)), torch.cat((self.upper.to(like)[chosen], open_end))

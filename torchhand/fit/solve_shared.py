@@ -126,7 +126,7 @@ class _Part:
     def arrow(
         self, values: Float[Tensor, "k free"], vector: Float[Tensor, "c"], is_sound: Bool[Tensor, "k"]
     ) -> ArrowEquations:
-        """Of these poses and the shared unknowns; frames that are not sound tell nothing."""
+        """Normal equations of these poses and the shared unknowns; frames that are not sound tell nothing."""
         each = torch.arange(len(values), device=values.device).split(_DERIVATIVES)
         found = [self._arrow(rows, values[rows], vector, is_sound[rows]) for rows in each]
         return ArrowEquations.cat(found)
@@ -232,7 +232,7 @@ class _Work:
         self.status, self.iterations = Status(int(found.status)), self.iterations + int(found.iterations)
 
     def _trial(self, vector: Float[Tensor, "c"]) -> NormalEquations:
-        """Of the shared unknowns, every pose the best for them; the best trial is kept."""
+        """Normal equations of the shared unknowns, every pose the best for them; the best trial is kept."""
         shared = self.problem.shared
         assert shared is not None
         prior = shared.prior_equations(vector, self.problem.shape.to(vector))
@@ -257,7 +257,7 @@ class _Work:
         return NormalEquations(matrix=matrix, gradient=gradient, cost=cost)
 
     def solution(self, stage: Stage, information: Float[Tensor, "36"] | None) -> SharedSolution:
-        """Of data associated once more; constraints on what is shared are kept from here on."""
+        """The solution of data associated once more; constraints on what is shared are kept from here on."""
         shared, shape = self.problem.shared, self.problem.shape.to(self.values)
         if shared is not None and shared.size:
             shape = shared.feasible(self.vector, shape)

@@ -104,7 +104,7 @@ def hand_pool(prior: HandPrior, model: HandModel, count: int, generator: torch.G
 def draw_samples(
     pool: HandPool, rows: Int[Tensor, "hands"], settings: SampleSettings, generator: torch.Generator
 ) -> Samples:
-    """Each of the hands before a camera of its own; everything follows from the generator."""
+    """Samples of hands, each before a camera of its own; everything follows from the generator."""
 
     def normal(*size: int) -> Tensor:
         return torch.randn(*size, generator=generator)

@@ -89,7 +89,7 @@ class PoseNetwork(nn.Module):
         return HandEstimate(pose=pose, root_reference=reference, shape=shape, keypoints=keypoints)
 
     def usual_keypoints(self) -> Float[Tensor, "21 3"]:
-        """Of the hand from which training started, in its own frame, metres."""
+        """Keypoints of the hand from which training started, in its own frame, metres."""
         usual = self.lower + (self.upper - self.lower) * torch.sigmoid(self.start)
         joints, shape = usual[: self.joints], usual[self.joints :]
         return self.kinematics(torch.cat((usual.new_zeros(_ROOT), self.joint_basis @ joints)), shape).keypoints

@@ -27,7 +27,7 @@ class Stills:
 
     @property
     def points_plane(self) -> Float[Tensor, "pictures 21 2"]:
-        """On the normalised image plane."""
+        """Points on the normalised image plane."""
         return self.keypoints[..., :2] / self.keypoints[..., 2:]
 
     @property

@@ -167,7 +167,7 @@ def loss_terms(
 
 
 def learning_rate(settings: TrainingSettings, step: int) -> float:
-    """Of one step: up over the first twentieth, then down to zero along a cosine."""
+    """Learning rate of one step: up over the first twentieth, then down to zero along a cosine."""
     fraction = (step + 1) / settings.steps
     return settings.learning_rate * min(fraction * 20, 0.5 * (1 + math.cos(math.pi * fraction)) + 1e-3)
 

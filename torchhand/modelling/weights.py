@@ -53,7 +53,7 @@ def skin_weights(
 
 
 def _parts(field: HandField, frames: HandFrames, vertices: Tensor) -> dict[str, Tensor]:
-    """For every bone of the digits whether a vertex lies on it or beyond."""
+    """Whether, for every bone of the digits, a vertex lies on it or beyond."""
     digits = torch.stack([field.digit_distance(vertices, finger) for finger in FINGERS], -1)
     nearest = digits.argmin(-1)
     found = {}

@@ -34,7 +34,7 @@ def wander(
 
 
 def ease(fraction: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
-    """From 0 to 1 with no speed and no acceleration at either end; constant outside [0, 1]."""
+    """Curve from 0 to 1 with no speed and no acceleration at either end; constant outside [0, 1]."""
     x = fraction.clamp(0, 1)
     return x * x * x * (10 + x * (6 * x - 15))
 

@@ -187,7 +187,7 @@ class RigRecording:
             self.notes.append("the silhouettes are those in masks_0, masks_1, ...")
 
     def sample(self, frames: int) -> list[RecordedFrame]:
-        """At most so many frames, evenly over the part that is tracked."""
+        """Frames, so many at most, evenly over the part that is tracked."""
         chosen = {self.start + place for place in evenly_spaced_frames(self.count or _UNKNOWN_LENGTH, frames)}
         found = []
         with self._open(0) as source:

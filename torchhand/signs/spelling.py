@@ -172,7 +172,7 @@ def traced_poses(
 
 
 def _middle(model: HandModel, shape: Float[Tensor, "shape"] | None) -> Float64[Tensor, "3"]:
-    """Of the hand, in its own frame, metres."""
+    """Middle of the hand, in its own frame, metres."""
     values = model.shape_space.default if shape is None else shape
     back, along, aside = _MIDDLE
     length = float(model.shape_space.metric(values)["hand_length"])

@@ -121,7 +121,7 @@ class Carver:
         return batch
 
     def _silhouettes(self, masks: Masks, is_there: Tensor | None) -> "_Silhouettes":
-        """Those of the views that there are."""
+        """Silhouettes of the views that there are."""
         chosen = tuple(index for index, mask in enumerate(masks) if mask is not None)
         if chosen not in self._views:
             self._views[chosen] = self._seen_by([self.cameras[index] for index in chosen])
@@ -219,5 +219,5 @@ def _level(level: int, cells: Tensor, states: Tensor, frames: Tensor) -> OctreeL
 
 
 def _number(verdicts: Bool[Tensor, "views n"]) -> Int[Tensor, "n"]:
-    """Of views, for every octant."""
+    """Number of views, for every octant."""
     return verdicts.sum(0, dtype=torch.int16)

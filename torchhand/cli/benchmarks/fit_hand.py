@@ -47,7 +47,7 @@ class Picture:
 
 
 def pictures(count: int) -> Iterator[Picture]:
-    """Both hands, both sides, with a forearm and without, after up to sixteen frames of two motions."""
+    """Pictures of both hands, both sides, with a forearm and without, after up to sixteen frames of two motions."""
     model = load_hand_model()
     camera = assumed_camera(*SIZE_PX, horizontal_fov_deg=FOV_DEG)
     for index in range(count):

@@ -49,7 +49,8 @@ def kinematics_forward(name: str, repeats: int | None) -> Figure:
 
 
 def kinematics_forward_backward(name: str, repeats: int | None) -> Figure:
-    """With gradients to the pose and to a shape per pose, against the peer's analytical ones to joint angles alone."""
+    """Forward and backward with gradients to the pose and to a shape per pose, against the peer's analytical ones to
+    joint angles alone."""
     kinematics = load_hand_model().kinematics()
     candidates = {"ours": _bones_there_and_back(kinematics, has_shapes=True)} | _peer_there_and_back()
     return against_peer(name, repeats or ROUNDS, "pytorch-kinematics", candidates, must=3.0, aim=8.0)

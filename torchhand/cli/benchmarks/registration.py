@@ -104,7 +104,7 @@ class Case:
 
 
 def _registration(case: Case, schedule: Schedule) -> Callable[[PictureContours], Solutions]:
-    """With all that a tracker's registration has: constraints, prior and what is expected."""
+    """Registration with all that a tracker's registration has: constraints, prior and what is expected."""
     contours, model, starts = case.contours(TABLE), load_hand_model(), case.starts
     std = torch.full((SPACE.size,), math.radians(9.0), dtype=torch.float64)
     std[:3], std[3:6] = 0.03, 0.3

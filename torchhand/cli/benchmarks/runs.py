@@ -104,7 +104,7 @@ def with_bar(steps: Iterable[Any] | None, total: int, what: str) -> Any:
 
 
 def own_environment() -> dict[str, str]:
-    """Of a process that shall find this package, installed or not."""
+    """Environment of a process that shall find this package, installed or not."""
     package = str(Path(torchhand.__file__).resolve().parents[1])
     return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, (package, os.environ.get("PYTHONPATH"))))}
 

@@ -30,7 +30,7 @@ FILTER_ROUNDS, TRACKING_ROUNDS = 15, 5
 
 
 def filter_update(name: str, repeats: int | None) -> Figure:
-    """Both updates from the same sigma points and the same observations, which are computed before."""
+    """Time of both updates from the same sigma points and the same observations, which are computed before."""
     generator = torch.Generator().manual_seed(0)
     normal = partial(torch.randn, generator=generator, dtype=torch.float64)
     root = 0.1 * normal(STATE, STATE)

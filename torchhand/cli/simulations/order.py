@@ -113,7 +113,7 @@ class Arguments:
                 raise ValueError(f"expected at most one of --rig and --{name}, got both")
 
     def resolved(self) -> "Arguments":
-        """With what depends on other options in place of None."""
+        """The arguments with what depends on other options in place of None."""
         of_rig = self.rig is not None
         return replace(
             self,

@@ -84,7 +84,7 @@ class _Piece(NamedTuple):
 
 
 def _digit(finger: str) -> list[int]:
-    """Its bones that are no part of the palm, from base to tip."""
+    """Bones of a digit that are no part of the palm, from base to tip."""
     levels = ("metacarpal", "proximal", "distal") if finger == "thumb" else ("proximal", "middle", "distal")
     return [BONES.index(f"{finger}_{level}") for level in levels]
 

@@ -93,13 +93,13 @@ def read_keypoint_arrays(
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
-    """By name; that of an .npy is empty."""
+    """Arrays by name; that of an .npy is empty."""
     with opened_arrays(path, complaint="expected an array file of numpy (.npy, .npz) that can be read") as stored:
         return dict(stored)
 
 
 def _kinds(path: Path, arrays: dict[str, np.ndarray], points: Points, units: Units | None) -> list[_Kind]:
-    """At most one kind in space and one in pictures, at least one of either."""
+    """Kinds of the arrays: at most one kind in space and one in pictures, at least one of either."""
     in_space = points != "picture" and units not in ("px", "normalised")
     names = [*(_SPACE_NAMES if in_space else ()), *(_PICTURE_NAMES if points != "space" else ()), *_EITHER_NAMES]
     chosen = [name for name in names if name in arrays]
@@ -193,7 +193,7 @@ def _texts(path: Path, arrays: dict[str, np.ndarray], name: str, count: int) -> 
 
 
 def _numbers(path: Path, arrays: dict[str, np.ndarray], count: int) -> list[int]:
-    """Of the frames."""
+    """Numbers of the frames."""
     if "frame" not in arrays:
         return list(range(count))
     found = arrays["frame"]

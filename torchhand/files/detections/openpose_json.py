@@ -35,7 +35,8 @@ def read_openpose_folder(folder: Path, *, side: Side | None = None) -> Detection
 
 
 def openpose_detections(frames: Sequence[tuple[Path, int, Any]], *, side: Side | None = None) -> Detections:
-    """Of (file, frame number, content). Of several people, the hand with the highest total confidence counts.
+    """Detections of (file, frame number, content). Of several people, the hand with the highest total confidence
+    counts.
 
     Without a side, that of the higher total over all frames. Points with confidence 0 (OpenPose writes zeros) are
     missing; a confidence above 1 counts as 1.

@@ -70,13 +70,14 @@ class Detections:
 
     @property
     def keypoints(self) -> Float64[np.ndarray, "frames 21 d"]:
-        """Those in space where there are some, else those in the pictures."""
+        """Points in space where there are some, else those in the pictures."""
         found = self.picture if self.space is None else self.space
         assert found is not None
         return found
 
     def in_space(self) -> "Detections":
-        """Without what is known of the pictures. Raises ValueError where the points are those of pictures alone."""
+        """The detections without what is known of the pictures. Raises ValueError where the points are those of
+        pictures alone."""
         if self.space is None:
             raise ValueError("units: expected points in space, got those of a picture")
         return replace(self, picture=None, is_normalised=False)
@@ -169,7 +170,7 @@ def majority_side(labels: Sequence[Side | None]) -> Side | None:
 
 
 def _confidence(hand: HandDetection | None) -> Float64[np.ndarray, "21"]:
-    """Of every point; what is no number is 0."""
+    """Confidence of every point; what is no number is 0."""
     if hand is None:
         return np.zeros(COUNT)
     return np.ones(COUNT) if hand.confidence is None else np.nan_to_num(hand.confidence, posinf=0.0).astype(np.float64)

@@ -72,7 +72,7 @@ class Correspondences:
         )
 
     def rows(self, rows: Int[Tensor, "k"]) -> "Correspondences":
-        """Of some of the hands."""
+        """The rows of some of the hands."""
         return Correspondences(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
 

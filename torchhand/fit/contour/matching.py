@@ -21,7 +21,7 @@ def match_boundary(
     *,
     turn_px: float | Float[Tensor, "hands"],
 ) -> Int[Tensor, "hands boundary"]:
-    """For every point of a picture's boundary the model's nearest; -1 where a hand has no usable point.
+    """Nearest point of the model for every point of a picture's boundary; -1 where a hand has no usable point.
 
     Near in place and in direction: d² = |Δx|² + (turn_px |Δnormal|)², so that the side of a finger goes to the same
     side of a finger.

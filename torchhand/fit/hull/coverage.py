@@ -104,7 +104,7 @@ class _Matched:
     """Across the rays, or of the skin at the vertices."""
 
     def distances(self) -> tuple[Float[Tensor, "k data"], Float[Tensor, "k data"]]:
-        """Of the data from the vertices: across the surface and along it, metres."""
+        """Distances of the data from the vertices: across the surface and along it, metres."""
         away = self.places - self.data_places
         across = (self.normals * away).sum(-1).abs()
         return across, (away.square().sum(-1) - across.square()).clamp_min(0).sqrt()
@@ -134,7 +134,7 @@ class CoverageFactor:
     told: Explained
 
     def equations(self, hands: PosedHands) -> Equations:
-        """In the DOFs, and in the shape where it is unknown."""
+        """Normal equations in the DOFs, and in the shape where it is unknown."""
         skin = self.skin.for_shape(hands)
         vertices = self.vertices if skin is self.skin else skin.weighted(self.match)
         motion = skin.motion(bones_of(skin, hands), vertices)
@@ -152,7 +152,7 @@ class CoverageFactor:
         )
 
     def rows(self, rows: Int[Tensor, "n"]) -> "CoverageFactor":
-        """Of some of the hands."""
+        """The rows of some of the hands."""
         return replace(
             self,
             match=self.match[rows],

@@ -55,7 +55,7 @@ class HullFitter:
         )
 
     def problem(self, target: HullTarget, *beliefs: Observation) -> Problem:
-        """Of poses in a hull. beliefs: further priors, such as a prediction."""
+        """The problem of poses in a hull. beliefs: further priors, such as a prediction."""
         return Problem(
             space=self.space,
             skeleton=self.hand.kinematics.skeleton,

@@ -80,7 +80,7 @@ class InsideFactor:
     told: Explained
 
     def equations(self, hands: PosedHands) -> Equations:
-        """In the DOFs, and in the shape where it is unknown."""
+        """Normal equations in the DOFs, and in the shape where it is unknown."""
         skin = self.skin.for_shape(hands)
         vertices = self.vertices if skin is self.skin else skin.weighted(self.index)
         motion = skin.motion(bones_of(skin, hands), vertices)
@@ -100,7 +100,7 @@ class InsideFactor:
         )
 
     def rows(self, rows: Int[Tensor, "n"]) -> "InsideFactor":
-        """Of some of the hands."""
+        """The rows of some of the hands."""
         return replace(self, told=self.told.rows(rows))
 
     def explained(self) -> tuple[Explained, ...]:

@@ -46,7 +46,7 @@ class SilhouetteRays:
     def match(
         self, vertices: Float[Tensor, "hands points 3"], normals: Float[Tensor, "hands points 3"], *, turn: float
     ) -> Int[Tensor, "hands rays"]:
-        """For every ray the vertex of each hand that it should touch: near it in its picture, and facing across it.
+        """Vertex of each hand that each ray should touch: near it in its picture, and facing across it.
 
         normals: of the vertices. turn: metres that a turn of the surface by one radian is worth.
         """

@@ -30,7 +30,7 @@ class WeightedVertices:
     """Correctives by feature, in the frames of the bones that the angles move."""
 
     def rows(self, rows: Int[Tensor, "n"]) -> "WeightedVertices":
-        """Those of the given hands."""
+        """The vertices of the given hands."""
         if len(self.places) == 1:
             return self
         return WeightedVertices(

@@ -33,7 +33,7 @@ class SkinVertices:
 
     @cached_property
     def weighted(self) -> WeightedVertices:
-        """Those that must be inside, of the skin's own shape."""
+        """The vertices that must be inside, of the skin's own shape."""
         return self.skin.weighted(self.index)
 
 

@@ -99,7 +99,7 @@ class KeypointEstimator:
         return self._whole(pose, shape, detector)
 
     def _in_picture(self, observed: PictureKeypoints, shape: Tensor, detector: Detector) -> KeypointEstimate:
-        """From the best of several starts for every frame.
+        """Poses from the best of several starts for every frame.
 
         First with points trusted little, so that far starts are drawn in; a few of the best go on as the noise is. In
         a picture, a digit bent towards the camera may look like one bent away: each is then tried the other way.
@@ -128,7 +128,7 @@ class KeypointEstimator:
         return KeypointEstimate(solution=solution, detector=detector.at(solution.extra))
 
     def _problem(self, shape: Tensor, detector: Detector) -> Problem:
-        """Of all frames, with what they share held."""
+        """The problem of all frames, with what they share frozen."""
         fraction = self._prior_fraction()
         is_believed = not self.posture.is_empty and bool(fraction.any())
         return Problem(

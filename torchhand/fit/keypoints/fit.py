@@ -60,7 +60,7 @@ class KeypointFit:
         return self.status == 0
 
     def status_names(self) -> list[str]:
-        """Of the frames in order, flattened."""
+        """Names of the frames' status in order, flattened."""
         return [FIT_STATUSES[int(number)] for number in self.status.reshape(-1)]
 
 
@@ -239,7 +239,7 @@ def _placed(fit: KeypointFit, rows: Tensor, count: int, batch: torch.Size) -> Ke
 
 
 def _result(estimator: KeypointEstimator, shape: Float[Tensor, "shape"]) -> KeypointFit:
-    """Of the frames that have enough points."""
+    """The fit of the frames that have enough points."""
     found = estimator.estimate(shape)
     solution, space = found.solution, estimator.space
     observed = replace(estimator.observed, detector=found.detector)
@@ -290,7 +290,7 @@ def _measured(
 
 
 def _nothing(estimator: KeypointEstimator, shape: Float[Tensor, "shape"]) -> KeypointFit:
-    """Of no frame."""
+    """The fit of no frame."""
     free = estimator.space.size
     detector = estimator.observed.detector
     assert detector is not None

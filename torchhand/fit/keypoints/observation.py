@@ -62,7 +62,7 @@ class PictureKeypoints:
         return is_known if self.confidence is None else is_known & (self.confidence > 0)
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "PictureKeypoints":
-        """Of some of the frames; itself where the points are the same for all."""
+        """The rows of some of the frames; itself where the points are the same for all."""
         if len(self.points_px) == 1:
             return self
         return replace(
@@ -121,12 +121,12 @@ class PictureKeypointFactor:
     detector: Detector
 
     def distance(self, hands: PosedHands) -> Float[Tensor, "k 21"]:
-        """Of every point from the hand's keypoint, px; 0 for missing ones."""
+        """Distance of every point from the hand's keypoint, px; 0 for missing ones."""
         away = self._projected(hands)[0] - self.points
         return torch.where(self.weight > 0, away.norm(dim=-1), 0.0)
 
     def equations(self, hands: PosedHands) -> Equations:
-        """In the DOFs, and in the shared unknowns where there are some."""
+        """Normal equations in the DOFs, and in the shared unknowns where there are some."""
         pixels, slopes, depth = self._projected(hands)
         rows = slopes @ self.detector.pose_jacobian(self.kinematics, hands)
         shared = None
@@ -143,13 +143,13 @@ class PictureKeypointFactor:
         return self._projected(hands)[0].flatten(1)
 
     def measurement(self) -> tuple[Float[Tensor, "m"], Float[Tensor, "m"], Bool[Tensor, "m"]]:
-        """Of the first row: values, variances, and which are known; for filters."""
+        """Measurement of the first row: values, variances, and which are known; for filters."""
         precision = (self.weight[0] * self.trust[0])[:, None].expand(-1, 2).flatten()
         is_known = precision > 0
         return self.points[0].flatten(), torch.where(is_known, precision, 1.0).reciprocal(), is_known
 
     def rows(self, rows: Int[Tensor, "n"]) -> "PictureKeypointFactor":
-        """Of some of the hands."""
+        """The rows of some of the hands."""
         own = {name: getattr(self, name)[rows] for name in ("points", "weight", "trust")}
         return replace(self, camera=self.camera.rows(rows), **own)
 
@@ -192,7 +192,7 @@ class SpaceKeypoints:
         return int(self.points.isfinite().all(-1).sum(-1).max()) < _MIN_IN_SPACE
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "SpaceKeypoints":
-        """Of some of the frames; itself where the points are the same for all."""
+        """The rows of some of the frames; itself where the points are the same for all."""
         return self if len(self.points) == 1 else replace(self, points=self.points[rows])
 
     def associate(self, hands: PosedHands, stage: Stage) -> "SpaceKeypointFactor":
@@ -242,7 +242,7 @@ class SpaceKeypointFactor:
         return scale[:, None, None] * (own @ rotation.mT) + wanted[:, None]
 
     def equations(self, hands: PosedHands) -> Equations:
-        """In the DOFs, and in the shape where it is unknown."""
+        """Normal equations in the DOFs, and in the shape where it is unknown."""
         keypoints = frames_of(self.kinematics, hands).keypoints
         laid = self.laid_over(keypoints)
         root = (self.weight * self.trust).sqrt()[..., None]
@@ -270,13 +270,13 @@ class SpaceKeypointFactor:
         return inverse.laid_over(self.points[:1].expand(count, -1, -1)).flatten(1)
 
     def measurement(self) -> tuple[Float[Tensor, "m"], Float[Tensor, "m"], Bool[Tensor, "m"]]:
-        """Of the first row: values, variances, and which are known; for filters."""
+        """Measurement of the first row: values, variances, and which are known; for filters."""
         precision = (self.weight[0] * self.trust[0])[:, None].expand(-1, 3).flatten()
         is_known = precision > 0
         return self.points[0].flatten(), torch.where(is_known, precision, 1.0).reciprocal(), is_known
 
     def rows(self, rows: Int[Tensor, "n"]) -> "SpaceKeypointFactor":
-        """Of some of the hands."""
+        """The rows of some of the hands."""
         return replace(self, points=self.points[rows], weight=self.weight[rows], trust=self.trust[rows])
 
     def explained(self) -> tuple[Explained, ...]:
@@ -286,7 +286,7 @@ class SpaceKeypointFactor:
 
 
 def _shape_jacobian(kinematics: HandKinematics, hands: PosedHands) -> Float[Tensor, "k 21 3 c"]:
-    """In the shared unknowns; those after the shape have no effect."""
+    """Derivative in the shared unknowns; those after the shape have no effect."""
     assert hands.unknowns is not None
     found = shape_jacobian_of(kinematics, hands.unknowns.columns)(frames_of(kinematics, hands), hands.shape)
     return torch.nn.functional.pad(found, (0, len(hands.unknowns.extra)))

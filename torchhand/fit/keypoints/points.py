@@ -71,7 +71,7 @@ class Detector:
 
     @classmethod
     def known(cls, like: Tensor) -> "Detector":
-        """Of points in metres, at our own keypoints."""
+        """The detector of points in metres, at our own keypoints."""
         return cls(log_scale=like.new_zeros(()), offsets=like.new_zeros(_POINTS, 3))
 
     @property
@@ -134,7 +134,7 @@ def equations_of_points(
     rows: Float[Tensor, "k 21 d 36"],
     shared: Float[Tensor, "k 21 d c"] | None,
 ) -> Equations:
-    """Of ½ Σ precision · |missed|², or of a robust loss of it; points of precision 0 do not count."""
+    """Normal equations of ½ Σ precision · |missed|², or of a robust loss of it; points of precision 0 do not count."""
     known = torch.where(precision[..., None] > 0, missed, 0.0)
     weight = precision[..., None].expand_as(known)
     if loss is None:

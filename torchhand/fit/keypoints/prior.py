@@ -60,7 +60,7 @@ class NaturalPrior:
         return False
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "NaturalPrior":
-        """Of some of the frames."""
+        """The rows of some of the frames."""
         return replace(self, fraction=self.fraction[rows])
 
     def associate(self, hands: PosedHands, stage: Stage) -> "NaturalPrior":
@@ -68,7 +68,7 @@ class NaturalPrior:
         return self
 
     def equations(self, hands: PosedHands) -> Equations:
-        """In the joint angles."""
+        """Normal equations in the joint angles."""
         root = self.fraction[:, _ROOT:].sqrt()
         precision = self.posture.precision[_ROOT:, _ROOT:].to(root)
         away = root * (hands.pose.dofs - self.posture.mean.to(root))[:, _ROOT:]
@@ -106,7 +106,7 @@ def limit_information(skeleton: Skeleton) -> Float[Tensor, "36"]:
 
 
 def points_of_dofs() -> tuple[tuple[int, ...], ...]:
-    """For every DOF the keypoints without which it cannot be told: the ends of the bones on both sides of the joint.
+    """Keypoints, for every DOF, without which it cannot be told: the ends of the bones on both sides of the joint.
 
     A twist is told only by the bone after the next. The root's six need none in particular.
     """

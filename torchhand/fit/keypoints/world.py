@@ -42,7 +42,7 @@ class WorldKeypoints:
         return is_known if self.confidence is None else is_known & (self.confidence > 0)
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "WorldKeypoints":
-        """Of some of the frames; itself where the points are the same for all."""
+        """The rows of some of the frames; itself where the points are the same for all."""
         if len(self.points) == 1:
             return self
         confidence = None if self.confidence is None else self.confidence[rows]
@@ -79,11 +79,11 @@ class WorldKeypointFactor:
     detector: Detector
 
     def distance(self, hands: PosedHands) -> Float[Tensor, "k 21"]:
-        """Of the hand's keypoints from the points, metres; 0 for missing ones."""
+        """Distance of the hand's keypoints from the points, metres; 0 for missing ones."""
         return torch.where(self.weight > 0, self._missed(hands).norm(dim=-1), 0.0)
 
     def equations(self, hands: PosedHands) -> Equations:
-        """In the DOFs, and in the shared unknowns where there are some."""
+        """Normal equations in the DOFs, and in the shared unknowns where there are some."""
         rows = self.detector.pose_jacobian(self.kinematics, hands)
         shared = None
         if hands.unknowns is not None:
@@ -93,7 +93,7 @@ class WorldKeypointFactor:
         return equations_of_points(self._missed(hands), self.weight * self.trust, self.loss, rows, shared)
 
     def rows(self, rows: Int[Tensor, "n"]) -> "WorldKeypointFactor":
-        """Of some of the hands."""
+        """The rows of some of the hands."""
         return replace(self, points=self.points[rows], weight=self.weight[rows], trust=self.trust[rows])
 
     def explained(self) -> tuple[Explained, ...]:

@@ -186,7 +186,8 @@ class ShapeJacobian:
     def __call__(
         self, frames: HandFrames, shape: Float[Tensor, "*#batch shape"]
     ) -> Float[Tensor, "*batch 21 3 columns"]:
-        """Per unit of each parameter: metres, or shares of hand length or breadth. frames: of that shape."""
+        """Derivative per unit of each parameter: metres, or fractions of hand length or breadth. frames: of that
+        shape."""
         batch = frames.rotation.shape[:-3]
         rotation = batch_last(frames.rotation, 3, batch)
         out = self.batch_last(rotation, batch_last(shape, 1, batch))

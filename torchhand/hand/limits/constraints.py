@@ -158,7 +158,7 @@ class PoseConstraints:
         return lower * room, upper * room
 
     def tie_residuals(self, pose: Float[Tensor, "*batch 36"]) -> Float[Tensor, "*batch ties"]:
-        """By how much each of TIES is missed, radians: the angle less what the tie asks for within its limits."""
+        """Residual of each of TIES, radians: the angle less what the tie asks for within its limits."""
         _, joints = _split(pose)
         missed = [joints[..., tie.target] - self.tied_angle(i, joints) for i, tie in enumerate(TIES)]
         return torch.stack(missed, -1)

@@ -70,7 +70,8 @@ class _Palm:
 
 
 def _palm(m: Mapping[str, Tensor]) -> _Palm:
-    """Its axis runs from the middle of the wrist to the middle of the knuckles, beside the middle finger's line."""
+    """Sizes of the palm, whose axis runs from the middle of the wrist to the middle of the knuckles, beside the middle
+    finger's line."""
     zero = torch.zeros_like(m["hand_length"])
     start = torch.stack((zero, _PALM_START_Y * m["hand_length"], zero), -1)
     run = 0.25 * sum(m[f"{finger}_metacarpal"] for finger in FINGERS[1:]) - start[..., 1]

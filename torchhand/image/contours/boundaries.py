@@ -26,7 +26,7 @@ class Boundary:
 def boundary_points(
     mask: Bool[Tensor, "height width"], count: int, *, ignored: Bool[Tensor, "height width"] | None = None
 ) -> Boundary:
-    """At most `count` points spread over the boundary of a silhouette, between its pixels, float64.
+    """Up to `count` points spread over the boundary of a silhouette, between its pixels, float64.
 
     Each outermost pixel inside is moved along the gradient of the smoothed silhouette to where that is ½.
     """

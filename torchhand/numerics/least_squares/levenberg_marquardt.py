@@ -102,7 +102,7 @@ def levenberg_marquardt(
 
 
 def _in_a_row(found: NormalEquations, size: int) -> NormalEquations:
-    """With one batch dimension."""
+    """The problems with one batch dimension."""
     return NormalEquations(
         matrix=found.matrix.reshape(-1, size, size),
         gradient=found.gradient.reshape(-1, size),

@@ -95,7 +95,7 @@ Linearisation = tuple[Tensor, Tensor] | NormalEquations
 
 
 def normal_equations(found: Linearisation, robust: RobustLoss | None) -> NormalEquations:
-    """Of a robust loss those of iteratively reweighted least squares: the gradient is exact."""
+    """Normal equations; of a robust loss those of iteratively reweighted least squares: the gradient is exact."""
     if isinstance(found, NormalEquations):
         return found
     residual, jacobian = found

@@ -105,7 +105,8 @@ def stage_before(
 
 
 def filling_distance(camera: Camera, hand_length: float) -> float:
-    """From the camera, in metres, at which a hand of that length fills the picture well; any one if orthographic."""
+    """Distance from the camera, metres, at which a hand of that length fills the picture well; any one if
+    orthographic."""
     if camera.kind == "orthographic":
         return _ORTHOGRAPHIC_DISTANCE
     focal = [float(f) for f in camera.intrinsics.diagonal()[:2]]

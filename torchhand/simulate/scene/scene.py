@@ -134,7 +134,7 @@ class _Posed:
 
 
 def _posed(projector: HandProjector, hand: Hand | None, pose: Float[Tensor, "36"], reference: Tensor) -> _Posed:
-    """With its mesh where a `hand` is given, else with its primitives."""
+    """The posed hand, with its mesh where a `hand` is given, else with its primitives."""
     pose = pose.to(reference)
     if hand is not None:
         state = hand(pose, projector.shape, root_reference=reference)

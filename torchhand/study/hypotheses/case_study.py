@@ -110,7 +110,7 @@ class CaseStudy:
 
     @cached_property
     def contours(self) -> Contours:
-        """Of the surface that is registered."""
+        """Contours of the surface that is registered."""
         s = self.settings
         if s.surface == "mesh":
             hand = self.model.hand(side=self.case.side, dtype=torch.float64).to(self.device)

@@ -138,7 +138,7 @@ def _known_case(known: KnownPoses, number: int, image: Tensor, mask: Tensor, cam
 
 
 def _mask(folder: Path, masks: dict[int, Path], number: int, image: Tensor) -> Bool[Tensor, "height width"]:
-    """From masks/ where the folder has them, else by the skin's colour."""
+    """Mask from masks/ where the folder has them, else by the skin's colour."""
     if not masks:
         start = bootstrap_skin(image)
         if not start.has_skin:

@@ -59,12 +59,12 @@ class Hypotheses:
         return Hypotheses(**{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """By name, as `from_arrays` takes them."""
+        """Arrays by name, as `from_arrays` takes them."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> "Hypotheses":
-        """Of a file. Raises KeyError for what is missing, ValueError for arrays of differing lengths."""
+        """The hypotheses of a file. Raises KeyError for what is missing, ValueError for arrays of differing lengths."""
         chosen = {f.name: arrays[f.name] for f in fields(cls)}
         lengths = {len(array) for array in chosen.values()}
         if len(lengths) != 1:

@@ -72,7 +72,7 @@ class Work:
         }
 
     def _digest(self) -> str:
-        """Of everything that a registration sees, and of the references."""
+        """Digest of everything that a registration sees, and of the references."""
         digest = hashlib.sha256()
         for case in self.cases:
             camera, seen = case.camera, (case.image, case.mask, case.pose.dofs, case.pose.reference, case.shape)

@@ -79,7 +79,7 @@ METHODS: Mapping[str, Method] = {
 
 
 def keypoints_of(problem: FitProblem, found: HandPose) -> Float[Tensor, "21 3"]:
-    """In the world, metres."""
+    """Keypoints in the world, metres."""
     kinematics = problem.hand.kinematics
     like = kinematics.default_shape
     found = found.to(like)

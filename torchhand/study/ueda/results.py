@@ -127,7 +127,7 @@ def write_results(folder: Path, parts: Mapping[str, Any]) -> None:
 
 
 def csv_text(rows: Rows) -> str:
-    """With a heading; floats to six digits."""
+    """Text with a heading; floats to six digits."""
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()

@@ -57,7 +57,7 @@ def posed_belief(
 
 @lru_cache(maxsize=8)
 def _jacobian_of(kinematics: HandKinematics) -> PoseJacobian:
-    """In all DOFs; laid out once for each kinematics module."""
+    """Jacobian in all DOFs; laid out once for each kinematics module."""
     with torch.inference_mode(False):  # kept for callers in any mode
         return PoseJacobian(kinematics)
 

@@ -47,7 +47,7 @@ class HandMotion:
 
     @cached_property
     def kinds(self) -> tuple[Kind, ...]:
-        """Of the free parameters."""
+        """Kinds of the free parameters."""
         return tuple(kind_of(name) for name in self.space.free_names)
 
     @cached_property

@@ -121,7 +121,8 @@ class SegmentJacobian:
         return of_free.unflatten(-2, (2, 2, 2)).flatten(-5, -4)
 
     def _twists(self, pose: Tensor, frames: HandFrames, projector: HandProjector) -> tuple[Tensor, Tensor, Tensor]:
-        """In the camera frame: axes (10, 9, 3) of root and joints, points on them, and the root's shifts (3, 3)."""
+        """Twists in the camera frame: axes (10, 9, 3) of root and joints, points on them, and the root's shifts (3,
+        3)."""
         batch = pose.shape[:-1]
         axes = world_axes(batch_last(pose, 1, batch), batch_last(frames.rotation, 3, batch), self._constants)
         axes = batch_first(axes, batch)[..., self._angles, :]

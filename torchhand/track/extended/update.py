@@ -139,7 +139,7 @@ class ExtendedUpdate:
         return tuple(found)
 
     def _length_px(self, projector: HandProjector, pose: HandPose) -> float:
-        """Of a hand held parallel to the picture."""
+        """Length of a hand held parallel to the picture."""
         camera = projector.camera
         focal = 0.5 * float(camera.intrinsics[0, 0] + camera.intrinsics[1, 1])
         length = float(projector.shape[self.kinematics.shape_space.names.index("hand_length")])

@@ -116,7 +116,8 @@ def _found(fitter: FrameFitter, frame: _Frame, shape: Tensor | None, fits: Seque
 
 
 def _refined(fitter: FrameFitter, frame: _Frame, shape: Tensor, fits: Sequence[HullFit]) -> HullFit | None:
-    """With better proportions: from the hand that was found and, where its score is low, from those of other frames."""
+    """The hand with better proportions: from the hand that was found and, where its score is low, from those of other
+    frames."""
     if frame.hull.target is None:
         return None
     best = [fit.pose for fit in sorted(fits, key=lambda fit: -fit.score)[:_MAX_POSES]]

@@ -125,7 +125,7 @@ class Hulls:
         return Hull(target=target, views=carved.views)
 
     def _carved(self, masks: Masks, root: RootCube, level: int, min_volume: float) -> "_Carved":
-        """From all views or, where these do not meet, from all but the one without which most is left."""
+        """An octree from all views or, where these do not meet, from all but the one without which most is left."""
         views = tuple(view for view, mask in enumerate(masks) if mask is not None and mask.cpu().numpy().any())
         if len(views) < self._min_views:
             missing = sum(mask is None for mask in masks)

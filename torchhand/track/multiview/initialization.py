@@ -71,7 +71,7 @@ def _with_unit(
     skins: Sequence[LearnedSkin | None],
     done: Callable[[], object],
 ) -> Initialization:
-    """With the unit that makes the hand as large as it is known, or expected, to be."""
+    """Initialization with the unit that makes the hand as large as it is known, or expected, to be."""
     space = hand.kinematics.shape_space
     units, decisive = rough_units(silhouettes.cameras, seen)
     fitters = {unit: FrameFitter(hand, in_unit(silhouettes.cameras, unit), settings) for unit in units}

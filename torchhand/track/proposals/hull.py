@@ -50,7 +50,7 @@ class KeyframeHere:
         return "always"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
-        """At most one hand."""
+        """Proposals of at most one hand."""
         here = [one for one in state.keyframes if one.is_of(scene.time_s)]
         if not here or state.shape is None:
             return Proposals()
@@ -71,7 +71,7 @@ class Refit:
         return "declining"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
-        """At most one hand."""
+        """Proposals of at most one hand."""
         if best is None or state.shape is None:
             return Proposals()
         hull = hull_about(self.shared.fitter, scene, best.pose, state.shape)
@@ -90,7 +90,7 @@ class Turns:
         return "degraded"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
-        """At most one hand."""
+        """Proposals of at most one hand."""
         if best is None or state.shape is None:
             return Proposals()
         hull = hull_about(self.shared.fitter, scene, best.pose, state.shape)
@@ -109,7 +109,7 @@ class Fingers:
         return "degraded"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
-        """At most one hand."""
+        """Proposals of at most one hand."""
         if best is None or state.shape is None:
             return Proposals()
         hull = hull_about(self.shared.fitter, scene, best.pose, state.shape)
@@ -129,7 +129,7 @@ class Keyframes:
         return "degraded"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
-        """At most one hand; none while the followed one is not failing."""
+        """Proposals of at most one hand; none while the followed one is not failing."""
         if state.shape is None or not self.shared.health.is_failing(best):
             return Proposals()
         hull = hull_anywhere(self.shared.fitter, scene, state.shape)
@@ -148,7 +148,7 @@ class HullSearch:
         return "search"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
-        """At most one hand."""
+        """Proposals of at most one hand."""
         shape = self.shared.fitter.hand.kinematics.default_shape if state.shape is None else state.shape
         hull = hull_anywhere(self.shared.fitter, scene, shape)
         new_shape = shape if state.shape is None else None

@@ -41,7 +41,7 @@ class PostureSearch:
         return "search"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
-        """At most one hand."""
+        """Proposals of at most one hand."""
         image = scene.views[0].image
         if image is None:
             return Proposals(reason="the picture is missing")

@@ -15,7 +15,8 @@ KeypointObservation = PictureKeypoints | SpaceKeypoints
 def keypoint_observations(
     scene: Scene, cameras: Sequence[Camera], kinematics: HandKinematics, settings: KeypointSettings
 ) -> tuple[KeypointObservation, ...]:
-    """Of every view in which a detector found a hand: its points in the picture, and in space up to a similarity.
+    """Observations of every view in which a detector found a hand: its points in the picture, and in space up to a
+    similarity.
 
     Points that a detector does not believe itself (a score below `settings.min_score`) are left out.
     """

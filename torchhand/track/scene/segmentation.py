@@ -64,11 +64,12 @@ class ColourSegmentation:
     settings: ColourUpdateSettings
 
     def initial_appearances(self, views: Sequence[View]) -> Appearances:
-        """None: colours are learned with the first hand."""
+        """No appearances: colours are learned with the first hand."""
         return ()
 
     def scene(self, views: Sequence[View], appearances: Appearances, time_s: float) -> Scene:
-        """Without appearances nothing is told of the silhouette: the search for a hand makes its own."""
+        """The views as a scene. Without appearances nothing is told of the silhouette: the search for a hand makes its
+        own."""
         [view] = views
         probability = None
         if appearances and isinstance(appearances[0], Appearance) and view.image is not None:

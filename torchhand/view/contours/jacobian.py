@@ -108,7 +108,7 @@ class OutlineTracer:
         self._ahead = like.new_tensor((0.0, 0.0, 1.0))[:, None]
 
     def __call__(self, pose: HandPose) -> OutlineMotion:
-        """Of hands in the world; no visibility."""
+        """Motion of outlines of hands in the world; no visibility."""
         bones = self.place(pose)
         return self.motion(bones, self.outlines(self.outlines.placed(bones.cam_from_bone)))
 
@@ -122,7 +122,7 @@ class OutlineTracer:
         return self._placer(pose.dofs, pose.reference)
 
     def motion(self, bones: SeenBones, outline: OutlineColumns) -> OutlineMotion:
-        """Of an outline that is known."""
+        """Motion of an outline that is known."""
         columns_px, points, plane = self._projected(outline.points)
         return OutlineMotion(
             columns_px=columns_px,
