@@ -16,7 +16,7 @@ WIDTH, HEIGHT = 200, 160
 
 
 @dataclass(frozen=True, kw_only=True)
-class Placed:
+class StagedHand:
     """A hand in front of a camera."""
 
     kinematics: HandKinematics
@@ -96,7 +96,7 @@ class Studio:
         posed: str = "open",
         shape: Tensor | None = None,
         camera: Camera | None = None,
-    ) -> Placed:
+    ) -> StagedHand:
         """A hand turned clockwise in the picture, its length and the place of its middle as shares of the height."""
         kinematics, camera = self.kinematics(side), camera or self.camera()
         shape = kinematics.default_shape if shape is None else shape
@@ -110,7 +110,7 @@ class Studio:
         middle = middle if camera.kind == "orthographic" else depth * middle
         pose = posture(posed)
         pose[:3] = middle - reference @ torch.tensor((0.0, 0.48 * length, 0.0), dtype=torch.float64)
-        return Placed(kinematics=kinematics, camera=camera, shape=shape, pose=pose, root_reference=reference)
+        return StagedHand(kinematics=kinematics, camera=camera, shape=shape, pose=pose, root_reference=reference)
 
     def film(
         self,

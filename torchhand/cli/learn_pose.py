@@ -106,8 +106,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         figures = {"held_out": {"network": _held_out(training, data), "baseline": baseline}}
         if stills is not None:
             figures["stills"] = _on_stills(training.network, stills, arguments.side)
-    told = {"torchhand": torchhand.__version__, "steps": training.step, "settings": asdict(settings)}
-    write_text(arguments.out / FIGURES_NAME, json.dumps({**told, **figures}, indent=2) + "\n")
+    header = {"torchhand": torchhand.__version__, "steps": training.step, "settings": asdict(settings)}
+    write_text(arguments.out / FIGURES_NAME, json.dumps({**header, **figures}, indent=2) + "\n")
     for where, table in figures.items():
         print(_table(where, table))
     print(f"saved {MODEL_NAME}, {CURVE_NAME}, {PICTURE_NAME} and {FIGURES_NAME} in {arguments.out}")

@@ -236,7 +236,7 @@ class _Evaluated:
         def chosen(one: Tensor, two: Tensor) -> Tensor:
             return torch.where(better.reshape(-1, *(1,) * (one.ndim - 1)), two, one)
 
-        def told(one: Explained, two: Explained) -> Explained:
+        def better_of(one: Explained, two: Explained) -> Explained:
             inside = chosen(one.inside, two.inside) if one.inside is not None and two.inside is not None else None
             fraction, distance = chosen(one.fraction, two.fraction), chosen(one.distance, two.distance)
             return replace(one, fraction=fraction, distance=distance, inside=inside)
@@ -246,7 +246,7 @@ class _Evaluated:
             reference=chosen(self.reference, other.reference),
             cost=chosen(self.cost, other.cost),
             matrix=chosen(self.matrix, other.matrix),
-            explained=tuple(told(*pair) for pair in zip(self.explained, other.explained, strict=True)),
+            explained=tuple(better_of(*pair) for pair in zip(self.explained, other.explained, strict=True)),
         )
 
 

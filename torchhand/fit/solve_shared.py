@@ -295,7 +295,7 @@ class _Work:
         """The whole cost, and the covariances of poses and shared unknowns."""
         shared, basis = self.problem.shared, self.problem.space.basis
         known = basis.new_zeros(len(basis)) if information is None else information.to(basis)
-        believed = torch.diag((basis.square() * known[:, None]).sum(0))
+        prior_information = torch.diag((basis.square() * known[:, None]).sum(0))
         matrix, cost = self.vector.new_zeros(len(self.vector), len(self.vector)), 0.0
         if shared is not None:
             prior = shared.prior_equations(self.vector, self.problem.shape)
@@ -303,7 +303,7 @@ class _Work:
         own, follow = [], []
         for part in self.parts:
             arrow = part.arrow(self.values[part.rows], self.vector, self.is_sound[part.rows])
-            arrow = replace(arrow, blocks=arrow.blocks + believed)
+            arrow = replace(arrow, blocks=arrow.blocks + prior_information)
             own.append(covariance_of(arrow.blocks, self.is_sound[part.rows]))
             cost += float(arrow.cost)
             if len(self.vector):

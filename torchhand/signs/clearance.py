@@ -62,11 +62,11 @@ class Clearance:
         angles, where one is not enough.
         """
         for columns in _ROUNDS:
-            wanting = (self.worst(joints) > _FROM).nonzero()[:, 0]
-            if not len(wanting):
+            overlapping = (self.worst(joints) > _FROM).nonzero()[:, 0]
+            if not len(overlapping):
                 break
             moved = joints.clone()
-            moved[wanting] = self._moved(joints[wanting], columns)
+            moved[overlapping] = self._moved(joints[overlapping], columns)
             joints = moved
         return joints
 

@@ -94,8 +94,8 @@ def test_hands_are_independent(rig: Any, kind: str) -> None:
     for name in ("cost", "gradient", "matrix"):
         torch.testing.assert_close(getattr(some, name), getattr(whole, name)[rows])
         torch.testing.assert_close(getattr(one, name)[0], getattr(whole, name)[1])
-    [told], [both] = single.explained(), together.explained()
-    torch.testing.assert_close(told.fraction[0], both.fraction[1])
+    [explanation], [both] = single.explained(), together.explained()
+    torch.testing.assert_close(explanation.fraction[0], both.fraction[1])
     torch.testing.assert_close(together.rows(rows).explained()[0].distance, both.distance[rows])
 
 

@@ -97,9 +97,9 @@ def test_other_pose_spaces(name: str, generator: torch.Generator) -> None:
     tied = clamp_to_limits(space.dof(space.own(fit.pose)), kinematics.skeleton)
     torch.testing.assert_close(tied, fit.pose, atol=1e-12, rtol=0)
     assert float(fit.residual.max()) < 1e-5
-    told = [i for i, dof in enumerate(DOFS) if i >= 6 and not dof.endswith(("_tw", "cmc_fe", "cmc_aa"))]
+    determined = [i for i, dof in enumerate(DOFS) if i >= 6 and not dof.endswith(("_tw", "cmc_fe", "cmc_aa"))]
     if name != "dof36":  # there a bend of the palm and the place of the root are nearly the same
-        assert float((fit.pose - truth)[:, told].abs().max().rad2deg()) < 0.5
+        assert float((fit.pose - truth)[:, determined].abs().max().rad2deg()) < 0.5
 
 
 def test_limits_hold_for_points_of_no_hand(generator: torch.Generator) -> None:

@@ -47,19 +47,19 @@ def linear_skin(clip: MotionClip, *, max_targets: int = MAX_TARGETS, bound: floa
     weights = clip.hand.skinning.weights.T
     vertices = at_bind.vertices.contiguous()
     chosen = torch.linspace(0, len(clip) - 1, min(len(clip), _FRAMES_FOR_TARGETS)).round().long()
-    lacks = [
-        _lack(clip, chosen_part, vertices, weights, at_bind.frames) for chosen_part in chosen.split(_FRAMES_AT_ONCE)
+    residuals = [
+        _residual(clip, chosen_part, vertices, weights, at_bind.frames) for chosen_part in chosen.split(_FRAMES_AT_ONCE)
     ]
-    lack = torch.cat([part.flatten(1) for part in lacks])
-    targets = _targets(lack, bound, max_targets)
+    residual = torch.cat([part.flatten(1) for part in residuals])
+    targets = _targets(residual, bound, max_targets)
     found, error, linear_error = [], 0.0, 0.0
     for part in torch.arange(len(clip)).split(_FRAMES_AT_ONCE):
-        lack = _lack(clip, part, vertices, weights, at_bind.frames).flatten(1)
-        fraction = lack @ targets.T
-        rest = (lack - fraction @ targets).unflatten(1, (-1, 3))
+        residual = _residual(clip, part, vertices, weights, at_bind.frames).flatten(1)
+        fraction = residual @ targets.T
+        rest = (residual - fraction @ targets).unflatten(1, (-1, 3))
         blended = _blend(clip, part, weights, at_bind.frames)
         error = max(error, _largest(blended @ rest[..., None]))
-        linear_error = max(linear_error, _largest(blended @ lack.unflatten(1, (-1, 3))[..., None]))
+        linear_error = max(linear_error, _largest(blended @ residual.unflatten(1, (-1, 3))[..., None]))
         found.append(fraction)
     scale = targets.abs().amax(1, keepdim=True) if len(targets) else targets.new_ones(0, 1)
     return LinearSkin(
@@ -79,7 +79,7 @@ def _blend(clip: MotionClip, index: Tensor, weights: Tensor, bind: HandFrames) -
     return torch.einsum("vb,nbij->nvij", weights, turns)
 
 
-def _lack(
+def _residual(
     clip: MotionClip, index: Tensor, vertices: Tensor, weights: Tensor, bind: HandFrames
 ) -> Float64[Tensor, "n vertices 3"]:
     """What has to be added to each vertex before blending for it to come where our skin has it."""
@@ -87,16 +87,16 @@ def _lack(
     shifts = clip.frames.position[index] - (turns @ bind.position[..., None]).squeeze(-1)
     blended = _blend(clip, index, weights, bind)
     linear = (blended @ vertices[..., None]).squeeze(-1) + weights @ shifts
-    lack = clip.hand(clip.poses[index], clip.shape).vertices - linear
-    return torch.linalg.solve(blended, lack[..., None]).squeeze(-1)
+    residual = clip.hand(clip.poses[index], clip.shape).vertices - linear
+    return torch.linalg.solve(blended, residual[..., None]).squeeze(-1)
 
 
-def _targets(lack: Float64[Tensor, "n m"], bound: float, max_targets: int) -> Float64[Tensor, "targets m"]:
+def _targets(residual: Float64[Tensor, "n m"], bound: float, max_targets: int) -> Float64[Tensor, "targets m"]:
     """Orthonormal rows; as few as leave no vertex of any frame off by more than the bound."""
-    left = lack.clone()
+    left = residual.clone()
     if not max_targets or float(_norms(left).max()) <= bound:
-        return lack[:0]
-    _, _, directions = torch.linalg.svd(lack, full_matrices=False)
+        return residual[:0]
+    _, _, directions = torch.linalg.svd(residual, full_matrices=False)
     for count, direction in enumerate(directions[:max_targets], start=1):
         left -= (left @ direction)[:, None] * direction
         if float(_norms(left).max()) <= bound:

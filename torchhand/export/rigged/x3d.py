@@ -45,7 +45,7 @@ def write_x3d(clip: MotionClip, path: str | Path, *, skin: X3DSkin = "weights") 
     for name, content in (("title", f"{clip.name}.x3d"), ("generator", f"torchhand {__version__}")):
         ElementTree.SubElement(head, "meta", {"name": name, "content": content})
     scene = ElementTree.SubElement(root, "Scene")
-    _look(scene, upright)
+    _viewpoint(scene, upright)
     names = hanim_joints(clip.side)
     humanoid = _add(scene, "HAnimHumanoid", "humanoid", {"name": clip.name, "version": "2.0"})
     base = _add(humanoid, "HAnimJoint", "humanoid_root", {"name": "humanoid_root", "containerField": "skeleton"})
@@ -69,7 +69,7 @@ def write_x3d(clip: MotionClip, path: str | Path, *, skin: X3DSkin = "weights") 
     write_text(Path(path), _HEADER + ElementTree.tostring(root, encoding="unicode") + "\n")
 
 
-def _look(scene: ElementTree.Element, clip: MotionClip) -> None:
+def _viewpoint(scene: ElementTree.Element, clip: MotionClip) -> None:
     """A viewpoint that sees the whole motion, and navigation around it."""
     points = clip.frames.keypoints.flatten(0, 1)
     low, high = points.amin(0), points.amax(0)

@@ -57,7 +57,7 @@ class CoverageObservation:
             normals=matched.normals,
             weight=worth * precision / count * is_hand * self.vertices.rigidity[matched.match],
             robust=RobustLoss(kind="geman_mcclure", scale=stage.gross_m),
-            told=Explained(
+            explanation=Explained(
                 name=NAME,
                 view=None,
                 fraction=((distance <= s.near_m) * is_hand).sum(-1) / count[:, 0],
@@ -131,7 +131,7 @@ class CoverageFactor:
     weight: Float[Tensor, "k data"]
     """Inverse variances, m⁻²."""
     robust: RobustLoss
-    told: Explained
+    explanation: Explained
 
     def equations(self, hands: PosedHands) -> Equations:
         """Normal equations in the DOFs, and in the shape where it is unknown."""
@@ -159,9 +159,9 @@ class CoverageFactor:
             vertices=self.vertices.rows(rows),
             normals=self.normals[rows],
             weight=self.weight[rows],
-            told=self.told.rows(rows),
+            explanation=self.explanation.rows(rows),
         )
 
     def explained(self) -> tuple[Explained, ...]:
         """Share of the edges (or of the surface) with skin nearby, and their mean distance from it."""
-        return (self.told,)
+        return (self.explanation,)

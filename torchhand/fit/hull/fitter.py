@@ -54,19 +54,19 @@ class HullFitter:
             CoverageObservation(target=target, vertices=self.vertices),
         )
 
-    def problem(self, target: HullTarget, *beliefs: Observation) -> Problem:
-        """The problem of poses in a hull. beliefs: further priors, such as a prediction."""
+    def problem(self, target: HullTarget, *priors: Observation) -> Problem:
+        """The problem of poses in a hull. priors: further ones than the joints', such as a prediction."""
         return Problem(
             space=self.space,
             skeleton=self.hand.kinematics.skeleton,
             shape=self.vertices.skin.shape.to(self.space.basis),
             observations=self.observations(target),
-            priors=(*self.joints.factors, *beliefs),
+            priors=(*self.joints.factors, *priors),
         )
 
-    def __call__(self, target: HullTarget, starts: HandPose, *beliefs: Observation) -> Solutions:
+    def __call__(self, target: HullTarget, starts: HandPose, *priors: Observation) -> Solutions:
         """Every hypothesis from its own start, as `solve`."""
-        return solve(self.problem(target, *beliefs), starts, self.schedule, at_once=_AT_ONCE)
+        return solve(self.problem(target, *priors), starts, self.schedule, at_once=_AT_ONCE)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -53,7 +53,7 @@ class InsideObservation:
             weight=s.inside_weight * precision * area * own.rigidity[index],
             robust=RobustLoss(kind="huber", scale=s.inside_gross * precision**-0.5),
             slack_m=s.slack_m,
-            told=Explained(
+            explanation=Explained(
                 name=NAME,
                 view=None,
                 fraction=((beyond <= s.near_m) * own.area_fraction).sum(-1),
@@ -77,7 +77,7 @@ class InsideFactor:
     """Inverse variances, m⁻²."""
     robust: RobustLoss
     slack_m: float
-    told: Explained
+    explanation: Explained
 
     def equations(self, hands: PosedHands) -> Equations:
         """Normal equations in the DOFs, and in the shape where it is unknown."""
@@ -101,8 +101,8 @@ class InsideFactor:
 
     def rows(self, rows: Int[Tensor, "n"]) -> "InsideFactor":
         """The rows of some of the hands."""
-        return replace(self, told=self.told.rows(rows))
+        return replace(self, explanation=self.explanation.rows(rows))
 
     def explained(self) -> tuple[Explained, ...]:
         """Share of the skin's area near the hull or inside, mean distance outside it, and share inside."""
-        return (self.told,)
+        return (self.explanation,)

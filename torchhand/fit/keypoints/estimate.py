@@ -130,13 +130,13 @@ class KeypointEstimator:
     def _problem(self, shape: Tensor, detector: Detector) -> Problem:
         """The problem of all frames, with what they share frozen."""
         fraction = self._prior_fraction()
-        is_believed = not self.posture.is_empty and bool(fraction.any())
+        has_prior = not self.posture.is_empty and bool(fraction.any())
         return Problem(
             space=self.space,
             skeleton=self._kinematics.skeleton,
             shape=shape,
             observations=(replace(self.observed, detector=detector),),
-            priors=(NaturalPrior(posture=self.posture, fraction=fraction),) if is_believed else (),
+            priors=(NaturalPrior(posture=self.posture, fraction=fraction),) if has_prior else (),
         )
 
     def _unknowns(self, detector: Detector) -> SharedUnknowns | None:
@@ -148,7 +148,7 @@ class KeypointEstimator:
         lower, upper = _box(population)
         scale, offsets = extra.split([int(detector.has_unknown_scale), len(extra) - int(detector.has_unknown_scale)])
         std = (torch.full_like(scale, _LOG_SCALE_STD), torch.full_like(offsets, self.settings.offset_std))
-        told = moving_parameters(self._kinematics)
+        moving = moving_parameters(self._kinematics)
         return SharedUnknowns(
             columns=self.columns,
             prior=PopulationPrior(population=population),
@@ -158,7 +158,7 @@ class KeypointEstimator:
             extra_mean=torch.cat((scale, torch.zeros_like(offsets))),
             extra_std=torch.cat(std),
             population=population,
-            pliable=tuple(i for i in range(len(space.names)) if i not in told),
+            pliable=tuple(i for i in range(len(space.names)) if i not in moving),
         )
 
     def _sized(self, shape: Tensor, size: float) -> Tensor:

@@ -41,10 +41,10 @@ def fit_bones(
     angles = _start(joint, axes, is_used)
     for _ in range(_STEPS):
         turned, columns = _turn(axes, angles)
-        lack = vector_from_rotation(joint @ turned.mT)
+        residual = vector_from_rotation(joint @ turned.mT)
         columns = columns * is_used[:, None, :]
         normal = columns.mT @ columns + torch.diag_embed((~is_used).double() + _DAMPING)
-        step = torch.linalg.solve(normal, (columns.mT @ lack[..., None]).squeeze(-1))
+        step = torch.linalg.solve(normal, (columns.mT @ residual[..., None]).squeeze(-1))
         angles = angles + step
         if not step.numel() or float(step.abs().max()) < _ENOUGH:
             break

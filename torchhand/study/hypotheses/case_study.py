@@ -151,9 +151,9 @@ class CaseStudy:
         change = change.to(self.device).clamp(*free_bounds(self.space, self.kinematics.skeleton))
         starts = self._hands(change)
         found = self._registered(starts, starts if s.has_start_prior else None)
-        return self._told(batch, own_seed, level, change, found)
+        return self._recorded(batch, own_seed, level, change, found)
 
-    def _told(
+    def _recorded(
         self, batch: StudyBatch, seed: int, level: Tensor, change: Float[Tensor, "starts free"], found: Solutions
     ) -> Hypotheses:
         """A row of the record for every start."""
