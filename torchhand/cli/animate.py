@@ -34,7 +34,7 @@ class Arguments:
     """
 
     text: Annotated[Positional[str], arg(metavar="TEXT")]
-    """What to spell."""
+    """Text to spell."""
     to: Annotated[Path, arg(metavar="FILE")]
     """File to write."""
     format: FormatName | None = None
@@ -46,11 +46,11 @@ class Arguments:
     fps: float = 25.0
     """Frames per second."""
     seconds: float = 1.0
-    """From one sign to the next; ways around collisions and traced letters take longer."""
+    """Time from one sign to the next; ways around collisions and traced letters take longer."""
     size: str = "640x480"
-    """Of the video, WIDTHxHEIGHT in px."""
+    """Size of the video, WIDTHxHEIGHT in px."""
     options: OmitArgPrefixes[ExportOptions] = ExportOptions()  # noqa: RUF009 - frozen
-    """What only some export formats ask."""
+    """Options that only some export formats ask."""
     overwrite: bool = False
     """Replace a file that exists."""
 

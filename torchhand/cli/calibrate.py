@@ -73,13 +73,14 @@ class Arguments:
     distortion: Literal[0, 4, 5, 8] = 5
     """Number of lens distortion coefficients, in OpenCV's order."""
     offset: Annotated[tuple[str, ...], arg(metavar="NAME=FRAMES")] = ()
-    """For cameras that do not start together: this camera's picture number FRAMES belongs to number 0 of the others."""
+    """Offset of cameras that do not start together: this camera's picture number FRAMES belongs to number 0 of the
+    others."""
     every: Annotated[int | None, arg(metavar="N")] = None
     """Search every Nth frame only; for videos chosen so that about 60 are searched, if not given."""
     world: Literal["camera", "board"] = "camera"
     """Frame of the result: the first camera's, or the board's in one picture (x along rows, y down, z into it)."""
     world_picture: Annotated[int | None, arg(metavar="N")] = None
-    """Which picture, counted from 0, with --world board; the first at which the board was seen if not given."""
+    """Number of the picture, counted from 0, with --world board; the first at which the board was seen if not given."""
     max_rms: Annotated[float, arg(metavar="PX")] = 1.0
     """Largest reprojection error of a good calibration."""
     force: bool = False

@@ -47,7 +47,7 @@ class Arguments:
     truth: Annotated[Positional[Path], arg(metavar="TRUTH")]
     """Folder with truth.npz (keypoints3d, keypoints2d, flexion_deg; any may be missing) and masks/, or the file."""
     out: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Where the figures go; DIR/evaluation.json if not given."""
+    """File for the figures; DIR/evaluation.json if not given."""
 
 
 @command

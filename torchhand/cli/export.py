@@ -46,9 +46,9 @@ class Arguments:
     hand: Annotated[Path | None, arg(metavar="FILE")] = None
     """Another hand.json than the one beside the track."""
     up: Literal["y", "-y", "z", "-z"] = "-y"
-    """Which axis of the track's frame points up: -y for one camera, that of the rig's world for several."""
+    """Axis of the track's frame that points up: -y for one camera, that of the rig's world for several."""
     options: OmitArgPrefixes[ExportOptions] = ExportOptions()  # noqa: RUF009 - frozen
-    """What only some formats ask."""
+    """Options that only some formats ask."""
     overwrite: bool = False
     """Replace files that exist."""
 

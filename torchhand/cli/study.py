@@ -84,7 +84,7 @@ class Arguments:
     batch: Annotated[int | None, arg(metavar="N")] = None
     """Starts that are worked on together; 128 if not given."""
     surface: SurfaceName | None = None
-    """Whose contours are registered (and drawn, of simulated pictures); primitives if not given."""
+    """Surface whose contours are registered (and drawn, of simulated pictures); primitives if not given."""
     method: Literal["levenberg_marquardt", "gauss_newton", "gradient_descent"] | None = None
     """Optimiser of every stage; levenberg_marquardt if not given. Gauss-Newton takes one step per association whatever
     --iterations says, gradient descent ten times the iterations."""
@@ -114,7 +114,7 @@ class Arguments:
     """Batches that are worked on side by side, on a core each; as many as there are cores, at most 4, if not given. The
     results do not depend on it."""
     device: str = "cpu"
-    """Where to compute: cpu, or cuda."""
+    """Device to compute on: cpu, or cuda."""
     resume: bool = False
     """Go on with an interrupted study."""
     overwrite: bool = False

@@ -20,7 +20,7 @@ class Camera:
     intrinsics: Float[Tensor, "*batch 3 3"]
     """K in pixels; of an orthographic camera its diagonal holds pixels per metre."""
     rotation: Float[Tensor, "*batch 3 3"]
-    """cam_from_world."""
+    """Rotation cam_from_world."""
     translation: Float[Tensor, "*batch 3"]
     """cam_from_world, metres."""
     distortion: Float[Tensor, "*batch k"]

@@ -106,7 +106,7 @@ class RayHits:
     near: Float[Tensor, "*batch"]
     """Depth of the nearer meeting point that is in front and not clipped away; infinite where there is none."""
     far: Float[Tensor, "*batch"]
-    """Depth of the farther such point; infinite where there is none."""
+    """Depth of the farther meeting point; infinite where there is none."""
     is_hit: Bool[Tensor, "*batch"]
 
 

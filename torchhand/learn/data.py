@@ -84,7 +84,7 @@ class Samples:
     keypoints: Float[Tensor, "hands 21 3"]
     """Truth: metres, camera frame."""
     joints: Float[Tensor, "hands 30"]
-    """Truth: radians."""
+    """True joint angles, radians."""
 
     def part(self, rows: slice) -> "Samples":
         """Some of them."""

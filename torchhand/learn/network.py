@@ -23,7 +23,7 @@ class HandEstimate:
     pose: Float[Tensor, "*batch 36"]
     """Metres and radians; the rotation vector of the root is zero."""
     root_reference: Float[Tensor, "*batch 3 3"]
-    """cam_from_hand"""
+    """Rotation cam_from_hand."""
     shape: Float[Tensor, "*batch shape"]
     keypoints: Float[Tensor, "*batch 21 3"]
     """Keypoints in metres, camera frame."""

@@ -24,7 +24,7 @@ class LossWeights:
     keypoints: float = 1.0
     """Distance of the keypoints relative to the wrist, cm."""
     reprojection: float = 1.0
-    """Distance in the picture, shares of the hand's size there."""
+    """Weight of distances in the picture, as fractions of the hand's size there."""
     distance: float = 1.0
     """Logarithm of the ratio of the wrists' depths."""
     joints: float = 1.0
@@ -82,7 +82,7 @@ class Training:
     network: PoseNetwork
     optimiser: torch.optim.Adam
     step: int
-    """Steps done."""
+    """Number of steps done."""
     loss: float
     """Mean over the steps since it was last read."""
 

@@ -30,7 +30,7 @@ class RecordedFrame:
     time_s: float
     views: tuple[View, ...]
     problems: tuple[str | None, ...]
-    """One line for every view whose picture is missing or unreadable."""
+    """Problems, one line for every view whose picture is missing or unreadable."""
 
 
 @runtime_checkable

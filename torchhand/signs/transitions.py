@@ -30,7 +30,7 @@ class Recipe:
     leaving: Stage | None
     """Digits that have opened at the first via-pose; the rest is still as in the first sign."""
     middle: bool
-    """Whether there is a via-pose with all of it open."""
+    """Whether the way has a via-pose in which all moving digits are open."""
     arriving: Stage | None
     """Digits that are still open at the last via-pose; the rest is as in the second sign already."""
     thumb: int = 0

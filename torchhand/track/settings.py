@@ -41,7 +41,7 @@ class TrackerSettings:
     colours: ColourUpdateSettings = field(default_factory=ColourUpdateSettings)
     health: HealthSettings = field(default_factory=HealthSettings)
     keypoints: KeypointSettings = field(default_factory=KeypointSettings)
-    """How far detected keypoints are believed, where there are any."""
+    """Noise, correlation and smallest score of detected keypoints, where a detector gives some."""
     fit: FitSettings = field(default_factory=FitSettings)
     """Settings of the fit to the picture in which a hand is found."""
     search_overlap: float = 0.80
@@ -53,7 +53,7 @@ class TrackerSettings:
     check_side_px: int = 320
     """Longer side of the reduced pictures in which silhouettes are compared; 64 or more."""
     nominal_dt_s: float = 1 / 30
-    """Time from the frame before, where there is none; above 0."""
+    """Time step that is assumed at the first frame; above 0."""
 
     def __post_init__(self) -> None:
         require(self.pose_space in POSE_SPACES, "pose_space", f"one of {', '.join(POSE_SPACES)}", self.pose_space)

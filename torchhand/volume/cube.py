@@ -22,9 +22,9 @@ class RootCube:
     """An axis-aligned cube in the world frame."""
 
     centre: tuple[float, float, float]
-    """metres"""
+    """Centre of the cube, metres."""
     side: float
-    """metres"""
+    """Side of the cube, metres."""
 
     def __post_init__(self) -> None:
         if not 0 < self.side < float("inf"):

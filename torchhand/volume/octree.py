@@ -39,7 +39,7 @@ class Leaves:
     centres: Float[Tensor, "leaves 3"]
     """Centres in the world frame, metres."""
     sides: Float[Tensor, "leaves"]
-    """metres"""
+    """Sides of the octants, metres."""
     states: UInt8[Tensor, "leaves"]
     frames: Int[Tensor, "leaves"]
 

@@ -31,7 +31,7 @@ class Actor:
     shape: Float[Tensor, "shape"]
     side: Side
     hand: Hand | None
-    """With its skin, where that is drawn."""
+    """Hand with its skin, where that is drawn."""
     model: HandModel
 
 

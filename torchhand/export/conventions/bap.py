@@ -56,7 +56,7 @@ class BapMotion:
     """What a BAP file holds."""
 
     version: str
-    """3.1 or 3.2"""
+    """Version of the file, 3.1 or 3.2."""
     name: str
     fps: float
     declared: str | None

@@ -28,7 +28,7 @@ class LinearSkin:
     vertices: Float64[Tensor, "vertices 3"]
     """Vertices at the bind pose, hand frame, metres."""
     bind: HandFrames
-    """The bones there."""
+    """The bones at the bind pose."""
     weights: Float64[Tensor, "vertices 20"]
     targets: Float64[Tensor, "targets vertices 3"]
     target_weights: Float64[Tensor, "frames targets"]

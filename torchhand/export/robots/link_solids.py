@@ -31,7 +31,7 @@ class LinkSolid:
     faces: Int[np.ndarray, "faces 3"]
     """Counter-clockwise seen from outside; every edge has two faces."""
     mass: float
-    """kg"""
+    """Mass, kg."""
     centre: Float64[np.ndarray, "3"]
     """Centre of mass, metres."""
     inertia: Float64[np.ndarray, "3 3"]

@@ -35,7 +35,7 @@ class TrackHeader:
     source: str
     """The input as the user named it."""
     side: str
-    """left or right"""
+    """Side of the hand: left or right."""
     camera: Mapping[str, Any]
     """Identity of the camera: name, size, numbers, whether it was assumed. Values that JSON knows."""
     units: str = UNITS
@@ -64,7 +64,7 @@ class FrameRecord:
     keypoints2d: Float[np.ndarray, "21 2"] | None
     """Keypoints in the picture, px; None for several cameras."""
     keypoints3d_cov: Float[np.ndarray, "21 3 3"]
-    """m²"""
+    """Covariances of the keypoints in space, m²."""
     seconds: float
     """Compute time of the frame."""
     measures: Mapping[str, float] = field(default_factory=dict)

@@ -27,7 +27,7 @@ class RigFrame:
     images: tuple[UInt8[Tensor, "_height _width 3"] | None, ...]
     """Pictures, RGB; None where a view is missing, unreadable, of another size, black or frozen."""
     problems: tuple[str | None, ...]
-    """One line for every picture that is None."""
+    """Problems, one line for every picture that is None."""
     masks: tuple[Bool[Tensor, "_height _width"] | None, ...] | None = None
     """The given silhouettes, None where one is missing; None where none were asked for."""
 

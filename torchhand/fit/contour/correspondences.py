@@ -28,7 +28,7 @@ class Correspondences:
     match: Int[Tensor, "hands 2 boundary"]
     """The model point of every point of the picture's boundary, twice; any where there is none."""
     is_matched: Float[Tensor, "hands boundary"]
-    """1, or 0 where there is none."""
+    """Whether the point has a match: 1, or 0 where it has none."""
     pair_normal: Float[Tensor, "hands 2 boundary"]
     """Normal of the match; 0 without one."""
     pair_offset: Float[Tensor, "hands boundary"]

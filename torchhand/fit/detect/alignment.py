@@ -43,7 +43,7 @@ class Alignment:
     pose: Float[Tensor, "36"]
     """Metres and radians, camera frame, with a zero rotation vector."""
     root_reference: Float[Tensor, "3 3"]
-    """cam_from_hand"""
+    """Rotation cam_from_hand."""
     facing: str
     """Side that the camera sees: palm or back."""
     cost: float

@@ -69,7 +69,7 @@ class Fit:
     pose: Float[Tensor, "36"]
     """Metres and radians, with a zero rotation vector: the root's orientation is in root_reference."""
     root_reference: Float[Tensor, "3 3"]
-    """cam_from_hand"""
+    """Rotation cam_from_hand."""
     shape: Float[Tensor, "shape"]
     pose_std: Float[Tensor, "36"]
     """0 for DOFs that are held, and for those that lie at their limit."""

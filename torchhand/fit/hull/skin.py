@@ -43,7 +43,7 @@ class PosedBones:
     """The bones of a batch of hands, and what their angles make of the skin's correctives."""
 
     rotation: Float[Tensor, "hands 20 3 3"]
-    """world_from_bone"""
+    """Rotations world_from_bone."""
     position: Float[Tensor, "hands 20 3"]
     """Origins in the world, metres."""
     turns: Float[Tensor, "hands 33 3"]
@@ -66,7 +66,7 @@ class SkinMotion:
     turns: Float[Tensor, "hands 33 3"]
     """Axes of the rotation vector's columns, then of the angles."""
     bones: Int[Tensor, "33"]
-    """Bone that each of them turns."""
+    """Bone that each column of `turns` turns."""
     bends: Float[Tensor, "hands c 3 points"]
     """Derivatives of the correctives in their angles."""
     bend_rows: Int[Tensor, "c"]

@@ -37,7 +37,7 @@ class HullTarget:
     points: Float[Tensor, "hull 3"]
     """Points on the hull's surface, metres; none where there is no hull."""
     normals: Float[Tensor, "hull 3"]
-    """Outward, unit."""
+    """Outward unit normals at the points."""
     inner: Float[Tensor, "inner 3"]
     """Grid points inside, metres."""
     depth: Float[Tensor, "inner"]

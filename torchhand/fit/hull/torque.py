@@ -31,7 +31,7 @@ class HullTorqueFit:
     converged: Bool[Tensor, "*hypotheses"]
     """Whether the share of vertices outside fell below its threshold."""
     iterations: Int[Tensor, "*hypotheses"]
-    """Steps taken."""
+    """Number of steps taken."""
     inside_fraction: Float[Tensor, "*hypotheses steps"]
     """Share of the vertices inside, at the start and after every step (the rate of convergence of figure 14)."""
     poses: HandPose

@@ -21,7 +21,7 @@ class SkinVertices:
     index: Int[Tensor, "points"]
     """Vertices that must be inside."""
     area_fraction: Float[Tensor, "points"]
-    """Share of the skin's area that each of these stands for."""
+    """Fraction of the skin's area that each of the chosen vertices stands for."""
     rigidity: Float[Tensor, "vertices"]
     """Weight of each vertex of the whole skin, by `HullSettings.rigidity_exponent`."""
 

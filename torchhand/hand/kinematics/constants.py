@@ -43,7 +43,7 @@ class ChainConstants:
     keypoint_points: Int[Tensor, "21"]
     """The points that are keypoints."""
     point_keypoints: Int[Tensor, "25"]
-    """The keypoint at each point; 21 where there is none."""
+    """Keypoint at each point; 21 where the point has none."""
     lever_ends: Int[Tensor, "24"]
     """The point at the end of every lever."""
 

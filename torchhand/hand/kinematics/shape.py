@@ -24,7 +24,7 @@ class ShapeSpace:
 
     names: tuple[str, ...]
     units: tuple[str, ...]
-    """m, /HL or /HB"""
+    """Units of the parameters: m, /HL or /HB."""
     default: Float[Tensor, "shape"]
     lower: Float[Tensor, "shape"]
     upper: Float[Tensor, "shape"]

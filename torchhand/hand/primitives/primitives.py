@@ -86,11 +86,11 @@ class Implicit:
     """Q = [[A, b], [bᵀ, c]] and the clips of placed primitives, in parts; the batch stands last."""
 
     upper: Float[Tensor, "37 3 3 n"]
-    """A"""
+    """A of the quadric [[A, b], [bᵀ, c]]."""
     edge: Float[Tensor, "37 3 n"]
-    """b"""
+    """b of the quadric [[A, b], [bᵀ, c]]."""
     corner: Float[Tensor, "37 n"]
-    """c"""
+    """c of the quadric [[A, b], [bᵀ, c]]."""
     axis: Float[Tensor, "37 3 n"]
     """A point X is kept where low <= axis·X <= high."""
     low: Float[Tensor, "37 n"]

@@ -24,7 +24,7 @@ class HandMesh:
     skin_bones: Int[Tensor, "vertices 4"]
     """Bones that carry each vertex, index into BONES."""
     skin_weights: Float[Tensor, "vertices 4"]
-    """Share of each of them; they sum to one."""
+    """Weights of each vertex's bones, which sum to one."""
     bind_pose: Float[Tensor, "36"]
     """Pose in which the vertices are given; root at the origin."""
     corrective_dofs: tuple[int, ...]

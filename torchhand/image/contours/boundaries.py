@@ -20,7 +20,7 @@ class Boundary:
 
     points_px: Float[Tensor, "points 2"]
     normals: Float[Tensor, "points 2"]
-    """Unit, outward."""
+    """Outward unit normals."""
 
 
 def boundary_points(

@@ -58,7 +58,8 @@ class EdgeSearch:
     """+1 the inside is brighter, -1 the outside is."""
     found: Bool[Tensor, "*batch points"]
     candidates: Int[Tensor, "*batch points"]
-    """Number of rivals, the chosen one included; above 1 there is clutter and the measurement deserves less trust."""
+    """Number of candidate edges, the chosen one included; above 1 there is clutter and the measurement deserves less
+    trust."""
 
 
 def search_edges(

@@ -23,7 +23,7 @@ class FingerProfile:
     along: Float[np.ndarray, "samples"]
     """Distances from the tip, towards the base, of the cross-sections."""
     width: Float[np.ndarray, "samples"]
-    """Widths there; NaN where a side does not end within reach."""
+    """Widths at the steps along the axis; NaN where a side does not end within reach."""
     straightness: float
     """Root mean square distance of the middles of the cross-sections from the axis, over the median width."""
 

@@ -14,7 +14,7 @@ class BackgroundPlate:
     """The scene without a hand."""
 
     colour: UInt8[Tensor, "height width 3"]
-    """Median picture."""
+    """Median picture of the empty scene."""
     noise: Float[Tensor, "height width 3"]
     """Standard deviation per pixel and channel, 8-bit levels."""
 

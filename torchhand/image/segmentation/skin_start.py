@@ -54,7 +54,7 @@ class SkinStart:
     separability: float
     """Distance of the mean (Cr, Cb) of skin and of the rest over the sum of their root mean square spreads."""
     contrast: float
-    """Distance of these means in 8-bit levels."""
+    """Distance of the means of both parts in 8-bit levels."""
     chroma: tuple[float, float]
     """Mean (Cr, Cb) of the piece."""
     area_fraction: float

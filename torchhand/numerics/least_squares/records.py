@@ -59,7 +59,7 @@ class NormalEquations:
     gradient: Float[Tensor, "*batch n"]
     """Jᵀr; must be the exact derivative of the cost."""
     cost: Float[Tensor, "*batch"]
-    """½ rᵀr"""
+    """Cost ½ rᵀr."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +69,7 @@ class LeastSquares:
     values: Float[Tensor, "*batch n"]
     """The best found, within the bounds."""
     cost: Float[Tensor, "*batch"]
-    """Half the sum of squares (or the robust loss) there."""
+    """Half the sum of squares (or the robust loss) at the values."""
     status: Int[Tensor, "*batch"]
     """Numbers of `Status`."""
     iterations: Int[Tensor, "*batch"]

@@ -26,7 +26,7 @@ class PosedBelief:
     pose_std: Float[Tensor, "36"]
     """0 for DOFs that are held; those of the root's rotation are of a small turn in the world's axes."""
     root_rotation: Float[Tensor, "3 3"]
-    """world_from_hand"""
+    """Rotation world_from_hand."""
     keypoints: Float[Tensor, "21 3"]
     """Keypoints, metres."""
     keypoints_cov: Float[Tensor, "21 3 3"]

@@ -45,7 +45,7 @@ class TrackerState:
     usual_score: float = 0.0
     """How much of the pictures the frames before were explained, 0 to 1; 0 before there is one."""
     best_score: float = 0.0
-    """Best of these scores, which is forgotten slowly."""
+    """Best score of the frames before, which is forgotten slowly."""
     frames_since_search: int = 0
     search_after: int = 0
     """Frames after which a search without any guess is due."""

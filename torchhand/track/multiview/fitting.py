@@ -54,7 +54,7 @@ class HullFit:
     covered_fraction: float
     """Fraction of the silhouettes' edges that the skin explains."""
     is_good: bool
-    """Whether a hand is there as fitted."""
+    """Whether the fit is good enough for a hand and not for something else."""
     overlaps: Float[Tensor, "views"]
     """Intersection over union in every view, NaN where one is missing."""
 

@@ -31,7 +31,7 @@ class Hull:
     views: tuple[int, ...]
     """Views from which the hull was carved."""
     reason: str = ""
-    """Why there is no hull."""
+    """Why the silhouettes have no hull."""
 
 
 @dataclass(frozen=True, kw_only=True)

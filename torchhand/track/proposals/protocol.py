@@ -35,7 +35,7 @@ class Proposals:
     reason: str = ""
     """Why no hand is proposed."""
     has_foreground: bool = False
-    """Whether something that may be a hand was there all the same."""
+    """Whether the scene shows something that may be a hand."""
 
 
 Occasion = Literal["always", "declining", "degraded", "search"]

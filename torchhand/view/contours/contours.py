@@ -46,7 +46,7 @@ class VisibleContour:
 
     points_px: Float[Tensor, "hands points 2"]
     normals: Float[Tensor, "hands points 2"]
-    """Unit, outward."""
+    """Outward unit normals."""
     outer: Bool[Tensor, "hands points"]
     """Visible, with background beyond."""
     inner: Bool[Tensor, "hands points"]

@@ -31,11 +31,11 @@ class Quadrics:
     """Q = [[A, b], [bᵀ, c]] of the parts of some hands in the camera's frame, and where each is cut off."""
 
     upper: Float[Tensor, "hands 37 3 3"]
-    """A"""
+    """A of the quadrics [[A, b], [bᵀ, c]]."""
     edge: Float[Tensor, "hands 37 3"]
-    """b"""
+    """b of the quadrics [[A, b], [bᵀ, c]]."""
     corner: Float[Tensor, "hands 37"]
-    """c"""
+    """c of the quadrics [[A, b], [bᵀ, c]]."""
     axis: Float[Tensor, "hands 37 3"]
     """A point X is kept where low <= axis · X <= high."""
     low: Float[Tensor, "hands 37"]
