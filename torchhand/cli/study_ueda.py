@@ -38,7 +38,7 @@ WORD = "ueda"
 """The word after `torchhand study` that asks for this study."""
 
 _MAX_CAMERAS = 8
-_TABLE_LEVEL = 7  # the paper's
+_TABLE_LEVEL = 7  # that of the table in Ueda et al. (2003)
 _REPEATS = 5
 
 
@@ -72,7 +72,7 @@ class Arguments:
     iterations: int = 20
     """Steps of the fit by torques."""
     rig: Annotated[str, arg(metavar="NAME|FILE")] = "frame"
-    """Cameras of the simulated index, as of `torchhand simulate --rig`; frame3 are those of the paper's simulator."""
+    """Cameras of the simulated index, as of `torchhand simulate --rig`; frame3 are those of Ueda et al. (2003)."""
     people: int = 6
     """Random people that the ways of fitting are compared on; 0 leaves the comparison away."""
     cameras: Annotated[str, arg(metavar="N,N-N")] = "1-8"

@@ -136,7 +136,7 @@ def start_at_points(
     fit_shape: bool = True,
     settings: FitSettings | None = None,
 ) -> Start | NoStart:
-    """Starts from the wrist and the middle fingertip that the user gives: the paper's start by hand.
+    """Starts from the wrist and the middle fingertip that the user gives, as Stenger et al. (2001) start by hand.
 
     The colours of the palm so placed, against those around the hand, give a silhouette to fit; then those of the fitted
     hand give a better one. The better of palm and back is taken. The user is believed: there is no start only where no

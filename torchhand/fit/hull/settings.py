@@ -108,9 +108,9 @@ class HullTorqueSettings:
     """Step to which Δα shrinks, as it is halved where an angle's torque turns round; above 0, `step_deg` keeps it as
     printed."""
     steps: TorqueSteps = "largest"
-    """Angles that take the step, which the paper leaves open (see `fit_by_torques`). largest: in each digit the angle
-    of the largest torque. proportional: the largest of all takes the whole Δα, others their share of it. equal: every
-    angle with a torque takes the whole Δα. The root's coordinates move in any case."""
+    """Angles that take the step, which Ueda et al. (2003) leave open (see `fit_by_torques`). largest: in each digit the
+    angle of the largest torque. proportional: the largest of all takes the whole Δα, others their share of it. equal:
+    every angle with a torque takes the whole Δα. The root's coordinates move in any case."""
     root_step_mm: float = 1.0
     """Distance by which the root follows its force in one step, where it is free; above 0."""
     outside_fraction: float = 0.002

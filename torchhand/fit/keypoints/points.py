@@ -17,7 +17,7 @@ _POINTS = len(KEYPOINTS)
 
 @dataclass(frozen=True, kw_only=True)
 class KeypointSettings:
-    """How far detected points are believed, where nothing better is known of the detector."""
+    """Noise of detected points, where nothing better is known of the detector."""
 
     std_m: float = 0.008
     """Standard deviation of a point in a picture, metres at the hand; above 0."""
@@ -27,7 +27,7 @@ class KeypointSettings:
     gross: float = 3.0
     """Standard deviations beyond which a point counts for less (Geman and McClure); above 0."""
     correlation: float = 0.7
-    """Share of a point's variance that it has in common with the others: what all points together are worth is that
+    """Fraction of a point's variance that it has in common with the others: what all points together are worth is that
     much less. 0 or more, below 1."""
     min_score: float = 0.3
     """Smallest score of a detector's hand that is taken at all; 0 to 1."""

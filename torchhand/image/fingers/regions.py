@@ -201,8 +201,8 @@ def _digit(i: int, profile: FingerProfile, piece: FingerPiece, webs: np.ndarray)
 def _wrist(
     mask: Tensor, digits: tuple[Digit, ...], plan_wrist: np.ndarray, plan_axis: np.ndarray, length: float
 ) -> np.ndarray:
-    """The paper's crossings of the four finger axes with the hand's inertia axis, held near the wrist of the plan,
-    which alone decides where axes are too parallel to cross."""
+    """Crossings (Ouhaddi and Horain 1998) of the four finger axes with the hand's inertia axis, held near the wrist of
+    the plan, which alone decides where axes are too parallel to cross."""
     height, width = mask.shape
     y, x = np.mgrid[:height, :width]
     above = (x - plan_wrist[0]) * plan_axis[0] + (y - plan_wrist[1]) * plan_axis[1] > 0

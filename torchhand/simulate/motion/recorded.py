@@ -59,7 +59,7 @@ def read_glove(path: str | Path) -> GloveRecording:
     """A text file of rows of 7 time columns and 23 angles, separated by blanks.
 
     Raises InputError naming the file and the row: missing, not a number, too few columns, time that runs backwards, or
-    fewer than two moments.
+    fewer than two samples.
     """
     path = Path(path)
     try:

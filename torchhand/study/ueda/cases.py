@@ -75,7 +75,7 @@ class BentCase:
 
 
 def fingers() -> tuple[str, ...]:
-    """Names of the joint angles of the paper's 31-DOF hand."""
+    """Names of the joint angles of the 31-DOF hand of Ueda et al. (2003)."""
     return tuple(name for name in named_pose_space(SPACE).free_names if not name.startswith("root"))
 
 
@@ -106,7 +106,7 @@ def own_bent(model: HandModel, cameras: Sequence[Camera], angle_deg: float, seed
 
 
 def root_at(cameras: Sequence[Camera]) -> RootCube:
-    """The paper's cube, where the cameras look."""
+    """The cube of Ueda et al. (2003), where the cameras look."""
     x, y, z = meeting_point(cameras).tolist() if len(cameras) > 1 else (0.0, 0.0, 0.0)
     return RootCube(centre=(x, y, z), side=ROOT_SIDE)
 

@@ -18,7 +18,7 @@ from torchhand.files.disk import write_text
 from torchhand.study.ueda.stages import PAPER_MS, STAGES
 
 DEFAULT_STEPS = "largest"
-"""Reading of the paper's step that the figures show."""
+"""Reading of the step of Ueda et al. (2003) that the figures show."""
 SOURCES = {"own": "own simulator", "data": "another maker's hand"}
 
 _CURVES = ("error_deg", "inside_fraction", "within_fraction")

@@ -15,8 +15,8 @@ from torchhand.volume import Carver, CarvingSettings, hull_field
 STAGES = ("silhouettes", "octree", "field", "fit by torques", "fit by LM")
 """The last two are alternatives: either makes a frame whole."""
 PAPER_MS = {"silhouettes": 130.0, "octree": 70.0, "fit by torques": 300.0}
-"""What the paper prints for four cameras and level 7 on two Pentium III of 1 GHz: image capture, construction of the
-voxel model, pose estimation."""
+"""What Ueda et al. (2003) print for four cameras and level 7 on two Pentium III of 1 GHz: image capture, construction
+of the voxel model, pose estimation."""
 
 
 def stage_times(

@@ -1,8 +1,8 @@
 """The extended update (Ouhaddi and Horain 1998, section 7): registration on distance maps, steadied by a filter.
 
 Every scene is registered from the filter's prediction and from the last pose; the better one's limb segments are what
-the filter observes (section 7.5). What the paper announces is here too: flexion and self-occlusion, noise that is
-learned, more starts where the prediction was far off; and several cameras, whose contours and segments are stacked.
+the filter observes (section 7.5). What Ouhaddi and Horain announce is here too: flexion and self-occlusion, noise that
+is learned, more starts where the prediction was far off; and several cameras, whose contours and segments are stacked.
 """
 
 from collections.abc import Sequence

@@ -15,9 +15,10 @@ from torchhand.track.multiview.settings import HullOctreeSettings
 from torchhand.track.scene import Masks
 
 _BALL = 0.030
-"""Metres: radius of the largest ball in the hull of a fist or a relaxed hand."""
+"""Radius, metres, of the largest ball in the hull of a fist or a relaxed hand."""
 _SCALES = (0.6, 0.72, 0.86, 1.0, 1.17, 1.35)
-"""Tried about the unit that makes the largest ball so large: in a hand that stays flat it is half of that."""
+"""Factors that are tried about the unit that makes the largest ball so large: in a hand that stays flat it is half of
+that."""
 _DECISIVE = (0.2, 0.45, 0.7)  # quantiles of the balls of all frames: the frames at these decide about the size
 _FIRST_SIZE = 0.6  # metres between the cameras in the first carving, which only tells the ball
 

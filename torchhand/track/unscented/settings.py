@@ -14,7 +14,8 @@ class UnscentedUpdateSettings:
     """Edges along the normals of the predicted contour, through sigma points (Stenger et al. 2001, section 4)."""
 
     edges_in: Literal["colour", "grey"] = "colour"
-    """Picture in which the outer contour is searched: probability of the hand's colours, or grey levels (the paper)."""
+    """Picture in which the outer contour is searched: probability of the hand's colours, or grey levels (Stenger et al.
+    2001)."""
     transform: UnscentedSettings = field(default_factory=UnscentedSettings)
     outer_edges: EdgeSettings = field(
         default_factory=lambda: EdgeSettings(polarity="inside_bright", min_strength=0.2, choose="nearest")
