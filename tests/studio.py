@@ -16,7 +16,7 @@ WIDTH, HEIGHT = 200, 160
 
 
 @dataclass(frozen=True, kw_only=True)
-class Placed:
+class StagedHand:
     """A hand in front of a camera."""
 
     kinematics: HandKinematics
@@ -44,12 +44,12 @@ class Placed:
         points = self.keypoints_px
         return float((points[12] - points[0]).norm())
 
-    def picture(self, look: SceneSettings | None = None, *, seed: int = 0) -> Tensor:
+    def picture(self, scene: SceneSettings | None = None, *, seed: int = 0) -> Tensor:
         """RGB."""
         generator = torch.Generator().manual_seed(seed)
         motion = Motion(name="still", poses=self.pose[None], root_reference=self.root_reference, fps=30.0)
-        look = look or SceneSettings(supersampling=2)
-        frames = render_sequence(self.kinematics, motion, self.camera, look, generator, shape=self.shape)
+        scene = scene or SceneSettings(supersampling=2)
+        frames = render_sequence(self.kinematics, motion, self.camera, scene, generator, shape=self.shape)
         return next(iter(frames)).image
 
 
@@ -96,7 +96,7 @@ class Studio:
         posed: str = "open",
         shape: Tensor | None = None,
         camera: Camera | None = None,
-    ) -> Placed:
+    ) -> StagedHand:
         """A hand turned clockwise in the picture, its length and the place of its middle as shares of the height."""
         kinematics, camera = self.kinematics(side), camera or self.camera()
         shape = kinematics.default_shape if shape is None else shape
@@ -110,7 +110,7 @@ class Studio:
         middle = middle if camera.kind == "orthographic" else depth * middle
         pose = posture(posed)
         pose[:3] = middle - reference @ torch.tensor((0.0, 0.48 * length, 0.0), dtype=torch.float64)
-        return Placed(kinematics=kinematics, camera=camera, shape=shape, pose=pose, root_reference=reference)
+        return StagedHand(kinematics=kinematics, camera=camera, shape=shape, pose=pose, root_reference=reference)
 
     def film(
         self,
@@ -118,7 +118,7 @@ class Studio:
         frames: int,
         *,
         camera: Camera | None = None,
-        look: SceneSettings | None = None,
+        scene: SceneSettings | None = None,
         seed: int = 3,
         total: int | None = None,
         pace: float = 1.0,
@@ -128,8 +128,8 @@ class Studio:
         generator = torch.Generator().manual_seed(seed)
         motion = scripted_motion(script, total or frames, kinematics, camera, generator, pace=pace)
         motion = replace(motion, poses=motion.poses[:frames])
-        look = look or SceneSettings(supersampling=2)
-        rendered = list(render_sequence(kinematics, motion, camera, look, generator))
+        scene = scene or SceneSettings(supersampling=2)
+        rendered = list(render_sequence(kinematics, motion, camera, scene, generator))
         return Filmed(
             images=[frame.image for frame in rendered],
             keypoints_px=torch.stack([frame.keypoints_px for frame in rendered]),

@@ -13,13 +13,13 @@ from torchhand.calibration.bundle import Bundle
 from torchhand.calibration.camera import CameraViews, calibrate_camera
 from torchhand.calibration.quality import QualityLimits, shortcomings
 from torchhand.calibration.reprojection import Pose
-from torchhand.calibration.rig import RigCalibration, calibrate_rig, shared_moments
+from torchhand.calibration.rig import RigCalibration, calibrate_rig, shared_frames
 from torchhand.errors import InputError
 from torchhand.geometry import Camera, rotation_from_vector, vector_from_rotation
 
 BOARD = Board(kind="chessboard", columns=9, rows=6, square=0.025)
 NOISE_PX = 0.1
-MOMENTS = 14
+FRAMES = 14
 
 
 def ring(count: int, *, coefficients: int = 4) -> list[Camera]:
@@ -65,25 +65,25 @@ def seen(
     views = []
     for camera in cameras:
         corners = {}
-        for moment, pose in enumerate(boards):
+        for frame, pose in enumerate(boards):
             pixels = camera.project(BOARD.points() @ pose.rotation.T + pose.translation)
             pixels = pixels + noise * torch.randn(pixels.shape, generator=generator, dtype=torch.float64)
             inside = ((pixels >= 0) & (pixels <= torch.tensor((639.0, 479.0)))).all(-1)
             ids = inside.nonzero()[:, 0]
             if len(ids) >= 20:
-                corners[moment] = BoardCorners(ids=ids, points_px=pixels[ids])
+                corners[frame] = BoardCorners(ids=ids, points_px=pixels[ids])
         views.append(CameraViews(name=camera.name, width=camera.width, height=camera.height, corners=corners))
     return views
 
 
-def only(view: CameraViews, moments: range) -> CameraViews:
-    return view.without({moment for moment in view.corners if moment not in moments})
+def only(view: CameraViews, frames: range) -> CameraViews:
+    return view.without({frame for frame in view.corners if frame not in frames})
 
 
 @pytest.fixture(scope="module")
 def known() -> tuple[list[Camera], list[CameraViews], RigCalibration, list[Pose]]:
     generator = torch.Generator().manual_seed(3)
-    cameras, boards = ring(4), board_poses(MOMENTS, generator)
+    cameras, boards = ring(4), board_poses(FRAMES, generator)
     views = seen(cameras, boards, generator)
     return cameras, views, calibrate_rig(views, BOARD, distortion=4), boards
 
@@ -101,8 +101,8 @@ def test_cameras_are_recovered(known: tuple) -> None:
         # The errors are those that the calibration itself states.
         assert abs(float(camera.intrinsics[0, 0] / true.intrinsics[0, 0]) - 1) < 4 * found.focal_std[i]
         assert float((camera.translation - true.translation).abs().max()) <= 4 * found.centre_std[i] + 1e-12
-    for moment, pose in found.world_from_board.items():
-        assert float((pose.translation - boards[moment].translation).norm()) < 3e-3
+    for frame, pose in found.world_from_board.items():
+        assert float((pose.translation - boards[frame].translation).norm()) < 3e-3
 
 
 def test_together_is_better_than_alone(known: tuple) -> None:
@@ -132,7 +132,7 @@ def test_bundle_has_the_gradient_of_its_cost(known: tuple) -> None:
         lenses=tuple(single.lens for single in found.alone[:2]),
         cam_from_world=Pose.stacked([Pose(rotation=c.rotation, translation=c.translation) for c in found.cameras[:2]]),
         world_from_board=Pose.stacked(list(found.world_from_board.values())),
-        moments=tuple(found.world_from_board),
+        frames=tuple(found.world_from_board),
     )
     size = bundle._size
     generator = torch.Generator().manual_seed(1)
@@ -161,7 +161,7 @@ def test_chain_of_cameras_joined_in_pairs() -> None:
     cameras = ring(3)
     views = seen(cameras, board_poses(20, generator), generator)
     views = [only(views[0], range(10)), views[1], only(views[2], range(10, 20))]
-    assert shared_moments(views)[0, 2] == []
+    assert shared_frames(views)[0, 2] == []
     found = calibrate_rig(views, BOARD, distortion=4)
     for true, camera in zip(cameras, found.cameras, strict=True):
         assert float((camera.translation - true.translation).norm()) < 5e-3
@@ -181,7 +181,7 @@ def test_one_bad_picture_is_left_out(known: tuple) -> None:
     corners = dict(views[1].corners) | {4: BoardCorners(ids=bad.ids, points_px=bad.points_px.flip(0))}
     spoilt = [views[0], replace(views[1], corners=corners), *views[2:]]
     found = calibrate_rig(spoilt, BOARD, distortion=4)
-    assert [(name, moment) for name, moment, _ in found.dropped] == [("cam1", 4)]
+    assert [(name, frame) for name, frame, _ in found.dropped] == [("cam1", 4)]
     assert float((found.cameras[1].translation - cameras[1].translation).norm()) < 2.5e-3
 
 
@@ -193,7 +193,7 @@ def test_world_of_the_board(known: tuple) -> None:
     for camera, true in zip(moved.cameras, cameras, strict=True):
         expected = true.project(points @ boards[5].rotation.T + boards[5].translation)
         assert float((camera.project(points) - expected).norm(dim=-1).max()) < 0.3
-    with pytest.raises(InputError, match="the board was not used at moment 99"):
+    with pytest.raises(InputError, match="the board was not used in frame 99"):
         found.in_world_of_board(99)
 
 
@@ -216,11 +216,9 @@ def test_shortcomings_name_camera_and_figure() -> None:
 def test_unsynchronised_cameras_are_told_apart_from_bad_pictures() -> None:
     generator = torch.Generator().manual_seed(4)
     views = seen(ring(2), board_poses(12, generator), generator)
-    late = {moment + 1: corners for moment, corners in views[1].corners.items()}
+    late = {frame + 1: corners for frame, corners in views[1].corners.items()}
     found = calibrate_rig([views[0], replace(views[1], corners=late)], BOARD, distortion=4)
-    assert any(
-        "cam1: 0.1" in line and "not of the same moment" in line for line in shortcomings(found, QualityLimits())
-    )
+    assert any("cam1: 0.1" in line and "not of the same time" in line for line in shortcomings(found, QualityLimits()))
 
 
 def test_symmetric_board_with_several_cameras_is_refused(known: tuple) -> None:

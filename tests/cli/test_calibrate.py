@@ -19,7 +19,7 @@ from torchhand.files import load_cameras, load_rig, open_rig, read_picture, rig_
 from torchhand.geometry import Camera, rotation_from_vector, undistort, vector_from_rotation
 
 WIDTH, HEIGHT = 400, 300
-MOMENTS = 8
+FRAMES = 8
 SQUARE_PX = 32  # of the board's texture
 CHESSBOARD = Board(kind="chessboard", columns=7, rows=6, square=0.03)
 CHARUCO = Board(kind="charuco", columns=6, rows=4, square=0.042)
@@ -82,24 +82,24 @@ def _render(camera: Camera, board: Board, pose: Pose, noise: np.random.Generator
     return cv2.cvtColor(np.clip(np.rint(picture), 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR)
 
 
-def _write(folder: Path, board: Board, cameras: list[Camera], moments: int) -> Path:
+def _write(folder: Path, board: Board, cameras: list[Camera], frames: int) -> Path:
     noise = np.random.default_rng(0)
     for i, camera in enumerate(cameras):
         (folder / f"view_{i}").mkdir(parents=True)
-        for moment in range(moments):
-            image = _render(camera, board, _board_pose(moment, board), noise)
-            cv2.imwrite(str(folder / f"view_{i}" / f"{moment:04d}.png"), image)
+        for frame in range(frames):
+            image = _render(camera, board, _board_pose(frame, board), noise)
+            cv2.imwrite(str(folder / f"view_{i}" / f"{frame:04d}.png"), image)
     return folder
 
 
 @pytest.fixture(scope="module")
 def chessboards(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return _write(tmp_path_factory.mktemp("chessboards"), CHESSBOARD, CAMERAS, MOMENTS)
+    return _write(tmp_path_factory.mktemp("chessboards"), CHESSBOARD, CAMERAS, FRAMES)
 
 
 @pytest.fixture(scope="module")
 def charucos(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return _write(tmp_path_factory.mktemp("charucos"), CHARUCO, CAMERAS[:2], MOMENTS)
+    return _write(tmp_path_factory.mktemp("charucos"), CHARUCO, CAMERAS[:2], FRAMES)
 
 
 @pytest.fixture(autouse=True)
@@ -120,14 +120,14 @@ _FOUND: dict = {}
 
 @pytest.fixture
 def some_of(chessboards: Path, tmp_path: Path) -> Callable[..., Path]:
-    """some_of([0, 1, 2], [3, 4, 5]) is a folder with these moments of the first and the second camera."""
+    """some_of([0, 1, 2], [3, 4, 5]) is a folder with these frames of the first and the second camera."""
 
-    def make(*moments: list[int]) -> Path:
+    def make(*frames: list[int]) -> Path:
         folder = tmp_path / "some"
-        for i, wanted in enumerate(moments):
+        for i, wanted in enumerate(frames):
             (folder / f"view_{i}").mkdir(parents=True)
-            for moment in wanted:
-                name = f"{moment:04d}.png"
+            for frame in wanted:
+                name = f"{frame:04d}.png"
                 shutil.copy(chessboards / f"view_{i}" / name, folder / f"view_{i}" / name)
         return folder
 
@@ -173,11 +173,11 @@ def test_chessboards_give_the_cameras(chessboards: Path, tmp_path: Path, capsys:
     rig = load_rig(tmp_path)
     assert rig_notes(rig) == []
     with open_rig(chessboards, rig) as source:
-        assert [frame.problems for frame in source] == [(None, None, None)] * MOMENTS
+        assert [frame.problems for frame in source] == [(None, None, None)] * FRAMES
 
 
 def test_charucos_in_the_frame_of_the_board(charucos: Path, tmp_path: Path) -> None:
-    assert run(charucos, tmp_path, "--world", "board", "--world-moment", "2", flags=CHARUCO_FLAGS) == 0
+    assert run(charucos, tmp_path, "--world", "board", "--world-picture", "2", flags=CHARUCO_FLAGS) == 0
     pose = _board_pose(2, CHARUCO)
     points = CHARUCO.points()
     for found, true in zip(load_cameras(tmp_path / "cameras.json"), CAMERAS[:2], strict=True):
@@ -197,12 +197,12 @@ def test_offset_of_cameras_that_start_apart(
     some_of: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The second camera's pictures carry numbers one too high."""
-    folder = some_of(list(range(MOMENTS)), list(range(MOMENTS)))
-    for moment in reversed(range(MOMENTS)):
-        (folder / "view_1" / f"{moment:04d}.png").rename(folder / "view_1" / f"{moment + 1:04d}.png")
+    folder = some_of(list(range(FRAMES)), list(range(FRAMES)))
+    for frame in reversed(range(FRAMES)):
+        (folder / "view_1" / f"{frame:04d}.png").rename(folder / "view_1" / f"{frame + 1:04d}.png")
     assert run(folder, tmp_path) == 2
     message = capsys.readouterr().err
-    assert "not of the same moment (give an offset)" in message
+    assert "not of the same time (give an offset)" in message
     assert not (tmp_path / "cameras.json").exists()
     assert run(folder, tmp_path, "--offset", "view_1=1") == 0
     found = load_cameras(tmp_path / "cameras.json")[1]
@@ -226,7 +226,7 @@ def test_bad_calibration_is_refused_or_forced(
 def test_limit_of_the_error_is_the_users(
     some_of: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(some_of(list(range(MOMENTS))), tmp_path, "--max-rms", "0.001") == 2
+    assert run(some_of(list(range(FRAMES))), tmp_path, "--max-rms", "0.001") == 2
     assert "px, expected 0.001 or less" in capsys.readouterr().err
 
 
@@ -260,7 +260,7 @@ def test_older_results_are_kept_unless_told(
 ) -> None:
     out = tmp_path / "cameras.json"
     out.write_text("kept")
-    folder = some_of(list(range(MOMENTS)))
+    folder = some_of(list(range(FRAMES)))
     assert run(folder, tmp_path) == 2
     assert "exists already" in capsys.readouterr().err
     assert out.read_text() == "kept"
@@ -278,7 +278,7 @@ def test_older_results_are_kept_unless_told(
         (("--offset", "view_1"), "expected NAME=FRAMES"),
         (("--offset", "view_9=1"), "'view_9' is no camera"),
         (("--squares", "7x7"), "look the same upside down"),
-        (("--world-moment", "3"), "expected --world board"),
+        (("--world-picture", "3"), "expected --world board"),
     ],
 )
 def test_wrong_arguments(

@@ -27,12 +27,12 @@ class Arguments:
 
     number: Positional[int]
     """How many."""
-    share: float = 0.5
+    fraction: float = 0.5
     """Between 0 and 1."""
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.share <= 1.0:
-            raise ValueError(f"share: expected 0 to 1, got {self.share}")
+        if not 0.0 <= self.fraction <= 1.0:
+            raise ValueError(f"fraction: expected 0 to 1, got {self.fraction}")
 
 
 @command
@@ -58,9 +58,9 @@ def test_help_shows_the_example(capsys: pytest.CaptureFixture[str]) -> None:
     ("argv", "expected"),
     [
         ([], ["Missing", "INT"]),
-        (["3", "--shore", "1"], ["Unrecognized options: --shore", "--share"]),
+        (["3", "--frction", "1"], ["Unrecognized options: --frction", "--fraction"]),
         (["three"], ["three", "int"]),
-        (["3", "--share", "2"], ["share: expected 0 to 1, got 2.0"]),
+        (["3", "--fraction", "2"], ["fraction: expected 0 to 1, got 2.0"]),
     ],
 )
 def test_usage_errors_are_one_line_and_two(

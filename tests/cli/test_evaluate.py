@@ -79,7 +79,7 @@ def test_the_errors_are_printed_and_saved(
     assert figures["flexion_deg"]["raw_mean"] == pytest.approx(0.0, abs=1e-9)
     # 6 mm at a standard deviation of 6 mm: NEES 1 in three frames of four, 0 in the other, 3 degrees of freedom each.
     assert figures["uncertainty"]["mean_per_dof"] == pytest.approx(0.25, rel=1e-9)
-    assert figures["uncertainty"]["share_inside"] == pytest.approx(0.75)
+    assert figures["uncertainty"]["fraction_inside"] == pytest.approx(0.75)
     assert figures["speed"]["median_ms_per_frame"] == pytest.approx(12.0)
     for pattern in (
         r"frames followed +4 of 5 \(the truth has 5\)",
@@ -99,7 +99,7 @@ def test_the_file_may_go_elsewhere(result_dir: Path, truth_dir: Path, tmp_path: 
     assert not (result_dir / "evaluation.json").exists()
 
 
-def test_silhouettes_are_judged_where_both_have_masks(result_dir: Path, truth_dir: Path) -> None:
+def test_silhouettes_are_evaluated_where_both_have_masks(result_dir: Path, truth_dir: Path) -> None:
     square = np.zeros((40, 40), dtype=np.uint8)
     square[10:30, 10:30] = 255
     with np.load(truth_dir / "truth.npz") as truth:

@@ -26,8 +26,8 @@ def scene(posed: str = "open", shift: tuple[float, float] = (0.0, 0.09)) -> tupl
     pose = posture(posed)
     pose[:3] = torch.tensor((shift[0], shift[1], DISTANCE))
     motion = Motion(name="still", poses=pose[None], root_reference=facing_rotation("back"), fps=30.0)
-    look = SceneSettings(background="plain", supersampling=2)
-    frame = next(iter(render_sequence(kinematics, motion, CAMERA, look, torch.Generator().manual_seed(0))))
+    scene = SceneSettings(background="plain", supersampling=2)
+    frame = next(iter(render_sequence(kinematics, motion, CAMERA, scene, torch.Generator().manual_seed(0))))
     return frame.image.numpy()[..., ::-1].copy(), frame.mask.numpy().astype(np.uint8) * 255
 
 

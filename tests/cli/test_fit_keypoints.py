@@ -94,13 +94,13 @@ def test_a_folder_of_openpose_with_a_camera_and_a_known_hand(tmp_path: Path) -> 
 def test_mediapipe_with_the_size_of_the_pictures(tmp_path: Path) -> None:
     _, points = _points("left")
     pixels = assumed_camera(640, 480).project(torch.from_numpy(points)).numpy()
-    shares = (pixels + 0.5) / (640, 480)
+    fractions = (pixels + 0.5) / (640, 480)
     frames = [
         {
             "hand_landmarks": [[{"x": x, "y": y, "z": 0.0} for x, y in hand]],
             "handedness": [[{"category_name": "Right", "score": 0.9}]],  # as in a mirror: a left hand
         }
-        for hand in shares.tolist()
+        for hand in fractions.tolist()
     ]
     source = tmp_path / "hands.json"
     source.write_text(json.dumps(frames))

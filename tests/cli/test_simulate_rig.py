@@ -81,9 +81,7 @@ def test_the_hand_is_where_the_cameras_look_and_in_their_hull(recording: Path) -
     points = torch.from_numpy(truth["keypoints3d"][0])
     assert float(points.mean(0).norm()) < 0.05
     masks = [torch.from_numpy(mask_of(recording, view, 0)) for view in range(4)]
-    octree = carve(
-        masks, cameras, RootCube(centre=(0.0, 0.0, 0.0), side=0.512), CarvingSettings(level=6, least_views=3)
-    )
+    octree = carve(masks, cameras, RootCube(centre=(0.0, 0.0, 0.0), side=0.512), CarvingSettings(level=6, min_views=3))
     value, _ = hull_field(octree).sample(points)
     assert float(value.max()) < 0
     assert float(octree.volume()) < 0.003

@@ -166,10 +166,10 @@ def test_the_configuration_tells_everything(done: Path) -> None:
     assert config["batch"] == 3
     assert config["contour"]["boundary_points"] == 64
     assert [stage["iterations"] for stage in config["schedule"]] == [1, 1, 1]
-    told = config["run"]
-    assert (told["input"], told["frames"], told["seed"]) == ("simulated pictures", [0, 2], 0)
-    assert told["reference"] == "exact, of simulated pictures"
-    assert told["camera_used"]["width"] == 96
+    run_config = config["run"]
+    assert (run_config["input"], run_config["frames"], run_config["seed"]) == ("simulated pictures", [0, 2], 0)
+    assert run_config["reference"] == "exact, of simulated pictures"
+    assert run_config["camera_used"]["width"] == 96
 
 
 def test_the_terminal_gets_the_table(finished: tuple[Path, Outcome]) -> None:
@@ -303,8 +303,8 @@ def test_another_maker_s_truth_of_keypoints(sequence: Path, tmp_path: Path, run:
     assert outcome.code == 0, outcome.err
     assert "our hand fitted to the truth's keypoints" in outcome.out
     assert "right hand)" in outcome.out
-    told = yaml.safe_load((tmp_path / "out" / "config.yaml").read_text())["run"]
-    assert told["reference_overlap"][0] > 0.85
+    run_config = yaml.safe_load((tmp_path / "out" / "config.yaml").read_text())["run"]
+    assert run_config["reference_overlap"][0] > 0.85
 
 
 def test_a_picture_without_truth_is_its_own_reference(sequence: Path, tmp_path: Path, run: Run) -> None:
@@ -314,14 +314,14 @@ def test_a_picture_without_truth_is_its_own_reference(sequence: Path, tmp_path: 
     assert outcome.code == 0, outcome.err
     assert "reference: the best registration about the fit of an open hand" in outcome.out
     with np.load(tmp_path / "out" / "hypotheses.npz") as stored, np.load(sequence / "truth.npz") as truth:
-        apart = np.abs(stored["reference_pose"][0] - truth["pose"][0])[6:]
-        assert np.degrees(apart.mean()) < 6
+        difference = np.abs(stored["reference_pose"][0] - truth["pose"][0])[6:]
+        assert np.degrees(difference.mean()) < 6
         assert float(stored["reference_overlap"][0]) > 0.9
         kinematics = load_hand_model().kinematics(dtype=torch.float64)
         points = kinematics(torch.from_numpy(stored["reference_pose"][0])).keypoints.numpy()
         assert np.linalg.norm(points - truth["keypoints3d"][0], axis=-1).mean() < 0.015
-    told = yaml.safe_load((tmp_path / "out" / "config.yaml").read_text())["run"]
-    assert list(told["shape_of_first_frame"].values()) == load_hand_model().shape_space.default.tolist()
+    run_config = yaml.safe_load((tmp_path / "out" / "config.yaml").read_text())["run"]
+    assert list(run_config["shape_of_first_frame"].values()) == load_hand_model().shape_space.default.tolist()
 
 
 def saved_hand(folder: Path, factor: float, side: str) -> Path:
@@ -335,9 +335,9 @@ def saved_hand(folder: Path, factor: float, side: str) -> Path:
 def test_a_known_hand_is_simulated(tmp_path: Path, run: Run) -> None:
     hand = saved_hand(tmp_path, 1.1, "left")
     assert run("--out", tmp_path / "out", *QUICK, "--starts", "2", "--hand", hand).code == 0
-    told = yaml.safe_load((tmp_path / "out" / "config.yaml").read_text())["run"]
-    assert told["side"] == "left"
-    assert told["shape_of_first_frame"]["hand_length"] == pytest.approx(
+    run_config = yaml.safe_load((tmp_path / "out" / "config.yaml").read_text())["run"]
+    assert run_config["side"] == "left"
+    assert run_config["shape_of_first_frame"]["hand_length"] == pytest.approx(
         1.1 * float(load_hand_model().shape_space.default[0])
     )
 

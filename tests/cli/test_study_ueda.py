@@ -58,7 +58,7 @@ def test_tables_and_plots(result: Path) -> None:
     assert {row["steps"] for row in rows} == {"largest", "proportional", "equal"}
     assert float(rows[0]["error_deg"]) == 10
     assert float(rows[4]["error_deg"]) < 10
-    assert 0.5 < float(rows[0]["within_share"]) < float(rows[0]["inside_share"]) <= 1
+    assert 0.5 < float(rows[0]["within_fraction"]) < float(rows[0]["inside_fraction"]) <= 1
     assert [row["stage"] for row in table(result / "stages.csv")] == list(STAGES)
     compared = table(result / "comparison.csv")
     assert {row["method"] for row in compared} == set(study_ueda.METHODS)

@@ -83,8 +83,8 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Clip:
     generator = torch.Generator().manual_seed(1)
     with threads(1):
         motion = scripted_motion("planar", FRAMES, kinematics, camera, generator)
-        look = SceneSettings(supersampling=2)
-        rendered = list(render_sequence(kinematics, motion, camera, look, generator))
+        scene = SceneSettings(supersampling=2)
+        rendered = list(render_sequence(kinematics, motion, camera, scene, generator))
     pictures = [cv2.cvtColor(frame.image.numpy(), cv2.COLOR_RGB2BGR) for frame in rendered]
     save_cameras([camera], folder / "cameras.json")
     made = Clip(_write_folder(folder / "frames", pictures), pictures, folder / "cameras.json", folder / "result")

@@ -146,7 +146,7 @@ def test_stopped_run_goes_on_to_the_same_end(
     np.testing.assert_array_equal(whole.keypoints3d_cov, resumed.keypoints3d_cov)
 
 
-def test_moments_that_were_lost_are_filled_in_once_the_hand_is_found(
+def test_frames_that_were_lost_are_filled_in_once_the_hand_is_found(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("torchhand.runs.tracking.CHECKPOINT_EVERY", 2)
@@ -156,7 +156,7 @@ def test_moments_that_were_lost_are_filled_in_once_the_hand_is_found(
     def losing(self, state, views, time_s):
         if round(30 * time_s) in (1, 2):
             gone = replace(state, hand=None, time_s=time_s)
-            return gone, Estimate(status="lost", time_s=time_s, reason="looked away")
+            return gone, Estimate(status="lost", time_s=time_s, reason="occluded")
         return step(self, state, views, time_s)
 
     def stopping(self, frame):
@@ -199,7 +199,7 @@ def test_resuming_with_other_settings_is_refused(result: Path, recording: Path, 
     assert "made_with.settings.rig.octree.level was 7, is now 6" in line_of(capsys)
 
 
-def test_hand_can_be_met_at_the_first_look(recording: Path, tmp_path: Path) -> None:
+def test_proportions_can_be_fitted_to_one_frame(recording: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert main([str(recording), "--out", str(out), "--max-frames", "1", "--no-overlay", *FAST]) == 0
     hand = json.loads((out / "hand.json").read_text())
@@ -227,7 +227,7 @@ def test_bad_view_does_not_spoil_the_others(kind: str, copied: Path, tmp_path: P
         assert "side" in capsys.readouterr().err
 
 
-def test_moment_without_pictures_is_told_and_the_next_one_found(copied: Path, tmp_path: Path) -> None:
+def test_frame_without_silhouettes_is_lost_and_the_next_one_found(copied: Path, tmp_path: Path) -> None:
     for view in range(1, 4):
         cv2.imwrite(str(copied / f"masks_{view}" / "0001.png"), np.zeros(SIZE[::-1], np.uint8))
     assert run(copied, tmp_path / "out", "--max-frames", "3", "--no-overlay") == 0
@@ -259,7 +259,7 @@ def test_unit_from_the_hand(copied: Path, tmp_path: Path, capsys) -> None:
         (("--offset", "left=3"), "'left' is no camera; allowed: front, side, top, top45"),
         (("--cameras", "nowhere.json"), "nowhere.json: no such file or folder"),
         (("--start", "-1"), "--start: expected 0 or more"),
-        (("--start", "50"), "start 50 lies after the last moment (4)"),
+        (("--start", "50"), "start 50 lies after the last frame (4)"),
         (("--max-frames", "0"), "--max-frames: expected 1 or more"),
     ],
 )

@@ -32,22 +32,22 @@ def test_honest_covariances_are_inside_and_wrong_ones_are_not() -> None:
     assert timid is not None
     assert honest.samples == 8400
     # 8400 independent draws: the share's standard deviation is 0.24 %; 5 of them.
-    assert abs(honest.share_inside - 0.95) < 0.012
+    assert abs(honest.fraction_inside - 0.95) < 0.012
     assert honest.pooled_band[0] < 1.0 < honest.pooled_band[1]
     assert abs(honest.mean_per_dof - 1.0) < 5.0 * np.sqrt(2.0 / (3 * 8400))
     np.testing.assert_allclose(overconfident.mean_per_dof, 9.0 * honest.mean_per_dof, rtol=1e-9)
-    assert overconfident.share_inside < 0.5
-    assert timid.share_inside < 0.8
+    assert overconfident.fraction_inside < 0.5
+    assert timid.fraction_inside < 0.8
 
 
-def test_a_covariance_of_a_planar_hand_is_judged_in_its_plane() -> None:
+def test_a_covariance_of_a_planar_hand_is_evaluated_in_its_plane() -> None:
     covariance = np.diag([4.0, 9.0, 0.0])
     nees, rank = normalised_errors_squared(np.array([2.0, 3.0, 100.0]), covariance)
     assert rank == 2
     np.testing.assert_allclose(nees, 2.0)
     found = consistency(np.array([[2.0, 3.0, 100.0]]), covariance[None])
     assert found is not None
-    assert (found.mean_rank, found.share_inside) == (2.0, 1.0)
+    assert (found.mean_rank, found.fraction_inside) == (2.0, 1.0)
 
 
 def test_lost_frames_and_zero_covariances_do_not_count() -> None:

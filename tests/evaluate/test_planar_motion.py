@@ -66,7 +66,7 @@ def test_the_common_point_is_the_truths_centroid() -> None:
     np.testing.assert_allclose(errors.displacement_px[1], chord, rtol=1e-12)
 
 
-def test_a_motion_in_depth_is_judged_with_scale() -> None:
+def test_a_motion_in_depth_is_evaluated_with_scale() -> None:
     scale = np.array([1.0, 1.2, 0.7, 0.9])
     truth, estimate = moving(HAND, ANGLE, SHIFT, scale), moving(OTHER_HAND + 20.0, ANGLE, SHIFT, scale)
     errors = planar_motion_errors(estimate, truth)

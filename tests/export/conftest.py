@@ -23,10 +23,12 @@ def _poses(model: HandModel, frames: int) -> torch.Tensor:
     """Smooth motion through the limits' range, the wrist turning about half a turn in front of a camera."""
     generator = torch.Generator().manual_seed(7)
     start, end = torch.rand(2, 30, generator=generator, dtype=torch.float64)
-    share = torch.linspace(0, 1, frames, dtype=torch.float64)[:, None]
+    fraction = torch.linspace(0, 1, frames, dtype=torch.float64)[:, None]
     skeleton = model.skeleton
-    angles = skeleton.lower + (start + share * (end - start)) * (skeleton.upper - skeleton.lower)
-    root = torch.cat((0.1 * share, -0.05 * share, 0.4 + 0.1 * share, 1.5 * share, 2.0 - share, 0.3 + share), 1)
+    angles = skeleton.lower + (start + fraction * (end - start)) * (skeleton.upper - skeleton.lower)
+    root = torch.cat(
+        (0.1 * fraction, -0.05 * fraction, 0.4 + 0.1 * fraction, 1.5 * fraction, 2.0 - fraction, 0.3 + fraction), 1
+    )
     return torch.cat((root, angles), 1)
 
 

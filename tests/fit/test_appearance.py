@@ -11,11 +11,11 @@ from torchhand.simulate import SceneSettings
 
 
 def test_learned_colours_tell_the_hand_from_clutter_in_another_picture(studio: Any) -> None:
-    look = SceneSettings(supersampling=2, background="clutter", noise=3.0)
+    scene = SceneSettings(supersampling=2, background="clutter", noise=3.0)
     first, second = studio.placed(angle_deg=10.0), studio.placed(angle_deg=-25.0, at=(0.15, 0.0))
-    appearance = learn_appearance(first.picture(look, seed=2), first.mask, ~first.mask, 1)
+    appearance = learn_appearance(first.picture(scene, seed=2), first.mask, ~first.mask, 1)
     assert appearance is not None
-    probability = appearance.probability(second.picture(look, seed=2))
+    probability = appearance.probability(second.picture(scene, seed=2))
     assert probability.dtype == torch.float32
     assert float(probability.min()) >= 0
     assert float(probability.max()) <= 1

@@ -21,8 +21,8 @@ def test_gradient_is_exact_and_the_matrix_that_of_reweighted_squares(kind: str, 
     expected = torch.autograd.grad(found.cost.sum(), free)[0]
     torch.testing.assert_close(found.gradient, expected)
     squared = residual(free).detach().square()
-    share = {"none": torch.ones_like(squared), "huber": (squared / 0.49).clamp_min(1).rsqrt()}
-    slope = share.get(kind, (1 + squared / 0.49).square().reciprocal()) * weight
+    fraction = {"none": torch.ones_like(squared), "huber": (squared / 0.49).clamp_min(1).rsqrt()}
+    slope = fraction.get(kind, (1 + squared / 0.49).square().reciprocal()) * weight
     torch.testing.assert_close(found.matrix, jacobian.mT @ (slope[..., None] * jacobian))
 
 

@@ -126,8 +126,8 @@ def test_a_gaussian_costs_half_the_squared_mahalanobis_distance(generator: torch
         .equations(posed(there.about(expected.rotation)))
         .cost
     )
-    apart = step[:, named] / SPACE.basis[named].diagonal()
-    torch.testing.assert_close(cost, 0.5 * (apart @ torch.linalg.inv(spread) * apart).sum(-1))
+    deviation = step[:, named] / SPACE.basis[named].diagonal()
+    torch.testing.assert_close(cost, 0.5 * (deviation @ torch.linalg.inv(spread) * deviation).sum(-1))
     at_home = posed(expected)
     assert float(prior.associate(at_home, STAGE).equations(at_home).cost.abs().max()) < 1e-20
 

@@ -79,7 +79,7 @@ class PointsFactor:
         return PointsFactor(points=self.points[rows], weight=self.weight[rows], distance=self.distance[rows])
 
     def explained(self) -> tuple[Explained, ...]:
-        return (Explained(name="points", view=None, share=(-self.distance).exp(), distance=self.distance),)
+        return (Explained(name="points", view=None, fraction=(-self.distance).exp(), distance=self.distance),)
 
 
 def _keypoints(pose: HandPose) -> Tensor:

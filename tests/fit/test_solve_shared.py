@@ -50,13 +50,13 @@ def _problem(points: Tensor, *, is_shared: bool = True) -> Problem:
         settings=KeypointSettings(space_std_m=STD, correlation=0.0),
         loss=RobustLoss(kind="huber", scale=5.0, group=3),
     )
-    people = Anthropometry(KINEMATICS.shape_space)
+    population = Anthropometry(KINEMATICS.shape_space)
     return Problem(
         space=SPACE,
         skeleton=KINEMATICS.skeleton,
         shape=KINEMATICS.default_shape,
         observations=(observation,),
-        shared=SharedUnknowns.of_shape(people, COLUMNS) if is_shared else None,
+        shared=SharedUnknowns.of_shape(population, COLUMNS) if is_shared else None,
     )
 
 
@@ -170,17 +170,17 @@ def test_where_all_frames_fail_nothing_moves() -> None:
 
 def test_constraints_are_kept_exactly() -> None:
     """Of a hand that no person has: a middle finger with long bones, each of which is possible."""
-    people, shape = Anthropometry(KINEMATICS.shape_space), KINEMATICS.default_shape.clone()
+    population, shape = Anthropometry(KINEMATICS.shape_space), KINEMATICS.default_shape.clone()
     bones = tuple(NAMES.index(f"middle_{bone}") for bone in ("proximal", "middle", "distal"))
     shape[list(bones)] *= torch.tensor((1.09, 1.14, 1.14), dtype=DOUBLE)
-    assert people.violation(shape).describe().startswith("interval of middle_length")
+    assert population.violation(shape).describe().startswith("interval of middle_length")
     truth = _poses(6, 8)
     problem = _problem(_points(truth, shape))
-    shared = SharedUnknowns.of_shape(people, bones)
+    shared = SharedUnknowns.of_shape(population, bones)
     free = solve_shared(replace(problem, shared=shared), _near(truth), SCHEDULE)
-    kept = solve_shared(replace(problem, shared=replace(shared, people=people)), _near(truth), SCHEDULE)
-    assert not bool(people.is_feasible(free.shape))
-    assert bool(people.is_feasible(kept.shape))
+    kept = solve_shared(replace(problem, shared=replace(shared, population=population)), _near(truth), SCHEDULE)
+    assert not bool(population.is_feasible(free.shape))
+    assert bool(population.is_feasible(kept.shape))
     changed = (kept.shape != KINEMATICS.default_shape).nonzero()[:, 0].tolist()
     assert set(changed) <= set(bones)
 

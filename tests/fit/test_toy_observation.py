@@ -57,7 +57,7 @@ class FingertipRay:
         return not bool(self.direction.isfinite().all())
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "FingertipRay":
-        """The same for all hypotheses."""
+        """This observation itself, which all hypotheses have in common."""
         return self
 
     def associate(self, hands: PosedHands, stage: Stage) -> "FingertipRayFactor":
@@ -105,7 +105,7 @@ class FingertipRayFactor:
     def explained(self) -> tuple[Explained, ...]:
         """Whether the fingertip is on the ray."""
         is_on = (self.distance < 3 * self.ray.std_m).to(self.distance)
-        return (Explained(name="fingertip", view=self.ray.view, share=is_on, distance=self.distance),)
+        return (Explained(name="fingertip", view=self.ray.view, fraction=is_on, distance=self.distance),)
 
 
 # ------------------------------------------------------------------ and where it works
@@ -169,16 +169,16 @@ def test_many_hypotheses_with_one_camera_and_with_four(cameras: int, generator: 
     own = rays(target, cameras)
     found = solve(problem(own, starts), starts, SCHEDULE)
     assert bool((found.status <= SolveStatus.STALLED.value).all())
-    apart = tips(found.pose) - target
+    difference = tips(found.pose) - target
     for ray in own:
-        across = apart - (apart @ ray.direction)[:, None] * ray.direction
+        across = difference - (difference @ ray.direction)[:, None] * ray.direction
         assert float(across.norm(dim=-1).max()) < 2e-4
     if cameras == 4:
-        assert float(apart.norm(dim=-1).max()) < 2e-4
+        assert float(difference.norm(dim=-1).max()) < 2e-4
     else:
-        assert float(apart.norm(dim=-1).median()) > 5e-3  # one camera does not tell how far away
+        assert float(difference.norm(dim=-1).median()) > 5e-3  # one camera does not tell how far away
     assert [one.view for one in found.explained] == list(range(cameras))
-    assert bool(torch.stack([one.share for one in found.explained]).all())
+    assert bool(torch.stack([one.fraction for one in found.explained]).all())
     assert float((tips(starts) - target).norm(dim=-1).median()) > 0.02
 
 
@@ -227,4 +227,4 @@ def test_the_shape_fit_takes_it_as_it_is(cameras: int, generator: torch.Generato
     assert abs(float(found.shape[length] / longer[length]) - 1) < 0.004
     assert 0 < float(found.shape_std[length]) < 0.001
     assert [one.view for one in found.explained] == list(range(cameras))
-    assert all(bool(one.share.all()) for one in found.explained)
+    assert all(bool(one.fraction.all()) for one in found.explained)

@@ -96,7 +96,7 @@ def test_moved_follows_its_points(generator: torch.Generator) -> None:
 
 
 def test_a_sphere_appears_as_a_circle() -> None:
-    """FACTS 4.3: C = diag(d² - r², d² - r², -r²), a circle of radius r / √(d² - r²)."""
+    """The conic is C = diag(d² - r², d² - r², -r²), a circle of radius r / √(d² - r²)."""
     d, r = 3.0, 0.7
     sphere = moved(ellipsoid(_number(r, r, r)), torch.eye(3, dtype=torch.float64), _number(0.0, 0.0, d)) * r * r
     expected = torch.diag(_number(d * d - r * r, d * d - r * r, -r * r))
@@ -111,7 +111,7 @@ def _meets(quadric: Tensor, origin: Tensor, direction: Tensor) -> bool:
 
 
 def test_a_ray_meets_the_quadric_where_the_conic_is_not_positive(generator: torch.Generator) -> None:
-    """FACTS 4.3, over ellipsoids, cones and cylinders, for both kinds of camera."""
+    """Rays meet the quadric where xᵀ C x <= 0: over ellipsoids, cones and cylinders, for both kinds of camera."""
     quadrics, _ = _placed_parts(generator, 20)
     seen = []
     for quadric in quadrics:

@@ -11,7 +11,7 @@ from torchhand.geometry.rig import (
     aim_error_deg,
     centres_world,
     common_view,
-    look_apart,
+    look_away,
     meeting_point,
     rig_size,
     sees,
@@ -77,7 +77,7 @@ def test_parallel_cameras_see_a_common_volume() -> None:
     right = replace(left, translation=torch.tensor((-0.06, 0.0, 0.0), dtype=torch.float64), name="right")
     assert common_view([left, right]).all()
     assert suspected_reading([left, right]) is None
-    assert not look_apart([left, right])
+    assert not look_away([left, right])
 
 
 @pytest.mark.parametrize(
@@ -104,4 +104,4 @@ def test_slightly_diverging_pair_is_not_suspected_of_looking_apart() -> None:
     turn = rotation_from_vector(torch.tensor((0.0, -0.03, 0.0), dtype=torch.float64))
     right = replace(left, rotation=turn, translation=torch.tensor((-0.06, 0.0, 0.0), dtype=torch.float64))
     assert aim_error_deg([left, right]) > 90
-    assert not look_apart([left, right])
+    assert not look_away([left, right])

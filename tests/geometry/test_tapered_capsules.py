@@ -16,9 +16,9 @@ def _pairs(count: int, generator: torch.Generator, dtype: torch.dtype = torch.fl
 
 
 def _sampled(a0: Tensor, a1: Tensor, ra: Tensor, b0: Tensor, b1: Tensor, rb: Tensor) -> Tensor:
-    share = torch.linspace(0, 1, 401, dtype=torch.float64)
-    p, q = (x[:, None] + share[:, None] * (y - x)[:, None] for x, y in ((a0, a1), (b0, b1)))
-    r, t = (x[:, :1] + share * (x[:, 1:] - x[:, :1]) for x in (ra, rb))
+    fraction = torch.linspace(0, 1, 401, dtype=torch.float64)
+    p, q = (x[:, None] + fraction[:, None] * (y - x)[:, None] for x, y in ((a0, a1), (b0, b1)))
+    r, t = (x[:, :1] + fraction * (x[:, 1:] - x[:, :1]) for x in (ra, rb))
     return (r[:, :, None] + t[:, None] - (p[:, :, None] - q[:, None]).norm(dim=-1)).amax((1, 2))
 
 

@@ -55,8 +55,8 @@ def crossings(vertices: Tensor, faces: Tensor) -> int:
     """Pairs of triangles without a common corner of which one's edge pierces the other (Möller and Trumbore)."""
     corners = vertices[faces]
     low, high = corners.amin(1), corners.amax(1)
-    apart = ((low[:, None] > high) | (low > high[:, None])).any(-1)
-    first, second = (~apart).triu(1).nonzero().unbind(-1)
+    are_disjoint = ((low[:, None] > high) | (low > high[:, None])).any(-1)
+    first, second = (~are_disjoint).triu(1).nonzero().unbind(-1)
     strangers = ~(faces[first][:, :, None] == faces[second][:, None]).any(-1).any(-1)
     first, second = first[strangers], second[strangers]
     found = torch.zeros(len(first), dtype=torch.bool)

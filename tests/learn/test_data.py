@@ -89,9 +89,9 @@ def test_noise_focal_error_and_scale(pool: HandPool) -> None:
     exact = _draw(pool, EXACT)
     size = (exact.points_plane - exact.points_plane.mean(1, keepdim=True)).square().sum(-1).mean(1).sqrt()
     noisy = _draw(pool, replace(EXACT, noise=0.1)).points_plane - exact.points_plane
-    share = (noisy / size[:, None, None]).std(dim=(1, 2))
-    assert float(share.mean()) == pytest.approx(0.05, rel=0.1)
-    assert float(share.max()) < 0.17
+    fraction = (noisy / size[:, None, None]).std(dim=(1, 2))
+    assert float(fraction.mean()) == pytest.approx(0.05, rel=0.1)
+    assert float(fraction.max()) < 0.17
     focal = _draw(pool, replace(EXACT, focal=0.05)).points_plane / exact.points_plane
     assert float(focal[:, 0, 0].log().std()) == pytest.approx(0.05, rel=0.1)
     torch.testing.assert_close(focal, focal[:, :1, :1].expand_as(focal), atol=1e-3, rtol=1e-3)

@@ -21,7 +21,14 @@ from torchhand.modelling.weights import skin_weights
 
 VERTICES = 400
 CORRECTED = ("index_pip_fe", "ring_mcp_fe", "thumb_ip_fe")
-VARIED = ("hand_length", "palm_breadth", "palm_thickness", "middle_proximal", "thumb_metacarpal", "index_pip_radius")
+PARAMETERS = (
+    "hand_length",
+    "palm_breadth",
+    "palm_thickness",
+    "middle_proximal",
+    "thumb_metacarpal",
+    "index_pip_radius",
+)
 
 
 @pytest.fixture(scope="module")
@@ -39,8 +46,8 @@ def built(model: HandModel) -> HandMesh:
     points, faces = even_mesh(HandField(space, frames, shape), frames.keypoints, VERTICES, step=0.003)
     bones, weights = skin_weights(space, frames, shape, points, faces)
     basis = torch.zeros(len(points), 3, len(space.names), dtype=torch.float64)
-    columns = [space.names.index(name) for name in VARIED]
-    basis[..., columns] = shape_basis(kinematics, pose, points, bones, weights, names=VARIED)
+    columns = [space.names.index(name) for name in PARAMETERS]
+    basis[..., columns] = shape_basis(kinematics, pose, points, bones, weights, names=PARAMETERS)
     mesh = HandMesh(
         vertices=points,
         faces=faces,
@@ -75,7 +82,7 @@ def test_its_vertices_lie_on_the_skin(hand: Hand) -> None:
     assert float(found.mean()) > 0
 
 
-@pytest.mark.parametrize("name", VARIED)
+@pytest.mark.parametrize("name", PARAMETERS)
 def test_the_shape_vector_drives_it(hand: Hand, name: str) -> None:
     """Vertices of another hand lie as near to its skin as those of the default hand do to theirs."""
     space, pose, column = hand.shape_space, posture("open"), hand.shape_space.names.index(name)

@@ -16,8 +16,8 @@ def vector(*numbers: float) -> Tensor:
 def test_a_round_cone_is_the_hull_of_two_balls(first: float, second: float, generator: torch.Generator) -> None:
     start, end = vector(0.1, -0.2, 0.3), vector(0.5, 0.7, -0.1)
     points = 2 * torch.rand(300, 3, generator=generator, dtype=torch.float64) - 0.8
-    share = torch.linspace(0, 1, 4001, dtype=torch.float64)[:, None]
-    centres, radii = start + share * (end - start), first + share[:, 0] * (second - first)
+    fraction = torch.linspace(0, 1, 4001, dtype=torch.float64)[:, None]
+    centres, radii = start + fraction * (end - start), first + fraction[:, 0] * (second - first)
     # The hull is the union of the balls in between.
     expected = (torch.cdist(points, centres) - radii).amin(-1)
     found = round_cone(points, start, end, vector(first)[0], vector(second)[0])

@@ -21,39 +21,39 @@ def test_the_mode_is_that_of_a_bounded_optimiser(seed: int) -> None:
     state = _gaussian(seed)
     lower, upper = torch.full((6,), -0.4, dtype=torch.float64), torch.full((6,), 0.3, dtype=torch.float64)
     lower[0], upper[1] = -torch.inf, torch.inf
-    value, held = mode_in_box(state, lower, upper)
+    value, is_bound = mode_in_box(state, lower, upper)
     whitened = torch.linalg.inv(torch.linalg.cholesky(state.covariance)).numpy()
     expected = lsq_linear(
         whitened, whitened @ state.mean.numpy(), (lower.numpy(), upper.numpy()), method="bvls", tol=1e-14
     ).x
     np.testing.assert_allclose(value.numpy(), expected, atol=1e-9)
-    assert torch.equal(held, (value == lower) | (value == upper))
+    assert torch.equal(is_bound, (value == lower) | (value == upper))
 
 
 def test_correlated_variables_follow_and_others_stay() -> None:
     mean = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
     covariance = torch.tensor([[1.0, 0.5, 0.0], [0.5, 1.0, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
     bound = torch.tensor([0.2, torch.inf, torch.inf], dtype=torch.float64)
-    value, held = mode_in_box(Gaussian(mean, covariance), -bound, bound)
+    value, is_bound = mode_in_box(Gaussian(mean, covariance), -bound, bound)
     torch.testing.assert_close(value, mean.new_tensor([0.2, -0.4, 0.0]), atol=1e-15, rtol=0)
-    assert held.tolist() == [True, False, False]
+    assert is_bound.tolist() == [True, False, False]
 
 
 def test_a_mean_inside_stays_as_it_is() -> None:
     state = _gaussian(3)
     bound = torch.full((6,), 10.0, dtype=torch.float64)
-    value, held = mode_in_box(state, -bound, bound)
+    value, is_bound = mode_in_box(state, -bound, bound)
     assert torch.equal(value, state.mean)
-    assert not bool(held.any())
+    assert not bool(is_bound.any())
 
 
 @pytest.mark.parametrize("batch", [(1,), (2, 3)])
 def test_batches_equal_a_loop(batch: tuple[int, ...]) -> None:
     state = _gaussian(5, batch=batch)
     bound = torch.full((6,), 0.3, dtype=torch.float64)
-    values, held = mode_in_box(state, -bound, bound)
+    values, is_bound = mode_in_box(state, -bound, bound)
     means, covariances = state.mean.reshape(-1, 6), state.covariance.reshape(-1, 6, 6)
     for i, (mean, covariance) in enumerate(zip(means, covariances, strict=True)):
         value, on = mode_in_box(Gaussian(mean, covariance), -bound, bound)
         torch.testing.assert_close(values.reshape(-1, 6)[i], value, atol=1e-12, rtol=0)
-        assert torch.equal(held.reshape(-1, 6)[i], on)
+        assert torch.equal(is_bound.reshape(-1, 6)[i], on)

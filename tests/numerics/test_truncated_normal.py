@@ -49,20 +49,22 @@ def test_integrates_to_one(low: float, high: float, dtype: torch.dtype) -> None:
 @pytest.mark.parametrize(("low", "high"), INTERVALS)
 def test_quantiles_invert_the_distribution(low: float, high: float) -> None:
     """The mass below the quantile, by this module's own stable mass, is the share asked for."""
-    share = torch.tensor((0.0, 1e-9, 0.1, 0.5, 0.9, 1.0), dtype=torch.float64)
+    fraction = torch.tensor((0.0, 1e-9, 0.1, 0.5, 0.9, 1.0), dtype=torch.float64)
     mean, std = torch.tensor(0.3).double(), torch.tensor(0.7).double()
     start, stop = torch.tensor(low).double(), torch.tensor(high).double()
-    value = truncated_normal_quantile(share, mean, std, start, stop)
+    value = truncated_normal_quantile(fraction, mean, std, start, stop)
     assert bool(((value >= start) & (value <= stop)).all())
     a, b, x = ((end - mean) / std for end in (start, stop, value))
     below = (log_normal_mass(a.expand(6), x) - log_normal_mass(a, b)).exp()
-    torch.testing.assert_close(below[1:], share[1:], atol=1e-6 if low > -50 else 1e-2, rtol=1e-6 if low > -50 else 1e-2)
+    torch.testing.assert_close(
+        below[1:], fraction[1:], atol=1e-6 if low > -50 else 1e-2, rtol=1e-6 if low > -50 else 1e-2
+    )
 
 
 def test_sample_moments(generator: torch.Generator) -> None:
-    share = torch.rand(200_000, generator=generator, dtype=torch.float64)
+    fraction = torch.rand(200_000, generator=generator, dtype=torch.float64)
     ends = [torch.tensor(x, dtype=torch.float64) for x in (0.5, 1.0, 0.0, 3.0)]
-    drawn = truncated_normal_quantile(share, *ends).numpy()
+    drawn = truncated_normal_quantile(fraction, *ends).numpy()
     reference = truncnorm(-0.5, 2.5, loc=0.5)
     assert drawn.mean() == pytest.approx(reference.mean(), abs=4 * reference.std() / math.sqrt(len(drawn)))
     assert drawn.std() == pytest.approx(reference.std(), rel=0.01)
@@ -73,9 +75,9 @@ def test_no_nan_anywhere(dtype: torch.dtype, generator: torch.Generator) -> None
     """Means far off, narrow intervals, shares at the ends: finite values and finite gradients."""
     low = 40 * torch.randn(20_000, generator=generator, dtype=dtype)
     high = low + 10 ** (6 * torch.rand(20_000, generator=generator, dtype=dtype) - 4) + 1e-4
-    share = torch.rand(20_000, generator=generator, dtype=dtype).round(decimals=1)
+    fraction = torch.rand(20_000, generator=generator, dtype=dtype).round(decimals=1)
     zero, one = torch.zeros((), dtype=dtype), torch.ones((), dtype=dtype)
-    value = truncated_normal_quantile(share, zero, one, low, high)
+    value = truncated_normal_quantile(fraction, zero, one, low, high)
     assert bool(((value >= low) & (value <= high)).all())
     leaves = [x.expand(20_000).clone().requires_grad_() for x in (value, zero, one, low, high)]
     density = truncated_normal_log_prob(*leaves)

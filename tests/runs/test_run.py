@@ -28,17 +28,17 @@ WIDTH, HEIGHT, FPS = 240, 192, 30.0
 class Scene:
     frames: list[RecordedFrame]
     keypoints_px: np.ndarray
-    share_in_view: np.ndarray
+    fraction_in_view: np.ndarray
     """Of the keypoints, per frame."""
 
 
 @dataclass
-class Held:
-    """A recording that is held in memory (`Recording`)."""
+class RecordingInMemory:
+    """A recording in memory (`Recording`)."""
 
     frames: list[RecordedFrame]
     cameras: Sequence[Camera]
-    name: str = "held"
+    name: str = "recording"
     source: str = "memory"
     fps: float = FPS
     notes: Sequence[str] = ()
@@ -78,7 +78,7 @@ def settings() -> TrackerSettings:
 def begin(camera: Camera, settings: TrackerSettings) -> Any:
     def begin(state: TrackerState | None = None) -> Run:
         tracker = Tracker(load_hand_model().hand(side="right", dtype=torch.float64), camera, settings)
-        return Run(Held(frames=[], cameras=[camera]), tracker, {}, state=state)
+        return Run(RecordingInMemory(frames=[], cameras=[camera]), tracker, {}, state=state)
 
     return begin
 
@@ -86,14 +86,14 @@ def begin(camera: Camera, settings: TrackerSettings) -> Any:
 def _scene(script: str, frames: int, kinematics: HandKinematics, camera: Camera, *, seed: int = 3) -> Scene:
     generator = torch.Generator().manual_seed(seed)
     motion = scripted_motion(script, frames, kinematics, camera, generator)
-    look = SceneSettings(noise=3.0, supersampling=2)
-    rendered = list(render_sequence(kinematics, motion, camera, look, generator))
+    scene = SceneSettings(noise=3.0, supersampling=2)
+    rendered = list(render_sequence(kinematics, motion, camera, scene, generator))
     points = torch.stack([frame.keypoints_px for frame in rendered]).numpy()
     inside = ((points >= 0) & (points <= np.array((WIDTH - 1, HEIGHT - 1)))).all(-1)
     return Scene(
         frames=[_frame(frame.index, frame.image) for frame in rendered],
         keypoints_px=points,
-        share_in_view=inside.mean(-1),
+        fraction_in_view=inside.mean(-1),
     )
 
 
@@ -164,9 +164,9 @@ def test_a_hand_that_leaves_is_lost_and_recovered_when_it_is_back(
     scene, run = _scene("leave", 60, kinematics, camera), begin()
     records = [run.step(frame)[0] for frame in scene.frames]
     status = [record.status for record in records]
-    gone = np.flatnonzero(scene.share_in_view == 0)
+    gone = np.flatnonzero(scene.fraction_in_view == 0)
     first, last = int(gone[0]), int(gone[-1])
-    back = int(np.flatnonzero((np.arange(60) > last) & (scene.share_in_view == 1))[0])
+    back = int(np.flatnonzero((np.arange(60) > last) & (scene.fraction_in_view == 1))[0])
     assert first > 5
     assert last > first + 6
     assert set(status[:5]) == {"tracked"}

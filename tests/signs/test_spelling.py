@@ -60,10 +60,10 @@ def test_a_letter_twice_slides_and_a_space_is_a_pause() -> None:
 
 def test_j_and_z_are_traced() -> None:
     kinematics = MODEL.kinematics(dtype=torch.float64)
-    share = torch.linspace(0, 1, 101, dtype=torch.float64)
+    fraction = torch.linspace(0, 1, 101, dtype=torch.float64)
     tips = {}
     for sign, tip in TRACERS.items():
-        poses = traced_poses(sign, SOLVED[sign], MODEL, share)
+        poses = traced_poses(sign, SOLVED[sign], MODEL, fraction)
         tips[sign] = kinematics(poses).keypoints[:, KEYPOINTS.index(tip)]
     z = tips["Z"]
     corner = [round(100 * k / 3) for k in range(4)]
@@ -78,7 +78,7 @@ def test_j_and_z_are_traced() -> None:
     assert float(j[low, 1] - j[-1, 1]) > 0.01  # and up again
     assert low > 40
     palm = torch.tensor((-1.0, 0.0, 0.0), dtype=torch.float64)
-    _, rotation = hand_course("J", share)
+    _, rotation = hand_course("J", fraction)
     assert float((rotation[0] @ palm)[2]) < -0.99
     assert float((rotation[-1] @ palm)[2]) > 0.1  # the palm has turned to the signer
     assert spell("AJ", MODEL, SOLVED).overlap.max() < 2e-3
@@ -136,7 +136,7 @@ def test_texts_are_put_in_order() -> None:
     [
         ("fps", 0.0, "more than 0, 1000 at most"),
         ("seconds_per_sign", 0.1, "0.2 to 20"),
-        ("hold_share", 1.0, "0.1 to 0.9"),
+        ("hold_fraction", 1.0, "0.1 to 0.9"),
         ("traced_seconds", math.nan, "0.2 to 20"),
     ],
 )

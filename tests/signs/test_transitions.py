@@ -23,7 +23,7 @@ ALLOWED = 0.5e-3  # metres
 def _way(clearance: Clearance, first: str, second: str, frames: int = 41) -> Tensor:
     recipe, _ = choose_recipe(clearance, first, second, SOLVED[first], SOLVED[second])
     points = waypoints(first, second, SOLVED[first], SOLVED[second], recipe)
-    return clearance.apart(curve(points, torch.linspace(0, 1, frames, dtype=torch.float64)))
+    return clearance.separated(curve(points, torch.linspace(0, 1, frames, dtype=torch.float64)))
 
 
 def _check(pairs: list[tuple[str, str]]) -> Tensor:
@@ -77,11 +77,11 @@ def test_apart_moves_little_and_only_where_it_must() -> None:
     deep[JOINT_DOFS.index("thumb_mcp_fe")] += 0.15
     before = clearance.worst(deep)
     assert float(before) > 1.5e-3
-    moved = clearance.apart(torch.stack((free, deep, free)))
+    moved = clearance.separated(torch.stack((free, deep, free)))
     assert torch.equal(moved[[0, 2]], torch.stack((free, free)))
     assert float(clearance.worst(moved[1])) < 0.3e-3
     assert float((moved[1] - deep).abs().max()) < 0.3
-    assert torch.equal(clearance.apart(free[None]), free[None])
+    assert torch.equal(clearance.separated(free[None]), free[None])
 
 
 def test_depths_are_those_of_penetration_without_slack() -> None:

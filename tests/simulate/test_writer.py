@@ -25,16 +25,16 @@ FRAMES = 3
 
 def _write(out: Path, rendered: Iterator[RenderedFrame] | None = None, **options) -> list[RenderedFrame]:
     motion = scripted_motion("planar", FRAMES, KINEMATICS, CAMERA, torch.Generator().manual_seed(2))
-    look = SceneSettings(supersampling=1)
-    frames = list(render_sequence(KINEMATICS, motion, CAMERA, look, torch.Generator().manual_seed(2)))
+    scene = SceneSettings(supersampling=1)
+    frames = list(render_sequence(KINEMATICS, motion, CAMERA, scene, torch.Generator().manual_seed(2)))
     write_sequence(out, iter(frames) if rendered is None else rendered, motion, CAMERA, KINEMATICS, SHAPE, **options)
     return frames
 
 
 def _broken_off(error: BaseException) -> Iterator[RenderedFrame]:
     motion = scripted_motion("planar", FRAMES, KINEMATICS, CAMERA, torch.Generator().manual_seed(2))
-    look = SceneSettings(supersampling=1)
-    yield next(iter(render_sequence(KINEMATICS, motion, CAMERA, look, torch.Generator())))
+    scene = SceneSettings(supersampling=1)
+    yield next(iter(render_sequence(KINEMATICS, motion, CAMERA, scene, torch.Generator())))
     raise error
 
 

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from tests.steps import FRAME_S, right_hand
-from tests.studio import Placed
+from tests.studio import StagedHand
 from torchhand.hand import DOFS, posture
-from torchhand.track import DEFAULTS, DetectedHand, Estimate, Tracker, TrackerSettings, View
+from torchhand.track import DEFAULTS, Estimate, HandKeypoints, Tracker, TrackerSettings, View
 
 CONTOUR = replace(DEFAULTS["contour"], pose_space="dof26")
 DISTANCE = replace(DEFAULTS["distance"], pose_space="dof26")
@@ -18,17 +18,17 @@ FLEXIONS = [i for i, n in enumerate(DOFS) if n.endswith(("mcp_fe", "pip_fe")) an
 BY_NAME = pytest.mark.parametrize("settings", [CONTOUR, DISTANCE], ids=["contour", "distance"])
 
 
-def _detected(placed: Placed, seed: int = 1, *, away_px: float = 0.0) -> DetectedHand:
+def _detected(placed: StagedHand, seed: int = 1, *, away_px: float = 0.0) -> HandKeypoints:
     """As a detector would: two pixels of noise, points in space about their own middle and in a size of their own."""
     generator = torch.Generator().manual_seed(seed)
     noise = 2.0 * torch.randn(21, 2, generator=generator, dtype=torch.float64)
     points = placed.projector.frames(placed.pose, placed.root_reference).keypoints
-    return DetectedHand(
+    return HandKeypoints(
         points_px=placed.keypoints_px + noise + away_px, points=0.9 * (points - points.mean(0)), score=0.9
     )
 
 
-def _with_posture(placed: Placed, name: str) -> Placed:
+def _with_posture(placed: StagedHand, name: str) -> StagedHand:
     return replace(placed, pose=torch.cat((placed.pose[:6], posture(name)[6:].to(placed.pose))))
 
 
@@ -40,7 +40,7 @@ def _steps(tracker: Tracker, views: list[View]) -> list[Estimate]:
     return estimates
 
 
-def _flexion_error(estimate: Estimate, placed: Placed) -> float:
+def _flexion_error(estimate: Estimate, placed: StagedHand) -> float:
     """Radians, mean over the fingers' flexions."""
     assert estimate.pose is not None
     return float((estimate.pose - placed.pose)[FLEXIONS].abs().mean())

@@ -15,7 +15,7 @@ from torchhand.track.multiview import RigSettings
 from torchhand.track.scene import ColourUpdateSettings, HealthSettings
 from torchhand.track.unscented import UnscentedUpdateSettings
 
-_SHARES = (
+_FRACTIONS = (
     "min_overlap",
     "min_edges",
     "min_in_view",
@@ -30,8 +30,8 @@ _PRIOR = ("rest_std_rad", "side_std_rad", "tie_std_rad", "tilt_std_rad")
 
 CASES = [
     *[
-        (TrackerSettings, name, least - 1, f"{name}: expected {least} or more, got {least - 1}")
-        for name, least in {"points_per_generator": 2, "points_per_arc": 4, "check_side_px": 64}.items()
+        (TrackerSettings, name, minimum - 1, f"{name}: expected {minimum} or more, got {minimum - 1}")
+        for name, minimum in {"points_per_generator": 2, "points_per_arc": 4, "check_side_px": 64}.items()
     ],
     (TrackerSettings, "search_overlap", 1.5, "search_overlap: expected 0 to 1, got 1.5"),
     (TrackerSettings, "smoothing_window_s", -1.0, "smoothing_window_s: expected 0 or more and finite, got -1.0"),
@@ -40,7 +40,7 @@ CASES = [
     (TrackerSettings, "posture", "wave", f"posture: expected one of {', '.join(POSTURES)}, got 'wave'"),
     *[
         (UnscentedUpdateSettings, name, 0.0, f"update.{name}: expected above 0 and finite, got 0.0")
-        for name in ("edge_std_px", "gate", "search_share")
+        for name in ("edge_std_px", "gate", "search_fraction")
     ],
     (UnscentedUpdateSettings, "gate", math.inf, "update.gate: expected above 0 and finite, got inf"),
     (UnscentedUpdateSettings, "edge_std_px", math.nan, "update.edge_std_px: expected above 0 and finite, got nan"),
@@ -72,8 +72,8 @@ CASES = [
     ],
     (NoiseSettings, "angle", math.nan, "noise.angle: expected 0 or more and finite, got nan"),
     *[(PosturePriorSettings, name, 0.0, f"prior.{name}: expected above 0 and finite, got 0.0") for name in _PRIOR],
-    *[(HealthSettings, name, 1.5, f"health.{name}: expected 0 to 1, got 1.5") for name in _SHARES],
-    *[(HealthSettings, name, -0.5, f"health.{name}: expected 0 to 1, got -0.5") for name in _SHARES],
+    *[(HealthSettings, name, 1.5, f"health.{name}: expected 0 to 1, got 1.5") for name in _FRACTIONS],
+    *[(HealthSettings, name, -0.5, f"health.{name}: expected 0 to 1, got -0.5") for name in _FRACTIONS],
     (HealthSettings, "max_unexplained", -1.0, "health.max_unexplained: expected 0 or more, got -1.0"),
     *[(HealthSettings, name, 0, f"health.{name}: expected 1 or more, got 0") for name in ("patience", "search_every")],
     (HealthSettings, "search_at_most_every", 2, "health.search_at_most_every: expected search_every or more, got 2"),
@@ -81,7 +81,7 @@ CASES = [
     (ColourUpdateSettings, "keep", 1.5, "colours.keep: expected 0 to 1, got 1.5"),
     *[
         (FitSettings, name, -2.0, f"fit.{name}: expected above 0 and finite, got -2.0")
-        for name in ("search_share", "final_search_share", "edge_std_px", "bent_std_rad")
+        for name in ("search_fraction", "final_search_fraction", "edge_std_px", "bent_std_rad")
     ],
     (FitSettings, "iterations", 0, "fit.iterations: expected 1 or more, got 0"),
     (RigSettings, "found_overlap", 1.5, "rig.found_overlap: expected 0 to 1, got 1.5"),

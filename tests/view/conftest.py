@@ -34,9 +34,9 @@ class Scene:
     def pose(self, generator: torch.Generator, *batch: int) -> tuple[Tensor, Tensor]:
         """A pose with joint angles anywhere within the limits, and a root reference turned any way."""
         skeleton = load_hand_model().skeleton
-        share = torch.rand(*batch, 30, generator=generator, dtype=torch.float64)
+        fraction = torch.rand(*batch, 30, generator=generator, dtype=torch.float64)
         pose = torch.zeros(*batch, 36, dtype=torch.float64)
-        pose[..., 6:] = skeleton.lower + share * (skeleton.upper - skeleton.lower)
+        pose[..., 6:] = skeleton.lower + fraction * (skeleton.upper - skeleton.lower)
         reference = rotation_from_vector(2 * torch.randn(3, generator=generator, dtype=torch.float64))
         pose[..., :3] = torch.tensor((0.0, 0.0, DISTANCE), dtype=torch.float64) - 0.09 * reference[:, 1]
         pose[..., 3:6] = 0.1 * torch.randn(*batch, 3, generator=generator, dtype=torch.float64)

@@ -25,13 +25,13 @@ CENTRE = torch.tensor((0.02, -0.01, 0.0), dtype=torch.float64)
 def state_at(octree: Octree, points: Tensor, frame: int = 0) -> Tensor:
     """The state of the leaf that each point lies in; WHITE outside the root cube."""
     corner = torch.tensor(octree.root.corner, dtype=torch.float64)
-    share = (points.double() - corner) / octree.root.side
+    fraction = (points.double() - corner) / octree.root.side
     found = torch.full((len(points),), WHITE, dtype=torch.uint8)
     for level in octree.levels:
         grid = torch.full((2**level.level,) * 3, 255, dtype=torch.uint8)
         own = level.frames == frame
         grid[tuple(level.cells[own].long().T)] = level.states[own]
-        cell = (share * 2**level.level).floor().long()
+        cell = (fraction * 2**level.level).floor().long()
         inside = ((cell >= 0) & (cell < 2**level.level)).all(-1)
         there = grid[tuple(cell[inside].T)]
         place = inside.nonzero()[:, 0][there != 255]
@@ -40,7 +40,7 @@ def state_at(octree: Octree, points: Tensor, frame: int = 0) -> Tensor:
 
 
 def loop_states(
-    masks: list[Tensor], cameras: list[Camera], root: RootCube, level: int, margin: int, least: int, tolerated: int
+    masks: list[Tensor], cameras: list[Camera], root: RootCube, level: int, margin: int, min_views: int, tolerated: int
 ) -> np.ndarray:
     """The specification: every finest octant's pixels, one octant and view at a time, in float64."""
     n, side = 2**level, root.side / 2**level
@@ -69,10 +69,10 @@ def loop_states(
             against += not (is_in or is_unseen)
         if out > tolerated:
             states[cell] = WHITE
-        elif bare > len(masks) - least:
+        elif bare > len(masks) - min_views:
             states[cell] = UNKNOWN
         else:
-            states[cell] = BLACK if against <= tolerated and inner >= least else GRAY
+            states[cell] = BLACK if against <= tolerated and inner >= min_views else GRAY
     return states
 
 
@@ -99,16 +99,19 @@ def _centres(carver: Carver) -> Tensor:
 
 
 @pytest.mark.parametrize(
-    ("margin", "least", "tolerated", "kind"), [(1, 2, 0, "pinhole"), (0, 3, 0, "orthographic"), (2, 2, 1, "pinhole")]
+    ("margin", "min_views", "tolerated", "kind"),
+    [(1, 2, 0, "pinhole"), (0, 3, 0, "orthographic"), (2, 2, 1, "pinhole")],
 )
-def test_equals_a_loop_over_octants_and_views(margin: int, least: int, tolerated: int, kind: str, rigs: Any) -> None:
+def test_equals_a_loop_over_octants_and_views(
+    margin: int, min_views: int, tolerated: int, kind: str, rigs: Any
+) -> None:
     generator = torch.Generator().manual_seed(margin)
     cameras = rigs.random(generator, 3, width=48, height=36, focal=60.0, kind=kind)
     masks = [rigs.ball(camera, CENTRE, 0.05) for camera in cameras]
     masks[0] = rigs.ball(cameras[0], CENTRE + 0.03, 0.05)
-    settings = CarvingSettings(level=4, margin_px=margin, least_views=least, tolerated_views=tolerated)
+    settings = CarvingSettings(level=4, margin_px=margin, min_views=min_views, tolerated_views=tolerated)
     states = Carver(cameras, CUBE, settings).dense(masks)
-    expected = loop_states(masks, cameras, CUBE, 4, margin, least, tolerated)
+    expected = loop_states(masks, cameras, CUBE, 4, margin, min_views, tolerated)
     assert all((expected == state).any() for state in (WHITE, GRAY))
     # float32 may widen a rectangle over the edge of a pixel: then less is certain, never something else.
     differs = states.numpy() != expected
@@ -127,8 +130,8 @@ def test_leaves_are_those_of_dense_carving(seed: int, rigs: Any) -> None:
     balls = CENTRE + 0.03 * torch.randn(4, 3, generator=generator, dtype=torch.float64)
     masks = [rigs.ball(camera, balls, torch.tensor((0.03, 0.02, 0.015, 0.01))) for camera in cameras]
     masks[3] &= torch.rand(masks[3].shape, generator=generator) < 0.995  # holes
-    for tolerated, least in ((0, 1), (0, 2), (0, 4), (1, 2), (2, 1)):
-        settings = CarvingSettings(level=6, tolerated_views=tolerated, least_views=least)
+    for tolerated, min_views in ((0, 1), (0, 2), (0, 4), (1, 2), (2, 1)):
+        settings = CarvingSettings(level=6, tolerated_views=tolerated, min_views=min_views)
         octree = assert_equals_dense(Carver(cameras, CUBE, settings), masks)
         assert float(octree.volume()) > 0
     settings = CarvingSettings(level=3)
@@ -209,7 +212,7 @@ def test_outside_the_picture_nothing_is_known(rigs: Any) -> None:
     cameras = [whole, narrow]
     masks = [rigs.ball(camera, CENTRE, 0.05) for camera in cameras]
     masks[1][:] = False
-    octree = carve(masks, cameras, CUBE, CarvingSettings(level=6, least_views=1))
+    octree = carve(masks, cameras, CUBE, CarvingSettings(level=6, min_views=1))
     points = torch.tensor(CUBE.corner) + CUBE.side * torch.rand(3000, 3, generator=torch.Generator().manual_seed(0))
     column, row = narrow.project(points.double()).unbind(-1)
     states = state_at(octree, points)
@@ -221,7 +224,7 @@ def test_outside_the_picture_nothing_is_known(rigs: Any) -> None:
     deep = (column > 8) & (column < 71) & (row > 8) & (row < 111)
     assert bool((states[deep] == WHITE).all())
     # Where two views have to show the object, that is unknown instead.
-    octree = carve(masks, cameras, CUBE, CarvingSettings(level=6, least_views=2))
+    octree = carve(masks, cameras, CUBE, CarvingSettings(level=6, min_views=2))
     assert bool(octree.is_empty)
     assert float(octree.volume("unknown")) > 0
 
@@ -235,7 +238,7 @@ def test_what_lies_across_the_plane_of_a_camera_is_not_carved_away(rigs: Any) ->
     x, y, z = middle.tolist()
     z -= 0.0019
     camera = rigs.looking((x, y, z), at=(x, y, z + 1.0), focal=30.0)
-    octree = carve([torch.zeros(120, 160, dtype=torch.bool)], [camera], CUBE, CarvingSettings(level=6, least_views=1))
+    octree = carve([torch.zeros(120, 160, dtype=torch.bool)], [camera], CUBE, CarvingSettings(level=6, min_views=1))
     points = torch.tensor([(x, y, z + ahead) for ahead in (-0.05, -0.00005, 0.05)], dtype=torch.float64)
     assert state_at(octree, points).tolist() == [UNKNOWN, UNKNOWN, WHITE]
 
@@ -256,7 +259,7 @@ def test_correcting_a_barrel_lens_loses_no_pixel(rigs: Any) -> None:
     """What is seen in one pixel alone stays, although corrected pictures show the nearest pixels only."""
     lens = torch.tensor((-0.2, 0.03, 0.004, -0.003, 0.0), dtype=torch.float64)
     camera = replace(rigs.looking((0.0, 0.0, -0.5), focal=170.0), distortion=lens)
-    settings = CarvingSettings(level=8, margin_px=0, least_views=1)
+    settings = CarvingSettings(level=8, margin_px=0, min_views=1)
     cube = RootCube(centre=(0.0, 0.0, 0.0), side=0.24)
     generator = torch.Generator().manual_seed(0)
     pixels = torch.stack([torch.randint(30, n - 30, (80,), generator=generator) for n in (160, 120)], -1)
@@ -306,7 +309,7 @@ def test_batches_equal_a_loop(batch: tuple[int, ...], rigs: Any) -> None:
     flat = [torch.stack([rigs.ball(camera, centre, 0.04) for centre in centres]) for camera in cameras]
     masks = [mask.reshape(*batch, *mask.shape[1:]) for mask in flat]
     there = torch.rand(*batch, 3, generator=generator) < 0.8
-    carver = Carver(cameras, CUBE, CarvingSettings(level=5, least_views=1))
+    carver = Carver(cameras, CUBE, CarvingSettings(level=5, min_views=1))
     together = assert_equals_dense(carver, masks, there)
     assert together.volume().shape == together.is_empty.shape == batch
     for frame in range(count):
@@ -326,7 +329,7 @@ def test_a_carver_moved_is_one_made_there(lens: tuple[float, ...] | None, rigs: 
     if lens is not None:
         cameras[1] = replace(cameras[1], distortion=torch.tensor(lens, dtype=torch.float64))
     masks = [rigs.ball(camera, CENTRE, 0.04) for camera in cameras]
-    settings = CarvingSettings(level=5, least_views=1)
+    settings = CarvingSettings(level=5, min_views=1)
     carver = Carver(cameras, CUBE, settings)
     behind = (-cameras[0].rotation.T @ cameras[0].translation).tolist()
     for centre in ((0.03, -0.04, 0.02), tuple(behind), CUBE.centre):
@@ -343,8 +346,8 @@ def test_a_carver_moved_is_one_made_there(lens: tuple[float, ...] | None, rigs: 
 
 def test_silhouettes_that_do_not_meet_are_a_frame_without_hull(rigs: Any) -> None:
     cameras = [rigs.looking((0.0, 0.0, -0.5)), rigs.looking((0.5, 0.0, 0.0))]
-    apart = torch.tensor((0.0, 0.06, 0.0), dtype=torch.float64)
-    masks = [rigs.ball(cameras[0], apart, 0.02), rigs.ball(cameras[1], -apart, 0.02)]
+    shift = torch.tensor((0.0, 0.06, 0.0), dtype=torch.float64)
+    masks = [rigs.ball(cameras[0], shift, 0.02), rigs.ball(cameras[1], -shift, 0.02)]
     octree = carve(masks, cameras, CUBE)
     assert bool(octree.is_empty)
     assert float(octree.volume()) == 0
@@ -367,7 +370,7 @@ def test_noise_ends_at_a_coarser_level(rigs: Any) -> None:
     generator = torch.Generator().manual_seed(0)
     cameras = rigs.random(generator, 3)
     masks = [torch.rand(120, 160, generator=generator) < 0.5 for _ in cameras]
-    octree = carve(masks, cameras, CUBE, CarvingSettings(level=8, most_octants=300_000))
+    octree = carve(masks, cameras, CUBE, CarvingSettings(level=8, max_octants=300_000))
     assert octree.level == 6
     assert len(octree.levels[-1].states) <= 300_000
     assert octree.leaf_side == pytest.approx(CUBE.side / 64)

@@ -26,9 +26,9 @@ def ball_hull(rigs: Any, *, level: int = 6, views: int = 16, centres: Any = None
 
 
 @pytest.mark.parametrize("size", [(1, 1, 1), (20, 17, 9), (3, 40, 31)])
-@pytest.mark.parametrize("share", [0.01, 0.4])
-def test_distances_are_scipys(size: tuple[int, int, int], share: float, generator: torch.Generator) -> None:
-    marked = torch.rand(*size, generator=generator) < share
+@pytest.mark.parametrize("fraction", [0.01, 0.4])
+def test_distances_are_scipys(size: tuple[int, int, int], fraction: float, generator: torch.Generator) -> None:
+    marked = torch.rand(*size, generator=generator) < fraction
     marked[-1, 0, -1] = True
     expected = np.asarray(scipy.ndimage.distance_transform_edt(~marked.numpy())).astype(np.float32)
     torch.testing.assert_close(distance_grid(marked), torch.from_numpy(expected), atol=1e-6, rtol=1e-6)
@@ -48,9 +48,9 @@ def test_field_is_the_distance_from_the_faces_of_octants(rigs: Any) -> None:
     assert float((values[0] - torch.from_numpy(expected).reshape(-1)).abs().max()) < 1e-7
 
 
-def _centres(size: Any, first: Any, corner: torch.Tensor, side: float, rim: int) -> torch.Tensor:
+def _centres(size: Any, first: Any, corner: torch.Tensor, side: float, border: int) -> torch.Tensor:
     cells = torch.cartesian_prod(*(torch.arange(n, dtype=torch.float64) for n in size))
-    return (cells + torch.tensor(first) - rim + 0.5) * side + corner
+    return (cells + torch.tensor(first) - border + 0.5) * side + corner
 
 
 def test_middle_surface_is_the_ball(rigs: Any) -> None:
@@ -84,8 +84,8 @@ def test_gradient_is_that_of_autograd_and_of_differences(rigs: Any) -> None:
     [by_autograd] = torch.autograd.grad(value.sum(), points)
     torch.testing.assert_close(gradient, by_autograd, atol=1e-12, rtol=1e-12)
     step = 1e-7
-    apart = torch.eye(3, dtype=torch.float64) * step
-    numeric = torch.stack([(field.sample(points + d)[0] - field.sample(points - d)[0]) / (2 * step) for d in apart], -1)
+    steps = torch.eye(3, dtype=torch.float64) * step
+    numeric = torch.stack([(field.sample(points + d)[0] - field.sample(points - d)[0]) / (2 * step) for d in steps], -1)
     close = (numeric - gradient).abs().amax(-1) < 1e-6
     assert float(close.double().mean()) > 0.99  # but for cells' and the grid's borders
     assert torch.autograd.gradcheck(lambda p: field.sample(p)[0], points[:, :10].detach().requires_grad_(), eps=1e-7)
@@ -133,8 +133,8 @@ def test_a_frame_without_hull_is_flat_and_far(rigs: Any) -> None:
     value, _ = field.sample(CENTRE.expand(2, 1, 3))
     assert float(value[0]) < 0
     assert float(value[1]) > 0.15
-    held = field.origin[1] + field.pitch
-    assert float(field.sample(held.expand(2, 1, 3))[1][1].abs().max()) == 0
+    corner_point = field.origin[1] + field.pitch
+    assert float(field.sample(corner_point.expand(2, 1, 3))[1][1].abs().max()) == 0
 
 
 def test_says_what_is_wrong(rigs: Any) -> None:

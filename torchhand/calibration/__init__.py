@@ -1,7 +1,7 @@
 """Cameras from pictures of a board: corners, each camera alone, bundle adjustment of a rig, and how good it is."""
 
 from torchhand.calibration.board import Board, BoardCorners, draw_board, find_board, other_board
-from torchhand.calibration.camera import CameraViews, Moment
+from torchhand.calibration.camera import CameraViews, FrameIndex
 from torchhand.calibration.quality import QualityLimits, shortcomings
 from torchhand.calibration.reprojection import Pose
 from torchhand.calibration.rig import RigCalibration, calibrate_rig, check_board
@@ -11,7 +11,7 @@ __all__ = [
     "Board",
     "BoardCorners",
     "CameraViews",
-    "Moment",
+    "FrameIndex",
     "Pose",
     "QualityLimits",
     "RigCalibration",

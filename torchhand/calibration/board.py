@@ -11,8 +11,8 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 _CHESSBOARD_FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-_LEAST_CORNERS = 6  # of a ChArUco board that is partly hidden
-_REACH, _MOST_REACH_PX = 0.25, 8  # of the refinement of a corner, relative to a square's side
+_MIN_CORNERS = 6  # of a ChArUco board that is partly hidden
+_REACH, _MAX_REACH_PX = 0.25, 8  # of the refinement of a corner, relative to a square's side
 _SMALLEST = 3  # squares per side of the smallest board that can be told from clutter
 
 
@@ -47,9 +47,9 @@ class Board:
             if self.dictionary not in dictionaries():
                 raise ValueError(f"dictionary: expected one of {', '.join(dictionaries())}, got {self.dictionary!r}")
             count = self.columns * self.rows // 2
-            held = len(_dictionary(self.dictionary).bytesList)
-            if count > held:
-                raise ValueError(f"dictionary: {self.dictionary} holds {held} markers, the board needs {count}")
+            available = len(_dictionary(self.dictionary).bytesList)
+            if count > available:
+                raise ValueError(f"dictionary: {self.dictionary} holds {available} markers, the board needs {count}")
 
     @property
     def corners(self) -> int:
@@ -98,7 +98,7 @@ def find_board(image: UInt8[Tensor, "height width 3"], board: Board) -> BoardCor
         points = _refined(grey, grid.reshape(-1, 2))
         return BoardCorners(ids=torch.arange(board.corners), points_px=_points(points))
     corners, ids, _, _ = cv2.aruco.CharucoDetector(_charuco(board)).detectBoard(grey)
-    if ids is None or len(ids) < _LEAST_CORNERS:
+    if ids is None or len(ids) < _MIN_CORNERS:
         return None
     numbers = torch.from_numpy(np.asarray(ids).reshape(-1).astype(np.int64))
     columns, rows = (numbers % (board.columns - 1)).unique(), (numbers // (board.columns - 1)).unique()
@@ -112,8 +112,8 @@ def other_board(image: UInt8[Tensor, "height width 3"], board: Board) -> str | N
     grey = cv2.cvtColor(np.ascontiguousarray(image.numpy()), cv2.COLOR_RGB2GRAY)
     if board.kind == "chessboard":
         flags = _CHESSBOARD_FLAGS | cv2.CALIB_CB_LARGER
-        least = (_SMALLEST, _SMALLEST)
-        found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, least, flags)
+        minimum = (_SMALLEST, _SMALLEST)
+        found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, minimum, flags)
         if not found:
             return None
         rows, columns = (count + 1 for count in np.asarray(meta).shape[:2])
@@ -166,9 +166,9 @@ def _begins_at_white(grey: np.ndarray, grid: np.ndarray) -> bool:
 
 def _refined(grey: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Corners (n, 2) moved to where the gradients around them meet, within a quarter of the smallest square."""
-    apart = np.linalg.norm(corners[:, None] - corners[None], axis=-1)
-    np.fill_diagonal(apart, np.inf)
-    half = int(np.clip(_REACH * apart.min(), 2, _MOST_REACH_PX))
+    distances = np.linalg.norm(corners[:, None] - corners[None], axis=-1)
+    np.fill_diagonal(distances, np.inf)
+    half = int(np.clip(_REACH * distances.min(), 2, _MAX_REACH_PX))
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
     points = np.array(corners, order="C").reshape(-1, 1, 2)
     return cv2.cornerSubPix(grey, points, (half, half), (-1, -1), stop)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.calibration.board import Board
-from torchhand.calibration.camera import CameraViews, Moment
+from torchhand.calibration.camera import CameraViews, FrameIndex
 from torchhand.calibration.reprojection import Pose, Reprojection, reproject
 from torchhand.geometry import left_jacobian, rotation_from_vector
 from torchhand.numerics import LevenbergMarquardtSettings, NormalEquations, levenberg_marquardt
@@ -25,28 +25,29 @@ class Bundle:
     board: Board
     lenses: tuple[Float[Tensor, "_lens"], ...]
     cam_from_world: Pose
-    """(cameras,)"""
+    """Poses of the cameras, (cameras,)."""
     world_from_board: Pose
-    """(moments,)"""
-    moments: tuple[Moment, ...]
+    """Poses of the board, (frames,)."""
+    frames: tuple[FrameIndex, ...]
 
     def of(self, views: Sequence[CameraViews]) -> "Bundle":
         """The same values for fewer pictures."""
-        left = sorted({moment for view in views for moment in view.corners})
-        rows = torch.tensor([self.moments.index(moment) for moment in left])
-        return replace(self, views=tuple(views), world_from_board=self.world_from_board[rows], moments=tuple(left))
+        left = sorted({frame for view in views for frame in view.corners})
+        rows = torch.tensor([self.frames.index(frame) for frame in left])
+        return replace(self, views=tuple(views), world_from_board=self.world_from_board[rows], frames=tuple(left))
 
-    def residuals(self) -> dict[tuple[int, Moment], Float[Tensor, "_found 2"]]:
-        """Seen minus computed pixels, by place of the camera and moment."""
+    def residuals(self) -> dict[tuple[int, FrameIndex], Float[Tensor, "_found 2"]]:
+        """Seen minus computed pixels, by place of the camera and frame."""
         residuals = {}
         for c, found in enumerate(self._observations):
             difference = found.points_px - self._reproject(c).points_px
-            for moment, part in zip(found.moments, difference.split(found.counts), strict=True):
-                residuals[c, self.moments[moment]] = part
+            for frame, part in zip(found.frames, difference.split(found.counts), strict=True):
+                residuals[c, self.frames[frame]] = part
         return residuals
 
     def standard_deviations(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Of each camera's fx, relative, and of its translation (largest of three; metres), from the residuals."""
+        """Standard deviations of each camera's fx, relative, and of its translation (largest of three; metres), from
+        the residuals."""
         found = self.normal_equations(torch.zeros(self._size, dtype=torch.float64))
         count = 2 * sum(len(seen.points_px) for seen in self._observations)
         variance = 2 * float(found.cost) / max(1, count - self._size)
@@ -75,7 +76,8 @@ class Bundle:
         )
 
     def normal_equations(self, values: Float[Tensor, "n"]) -> NormalEquations:
-        """At `values` (see `moved`), block by block: a corner depends on one lens, one camera and one board only."""
+        """Normal equations at `values` (see `moved`), block by block: a corner depends on one lens, one camera and one
+        board only."""
         at = self.moved(values)
         matrix = torch.zeros(self._size, self._size, dtype=torch.float64)
         gradient = torch.zeros(self._size, dtype=torch.float64)
@@ -92,10 +94,10 @@ class Bundle:
             jacobian = torch.cat((*parts, by_board), -1)
             residual = seen.points_px - found.points_px
             cost = cost + 0.5 * residual.square().sum()
-            blocks = zip(found.moments, jacobian.split(found.counts), residual.split(found.counts), strict=True)
-            for moment, block, rest in blocks:
+            blocks = zip(found.frames, jacobian.split(found.counts), residual.split(found.counts), strict=True)
+            for frame, block, rest in blocks:
                 block, rest = block.flatten(0, 1), rest.flatten()
-                places = torch.cat((*columns, self._board_at[moment]))
+                places = torch.cat((*columns, self._board_at[frame]))
                 matrix.index_put_((places[:, None], places[None]), block.T @ block, accumulate=True)
                 gradient.index_put_((places,), block.T @ rest, accumulate=True)
         return NormalEquations(matrix=matrix, gradient=gradient, cost=cost)
@@ -112,7 +114,7 @@ class Bundle:
     @cached_property
     def _observations(self) -> list["_Observations"]:
         points = self.board.points()
-        return [_Observations.of(view, self.moments, points) for view in self.views]
+        return [_Observations.of(view, self.frames, points) for view in self.views]
 
     # Where the values of each lens, camera and board stand in the vector of all.
 
@@ -128,7 +130,7 @@ class Bundle:
     @cached_property
     def _board_at(self) -> Tensor:
         start = sum(len(lens) for lens in self.lenses) + 6 * (len(self.views) - 1)
-        return torch.arange(start, start + 6 * len(self.moments)).reshape(-1, 6)
+        return torch.arange(start, start + 6 * len(self.frames)).reshape(-1, 6)
 
     @property
     def _size(self) -> int:
@@ -144,28 +146,28 @@ def adjust(bundle: Bundle) -> Bundle:
 
 @dataclass(frozen=True, kw_only=True)
 class _Observations:
-    """All corners that one camera saw, moment by moment."""
+    """All corners that one camera saw, frame by frame."""
 
     points_px: Tensor
     points_board: Tensor
     moment_of: Tensor
-    """Row of the bundle's moments, by corner."""
-    moments: list[int]
+    """Row of each corner's frame in the bundle."""
+    frames: list[int]
     """The rows, in order."""
     counts: list[int]
     """Corners of each."""
 
     @classmethod
-    def of(cls, view: CameraViews, moments: Sequence[Moment], points: Tensor) -> "_Observations":
-        rows = {moment: row for row, moment in enumerate(moments)}
+    def of(cls, view: CameraViews, frames: Sequence[FrameIndex], points: Tensor) -> "_Observations":
+        rows = {frame: row for row, frame in enumerate(frames)}
         order = sorted(view.corners)
-        counts = [len(view.corners[moment].ids) for moment in order]
-        seen = torch.tensor([rows[moment] for moment in order])
+        counts = [len(view.corners[frame].ids) for frame in order]
+        seen = torch.tensor([rows[frame] for frame in order])
         return cls(
-            points_px=torch.cat([view.corners[moment].points_px for moment in order]),
-            points_board=points[torch.cat([view.corners[moment].ids for moment in order])],
+            points_px=torch.cat([view.corners[frame].points_px for frame in order]),
+            points_board=points[torch.cat([view.corners[frame].ids for frame in order])],
             moment_of=seen.repeat_interleave(torch.tensor(counts)),
-            moments=seen.tolist(),
+            frames=seen.tolist(),
             counts=counts,
         )
 

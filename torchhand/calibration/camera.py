@@ -12,8 +12,8 @@ from torch import Tensor
 from torchhand.calibration.board import Board, BoardCorners
 from torchhand.calibration.reprojection import Pose
 
-Moment = int
-"""Pictures of one moment show the board in one place, whichever camera took them."""
+FrameIndex = int
+"""Index of a frame: pictures of one frame show the board in one place, whichever camera took them."""
 
 DISTORTIONS = (0, 4, 5, 8)
 _CELLS = 4  # per side of the picture, for its coverage
@@ -26,10 +26,10 @@ class CameraViews:
     name: str
     width: int
     height: int
-    corners: Mapping[Moment, BoardCorners]
+    corners: Mapping[FrameIndex, BoardCorners]
 
-    def without(self, moments: set[Moment]) -> "CameraViews":
-        kept = {moment: found for moment, found in self.corners.items() if moment not in moments}
+    def without(self, frames: set[FrameIndex]) -> "CameraViews":
+        kept = {frame: found for frame, found in self.corners.items() if frame not in frames}
         return CameraViews(name=self.name, width=self.width, height=self.height, corners=kept)
 
     @property
@@ -45,12 +45,12 @@ class CameraViews:
 
 @dataclass(frozen=True, kw_only=True)
 class SingleCalibration:
-    """Of one camera by itself."""
+    """Calibration of one camera by itself."""
 
     lens: Float[Tensor, "lens"]
     """fx, fy, cx, cy, then the distortion."""
-    cam_from_board: dict[Moment, Pose]
-    residual_px: dict[Moment, float]
+    cam_from_board: dict[FrameIndex, Pose]
+    residual_px: dict[FrameIndex, float]
     """Root mean square over the corners of one picture."""
 
     @property

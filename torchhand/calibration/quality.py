@@ -59,7 +59,7 @@ def shortcomings(found: RigCalibration, limits: QualityLimits) -> list[str]:
         elif rms > limits.rms_px:
             lines.append(
                 f"{name}: {alone.rms_px:.2f} px alone, but {rms:.2f} px together with the other cameras, expected"
-                f" {limits.rms_px:g} or less: pictures of the same number are not of the same moment (give an offset),"
+                f" {limits.rms_px:g} or less: pictures of the same number are not of the same time (give an offset),"
                 " or a camera has moved"
             )
         if rms <= limits.rms_px and found.focal_std[i] > limits.focal_std:

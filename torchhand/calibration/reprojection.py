@@ -51,9 +51,9 @@ class Reprojection:
     points_px: Float[Tensor, "points 2"]
     by_lens: Float[Tensor, "points 2 lens"]
     by_camera: Float[Tensor, "points 2 6"]
-    """With w and the translation of cam_from_world."""
+    """Derivative in w and the translation of cam_from_world."""
     by_board: Float[Tensor, "points 2 6"]
-    """With w and the translation of world_from_board."""
+    """Derivative in w and the translation of world_from_board."""
 
 
 def reproject(

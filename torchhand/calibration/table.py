@@ -1,6 +1,6 @@
 """A calibration as a table of text."""
 
-from torchhand.calibration.rig import RigCalibration, shared_moments
+from torchhand.calibration.rig import RigCalibration, shared_frames
 
 _HEAD = ("camera", "pictures", "covered", "tilt", "fx", "fy", "cx", "cy", "± focal", "± place", "alone", "together")
 
@@ -26,10 +26,10 @@ def calibration_table(found: RigCalibration) -> str:
     widths = [max(len(row[i]) for row in rows) for i in range(len(_HEAD))]
     lines = ["  ".join(text.rjust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     if len(found.cameras) > 1:
-        shared = shared_moments(found.views)
+        shared = shared_frames(found.views)
         pairs = [f"{found.cameras[a].name} and {found.cameras[b].name} {len(m)}" for (a, b), m in shared.items()]
-        lines.append(f"moments at which two cameras saw the board: {', '.join(pairs)}")
-    for name, moment, rms in found.dropped:
-        lines.append(f"left out: {name} at moment {moment} ({rms:.1f} px)")
+        lines.append(f"frames in which two cameras saw the board: {', '.join(pairs)}")
+    for name, frame, rms in found.dropped:
+        lines.append(f"left out: {name} in frame {frame} ({rms:.1f} px)")
     lines.append(f"reprojection error of all corners: {found.rms_px():.3f} px RMS")
     return "\n".join(lines)

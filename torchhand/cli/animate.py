@@ -19,7 +19,7 @@ from torchhand.signs import SpellingSettings, check_text, load_signs, sign_joint
 
 VIDEO = ".mp4"
 _DISTANCE = 0.5  # metres of the hand before the camera, in exports
-_MOST_SIDE = 4096
+_MAX_SIDE = 4096
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,7 @@ class Arguments:
     """
 
     text: Annotated[Positional[str], arg(metavar="TEXT")]
-    """What to spell."""
+    """Text to spell."""
     to: Annotated[Path, arg(metavar="FILE")]
     """File to write."""
     format: FormatName | None = None
@@ -46,11 +46,11 @@ class Arguments:
     fps: float = 25.0
     """Frames per second."""
     seconds: float = 1.0
-    """From one sign to the next; ways around collisions and traced letters take longer."""
+    """Time from one sign to the next; ways around collisions and traced letters take longer."""
     size: str = "640x480"
-    """Of the video, WIDTHxHEIGHT in px."""
+    """Size of the video, WIDTHxHEIGHT in px."""
     options: OmitArgPrefixes[ExportOptions] = ExportOptions()  # noqa: RUF009 - frozen
-    """What only some export formats ask."""
+    """Options that only some export formats ask."""
     overwrite: bool = False
     """Replace a file that exists."""
 
@@ -60,9 +60,9 @@ class Arguments:
         words = self.size.lower().split("x")
         if len(words) == 2 and all(word.isascii() and word.isdecimal() for word in words):
             width, height = map(int, words)
-            if all(64 <= side <= _MOST_SIDE for side in (width, height)):
+            if all(64 <= side <= _MAX_SIDE for side in (width, height)):
                 return width, height
-        raise InputError(f"--size: expected WIDTHxHEIGHT, each 64 to {_MOST_SIDE} px, got {self.size!r}")
+        raise InputError(f"--size: expected WIDTHxHEIGHT, each 64 to {_MAX_SIDE} px, got {self.size!r}")
 
 
 @command

@@ -106,9 +106,9 @@ class Arguments:
     """Threads of torch and numpy, for ours and the peers alike."""
 
     def __post_init__(self) -> None:
-        for name, value, most in (("repeats", self.repeats, 100_000), ("threads", self.threads, 1024)):
-            if value is not None and not 1 <= value <= most:
-                raise ValueError(f"--{name}: expected 1 to {most}, got {value}")
+        for name, value, maximum in (("repeats", self.repeats, 100_000), ("threads", self.threads, 1024)):
+            if value is not None and not 1 <= value <= maximum:
+                raise ValueError(f"--{name}: expected 1 to {maximum}, got {value}")
 
     @property
     def chosen(self) -> tuple[Name, ...]:

@@ -16,7 +16,7 @@ from torchhand.calibration import (
     Board,
     BoardCorners,
     CameraViews,
-    Moment,
+    FrameIndex,
     QualityLimits,
     RigCalibration,
     calibrate_rig,
@@ -34,9 +34,9 @@ from torchhand.files import RigSource, offsets_of, save_cameras
 from torchhand.files.disk import replacing
 from torchhand.files.rigs import open_uncalibrated
 
-_VIDEO_MOMENTS = 60  # looked at in a video, unless --every says otherwise
-_MOST_MOMENTS = 80  # used; more only cost time
-_FEWEST = 3  # pictures without which there is nothing to compute
+_VIDEO_FRAMES = 60  # frames searched in a video, unless --every says otherwise
+_MAX_FRAMES = 80  # used; more only cost time
+_MIN_PICTURES = 3  # pictures without which there is nothing to compute
 _TRIED = 3  # pictures without the board that are searched for another one
 
 
@@ -46,7 +46,7 @@ class Arguments:
 
     INPUT is a folder with a folder of pictures per camera (view_0, view_1, ... or any names), or a video per camera;
     one folder of pictures or one video for a single camera. Pictures of the same number, or frames of the same number,
-    show the board at the same moment. Show the board to every camera ten times or more, near, tilted to all sides, over
+    show the board at the same time. Show the board to every camera ten times or more, near, tilted to all sides, over
     the whole picture, and often to two cameras at once. A calibration that is not good is refused with the reasons.
 
     Beside FILE a folder FILE_report gets one picture per camera and report.txt.
@@ -73,13 +73,14 @@ class Arguments:
     distortion: Literal[0, 4, 5, 8] = 5
     """Number of lens distortion coefficients, in OpenCV's order."""
     offset: Annotated[tuple[str, ...], arg(metavar="NAME=FRAMES")] = ()
-    """For cameras that do not start together: this camera's picture number FRAMES belongs to number 0 of the others."""
+    """Offset of cameras that do not start together: this camera's picture number FRAMES belongs to number 0 of the
+    others."""
     every: Annotated[int | None, arg(metavar="N")] = None
-    """Look at every Nth moment only; for videos chosen so that about 60 are looked at, if not given."""
+    """Search every Nth frame only; for videos chosen so that about 60 are searched, if not given."""
     world: Literal["camera", "board"] = "camera"
-    """Frame of the result: the first camera's, or the board's at one moment (x along rows, y down, z into it)."""
-    world_moment: Annotated[int | None, arg(metavar="N")] = None
-    """Which moment, counted from 0, with --world board; the first at which the board was seen if not given."""
+    """Frame of the result: the first camera's, or the board's in one picture (x along rows, y down, z into it)."""
+    world_picture: Annotated[int | None, arg(metavar="N")] = None
+    """Number of the picture, counted from 0, with --world board; the first at which the board was seen if not given."""
     max_rms: Annotated[float, arg(metavar="PX")] = 1.0
     """Largest reprojection error of a good calibration."""
     force: bool = False
@@ -102,8 +103,8 @@ class Arguments:
             raise ValueError(f"--every: expected 1 or more, got {self.every}")
         if not 0 < self.max_rms < 100:
             raise ValueError(f"--max-rms: expected above 0, below 100 px, got {self.max_rms:g}")
-        if self.world_moment is not None and self.world != "board":
-            raise ValueError("--world-moment: expected --world board with it")
+        if self.world_picture is not None and self.world != "board":
+            raise ValueError("--world-picture: expected --world board with it")
         if self.print_board is None and (self.input is None or self.out is None):
             raise ValueError("expected INPUT and --out FILE, or --print-board FILE")
 
@@ -123,8 +124,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         views = _views(arguments, arguments.input, board)
         found = calibrate_rig(views, board, distortion=arguments.distortion)
         if arguments.world == "board":
-            moment = arguments.world_moment
-            found = found.in_world_of_board(min(found.world_from_board) if moment is None else moment)
+            frame = arguments.world_picture
+            found = found.in_world_of_board(min(found.world_from_board) if frame is None else frame)
     table = calibration_table(found)
     print(table)
     lacks = shortcomings(found, replace(QualityLimits(), rms_px=arguments.max_rms))
@@ -187,7 +188,7 @@ def _views(arguments: Arguments, folder: Path, board: Board) -> list[CameraViews
     with open_uncalibrated(folder, offsets=offsets) as whole:
         check_board(board, len(whole.names))
         count, has_videos = whole.count, whole.has_videos
-    every = arguments.every or (max(1, (count or 0) // _VIDEO_MOMENTS) if has_videos else 1)
+    every = arguments.every or (max(1, (count or 0) // _VIDEO_FRAMES) if has_videos else 1)
     with open_uncalibrated(folder, offsets=offsets, every=every) as source:
         corners, others = _search(source, board)
         for line in source.warnings:
@@ -197,7 +198,7 @@ def _views(arguments: Arguments, folder: Path, board: Board) -> list[CameraViews
             for name, size, found in zip(source.names, source.sizes, corners, strict=True)
         ]
     for view, other in zip(views, others, strict=True):
-        if len(view.corners) < _FEWEST:
+        if len(view.corners) < _MIN_PICTURES:
             what = f"{board.kind} of {board.columns}x{board.rows} squares"
             hint = f"; its pictures show {other}" if other else ""
             raise InputError(
@@ -207,9 +208,9 @@ def _views(arguments: Arguments, folder: Path, board: Board) -> list[CameraViews
     return _fewer(views)
 
 
-def _search(source: RigSource, board: Board) -> tuple[list[dict[Moment, BoardCorners]], list[str | None]]:
-    """Corners by moment for every view, and what else the first pictures without the board show."""
-    corners: list[dict[Moment, BoardCorners]] = [{} for _ in source.names]
+def _search(source: RigSource, board: Board) -> tuple[list[dict[FrameIndex, BoardCorners]], list[str | None]]:
+    """Corners by frame for every view, and what else the first pictures without the board show."""
+    corners: list[dict[FrameIndex, BoardCorners]] = [{} for _ in source.names]
     others: list[str | None] = [None] * len(corners)
     tried = [0] * len(corners)
     progress = tqdm(source, total=source.count, desc="finding the board", disable=not sys.stderr.isatty())
@@ -225,21 +226,21 @@ def _search(source: RigSource, board: Board) -> tuple[list[dict[Moment, BoardCor
 
 
 def _fewer(views: list[CameraViews]) -> list[CameraViews]:
-    """At most `_MOST_MOMENTS` moments, evenly spread, those that several cameras share before the others."""
-    moments = sorted({moment for view in views for moment in view.corners})
-    if len(moments) <= _MOST_MOMENTS:
+    """At most `_MAX_FRAMES` frames, evenly spread, those that several cameras share before the others."""
+    frames = sorted({frame for view in views for frame in view.corners})
+    if len(frames) <= _MAX_FRAMES:
         return views
-    shared = [moment for moment in moments if sum(moment in view.corners for view in views) > 1]
-    rest = [moment for moment in moments if moment not in set(shared)]
-    kept = set(_spread(shared, _MOST_MOMENTS))
-    kept |= set(_spread(rest, _MOST_MOMENTS - len(kept)))
+    shared = [frame for frame in frames if sum(frame in view.corners for view in views) > 1]
+    rest = [frame for frame in frames if frame not in set(shared)]
+    kept = set(_spread(shared, _MAX_FRAMES))
+    kept |= set(_spread(rest, _MAX_FRAMES - len(kept)))
     return [view.without(set(view.corners) - kept) for view in views]
 
 
-def _spread(moments: list[Moment], count: int) -> list[Moment]:
-    if count < 1 or len(moments) <= count:
-        return moments[: max(count, 0)]
-    return [moments[i] for i in torch.linspace(0, len(moments) - 1, count).round().long().tolist()]
+def _spread(frames: list[FrameIndex], count: int) -> list[FrameIndex]:
+    if count < 1 or len(frames) <= count:
+        return frames[: max(count, 0)]
+    return [frames[i] for i in torch.linspace(0, len(frames) - 1, count).round().long().tolist()]
 
 
 def _save(out: Path, report: Path, found: RigCalibration, table: str, lacks: list[str]) -> None:

@@ -22,7 +22,7 @@ WRONG_INPUT = 2
 STOPPED_BY_USER = 130  # 128 + SIGINT, as a shell reports it
 READER_WENT_AWAY = 141  # 128 + SIGPIPE
 
-MOST_THREADS = 1024
+MAX_THREADS = 1024
 
 HELP_TEXT_INDENT = " " * 9  # in tyro's messages; names stand 4 columns further left
 UNWANTED = ("For full helptext", "Argument helptext")
@@ -89,8 +89,8 @@ def threads(count: int) -> Iterator[None]:
     Raises:
         InputError: not a number of threads.
     """
-    if not 1 <= count <= MOST_THREADS:
-        raise InputError(f"--threads: expected 1 to {MOST_THREADS}, got {count}")
+    if not 1 <= count <= MAX_THREADS:
+        raise InputError(f"--threads: expected 1 to {MAX_THREADS}, got {count}")
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:

@@ -92,8 +92,8 @@ def _simulate(folder: Path, arguments: Arguments) -> None:
     camera = replace(assumed_camera(*SIZE_PX, horizontal_fov_deg=FOV_DEG), is_assumed=False)
     generator = torch.Generator().manual_seed(arguments.seed)
     motion = scripted_motion("planar", arguments.frames, kinematics, camera, generator, shape=shape)
-    look = SceneSettings(background="plain", noise=NOISE)
-    rendered = render_sequence(kinematics, motion, camera, look, generator, shape=shape)
+    scene = SceneSettings(background="plain", noise=NOISE)
+    rendered = render_sequence(kinematics, motion, camera, scene, generator, shape=shape)
     write_sequence(
         folder,
         iter(tqdm(rendered, total=arguments.frames, desc="rendering", unit="frame", disable=not sys.stderr.isatty())),

@@ -47,7 +47,7 @@ class Arguments:
     truth: Annotated[Positional[Path], arg(metavar="TRUTH")]
     """Folder with truth.npz (keypoints3d, keypoints2d, flexion_deg; any may be missing) and masks/, or the file."""
     out: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Where the figures go; DIR/evaluation.json if not given."""
+    """File for the figures; DIR/evaluation.json if not given."""
 
 
 @command
@@ -92,8 +92,8 @@ def table(figures: dict[str, Any]) -> str:
         lines.append(("losses, frames to recover", f"{tracking['losses']}: {lengths}"))
     if "share_largest_error_below_20mm" in tracking:
         lines.append(("frames with every joint within 20 mm", f"{tracking['share_largest_error_below_20mm']:.1%}"))
-        share = tracking["share_largest_root_relative_error_below_20mm"]
-        lines.append(("the same, relative to the wrist", f"{share:.1%}"))
+        fraction = tracking["share_largest_root_relative_error_below_20mm"]
+        lines.append(("the same, relative to the wrist", f"{fraction:.1%}"))
     for section, key, label, unit in TABLE:
         if section in figures:
             lines.append((label, _three(figures[section][key], unit)))
@@ -120,7 +120,7 @@ def table(figures: dict[str, Any]) -> str:
         lines.append(("overlap with the tracker's own segmentation", f"median {median:.3f}"))
     if "uncertainty" in figures:
         honesty = figures["uncertainty"]
-        text = f"{honesty['share_inside']:.1%}, mean per dof {honesty['mean_per_dof']:.2f} (honest: 95 % and 1)"
+        text = f"{honesty['fraction_inside']:.1%}, mean per dof {honesty['mean_per_dof']:.2f} (honest: 95 % and 1)"
         lines.append(("NEES inside its 95 % band", text))
     if "speed" in figures:
         lines.append(("compute time per frame", f"median {figures['speed']['median_ms_per_frame']:.2f} ms"))

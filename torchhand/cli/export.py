@@ -12,7 +12,7 @@ from torchhand.errors import InputError
 from torchhand.export import ExportOptions, FormatName, MotionClip, format_of, load_clip
 from torchhand.files.results import CHECKPOINT_NAME, CONFIG_NAME, HAND_NAME, JSONL_NAME, NPZ_NAME, OVERLAY_NAME
 
-_MOST_NAMED = 3
+_MAX_NAMED = 3
 RESULT_NAMES = (HAND_NAME, CONFIG_NAME, OVERLAY_NAME, CHECKPOINT_NAME, JSONL_NAME, NPZ_NAME)
 """Files of a result folder, which an export never replaces."""
 
@@ -46,9 +46,9 @@ class Arguments:
     hand: Annotated[Path | None, arg(metavar="FILE")] = None
     """Another hand.json than the one beside the track."""
     up: Literal["y", "-y", "z", "-z"] = "-y"
-    """Which axis of the track's frame points up: -y for one camera, that of the rig's world for several."""
+    """Axis of the track's frame that points up: -y for one camera, that of the rig's world for several."""
     options: OmitArgPrefixes[ExportOptions] = ExportOptions()  # noqa: RUF009 - frozen
-    """What only some formats ask."""
+    """Options that only some formats ask."""
     overwrite: bool = False
     """Replace files that exist."""
 
@@ -104,5 +104,5 @@ def _check_free(arguments: Arguments, files: Sequence[Path]) -> None:
 def _summary(clip: MotionClip, kind: str, files: Sequence[Path]) -> str:
     frames = f"{len(clip)} frames at {clip.fps:g} per second" if len(clip) > 1 else "one frame"
     held = f", {len(clip.held)} of them lost and held" if clip.held else ""
-    named = ", ".join(map(str, files[:_MOST_NAMED])) + (f", … {files[-1]}" if len(files) > _MOST_NAMED else "")
+    named = ", ".join(map(str, files[:_MAX_NAMED])) + (f", … {files[-1]}" if len(files) > _MAX_NAMED else "")
     return f"{clip.side} hand, {frames}{held}; saved {kind}: {named}"

@@ -34,7 +34,7 @@ from torchhand.image import NoRegions, find_open_hand
 from torchhand.image.fingers import HandSilhouette
 from torchhand.view import HandProjector
 
-_LEAST_OVERLAP = 0.7  # below, the fitted hand does not explain the silhouette
+_MIN_OVERLAP = 0.7  # below, the fitted hand does not explain the silhouette
 _GOOD_OVERLAP, _GOOD_FOUND = 0.85, 0.85  # below, the fit is called doubtful
 _HAND_LENGTHS = (0.14, 0.24)  # metres: the bounds of the shape space
 
@@ -187,14 +187,14 @@ def _fitted(
         if isinstance(mirrored, NoRegions):
             raise InputError(f"{arguments.image}: {mirrored.reason}")
         hand = mirrored
-    if hand.overlap < _LEAST_OVERLAP:
+    if hand.overlap < _MIN_OVERLAP:
         raise InputError(
             f"{arguments.image}: five fingers stand out, but no hand fits the silhouette (overlap {hand.overlap:.2f},"
-            f" expected {_LEAST_OVERLAP:g} or more); give a better picture, or --mask"
+            f" expected {_MIN_OVERLAP:g} or more); give a better picture, or --mask"
         )
     if _quality(hand) == "doubtful":
         notes.append(
-            f"the fit is doubtful: overlap {hand.overlap:.2f}, edges under {hand.fit.found_share:.0%} of the outline;"
+            f"the fit is doubtful: overlap {hand.overlap:.2f}, edges on {hand.fit.found_fraction:.0%} of the outline;"
             " look at --overlay"
         )
     if hand.corrected:
@@ -203,7 +203,7 @@ def _fitted(
 
 
 def _quality(hand: OpenHand) -> str:
-    is_good = hand.overlap >= _GOOD_OVERLAP and hand.fit.found_share >= _GOOD_FOUND
+    is_good = hand.overlap >= _GOOD_OVERLAP and hand.fit.found_fraction >= _GOOD_FOUND
     return "good" if is_good else "doubtful"
 
 
@@ -254,7 +254,7 @@ def _save(
         "quality": _quality(hand),
         "overlap": hand.overlap,
         "median_residual_px": fit.residual_px,
-        "edges_found": fit.found_share,
+        "edges_found": fit.found_fraction,
         "corrected": list(hand.corrected),
         "notes": notes,
         "std": dict(zip(space.names, fit.shape_std.tolist(), strict=True)),

@@ -65,8 +65,8 @@ class Arguments:
     space: Annotated[str, arg(metavar="NAME")] = "dof27"
     """Free joint angles: dof26, dof27, dof28, dof31 or dof36."""
     points: Literal["auto", "space", "picture"] = "auto"
-    """Of files with both: those in space (MediaPipe's world landmarks) or in the picture; auto takes the picture's with
-    --camera or --size, else those in space."""
+    """Points of files with both kinds: those in space (MediaPipe's world landmarks) or in the picture; auto takes the
+    picture's with --camera or --size, else those in space."""
     units: Literal["auto", "metres", "px", "normalised", "any"] = "auto"
     """Unit of arrays; any: points in space in an unknown unit, whose scale is fitted at the default hand length."""
     mirrored: bool = False

@@ -44,7 +44,7 @@ from torchhand.learn import (
 
 PICTURE_NAME, FIGURES_NAME = "curve.png", "figures.json"
 MEASUREMENTS = 40  # along the curve
-FEWEST_STEPS = 25  # between two of them
+MIN_STEPS = 25  # between two of them
 SHOWN = ("flexion_deg", "root_relative_mm", "aligned_mm")
 """Figures that curve.png shows."""
 
@@ -106,8 +106,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         figures = {"held_out": {"network": _held_out(training, data), "baseline": baseline}}
         if stills is not None:
             figures["stills"] = _on_stills(training.network, stills, arguments.side)
-    told = {"torchhand": torchhand.__version__, "steps": training.step, "settings": asdict(settings)}
-    write_text(arguments.out / FIGURES_NAME, json.dumps({**told, **figures}, indent=2) + "\n")
+    header = {"torchhand": torchhand.__version__, "steps": training.step, "settings": asdict(settings)}
+    write_text(arguments.out / FIGURES_NAME, json.dumps({**header, **figures}, indent=2) + "\n")
     for where, table in figures.items():
         print(_table(where, table))
     print(f"saved {MODEL_NAME}, {CURVE_NAME}, {PICTURE_NAME} and {FIGURES_NAME} in {arguments.out}")
@@ -148,7 +148,7 @@ def _train(training: Training, data: TrainingData, curve: Curve, baseline: Figur
         total=steps, initial=training.step, desc="learning", unit="step", disable=not sys.stderr.isatty(), leave=False
     )
     with bar:
-        for reached in train(training, data, pause_every=max(FEWEST_STEPS, steps // MEASUREMENTS)):
+        for reached in train(training, data, pause_every=max(MIN_STEPS, steps // MEASUREMENTS)):
             curve.append({"step": reached.step, "loss": reached.loss, **_held_out(reached, data)})
             save_record(out, reached, curve)
             _draw(out, curve, baseline)

@@ -48,26 +48,26 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = parse(Arguments, argv, name="simulate")
     arguments = given.resolved()
     try:
-        look = arguments.look
+        scene = arguments.scene
     except ValueError as error:
         raise InputError(str(error)) from error
     with threads(arguments.threads):
         check_sequence_folder(arguments.out, overwrite=arguments.overwrite)
         if arguments.rig is None:
-            _render(arguments, look)
+            _render(arguments, scene)
         else:
             size = None if given.size is None else given.size_px
-            _render_rig(arguments, look, rig_cameras(arguments.rig, size=size, fov_deg=given.fov_deg))
+            _render_rig(arguments, scene, rig_cameras(arguments.rig, size=size, fov_deg=given.fov_deg))
     print(f"saved {arguments.frames} frames in {arguments.out}")
     return DONE
 
 
-def _render(arguments: Arguments, look: SceneSettings) -> None:
+def _render(arguments: Arguments, scene: SceneSettings) -> None:
     generator = torch.Generator().manual_seed(arguments.seed)
     actor = actor_of(arguments, generator)
     camera = camera_of(arguments)
     motion = motion_of(arguments, actor, camera, generator)
-    rendered = render_sequence(actor.kinematics, motion, camera, look, generator, shape=actor.shape, hand=actor.hand)
+    rendered = render_sequence(actor.kinematics, motion, camera, scene, generator, shape=actor.shape, hand=actor.hand)
     if arguments.mask_noise:
         noise = torch.Generator().manual_seed(arguments.seed)
         rendered = (with_mask_noise(frame, arguments.mask_noise, noise) for frame in rendered)
@@ -86,12 +86,12 @@ def _render(arguments: Arguments, look: SceneSettings) -> None:
     )
 
 
-def _render_rig(arguments: Arguments, look: SceneSettings, cameras: list[Camera]) -> None:
+def _render_rig(arguments: Arguments, scene: SceneSettings, cameras: list[Camera]) -> None:
     generator = torch.Generator().manual_seed(arguments.seed)
     actor = actor_of(arguments, generator)
     stage = stage_camera(cameras, hand_length(actor.kinematics, actor.shape))
     motion = motion_of(arguments, actor, stage, generator)
-    rendered = render_rig(actor.kinematics, motion, cameras, look, generator, shape=actor.shape, hand=actor.hand)
+    rendered = render_rig(actor.kinematics, motion, cameras, scene, generator, shape=actor.shape, hand=actor.hand)
     if arguments.mask_noise:
         noise = torch.Generator().manual_seed(arguments.seed)
         rendered = (

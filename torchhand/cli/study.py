@@ -41,7 +41,7 @@ from torchhand.study.hypotheses import (
 REFERENCE_STARTS = 16
 """Registrations of which the best is the reference of a picture without truth."""
 
-_MOST_SIDE_BY_SIDE = 4  # unless the user wants more: each needs memory of its own
+_MAX_SIDE_BY_SIDE = 4  # unless the user wants more: each needs memory of its own
 _GOOD_OVERLAP = 0.8  # of the reference hand and the mask, below which the user is told
 _SMALLEST_PX = 64
 
@@ -58,7 +58,7 @@ class Arguments:
     Example:
         torchhand study --out out/study --starts 10000
         torchhand study out/sequence --out out/study --frames 0,20,40 --surface mesh
-        torchhand study ueda --help     (another study: the evaluation of hands fitted into hulls, paper 002)
+        torchhand study ueda --help     (another study: hands fitted into hulls, Ueda et al. 2003)
     """
 
     input: Annotated[Positional[Path | None], arg(metavar="INPUT")] = None
@@ -76,15 +76,15 @@ class Arguments:
     angle_deg: Annotated[float | None, arg(metavar="DEG")] = None
     """Largest perturbation of every joint angle, either way; 15 if not given."""
     translation_mm: Annotated[float | None, arg(metavar="MM")] = None
-    """The same of every coordinate of the wrist; 10 if not given."""
+    """Largest perturbation of every coordinate of the wrist; 10 if not given."""
     rotation_deg: Annotated[float | None, arg(metavar="DEG")] = None
-    """The same of the hand's orientation, about any axis; 15 if not given."""
+    """Largest perturbation of the hand's orientation, about any axis; 15 if not given."""
     iterations: Annotated[int | None, arg(metavar="N")] = None
     """Most iterations of a start, over all stages from coarse to fine; 20 if not given."""
     batch: Annotated[int | None, arg(metavar="N")] = None
     """Starts that are worked on together; 128 if not given."""
     surface: SurfaceName | None = None
-    """Whose contours are registered (and drawn, of simulated pictures); primitives if not given."""
+    """Surface whose contours are registered (and drawn, of simulated pictures); primitives if not given."""
     method: Literal["levenberg_marquardt", "gauss_newton", "gradient_descent"] | None = None
     """Optimiser of every stage; levenberg_marquardt if not given. Gauss-Newton takes one step per association whatever
     --iterations says, gradient descent ten times the iterations."""
@@ -92,7 +92,7 @@ class Arguments:
     """Pose space: dof26 if not given, dof27, dof28, dof31, dof36 or planar_abduction."""
     prior: bool = True
     """Let the registration know which postures are likely."""
-    expectation: bool = True
+    start_prior: bool = True
     """Let the registration know how far starts may be off, as a tracker knows of its prediction."""
     success_deg: Annotated[float | None, arg(metavar="DEG")] = None
     """Largest mean error of the joint angles of a success; 5 if not given."""
@@ -114,7 +114,7 @@ class Arguments:
     """Batches that are worked on side by side, on a core each; as many as there are cores, at most 4, if not given. The
     results do not depend on it."""
     device: str = "cpu"
-    """Where to compute: cpu, or cuda."""
+    """Device to compute on: cpu, or cuda."""
     resume: bool = False
     """Go on with an interrupted study."""
     overwrite: bool = False
@@ -127,7 +127,7 @@ class Arguments:
 
 @command
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one study, or go on with it; `ueda` as the first word asks for that of paper 002."""
+    """Run one study, or go on with it; `ueda` as the first word asks for that of Ueda et al. (2003)."""
     words = sys.argv[1:] if argv is None else list(argv)
     if words[:1] == [study_ueda.WORD]:
         return study_ueda.run(words[1:])
@@ -136,7 +136,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     check_output_folder(arguments.out, resume=arguments.resume, overwrite=arguments.overwrite)
     side_by_side = arguments.threads
     if side_by_side is None:
-        side_by_side = min(_MOST_SIDE_BY_SIDE, os.cpu_count() or 1)
+        side_by_side = min(_MAX_SIDE_BY_SIDE, os.cpu_count() or 1)
     with threads(side_by_side), threads(1):  # the first for its check: each of them computes with one
         work = _work(arguments, settings)
         folder = StudyFolder(arguments.out, work.header(), resume=arguments.resume, overwrite=arguments.overwrite)
@@ -209,7 +209,7 @@ def _settings(arguments: Arguments) -> HypothesisStudySettings:
         **{name: f"perturbation.{name}" for name in ("levels", "angle_deg", "translation_mm", "rotation_deg")},
     }
     given = {key: value for name, key in named.items() if (value := getattr(arguments, name)) is not None}
-    given |= {f"has_{name}": False for name in ("prior", "expectation") if not getattr(arguments, name)}
+    given |= {f"has_{name}": False for name in ("prior", "start_prior") if not getattr(arguments, name)}
     changes = changes_of(arguments.changes, "contour.coverage_weight=0")
     settings = load_settings(HypothesisStudySettings(), arguments.config, changes)
     settings = load_settings(settings, None, given)

@@ -37,8 +37,8 @@ from torchhand.study.ueda import (
 WORD = "ueda"
 """The word after `torchhand study` that asks for this study."""
 
-_MOST_CAMERAS = 8
-_TABLE_LEVEL = 7  # the paper's
+_MAX_CAMERAS = 8
+_TABLE_LEVEL = 7  # that of the table in Ueda et al. (2003)
 _REPEATS = 5
 
 
@@ -62,7 +62,7 @@ class Arguments:
     """Recording of several cameras with truth.npz, in which the index is bent while the palm stays: another hand than
     our own."""
     data_frames: tuple[int, int] = (0, 1)
-    """Its frames: one to fit the hand's shape on, and one to find the bent finger in."""
+    """Frames of the recording: one to fit the hand's shape on, and one to find the bent finger in."""
     side: Literal["left", "right"] = "right"
     """Which hand the recording shows."""
     levels: Annotated[str, arg(metavar="N,N-N")] = "6-8"
@@ -72,7 +72,7 @@ class Arguments:
     iterations: int = 20
     """Steps of the fit by torques."""
     rig: Annotated[str, arg(metavar="NAME|FILE")] = "frame"
-    """Cameras of the simulated index, as of `torchhand simulate --rig`; frame3 are those of the paper's simulator."""
+    """Cameras of the simulated index, as of `torchhand simulate --rig`; frame3 are those of Ueda et al. (2003)."""
     people: int = 6
     """Random people that the ways of fitting are compared on; 0 leaves the comparison away."""
     cameras: Annotated[str, arg(metavar="N,N-N")] = "1-8"
@@ -84,7 +84,7 @@ class Arguments:
     off_deg: float = 5.0
     """Standard deviation by which guesses are off, of every angle and of the palm's turn."""
     off_mm: float = 5.0
-    """The same of the palm's place."""
+    """Standard deviation by which guesses of the palm's place are off."""
     seed: int = 0
     """Seed of everything that is random."""
     threads: int = 1
@@ -155,7 +155,7 @@ def _header(arguments: Arguments) -> dict[str, Any]:
 def _plan(arguments: Arguments) -> dict[str, Part]:
     """The parts by name. What they need of pictures and fits is made when the first of them runs."""
     levels = numbers_of(arguments.levels, "--levels", 3, 9)
-    counts = numbers_of(arguments.cameras, "--cameras", 1, _MOST_CAMERAS)
+    counts = numbers_of(arguments.cameras, "--cameras", 1, _MAX_CAMERAS)
     cameras, model = rig_cameras(arguments.rig), load_hand_model()
     cases: dict[str, Callable[[], BentCase]] = {
         "own": lambda: own_bent(model, cameras, arguments.angle_deg, arguments.seed)
@@ -173,10 +173,10 @@ def _plan(arguments: Arguments) -> dict[str, Part]:
                     case,
                     source,
                     level,
-                    HullTorqueSettings(iterations=arguments.iterations, steps=steps, outside_share=0.0),
+                    HullTorqueSettings(iterations=arguments.iterations, steps=steps, outside_fraction=0.0),
                 )
         plan[f"stages-{source}"] = partial(_timed, case, source)
-    eight = rig_cameras(f"frame{_MOST_CAMERAS}")
+    eight = rig_cameras(f"frame{_MAX_CAMERAS}")
     seat = lru_cache(maxsize=1)(
         lambda number: subject(
             model,

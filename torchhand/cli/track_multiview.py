@@ -34,16 +34,16 @@ class Arguments:
     out: Annotated[Path, arg(metavar="DIR")]
     """Folder for the results."""
     config: Annotated[str, arg(metavar="NAME")] = "hull_lm"
-    """Method: hull_lm (least squares, both sides of skin and hull), hull_torque (paper 002 as printed), or a YAML
-    file."""
+    """Method: hull_lm (least squares, both sides of skin and hull), hull_torque (Ueda et al. 2003 as printed), or a
+    YAML file."""
     cameras: Annotated[Path | None, arg(metavar="FILE")] = None
     """Cameras in another place than RIG."""
     unit: Annotated[str | None, arg(metavar="UNIT")] = None
-    """What the cameras' translations are in: m, cm, mm, inch, a number of metres, or `hand`: not known, and to be
-    fitted so that the hand has its size (that of --hand, or the average)."""
+    """Unit of the cameras' translations: m, cm, mm, inch, a number of metres, or `hand`: not known, and to be fitted so
+    that the hand has its size (that of --hand, or the average)."""
     silhouettes: Literal["auto", "masks", "skin", "background", "chroma"] = "auto"
-    """Where the silhouettes come from: masks_K/ of RIG, colour of skin, difference from --background, or a coloured
-    screen. auto: masks where RIG holds them, else as the configuration says."""
+    """Source of the silhouettes: masks_K/ of RIG, colour of skin, difference from --background, or a coloured screen.
+    auto: masks where RIG holds them, else as the configuration says."""
     background: Annotated[Path | None, arg(metavar="DIR")] = None
     """Pictures of the scene without the hand, one per camera: NAME.png or view_K.png."""
     hand: Annotated[Path | None, arg(metavar="FILE")] = None

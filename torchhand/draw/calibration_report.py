@@ -16,11 +16,11 @@ def write_report(folder: Path, found: RigCalibration, table: str, lacks: Sequenc
     with explained_errors(folder):
         folder.mkdir(exist_ok=True)
     for camera, view in zip(found.cameras, found.views, strict=True):
-        moments = [moment for name, moment in found.residuals_px if name == camera.name]
+        frames = [frame for name, frame in found.residuals_px if name == camera.name]
         picture = draw_reprojection(
             camera.name,
-            torch.cat([view.corners[moment].points_px for moment in moments]),
-            torch.cat([found.residuals_px[camera.name, moment] for moment in moments]),
+            torch.cat([view.corners[frame].points_px for frame in frames]),
+            torch.cat([found.residuals_px[camera.name, frame] for frame in frames]),
             camera.width,
             camera.height,
         )

@@ -97,7 +97,7 @@ def tick_step(largest: Number) -> Number:
 
 
 def _largest(values: Sequence[Number]) -> Number:
-    """Of those that are finite; 1 where none is above 0."""
+    """Largest number of those that are finite; 1 where none is above 0."""
     largest = max((value for value in values if math.isfinite(value)), default=0.0)
     return largest if largest > 0 else 1.0
 

@@ -26,7 +26,7 @@ KEYPOINT_COLOUR = (255, 220, 40)
 _PER_GENERATOR = 12
 _PER_ARC = 25
 _SHIFT = 4  # fractional bits of OpenCV's coordinates
-_PANEL_SHARE = 0.75  # side of the second view, share of the picture's height
+_PANEL_FRACTION = 0.75  # side of the second view, share of the picture's height
 _SMALLEST_PANEL = 64  # px
 _LARGEST_CAST = 240  # px; a larger panel shows the same rays enlarged
 
@@ -77,7 +77,7 @@ def draw_overlay(
 
 
 def _panel_side(height: int) -> int:
-    return max(_SMALLEST_PANEL, round(_PANEL_SHARE * height))
+    return max(_SMALLEST_PANEL, round(_PANEL_FRACTION * height))
 
 
 @lru_cache(maxsize=4)

@@ -10,7 +10,7 @@ _PAPER, _INK, _FRAME = (255, 255, 255), (60, 60, 60), (190, 190, 190)
 _COLD, _HOT = (38, 98, 190), (214, 60, 40)
 _PANEL = 560  # px, the longer side of a panel
 _EDGE, _HEAD = 12, 44  # px around and above a panel
-_ARROW_SHARE = 0.03  # length of an arrow of the root mean square error, relative to the panel
+_ARROW_FRACTION = 0.03  # length of an arrow of the root mean square error, relative to the panel
 _CELLS = (8, 6)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _SHIFT = 4  # fractional bits of OpenCV's coordinates
@@ -35,7 +35,7 @@ def draw_reprojection(
     panel = (max(1, round(width * scale)), max(1, round(height * scale)))
     canvas = np.full((panel[1] + _HEAD + _EDGE, 2 * panel[0] + 3 * _EDGE, 3), _PAPER, np.uint8)
     rms = float(residuals_px.square().sum(-1).mean().sqrt())
-    gain = _ARROW_SHARE * _PANEL / (scale * rms) if rms > 1e-9 else 1.0
+    gain = _ARROW_FRACTION * _PANEL / (scale * rms) if rms > 1e-9 else 1.0
     left, right = (_EDGE, _HEAD), (panel[0] + 2 * _EDGE, _HEAD)
     _draw_arrows(canvas, points_px, residuals_px, left, scale, gain, rms)
     _draw_cells(canvas, points_px, residuals_px, right, (width, height), panel, rms)
@@ -88,10 +88,10 @@ def _draw_cells(
             _text(canvas, str(int(inside.sum())), low[0] + 6, (low[1] + high[1]) // 2 + 5)
 
 
-def _heat(share: float, *, pale: float = 0.0) -> tuple[int, int, int]:
-    """From blue at 0 to red at 1 and above, mixed with white."""
-    share = min(max(share, 0.0), 1.0)
-    mixed = [(1 - share) * cold + share * hot for cold, hot in zip(_COLD, _HOT, strict=True)]
+def _heat(fraction: float, *, pale: float = 0.0) -> tuple[int, int, int]:
+    """Colour from blue at 0 to red at 1 and above, mixed with white."""
+    fraction = min(max(fraction, 0.0), 1.0)
+    mixed = [(1 - fraction) * cold + fraction * hot for cold, hot in zip(_COLD, _HOT, strict=True)]
     r, g, b = (round((1 - pale) * value + pale * 255) for value in mixed)
     return r, g, b
 
@@ -101,6 +101,6 @@ def _text(canvas: np.ndarray, text: str, x: int, y: int) -> None:
 
 
 def _fixed(point: list[float]) -> tuple[int, int]:
-    """For OpenCV's coordinates with fractional bits, kept within what they hold."""
+    """Numbers for OpenCV's coordinates with fractional bits, kept within what they hold."""
     x, y = (int(np.clip(round(value * (1 << _SHIFT)), -(1 << 24), 1 << 24)) for value in point)
     return x, y

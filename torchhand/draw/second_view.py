@@ -1,4 +1,5 @@
-"""The hand in three dimensions, seen from beside the camera (the right halves of figures 6 and 7 of paper 003)."""
+"""The hand in three dimensions, seen from beside the camera (the right halves of figures 6 and 7 of Stenger et al.
+2001)."""
 
 import math
 from dataclasses import replace

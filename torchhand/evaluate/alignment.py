@@ -17,7 +17,7 @@ class Similarity:
     scale: Float[np.ndarray, "*batch"]
     """1 where a rigid motion was asked for."""
     translation: Float[np.ndarray, "*batch d"]
-    """In the points' unit."""
+    """Translation in the points' unit."""
 
     def apply(self, points: Float[np.ndarray, "*#batch n d"]) -> Float[np.ndarray, "*batch n d"]:
         """Move points."""

@@ -18,9 +18,9 @@ def flexion_deg(keypoints: Float[np.ndarray, "*batch 21 d"]) -> Float[np.ndarray
     directions = bones / np.where(length > 0, length, np.nan)
     before, after = directions[..., :-1, :], directions[..., 1:, :]
     # 2·atan2(|a − b|, |a + b|) keeps its digits near 0 and 180, where arccos(a·b) loses half of them.
-    apart = np.linalg.norm(before - after, axis=-1)
+    difference = np.linalg.norm(before - after, axis=-1)
     together = np.linalg.norm(before + after, axis=-1)
-    return np.degrees(2.0 * np.arctan2(apart, together))
+    return np.degrees(2.0 * np.arctan2(difference, together))
 
 
 PROXIMAL = np.array([(first, first + 1) for first in (2, 5, 9, 13, 17)])

@@ -15,7 +15,8 @@ class Continuity:
     followed: int
     """Frames with a hand: status tracked or recovered."""
     frames_until_first_loss: int | None
-    """From the first followed frame; None if the hand was never lost after it (or never found)."""
+    """Frames from the first followed one to the first loss; None if the hand was never lost after it (or never
+    found)."""
     losses: int
     """Stretches without a hand after the first followed frame, however short."""
     frames_to_recover: tuple[int, ...]

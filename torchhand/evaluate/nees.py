@@ -14,11 +14,11 @@ RELATIVE_RANK_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class Consistency:
-    """A consistent filter has share_inside near 0.95 and mean_per_dof near 1; above 1 it claims too much."""
+    """A consistent filter has fraction_inside near 0.95 and mean_per_dof near 1; above 1 it claims too much."""
 
     samples: int
     """Points with a known error and a covariance that is not zero."""
-    share_inside: float
+    fraction_inside: float
     """Share of the points whose NEES lies inside the two-sided 95 % band of its degrees of freedom."""
     mean_per_dof: float
     """Sum of all NEES over the sum of their degrees of freedom."""
@@ -61,7 +61,7 @@ def consistency(
     total_dof = int(rank.sum())
     return Consistency(
         samples=int(nees.size),
-        share_inside=float(is_inside.mean()),
+        fraction_inside=float(is_inside.mean()),
         mean_per_dof=float(nees.sum() / total_dof),
         pooled_band=mean_chi_square_band(1, total_dof),
         mean_rank=float(rank.mean()),

@@ -23,7 +23,7 @@ class PlanarMotionErrors:
     displacement_px: Float[np.ndarray, "frames"]
     """Distance between the images of one point, the centroid of the true keypoints in the reference frame."""
     displacement_with_scale_px: Float[np.ndarray, "frames"]
-    """The same where both motions may also scale, for a hand that moves in depth."""
+    """Displacement error where both motions may also scale, for a hand that moves in depth."""
     scale_percent: Float[np.ndarray, "frames"]
     """Estimated scale over true scale, minus one, in percent."""
     true_scale: Float[np.ndarray, "frames"]
@@ -50,8 +50,8 @@ def planar_motion_errors(
     for with_scale in (False, True):
         estimated = fit_similarity(estimate_px[reference], estimate_px, with_scale=with_scale)
         true = fit_similarity(truth_px[reference], truth_px, with_scale=with_scale)
-        apart = estimated.apply(centroid) - true.apply(centroid)
-        displacement[with_scale] = _without(np.linalg.norm(apart[..., 0, :], axis=-1), reference)
+        difference = estimated.apply(centroid) - true.apply(centroid)
+        displacement[with_scale] = _without(np.linalg.norm(difference[..., 0, :], axis=-1), reference)
         scale[with_scale] = estimated.scale / true.scale
         turn[with_scale] = np.swapaxes(true.rotation, -1, -2) @ estimated.rotation
     true_scale = fit_similarity(truth_px[reference], truth_px, with_scale=True).scale

@@ -35,7 +35,7 @@ def pose_errors(
     joints: Bool[Tensor, "30"],
 ) -> PoseErrors:
     """Rotation vectors turn the references. joints: which angles count, at least one."""
-    apart = (pose - true_pose)[..., _ROOT:][..., joints]
+    difference = (pose - true_pose)[..., _ROOT:][..., joints]
     points = kinematics(pose, shape, root_reference=root_reference).keypoints
     truth = kinematics(true_pose, shape, root_reference=true_reference).keypoints
     turned, wanted = (
@@ -45,7 +45,7 @@ def pose_errors(
     # |A - B| = 2√2 sin(angle / 2): keeps its digits near 0, where the trace of AᵀB loses half of them.
     chord = (turned - wanted).flatten(-2).norm(dim=-1) / (2 * math.sqrt(2))
     return PoseErrors(
-        angle_deg=torch.rad2deg(apart.abs().mean(-1)),
+        angle_deg=torch.rad2deg(difference.abs().mean(-1)),
         keypoint_mm=1e3 * (points - truth).norm(dim=-1).mean(-1),
         rotation_deg=torch.rad2deg(2 * chord.clamp_max(1.0).asin()),
     )

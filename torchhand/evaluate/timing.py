@@ -22,7 +22,7 @@ PROC = Path("/proc/self")
 
 _MIB = 1 / 1024  # of a KiB, which the kernel counts in
 _GROWTH_UNIT = 100  # frames
-_FEWEST_SAMPLES = 10
+_MIN_SAMPLES = 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,7 +151,7 @@ def memory_growth(samples: Sequence[tuple[int, float]], *, skip: int) -> float |
     """
     last = max((frames for frames, _ in samples), default=0)
     kept = np.array([sample for sample in samples if skip <= sample[0] < last])
-    if len(kept) < _FEWEST_SAMPLES or np.ptp(kept[:, 0]) == 0:
+    if len(kept) < _MIN_SAMPLES or np.ptp(kept[:, 0]) == 0:
         return None
     return float(np.polyfit(kept[:, 0], kept[:, 1], 1)[0]) * _GROWTH_UNIT
 

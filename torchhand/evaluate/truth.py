@@ -22,9 +22,9 @@ class Truth:
     frames: int | None
     """Number of rows; None where there are only masks."""
     keypoints3d: Float[np.ndarray, "frames 21 3"] | None = None
-    """Metres; camera frame, world frame for several cameras."""
+    """Keypoints in space, metres; camera frame, world frame for several cameras."""
     keypoints2d: Float[np.ndarray, "frames 21 2"] | None = None
-    """px; one camera only."""
+    """Keypoints in the picture, px; one camera only."""
     flexion_deg: Float[np.ndarray, "frames 5 3"] | None = None
     """Degrees between successive bones of thumb, index, middle, ring, little."""
     mask_files: dict[int, Path] = field(default_factory=dict)

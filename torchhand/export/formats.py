@@ -51,7 +51,7 @@ class Format:
     write: Callable[[MotionClip, Path, ExportOptions], list[str]]
     """Writes the file and returns notes for the user: what the format could not hold."""
     files: Callable[[MotionClip, Path], list[Path]] = field(default=lambda clip, path: [path])
-    """What will be written."""
+    """Names of the files that are written."""
 
 
 def _glb(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:

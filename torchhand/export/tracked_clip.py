@@ -16,7 +16,7 @@ from torchhand.files.results import HAND_NAME
 from torchhand.hand import DOFS, HandModel, Side
 
 Gaps = Literal["hold", "cut"]
-_MOST_FRAMES = 1_000_000
+_MAX_FRAMES = 1_000_000
 
 
 def load_clip(
@@ -102,8 +102,8 @@ def clip_of_track(
     number, known = track.frame, np.flatnonzero(is_known)
     if not (np.diff(number) > 0).all():
         raise InputError(f"{where}: frame: expected increasing numbers, got others")
-    if (span := int(number[-1] - number[0]) + 1) > _MOST_FRAMES:
-        raise InputError(f"{where}: frame: expected numbers within {_MOST_FRAMES} of each other, got a span of {span}")
+    if (span := int(number[-1] - number[0]) + 1) > _MAX_FRAMES:
+        raise InputError(f"{where}: frame: expected numbers within {_MAX_FRAMES} of each other, got a span of {span}")
     if gaps == "cut":
         kept, frame = known, number[known]
     else:
@@ -140,7 +140,7 @@ def _hand_of(path: Path, model: HandModel) -> tuple[Side, torch.Tensor]:
 
 
 def _source_fps(track: Track) -> float:
-    """That of the video that was tracked, if it is still there."""
+    """Frame rate of the video that was tracked, if it is still there."""
     source = track.header.get("source")
     if not isinstance(source, str) or source.isdecimal() or not Path(source).exists():
         return ASSUMED_FPS

@@ -21,7 +21,7 @@ from torchhand.image import (
     touching,
 )
 
-_FEWEST_PX = 50
+_MIN_PIXELS = 50
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +90,7 @@ def relearned(
 def _without_margin(hand: Tensor, other: Tensor, margin_px: int) -> tuple[Tensor, Tensor] | None:
     """Both masks shrunk; None where one of them is nearly empty."""
     shrunk = [erode(mask, disc_kernel(max(1, margin_px))) for mask in (hand, other)]
-    return None if min(int(mask.sum()) for mask in shrunk) < _FEWEST_PX else (shrunk[0], shrunk[1])
+    return None if min(int(mask.sum()) for mask in shrunk) < _MIN_PIXELS else (shrunk[0], shrunk[1])
 
 
 def disc(shape: tuple[int, int], centre_px: Float[Tensor, "2"], radius_px: float) -> Bool[Tensor, "height width"]:

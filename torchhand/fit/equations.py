@@ -15,7 +15,8 @@ def weighted_equations(
     weight: Float[Tensor, "*#batch m"] | None = None,
     robust: RobustLoss | None = None,
 ) -> NormalEquations:
-    """Of ½ Σ weight · ρ(residual): reweighted least squares, the gradient is exact. Groups of a loss are of one.
+    """Normal equations of ½ Σ weight · ρ(residual): reweighted least squares, the gradient is exact. Groups of a loss
+    are of one.
 
     Residuals of weight 0 may be infinite or NaN, their derivatives not: they do not count.
     """

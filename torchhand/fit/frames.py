@@ -21,7 +21,7 @@ class FrameObservations:
         return not self.frames
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "FrameObservations":
-        """Of some of the frames."""
+        """The rows of some of the frames."""
         if isinstance(rows, slice):
             return FrameObservations(frames=self.frames[rows])
         return FrameObservations(frames=tuple(self.frames[index] for index in rows.tolist()))
@@ -46,7 +46,7 @@ class FrameFactor:
         return Equations.cat([factor.equations(own) for factor, own in zip(self.frames, _each(hands), strict=True)])
 
     def rows(self, rows: Int[Tensor, "n"]) -> "FrameFactor":
-        """Of some of the frames."""
+        """The rows of some of the frames."""
         return FrameFactor(frames=tuple(self.frames[index] for index in rows.tolist()))
 
     def explained(self) -> tuple[Explained, ...]:

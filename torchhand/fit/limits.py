@@ -44,9 +44,9 @@ class DynamicConstraints:
         if not has_ties:
             return values, slopes
         wanted = c.tie_factor * joints[..., c.sources] + c.tie_offset
-        held = torch.minimum(torch.maximum(wanted, c.tie_lower), c.tie_upper)
-        missed = (joints[..., c.targets] - held) / c.tie_spread
-        of_ties = c.target_rows - (wanted == held)[..., None] * c.source_rows
+        followed = torch.minimum(torch.maximum(wanted, c.tie_lower), c.tie_upper)
+        missed = (joints[..., c.targets] - followed) / c.tie_spread
+        of_ties = c.target_rows - (wanted == followed)[..., None] * c.source_rows
         return torch.cat((values, missed), -1), torch.cat((slopes, of_ties), -2)
 
 
@@ -55,7 +55,8 @@ class _Constants:
     """Numbers of the constraints, laid out once."""
 
     rows: Float[Tensor, "rows 30"]
-    """Of the bands and of the abductions, over the softness; then of the flexions, over that which leaves no room."""
+    """Rows of the bands and of the abductions, over the softness; then of the flexions, over that which leaves no
+    room."""
     bound: Float[Tensor, "bands"]
     """Over the softness, like the limits."""
     lower: Float[Tensor, "4"]
@@ -99,7 +100,7 @@ class _Constants:
         )
 
     def to(self, dtype: torch.dtype, device: torch.device) -> "_Constants":
-        """The same in another dtype and elsewhere."""
+        """The constants in a dtype and on a device."""
         tensors = {f.name: getattr(self, f.name).to(device) for f in fields(self)}
         return _Constants(**{name: x.to(dtype) if x.is_floating_point() else x for name, x in tensors.items()})
 

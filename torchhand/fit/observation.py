@@ -28,7 +28,7 @@ class PosedHands:
     """
 
     pose: HandPose
-    """(k,), within the joint limits."""
+    """Poses (k,), within the joint limits."""
     shape: Float[Tensor, "shape"]
     unknowns: SharedUnknowns | None = None
     """Shared unknowns in which derivatives are wanted; None for those of the pose alone."""
@@ -36,7 +36,7 @@ class PosedHands:
     """The numbers after the shape among the shared unknowns."""
     kept: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
     kept_of_shape: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
-    """What is kept that depends on the shape alone: all rows and frames of a problem have it in common."""
+    """Cache of what depends on the shape alone: all rows and frames of a problem have it in common."""
 
     def __len__(self) -> int:
         return len(self.pose)
@@ -74,7 +74,7 @@ class Equations:
 
     @classmethod
     def cat(cls, parts: "Sequence[Equations]") -> "Equations":
-        """Of the hands of all parts, at least one, one part after the other."""
+        """Equations of the hands of all parts, at least one, one part after the other."""
         if len(parts) == 1:
             return parts[0]
 
@@ -96,7 +96,8 @@ class Equations:
         first_dof: int = 0,
         shared: Float[Tensor, "k m c"] | None = None,
     ) -> "Equations":
-        """From residuals r with derivatives J: matrix Jᵀ W J and gradient Jᵀ W r of the weights W, with a given cost.
+        """Equations from residuals r with derivatives J: matrix Jᵀ W J and gradient Jᵀ W r of the weights W, with a
+        given cost.
 
         For a robust loss ½ Σ w ρ(r²) the weight is w ρ'(r²) (iteratively reweighted least squares; exact gradient).
         """
@@ -118,10 +119,10 @@ class Explained:
     """How well hands explain the data of one observation in one view; a row per hand."""
 
     name: str
-    """Of the observation's kind."""
+    """Name of the observation's kind."""
     view: int | None
-    """None for what is seen by all views together."""
-    share: Float[Tensor, "k"]
+    """Index of the view; None for what is seen by all views together."""
+    fraction: Float[Tensor, "k"]
     """Share of the data that the hand explains, 0 to 1."""
     distance: Float[Tensor, "k"]
     """Mean distance of the data from the hand, cut off where residuals are gross: px of that view, metres without
@@ -131,19 +132,19 @@ class Explained:
 
     @classmethod
     def cat(cls, parts: "Sequence[Explained]") -> "Explained":
-        """Of one kind and view, for the hands of all parts; what is not told of all is not told."""
+        """Explanations of one kind and view, for the hands of all parts; what is not told of all is not told."""
         inside = [one.inside for one in parts if one.inside is not None]
         return replace(
             parts[0],
-            share=torch.cat([one.share for one in parts]),
+            fraction=torch.cat([one.fraction for one in parts]),
             distance=torch.cat([one.distance for one in parts]),
             inside=torch.cat(inside) if len(inside) == len(parts) else None,
         )
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "Explained":
-        """Of the given hands."""
+        """The rows of the given hands."""
         inside = None if self.inside is None else self.inside[rows]
-        return replace(self, share=self.share[rows], distance=self.distance[rows], inside=inside)
+        return replace(self, fraction=self.fraction[rows], distance=self.distance[rows], inside=inside)
 
 
 @runtime_checkable
@@ -151,11 +152,12 @@ class Factor(Protocol):
     """One term of the cost, frozen about the hands that data were associated with."""
 
     def equations(self, hands: PosedHands) -> Equations:
-        """At the given hands, a row for each; rotation vectors are about the references of the association."""
+        """Equations at the given hands, a row for each; rotation vectors are about the references of the
+        association."""
         ...
 
     def rows(self, rows: Int[Tensor, "n"]) -> "Factor":
-        """Of some of the hands."""
+        """The rows of some of the hands."""
         ...
 
     def explained(self) -> tuple[Explained, ...]:
@@ -173,7 +175,7 @@ class Observation(Protocol):
         ...
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "Observation":
-        """Of some of the hypotheses or frames; itself where the data are the same for all."""
+        """The rows of some of the hypotheses or frames; itself where the data are the same for all."""
         ...
 
     def associate(self, hands: PosedHands, stage: Stage) -> Factor:

@@ -28,7 +28,7 @@ class PostureResiduals:
 
     @classmethod
     def of(cls, mixture: PostureMixture) -> "PostureResiduals":
-        """Those of a mixture with soft ties, float64."""
+        """Residuals of a mixture with soft ties, float64."""
         if mixture.constraints.settings.ties == "hard":
             raise ValueError("mixture: expected soft ties; with hard ones the tied angles have no density")
         slopes, std, tied = mixture.slopes.double(), mixture.std.double(), mixture.tied.double()

@@ -25,7 +25,7 @@ class ConstraintPrior:
 
     constraints: PoseConstraints
     weight: float = 1.0
-    """Of the squared violations in units of their softness; above 0."""
+    """Weight of the squared violations in units of their softness; above 0."""
     has_ties: bool = True
     """Whether the ties between joints are among them; False beside a posture prior that holds them."""
 
@@ -38,11 +38,11 @@ class ConstraintPrior:
         return DynamicConstraints(constraints=self.constraints)
 
     def associate(self, hands: PosedHands, stage: Stage) -> "ConstraintPrior":
-        """The same for all hands."""
+        """This prior itself, which is one and the same for all hands."""
         return self
 
     def equations(self, hands: PosedHands) -> Equations:
-        """In the joint angles."""
+        """Normal equations in the joint angles."""
         value, slope = self._residuals.of_joints(hands.pose.dofs, has_ties=self.has_ties)
         weighted = self.weight * slope
         return Equations(
@@ -53,7 +53,7 @@ class ConstraintPrior:
         )
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "ConstraintPrior":
-        """The same for all hands."""
+        """This prior itself, which is one and the same for all hands."""
         return self
 
     def explained(self) -> tuple[Explained, ...]:
@@ -76,7 +76,7 @@ class PosturePrior:
         return False
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "PosturePrior":
-        """The same for all hands."""
+        """This prior itself, which is one and the same for all hands."""
         return self
 
     def associate(self, hands: PosedHands, stage: Stage) -> "PostureFactor":
@@ -102,7 +102,7 @@ class PostureFactor:
     information: Float[Tensor, "k 30 30"]
 
     def equations(self, hands: PosedHands) -> Equations:
-        """In the joint angles."""
+        """Normal equations in the joint angles."""
         missed = (self.matrix @ hands.pose.dofs[:, _ROOT:, None]).squeeze(-1) - self.offset
         return Equations(
             cost=0.5 * missed.square().sum(-1),
@@ -112,7 +112,7 @@ class PostureFactor:
         )
 
     def rows(self, rows: Int[Tensor, "n"]) -> "PostureFactor":
-        """Of some of the hands."""
+        """The rows of some of the hands."""
         return PostureFactor(matrix=self.matrix[rows], offset=self.offset[rows], information=self.information[rows])
 
     def explained(self) -> tuple[Explained, ...]:
@@ -124,7 +124,7 @@ class GaussianPrior:
     """A pose that is expected, such as a prediction, with its covariance in the free parameters of a pose space."""
 
     pose: HandPose
-    """(), for all hypotheses, or (k,), one for each."""
+    """Expected pose: (), for all hypotheses, or (k,), one for each."""
     information: Float[Tensor, "*#k free free"]
     """Inverse covariance of the free parameters, the rotation a left perturbation of the pose."""
     space: PoseSpace
@@ -139,7 +139,7 @@ class GaussianPrior:
 
     @classmethod
     def of_std(cls, pose: HandPose, std: Float[Tensor, "free"], space: PoseSpace) -> "GaussianPrior":
-        """With independent errors; an infinite standard deviation expects nothing."""
+        """A prior with independent errors; an infinite standard deviation expects nothing."""
         return cls(pose=pose, information=torch.diag(std.reciprocal().square()), space=space)
 
     @property
@@ -171,7 +171,7 @@ class GaussianPrior:
         )
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "GaussianPrior":
-        """Of some of the hypotheses; itself where it is the same for all."""
+        """The rows of some of the hypotheses; itself where it is the same for all."""
         if not self.pose.batch_shape:
             return self
         information = self.information if self.information.ndim == 2 else self.information[rows]
@@ -188,13 +188,13 @@ class GaussianFactor:
     """Zero in the DOFs that no free parameter is named after."""
 
     def equations(self, hands: PosedHands) -> Equations:
-        """In all DOFs."""
-        apart = hands.pose.dofs - self.expected
-        pull = (self.information @ apart[..., None]).squeeze(-1)
-        return Equations(cost=0.5 * (apart * pull).sum(-1), gradient=pull, matrix=self.information)
+        """Normal equations in all DOFs."""
+        deviation = hands.pose.dofs - self.expected
+        pull = (self.information @ deviation[..., None]).squeeze(-1)
+        return Equations(cost=0.5 * (deviation * pull).sum(-1), gradient=pull, matrix=self.information)
 
     def rows(self, rows: Int[Tensor, "n"]) -> "GaussianFactor":
-        """Of some of the hands."""
+        """The rows of some of the hands."""
         return GaussianFactor(expected=self.expected[rows], information=self.information[rows])
 
     def explained(self) -> tuple[Explained, ...]:

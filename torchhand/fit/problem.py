@@ -23,17 +23,18 @@ class Problem:
     """Poses of hands of one shape, under observations and priors, whose costs in nats add up."""
 
     space: PoseSpace
-    """Which degrees of freedom are free, in the dtype to solve in (float64 is meant). To keep what a small space does
-    not know, use `space.about(pose)`; rotations of the root are about the references of the poses."""
+    """Pose space that says which degrees of freedom are free, in the dtype to solve in (float64 is meant). To keep what
+    a small space does not know, use `space.about(pose)`; rotations of the root are about the references of the
+    poses."""
     skeleton: Skeleton
-    """Whose joint limits hold."""
+    """Skeleton whose joint limits hold."""
     shape: Float[Tensor, "shape"]
-    """Of the hand; where it is unknown, its start."""
+    """Shape of the hand; where it is unknown, its start."""
     observations: tuple[Observation, ...]
     priors: tuple[Observation, ...] = ()
     shared: SharedUnknowns | None = None
-    """What all rows have in common and is unknown: rows are then the frames of one problem. None: rows are hypotheses
-    that have nothing to do with each other."""
+    """Unknowns that all rows have in common: rows are then the frames of one problem. None: rows are hypotheses that
+    have nothing to do with each other."""
 
     @property
     def is_empty(self) -> bool:
@@ -41,7 +42,7 @@ class Problem:
         return all(one.is_empty for one in self.observations)
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "Problem":
-        """With the data and priors of some of the hypotheses."""
+        """The problem with the data and priors of some of the hypotheses."""
         own = {name: tuple(one.rows(rows) for one in getattr(self, name)) for name in ("observations", "priors")}
         return replace(self, **own)
 
@@ -53,7 +54,7 @@ class Problem:
 
     @cached_property
     def bounds(self) -> tuple[Float[Tensor, "free"], Float[Tensor, "free"]]:
-        """Of the free parameters."""
+        """Bounds of the free parameters."""
         return free_bounds(self._own_space, self.skeleton)
 
     @cached_property
@@ -125,12 +126,12 @@ class Linearization:
     factors: tuple[Factor, ...]
 
     def here(self) -> NormalEquations:
-        """In the free parameters, at the hands that data were associated with."""
+        """Normal equations in the free parameters, at the hands that data were associated with."""
         _, moving = self.problem.dofs_of(self.values)
         return self._in_free(self.sum(self.factors, self.hands), moving)
 
     def equations(self, values: Float[Tensor, "n free"], rows: Int[Tensor, "n"]) -> NormalEquations:
-        """In the free parameters, at other values of the given rows."""
+        """Normal equations in the free parameters, at other values of the given rows."""
         is_all = len(rows) == len(self.hands)
         reference = self.hands.pose.reference if is_all else self.hands.pose.reference[rows]
         dofs, moving = self.problem.dofs_of(values)
@@ -139,7 +140,8 @@ class Linearization:
         return self._in_free(self.sum(factors, hands), moving)
 
     def explained(self) -> tuple[Explained, ...]:
-        """By the hands that data were associated with, observation by observation and view by view."""
+        """What is explained by the hands that data were associated with, observation by observation and view by
+        view."""
         return tuple(one for factor in self.factors for one in factor.explained())
 
     def sum(self, factors: tuple[Factor, ...], hands: PosedHands) -> Equations:

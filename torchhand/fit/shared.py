@@ -17,7 +17,7 @@ class SharedPrior(Protocol):
     """A belief about the shape in nats."""
 
     def equations(self, shape: Float[Tensor, "shape"]) -> NormalEquations:
-        """In all shape parameters, in their own units; no batch dimension."""
+        """Normal equations in all shape parameters, in their own units; no batch dimension."""
         ...
 
 
@@ -26,12 +26,12 @@ class PopulationPrior:
     """What is known of people's hands: the normal distribution over people, and the anthropometric constraints beyond
     the bounds as soft walls (Ouhaddi and Horain 1998, section 3.1)."""
 
-    people: Anthropometry
+    population: Anthropometry
     weight: float = 1.0
 
     def equations(self, shape: Float[Tensor, "shape"]) -> NormalEquations:
-        """In all shape parameters."""
-        residual, rows = population_rows(self.people, shape)
+        """Normal equations in all shape parameters."""
+        residual, rows = population_rows(self.population, shape)
         weighted = self.weight * rows
         return NormalEquations(
             matrix=weighted.T @ rows, gradient=weighted.T @ residual, cost=0.5 * self.weight * residual.square().sum()
@@ -39,22 +39,22 @@ class PopulationPrior:
 
 
 def population_rows(
-    people: Anthropometry, shape: Float[Tensor, "shape"]
+    population: Anthropometry, shape: Float[Tensor, "shape"]
 ) -> tuple[Float[Tensor, "rows"], Float[Tensor, "rows shape"]]:
     """Residuals in standard deviations and their derivative in the parameters: the normal distribution over people,
     with length and breadth correlated, and those constraints beyond the bounds that are broken."""
-    space, count = people.space, len(people.space.names)
+    space, count = population.space, len(population.space.names)
     std = space.std.to(shape)
     scaled = (shape - space.default.to(shape)) / std
     length, breadth = (space.names.index(name) for name in ("hand_length", "hand_breadth"))
-    rho = people.settings.length_breadth_correlation
+    rho = population.settings.length_breadth_correlation
     rows = torch.eye(count, dtype=shape.dtype, device=shape.device)
     rows[breadth] /= math.sqrt(1 - rho * rho)
     rows[breadth, length] = -rho / math.sqrt(1 - rho * rho)
-    matrix, bound = (x[2 * count :].to(shape) for x in (people.matrix, people.bound))
-    spread = people.spread.to(shape).clone()
+    matrix, bound = (x[2 * count :].to(shape) for x in (population.matrix, population.bound))
+    spread = population.spread.to(shape).clone()
     spread[-1] *= float(space.default[length])
-    scale = people.settings.softness * torch.cat((spread, spread))
+    scale = population.settings.softness * torch.cat((spread, spread))
     excess = (matrix @ shape - bound) / scale
     of_excess = (excess > 0)[:, None] * matrix / scale[:, None]
     return torch.cat((rows @ scaled, excess.clamp_min(0))), torch.cat((rows / std, of_excess))
@@ -75,8 +75,8 @@ class SharedUnknowns:
     extra_std: Float[Tensor, "extra"]
     """Standard deviation of each about what is expected of it."""
     extra_mean: Float[Tensor, "extra"] | None = None
-    """What is expected of them; their start where None."""
-    people: Anthropometry | None = None
+    """Expected values of the extra unknowns; their start where None."""
+    population: Anthropometry | None = None
     """Constraints that the estimated shape keeps exactly in the end; on the way there it may violate what the prior
     does not forbid."""
     pliable: tuple[int, ...] = ()
@@ -84,14 +84,14 @@ class SharedUnknowns:
 
     @classmethod
     def of_shape(
-        cls, people: Anthropometry, columns: tuple[int, ...] | None = None, *, weight: float = 1.0
+        cls, population: Anthropometry, columns: tuple[int, ...] | None = None, *, weight: float = 1.0
     ) -> "SharedUnknowns":
         """The shape alone, within the bounds of its space; all of its parameters where no columns are given."""
-        space = people.space
+        space = population.space
         nothing = space.default.new_zeros(0)
         return cls(
             columns=tuple(range(len(space.names))) if columns is None else columns,
-            prior=PopulationPrior(people=people, weight=weight),
+            prior=PopulationPrior(population=population, weight=weight),
             lower=space.lower,
             upper=space.upper,
             extra=nothing,
@@ -114,17 +114,17 @@ class SharedUnknowns:
     def feasible(self, vector: Float[Tensor, "c"], start: Float[Tensor, "shape"]) -> Float[Tensor, "shape"]:
         """The whole shape, put into the constraints; parameters that are neither free nor pliable stay."""
         shape = self.shape(vector, start)
-        if self.people is None or not self.columns:
+        if self.population is None or not self.columns:
             return shape
         moving = torch.tensor(sorted({*self.columns, *self.pliable}), device=shape.device)
-        return shape.index_copy(0, moving, self.people.project(shape)[moving])
+        return shape.index_copy(0, moving, self.population.project(shape)[moving])
 
     def extras(self, vector: Float[Tensor, "c"]) -> Float[Tensor, "extra"]:
         """The numbers after the shape."""
         return vector[len(self.columns) :]
 
     def bounds(self, like: Tensor) -> tuple[Float[Tensor, "c"], Float[Tensor, "c"]]:
-        """Of the vector."""
+        """Bounds of the vector."""
         open_end = like.new_full((len(self.extra),), torch.inf)
         chosen = list(self.columns)
         return torch.cat((self.lower.to(like)[chosen], -open_end)), torch.cat((self.upper.to(like)[chosen], open_end))

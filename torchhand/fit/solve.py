@@ -52,7 +52,7 @@ class Solutions:
     """Estimated hands, one per hypothesis, in the world."""
 
     pose: HandPose
-    """(*hypotheses), with zero rotation vectors, within the limits."""
+    """Poses (*hypotheses), with zero rotation vectors, within the limits."""
     cost: Float[Tensor, "*hypotheses"]
     """Nats, associated at the pose itself with the tolerance of the last stage: comparable between hypotheses; infinite
     if failed."""
@@ -61,7 +61,7 @@ class Solutions:
     iterations: Int[Tensor, "*hypotheses"]
     """Evaluations over all associations."""
     covariance: Float[Tensor, "*hypotheses free free"]
-    """Of the free parameters, the rotation as a left perturbation of the reference; NaN if failed."""
+    """Covariance of the free parameters, the rotation as a left perturbation of the reference; NaN if failed."""
     explained: tuple[Explained, ...]
     """How well every observation is explained, view by view; a row per flattened hypothesis."""
 
@@ -236,17 +236,17 @@ class _Evaluated:
         def chosen(one: Tensor, two: Tensor) -> Tensor:
             return torch.where(better.reshape(-1, *(1,) * (one.ndim - 1)), two, one)
 
-        def told(one: Explained, two: Explained) -> Explained:
+        def better_of(one: Explained, two: Explained) -> Explained:
             inside = chosen(one.inside, two.inside) if one.inside is not None and two.inside is not None else None
-            share, distance = chosen(one.share, two.share), chosen(one.distance, two.distance)
-            return replace(one, share=share, distance=distance, inside=inside)
+            fraction, distance = chosen(one.fraction, two.fraction), chosen(one.distance, two.distance)
+            return replace(one, fraction=fraction, distance=distance, inside=inside)
 
         return _Evaluated(
             values=chosen(self.values, other.values),
             reference=chosen(self.reference, other.reference),
             cost=chosen(self.cost, other.cost),
             matrix=chosen(self.matrix, other.matrix),
-            explained=tuple(told(*pair) for pair in zip(self.explained, other.explained, strict=True)),
+            explained=tuple(better_of(*pair) for pair in zip(self.explained, other.explained, strict=True)),
         )
 
 

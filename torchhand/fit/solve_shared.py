@@ -39,21 +39,21 @@ class SharedSolution:
     """Where a problem of many frames ended."""
 
     pose: HandPose
-    """(frames), with zero rotation vectors, within the limits; those of the start where a frame failed."""
+    """Poses (frames), with zero rotation vectors, within the limits; those of the start where a frame failed."""
     shape: Float[Tensor, "shape"]
     extra: Float[Tensor, "extra"]
     """The shared numbers after the shape."""
     shape_std: Float[Tensor, "shape"]
     """Standard deviations by the curvature of the cost, of the poses' uncertainty too; 0 for parameters that were
-    held."""
+    frozen."""
     shared_covariance: Float[Tensor, "c c"]
-    """Of the shared unknowns."""
+    """Covariance of the shared unknowns."""
     covariance: Float[Tensor, "frames free free"]
-    """Of the free parameters of every pose, what is shared being uncertain too; NaN where a frame failed."""
+    """Covariance of the free parameters of every pose, what is shared being uncertain too; NaN where a frame failed."""
     cost: float
     """Nats, of all frames that did not fail together, with what is believed of the shared unknowns."""
     status: Status
-    """Of the shared unknowns; that of the worst frame where there are none."""
+    """Status of the shared unknowns; that of the worst frame where there are none."""
     iterations: int
     """Trials of the shared unknowns."""
     frame_status: Int[Tensor, "frames"]
@@ -93,7 +93,7 @@ def solve_shared(
         for stage in schedule:
             for _ in range(stage.rounds):
                 work.associate(stage)
-                work.settle(stage.iterations)
+                work.solve_poses(stage.iterations)
                 work.descend(stage.iterations, cost_tolerance)
         return work.solution(schedule[-1], information)
 
@@ -105,16 +105,16 @@ class _Part:
     rows: slice
     here: Linearization
 
-    def settled(
+    def solved(
         self, values: Float[Tensor, "k free"], vector: Float[Tensor, "c"], settings: LevenbergMarquardtSettings
     ) -> LeastSquares:
         """The poses of lowest cost for given shared unknowns, every frame by itself."""
         hands, (lower, upper) = self.here.problem.hands(self.here.hands.pose, vector), self.here.problem.bounds
-        held = replace(self.here, hands=replace(hands, unknowns=None))
+        given = replace(self.here, hands=replace(hands, unknowns=None))
 
         def equations(values: Tensor, rows: Tensor) -> NormalEquations:
             found = [
-                held.equations(*some) for some in zip(*(x.split(_DERIVATIVES) for x in (values, rows)), strict=True)
+                given.equations(*some) for some in zip(*(x.split(_DERIVATIVES) for x in (values, rows)), strict=True)
             ]
             matrix, gradient, cost = (
                 torch.cat([getattr(own, name) for own in found]) for name in ("matrix", "gradient", "cost")
@@ -126,7 +126,7 @@ class _Part:
     def arrow(
         self, values: Float[Tensor, "k free"], vector: Float[Tensor, "c"], is_sound: Bool[Tensor, "k"]
     ) -> ArrowEquations:
-        """Of these poses and the shared unknowns; frames that are not sound tell nothing."""
+        """Normal equations of these poses and the shared unknowns; frames that are not sound tell nothing."""
         each = torch.arange(len(values), device=values.device).split(_DERIVATIVES)
         found = [self._arrow(rows, values[rows], vector, is_sound[rows]) for rows in each]
         return ArrowEquations.cat(found)
@@ -212,10 +212,10 @@ class _Work:
         )
         self.cost, self.follow = torch.inf, ()
 
-    def settle(self, iterations: int) -> None:
+    def solve_poses(self, iterations: int) -> None:
         """Finds the best poses for the shared unknowns as they are."""
         settings = self._pose_settings(iterations)
-        found = [part.settled(self.values[part.rows], self.vector, settings) for part in self.parts]
+        found = [part.solved(self.values[part.rows], self.vector, settings) for part in self.parts]
         self.values = torch.cat([own.values for own in found])
         self.frame_status = torch.cat([own.status for own in found])
         self.frame_iterations = torch.cat([own.iterations for own in found])
@@ -232,7 +232,7 @@ class _Work:
         self.status, self.iterations = Status(int(found.status)), self.iterations + int(found.iterations)
 
     def _trial(self, vector: Float[Tensor, "c"]) -> NormalEquations:
-        """Of the shared unknowns, every pose the best for them; the best trial is kept."""
+        """Normal equations of the shared unknowns, every pose the best for them; the best trial is kept."""
         shared = self.problem.shared
         assert shared is not None
         prior = shared.prior_equations(vector, self.problem.shape.to(vector))
@@ -243,10 +243,10 @@ class _Work:
             start = self.values[part.rows]
             if self.follow:
                 start = (start + self.follow[number] @ (vector - self.vector)).clamp(lower, upper)
-            found = part.settled(start, vector, settings).values
+            found = part.solved(start, vector, settings).values
             arrow = part.arrow(found, vector, self.is_sound[part.rows])
-            held = (found <= lower) & (arrow.block_gradient > 0) | (found >= upper) & (arrow.block_gradient < 0)
-            left = arrow.eliminated(held)
+            fixed = (found <= lower) & (arrow.block_gradient > 0) | (found >= upper) & (arrow.block_gradient < 0)
+            left = arrow.eliminated(fixed)
             own = left.equations
             matrix, gradient, cost = matrix + own.matrix, gradient + own.gradient, cost + own.cost
             values.append(found)
@@ -257,14 +257,14 @@ class _Work:
         return NormalEquations(matrix=matrix, gradient=gradient, cost=cost)
 
     def solution(self, stage: Stage, information: Float[Tensor, "36"] | None) -> SharedSolution:
-        """Of data associated once more; constraints on what is shared are kept from here on."""
+        """The solution of data associated once more; constraints on what is shared are kept from here on."""
         shared, shape = self.problem.shared, self.problem.shape.to(self.values)
         if shared is not None and shared.size:
             shape = shared.feasible(self.vector, shape)
             self.problem, count = replace(self.problem, shape=shape), len(shared.columns)
             self.vector = torch.cat((shape[list(shared.columns)], self.vector[count:]))
             self.associate(stage)
-            self.settle(stage.iterations)
+            self.solve_poses(stage.iterations)
         self.associate(stage)
         cost, covariance, shared_covariance = self._covariances(information)
         std = torch.zeros_like(shape)
@@ -295,7 +295,7 @@ class _Work:
         """The whole cost, and the covariances of poses and shared unknowns."""
         shared, basis = self.problem.shared, self.problem.space.basis
         known = basis.new_zeros(len(basis)) if information is None else information.to(basis)
-        believed = torch.diag((basis.square() * known[:, None]).sum(0))
+        prior_information = torch.diag((basis.square() * known[:, None]).sum(0))
         matrix, cost = self.vector.new_zeros(len(self.vector), len(self.vector)), 0.0
         if shared is not None:
             prior = shared.prior_equations(self.vector, self.problem.shape)
@@ -303,7 +303,7 @@ class _Work:
         own, follow = [], []
         for part in self.parts:
             arrow = part.arrow(self.values[part.rows], self.vector, self.is_sound[part.rows])
-            arrow = replace(arrow, blocks=arrow.blocks + believed)
+            arrow = replace(arrow, blocks=arrow.blocks + prior_information)
             own.append(covariance_of(arrow.blocks, self.is_sound[part.rows]))
             cost += float(arrow.cost)
             if len(self.vector):

@@ -29,7 +29,7 @@ from torchhand.geometry.quaternions import continuous, quaternion_of_rotation, r
 from torchhand.geometry.rig import (
     centres_world,
     common_view,
-    look_apart,
+    look_away,
     meeting_point,
     rig_size,
     sees,
@@ -66,7 +66,7 @@ __all__ = [
     "exponential_coefficients",
     "half_space",
     "left_jacobian",
-    "look_apart",
+    "look_away",
     "meet_rays",
     "meeting_point",
     "moved",

@@ -20,15 +20,15 @@ class Camera:
     intrinsics: Float[Tensor, "*batch 3 3"]
     """K in pixels; of an orthographic camera its diagonal holds pixels per metre."""
     rotation: Float[Tensor, "*batch 3 3"]
-    """cam_from_world."""
+    """Rotation cam_from_world."""
     translation: Float[Tensor, "*batch 3"]
     """cam_from_world, metres."""
     distortion: Float[Tensor, "*batch k"]
     """OpenCV's order k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [τx τy]]]]; k is 0, 4, 5, 8, 12 or 14."""
     width: int
-    """px"""
+    """Width of the picture, px."""
     height: int
-    """px"""
+    """Height of the picture, px."""
     kind: Literal["pinhole", "orthographic"] = "pinhole"
     name: str = "cam0"
     is_assumed: bool = False

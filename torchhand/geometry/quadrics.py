@@ -1,4 +1,4 @@
-"""Quadric surfaces, their clipping planes, their images and their meeting with rays (paper 003, sections 3.1 and 4.2).
+"""Quadric surfaces, their clipping planes, their images and their meeting with rays (Stenger et al. 2001, 3.1 and 4.2).
 
 A quadric is a symmetric 4 x 4 matrix Q; a point X is inside where Xᵀ Q X < 0. A truncated quadric also has a matrix Π
 of a pair of planes and keeps the points with Xᵀ Π X >= 0.
@@ -23,7 +23,7 @@ def cone(
     """Elliptic cone about the y axis; a cylinder where `end_scale` is 1 (the limit is smooth).
 
     The section at y = 0 has semi-axes `start` along x and z, the section at y = `length` has `end_scale` times these:
-    (x/a)² + (z/c)² = (1 - k y)² with k = (1 - end_scale) / length (FACTS 4.2).
+    (x/a)² + (z/c)² = (1 - k y)² with k = (1 - end_scale) / length.
     """
     slope = (1 - end_scale) / length
     inverse = start.square().reciprocal()
@@ -77,16 +77,16 @@ def moved(
 def conic_of_quadric(quadric: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 3 3"]:
     """Outline of a quadric seen by the normalised camera [I | 0].
 
-    C = c A - b bᵀ for Q = [[A, b], [bᵀ, c]] (paper 003, section 3.1). A ray x meets the quadric where xᵀ C x <= 0. With
-    c < 0 the camera is inside and there is no outline; c near 0 is unstable. Holds for cones and cylinders too, which
-    the dual form does not.
+    C = c A - b bᵀ for Q = [[A, b], [bᵀ, c]] (Stenger et al. 2001, 3.1). A ray x meets the quadric where xᵀ C x <= 0.
+    With c < 0 the camera is inside and there is no outline; c near 0 is unstable. Holds for cones and cylinders too,
+    which the dual form does not.
     """
     edge = quadric[..., :3, 3]
     return quadric[..., 3:, 3:] * quadric[..., :3, :3] - edge[..., :, None] * edge[..., None, :]
 
 
 def orthographic_conic_of_quadric(quadric: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 3 3"]:
-    """Outline of a quadric seen along z: C = Q₃₃ Q[i, i] - q qᵀ with i = (x, y, w), q = Q[i, z] (FACTS 4.3)."""
+    """Outline of a quadric seen along z: C = Q₃₃ Q[i, i] - q qᵀ with i = (x, y, w), q = Q[i, z]."""
     keep = torch.tensor((0, 1, 3), device=quadric.device)
     rest = quadric.index_select(-1, keep).index_select(-2, keep)
     edge = quadric[..., 2].index_select(-1, keep)
@@ -106,7 +106,7 @@ class RayHits:
     near: Float[Tensor, "*batch"]
     """Depth of the nearer meeting point that is in front and not clipped away; infinite where there is none."""
     far: Float[Tensor, "*batch"]
-    """Depth of the farther such point; infinite where there is none."""
+    """Depth of the farther meeting point; infinite where there is none."""
     is_hit: Bool[Tensor, "*batch"]
 
 
@@ -135,7 +135,7 @@ def ray_table(
 
 
 def meet_rays(along: Float[Tensor, "3 *batch"], clip: Float[Tensor, "3 *batch"]) -> RayHits:
-    """Both meeting points of rays with truncated quadrics (paper 003, equation 9; FACTS 4.4, points 1, 2 and 5).
+    """Both meeting points of rays with truncated quadrics (Stenger et al. 2001, equation 9).
 
     `along` and `clip` are the coefficients of Q and of Π along the rays. The paper solves for the inverse depth s;
     depth is used here because orthographic rays have no other. Points behind the origin and points that fail Xᵀ Π X >=

@@ -15,7 +15,7 @@ def quaternion_of_rotation(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tenso
 
 
 def rotation_of_quaternion(quaternion: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3 3"]:
-    """Of any length but zero."""
+    """Rotation of a quaternion of any length but zero."""
     x, y, z, w = (quaternion / quaternion.norm(dim=-1, keepdim=True)).unbind(-1)
     rows = (
         torch.stack((1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)), -1),

@@ -53,7 +53,7 @@ def aim_error_deg(cameras: Sequence[Camera]) -> float:
     return float(cosine.clamp(-1, 1).acos().square().mean().sqrt().rad2deg())
 
 
-def look_apart(cameras: Sequence[Camera]) -> bool:
+def look_away(cameras: Sequence[Camera]) -> bool:
     """Whether the cameras look away from the point where their optical axes meet; not so where they are near parallel.
 
     Nearly parallel cameras, as of a stereo pair, may well diverge a little.

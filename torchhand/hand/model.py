@@ -20,7 +20,7 @@ class HandModel:
     skeleton: Skeleton
     shape_space: ShapeSpace
     mesh: HandMesh | None = None
-    """None where the folder has no mesh: bones and primitives can be had all the same."""
+    """The mesh; None where the folder has no mesh: bones and primitives can be had all the same."""
 
     def kinematics(self, side: Side = "right", *, dtype: torch.dtype = torch.float32) -> HandKinematics:
         """A kinematics module of this hand in the given precision."""

@@ -42,28 +42,28 @@ def skin_jacobian(
     flat_pose, metres = batch_last(pose, 1, batch), batch_last(hand.kinematics.metres(shape), 1, batch)
 
     corners = batch_last(vertices, 2, batch)
-    shares = batch_last(weights.expand(common_shape(weights, vertices)), 2, batch)
+    fractions = batch_last(weights.expand(common_shape(weights, vertices)), 2, batch)
     loads = hand.skinning.loads_at(corners.flatten(0, 1), metres)
-    places, bone_shares, offsets = ((x.unflatten(-2, corners.shape[:2]) * shares).sum(-2) for x in loads)
+    places, bone_fractions, offsets = ((x.unflatten(-2, corners.shape[:2]) * fractions).sum(-2) for x in loads)
 
     # Parts of the point that each bone carries, correctives included: (20, 3, points, n).
-    parts = _turned(rotation, places) + bone_shares[:, None] * position[:, :, None]
+    parts = _turned(rotation, places) + bone_fractions[:, None] * position[:, :, None]
     features, slopes = hand.skinning.corrective_features(flat_pose, metres)
-    carriers = rotation.index_select(0, hand.skinning.corrective_bones)
-    parts = parts.index_add(0, hand.skinning.corrective_bones, _corrective(carriers, features, offsets))
-    beyond, share_beyond = _beyond(parts), _beyond(bone_shares.expand(*bone_shares.shape[:2], parts.shape[-1]))
-    points, share = beyond[0], share_beyond[0]
+    bone_rotation = rotation.index_select(0, hand.skinning.corrective_bones)
+    parts = parts.index_add(0, hand.skinning.corrective_bones, _corrective(bone_rotation, features, offsets))
+    beyond, fraction_beyond = _beyond(parts), _beyond(bone_fractions.expand(*bone_fractions.shape[:2], parts.shape[-1]))
+    points, fraction = beyond[0], fraction_beyond[0]
 
     bones = torch.tensor(hand.kinematics.skeleton.bone, device=pose.device)
-    levers = beyond - share_beyond[:, None] * position[:, :, None]
+    levers = beyond - fraction_beyond[:, None] * position[:, :, None]
     axes = world_axes(flat_pose, rotation, hand.kinematics.chain.constants)
     of_angles = torch.linalg.cross(axes[:, :, None], levers.index_select(0, bones), dim=1)
     own = hand.skinning.corrective_rows - len(ROOT_DOFS)
-    of_angles = of_angles.index_add(0, own, _corrective(carriers, slopes, offsets))
+    of_angles = of_angles.index_add(0, own, _corrective(bone_rotation, slopes, offsets))
     spin = left_jacobian(flat_pose[3:6].T).permute(2, 1, 0)  # columns first: 3 3 n
     of_vector = torch.linalg.cross(spin[:, :, None], levers[:1], dim=1)
     identity = torch.eye(3, dtype=pose.dtype, device=pose.device)
-    of_shift = identity[:, :, None, None] * share
+    of_shift = identity[:, :, None, None] * fraction
     jacobian = torch.cat((of_shift, of_vector, of_angles))
     return batch_first(points.transpose(0, 1), batch), batch_first(jacobian.permute(2, 1, 0, 3), batch)
 
@@ -74,9 +74,9 @@ def _turned(rotation: Tensor, vectors: Tensor) -> Tensor:
     return columns[0] * rows[0] + columns[1] * rows[1] + columns[2] * rows[2]
 
 
-def _corrective(carriers: Tensor, factors: Tensor, offsets: Tensor) -> Tensor:
+def _corrective(bone_rotation: Tensor, factors: Tensor, offsets: Tensor) -> Tensor:
     """Sum over the two features of an angle's offsets times `factors` (c, 2, n), turned into the world."""
-    return _turned(carriers, (offsets * factors[:, :, None, None]).sum(1))
+    return _turned(bone_rotation, (offsets * factors[:, :, None, None]).sum(1))
 
 
 def _beyond(parts: Tensor) -> Tensor:

@@ -4,7 +4,7 @@ from torchhand.learn.data import HandPool, Samples, SampleSettings, draw_samples
 from torchhand.learn.estimate import estimate_hands
 from torchhand.learn.figures import FIGURES, Figures, baseline_of, figures_of
 from torchhand.learn.network import HandEstimate, PoseNetwork, rotation_from_columns
-from torchhand.learn.observation import LEAST_SEEN, Observation, mirrored, observe
+from torchhand.learn.observation import MIN_SEEN, Observation, mirrored, observe
 from torchhand.learn.record import CURVE_NAME, MODEL_NAME, Curve, TrainingRecord, load_record, save_record
 from torchhand.learn.stills import Stills, load_stills
 from torchhand.learn.training import (
@@ -24,7 +24,7 @@ from torchhand.learn.training import (
 __all__ = [
     "CURVE_NAME",
     "FIGURES",
-    "LEAST_SEEN",
+    "MIN_SEEN",
     "MODEL_NAME",
     "Curve",
     "Figures",

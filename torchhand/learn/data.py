@@ -35,7 +35,7 @@ class SampleSettings:
     """Largest turn of palm or back away from the camera, about any axis of the picture; about the line of sight the
     hand is turned anyhow."""
     distance: tuple[float, float] = (0.2, 1.5)
-    """From the camera to the middle of the hand, metres; uniform in its logarithm."""
+    """Distance from the camera to the middle of the hand, metres; uniform in its logarithm."""
     off_axis_deg: float = 30.0
     """Largest angle between the optical axis and the middle of the hand."""
     scale: float = 0.05
@@ -79,12 +79,12 @@ class Samples:
     """Hands before cameras, and the points that were seen."""
 
     points_plane: Float[Tensor, "hands 21 2"]
-    """On the normalised image plane, with all errors."""
+    """Points on the normalised image plane, with all errors."""
     seen: Bool[Tensor, "hands 21"]
     keypoints: Float[Tensor, "hands 21 3"]
     """Truth: metres, camera frame."""
     joints: Float[Tensor, "hands 30"]
-    """Truth: radians."""
+    """True joint angles, radians."""
 
     def part(self, rows: slice) -> "Samples":
         """Some of them."""
@@ -104,7 +104,7 @@ def hand_pool(prior: HandPrior, model: HandModel, count: int, generator: torch.G
 def draw_samples(
     pool: HandPool, rows: Int[Tensor, "hands"], settings: SampleSettings, generator: torch.Generator
 ) -> Samples:
-    """Each of the hands before a camera of its own; everything follows from the generator."""
+    """Samples of hands, each before a camera of its own; everything follows from the generator."""
 
     def normal(*size: int) -> Tensor:
         return torch.randn(*size, generator=generator)
@@ -163,9 +163,9 @@ def _orientations(
     return rolled @ tilted @ faces
 
 
-def _directions(largest_deg: float, share: Tensor, about: Tensor) -> Float[Tensor, "hands 3"]:
+def _directions(largest_deg: float, fraction: Tensor, about: Tensor) -> Float[Tensor, "hands 3"]:
     """Unit vectors within a cone about the optical axis."""
-    angle, about = math.radians(largest_deg) * share.sqrt(), 2 * math.pi * about
+    angle, about = math.radians(largest_deg) * fraction.sqrt(), 2 * math.pi * about
     return torch.stack((angle.sin() * about.cos(), angle.sin() * about.sin(), angle.cos()), -1)
 
 

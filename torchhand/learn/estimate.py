@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchhand.hand import Side
 from torchhand.learn.network import HandEstimate, PoseNetwork
-from torchhand.learn.observation import LEAST_SEEN, mirrored, observe
+from torchhand.learn.observation import MIN_SEEN, mirrored, observe
 
 
 def estimate_hands(
@@ -21,7 +21,7 @@ def estimate_hands(
     """Hands in the camera frame from points of the normalised image plane (`Camera.plane_from_pixels`).
 
     Points that are not finite count as not seen. A left hand is shown to the network in the mirror, and its pose is
-    for kinematics of a left hand. A hand with fewer than LEAST_SEEN seen points is NaN.
+    for kinematics of a left hand. A hand with fewer than MIN_SEEN seen points is NaN.
     """
     is_finite = points_plane.isfinite().all(-1)
     seen = is_finite if seen is None else seen & is_finite
@@ -30,7 +30,7 @@ def estimate_hands(
         found = network(observe(shown.to(network.start), seen))
     if side == "left":
         found = _mirrored(found)
-    is_enough = seen.sum(-1) >= LEAST_SEEN
+    is_enough = seen.sum(-1) >= MIN_SEEN
     values = {name: getattr(found, name) for name in ("pose", "root_reference", "shape", "keypoints")}
     lost = {
         name: torch.where(is_enough.reshape(*is_enough.shape, *(1,) * (value.ndim - is_enough.ndim)), value, torch.nan)

@@ -34,7 +34,7 @@ def figures_of(estimate: Float[Tensor, "hands 21 3"], truth: Float[Tensor, "hand
 
 
 def baseline_of(network: PoseNetwork, truth: Float[Tensor, "hands 21 3"], *, is_left: bool = False) -> Figures:
-    """The same of the network's usual hand, the mean posture of what it was trained on, whatever is seen.
+    """Errors of the network's usual hand, the mean posture of what it was trained on, whatever is seen.
 
     It is turned as fits the truth best, which is more than it could know.
     """

@@ -23,10 +23,10 @@ class HandEstimate:
     pose: Float[Tensor, "*batch 36"]
     """Metres and radians; the rotation vector of the root is zero."""
     root_reference: Float[Tensor, "*batch 3 3"]
-    """cam_from_hand"""
+    """Rotation cam_from_hand."""
     shape: Float[Tensor, "*batch shape"]
     keypoints: Float[Tensor, "*batch 21 3"]
-    """Metres, camera frame."""
+    """Keypoints in metres, camera frame."""
 
 
 class PoseNetwork(nn.Module):
@@ -61,10 +61,10 @@ class PoseNetwork(nn.Module):
         lower = torch.cat((skeleton.lower[index], shapes.lower)).float()
         upper = torch.cat((skeleton.upper[index], shapes.upper)).float()
         usual = torch.cat((usual_joints.to(shapes.default)[index], shapes.default)).float()
-        share = ((usual - lower) / (upper - lower)).clamp(0.02, 0.98)
+        fraction = ((usual - lower) / (upper - lower)).clamp(0.02, 0.98)
         self.register_buffer("lower", lower, persistent=False)
         self.register_buffer("upper", upper, persistent=False)
-        self.register_buffer("start", share.logit())
+        self.register_buffer("start", fraction.logit())
         self.joints = len(free)
         self.enter = nn.Linear(FEATURES, width)
         self.blocks = nn.ModuleList(_Block(width) for _ in range(blocks))
@@ -89,7 +89,7 @@ class PoseNetwork(nn.Module):
         return HandEstimate(pose=pose, root_reference=reference, shape=shape, keypoints=keypoints)
 
     def usual_keypoints(self) -> Float[Tensor, "21 3"]:
-        """Of the hand from which training started, in its own frame, metres."""
+        """Keypoints of the hand from which training started, in its own frame, metres."""
         usual = self.lower + (self.upper - self.lower) * torch.sigmoid(self.start)
         joints, shape = usual[: self.joints], usual[self.joints :]
         return self.kinematics(torch.cat((usual.new_zeros(_ROOT), self.joint_basis @ joints)), shape).keypoints

@@ -10,7 +10,7 @@ from torchhand.hand import KEYPOINTS
 
 FEATURES = 3 * len(KEYPOINTS) + 1
 """Two coordinates and a flag for every point, and the logarithm of the hand's angular size."""
-LEAST_SEEN = 6
+MIN_SEEN = 6
 """Fewer points do not say how large a hand is in the picture and where it is."""
 
 _WRIST, _KNUCKLES = 0, (5, 9, 13, 17)
@@ -37,7 +37,7 @@ def observe(points_plane: Float[Tensor, "*batch 21 2"], seen: Bool[Tensor, "*bat
     points_plane: on the normalised image plane (`Camera.plane_from_pixels`), so that focal length and principal point
     are gone; those of unseen points are ignored and may be NaN. The view looks at the mean of the seen points, and is
     turned about its axis until the knuckles stand above the wrist; where wrist or knuckles are not seen, it is not.
-    A hand with fewer than LEAST_SEEN seen points gets numbers, but no sense.
+    A hand with fewer than MIN_SEEN seen points gets numbers, but no sense.
     """
     points = torch.where(seen[..., None], points_plane, 0.0)
     weight = seen.to(points)

@@ -30,7 +30,7 @@ class TrainingRecord:
     settings: TrainingSettings
     curve: Curve
     kept: dict[str, Any]
-    """What `training.restored` takes."""
+    """State of the training, as `training.restored` takes it."""
 
     def network(self, model: HandModel) -> PoseNetwork:
         """The network as it was saved, to be used."""

@@ -20,14 +20,14 @@ class Stills:
     """Hands in the frames of their cameras, which have no lens distortion."""
 
     names: tuple[str, ...]
-    """Of the pictures."""
+    """Names of the pictures."""
     intrinsics: Float[Tensor, "pictures 3 3"]
     keypoints: Float[Tensor, "pictures 21 3"]
-    """Metres."""
+    """Keypoints, metres."""
 
     @property
     def points_plane(self) -> Float[Tensor, "pictures 21 2"]:
-        """On the normalised image plane."""
+        """Points on the normalised image plane."""
         return self.keypoints[..., :2] / self.keypoints[..., 2:]
 
     @property

@@ -24,7 +24,7 @@ class LossWeights:
     keypoints: float = 1.0
     """Distance of the keypoints relative to the wrist, cm."""
     reprojection: float = 1.0
-    """Distance in the picture, shares of the hand's size there."""
+    """Weight of distances in the picture, as fractions of the hand's size there."""
     distance: float = 1.0
     """Logarithm of the ratio of the wrists' depths."""
     joints: float = 1.0
@@ -82,7 +82,7 @@ class Training:
     network: PoseNetwork
     optimiser: torch.optim.Adam
     step: int
-    """Steps done."""
+    """Number of steps done."""
     loss: float
     """Mean over the steps since it was last read."""
 
@@ -151,12 +151,12 @@ def loss_terms(
     """The weighted terms of the loss by name, means over the hands."""
     weights, few = settings.weights, slice(settings.energy_hands)
     own, true = estimate.keypoints, samples.keypoints
-    apart = (own - own[:, :1]) - (true - true[:, :1])
+    difference = (own - own[:, :1]) - (true - true[:, :1])
     picture, true_picture = (points[..., :2] / points[..., 2:].clamp_min(_NEAREST) for points in (own, true))
     spread = (true_picture - true_picture.mean(1, keepdim=True)).square().sum(-1).mean(1).sqrt()
     ratio = own[:, 0, 2].clamp_min(_NEAREST) / true[:, 0, 2]
     terms = {
-        "keypoints": 100 * apart[:, 1:].norm(dim=-1).mean(),
+        "keypoints": 100 * difference[:, 1:].norm(dim=-1).mean(),
         "reprojection": ((picture - true_picture).norm(dim=-1).mean(1) / spread).mean(),
         "distance": ratio.log().abs().mean(),
         "joints": (estimate.pose[:, -len(JOINT_DOFS) :] - samples.joints).abs().mean(),
@@ -167,9 +167,9 @@ def loss_terms(
 
 
 def learning_rate(settings: TrainingSettings, step: int) -> float:
-    """Of one step: up over the first twentieth, then down to zero along a cosine."""
-    share = (step + 1) / settings.steps
-    return settings.learning_rate * min(share * 20, 0.5 * (1 + math.cos(math.pi * share)) + 1e-3)
+    """Learning rate of one step: up over the first twentieth, then down to zero along a cosine."""
+    fraction = (step + 1) / settings.steps
+    return settings.learning_rate * min(fraction * 20, 0.5 * (1 + math.cos(math.pi * fraction)) + 1e-3)
 
 
 def snapshot(training: Training) -> dict[str, Any]:

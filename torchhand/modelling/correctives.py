@@ -26,7 +26,7 @@ _ANGLES = 9  # samples over each angle's range
 _LONGEST = 6e-3  # metres; longer offsets come from a projection that went astray
 _EVENING = 1.5e-3  # metres over which offsets are evened out
 _RIDGE = 0.03  # keeps the two features apart where an angle has a small range
-_LEAST = 5e-5  # smaller offsets are dropped
+_MIN_OFFSET = 5e-5  # smaller offsets are dropped
 
 
 def with_correctives(
@@ -69,4 +69,4 @@ def _of_angle(hand: Hand, mesh: HandMesh, dof: int) -> Float[Tensor, "vertices 3
     ridge = _RIDGE * torch.eye(2, dtype=matrix.dtype)
     solution = torch.linalg.solve(matrix.T @ matrix + ridge, matrix.T @ torch.stack(offsets).flatten(1))
     basis = solution.unflatten(-1, (-1, 3)).permute(1, 2, 0)
-    return torch.where(basis.norm(dim=(1, 2), keepdim=True) > _LEAST, basis, 0.0)
+    return torch.where(basis.norm(dim=(1, 2), keepdim=True) > _MIN_OFFSET, basis, 0.0)

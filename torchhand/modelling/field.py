@@ -24,7 +24,7 @@ class HandField:
         self._metric = space.metric(shape)
         self._sizes = primitive_sizes(space, shape)
         self._rotation, self._position = frames.rotation, frames.position
-        self._fillet = {name: share * self._metric["hand_breadth"] for name, share in _FILLETS.items()}
+        self._fillet = {name: fraction * self._metric["hand_breadth"] for name, fraction in _FILLETS.items()}
 
     def __call__(self, points: Float[Tensor, "points 3"]) -> Float[Tensor, "points"]:
         palm = self._palm(points) + _INSET * self._metric["hand_breadth"]

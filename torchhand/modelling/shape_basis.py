@@ -68,10 +68,10 @@ def _carried(vertices: Tensor, bones: Tensor, weights: Tensor, before: HandFrame
         bone = bones[:, slot]
         start, end = before.position[bone], ends_before[bone]
         axis = end - start
-        share = ((vertices - start) * axis).sum(-1) / axis.square().sum(-1)
+        fraction = ((vertices - start) * axis).sum(-1) / axis.square().sum(-1)
         at_start = after.position[bone] - start
         at_end = ends_after[bone] - end
-        shift = at_start + share.clamp(0, _BEYOND)[:, None] * (at_end - at_start)
+        shift = at_start + fraction.clamp(0, _BEYOND)[:, None] * (at_end - at_start)
         moved += weights[:, slot, None] * (vertices + shift)
     return moved
 

@@ -61,10 +61,10 @@ def balanced(
     level = torch.zeros(len(vertices), dtype=vertices.dtype)
     for _ in range(rounds):
         vertices = projected(field, vertices, level)
-        lack = _spread(-field(vertices[faces].mean(1)) - level[faces].mean(1), faces, len(vertices))
+        residual = _spread(-field(vertices[faces].mean(1)) - level[faces].mean(1), faces, len(vertices))
         for _ in range(_EVENING):
-            lack = _spread(lack[faces].mean(1), faces, len(vertices))
-        level = level + 0.5 * lack
+            residual = _spread(residual[faces].mean(1), faces, len(vertices))
+        level = level + 0.5 * residual
     return projected(field, vertices, level)
 
 

@@ -9,14 +9,14 @@ from torchhand.modelling.diffusion import Diffusion
 from torchhand.modelling.field import HandField
 
 INFLUENCES = 4
-_LEAST = 0.01  # smaller weights are dropped
+_MIN_WEIGHT = 0.01  # smaller weights are dropped
 
 # Half widths of the zones in which the skin passes from one bone to the next, metres.
 _JOINT_ZONE, _KNUCKLE_ZONE, _THUMB_ZONE = 3.0e-3, 4.5e-3, 8.0e-3
 # Where the palm passes from the wrist to the metacarpals, shares of hand length; how far a metacarpal reaches aside,
 # share of hand breadth.
 _PALM_ZONE = (0.06, 0.20)
-_PALM_SHARE = 0.85  # of the metacarpals where they carry the palm most: soft tissue lags behind the bone
+_PALM_FRACTION = 0.85  # of the metacarpals where they carry the palm most: soft tissue lags behind the bone
 _METACARPAL_REACH = 0.12
 
 
@@ -39,21 +39,21 @@ def skin_weights(
         thumb = finger == "thumb"
         chain = ("metacarpal", "proximal", "distal") if thumb else ("proximal", "middle", "distal")
         zones = (_THUMB_ZONE, _KNUCKLE_ZONE, _JOINT_ZONE) if thumb else (_KNUCKLE_ZONE, _JOINT_ZONE, _JOINT_ZONE)
-        shares = [
+        fractions = [
             diffuse(beyond[f"{finger}_{bone}"], zone).clamp(0, 1) for bone, zone in zip(chain, zones, strict=True)
         ]
-        shares = [*shares, torch.zeros_like(left)]
-        left = left - shares[0]
+        fractions = [*fractions, torch.zeros_like(left)]
+        left = left - fractions[0]
         for i, bone in enumerate(chain):
-            weights[:, BONES.index(f"{finger}_{bone}")] = (shares[i] - shares[i + 1]).clamp_min(0)
+            weights[:, BONES.index(f"{finger}_{bone}")] = (fractions[i] - fractions[i + 1]).clamp_min(0)
     weights += left.clamp_min(0)[:, None] * _palm(frames, metric, vertices)
-    weights[weights < _LEAST] = 0
+    weights[weights < _MIN_WEIGHT] = 0
     top, bones = weights.topk(INFLUENCES, -1)
     return bones, top / top.sum(-1, keepdim=True)
 
 
 def _parts(field: HandField, frames: HandFrames, vertices: Tensor) -> dict[str, Tensor]:
-    """For every bone of the digits whether a vertex lies on it or beyond."""
+    """Whether, for every bone of the digits, a vertex lies on it or beyond."""
     digits = torch.stack([field.digit_distance(vertices, finger) for finger in FINGERS], -1)
     nearest = digits.argmin(-1)
     found = {}
@@ -70,11 +70,11 @@ def _parts(field: HandField, frames: HandFrames, vertices: Tensor) -> dict[str, 
 
 def _palm(frames: HandFrames, metric: dict[str, Tensor], vertices: Tensor) -> Tensor:
     """Shares of the wrist and the four metacarpals where nothing else carries the skin."""
-    shares = torch.zeros(len(vertices), len(BONES), dtype=torch.float64)
-    low, high = (share * metric["hand_length"] for share in _PALM_ZONE)
+    fractions = torch.zeros(len(vertices), len(BONES), dtype=torch.float64)
+    low, high = (fraction * metric["hand_length"] for fraction in _PALM_ZONE)
     height = (vertices - frames.position[0]) @ frames.rotation[0][:, 1]
     up = ((height - low) / (high - low)).clamp(0, 1)
-    up = _PALM_SHARE * up * up * (3 - 2 * up)
+    up = _PALM_FRACTION * up * up * (3 - 2 * up)
     reach = _METACARPAL_REACH * metric["hand_breadth"]
     aside = []
     for finger in FINGERS[1:]:
@@ -85,6 +85,6 @@ def _palm(frames: HandFrames, metric: dict[str, Tensor], vertices: Tensor) -> Te
         aside.append(-0.5 * (gap / reach).square())
     kernel = torch.stack(aside, -1).softmax(-1)
     for i, finger in enumerate(FINGERS[1:]):
-        shares[:, BONES.index(f"{finger}_metacarpal")] = up * kernel[:, i]
-    shares[:, 0] = 1 - up
-    return shares
+        fractions[:, BONES.index(f"{finger}_metacarpal")] = up * kernel[:, i]
+    fractions[:, 0] = 1 - up
+    return fractions

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from torchhand.numerics.filters import Gaussian
 
-_MOST_ROUNDS = 3  # times the number of variables; each round changes at least one
+_MAX_ROUNDS = 3  # times the number of variables; each round changes at least one
 
 
 def mode_in_box(
@@ -23,19 +23,19 @@ def mode_in_box(
     lower, upper = lower.expand(mean.shape), upper.expand(mean.shape)
     below, above = mean < lower, mean > upper
     value = mean
-    for _ in range(_MOST_ROUNDS * mean.shape[-1]):
-        held = below | above
-        if not bool(held.any()):
+    for _ in range(_MAX_ROUNDS * mean.shape[-1]):
+        is_bound = below | above
+        if not bool(is_bound.any()):
             break
-        missing = torch.where(held, torch.where(below, lower, upper) - mean, 0.0)
-        kept = held.to(mean)
+        missing = torch.where(is_bound, torch.where(below, lower, upper) - mean, 0.0)
+        kept = is_bound.to(mean)
         matrix = covariance * kept.unsqueeze(-1) * kept.unsqueeze(-2) + (1 - kept).diag_embed()
         pull = torch.linalg.solve(matrix, missing)
         value = mean + (covariance @ pull.unsqueeze(-1)).squeeze(-1)
         is_needed = torch.where(below, pull > 0, pull < 0)
-        leads_below, leads_above = ~held & (value < lower), ~held & (value > upper)
-        if not bool((leads_below | leads_above | (held & ~is_needed)).any()):
+        leads_below, leads_above = ~is_bound & (value < lower), ~is_bound & (value > upper)
+        if not bool((leads_below | leads_above | (is_bound & ~is_needed)).any()):
             break
         below, above = (below & is_needed) | leads_below, (above & is_needed) | leads_above
-    held = below | above
-    return torch.where(held, torch.where(below, lower, upper), value).clamp(lower, upper), held
+    is_bound = below | above
+    return torch.where(is_bound, torch.where(below, lower, upper), value).clamp(lower, upper), is_bound

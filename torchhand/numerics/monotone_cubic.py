@@ -30,11 +30,11 @@ def monotone_cubic(
     slopes[..., 1:-1, :] = torch.where(turns, 0.0, mean)
     piece = (torch.searchsorted(knots, at.contiguous(), right=True) - 1).clamp(0, len(knots) - 2)
     width = step[piece]
-    share = ((at - knots[piece])[:, None] / width).clamp(0, 1)
+    fraction = ((at - knots[piece])[:, None] / width).clamp(0, 1)
     start, end = values[..., piece, :], values[..., piece + 1, :]
     at_start, at_end = width * slopes[..., piece, :], width * slopes[..., piece + 1, :]
-    eased = share * share * (3 - 2 * share)
-    rest = 1 - share
-    found = start + (end - start) * eased + share * rest * (rest * at_start - share * at_end)
+    eased = fraction * fraction * (3 - 2 * fraction)
+    rest = 1 - fraction
+    found = start + (end - start) * eased + fraction * rest * (rest * at_start - fraction * at_end)
     # Rounding must not leave the span either.
     return torch.minimum(torch.maximum(found, torch.minimum(start, end)), torch.maximum(start, end))

@@ -51,20 +51,20 @@ def truncated_normal_log_prob(
 
 
 def truncated_normal_quantile(
-    share: Float[Tensor, "*#sizes"],
+    fraction: Float[Tensor, "*#sizes"],
     mean: Float[Tensor, "*#sizes"],
     std: Float[Tensor, "*#sizes"],
     low: Float[Tensor, "*#sizes"],
     high: Float[Tensor, "*#sizes"],
 ) -> Float[Tensor, "*sizes"]:
-    """The value below which the given share (0 to 1) of a normal cut off at low <= high lies.
+    """The value below which the given fraction (0 to 1) of a normal cut off at low <= high lies.
 
-    Fed with uniform numbers it draws samples. Worked in float64 and returned in the dtype of `share`, between the
+    Fed with uniform numbers it draws samples. Worked in float64 and returned in the dtype of `fraction`, between the
     limits.
     """
     low, high, mean, std = (x.double() for x in (low, high, mean, std))
     start, stop = torch.broadcast_tensors((low - mean) / std, (high - mean) / std)
-    part = share.double()
+    part = fraction.double()
     is_right = start + stop > 0  # mirrored to the left, as in `log_normal_mass`
     part = torch.where(is_right, 1 - part, part)
     left, right = torch.where(is_right, -stop, start), torch.where(is_right, -start, stop)
@@ -76,4 +76,4 @@ def truncated_normal_quantile(
     found = torch.where(right < -_TAIL, tail, inner)
     found = torch.where(is_right, -found, found)
     value = mean + std * torch.minimum(torch.maximum(found, start), stop)
-    return torch.minimum(torch.maximum(value, low), high).to(share.dtype)
+    return torch.minimum(torch.maximum(value, low), high).to(fraction.dtype)

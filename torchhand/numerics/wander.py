@@ -26,17 +26,19 @@ def wander(
     phase = 2 * torch.pi * torch.rand(shape, generator=generator, dtype=seconds.dtype)
     weight = 0.3 + torch.rand(shape, generator=generator, dtype=seconds.dtype)
     waves = (2 * torch.pi * frequency * seconds[:, None, None] + phase).sin() - phase.sin()
-    share = weight / ((1 + phase.sin().abs()) * weight).sum(0)  # the bound |sum| <= 1 is reached where the phases agree
+    fraction = weight / ((1 + phase.sin().abs()) * weight).sum(
+        0
+    )  # the bound |sum| <= 1 is reached where the phases agree
     start = 1 - torch.exp(-((pace * seconds / START_S) ** 2))
-    return (waves * share).sum(1) * start[:, None]
+    return (waves * fraction).sum(1) * start[:, None]
 
 
-def ease(share: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
-    """From 0 to 1 with no speed and no acceleration at either end; constant outside [0, 1]."""
-    x = share.clamp(0, 1)
+def ease(fraction: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    """Curve from 0 to 1 with no speed and no acceleration at either end; constant outside [0, 1]."""
+    x = fraction.clamp(0, 1)
     return x * x * x * (10 + x * (6 * x - 15))
 
 
-def bump(share: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+def bump(fraction: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
     """0 to 1 and back to 0 over [0, 1], at rest at both ends and in the middle; zero outside."""
-    return ease(2 * share) - ease(2 * share - 1)
+    return ease(2 * fraction) - ease(2 * fraction - 1)

@@ -10,7 +10,7 @@ from torchhand.errors import InputError
 from torchhand.files import read_detections
 from torchhand.geometry import Camera
 from torchhand.hand import Side
-from torchhand.track import DetectedHand
+from torchhand.track import HandKeypoints
 
 
 class KeypointTracks:
@@ -27,7 +27,7 @@ class KeypointTracks:
             raise InputError(f"--keypoints: expected one file per camera, {len(cameras)}, got {len(paths)}")
         self._views = [_View(path, camera, side) for path, camera in zip(paths, cameras, strict=True)]
 
-    def hand(self, view: int, frame: int) -> DetectedHand | None:
+    def hand(self, view: int, frame: int) -> HandKeypoints | None:
         """What was found in a frame of a view; None where nothing was."""
         return self._views[view].hand(frame)
 
@@ -41,7 +41,7 @@ class _View:
             raise InputError(f"{path}: expected points in the picture, got points in space alone")
         self._pixels = self._found.in_pixels(camera.width, camera.height)
 
-    def hand(self, frame: int) -> DetectedHand | None:
+    def hand(self, frame: int) -> HandKeypoints | None:
         seen, in_picture = self._found.at_frame(frame), self._pixels.at_frame(frame)
         if seen is None or in_picture is None or in_picture.picture is None or in_picture.confidence is None:
             return None
@@ -53,4 +53,4 @@ class _View:
         if math.isnan(score):  # of the hand, where the file tells; else the mean of its points
             score = float(torch.from_numpy(in_picture.confidence)[is_known].mean())
         space = None if seen.space is None else torch.from_numpy(seen.space)
-        return DetectedHand(points_px=points, points=space, score=score)
+        return HandKeypoints(points_px=points, points=space, score=score)

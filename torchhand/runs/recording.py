@@ -16,7 +16,7 @@ from torchhand.hand import Side
 from torchhand.image import BackgroundPlate, learn_background
 from torchhand.runs.keypoint_tracks import KeypointTracks
 from torchhand.track import View
-from torchhand.track.multiview import moments_of
+from torchhand.track.multiview import evenly_spaced_frames
 
 _UNKNOWN_LENGTH = 300  # frames among which samples are taken where nobody knows how many there are
 
@@ -26,11 +26,11 @@ class RecordedFrame:
     """What all cameras give at one time."""
 
     index: int
-    """Counted from 0 at the recording's first frame, also when reading starts later."""
+    """Index of the frame, counted from 0 at the recording's first frame, also when reading starts later."""
     time_s: float
     views: tuple[View, ...]
     problems: tuple[str | None, ...]
-    """One line for every view whose picture is missing or unreadable."""
+    """Problems, one line for every view whose picture is missing or unreadable."""
 
 
 @runtime_checkable
@@ -187,8 +187,8 @@ class RigRecording:
             self.notes.append("the silhouettes are those in masks_0, masks_1, ...")
 
     def sample(self, frames: int) -> list[RecordedFrame]:
-        """At most so many frames, evenly over the part that is tracked."""
-        chosen = {self.start + place for place in moments_of(self.count or _UNKNOWN_LENGTH, frames)}
+        """Frames, so many at most, evenly over the part that is tracked."""
+        chosen = {self.start + place for place in evenly_spaced_frames(self.count or _UNKNOWN_LENGTH, frames)}
         found = []
         with self._open(0) as source:
             for frame in self._frames(source):

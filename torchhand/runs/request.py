@@ -13,7 +13,7 @@ from torchhand.image import BackgroundPlate, learn_background
 from torchhand.runs.changes import changes_of
 from torchhand.track import DEFAULTS, TrackerSettings
 
-LEAST_START_SPAN_PX = 10.0
+MIN_START_SPAN_PX = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,8 +123,8 @@ def check_start_points(points: StartPoints | None, width: int, height: int) -> N
                 f" got {x:g}, {y:g}"
             )
     span = hypot(points[2] - points[0], points[3] - points[1])
-    if span < LEAST_START_SPAN_PX:
+    if span < MIN_START_SPAN_PX:
         raise InputError(
-            f"--start-points: expected wrist and middle fingertip at least {LEAST_START_SPAN_PX:g} px apart,"
+            f"--start-points: expected wrist and middle fingertip at least {MIN_START_SPAN_PX:g} px apart,"
             f" got {span:g} px"
         )

@@ -108,7 +108,7 @@ class Run:
                 self._keep_seconds(frame.index, float(track.seconds[row]))
 
     def checkpoint(self) -> dict[str, Any]:
-        """From which `go_on_from` continues exactly."""
+        """State from which `go_on_from` continues exactly."""
         assert self.state is not None
         return {
             "state": saved_state(self.state),

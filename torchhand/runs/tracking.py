@@ -14,14 +14,14 @@ from torchhand.errors import InputError
 from torchhand.files import FrameRecord, Track, TrackWriter, check_output_folder, load_hand_model, load_track
 from torchhand.files.results import JSONL_NAME, OVERLAY_NAME, STATUSES, UNFINISHED_NAME
 from torchhand.geometry import Camera
-from torchhand.hand import Anthropometry, HandPose
+from torchhand.hand import Anthropometry
 from torchhand.runs.overlay import draw_live, write_overlay
 from torchhand.runs.recording import OneCameraRecording, RecordedFrame, RigRecording, rig_plates
 from torchhand.runs.request import Request, check_start_points, plate_of
 from torchhand.runs.rig_overlay import write_views
 from torchhand.runs.run import CHECKPOINT_EVERY, Run, Say, header_of, track_frames
 from torchhand.track import Keyframe, Tracker, TrackerState
-from torchhand.track.multiview import Introduction, in_unit, introduce
+from torchhand.track.multiview import HandInitialization, Initialization, in_unit, initialize
 from torchhand.track.scene import ViewSilhouettes
 from torchhand.view import HandProjector
 
@@ -151,7 +151,7 @@ class _RigStart:
         return Tracker(self.hand, cameras, self.settings, shape=self.known, plates=self.plates)
 
     def begun(self, say: Say) -> Run:
-        """A run that knows the hand's looks, its proportions and where it is in some frames.
+        """A run that knows the hand's colours, its proportions and its pose in some frames.
 
         Raises InputError where the rig's unit is to be fitted and no hand is found.
         """
@@ -163,35 +163,34 @@ class _RigStart:
             say(f"one unit of the rig is {1e3 * found.metres:.4g} mm, by the size of the hand")
         metres = found.metres or 1.0
         state = TrackerState(
-            shape=found.shape,
+            shape=found.hand.shape,
             appearance=tuple(found.skins) if any(found.skins) else (),
             keyframes=tuple(
-                Keyframe(time_s=frame / recording.fps, pose=HandPose.of(one.pose, one.root_reference))
-                for frame, one in found.anchors.items()
+                Keyframe(time_s=frame / recording.fps, pose=pose) for frame, pose in found.hand.poses.items()
             ),
         )
-        provenance = self._provenance(found) | {"unit_m": metres}
+        provenance = self._provenance(found.hand) | {"unit_m": metres}
         return Run(recording, self.tracker(metres), provenance, state=state, metres=metres)
 
-    def _initialization(self) -> Introduction:
+    def _initialization(self) -> Initialization:
         silhouettes = ViewSilhouettes(self.recording.cameras, self.settings.silhouette, plates=self.plates)
-        frames = self.recording.sample(max(1, self.settings.rig.shape_frames))
+        sample = self.recording.sample(max(1, self.settings.rig.shape_frames))
         given = self.recording.has_masks
-        moments = [
+        frames = [
             (
                 frame.index,
                 [view.image for view in frame.views],
                 [view.mask for view in frame.views] if given else None,
             )
-            for frame in frames
+            for frame in sample
         ]
         with tqdm(
             total=len(frames), desc="initializing", unit="frame", dynamic_ncols=True, disable=not sys.stderr.isatty()
         ) as bar:
-            return introduce(
+            return initialize(
                 self.hand,
                 silhouettes,
-                moments,
+                frames,
                 Anthropometry(self.hand.kinematics.shape_space),
                 self.settings.rig,
                 shape=self.known,
@@ -199,9 +198,9 @@ class _RigStart:
                 done=bar.update,
             )
 
-    def _provenance(self, found: Introduction) -> dict[str, Any]:
+    def _provenance(self, found: HandInitialization) -> dict[str, Any]:
         method = "visual hulls" if self.known is None else "given"
-        content: dict[str, Any] = {"method": method, "frames": list(found.learned_from)}
+        content: dict[str, Any] = {"method": method, "frames": list(found.shape_frames)}
         if found.shape_std is not None:
             names = self.hand.kinematics.shape_space.names
             content["std"] = dict(zip(names, found.shape_std.tolist(), strict=True))

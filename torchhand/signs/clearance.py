@@ -54,7 +54,7 @@ class Clearance:
         """The deepest overlap of any two parts, metres; below 0 the smallest gap."""
         return self.depths(joints).amax(-1)
 
-    def apart(self, joints: Float[Tensor, "postures 30"]) -> Float[Tensor, "postures 30"]:
+    def separated(self, joints: Float[Tensor, "postures 30"]) -> Float[Tensor, "postures 30"]:
         """The nearest postures within the limits whose parts hardly overlap; those that are such already stay as they
         are.
 
@@ -62,11 +62,11 @@ class Clearance:
         angles, where one is not enough.
         """
         for columns in _ROUNDS:
-            wanting = (self.worst(joints) > _FROM).nonzero()[:, 0]
-            if not len(wanting):
+            overlapping = (self.worst(joints) > _FROM).nonzero()[:, 0]
+            if not len(overlapping):
                 break
             moved = joints.clone()
-            moved[wanting] = self._moved(joints[wanting], columns)
+            moved[overlapping] = self._moved(joints[overlapping], columns)
             joints = moved
         return joints
 

@@ -54,7 +54,7 @@ class SolvedSigns:
 
     signs: str
     joints: Float[Tensor, "signs 30"]
-    """Radians, within the limits; the same for left and right hands."""
+    """Joint angles, radians, within the limits; the same for left and right hands."""
     contact: Float[Tensor, "signs"]
     """Largest distance of two points that ought to meet, metres; 0 where the sign has none. Points are places on the
     skin: digits may touch beside them."""
@@ -93,8 +93,8 @@ def solve_signs(
     """The signs, each of HANDSHAPES, of a right hand of these proportions; deterministic.
 
     Least squares over the 30 joint angles within their limits: distance to the table, contacts, overlap of parts,
-    equation (2) of paper 000. Tried from three starts, the best is taken; from `start` alone where that is given,
-    such as the solution of another hand. kinematics: float64.
+    equation (2) of Ouhaddi and Horain (1998). Tried from three starts, the best is taken; from `start` alone where that
+    is given, such as the solution of another hand. kinematics: float64.
 
     Raises KeyError for a sign that the table lacks.
     """
@@ -109,7 +109,7 @@ def solve_signs(
     best = torch.stack([found.cost for found in tries]).argmin(0)
     joints = torch.stack([found.values for found in tries])[best, torch.arange(len(rows))]
     pose = torch.cat((joints.new_zeros(len(rows), _ROOT), joints), -1)
-    return problem.judged(signs, problem.constraints.project(pose)[:, _ROOT:])
+    return problem.evaluated(signs, problem.constraints.project(pose)[:, _ROOT:])
 
 
 def _starts(target: Float[Tensor, "signs 30"]) -> list[Float[Tensor, "signs 30"]]:
@@ -156,23 +156,23 @@ class _Problem:
         self._shape = kinematics.default_shape.double() if shape is None else shape.double()
         self._sizes = primitive_sizes(kinematics.shape_space, self._shape)
         names = self._parts(target[0])[1].names
-        count, most = len(rows), max(1, *(len(row.meet) + len(row.gap) for row in rows))
-        first, second = (torch.zeros(count, most, dtype=torch.long) for _ in range(2))
-        meets, apart = torch.zeros(count, most, dtype=torch.float64), torch.full((count, most), -1.0).double()
+        count, width = len(rows), max(1, *(len(row.meet) + len(row.gap) for row in rows))
+        first, second = (torch.zeros(count, width, dtype=torch.long) for _ in range(2))
+        meets, gaps = torch.zeros(count, width, dtype=torch.float64), torch.full((count, width), -1.0).double()
         touches = torch.zeros(count, len(names), dtype=torch.float64)
         for i, row in enumerate(rows):
             pairs = [(*pair, None) for pair in row.meet] + list(row.gap)
             for k, (one, other, distance) in enumerate(pairs):
                 first[i, k], second[i, k] = POINT_NAMES.index(one), POINT_NAMES.index(other)
                 meets[i, k] = float(distance is None)
-                apart[i, k] = -1.0 if distance is None else distance
+                gaps[i, k] = -1.0 if distance is None else distance
             for one, other in row.touch:
                 name = f"{one} – {other}"
                 touches[i, names.index(name if name in names else f"{other} – {one}")] = 1
         crossed = torch.tensor([[float(row.crossed)] for row in rows], dtype=torch.float64)
         spread = torch.stack([_spreads(row) for row in rows])
         self._first, self._second, self._meets = first, second, meets
-        self._given = (target, spread, meets, apart, touches, crossed)
+        self._given = (target, spread, meets, gaps, touches, crossed)
 
     def _parts(self, joints: Float[Tensor, "*batch 30"]) -> tuple[Float[Tensor, "*batch points 3"], Penetration]:
         pose = torch.cat((joints.new_zeros(*joints.shape[:-1], _ROOT), joints), -1)
@@ -180,7 +180,7 @@ class _Problem:
         return skin_points(primitives), penetration(primitives)
 
     def _residuals(self, joints: Float[Tensor, "signs steps 30"]) -> Float[Tensor, "signs steps residuals"]:
-        target, spread, meets, apart, touches, crossed = (x[:, None] for x in self._given)
+        target, spread, meets, gaps, touches, crossed = (x[:, None] for x in self._given)
         points, overlap = self._parts(joints)
         between = self._between(points)
         distance = (between.square().sum(-1) + _NOTHING).sqrt()
@@ -191,7 +191,7 @@ class _Problem:
             (
                 (joints - target) / spread,
                 (meets[..., None] * between / _CONTACT).flatten(2),
-                torch.where(apart > 0, (distance - apart) / _GAP, 0.0),
+                torch.where(gaps > 0, (distance - gaps) / _GAP, 0.0),
                 (overlap.depth + _CLEARANCE).clamp_min(0) / _DEPTH,
                 touches * overlap.depth / _TOUCH,
                 ((low - aside).clamp_min(0) + (aside - high).clamp_min(0)) / _ROOM,
@@ -214,7 +214,7 @@ class _Problem:
         )
         return values[:, 0], ((values[:, 1:] - values[:, :1]) / _STEP).mT
 
-    def judged(self, signs: str, joints: Float[Tensor, "signs 30"]) -> SolvedSigns:
+    def evaluated(self, signs: str, joints: Float[Tensor, "signs 30"]) -> SolvedSigns:
         points, overlap = self._parts(joints)
         distance = self._between(points[:, None])[:, 0].norm(dim=-1)
         return SolvedSigns(signs=signs, joints=joints, contact=(distance * self._meets).amax(-1), overlap=overlap)

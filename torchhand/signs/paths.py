@@ -16,29 +16,29 @@ TRACERS = {"J": "little_tip", "Z": "index_tip"}
 _Z_CORNERS = ((0.045, -0.03), (-0.045, -0.03), (0.045, 0.035), (-0.045, 0.035))
 """Right and down in the viewer's picture, metres: a Z as the signer sees it."""
 _J_STEM, _J_HOOK, _J_TURN_DEG = 0.055, 0.024, 100.0
-_STEM_SHARE = 0.45  # of the time
+_STEM_FRACTION = 0.45  # of the time
 
 
 def hand_course(
-    sign: str, share: Float[Tensor, "frames"], side: Side = "right"
+    sign: str, fraction: Float[Tensor, "frames"], side: Side = "right"
 ) -> tuple[Float[Tensor, "frames 3"], Float[Tensor, "frames 3 3"]]:
     """Displacement of the hand's middle, metres, and cam_from_hand, over the time of a sign (share 0 to 1); float64.
 
     Camera axes: x right, y down, z forward. A J is drawn downwards with a hook towards the signer's other side, while
     the hand turns its palm to the signer; left hands do the mirror image.
     """
-    share = share.double()
-    rotation = sign_rotation(sign).expand(len(share), 3, 3)
-    offset = share.new_zeros(len(share), 3)
+    fraction = fraction.double()
+    rotation = sign_rotation(sign).expand(len(fraction), 3, 3)
+    offset = fraction.new_zeros(len(fraction), 3)
     if sign == "Z":
         corners = torch.tensor(_Z_CORNERS, dtype=torch.float64)
         strokes = len(corners) - 1
-        stroke = (share * strokes).floor().clamp(0, strokes - 1).long()
-        along = ease(share * strokes - stroke)[:, None]
+        stroke = (fraction * strokes).floor().clamp(0, strokes - 1).long()
+        along = ease(fraction * strokes - stroke)[:, None]
         offset[:, :2] = corners[stroke] + along * (corners[stroke + 1] - corners[stroke])
     elif sign == "J":
-        down = ease(share / _STEM_SHARE)
-        bend = math.pi * ease((share - _STEM_SHARE) / (1 - _STEM_SHARE))
+        down = ease(fraction / _STEM_FRACTION)
+        bend = math.pi * ease((fraction - _STEM_FRACTION) / (1 - _STEM_FRACTION))
         offset[:, 0] = _J_HOOK * (1 - bend.cos())
         offset[:, 1] = _J_STEM * (down - 0.5) + _J_HOOK * (bend.sin() - 0.6)
         turn = torch.zeros_like(offset)

@@ -19,8 +19,8 @@ class SkinPoint:
     along: float
     """Share of the cone, 0 at its beginning; above 1 on the rounded tip."""
     palmar: float
-    """Which way around, degrees: 0 towards the thumb's side, 90 to the palmar side, 180 away from the thumb, −90 to
-    the back."""
+    """Direction around the segment, degrees: 0 towards the thumb's side, 90 to the palmar side, 180 away from the
+    thumb, −90 to the back."""
 
 
 PAD, SIDE, BACK = 90.0, 0.0, -90.0
@@ -55,9 +55,9 @@ def skin_points(primitives: Primitives) -> Float[Tensor, "*batch points 3"]:
     reach = sizes.cone_length[..., tips] + sizes.cone_start[..., tips, 0] * sizes.cone_end_scale[..., tips]
     at_tips = primitives.cone_position[..., tips, :] + primitives.cone_rotation[..., tips, :, 1] * reach[..., None]
     palm = CONE_NAMES.index("palm")
-    share = 1 - _BELOW_KNUCKLE
-    depth = sizes.cone_start[..., palm, 0] * (1 + share * (sizes.cone_end_scale[..., palm] - 1))
-    below = torch.stack((-depth, share * sizes.cone_length[..., palm], torch.zeros_like(depth)), -1)
+    fraction = 1 - _BELOW_KNUCKLE
+    depth = sizes.cone_start[..., palm, 0] * (1 + fraction * (sizes.cone_end_scale[..., palm] - 1))
+    below = torch.stack((-depth, fraction * sizes.cone_length[..., palm], torch.zeros_like(depth)), -1)
     on_palm = (
         primitives.cone_position[..., palm, :] + (primitives.cone_rotation[..., palm, :, :] @ below[..., None])[..., 0]
     )

@@ -20,7 +20,7 @@ from torchhand.signs.transitions import choose_recipe, curve, waypoints
 _MIDDLE = (-0.02, 0.48, 0.0)
 """Middle of the hand in its own frame, what it turns about: metres, share of its length, metres."""
 _SLIDE = (-0.03, 0.0, 0.0)  # metres from one letter to the same again, right hand
-_VIA_SHARE = 0.35  # of a transition's time more for every via-pose
+_VIA_FRACTION = 0.35  # of a transition's time more for every via-pose
 _EPSILON = 1e-9
 
 
@@ -31,8 +31,8 @@ class SpellingSettings:
     fps: float = 25.0
     """Frames per second; above 0, 1000 at most."""
     seconds_per_sign: float = 1.0
-    """From one sign to the next where the way is straight; 0.2 to 20."""
-    hold_share: float = 0.55
+    """Time from one sign to the next where the way is straight; 0.2 to 20."""
+    hold_fraction: float = 0.55
     """Share of that for which the hand holds still; 0.1 to 0.9."""
     traced_seconds: float = 1.2
     """J and Z are traced in so many times seconds_per_sign; 0.2 to 20."""
@@ -41,7 +41,7 @@ class SpellingSettings:
         ranges = {
             "fps": (0, 1000),
             "seconds_per_sign": (0.2, 20),
-            "hold_share": (0.1, 0.9),
+            "hold_fraction": (0.1, 0.9),
             "traced_seconds": (0.2, 20),
         }
         for name, (low, high) in ranges.items():
@@ -56,13 +56,13 @@ class Spelling:
     """A spelled text."""
 
     text: str
-    """As it is spelled: capitals, digits and spaces."""
+    """Text as it is spelled: capitals, digits and spaces."""
     poses: Float64[Tensor, "frames 36"]
     """Metres and radians in the order of DOFS, whole rotation vectors; in the frame of a camera (x right, y down, z
     forward) about whose origin the hand moves."""
     fps: float
     place: tuple[int, ...]
-    """For every frame the place in `text` of the sign that is held or that is being left."""
+    """Place, for every frame, in `text` of the sign that is held or that is being left."""
     overlap: Float64[Tensor, "frames"]
     """The deepest overlap of any two parts of the hand, metres: no slack for soft skin; below 0 the smallest gap."""
 
@@ -124,13 +124,13 @@ def spell(
     which = torch.searchsorted(ends, seconds - _EPSILON).clamp_max(len(segments) - 1)
     values, centres, rotations = [], [], []
     for number, segment in enumerate(segments):
-        share = ((seconds[which == number] - (ends[number] - segment.seconds)) / segment.seconds).clamp(0, 1)
-        if len(share):
-            values.append(segment.joints(share))
-            centre, rotation = segment.course(share, side)
+        fraction = ((seconds[which == number] - (ends[number] - segment.seconds)) / segment.seconds).clamp(0, 1)
+        if len(fraction):
+            values.append(segment.joints(fraction))
+            centre, rotation = segment.course(fraction, side)
             centres.append(centre)
             rotations.append(rotation)
-    found, rotation = clearance.apart(torch.cat(values)), torch.cat(rotations)
+    found, rotation = clearance.separated(torch.cat(values)), torch.cat(rotations)
     root = torch.cat(centres) - rotation @ _middle(model, shape)
     return Spelling(
         text=text,
@@ -160,19 +160,19 @@ def traced_poses(
     sign: str,
     joints: Float64[Tensor, "30"],
     model: HandModel,
-    share: Float64[Tensor, "frames"],
+    fraction: Float64[Tensor, "frames"],
     *,
     side: Side = "right",
     shape: Float[Tensor, "shape"] | None = None,
 ) -> Float64[Tensor, "frames 36"]:
     """One sign over its time, share 0 to 1."""
-    offset, rotation = hand_course(sign, share, side)
+    offset, rotation = hand_course(sign, fraction, side)
     root = offset - rotation @ _middle(model, shape)
-    return torch.cat((root, vector_from_rotation(rotation), joints.expand(len(share), -1)), -1)
+    return torch.cat((root, vector_from_rotation(rotation), joints.expand(len(fraction), -1)), -1)
 
 
 def _middle(model: HandModel, shape: Float[Tensor, "shape"] | None) -> Float64[Tensor, "3"]:
-    """Of the hand, in its own frame, metres."""
+    """Middle of the hand, in its own frame, metres."""
     values = model.shape_space.default if shape is None else shape
     back, along, aside = _MIDDLE
     length = float(model.shape_space.metric(values)["hand_length"])
@@ -190,22 +190,22 @@ class _Segment:
     first: str
     second: str | None
     offsets: tuple[Float64[Tensor, "3"], Float64[Tensor, "3"]]
-    """Where the hand slid to, at the beginning and at the end, right hand."""
+    """Offsets to which the hand slid, at the beginning and at the end, right hand."""
 
-    def joints(self, share: Float64[Tensor, "frames"]) -> Float64[Tensor, "frames 30"]:
-        return self.points.expand(len(share), -1) if len(self.points) == 1 else curve(self.points, share)
+    def joints(self, fraction: Float64[Tensor, "frames"]) -> Float64[Tensor, "frames 30"]:
+        return self.points.expand(len(fraction), -1) if len(self.points) == 1 else curve(self.points, fraction)
 
     def course(
-        self, share: Float64[Tensor, "frames"], side: Side
+        self, fraction: Float64[Tensor, "frames"], side: Side
     ) -> tuple[Float64[Tensor, "frames 3"], Float64[Tensor, "frames 3 3"]]:
-        flip = share.new_tensor((-1.0 if side == "left" else 1.0, 1.0, 1.0))
-        eased = ease(share)[:, None]
+        flip = fraction.new_tensor((-1.0 if side == "left" else 1.0, 1.0, 1.0))
+        eased = ease(fraction)[:, None]
         slid = (self.offsets[0] + eased * (self.offsets[1] - self.offsets[0])) * flip
         if self.second is None:
-            offset, rotation = hand_course(self.first, share, side)
+            offset, rotation = hand_course(self.first, fraction, side)
             return offset + slid, rotation
         (start, begin), (stop, end) = (
-            hand_course(sign, share.new_tensor([at]), side) for sign, at in ((self.first, 1.0), (self.second, 0.0))
+            hand_course(sign, fraction.new_tensor([at]), side) for sign, at in ((self.first, 1.0), (self.second, 0.0))
         )
         turn = vector_from_rotation(end[0] @ begin[0].T)
         return start + eased * (stop - start) + slid, rotation_from_vector(eased * turn) @ begin[0]
@@ -218,7 +218,7 @@ def _segments(
     clearance: Clearance,
     settings: SpellingSettings,
 ) -> list[_Segment]:
-    hold = settings.hold_share * settings.seconds_per_sign
+    hold = settings.hold_fraction * settings.seconds_per_sign
     way = settings.seconds_per_sign - hold
     slid = torch.zeros(3, dtype=torch.float64)
     segments = []
@@ -240,7 +240,7 @@ def _segments(
             if (sign, following) not in recipes:
                 recipes[sign, following] = choose_recipe(clearance, sign, following, joints[sign], joints[following])[0]
             points = waypoints(sign, following, joints[sign], joints[following], recipes[sign, following])
-            seconds = way * (1 + _VIA_SHARE * (len(points) - 2))
+            seconds = way * (1 + _VIA_FRACTION * (len(points) - 2))
         segments.append(
             _Segment(
                 place=place, seconds=seconds + pause, points=points, first=sign, second=following, offsets=(slid, to)

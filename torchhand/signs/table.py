@@ -1,7 +1,7 @@
 """The manual alphabet and digits of American Sign Language as a table: which finger does what, what touches what.
 
-Codes of the joints are those of Johnson and Liddell as FACTS 8.1 has them: E straight, i half bent, F bent; one letter
-each for MCP, PIP and DIP. Degrees are design values (FACTS 8.2), a starting point: `sign_fit` solves the contacts.
+Codes of the joints are those of Johnson and Liddell: E straight, i half bent, F bent; one letter
+each for MCP, PIP and DIP. Degrees are design values, a starting point: `sign_fit` solves the contacts.
 Signs of one shape share a row: H is U pointing sideways, P is K and Q is G pointing down, J is I and Z is 1 in motion.
 """
 
@@ -42,7 +42,7 @@ class Handshape:
     """Gaps from index to middle, middle to ring, ring to little."""
     thumb: ThumbPlace
     thumb_deg: tuple[float, float, float, float] | None = None
-    """In place of what THUMB_DEG has for `thumb`."""
+    """Angles of the thumb in place of those that THUMB_DEG has for `thumb`."""
     meet: tuple[tuple[str, str], ...] = ()
     """Points of the skin (`skin_points.POINTS`) that touch."""
     touch: tuple[tuple[str, str], ...] = ()

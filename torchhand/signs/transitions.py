@@ -28,11 +28,11 @@ class Recipe:
     """A way from one posture to another by way of open ones."""
 
     leaving: Stage | None
-    """What has opened at the first via-pose; the rest is still as in the first sign."""
+    """Digits that have opened at the first via-pose; the rest is still as in the first sign."""
     middle: bool
-    """Whether there is a via-pose with all of it open."""
+    """Whether the way has a via-pose in which all moving digits are open."""
     arriving: Stage | None
-    """What is still open at the last via-pose; the rest is as in the second sign already."""
+    """Digits that are still open at the last via-pose; the rest is as in the second sign already."""
     thumb: int = 0
     """Index into OPEN_THUMBS."""
     fingers: int = 0
@@ -74,7 +74,7 @@ RECIPES: tuple[Recipe, ...] = (
 """All ways, the shorter ones first."""
 
 GOOD_ENOUGH = 1.2e-3
-"""Overlap with which the search ends, metres: so much `Clearance.apart` takes away without a trace."""
+"""Overlap with which the search ends, metres: so much `Clearance.separated` takes away without a trace."""
 _SAMPLES_PER_SEGMENT = 12
 _TRIED_AT_ONCE = 10
 _UNCROSSED_DEG = {"index_mcp_fe": 32.0, "index_mcp_aa": 12.0, "middle_mcp_aa": -8.0, "middle_mcp_fe": 0.0}
@@ -87,7 +87,7 @@ def choose_recipe(
 
     The first one whose overlap is at most GOOD_ENOUGH, or else the one with least.
     """
-    best, least = 0, math.inf
+    best, lowest = 0, math.inf
     for chunk in range(0, len(RECIPES), _TRIED_AT_ONCE):
         numbers = range(chunk, min(chunk + _TRIED_AT_ONCE, len(RECIPES)))
         paths = [sampled(waypoints(first, second, start, end, number)) for number in numbers]
@@ -96,9 +96,9 @@ def choose_recipe(
             worst = float(depth.max())
             if worst <= GOOD_ENOUGH:
                 return number, worst
-            if worst < least:
-                best, least = number, worst
-    return best, least
+            if worst < lowest:
+                best, lowest = number, worst
+    return best, lowest
 
 
 def waypoints(
@@ -125,10 +125,10 @@ def waypoints(
     return torch.stack([*points, end])
 
 
-def curve(points: Float[Tensor, "points 30"], share: Float[Tensor, "places"]) -> Float[Tensor, "places 30"]:
+def curve(points: Float[Tensor, "points 30"], fraction: Float[Tensor, "places"]) -> Float[Tensor, "places 30"]:
     """The eased curve through the points, evenly spread in time, at shares of the whole, 0 to 1."""
     segments = len(points) - 1
-    return monotone_cubic(torch.arange(segments + 1, dtype=points.dtype), points, segments * share)
+    return monotone_cubic(torch.arange(segments + 1, dtype=points.dtype), points, segments * fraction)
 
 
 def sampled(points: Float[Tensor, "points 30"]) -> Float[Tensor, "places 30"]:

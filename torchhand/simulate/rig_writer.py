@@ -41,7 +41,7 @@ class RigRecord:
     """What the cameras saw of the hand, a column each."""
 
     in_view: np.ndarray
-    """(frames, cameras)"""
+    """Whether the camera sees the hand, (frames, cameras)."""
     is_cut: np.ndarray
     """Whether the hand reaches the picture's edge."""
 
@@ -50,7 +50,7 @@ def render_rig(
     kinematics: HandKinematics,
     motion: Motion,
     cameras: Sequence[Camera],
-    look: SceneSettings,
+    scene: SceneSettings,
     generator: torch.Generator,
     *,
     shape: Float[Tensor, "shape"] | None = None,
@@ -59,7 +59,7 @@ def render_rig(
     """The frames of a motion, each as every camera sees it; arguments and promises as of `render_sequence`."""
     seeds = torch.randint(0, 2**63 - 1, (len(cameras),), generator=generator).tolist()
     views = [
-        render_sequence(kinematics, motion, camera, look, torch.Generator().manual_seed(seed), shape=shape, hand=hand)
+        render_sequence(kinematics, motion, camera, scene, torch.Generator().manual_seed(seed), shape=shape, hand=hand)
         for camera, seed in zip(cameras, seeds, strict=True)
     ]
     return zip(*views, strict=True)

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchhand.hand import PoseSpace
 
 _TRANSLATIONS, _ROTATIONS = ("root_tx", "root_ty", "root_tz"), ("root_rx", "root_ry", "root_rz")
-_LEAST_STD = 1e-4  # metres or radians: of what is not perturbed at all
+_MIN_STD = 1e-4  # metres or radians: of what is not perturbed at all
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,9 +28,9 @@ class PerturbationSettings:
     """Sizes that are studied: the largest divided by so many, twice that, and so on to the largest; 1 to 100."""
 
     def __post_init__(self) -> None:
-        for name, most in (("angle_deg", 180), ("translation_mm", 1000), ("rotation_deg", 180)):
-            if not 0 <= getattr(self, name) <= most:
-                raise ValueError(f"perturbation.{name}: expected 0 to {most}, got {getattr(self, name)!r}")
+        for name, maximum in (("angle_deg", 180), ("translation_mm", 1000), ("rotation_deg", 180)):
+            if not 0 <= getattr(self, name) <= maximum:
+                raise ValueError(f"perturbation.{name}: expected 0 to {maximum}, got {getattr(self, name)!r}")
         if not 1 <= self.levels <= 100:
             raise ValueError(f"perturbation.levels: expected 1 to 100, got {self.levels!r}")
         if self.angle_deg == self.translation_mm == self.rotation_deg == 0:
@@ -65,7 +65,7 @@ def spread_of_starts(space: PoseSpace, settings: PerturbationSettings) -> Float[
     std[translation] = 1e-3 * settings.translation_mm / math.sqrt(3)
     std[angle] = math.radians(settings.angle_deg) / math.sqrt(3)
     std[rotation] = math.radians(settings.rotation_deg) / math.sqrt(3 * max(1, len(rotation)))
-    return std.clamp_min(_LEAST_STD)
+    return std.clamp_min(_MIN_STD)
 
 
 def seed_of(*parts: object) -> int:

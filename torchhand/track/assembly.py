@@ -15,7 +15,7 @@ from torchhand.hand import Hand, HandKinematics, named_pose_space
 from torchhand.image import BackgroundPlate
 from torchhand.track.belief import HandMotion
 from torchhand.track.extended import ExtendedUpdate, ExtendedUpdateSettings
-from torchhand.track.multiview import HullUpdate, MomentFitter
+from torchhand.track.multiview import FrameFitter, HullUpdate
 from torchhand.track.proposals import KeypointHand, KeypointStart, PostureSearch, ProposalSource, hull_sources
 from torchhand.track.scene import (
     ColourSegmentation,
@@ -159,7 +159,7 @@ def _of_a_rig(own: _Ingredients, cameras: Sequence[Camera], plates: Sequence[Bac
     silhouettes = ViewSilhouettes(exact, s.silhouette, plates=plates)
     takes_proposals = s.method == "hull"
     rig = replace(s.rig, pose_space=s.pose_space) if takes_proposals else s.rig
-    fits = MomentFitter(own.hand, silhouettes.cameras, rig)
+    fits = FrameFitter(own.hand, silhouettes.cameras, rig)
     motion = own.motion if takes_proposals else replace(own.motion, space=fits.space)
     hull = HullUpdate(fits, motion, health)
     detected = KeypointHand(kinematics=own.hand.kinematics, cameras=silhouettes.cameras, settings=s.keypoints)

@@ -41,9 +41,9 @@ class TrackerSettings:
     colours: ColourUpdateSettings = field(default_factory=ColourUpdateSettings)
     health: HealthSettings = field(default_factory=HealthSettings)
     keypoints: KeypointSettings = field(default_factory=KeypointSettings)
-    """How far detected keypoints are believed, where there are any."""
+    """Noise, correlation and smallest score of detected keypoints, where a detector gives some."""
     fit: FitSettings = field(default_factory=FitSettings)
-    """Of the picture in which a hand is found."""
+    """Settings of the fit to the picture in which a hand is found."""
     search_overlap: float = 0.80
     """Smallest overlap with which a search of one camera takes a hand as found; 0 to 1."""
     rig: RigSettings = field(default_factory=RigSettings)
@@ -53,13 +53,13 @@ class TrackerSettings:
     check_side_px: int = 320
     """Longer side of the reduced pictures in which silhouettes are compared; 64 or more."""
     nominal_dt_s: float = 1 / 30
-    """Time from the frame before, where there is none; above 0."""
+    """Time step that is assumed at the first frame; above 0."""
 
     def __post_init__(self) -> None:
         require(self.pose_space in POSE_SPACES, "pose_space", f"one of {', '.join(POSE_SPACES)}", self.pose_space)
         require(self.posture in POSTURES, "posture", f"one of {', '.join(POSTURES)}", self.posture)
-        for name, least in (("points_per_generator", 2), ("points_per_arc", 4), ("check_side_px", 64)):
-            require(getattr(self, name) >= least, name, f"{least} or more", getattr(self, name))
+        for name, minimum in (("points_per_generator", 2), ("points_per_arc", 4), ("check_side_px", 64)):
+            require(getattr(self, name) >= minimum, name, f"{minimum} or more", getattr(self, name))
         require(0 <= self.search_overlap <= 1, "search_overlap", "0 to 1", self.search_overlap)
         has_window = 0 <= self.smoothing_window_s < float("inf")
         require(has_window, "smoothing_window_s", "0 or more and finite", self.smoothing_window_s)

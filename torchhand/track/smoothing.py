@@ -31,16 +31,16 @@ class PastFrame:
 
     time_s: float
     views: tuple[View, ...]
-    """Keypoints alone."""
+    """Views with their keypoints alone."""
     masks: tuple[PackedMask | None, ...]
     keypoints: Float[Tensor, "21 3"] | None
-    """Of the hand as it was found, metres; None where it was lost."""
+    """Keypoints of the hand as it was found, metres; None where it was lost."""
     score: float
-    """How much of the silhouettes that explains, 0 to 1; 0 where the hand was lost."""
+    """How much of the silhouettes the hand explained, 0 to 1; 0 where it was lost."""
 
     @classmethod
     def of(cls, scene: Scene, keypoints: Float[Tensor, "21 3"] | None, score: float) -> "PastFrame":
-        """A scene and what was found in it."""
+        """The record of a scene and of what was found in it."""
         masks = [
             own if plane is None else plane > 0.5 for own, plane in zip(scene.masks, scene.probabilities, strict=True)
         ]
@@ -53,7 +53,7 @@ class PastFrame:
         )
 
     def scene(self) -> Scene:
-        """As a tracker follows a hand in it."""
+        """The scene in which a tracker follows a hand."""
         masks = tuple(None if mask is None else mask.mask() for mask in self.masks)
         return Scene(views=self.views, masks=masks, probabilities=(None,) * len(masks), time_s=self.time_s)
 
@@ -67,7 +67,7 @@ class Smoother:
         self._past: deque[PastFrame] = deque()
 
     def remember(self, past: PastFrame) -> None:
-        """One more frame, after the last one."""
+        """Keep one more frame, after the last one."""
         self._past.append(past)
         while self._past and self._past[0].time_s < past.time_s - self._window_s - _CLOCK_S:
             self._past.popleft()
@@ -109,7 +109,7 @@ class Smoother:
         return len(self._past) > 0 and _distance(self._past[-1].keypoints, estimate.keypoints) > _LEAP
 
     def _gain(self, before: list[PastFrame], after: list[Estimate], now: Tensor) -> float:
-        """By how much the last frames are explained better by the hand that was followed back through them."""
+        """Score by which the last frames are explained better by the hand that was followed back through them."""
         was = [now, *(past.keypoints for past in before)]
         then = [now, *(found.keypoints for found in after)]
         if len(self._past) > len(before):

@@ -21,7 +21,7 @@ from torchhand.track.assembly import Assembly, assembled
 from torchhand.track.belief import FollowedHand, posed_belief, scale_covariance, unknown_scale_std
 from torchhand.track.knowledge import Estimate, TrackerState
 from torchhand.track.proposals import Proposals, ProposalSource, Proposed
-from torchhand.track.scene import Candidate, DetectedHand, Scene, View
+from torchhand.track.scene import Candidate, HandKeypoints, Scene, View
 from torchhand.track.settings import TrackerSettings
 
 _BEST_KEPT = 0.99  # share of the best score that outlasts a frame
@@ -98,7 +98,7 @@ class Tracker:
         if all(view.is_empty for view in views):
             return self._unseen(state, predicted)
         views = [self._undistorted(view, index) for index, view in enumerate(views)]
-        looks = state.appearance or self._parts.segmentation.first_looks(views)
+        looks = state.appearance or self._parts.segmentation.initial_appearances(views)
         scene = self._parts.segmentation.scene(views, looks, time_s)
         scene = replace(scene, guesses=tuple(one.pose for one in state.keyframes if one.is_of(time_s)))
         state = replace(
@@ -170,7 +170,7 @@ class Tracker:
             return view
         points = given.plane_from_pixels(view.keypoints.points_px.to(used.intrinsics))
         seen = view.keypoints
-        moved = DetectedHand(points_px=used.pixels_from_plane(points), points=seen.points, score=seen.score)
+        moved = HandKeypoints(points_px=used.pixels_from_plane(points), points=seen.points, score=seen.score)
         return replace(view, keypoints=moved)
 
     def _compared_with_keypoints(self, found: Candidate | None, scene: Scene, shape: Tensor) -> Candidate | None:

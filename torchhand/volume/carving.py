@@ -1,4 +1,4 @@
-"""Hulls from silhouettes: an octree carved level by level (paper 002, section 3.2; Szeliski 1993)."""
+"""Hulls from silhouettes: an octree carved level by level (Ueda et al. 2003, 3.2; Szeliski 1993)."""
 
 import copy
 from collections.abc import Sequence
@@ -44,7 +44,7 @@ class Carver:
         self.root = root_cube(cameras) if root is None else root
         self._device = cameras[0].rotation.device
         self._views = {tuple(range(len(cameras))): self._seen_by(cameras)}
-        self._least = min(settings.least_views, len(cameras) - settings.tolerated_views)
+        self._min_views = min(settings.min_views, len(cameras) - settings.tolerated_views)
         self._children = torch.cartesian_prod(*3 * [torch.arange(2.0)]).T.contiguous().to(self._device)
         self._coarse = torch.zeros(3, 1, device=self._device)
         for _ in range(min(DENSE_LEVELS, settings.level)):
@@ -66,7 +66,7 @@ class Carver:
         return Octree(root=self.root, batch=batch, levels=tuple(levels))
 
     def moved(self, root: RootCube) -> "Carver":
-        """The same for another cube of the same size, such as one that follows something; quick.
+        """The carver for another cube of the same size, such as one that follows something; quick.
 
         Raises ValueError for one of another size.
         """
@@ -121,7 +121,7 @@ class Carver:
         return batch
 
     def _silhouettes(self, masks: Masks, is_there: Tensor | None) -> "_Silhouettes":
-        """Those of the views that there are."""
+        """Silhouettes of the views that there are."""
         chosen = tuple(index for index, mask in enumerate(masks) if mask is not None)
         if chosen not in self._views:
             self._views[chosen] = self._seen_by([self.cameras[index] for index in chosen])
@@ -144,7 +144,7 @@ class Carver:
         cells, states, frames = levels[-1].cells.T.float(), levels[-1].states, levels[-1].frames
         for level in range(coarse + 1, self.settings.level + 1):
             gray = places_of(states == GRAY)
-            if 8 * len(gray) > self.settings.most_octants:
+            if 8 * len(gray) > self.settings.max_octants:
                 break
             cells = self._divided(cells.index_select(1, gray))
             frames = frames.index_select(0, gray)[:, None].expand(-1, 8).reshape(-1)
@@ -167,9 +167,9 @@ class Carver:
             of_frame = None if is_single else frames[some]
             found = seen.views.verdicts(cells[:, some], level, seen.tables, of_frame, seen.is_there)
             against = _number((found.is_in | found.is_unseen).logical_not_())
-            is_black = (against <= tolerated).logical_and_(_number(found.is_in) >= self._least)
+            is_black = (against <= tolerated).logical_and_(_number(found.is_in) >= self._min_views)
             state = is_black.to(torch.uint8).add_(GRAY)  # or BLACK
-            state.masked_fill_(_number(found.is_bare) > seen.count - self._least, UNKNOWN)
+            state.masked_fill_(_number(found.is_bare) > seen.count - self._min_views, UNKNOWN)
             states[some] = state.masked_fill_(_number(found.is_out) > tolerated, WHITE)
         return states
 
@@ -219,5 +219,5 @@ def _level(level: int, cells: Tensor, states: Tensor, frames: Tensor) -> OctreeL
 
 
 def _number(verdicts: Bool[Tensor, "views n"]) -> Int[Tensor, "n"]:
-    """Of views, for every octant."""
+    """Number of views, for every octant."""
     return verdicts.sum(0, dtype=torch.int16)

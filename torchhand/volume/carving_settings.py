@@ -20,23 +20,23 @@ class CarvingSettings:
     """
     tolerated_views: int = 0
     """Views that may be wrong: an octant is carved away only where more than these see background."""
-    least_views: int = 2
+    min_views: int = 2
     """Views in which the object has to appear where an octant is, for the octant to be of the hull.
 
     At most the number of cameras less the tolerated ones counts. Octants where it appears in fewer, because the others
     do not look at them, are UNKNOWN unless they are carved away.
     """
-    most_octants: int = 20_000_000
+    max_octants: int = 20_000_000
     """Carving ends at a coarser level where the next would have more octants, all frames together."""
 
     def __post_init__(self) -> None:
-        for name, least, most in (
+        for name, minimum, maximum in (
             ("level", 1, 10),
             ("margin_px", 0, 1000),
             ("tolerated_views", 0, 200),
-            ("least_views", 1, 200),
-            ("most_octants", 8**DENSE_LEVELS, 1 << 31),
+            ("min_views", 1, 200),
+            ("max_octants", 8**DENSE_LEVELS, 1 << 31),
         ):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-                raise ValueError(f"{name}: expected a whole number from {least} to {most}, got {value!r}")
+            if isinstance(value, bool) or not isinstance(value, int) or not minimum <= value <= maximum:
+                raise ValueError(f"{name}: expected a whole number from {minimum} to {maximum}, got {value!r}")

@@ -22,9 +22,9 @@ class RootCube:
     """An axis-aligned cube in the world frame."""
 
     centre: tuple[float, float, float]
-    """metres"""
+    """Centre of the cube, metres."""
     side: float
-    """metres"""
+    """Side of the cube, metres."""
 
     def __post_init__(self) -> None:
         if not 0 < self.side < float("inf"):
@@ -67,7 +67,7 @@ def common_volume(
     corners = _corners(torch.cat(planes))
     if len(corners) >= 4:
         return corners
-    apart = next(
+    reason = next(
         (
             f"{one.name!r} and {other.name!r} share none"
             for (one, its), (other, theirs) in combinations(zip(cameras, planes, strict=True), 2)
@@ -77,7 +77,7 @@ def common_volume(
     )
     names = ", ".join(camera.name for camera in cameras)
     raise ValueError(
-        f"cameras: no volume is seen by all of {names} at depths of {nearest:g} to {farthest:g} ({apart}); expected"
+        f"cameras: no volume is seen by all of {names} at depths of {nearest:g} to {farthest:g} ({reason}); expected"
         " cameras that look at one place: check the unit of t and that R and t turn the world into the camera"
     )
 

@@ -22,7 +22,7 @@ class HullField:
     """Distance in metres from the surface of the hull of each frame, negative inside."""
 
     values: Float[Tensor, "*batch nx ny nz"]
-    """At the centres of finest octants, float32; the grid's diagonal everywhere in a frame without hull."""
+    """Distances at the centres of finest octants, float32; the grid's diagonal everywhere in a frame without hull."""
     origin: Float[Tensor, "*batch 3"]
     """Place of the first value, world frame, metres, float64: every frame has its own."""
     pitch: float
@@ -47,9 +47,9 @@ class HullField:
         # From here on x, y and z come first and the points last.
         place = ((flat - self.origin.to(flat)[..., None, :]) / self.pitch).movedim(-1, 0).contiguous()
         last = place.new_tensor(size).reshape(3, *(1,) * (place.ndim - 1)) - 1
-        held = place.clamp(torch.zeros_like(last), last)
-        cell = torch.minimum(held.detach().nan_to_num().floor(), last - 1)
-        x, y, z = held - cell
+        clamped = place.clamp(torch.zeros_like(last), last)
+        cell = torch.minimum(clamped.detach().nan_to_num().floor(), last - 1)
+        x, y, z = clamped - cell
         corners = self._corners(cell)
         # Along z, then y, then x; each step keeps the slopes of the ones before.
         low, high = corners[:, :, 0], corners[:, :, 1]
@@ -59,7 +59,7 @@ class HullField:
         low, high = along_y[:, 0], along_y[:, 1]
         value, slope_z, slope_y = torch.lerp(low, high, x)
         slopes = torch.stack(((high - low)[0], slope_y, slope_z)) / self.pitch
-        outside = place - held
+        outside = place - clamped
         beyond = outside * self.pitch
         length = (beyond.square().sum(0) + _NOTHING).sqrt()
         gradient = torch.where(outside == 0, slopes, beyond / length)
@@ -99,18 +99,18 @@ def hull_field(octree: Octree, *, margin: float = MARGIN, surface: Literal["oute
     if not 0 <= margin < float("inf"):
         raise ValueError(f"margin: expected 0 or more metres, got {margin}")
     boxes = [octree.occupancy(frame=frame) for frame in range(octree.frame_count)]
-    rim = max(1, round(margin / octree.leaf_side))
-    nx, ny, nz = (2 * rim + max([1, *(filled.shape[axis] for filled, _ in boxes)]) for axis in range(3))
+    border = max(1, round(margin / octree.leaf_side))
+    nx, ny, nz = (2 * border + max([1, *(filled.shape[axis] for filled, _ in boxes)]) for axis in range(3))
     size = (nx, ny, nz)
     device = octree.levels[0].states.device
     values = torch.empty(octree.frame_count, *size, device=device)
     first = torch.zeros(octree.frame_count, 3, dtype=torch.float64)
     for frame, (filled, start) in enumerate(boxes):
-        start = (start[0] - rim, start[1] - rim, start[2] - rim)
+        start = (start[0] - border, start[1] - border, start[2] - border)
         first[frame] = torch.tensor(start)
         whole = torch.zeros(size, dtype=torch.bool, device=device)
         nx, ny, nz = filled.shape
-        whole[rim : rim + nx, rim : rim + ny, rim : rim + nz] = filled
+        whole[border : border + nx, border : border + ny, border : border + nz] = filled
         cells = _signed(whole)
         if surface == "middle" and filled.numel():
             cells = cells + 0.5 * _shell(cells, octree.occupancy_in(start, size, frame=frame, inner=True))
@@ -132,22 +132,22 @@ def distance_grid(marked: Bool[Tensor, "nx ny nz"]) -> Float[Tensor, "nx ny nz"]
     """
     first = min(range(3), key=lambda axis: marked.shape[axis])
     squared = distance_map(marked.movedim(first, 0)).square_().round_()
-    least = squared.clone()
+    lowest = squared.clone()
     if marked.device.type == "cpu":  # half the time that torch takes for so little
-        _least_along(squared.numpy(), least.numpy(), np.minimum)
+        _min_along(squared.numpy(), lowest.numpy(), np.minimum)
     else:
-        _least_along(squared, least, torch.minimum)
-    return least.sqrt_().movedim(0, first)
+        _min_along(squared, lowest, torch.minimum)
+    return lowest.sqrt_().movedim(0, first)
 
 
-def _least_along(squared: Any, least: Any, minimum: Callable[..., object]) -> None:
-    """The least over the first axis of its squared distance and what is there, written to `least`."""
+def _min_along(squared: Any, lowest: Any, minimum: Callable[..., object]) -> None:
+    """The least over the first axis of its squared distance and what is there, written to `lowest`."""
     for step in range(1, len(squared)):
-        if step**2 >= float(least.max()):
+        if step**2 >= float(lowest.max()):
             break
         moved = squared + step**2
-        minimum(least[step:], moved[:-step], out=least[step:])
-        minimum(least[:-step], moved[step:], out=least[:-step])
+        minimum(lowest[step:], moved[:-step], out=lowest[step:])
+        minimum(lowest[:-step], moved[step:], out=lowest[:-step])
 
 
 def _signed(filled: Bool[Tensor, "nx ny nz"]) -> Float[Tensor, "nx ny nz"]:

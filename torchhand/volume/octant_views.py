@@ -29,13 +29,15 @@ class Verdicts:
     """What every silhouette says about every octant; where it is neither in nor out, it is ON_BORDER."""
 
     is_out: Bool[Tensor, "views octants"]
-    """All pixels that the octant may cover are background."""
+    """Whether all pixels that the octant may cover are background."""
     is_in: Bool[Tensor, "views octants"]
-    """All are object."""
+    """Whether all pixels that the octant may cover are object."""
     is_unseen: Bool[Tensor, "views octants"]
-    """All lie outside the picture, or the octant behind the camera, or the view is missing in the frame."""
+    """Whether all these pixels lie outside the picture, or the octant behind the camera, or the view is missing in the
+    frame."""
     is_bare: Bool[Tensor, "views octants"]
-    """None is object: out, unseen, or half outside the picture with nothing in the other half."""
+    """Whether no pixel of the octant is object: out, unseen, or half outside the picture with nothing in the other
+    half."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +45,7 @@ class _Level:
     """What octants of one level have in common, as (axes, views, 1); x and y in px times depth."""
 
     matrix: Float[Tensor, "axes_views 3"]
-    """From cells to camera coordinates, x and y of all views first, then z."""
+    """Map from cells to camera coordinates, x and y of all views first, then z."""
     reach: Float[Tensor, "2 views 1"]
     reach_z: Float[Tensor, "views 1"]
     before: Float[Tensor, "2 views 1"]
@@ -105,8 +107,8 @@ class OctantViews:
         depth = start[2] + root.side * self._matrix[2].clamp_max(0).sum(-1)  # of the nearest corner
         self._is_in_front = bool((depth > 2 * torch.tensor(self._near, dtype=torch.float64)).all())
         halves = 0.5 * root.side * self._matrix.sum(-1).flatten()
-        shares = 0.5 ** torch.arange(self._finest + 1, dtype=torch.float64)
-        middles = torch.addcmul(start.flatten(), shares[:, None], halves)  # of each level's first octant
+        fractions = 0.5 ** torch.arange(self._finest + 1, dtype=torch.float64)
+        middles = torch.addcmul(start.flatten(), fractions[:, None], halves)  # of each level's first octant
         self._starts = middles.to(self._device, torch.float32)[..., None]
 
     def _constants(self, level: int, finer: int) -> _Level:

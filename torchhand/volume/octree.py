@@ -1,4 +1,4 @@
-"""The octree of a hull, level by level (paper 002, section 3.1): black inside, white outside, grey across."""
+"""The octree of a hull, level by level (Ueda et al. 2003, section 3.1): black inside, white outside, grey across."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -37,9 +37,9 @@ class Leaves:
     """Cubes that make up a hull, those of all frames in one row."""
 
     centres: Float[Tensor, "leaves 3"]
-    """World frame, metres."""
+    """Centres in the world frame, metres."""
     sides: Float[Tensor, "leaves"]
-    """metres"""
+    """Sides of the octants, metres."""
     states: UInt8[Tensor, "leaves"]
     frames: Int[Tensor, "leaves"]
 
@@ -56,7 +56,7 @@ class Octree:
     batch: tuple[int, ...]
     """Leading dimensions of the silhouettes."""
     levels: tuple[OctreeLevel, ...]
-    """From the root (level 0) to the finest."""
+    """Levels from the root (level 0) to the finest."""
 
     @property
     def level(self) -> int:
@@ -146,7 +146,7 @@ class Octree:
     def occupancy_in(
         self, first: tuple[int, int, int], size: tuple[int, int, int], *, frame: int = 0, inner: bool = False
     ) -> Bool[Tensor, "nx ny nz"]:
-        """The same within a given box of finest cells, which has to contain the hull."""
+        """`occupancy` within a given box of finest cells, which has to contain the hull."""
         start = torch.tensor(first, device=self.levels[0].states.device)
         return self._painted(self._filled(frame, False, inner), start, size)
 

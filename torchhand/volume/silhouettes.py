@@ -15,7 +15,7 @@ _ROUND_TRIP = 0.01  # px by which a lens model may fail to be undone where it is
 
 @dataclass(frozen=True, kw_only=True)
 class SumTables:
-    """How many pixels of a mask lie above and to the left, of several views (Crow 1984; FACTS section 6).
+    """How many pixels of a mask lie above and to the left, of several views (Crow 1984).
 
     A picture gets a frame one pixel wide, whose pixel (0, 0) is that at (-1, -1). The table of a view covers a window
     with all marked pixels, and has one more row and column: entry (i, j) counts those in the window's first i rows and
@@ -29,7 +29,7 @@ class SumTables:
     sizes: Int[Tensor, "2 views 1"]
     """Columns and rows of each window."""
     starts: Int[Tensor, "views 1"]
-    """Where a view's table starts."""
+    """Index at which a view's table starts."""
 
     def places(
         self, begin: Int[Tensor, "2 views n"], beyond: Int[Tensor, "2 views n"]

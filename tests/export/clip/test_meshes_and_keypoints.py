@@ -60,7 +60,7 @@ def test_keypoints_as_a_table(clip: MotionClip, tmp_path: Path) -> None:
 
 
 def test_the_file_is_in_the_form_of_mediapipe(clips: dict[str, MotionClip], tmp_path: Path) -> None:
-    """MediaPipe calls the hand of a picture that is not mirrored by the other side's name (FACTS 9.1)."""
+    """MediaPipe calls the hand of a picture that is not mirrored by the other side's name."""
     write_keypoints(clips["right"], tmp_path / "hand.json")
     frame = json.loads((tmp_path / "hand.json").read_text())["frames"][3]
     assert frame["frame"] == 3

@@ -31,7 +31,7 @@ def _parse(path: Path) -> tuple[list[str], list[dict[int, int]]]:
 
 
 def test_values_stand_under_the_numbers_of_the_standard(clips: dict[str, MotionClip], tmp_path: Path) -> None:
-    """FACTS 3.5: left ids; right = left + 1."""
+    """ISO/IEC 14496-2: left ids; right = left + 1."""
     left = {"little_cmc_fe": 123, "ring_mcp_aa": 139, "middle_mcp_tw": 153, "index_dip_fe": 169, "thumb_mcp_fe": 177}
     draft = {"little_mcp_fe": 120, "ring_mcp_aa": 132, "middle_mcp_tw": 144, "index_dip_fe": 158, "thumb_mcp_fe": 166}
     for side, clip in clips.items():

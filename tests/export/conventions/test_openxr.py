@@ -15,7 +15,7 @@ from torchhand.export.clip import MotionClip
 from torchhand.export.conventions.openxr import clip_of_openxr, write_openxr
 from torchhand.hand import HandModel
 
-DROPPED = (0, 6, 11, 16, 21)  # FACTS 9.1: without these the order is that of the 21 keypoints
+DROPPED = (0, 6, 11, 16, 21)  # without these the order is that of the 21 keypoints
 
 
 def _read(path: Path) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:

@@ -98,9 +98,9 @@ class Glb:
             weights = mesh["weights"] if weights is None else weights.reshape(-1, len(targets))[frame]
             points += np.einsum("k,kvi->vi", weights, np.stack(targets))
         bones = self.world(frame)[skin["joints"]] @ self.array(skin["inverseBindMatrices"])
-        joints, share = self.array(attributes["JOINTS_0"]), self.array(attributes["WEIGHTS_0"])
-        assert np.abs(share.sum(1) - 1).max() < 1e-6
-        blended = np.einsum("vk,vkij->vij", share, bones[joints])
+        joints, fraction = self.array(attributes["JOINTS_0"]), self.array(attributes["WEIGHTS_0"])
+        assert np.abs(fraction.sum(1) - 1).max() < 1e-6
+        blended = np.einsum("vk,vkij->vij", fraction, bones[joints])
         return np.einsum("vij,vj->vi", blended, np.c_[points, np.ones(len(points))])[:, :3]
 
 

@@ -72,7 +72,7 @@ def player(clip: MotionClip, tmp_path: Path) -> Player:
 
 
 def test_names_and_hierarchy_of_h_anim(clip: MotionClip, player: Player) -> None:
-    """FACTS 3.4: thumb 1 to little 5, prefix l_ or r_."""
+    """ISO/IEC 19774: thumb 1 to little 5, prefix l_ or r_."""
     p = "l_" if clip.side == "left" else "r_"
     parents = {
         child.attrib["name"]: node.attrib["name"]

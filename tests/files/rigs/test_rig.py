@@ -135,8 +135,8 @@ def colmap(folder: Path, lenses: list[str], *, names: tuple[str, ...] = ("cam0.j
     for i, (camera, name) in enumerate(zip(CAMERAS, names, strict=True)):
         x, y, z = rotation_vector(camera)
         angle = math.sqrt(x * x + y * y + z * z)
-        share = math.sin(angle / 2) / angle if angle else 0.0
-        quaternion = (math.cos(angle / 2), x * share, y * share, z * share)
+        fraction = math.sin(angle / 2) / angle if angle else 0.0
+        quaternion = (math.cos(angle / 2), x * fraction, y * fraction, z * fraction)
         words = [i + 1, *map(repr, quaternion), *map(repr, camera.translation.tolist()), min(i + 1, len(lenses)), name]
         lines += [" ".join(map(str, words)), "10.5 20.5 -1 30.0 40.0 7" if i else ""]
     (folder / "images.txt").write_text("\n".join(lines) + "\n")

@@ -1,4 +1,4 @@
-"""Recordings of several cameras: synchronous moments, and a reason for every view that has no picture."""
+"""Recordings of several cameras: synchronous frames, and a reason for every view that has no picture."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -54,7 +54,7 @@ def read(source: RigSource) -> list[RigFrame]:
         return list(source)
 
 
-def test_moments_of_all_views(record: Callable[..., Path]) -> None:
+def test_frames_of_all_views(record: Callable[..., Path]) -> None:
     source = open_rig(record(range(5), range(5), range(5)), cameras())
     assert (source.names, source.count, source.warnings) == (("cam0", "cam1", "cam2"), 5, [])
     frames = read(source)
@@ -72,7 +72,7 @@ def test_start_and_most_frames(record: Callable[..., Path]) -> None:
     frames = read(source)
     assert [frame.index for frame in frames] == [2, 3, 4]
     assert numbers(frames) == [[2, 2], [3, 3], [4, 4]]
-    with pytest.raises(InputError, match=r"start 6 lies after the last moment \(5\)"):
+    with pytest.raises(InputError, match=r"start 6 lies after the last frame \(5\)"):
         open_rig(folder, cameras(2), start=6)
 
 

@@ -134,7 +134,7 @@ def test_recovers_a_known_pose_from_perturbed_starts(case: Case, picture: Pictur
 def test_best_stays_at_the_truth(case: Case, picture: PictureContours) -> None:
     found = solve(case.problem(picture), case.truth, SEARCH)
     assert float(contour_px(found)) < 0.6
-    assert float(found.explained_by("contour").share) > 0.95
+    assert float(found.explained_by("contour").fraction) > 0.95
     assert float(case.errors(found.pose)[1]) < 5
     assert found.status in (SolveStatus.CONVERGED, SolveStatus.STALLED)
     assert float(found.pose.dofs[3:6].abs().max()) == 0

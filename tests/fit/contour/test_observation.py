@@ -210,8 +210,8 @@ def test_a_changed_breadth_comes_back_from_one_picture(studio: Any) -> None:
     schedule = (Stage(gross_m=0.00935, rounds=3, iterations=6), Stage(gross_m=0.00374, rounds=4, iterations=6))
     found = solve_shared(problem, starts, schedule)
     assert abs(float(found.shape[breadth] / broad[breadth]) - 1) < 0.015
-    held = [i for i in range(len(shape)) if i != breadth]
-    assert torch.equal(found.shape[held], shape[held])
+    fixed = [i for i in range(len(shape)) if i != breadth]
+    assert torch.equal(found.shape[fixed], shape[fixed])
     assert float(found.shape_std[breadth]) < 0.5 * float(space.std[breadth])
     assert float(found.explained[0].distance) < 0.6
 
@@ -224,12 +224,12 @@ def test_hands_that_are_seen_explain_the_picture(studio: Any, generator: torch.G
     hands = scene.posed(HandPose.cat((truth, pose, gone)))
     [found] = scene.observation.associate(hands, TRACKING[0]).explained()
     assert (found.name, found.view) == ("contour", 0)
-    assert float(found.share[0]) > 0.95
+    assert float(found.fraction[0]) > 0.95
     assert float(found.distance[0]) < 0.6
-    assert bool((found.share[1 : 1 + COUNT] < found.share[0]).all())
+    assert bool((found.fraction[1 : 1 + COUNT] < found.fraction[0]).all())
     assert bool((found.distance[1 : 1 + COUNT] > found.distance[0]).all())
     assert bool(found.distance[1 : 1 + COUNT].isfinite().all())
-    assert bool((found.share[1 + COUNT :] == 0).all())
+    assert bool((found.fraction[1 + COUNT :] == 0).all())
     assert bool(found.distance[1 + COUNT :].isinf().all())
 
 

@@ -62,7 +62,7 @@ def test_a_known_hand_is_recovered_from_a_start_that_is_off(side: str, studio: A
     assert torch.equal(fit.shape, placed.shape)
     assert bool((fit.shape_std == 0).all())
     assert fit.residual_px < 0.3
-    assert fit.found_share > 0.95
+    assert fit.found_fraction > 0.95
     assert _overlap(fit, placed) > 0.97
     off = (_keypoints_px(fit, placed) - placed.keypoints_px).norm(dim=-1)
     assert float(off.mean()) < 1.0
@@ -81,7 +81,7 @@ def test_another_persons_shape_is_fitted(kind: str, studio: Any) -> None:
     placed = studio.placed(view="back", angle_deg=-20.0, shape=shape, camera=camera)
     fit = _fitted(placed, studio, generator, default)
     assert fit.residual_px < 1.0
-    assert fit.found_share > 0.9
+    assert fit.found_fraction > 0.9
     assert _overlap(fit, placed) > 0.95
     off = (_keypoints_px(fit, placed) - placed.keypoints_px).norm(dim=-1)
     assert float(off.mean()) < 0.05 * placed.length_px
@@ -117,7 +117,7 @@ def test_limits_bounds_and_the_hands_length_are_kept(studio: Any) -> None:
     assert bool((fit.shape_std <= space.std * (1 + 1e-9)).all())  # a picture only adds knowledge
 
 
-def test_the_pose_comes_back_with_a_zero_rotation_vector_and_held_joints(studio: Any) -> None:
+def test_the_pose_comes_back_with_a_zero_rotation_vector_and_frozen_joints(studio: Any) -> None:
     generator = torch.Generator().manual_seed(3)
     placed = studio.placed()
     start, _ = _perturbed(placed, torch.Generator().manual_seed(3))
@@ -125,11 +125,11 @@ def test_the_pose_comes_back_with_a_zero_rotation_vector_and_held_joints(studio:
     assert bool((fit.pose[3:6] == 0).all())
     eye = torch.eye(3, dtype=torch.float64)
     torch.testing.assert_close(fit.root_reference @ fit.root_reference.T, eye, rtol=0, atol=1e-12)
-    held = pose_prior_std(start, 0.25) == 0
-    held[3:6] = False
-    assert bool(held.any())
-    assert torch.equal(fit.pose[held], start[held])
-    assert bool((fit.pose_std[held] == 0).all())
+    is_frozen = pose_prior_std(start, 0.25) == 0
+    is_frozen[3:6] = False
+    assert bool(is_frozen.any())
+    assert torch.equal(fit.pose[is_frozen], start[is_frozen])
+    assert bool((fit.pose_std[is_frozen] == 0).all())
 
 
 def test_edges_that_are_none_leave_the_start(studio: Any) -> None:
@@ -138,7 +138,7 @@ def test_edges_that_are_none_leave_the_start(studio: Any) -> None:
     fit = fit_contour(
         empty, placed.kinematics, placed.camera, studio.table, placed.pose, placed.root_reference, placed.shape
     )
-    assert fit.found_share == 0.0
+    assert fit.found_fraction == 0.0
     assert fit.residual_px == math.inf
     torch.testing.assert_close(fit.pose, placed.pose, rtol=0, atol=1e-9)
     torch.testing.assert_close(fit.shape, placed.shape, rtol=0, atol=1e-9)
@@ -151,7 +151,7 @@ def test_a_hand_behind_the_camera_is_no_error(studio: Any) -> None:
     pose[2] = -0.5
     plane = mask_plane(placed.mask)
     fit = fit_contour(plane, placed.kinematics, placed.camera, studio.table, pose, placed.root_reference, placed.shape)
-    assert fit.found_share == 0.0
+    assert fit.found_fraction == 0.0
     assert torch.equal(fit.pose, pose)
 
 
@@ -178,7 +178,7 @@ def test_bent_fingers_of_the_posture_have_more_freedom() -> None:
 def test_a_placement_that_nothing_was_compared_with(studio: Any) -> None:
     placed = studio.placed()
     fit = Fit.of_start(placed.pose, placed.root_reference, placed.shape)
-    assert (fit.found_share, fit.residual_px) == (0.0, math.inf)
+    assert (fit.found_fraction, fit.residual_px) == (0.0, math.inf)
     assert float(fit.pose_std.sum() + fit.shape_std.sum()) == 0.0
 
 

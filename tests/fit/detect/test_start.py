@@ -47,15 +47,15 @@ def test_an_open_hand_of_another_person_is_found(side: str, view: Any, backgroun
     generator = torch.Generator().manual_seed(11)
     shape = sample_shape(studio.kinematics(side).shape_space, generator, spread=0.6)
     placed = studio.placed(side=side, view=view, shape=shape, angle_deg=-25.0, at=(0.1, 0.0), size=0.55)
-    look = SceneSettings(supersampling=2, background=background, skin="brown", forearm=side == "left")
-    start = _find(placed.picture(look), placed, studio)
+    scene = SceneSettings(supersampling=2, background=background, skin="brown", forearm=side == "left")
+    start = _find(placed.picture(scene), placed, studio)
     assert _error(start, placed) < 0.05
     assert isinstance(start, Start)
     assert start.overlap > 0.9
     assert start.quality <= start.overlap
     # the side is right: a hand turned over would have its palm's normal reversed
     assert float((start.fit.root_reference @ placed.root_reference.T).trace()) > 2.7
-    assert float(start.appearance.probability(placed.picture(look))[placed.mask].mean()) > 0.9
+    assert float(start.appearance.probability(placed.picture(scene))[placed.mask].mean()) > 0.9
 
 
 @pytest.mark.parametrize("background", ["plain", "dark", "wall"])

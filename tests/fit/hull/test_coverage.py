@@ -41,9 +41,9 @@ def test_cost_is_that_of_the_distance_across_the_skin(rig: Any) -> None:
     squared = (0.001 / 0.004) ** 2
     expected = 0.5 * 40 / 0.002**2 * 0.004**2 * squared / (1 + squared)
     torch.testing.assert_close(found.cost, torch.tensor([expected], dtype=torch.float64))
-    [told] = factor.explained()
-    torch.testing.assert_close(told.distance, torch.tensor([0.001], dtype=torch.float64))
-    assert told.share.tolist() == [1.0]
+    [explanation] = factor.explained()
+    torch.testing.assert_close(explanation.distance, torch.tensor([0.001], dtype=torch.float64))
+    assert explanation.fraction.tolist() == [1.0]
 
 
 def test_what_lies_beside_all_skin_is_not_explained(rig: Any) -> None:
@@ -55,10 +55,10 @@ def test_what_lies_beside_all_skin_is_not_explained(rig: Any) -> None:
     tip = int(((places - one.pose.dofs[0, :3]) @ one.pose.reference[0, :, 1]).argmax())
     across = torch.nn.functional.normalize(torch.linalg.cross(normals[tip], one.pose.reference[0, :, 0]), dim=-1)
     outward = normals[tip]
-    for distance, share in ((0.001, 1.0), (0.03, 0.0)):
+    for distance, fraction in ((0.001, 1.0), (0.03, 0.0)):
         points = (places[tip] + distance * outward)[None]
         factor = surface(rig, points, outward[None], skin).associate(one, Stage(gross_m=0.004))
-        assert factor.explained()[0].share.tolist() == [share]
+        assert factor.explained()[0].fraction.tolist() == [fraction]
     assert float(across @ outward) < 1e-9
 
 
@@ -101,7 +101,9 @@ def test_edges_of_the_silhouettes_are_explained_by_the_hand_that_made_them(rig: 
     bent[6:] = rig.model.skeleton.within_limits(bent[6:] + math.radians(30))
     both = PosedHands(pose=HandPose.stack([pose, HandPose(dofs=bent, reference=pose.reference)]), shape=shape)
     vertices = SkinVertices.of(SkinPoints(rig.hand, shape), HullSettings())
-    [told] = CoverageObservation(target=target, vertices=vertices).associate(both, Stage(gross_m=0.01)).explained()
-    assert float(told.share[0]) > 0.97
-    assert float(told.share[1]) < 0.8
-    assert float(told.distance[0]) < 0.001 < 0.002 < float(told.distance[1])
+    [explanation] = (
+        CoverageObservation(target=target, vertices=vertices).associate(both, Stage(gross_m=0.01)).explained()
+    )
+    assert float(explanation.fraction[0]) > 0.97
+    assert float(explanation.fraction[1]) < 0.8
+    assert float(explanation.distance[0]) < 0.001 < 0.002 < float(explanation.distance[1])

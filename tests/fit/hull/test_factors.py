@@ -58,7 +58,7 @@ def test_gradient_is_that_of_the_cost(rig: Any, kind: str) -> None:
 @pytest.mark.parametrize("columns", [None, (0, 1, 7, 30)])
 def test_gradient_in_the_shape(rig: Any, kind: str, columns: tuple[int, ...] | None) -> None:
     pose = starts(rig)[:1]
-    unknowns = SharedUnknowns.of_shape(rig.model.prior().people, columns)
+    unknowns = SharedUnknowns.of_shape(rig.model.prior().population, columns)
     start = rig.hand.shape
 
     def hands(at: HandPose, vector: Tensor) -> PosedHands:
@@ -94,8 +94,8 @@ def test_hands_are_independent(rig: Any, kind: str) -> None:
     for name in ("cost", "gradient", "matrix"):
         torch.testing.assert_close(getattr(some, name), getattr(whole, name)[rows])
         torch.testing.assert_close(getattr(one, name)[0], getattr(whole, name)[1])
-    [told], [both] = single.explained(), together.explained()
-    torch.testing.assert_close(told.share[0], both.share[1])
+    [explanation], [both] = single.explained(), together.explained()
+    torch.testing.assert_close(explanation.fraction[0], both.fraction[1])
     torch.testing.assert_close(together.rows(rows).explained()[0].distance, both.distance[rows])
 
 
@@ -104,7 +104,7 @@ def test_data_are_associated_with_the_hand_of_the_shape_in_question(rig: Any, ki
     """Where the shape is unknown, the one that the fitter started from does not matter."""
     pose, shape = rig.person(4)
     own = observation(rig, kind)
-    unknowns = SharedUnknowns.of_shape(rig.model.prior().people)
+    unknowns = SharedUnknowns.of_shape(rig.model.prior().population)
     hands = PosedHands(pose=HandPose.stack([pose]), shape=shape, unknowns=unknowns)
     exact = replace(own, vertices=replace(own.vertices, skin=SkinPoints(rig.hand, shape)))
     held = PosedHands(pose=hands.pose, shape=shape)

@@ -150,11 +150,11 @@ def test_verdict(rig: Any) -> None:
     sure = torch.full((SPACE.size,), 1e-5, dtype=torch.float64)
     fit = fitter(rig, shape=shape, schedule=TRACKING[-1:])
 
-    def judged(masks: list[torch.Tensor], at: HandPose) -> HullEvidence:
+    def evidence(masks: list[torch.Tensor], at: HandPose) -> HullEvidence:
         return HullEvidence.of(fit(rig.with_edges(masks), at, GaussianPrior.of_std(at, sure, SPACE)))
 
-    right, wrong = (judged(rig.masks(bent, shape), at) for at in (bent, straight))
+    right, wrong = (evidence(rig.masks(bent, shape), at) for at in (bent, straight))
     assert bool(right.is_good)
     assert not bool(wrong.is_good)
     assert float(wrong.covered) < 0.88 < 0.95 < float(right.covered)
-    assert not bool(judged(rig.balls(), bent).is_good)
+    assert not bool(evidence(rig.balls(), bent).is_good)

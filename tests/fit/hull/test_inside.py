@@ -46,7 +46,7 @@ def test_cost_is_hubers_of_the_distance_outside(rig: Any) -> None:
     distance = rig.vertices(both.pose)[:, own.vertices.index].norm(dim=-1) - 0.07
     away = distance.clamp_min(0) / 0.002
     loss = torch.where(away <= 3, away.square(), 2 * 3 * away - 9)
-    torch.testing.assert_close(found.cost, 0.5 * 50 * (own.vertices.area_share * loss).sum(-1))
+    torch.testing.assert_close(found.cost, 0.5 * 50 * (own.vertices.area_fraction * loss).sum(-1))
     assert bool((away > 3).any())
     assert bool((away == 0).any())
 
@@ -75,14 +75,14 @@ def test_a_single_step_leaves_out_what_is_inside_and_is_the_same_step(rig: Any) 
 
 def test_what_is_told_are_shares_of_the_area(rig: Any) -> None:
     own, both = observation(rig, 0.07, HullSettings(vertices=10_000, near_m=0.003)), hands(rig)
-    [told] = own.associate(both, Stage()).explained()
+    [explanation] = own.associate(both, Stage()).explained()
     distance = rig.vertices(both.pose).norm(dim=-1) - 0.07
-    area = own.vertices.area_share
+    area = own.vertices.area_fraction
     order = own.vertices.index
-    for found, limit in ((told.share, 0.003), (told.inside, 0.0)):
+    for found, limit in ((explanation.fraction, 0.003), (explanation.inside, 0.0)):
         expected = [float(area[(row[order] <= limit)].sum()) for row in distance]
         assert found is not None
         assert found.tolist() == pytest.approx(expected)
-    assert 0.2 < float(told.share.min()) < 1
+    assert 0.2 < float(explanation.fraction.min()) < 1
     expected = [float((row[order].clamp_min(0) * area).sum()) for row in distance]
-    assert told.distance.tolist() == pytest.approx(expected)
+    assert explanation.distance.tolist() == pytest.approx(expected)

@@ -17,7 +17,7 @@ from torchhand.fit.hull.settings import (
         (HullTorqueSettings, "iterations", 0, "hull_torque.iterations: expected 1 or more, got 0"),
         (HullTorqueSettings, "step_deg", 0.0, "hull_torque.step_deg: expected above 0"),
         (HullTorqueSettings, "min_step_deg", 2.0, "hull_torque.min_step_deg: expected at most step_deg, got 2.0"),
-        (HullTorqueSettings, "outside_share", 1.0, "hull_torque.outside_share: expected 0 or more and below 1"),
+        (HullTorqueSettings, "outside_fraction", 1.0, "hull_torque.outside_fraction: expected 0 or more and below 1"),
         (HullTorqueSettings, "slack_m", float("nan"), "hull_torque.slack_m: expected a finite number"),
         (HullTorqueSettings, "min_torque", 1.0, "hull_torque.min_torque: expected 0 or more and below 1"),
         (HullSettings, "vertices", 0, "hull.vertices: expected 1 or more"),

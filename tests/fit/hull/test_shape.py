@@ -32,7 +32,7 @@ def test_derivative_of_the_skin_in_the_shape(
         return (points * direction).sum(-1)
 
     exact = torch.func.jacrev(along)(shape)
-    unknowns = SharedUnknowns.of_shape(rig.model.prior().people, columns)
+    unknowns = SharedUnknowns.of_shape(rig.model.prior().population, columns)
     hands = PosedHands(pose=pose, shape=shape, unknowns=unknowns)
     found = shape_rows(SkinPoints(rig.hand, shape), hands, vertices, direction)
     assert torch.allclose(found, exact[..., list(unknowns.columns)], atol=1e-10)
@@ -51,8 +51,8 @@ def test_a_known_persons_hand(rig: Any) -> None:
         truths.append(pose)
         targets.append(rig.target(pose, shape, points=250))
         ends.append(fitter(targets[-1], rig.moved(pose, seed, deg=2, mm=4)).pose)
-    people = rig.model.prior().people
-    found = fit_shape(fitter, targets, HandPose.stack(ends), people, HullShapeSettings(rounds=6, iterations=2))
+    population = rig.model.prior().population
+    found = fit_shape(fitter, targets, HandPose.stack(ends), population, HullShapeSettings(rounds=6, iterations=2))
 
     def error(poses: Any, own: torch.Tensor) -> float:
         distances = [
@@ -61,20 +61,20 @@ def test_a_known_persons_hand(rig: Any) -> None:
         ]
         return 1e3 * float(sum(distances)) / len(distances)
 
-    length = people.space.names.index("hand_length")
+    length = population.space.names.index("hand_length")
     assert error([found.pose[0], found.pose[1]], found.shape) < 0.6 * error(ends, rig.hand.shape)
     assert abs(float(found.shape[length] - shape[length])) < 0.5 * abs(float(rig.hand.shape[length] - shape[length]))
-    assert people.is_feasible(found.shape)
-    assert bool(((found.shape_std > 0) & (found.shape_std < 1.2 * people.space.std)).all())
+    assert population.is_feasible(found.shape)
+    assert bool(((found.shape_std > 0) & (found.shape_std < 1.2 * population.space.std)).all())
 
 
 def test_wrong_numbers_of_frames_are_named(rig: Any) -> None:
     pose, _ = rig.person(4)
-    target, people = rig.target(pose, points=50), rig.model.prior().people
+    target, population = rig.target(pose, points=50), rig.model.prior().population
     fitter = HullFitter(hand=rig.hand, space=SPACE)
     with pytest.raises(ValueError, match="targets: expected as many as poses, at least one, got 1 and 2"):
-        fit_shape(fitter, [target], HandPose.stack([pose, pose]), people)
+        fit_shape(fitter, [target], HandPose.stack([pose, pose]), population)
     none = torch.zeros(0, 3, dtype=torch.float64)
     empty = HullTarget(field=target.field, points=none, normals=none, inner=none, depth=none[:, 0])
     with pytest.raises(ValueError, match="targets: expected a hull in every frame"):
-        fit_shape(fitter, [empty], HandPose.stack([pose]), people)
+        fit_shape(fitter, [empty], HandPose.stack([pose]), population)

@@ -26,7 +26,7 @@ def flat(deg: float) -> Tensor:
 def pulled(rig: Any, free: tuple[str, ...], level: int, **settings: Any) -> HullTorqueFit:
     target = rig.target(HandPose.of(flat(10), rig.upright), level=level)
     space = pose_space("free", free).about(flat(0))
-    settings = {"outside_share": 0.0} | settings
+    settings = {"outside_fraction": 0.0} | settings
     start = HandPose.of(flat(0), rig.upright)
     return fit_by_torques(target.field, SkinPoints(rig.hand), space, start, HullTorqueSettings(**settings))
 
@@ -44,25 +44,25 @@ class Behind:
 KNUCKLES = tuple(name for name in DOFS if name.endswith(("mcp_fe", "mcp_aa")))
 
 
-@pytest.mark.parametrize(("level", "most_deg"), [(7, 1.0), (8, 0.5)])
-def test_index_bent_by_ten_degrees(rig: Any, level: int, most_deg: float) -> None:
+@pytest.mark.parametrize(("level", "max_deg"), [(7, 1.0), (8, 0.5)])
+def test_index_bent_by_ten_degrees(rig: Any, level: int, max_deg: float) -> None:
     """The experiment of section 6.3; the paper shows its figures for levels 7 and 8 only as curves."""
     found = pulled(rig, KNUCKLES, level)
     error = (found.poses.dofs[:, INDEX].rad2deg() - 10).abs()
     assert float(error[0]) == pytest.approx(10)
-    assert float(error[-1]) <= most_deg
-    assert float(found.inside_share[-1]) > float(found.inside_share[0])
-    assert found.inside_share.shape == (21,)
+    assert float(error[-1]) <= max_deg
+    assert float(found.inside_fraction[-1]) > float(found.inside_fraction[0])
+    assert found.inside_fraction.shape == (21,)
 
 
 FINGERS = tuple(name for name in named_pose_space("dof31").free_names if not name.startswith("root"))
 
 
-@pytest.mark.parametrize(("level", "most_deg"), [(7, 1.0), (8, 0.5)])
-def test_index_bent_by_ten_degrees_with_all_joints_free(rig: Any, level: int, most_deg: float) -> None:
+@pytest.mark.parametrize(("level", "max_deg"), [(7, 1.0), (8, 0.5)])
+def test_index_bent_by_ten_degrees_with_all_joints_free(rig: Any, level: int, max_deg: float) -> None:
     found = pulled(rig, FINGERS, level)
     error = (found.pose.dofs - flat(10)).rad2deg().abs()
-    assert float(error[INDEX]) <= most_deg
+    assert float(error[INDEX]) <= max_deg
     assert float(error[6:].mean()) <= 0.8
 
 
@@ -107,15 +107,15 @@ def test_the_knuckle_by_each_reading(rig: Any) -> None:
 
 def test_stops_when_hardly_a_vertex_is_outside_and_stays(rig: Any) -> None:
     whole = pulled(rig, ("index_mcp_fe",), 7, slack_m=0.002)
-    threshold = 0.5 * float(whole.inside_share[0] + whole.inside_share.max())
-    first = int((whole.inside_share > threshold).nonzero()[0, 0])
+    threshold = 0.5 * float(whole.inside_fraction[0] + whole.inside_fraction.max())
+    first = int((whole.inside_fraction > threshold).nonzero()[0, 0])
     assert first > 0
-    found = pulled(rig, ("index_mcp_fe",), 7, slack_m=0.002, outside_share=1 - threshold)
+    found = pulled(rig, ("index_mcp_fe",), 7, slack_m=0.002, outside_fraction=1 - threshold)
     assert bool(found.converged)
     assert int(found.iterations) == first
     assert torch.equal(found.poses.dofs[: first + 1], whole.poses.dofs[: first + 1])
     assert torch.equal(found.poses.dofs[first:], found.poses.dofs[-1].expand(21 - first, -1))
-    assert float(found.inside_share[-1]) > threshold
+    assert float(found.inside_fraction[-1]) > threshold
 
 
 def test_limits_hold(rig: Any) -> None:
@@ -157,5 +157,5 @@ def test_hypotheses_are_independent_and_bad_starts_are_kept(rig: Any) -> None:
     for index in range(2):
         alone = fit_by_torques(target.field, skin, space, starts[0][index], settings)
         assert torch.allclose(together.pose.dofs[0, index], alone.pose.dofs, atol=1e-12)
-        assert torch.allclose(together.inside_share[0, index], alone.inside_share)
+        assert torch.allclose(together.inside_fraction[0, index], alone.inside_fraction)
     assert not bool(together.converged[0, 2])

@@ -9,10 +9,10 @@ from torchhand.fit.hull.vertices import spread_vertices
 
 
 def test_vertices_are_spread_evenly_with_their_areas(rig: Any) -> None:
-    chosen, share = spread_vertices(rig.hand, 200)
+    chosen, fraction = spread_vertices(rig.hand, 200)
     assert len(chosen) == len(chosen.unique()) == 200
-    assert float(share.sum()) == pytest.approx(1)
-    assert float(share.min()) > 0
+    assert float(fraction.sum()) == pytest.approx(1)
+    assert float(fraction.min()) > 0
     vertices = rig.hand(torch.zeros(36, dtype=torch.float64)).vertices
     to_all = torch.cdist(vertices, vertices[chosen]).amin(1)
     random = torch.randperm(len(vertices), generator=torch.Generator().manual_seed(1))[:200]

@@ -36,8 +36,8 @@ def _hand(side: Side = "right") -> HandKinematics:
 def _random_poses(kinematics: HandKinematics, count: int, generator: torch.Generator, *, margin: float = 0.0) -> Tensor:
     """Uniform between the limits (less a margin at both ends, as a share), any rotation of the root."""
     lower, upper = free_bounds(DOF27, kinematics.skeleton)
-    share = margin + (1 - 2 * margin) * torch.rand(count, DOF27.size, generator=generator, dtype=DOUBLE)
-    free = torch.where(lower.isfinite(), lower + share * (upper - lower), share - 0.5)
+    fraction = margin + (1 - 2 * margin) * torch.rand(count, DOF27.size, generator=generator, dtype=DOUBLE)
+    free = torch.where(lower.isfinite(), lower + fraction * (upper - lower), fraction - 0.5)
     quaternion = torch.randn(count, 4, generator=generator, dtype=DOUBLE)
     axis, half = quaternion[:, 1:], torch.atan2(quaternion[:, 1:].norm(dim=-1), quaternion[:, 0])
     free[:, 3:6] = 2 * half[:, None] * axis / axis.norm(dim=-1, keepdim=True)
@@ -57,8 +57,8 @@ def _postures(kinematics: HandKinematics) -> Tensor:
 
 def _worst_angle_deg(found: Tensor, truth: Tensor) -> Tensor:
     """Of every frame, over the joint angles and the rotation of the root."""
-    apart = rotation_from_vector(found[..., 3:6]) @ rotation_from_vector(truth[..., 3:6]).mT
-    root = vector_from_rotation(apart).norm(dim=-1, keepdim=True)
+    difference = rotation_from_vector(found[..., 3:6]) @ rotation_from_vector(truth[..., 3:6]).mT
+    root = vector_from_rotation(difference).norm(dim=-1, keepdim=True)
     return torch.cat((root, (found - truth)[..., 6:].abs()), -1).amax(-1).rad2deg()
 
 
@@ -89,17 +89,17 @@ def test_other_pose_spaces(name: str, generator: torch.Generator) -> None:
     """Bent fingers, whose twists the points show; ties are kept until the angle that follows is at its limit."""
     kinematics, space = _hand(), named_pose_space(name)
     lower, upper = free_bounds(space, kinematics.skeleton)
-    share = 0.3 + 0.4 * torch.rand(50, space.size, generator=generator, dtype=DOUBLE)
-    free = torch.where(lower.isfinite(), lower + share * (upper - lower), share)
+    fraction = 0.3 + 0.4 * torch.rand(50, space.size, generator=generator, dtype=DOUBLE)
+    free = torch.where(lower.isfinite(), lower + fraction * (upper - lower), fraction)
     truth = clamp_to_limits(space.dof(free), kinematics.skeleton)
     fit = fit_keypoints(kinematics, kinematics(truth).keypoints, space=space)
     assert _keeps_limits(fit, kinematics)
     tied = clamp_to_limits(space.dof(space.own(fit.pose)), kinematics.skeleton)
     torch.testing.assert_close(tied, fit.pose, atol=1e-12, rtol=0)
     assert float(fit.residual.max()) < 1e-5
-    told = [i for i, dof in enumerate(DOFS) if i >= 6 and not dof.endswith(("_tw", "cmc_fe", "cmc_aa"))]
+    determined = [i for i, dof in enumerate(DOFS) if i >= 6 and not dof.endswith(("_tw", "cmc_fe", "cmc_aa"))]
     if name != "dof36":  # there a bend of the palm and the place of the root are nearly the same
-        assert float((fit.pose - truth)[:, told].abs().max().rad2deg()) < 0.5
+        assert float((fit.pose - truth)[:, determined].abs().max().rad2deg()) < 0.5
 
 
 def test_limits_hold_for_points_of_no_hand(generator: torch.Generator) -> None:
@@ -127,8 +127,8 @@ def test_spreads_are_honest(generator: torch.Generator) -> None:
     assert not fit.pose_std[:, [DOFS.index("index_mcp_tw")]].any()
     # The whole covariance, of angles and keypoints: normalised squared errors have the mean of their dimension.
     error = (fit.pose - truth)[:, free]
-    apart = rotation_from_vector(fit.pose[:, 3:6]) @ rotation_from_vector(truth[:, 3:6]).mT
-    error[:, 3:6] = vector_from_rotation(apart)
+    difference = rotation_from_vector(fit.pose[:, 3:6]) @ rotation_from_vector(truth[:, 3:6]).mT
+    error[:, 3:6] = vector_from_rotation(difference)
     nees = (error * torch.linalg.solve(fit.pose_covariance, error)).sum(-1)
     assert 0.9 < float(nees.median()) / 27 < 1.15
     missed = (fit.keypoints - points)[..., None]
@@ -151,9 +151,9 @@ def test_missing_points_widen_the_spread_and_follow_the_natural_posture(generato
     assert bool(fit.residual[:, [7, 8, 20]].isnan().all())
     seen = [i for i in range(21) if i not in (6, 7, 8, 19, 20)]
     torch.testing.assert_close(fit.keypoints[:, seen], points[:, seen], atol=2e-3, rtol=0)
-    for dof, least in (("index_dip_fe", 0.15), ("index_pip_fe", 0.25), ("little_dip_fe", 0.15)):
+    for dof, minimum in (("index_dip_fe", 0.15), ("index_pip_fe", 0.25), ("little_dip_fe", 0.15)):
         i = DOFS.index(dof)
-        assert bool((fit.pose_std[:, i] > least).all())
+        assert bool((fit.pose_std[:, i] > minimum).all())
         assert bool((fit.pose_std[:, i] < 1.0).all())
     for dof in ("thumb_ip_fe", "middle_mcp_fe", "ring_pip_fe"):
         i = DOFS.index(dof)
@@ -381,11 +381,11 @@ def test_error_messages() -> None:
     [
         ("noise", 0.0, "noise: expected above 0 and finite, got 0.0"),
         ("noise_px", float("nan"), "noise_px: expected above 0 and finite, got nan"),
-        ("noise_share", -1.0, "noise_share: expected above 0"),
+        ("noise_fraction", -1.0, "noise_fraction: expected above 0"),
         ("gross", 0.0, "gross: expected above 0, got 0.0"),
         ("prior", "often", "prior: expected one of auto, where_missing, always, never, got 'often'"),
         ("offset_std", -0.1, "offset_std: expected 0 or more"),
-        ("least_points", 3, "least_points: expected 4 or more, got 3"),
+        ("min_points", 3, "min_points: expected 4 or more, got 3"),
         ("starts", 0, "starts: expected 1 or more, got 0"),
     ],
 )

@@ -85,9 +85,9 @@ def _detector(seed: int) -> Detector:
 
 def _unknowns(detector: Detector) -> SharedUnknowns:
     """Two shape parameters and what is unknown of the detector."""
-    people = Anthropometry(KINEMATICS.shape_space)
+    population = Anthropometry(KINEMATICS.shape_space)
     columns = tuple(KINEMATICS.shape_space.names.index(name) for name in ("hand_length", "index_middle"))
-    shape = SharedUnknowns.of_shape(people, columns)
+    shape = SharedUnknowns.of_shape(population, columns)
     return replace(shape, extra=detector.extra, extra_std=torch.ones_like(detector.extra))
 
 

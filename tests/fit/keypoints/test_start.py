@@ -11,7 +11,7 @@ from torchhand.fit.keypoints.points import KeypointSettings
 from torchhand.fit.keypoints.prior import (
     NaturalPrior,
     limit_information,
-    missing_share,
+    missing_fraction,
     natural_posture,
     points_of_dofs,
 )
@@ -30,8 +30,8 @@ def _hand(side: Side = "right") -> HandKinematics:
 def _poses(kinematics: HandKinematics, count: int, generator: torch.Generator) -> Tensor:
     space = named_pose_space("dof27")
     lower, upper = free_bounds(space, kinematics.skeleton)
-    share = 0.05 + 0.9 * torch.rand(count, space.size, generator=generator, dtype=DOUBLE)
-    return space.dof(torch.where(lower.isfinite(), lower + share * (upper - lower), 2 * share - 1))
+    fraction = 0.05 + 0.9 * torch.rand(count, space.size, generator=generator, dtype=DOUBLE)
+    return space.dof(torch.where(lower.isfinite(), lower + fraction * (upper - lower), 2 * fraction - 1))
 
 
 @pytest.mark.parametrize("batch", [(), (1,), (2, 3)])
@@ -105,12 +105,12 @@ def test_the_palm_places_the_hand_where_it_is_seen() -> None:
 def test_what_a_missing_point_leaves_open() -> None:
     confidence = torch.ones(21, dtype=DOUBLE)
     confidence[8], confidence[17] = 0.0, 0.4
-    share = missing_share(confidence)
-    open_angles = [DOFS[i] for i in share.nonzero()[:, 0].tolist()]
+    fraction = missing_fraction(confidence)
+    open_angles = [DOFS[i] for i in fraction.nonzero()[:, 0].tolist()]
     assert {"index_dip_fe", "little_mcp_fe", "little_mcp_aa", "little_cmc_fe"} <= set(open_angles)
     assert not any(name.startswith(("root", "thumb", "middle", "ring")) for name in open_angles)
-    assert float(share[DOFS.index("index_dip_fe")]) == 1.0
-    assert float(share[DOFS.index("little_mcp_fe")]) == pytest.approx(0.6)
+    assert float(fraction[DOFS.index("index_dip_fe")]) == 1.0
+    assert float(fraction[DOFS.index("little_mcp_fe")]) == pytest.approx(0.6)
     assert "index_mcp_fe" not in open_angles
     assert points_of_dofs()[DOFS.index("index_mcp_tw")] == (0, 5, 6, 7)
     assert points_of_dofs()[DOFS.index("thumb_ip_fe")] == (2, 3, 4)
@@ -180,9 +180,9 @@ def test_the_natural_prior_counts_as_far_as_it_holds(generator: torch.Generator)
     """Gradient and matrix are those of the cost; DOFs of no share feel nothing."""
     kinematics, natural = _hand(), natural_posture()
     pose = HandPose.of(_poses(kinematics, 3, generator))
-    share = torch.rand(3, 36, generator=generator, dtype=DOUBLE)
-    share[:, 10:14] = 0.0
-    prior = NaturalPrior(posture=natural, share=share)
+    fraction = torch.rand(3, 36, generator=generator, dtype=DOUBLE)
+    fraction[:, 10:14] = 0.0
+    prior = NaturalPrior(posture=natural, fraction=fraction)
 
     def at(dofs: Tensor) -> Equations:
         hands = HandPose(dofs=dofs, reference=pose.reference)

@@ -93,9 +93,9 @@ def test_proportions_are_read_and_the_deviations_are_honest() -> None:
         radii = [i for i, name in enumerate(space.names) if name.endswith(("pip_radius", "dip_radius"))]
         ratio = hand.fit.shape[radii] * hand.fit.shape[1] / hand.fit.shape[0] / (shape[radii] * shape[1] / shape[0])
         assert float((ratio - 1).abs().median()) < 0.07  # over hand length, of which the picture shows most
-        held = hand.fit.shape_std > 0
-        held[space.names.index("palm_thickness")] = False
-        scaled.append(((hand.fit.shape - shape) / hand.fit.shape_std)[held])
+        is_fitted = hand.fit.shape_std > 0
+        is_fitted[space.names.index("palm_thickness")] = False
+        scaled.append(((hand.fit.shape - shape) / hand.fit.shape_std)[is_fitted])
     assert float(torch.cat(errors).median()) < 0.035
     assert float(torch.cat(thick).mean()) < 0.5 * float(torch.cat(guesses).mean())
     assert float(torch.cat(scaled).square().mean().sqrt()) < 2.5
@@ -170,9 +170,11 @@ def test_values_are_the_scaled_unknowns_and_the_prior_adds_what_leaves_its_inter
     values = 2.5 * torch.randn(3, problem.size, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
     residual = problem.prior(values)
     assert bool((residual[:, : problem.size] == values).all())
-    people = Anthropometry(kinematics.shape_space)
+    population = Anthropometry(kinematics.shape_space)
     shapes = problem.split(values)[1]
-    rows = people.matrix[-2 * len(people.mean) :] @ shapes.T - people.bound[-2 * len(people.mean) :, None]
+    rows = (
+        population.matrix[-2 * len(population.mean) :] @ shapes.T - population.bound[-2 * len(population.mean) :, None]
+    )
     assert bool(((residual[:, problem.size :] > 0) == (rows.T > 0)).all())
     assert bool((rows > 0).any())
     pose, shape = problem.split(0 * values[0])

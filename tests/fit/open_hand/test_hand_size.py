@@ -55,12 +55,12 @@ def test_distance_tells_the_length() -> None:
 def test_population_spread_reaches_length_breadth_and_depth() -> None:
     fit = placed()
     after = sized(fit, SPACE, population_length(SPACE))
-    share = 0.0115 / 0.187
+    fraction = 0.0115 / 0.187
     assert float(after.shape_std[0]) == pytest.approx(0.0115)
     breadth = SPACE.names.index("hand_breadth")
-    expected = ((0.083 * share) ** 2 + float(fit.shape_std[breadth]) ** 2) ** 0.5
+    expected = ((0.083 * fraction) ** 2 + float(fit.shape_std[breadth]) ** 2) ** 0.5
     assert float(after.shape_std[breadth]) == pytest.approx(expected)
-    assert float(after.pose_std[2]) == pytest.approx(((0.5 * share) ** 2 + 0.01**2) ** 0.5)
+    assert float(after.pose_std[2]) == pytest.approx(((0.5 * fraction) ** 2 + 0.01**2) ** 0.5)
 
 
 def test_breadth_stays_within_bounds() -> None:

@@ -10,7 +10,7 @@ from torchhand.geometry import rotation_from_vector
 from torchhand.hand.conventions.baps import LARGEST_ID, NUMBERINGS, bap_ids, baps_of_pose, pose_of_baps
 from torchhand.hand.kinematics import DOFS, JOINT_DOFS
 
-FINAL_LEFT = {  # FACTS 3.5, as printed there
+FINAL_LEFT = {  # as ISO/IEC 14496-2 prints them
     **{"little_cmc_fe": 123, "little_mcp_fe": 125, "little_mcp_aa": 127, "little_mcp_tw": 129, "little_pip_fe": 131},
     **{"little_dip_fe": 133, "ring_cmc_fe": 135, "ring_mcp_fe": 137, "ring_mcp_aa": 139, "ring_mcp_tw": 141},
     **{"ring_pip_fe": 143, "ring_dip_fe": 145, "middle_cmc_fe": 147, "middle_mcp_fe": 149, "middle_mcp_aa": 151},
@@ -23,9 +23,9 @@ DRAFT_LEFT = {"little": 120, "ring": 130, "middle": 140, "index": 150, "thumb": 
 
 def _poses(count: int, generator: torch.Generator) -> torch.Tensor:
     skeleton = load_hand_model().skeleton
-    share = torch.rand(count, 30, generator=generator, dtype=torch.float64)
+    fraction = torch.rand(count, 30, generator=generator, dtype=torch.float64)
     root = torch.randn(count, 6, generator=generator, dtype=torch.float64)
-    return torch.cat((root, skeleton.lower + share * (skeleton.upper - skeleton.lower)), 1)
+    return torch.cat((root, skeleton.lower + fraction * (skeleton.upper - skeleton.lower)), 1)
 
 
 def test_the_final_numbering() -> None:
@@ -58,11 +58,11 @@ def test_rounding_is_half_a_unit(numbering, side, generator: torch.Generator) ->
     poses = _poses(50, generator)
     baps = baps_of_pose(poses, numbering, side)
     back = pose_of_baps(baps.values, numbering, side)
-    held = [i for i, dof in enumerate(JOINT_DOFS) if dof in baps.names]
-    assert len(held) == {"final": 29, "draft": 25}[numbering]
-    assert float(baps.residual[:, held].abs().max()) <= 0.5e-5 * (1 + 1e-9)
+    kept = [i for i, dof in enumerate(JOINT_DOFS) if dof in baps.names]
+    assert len(kept) == {"final": 29, "draft": 25}[numbering]
+    assert float(baps.residual[:, kept].abs().max()) <= 0.5e-5 * (1 + 1e-9)
     assert torch.allclose(baps.residual, (poses - back)[:, 6:], rtol=0, atol=1e-15)
-    lost = [i for i in range(30) if i not in held]
+    lost = [i for i in range(30) if i not in kept]
     assert torch.equal(baps.residual[:, lost], poses[:, 6:][:, lost])
     assert float((poses - back)[:, :3].abs().max()) <= 0.5e-3 * (1 + 1e-9)
 

@@ -23,9 +23,9 @@ def _kinematics(side: Side) -> HandKinematics:
 
 def _poses(count: int, generator: torch.Generator) -> torch.Tensor:
     skeleton = load_hand_model().skeleton
-    share = torch.rand(count, 30, generator=generator, dtype=torch.float64)
+    fraction = torch.rand(count, 30, generator=generator, dtype=torch.float64)
     root = torch.randn(count, 6, generator=generator, dtype=torch.float64)
-    return torch.cat((root, skeleton.lower + share * (skeleton.upper - skeleton.lower)), 1)
+    return torch.cat((root, skeleton.lower + fraction * (skeleton.upper - skeleton.lower)), 1)
 
 
 @pytest.mark.parametrize("side", SIDES)

@@ -1,4 +1,4 @@
-"""Names of H-Anim as FACTS 3.4 gives them."""
+"""Names of H-Anim as ISO/IEC 19774 gives them."""
 
 from torchhand.hand.conventions.hanim import hanim_joints, hanim_segments
 from torchhand.hand.kinematics import BONES

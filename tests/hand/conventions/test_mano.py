@@ -27,13 +27,13 @@ def _kinematics(side: Side) -> HandKinematics:
 
 def _poses(count: int, generator: torch.Generator) -> torch.Tensor:
     skeleton = load_hand_model().skeleton
-    share = torch.rand(count, 30, generator=generator, dtype=torch.float64)
+    fraction = torch.rand(count, 30, generator=generator, dtype=torch.float64)
     root = torch.randn(count, 6, generator=generator, dtype=torch.float64)
-    return torch.cat((root, skeleton.lower + share * (skeleton.upper - skeleton.lower)), 1)
+    return torch.cat((root, skeleton.lower + fraction * (skeleton.upper - skeleton.lower)), 1)
 
 
 def test_order_of_the_joints() -> None:
-    """FACTS 9.1: wrist, index, middle, little, ring, thumb."""
+    """Order of MANO: wrist, index, middle, little, ring, thumb."""
     assert MANO_JOINTS[:5] == ("wrist", "index1", "index2", "index3", "middle1")
     assert (MANO_JOINTS[7], MANO_JOINTS[10], MANO_JOINTS[13]) == ("little1", "ring1", "thumb1")
     assert [BONES[MANO_BONES[i]] for i in (1, 3, 7, 12, 13, 15)] == [
@@ -45,7 +45,7 @@ def test_order_of_the_joints() -> None:
 
 @pytest.mark.parametrize("side", SIDES)
 def test_axes_of_mano(side: Side) -> None:
-    """Bending turns about +z of a right hand and -z of a left one (FACTS 3.3: left = towards the parent × up)."""
+    """Bending turns about +z of a right hand and -z of a left one (left = towards the parent × up)."""
     axes = mano_from_hand(side)
     assert float(torch.det(axes)) == pytest.approx(1.0, abs=1e-15)
     towards_fingers, back = axes @ torch.tensor((0.0, 1, 0)).double(), axes @ torch.tensor((1.0, 0, 0)).double()

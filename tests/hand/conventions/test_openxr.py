@@ -14,7 +14,7 @@ from torchhand.hand.kinematics import KEYPOINTS
 
 
 def test_the_21_keypoints_among_the_26_joints() -> None:
-    """FACTS 9.1: drop 0, 6, 11, 16, 21."""
+    """Without metacarpals and palm: drop 0, 6, 11, 16, 21."""
     assert len(OPENXR_JOINTS) == 26
     assert sorted({*range(26)} - {*OPENXR_KEYPOINTS}) == [0, 6, 11, 16, 21]
     words = {"metacarpal": "cmc", "tip": "tip"}

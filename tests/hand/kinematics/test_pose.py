@@ -1,4 +1,4 @@
-"""Pose spaces against FACTS 3.1 and 3.2, and the named postures."""
+"""Pose spaces against the degrees of freedom that the papers name, and the named postures."""
 
 import math
 from dataclasses import replace
@@ -15,7 +15,7 @@ SIZES = {
     **{"planar": 3, "planar_scale": 4, "planar_abduction": 9},
     **{"dof26": 26, "dof27": 27, "dof28": 28, "dof31": 31, "dof36": 36},
 }
-# FACTS 3.2: what each paper leaves free of the thumb and of every finger.
+# What each paper leaves free of the thumb and of every finger.
 THUMB = {
     "dof26": {"cmc_fe", "cmc_aa", "cmc_tw", "ip_fe"},
     "dof27": {"cmc_fe", "cmc_aa", "mcp_fe", "mcp_aa", "ip_fe"},
@@ -54,7 +54,7 @@ def test_free_parameters_come_back(name: str, generator: torch.Generator) -> Non
 
 
 def test_ties(generator: torch.Generator) -> None:
-    """Paper 000, equations 1 and 4, flexion positive."""
+    """Ouhaddi and Horain 1998, equations 1 and 4, flexion positive."""
     space = named_pose_space("dof26")
     dof = space.dof(torch.randn(space.size, generator=generator, dtype=torch.float64))
     value = dict(zip(DOFS, dof.tolist(), strict=True))

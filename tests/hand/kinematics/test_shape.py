@@ -13,7 +13,7 @@ from torchhand.files.hands import read_shape_space
 from torchhand.hand.kinematics.shape import TIP_DEPTH, ShapeSpace, bone_offsets, offset_matrix
 from torchhand.hand.kinematics.skeleton import BONES, FINGERS
 
-# Buchholz, Armstrong and Goldstein 1992 (FACTS 1.1), shares of hand length.
+# Buchholz, Armstrong and Goldstein 1992, fractions of hand length.
 PHALANGES = {
     "thumb": (0.196, None, 0.158),
     "index": (0.245, 0.143, 0.097),
@@ -52,7 +52,7 @@ def test_bounds_hold_the_defaults_and_the_population() -> None:
     assert bool((space.std > 0).all())
     assert len(set(space.names)) == len(space.names) == len(space.units)
     length, breadth = space.names.index("hand_length"), space.names.index("hand_breadth")
-    assert float(space.lower[length]) < 0.145  # FACTS 1.6: smallest and largest of ANSUR II
+    assert float(space.lower[length]) < 0.145  # smallest and largest of ANSUR II
     assert float(space.upper[length]) > 0.239
     assert float(space.lower[breadth]) < 0.067
     assert float(space.upper[breadth]) > 0.105
@@ -68,7 +68,7 @@ def test_bones_have_the_lengths_of_the_shape() -> None:
             assert float(offsets[BONES.index(f"{finger}_middle")].norm()) == pytest.approx(proximal * length)
             assert float(offsets[BONES.index(f"{finger}_distal")].norm()) == pytest.approx(middle * length)
         assert float(tips[i].norm()) == pytest.approx((distal - TIP_DEPTH) * length)
-        if finger != "thumb":  # FACTS 1.1: wrist to knuckle in the palm's plane
+        if finger != "thumb":  # wrist to knuckle in the palm's plane
             metacarpal, base = (offsets[BONES.index(f"{finger}_{bone}")] for bone in ("proximal", "metacarpal"))
             knuckle = model.skeleton.rest_rotation[BONES.index(f"{finger}_metacarpal")] @ metacarpal + base
             expected = (KNUCKLES[finger][0] * length, KNUCKLES[finger][1] * breadth)

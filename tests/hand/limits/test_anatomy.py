@@ -1,4 +1,4 @@
-"""The shipped skeleton: its file equals what the anatomy makes, its limits are those of FACTS 2.1."""
+"""The shipped skeleton: its file equals what the anatomy makes, its limits are the recommended ones."""
 
 import math
 import re
@@ -16,9 +16,9 @@ from torchhand.hand.limits.anatomy import anatomical_skeleton
 FOLDER = models_dir() / "generic_hand"
 NUMBER = r"-?\d+\.\d+"
 
-LIMITS_DEG = {  # FACTS 2.1, recommended defaults
+LIMITS_DEG = {  # between the norms of the AAOS and published hand models
     **{f"{finger}_mcp_fe": (-15, 100) for finger in FINGERS[1:]},
-    # the outer fingers spread further, as the models in FACTS 2.1's table do
+    # the outer fingers spread further, as published models do
     **{"index_mcp_aa": (-20, 30), "ring_mcp_aa": (-20, 20), "little_mcp_aa": (-20, 35)},
     **{f"{finger}_mcp_tw": (-10, 10) for finger in FINGERS[1:]},
     **{f"{finger}_pip_fe": (-5, 110) for finger in FINGERS[1:]},
@@ -76,7 +76,7 @@ def test_thirty_angles_on_nineteen_bones() -> None:
 
 
 def test_the_thumbs_two_axes_are_skew() -> None:
-    """FACTS 3.3: 87° between flexion and abduction of the CMC joint."""
+    """Chang and Pollard 2008: 87° between flexion and abduction of the CMC joint."""
     skeleton = load_hand_model().skeleton
     flexion, abduction = (skeleton.axis[JOINT_DOFS.index(f"thumb_cmc_{role}")] for role in ("fe", "aa"))
     assert math.degrees(math.acos(float(flexion @ abduction))) == pytest.approx(87.0, abs=1e-3)

@@ -23,25 +23,25 @@ def _wild(count: int, generator: torch.Generator, dtype: torch.dtype = torch.flo
 
 
 def test_there_are_21_and_the_default_has_the_published_means() -> None:
-    people = Anthropometry(_space())
+    population = Anthropometry(_space())
     assert len(MEASURES) == len(set(MEASURES)) == 21
-    measures = dict(zip(MEASURES, people.measures(_space().default).tolist(), strict=True))
+    measures = dict(zip(MEASURES, population.measures(_space().default).tolist(), strict=True))
     published = {"thumb_length": 0.354, "index_length": 0.485, "middle_length": 0.544, "little_length": 0.414}
     published |= {"middle_proximal": 0.266, "thumb_distal": 0.158, "palm_length": 0.602}
-    for name, share in published.items():
-        assert measures[name] == pytest.approx(share, abs=1e-9), name
+    for name, fraction in published.items():
+        assert measures[name] == pytest.approx(fraction, abs=1e-9), name
     assert measures["palm_breadth"] == pytest.approx(0.4445, abs=1e-3)
-    assert people.violation(_space().default).describe() == "none"
+    assert population.violation(_space().default).describe() == "none"
 
 
 def test_intervals() -> None:
-    people = Anthropometry(_space())
+    population = Anthropometry(_space())
     index = MEASURES.index
-    assert float(people.upper[index("middle_proximal")]) == pytest.approx(0.266 * 1.10)
-    assert float(people.lower[index("middle_distal")]) == pytest.approx(0.108 * 0.84)
-    assert float(people.lower[index("palm_length")]) == pytest.approx(0.562)
-    assert float(people.upper[index("palm_breadth")]) == pytest.approx(0.4933)
-    assert bool((people.lower >= 0).all())
+    assert float(population.upper[index("middle_proximal")]) == pytest.approx(0.266 * 1.10)
+    assert float(population.lower[index("middle_distal")]) == pytest.approx(0.108 * 0.84)
+    assert float(population.lower[index("palm_length")]) == pytest.approx(0.562)
+    assert float(population.upper[index("palm_breadth")]) == pytest.approx(0.4933)
+    assert bool((population.lower >= 0).all())
 
 
 def test_violations_are_named() -> None:
@@ -56,86 +56,92 @@ def test_violations_are_named() -> None:
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_projection_is_feasible_and_idempotent(generator: torch.Generator, dtype: torch.dtype) -> None:
-    people = Anthropometry(_space())
-    near = people.project(_wild(5000, generator, dtype))
-    assert float(people.violation(near).worst.max()) < (2e-7 if dtype == torch.float32 else 1e-12)
-    torch.testing.assert_close(people.project(near), near, atol=1e-12, rtol=0)
-    inside = people.sample(500, generator)
-    assert torch.equal(people.project(inside), inside)
+    population = Anthropometry(_space())
+    near = population.project(_wild(5000, generator, dtype))
+    assert float(population.violation(near).worst.max()) < (2e-7 if dtype == torch.float32 else 1e-12)
+    torch.testing.assert_close(population.project(near), near, atol=1e-12, rtol=0)
+    inside = population.sample(500, generator)
+    assert torch.equal(population.project(inside), inside)
 
 
 def test_projection_is_the_nearest(generator: torch.Generator) -> None:
     """No feasible shape on the way to random people is nearer, in spreads; steps to the side lead away."""
-    space, people = _space(), Anthropometry(_space())
+    space, population = _space(), Anthropometry(_space())
     wild = _wild(300, generator)
-    near = people.project(wild)
-    for target in people.sample(20, generator):
+    near = population.project(wild)
+    for target in population.sample(20, generator):
         towards = (target - near) / space.std
         back = (wild - near) / space.std
         assert float((towards * back).sum(-1).max()) < 1e-8  # the variational inequality of a projection
 
 
 def test_penalty_and_its_derivatives(generator: torch.Generator) -> None:
-    space, people = _space(), Anthropometry(_space())
-    assert float(people.penalty(people.sample(200, generator)).max()) == 0
-    assert float(people.penalty(people.project(_wild(200, generator))).max()) < 1e-20
+    space, population = _space(), Anthropometry(_space())
+    assert float(population.penalty(population.sample(200, generator)).max()) == 0
+    assert float(population.penalty(population.project(_wild(200, generator))).max()) < 1e-20
     shape = space.default.clone()
     place = space.names.index("index_proximal")
     shape[place] = 0.2695 + 0.25 * 0.05 * 0.245
-    assert float(people.penalty(shape)) == pytest.approx(0.5)
+    assert float(population.penalty(shape)) == pytest.approx(0.5)
     wild = _wild(4, generator).requires_grad_()
-    assert torch.autograd.gradcheck(people.penalty, wild, atol=1e-4)
-    assert torch.autograd.gradcheck(people.measures, wild)
-    assert torch.autograd.gradcheck(people.project, wild)
+    assert torch.autograd.gradcheck(population.penalty, wild, atol=1e-4)
+    assert torch.autograd.gradcheck(population.measures, wild)
+    assert torch.autograd.gradcheck(population.project, wild)
 
 
 def test_density_is_the_multivariate_normals(generator: torch.Generator) -> None:
-    space, people = _space(), Anthropometry(_space())
+    space, population = _space(), Anthropometry(_space())
     covariance = torch.diag(space.std**2)
     tall, wide = space.names.index("hand_length"), space.names.index("hand_breadth")
     covariance[tall, wide] = covariance[wide, tall] = 0.715 * space.std[tall] * space.std[wide]
     reference = torch.distributions.MultivariateNormal(space.default, covariance)
     shapes = _wild(50, generator)
-    torch.testing.assert_close(people.log_density(shapes), reference.log_prob(shapes), atol=1e-8, rtol=1e-10)
-    inside = people.is_feasible(shapes)
+    torch.testing.assert_close(population.log_density(shapes), reference.log_prob(shapes), atol=1e-8, rtol=1e-10)
+    inside = population.is_feasible(shapes)
     assert 0 < int(inside.sum()) < 50
-    assert torch.equal(people.log_prob(shapes).isfinite(), inside)
+    assert torch.equal(population.log_prob(shapes).isfinite(), inside)
 
 
 def test_people(generator: torch.Generator) -> None:
     """Feasible, seeded, of the population's moments, with the published spread of breadth over length."""
-    space, people = _space(), Anthropometry(_space(), AnthropometrySettings(reach=4.0))
-    drawn = people.sample(20_000, generator)
-    assert bool(people.is_feasible(drawn, tolerance=1e-12).all())
+    space, population = _space(), Anthropometry(_space(), AnthropometrySettings(reach=4.0))
+    drawn = population.sample(20_000, generator)
+    assert bool(population.is_feasible(drawn, tolerance=1e-12).all())
     assert torch.equal(
-        people.sample(10, torch.Generator().manual_seed(3)), people.sample(10, torch.Generator().manual_seed(3))
+        population.sample(10, torch.Generator().manual_seed(3)), population.sample(10, torch.Generator().manual_seed(3))
     )
     tall, wide = (drawn[:, space.names.index(name)] for name in ("hand_length", "hand_breadth"))
     assert float(tall.mean()) == pytest.approx(0.187, abs=5e-4)
     assert float(tall.std()) == pytest.approx(0.0115, rel=0.03)
     assert float(torch.corrcoef(torch.stack((tall, wide)))[0, 1]) == pytest.approx(0.715, abs=0.02)
     assert float((wide / tall).std()) == pytest.approx(0.0244, abs=1e-3)
-    assert people.sample(0, generator).shape == (0, 52)
+    assert population.sample(0, generator).shape == (0, 52)
 
 
 @pytest.mark.parametrize("batch", [(), (1,), (2, 3)])
 def test_batches(generator: torch.Generator, batch: tuple[int, ...]) -> None:
-    people = Anthropometry(_space())
+    population = Anthropometry(_space())
     shapes = _wild(max(1, math.prod(batch)), generator).reshape(*batch, 52)
-    for function in (people.measures, people.project, people.penalty, people.log_density, people.is_feasible):
+    for function in (
+        population.measures,
+        population.project,
+        population.penalty,
+        population.log_density,
+        population.is_feasible,
+    ):
         loop = torch.stack([function(shape) for shape in shapes.reshape(-1, 52)])
         torch.testing.assert_close(function(shapes), loop.reshape(function(shapes).shape), atol=1e-12, rtol=1e-12)
 
 
 def test_nan_stays_nan() -> None:
-    space, people = _space(), Anthropometry(_space())
+    space, population = _space(), Anthropometry(_space())
     shape = space.default.clone()
     shape[space.names.index("index_middle")] = math.nan
-    near = people.project(shape)
+    near = population.project(shape)
     names = {space.names[i] for i in near.isnan().nonzero().flatten().tolist()}
     assert names == {"index_proximal", "index_middle", "index_distal"}
-    assert not bool(people.is_feasible(shape))
-    assert float(people.log_prob(shape)) == -math.inf
+    assert not bool(population.is_feasible(shape))
+    assert float(population.log_prob(shape)) == -math.inf
 
 
 def test_what_it_refuses() -> None:

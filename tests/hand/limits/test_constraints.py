@@ -1,4 +1,5 @@
-"""Joint limits and couplings: paper 000's equations (1) to (5), the projection's laws, the penalties' derivatives."""
+"""Joint limits and couplings: equations (1) to (5) of Ouhaddi and Horain (1998), the projection's laws, the penalties'
+derivatives."""
 
 import math
 from itertools import product

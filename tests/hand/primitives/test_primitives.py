@@ -53,7 +53,7 @@ def _surface(primitives: Primitives) -> tuple[Tensor, Tensor]:
 
 
 def test_thirty_seven_parts() -> None:
-    """FACTS 4.1: palm 3, each finger 7, thumb 6."""
+    """Counts that add up to 37: palm 3, each finger 7, thumb 6."""
     assert len(PRIMITIVE_NAMES) == len(set(PRIMITIVE_NAMES)) == 37
     assert len(CONE_NAMES) == 15
     assert len(ELLIPSOID_NAMES) == 22
@@ -72,10 +72,10 @@ def test_sizes_are_positive_within_the_bounds(corner: str) -> None:
 
 def test_sizes_are_positive_for_people(generator: torch.Generator) -> None:
     space = MODEL.shape_space
-    people = space.default + 3 * space.std * torch.randn(
+    population = space.default + 3 * space.std * torch.randn(
         500, len(space.names), generator=generator, dtype=torch.float64
     )
-    sizes = primitive_sizes(space, people.clamp(space.lower, space.upper))
+    sizes = primitive_sizes(space, population.clamp(space.lower, space.upper))
     assert float(sizes.cone_length.min()) >= 1e-3
     assert float(sizes.ellipsoid_axes.min()) > 2e-3
 

@@ -72,8 +72,8 @@ def test_mixture_is_the_sum_of_its_postures(generator: torch.Generator) -> None:
 def test_postures_are_likelier_than_what_is_merely_possible(generator: torch.Generator) -> None:
     mixture = _mixture()
     skeleton = mixture.constraints.skeleton
-    share = torch.rand(500, 30, generator=generator, dtype=torch.float64)
-    joints = skeleton.lower + share * (skeleton.upper - skeleton.lower)
+    fraction = torch.rand(500, 30, generator=generator, dtype=torch.float64)
+    joints = skeleton.lower + fraction * (skeleton.upper - skeleton.lower)
     possible = mixture.constraints.project(torch.cat((torch.zeros(500, 6, dtype=torch.float64), joints), -1))
     usual = float(mixture.log_prob(possible).median())
     for name in ("open", "flat", "fist", "point", "three", "four", "l", "shaka"):

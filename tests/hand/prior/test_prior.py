@@ -28,7 +28,7 @@ def test_every_sample_is_feasible(dtype: torch.dtype, generator: torch.Generator
     assert poses.dtype == shapes.dtype == dtype
     assert bool((poses[:, :6] == 0).all())
     assert float(prior.constraints.violation(poses).worst.max()) < 1e-6
-    assert float(prior.people.violation(shapes).worst.max()) < 1e-6
+    assert float(prior.population.violation(shapes).worst.max()) < 1e-6
     few = slice(0, 1000)
     sizes = primitive_sizes(prior.kinematics.shape_space, shapes[few])
     deepest = penetration(place_primitives(prior.kinematics(poses[few], shapes[few]), sizes)).worst
@@ -54,8 +54,8 @@ def test_samples_follow_the_penetration(generator: torch.Generator) -> None:
     poses, shapes = free.sample(3000, generator)
     change = prior.log_prob(poses, shapes) - free.log_prob(poses, shapes)
     weight = change.exp() / change.exp().sum()
-    drawn, people = prior.sample(3000, generator)
-    found = prior.log_prob(drawn, people) - free.log_prob(drawn, people)
+    drawn, population = prior.sample(3000, generator)
+    found = prior.log_prob(drawn, population) - free.log_prob(drawn, population)
     expected = float((weight * change.clamp_min(-20)).sum())  # where the weight is zero the cost does not matter
     spread = float(((weight * (change.clamp_min(-20) - expected)) ** 2).sum().sqrt() + found.std() / math.sqrt(3000))
     assert float(found.mean()) == pytest.approx(expected, abs=3 * spread)

@@ -9,8 +9,8 @@ from torch import Tensor
 from torchhand.image.contours.distance_maps import distance_map, distance_map_torch
 
 
-def sparse(generator: torch.Generator, *size: int, share: float = 0.02) -> Tensor:
-    return torch.rand(*size, generator=generator) < share
+def sparse(generator: torch.Generator, *size: int, fraction: float = 0.02) -> Tensor:
+    return torch.rand(*size, generator=generator) < fraction
 
 
 def brute_force(mask: Tensor) -> Tensor:
@@ -30,7 +30,7 @@ def test_both_exact_maps_are_the_nearest_distance(size: tuple[int, int], generat
 
 
 def test_agrees_with_scipy_on_a_large_picture(generator: torch.Generator) -> None:
-    mask = sparse(generator, 240, 320, share=0.0005)
+    mask = sparse(generator, 240, 320, fraction=0.0005)
     exact = np.asarray(scipy.ndimage.distance_transform_edt(~mask.numpy()))
     expected = torch.from_numpy(exact.astype(np.float32))
     torch.testing.assert_close(distance_map(mask), expected, atol=1e-3, rtol=0)

@@ -46,8 +46,8 @@ def test_weak_parts_count_only_beside_strong_ones() -> None:
     """One line that fades out is followed; a line as faint as its end is none by itself."""
     settings = ValleySettings(low=2.0, high=8.0)
     fading = line(0.0, 0.0)
-    share = torch.linspace(1.0, 0.12, SIZE)[:, None]
-    fading = 180 - share * (180 - fading)
+    fraction = torch.linspace(1.0, 0.12, SIZE)[:, None]
+    fading = 180 - fraction * (180 - fading)
     followed = find_valleys(fading, settings)
     assert float(followed.points_px[:, 1].max()) > SIZE - 20
     assert float(followed.strength.min()) < 8.0
@@ -58,9 +58,9 @@ def test_weak_parts_count_only_beside_strong_ones() -> None:
 def test_short_specks_are_dropped() -> None:
     picture = torch.full((SIZE, SIZE), 180.0)
     picture[40:43, 40:43] = 100
-    speck = find_valleys(picture, ValleySettings(fewest=1))
+    speck = find_valleys(picture, ValleySettings(min_points=1))
     assert 0 < len(speck.points_px) < 60
-    assert len(find_valleys(picture, ValleySettings(fewest=60)).points_px) == 0
+    assert len(find_valleys(picture, ValleySettings(min_points=60)).points_px) == 0
 
 
 def test_the_rim_of_the_region_makes_no_valley() -> None:
@@ -82,7 +82,7 @@ def test_flat_pictures_and_empty_regions_have_none() -> None:
     assert len(find_valleys(line(0.0, 0.0), within=torch.zeros(SIZE, SIZE, dtype=torch.bool)).points_px) == 0
 
 
-@pytest.mark.parametrize(("field", "value"), [("sigma_px", 0.1), ("low", 9.0), ("fewest", 0), ("steepest", 0.0)])
+@pytest.mark.parametrize(("field", "value"), [("sigma_px", 0.1), ("low", 9.0), ("min_points", 0), ("steepest", 0.0)])
 def test_settings_say_what_is_wrong(field: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"valleys.{field}: expected"):
         ValleySettings(**{field: value})  # type: ignore[arg-type]

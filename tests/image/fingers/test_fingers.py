@@ -93,7 +93,7 @@ def test_order_needs_two_pieces() -> None:
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("smallest_disc", 0.0), ("largest_disc", 1.0), ("sizes", 1), ("least_elongation", 0.0), ("work_side_px", 10)],
+    [("smallest_disc", 0.0), ("largest_disc", 1.0), ("sizes", 1), ("min_elongation", 0.0), ("work_side_px", 10)],
 )
 def test_settings_name_what_is_wrong(field: str, value: float) -> None:
     with pytest.raises(ValueError, match=field):

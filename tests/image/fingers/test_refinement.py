@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from torchhand.image.fingers import refinement
-from torchhand.image.fingers.refinement import RefinementSettings, edge_share, find_open_hand, refine_silhouette
+from torchhand.image.fingers.refinement import RefinementSettings, edge_fraction, find_open_hand, refine_silhouette
 
 SKIN = (205, 150, 125)
 SIDE = 300
@@ -68,7 +68,7 @@ def test_hand_before_plain_and_skin_coloured_walls(
     assert found.search.order is not None
     assert len(found.search.order.fingers) == 5
     assert found.odd_digits == ()
-    assert found.edge_share > 0.9
+    assert found.edge_fraction > 0.9
     assert overlap(found.mask, hand_mask()) > 0.93
 
 
@@ -105,13 +105,13 @@ def test_blank_wall_shows_no_five_fingers(generator: torch.Generator) -> None:
 
 def test_edge_share_tells_edges_from_nothing(generator: torch.Generator) -> None:
     image, truth = scene((40, 60, 90), generator), hand_mask()
-    assert edge_share(image, truth) > 0.95
-    assert edge_share(torch.full_like(image, 100), truth) == 0.0
-    assert edge_share(image, torch.zeros_like(truth)) == 0.0
+    assert edge_fraction(image, truth) > 0.95
+    assert edge_fraction(torch.full_like(image, 100), truth) == 0.0
+    assert edge_fraction(image, torch.zeros_like(truth)) == 0.0
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("max_side_px", 8), ("core_share", 1.0), ("band_share", 0.0), ("iterations", 0)]
+    ("field", "value"), [("max_side_px", 8), ("core_fraction", 1.0), ("band_fraction", 0.0), ("iterations", 0)]
 )
 def test_settings_name_what_is_wrong(field: str, value: float) -> None:
     with pytest.raises(ValueError, match=field):

@@ -55,7 +55,7 @@ def torch_alone() -> Iterator[None]:
 
 def masks(generator: torch.Generator) -> list[Tensor]:
     """Noise from sparse to dense, blobs, a spiral, nothing and everything."""
-    noise = [torch.rand(37, 53, generator=generator) < share for share in (0.05, 0.3, 0.5, 0.6, 0.9)]
+    noise = [torch.rand(37, 53, generator=generator) < fraction for fraction in (0.05, 0.3, 0.5, 0.6, 0.9)]
     blobs = gaussian_blur(torch.rand(60, 80, generator=generator), 3.0)
     spiral = torch.zeros(41, 41, dtype=torch.bool)
     for ring in range(0, 20, 2):

@@ -37,9 +37,9 @@ def flood(mask: torch.Tensor, eight: bool) -> list[set[tuple[int, int]]]:
     return pieces
 
 
-@pytest.mark.parametrize("share", [0.3, 0.5, 0.65])
-def test_pieces_equal_a_flood_fill(generator: torch.Generator, share: float) -> None:
-    mask = torch.rand(24, 31, generator=generator) < share
+@pytest.mark.parametrize("fraction", [0.3, 0.5, 0.65])
+def test_pieces_equal_a_flood_fill(generator: torch.Generator, fraction: float) -> None:
+    mask = torch.rand(24, 31, generator=generator) < fraction
     slow = sorted((len(piece) for piece in flood(mask, eight=True)), reverse=True)
     found = components(mask)
     assert [piece.area_px for piece in found] == slow

@@ -32,16 +32,16 @@ def overlap(mask: torch.Tensor, truth: torch.Tensor) -> float:
 
 # The backgrounds of id01_1 (mustard wall) and id04_1 (red shirt) are themselves skin-like.
 @pytest.mark.parametrize(
-    ("name", "least"),
+    ("name", "minimum"),
     [("id02_1", 0.93), ("id02_2", 0.93), ("id03_1", 0.93), ("id03_2", 0.94), ("id05_1", 0.9), ("id05_2", 0.89)]
     + [("id05_3", 0.93), ("id06_2", 0.87), ("id06_3", 0.89), ("id01_2", 0.88), ("id01_3", 0.85), ("id04_2", 0.87)],
 )
-def test_still_of_an_open_hand(data_dir: Path, name: str, least: float) -> None:
+def test_still_of_an_open_hand(data_dir: Path, name: str, minimum: float) -> None:
     folder = data_dir / "real" / "open_hand_stills"
     start = bootstrap_skin(read_picture(folder / f"5_P_hgr1_{name}.jpg"))
     truth = read_picture(folder / f"5_P_hgr1_{name}_mask.png")[..., 0] > 127
     assert start.has_skin
-    assert overlap(start.mask, truth) > least
+    assert overlap(start.mask, truth) > minimum
 
 
 def test_waving_hand_is_there_until_it_leaves(data_dir: Path) -> None:
@@ -74,8 +74,8 @@ def test_hand_and_forearm_are_the_largest_skin_before_distractors(data_dir: Path
 
 
 def test_synthetic_hand_against_its_exact_mask(data_dir: Path) -> None:
-    for name, least in (("planar_open", 0.96), ("abduction28", 0.94), ("free", 0.92)):
+    for name, minimum in (("planar_open", 0.96), ("abduction28", 0.94), ("free", 0.92)):
         folder = data_dir / "synthetic" / name
         start = bootstrap_skin(read_picture(folder / "frames" / "0000.jpg"))
         truth = read_picture(folder / "masks" / "0000.png")[..., 0] > 127
-        assert overlap(start.mask, truth) > least
+        assert overlap(start.mask, truth) > minimum

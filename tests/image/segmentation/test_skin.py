@@ -76,7 +76,7 @@ def test_unseen_colour_is_background(generator: torch.Generator) -> None:
     assert float(skin_probability(blue, model).max()) < 0.5
 
 
-def test_dark_pixels_are_judged_together() -> None:
+def test_dark_pixels_are_counted_together() -> None:
     model = SkinModel(log_ratio=torch.full((32, 32), 5.0), dark_log_ratio=-math.log(3.0), dark_value=40)
     image = torch.tensor([[[39, 10, 5], [40, 10, 5], [0, 0, 0]]], dtype=torch.uint8)
     dark, bright, black = skin_probability(image, model)[0].tolist()

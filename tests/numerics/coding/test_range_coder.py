@@ -8,11 +8,11 @@ import pytest
 from torchhand.numerics.coding.range_coder import AdaptiveBit, AdaptiveMagnitude, RangeDecoder, RangeEncoder
 
 
-@pytest.mark.parametrize("share", [0.001, 0.03, 0.5, 0.9, 1.0])
+@pytest.mark.parametrize("fraction", [0.001, 0.03, 0.5, 0.9, 1.0])
 @pytest.mark.parametrize("count", [0, 1, 7, 20_000])
-def test_bits_come_back(share: float, count: int) -> None:
+def test_bits_come_back(fraction: float, count: int) -> None:
     chance = random.Random(count)
-    bits = [int(chance.random() < share) for _ in range(count)]
+    bits = [int(chance.random() < fraction) for _ in range(count)]
     encoder, model = RangeEncoder(), AdaptiveBit()
     for bit in bits:
         assert encoder.bit(model, bit) == bit
@@ -23,8 +23,8 @@ def test_bits_come_back(share: float, count: int) -> None:
 
 def test_length_is_the_entropy() -> None:
     chance = random.Random(3)
-    count, share = 50_000, 0.04
-    bits = [int(chance.random() < share) for _ in range(count)]
+    count, fraction = 50_000, 0.04
+    bits = [int(chance.random() < fraction) for _ in range(count)]
     ones = sum(bits) / count
     entropy = -count * (ones * math.log2(ones) + (1 - ones) * math.log2(1 - ones))
     encoder, model = RangeEncoder(), AdaptiveBit(memory=2000)
@@ -56,11 +56,14 @@ def test_carries_run_through_bytes_of_255() -> None:
         chance = random.Random(seed)
         script = [(chance.randrange(1, 1 << 16), chance.random()) for _ in range(150)]
         bits = [int(draw < 0.02) for _, draw in script]
-        encoder, models = RangeEncoder(), [AdaptiveBit(chance=share / (1 << 16)) for share, _ in script]
+        encoder, models = RangeEncoder(), [AdaptiveBit(chance=fraction / (1 << 16)) for fraction, _ in script]
         for model, bit in zip(models, bits, strict=True):
             encoder.bit(model, bit)
             longest = max(longest, encoder._carried)
-        decoder, models = RangeDecoder(encoder.finish()), [AdaptiveBit(chance=share / (1 << 16)) for share, _ in script]
+        decoder, models = (
+            RangeDecoder(encoder.finish()),
+            [AdaptiveBit(chance=fraction / (1 << 16)) for fraction, _ in script],
+        )
         assert [decoder.bit(model) for model in models] == bits, seed
     assert longest >= 1
 

@@ -112,7 +112,7 @@ def test_process_noise_converges_to_the_true_one() -> None:
 
 
 def test_the_plain_sample_finds_the_noise_of_a_random_walk_and_not_that_of_a_velocity() -> None:
-    """FACTS 5.5: G ν νᵀ Gᵀ averages to P⁻ - P⁺, which is Q for a random walk in its steady state."""
+    """The sample G ν νᵀ Gᵀ averages to P⁻ - P⁺, which is Q for a random walk in its steady state."""
     walk, rate = MotionModel(order=0), torch.tensor([0.7], dtype=torch.float64)
     generator = torch.Generator().manual_seed(4)
     truth, r = torch.zeros(400, 1, dtype=torch.float64), torch.full((400, 1), 0.3, dtype=torch.float64)
@@ -155,7 +155,7 @@ def test_both_noises_together_make_the_filter_consistent() -> None:
     assert sum(scores[-100:]) / 100 == pytest.approx(1.0, abs=0.06)
 
 
-def test_a_sudden_change_of_noise_is_followed_at_the_rate_of_forgetting() -> None:
+def test_a_step_of_the_noise_is_followed_at_the_rate_of_forgetting() -> None:
     settings = AdaptiveNoiseSettings(forgetting=0.9)
     variance = torch.ones(1, dtype=torch.float64)
     for _ in range(7):

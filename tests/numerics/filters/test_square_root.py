@@ -62,8 +62,8 @@ def is_a_covariance(matrix: Tensor) -> None:
     assert matrix.isfinite().all()
     assert torch.equal(matrix, matrix.mT)
     values = torch.linalg.eigvalsh(matrix.double())
-    share = float((values[:, 0] / values[:, -1]).min())
-    assert share >= -matrix.shape[-1] * torch.finfo(matrix.dtype).eps, share
+    fraction = float((values[:, 0] / values[:, -1]).min())
+    assert fraction >= -matrix.shape[-1] * torch.finfo(matrix.dtype).eps, fraction
 
 
 SIZES = [(6, 3, 6), (27, 12, 27), (27, 80, 27), (54, 27, 27), (8, 30, 8), (1, 1, 1)]

@@ -54,21 +54,21 @@ def _each(rows: Tensor) -> list[tuple[Tensor, slice, slice]]:
     return [(rows[k], slice(OWN * i, OWN * (i + 1)), k) for i, k in enumerate(own)]
 
 
-def test_what_is_held_does_not_follow() -> None:
+def test_fixed_unknowns_do_not_follow() -> None:
     """As if its columns were not there."""
     rows, residual = _random_rows(7)
-    held = torch.zeros(FRAMES, OWN, dtype=torch.bool)
-    held[1, 2] = held[3] = True
-    left = _equations(rows, residual).eliminated(held)
+    fixed = torch.zeros(FRAMES, OWN, dtype=torch.bool)
+    fixed[1, 2] = fixed[3] = True
+    left = _equations(rows, residual).eliminated(fixed)
     without = rows.clone()
-    without[:, :-SHARED] *= ~held.flatten()
-    is_open = torch.cat((~held.flatten(), torch.ones(SHARED, dtype=torch.bool)))
+    without[:, :-SHARED] *= ~fixed.flatten()
+    is_open = torch.cat((~fixed.flatten(), torch.ones(SHARED, dtype=torch.bool)))
     dense = (without.T @ without)[is_open][:, is_open]
     step = torch.linalg.solve(dense, -(without.T @ residual)[is_open])[-SHARED:]
     torch.testing.assert_close(
         torch.linalg.solve(left.equations.matrix, -left.equations.gradient), step, rtol=1e-9, atol=1e-9
     )
-    assert not left.follow[held].any()
+    assert not left.follow[fixed].any()
 
 
 def test_blocks_without_influence_follow_nothing() -> None:

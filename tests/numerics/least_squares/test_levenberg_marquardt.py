@@ -292,7 +292,7 @@ def test_the_box_step_meets_the_optimality_conditions(generator: torch.Generator
 
 
 def test_error_messages() -> None:
-    with pytest.raises(ValueError, match="damping: expected above 0 and below most_damping"):
+    with pytest.raises(ValueError, match="damping: expected above 0 and below max_damping"):
         LevenbergMarquardtSettings(damping=0.0)
     with pytest.raises(ValueError, match="iterations: expected 1 or more, got 0"):
         LevenbergMarquardtSettings(iterations=0)

@@ -11,7 +11,7 @@ from torchhand.files import load_hand_model
 from torchhand.geometry import Camera, assumed_camera, rotation_from_vector
 from torchhand.hand import DOFS, HandKinematics, posture
 from torchhand.simulate.motion.motion import VIEWS, Motion, facing, scripted_motion
-from torchhand.simulate.motion.people import sample_shape
+from torchhand.simulate.motion.population import sample_shape
 from torchhand.simulate.motion.scripts import SCRIPTS
 
 FRAMES = 150

@@ -39,8 +39,8 @@ def test_all_cameras_look_at_the_middle(name: str) -> None:
         torch.testing.assert_close(turned, torch.eye(3, dtype=torch.float64), rtol=0, atol=1e-12)
         assert float(camera.rotation[1, 1]) >= -1e-12  # none stands on its head
     assert float(torch.linalg.det(cameras[-1].rotation)) == pytest.approx(1)
-    apart = torch.cdist(places, places) + torch.eye(len(places)).double()
-    assert float(apart.min()) > 0.1
+    distances = torch.cdist(places, places) + torch.eye(len(places)).double()
+    assert float(distances.min()) > 0.1
     assert len({camera.name for camera in cameras}) == len(cameras)
 
 
@@ -91,6 +91,6 @@ def test_cameras_that_see_nothing_together_are_named() -> None:
     assert not bool(sees(away, ORIGIN))
     with pytest.raises(InputError, match=r"--rig: expected cameras that all see one place.*which top does not see"):
         stage_camera([front, side, away], 0.19)
-    apart = [assumed_camera(64, 48), moved(assumed_camera(64, 48), (5.0, 0.0, 0.0))]
+    remote = [assumed_camera(64, 48), moved(assumed_camera(64, 48), (5.0, 0.0, 0.0))]
     with pytest.raises(InputError, match="do not see"):
-        stage_camera(apart, 0.19)
+        stage_camera(remote, 0.19)

@@ -28,8 +28,8 @@ def _motion(name: str = "free", frames: tuple[int, ...] = (0, 45), camera: Camer
     return replace(motion, poses=motion.poses[list(frames)])
 
 
-def _render(motion: Motion, look: SceneSettings, *, seed: int = 1, camera: Camera = CAMERA) -> list[RenderedFrame]:
-    return list(render_sequence(KINEMATICS, motion, camera, look, torch.Generator().manual_seed(seed)))
+def _render(motion: Motion, scene: SceneSettings, *, seed: int = 1, camera: Camera = CAMERA) -> list[RenderedFrame]:
+    return list(render_sequence(KINEMATICS, motion, camera, scene, torch.Generator().manual_seed(seed)))
 
 
 def _coverage(frame: RenderedFrame) -> Tensor:
@@ -96,8 +96,8 @@ def test_edges_are_honest_below_a_pixel() -> None:
 
 
 def test_the_same_seed_gives_the_same_bits() -> None:
-    look = SceneSettings(background="clutter", noise=3.0, supersampling=1)
-    first, again, other = (_render(_motion(), look, seed=seed) for seed in (1, 1, 2))
+    scene = SceneSettings(background="clutter", noise=3.0, supersampling=1)
+    first, again, other = (_render(_motion(), scene, seed=seed) for seed in (1, 1, 2))
     for one, two, three in zip(first, again, other, strict=True):
         assert torch.equal(one.image, two.image)
         assert not torch.equal(one.image, three.image)
@@ -105,8 +105,8 @@ def test_the_same_seed_gives_the_same_bits() -> None:
 
 
 def test_noise_has_the_strength_asked_for() -> None:
-    looks = (SceneSettings(noise=noise, supersampling=1) for noise in (0.0, 4.0))
-    clean, noisy = (_render(_motion(frames=(0,)), look)[0] for look in looks)
+    scenes = (SceneSettings(noise=noise, supersampling=1) for noise in (0.0, 4.0))
+    clean, noisy = (_render(_motion(frames=(0,)), scene)[0] for scene in scenes)
     difference = noisy.image.double() - clean.image.double()
     assert float(difference.std()) == pytest.approx(4.0, abs=0.15)
     assert float(difference.mean()) == pytest.approx(0.0, abs=0.1)
@@ -194,22 +194,22 @@ def test_the_mesh_can_be_drawn_instead_of_the_primitives() -> None:
     """The same place and light, another surface; the mask is the mesh's own."""
     hand = load_hand_model().hand(dtype=torch.float64)
     motion = _motion("planar", (0,))
-    look = replace(FLAT, surface="mesh", shutter=0.5, supersampling=2)
+    scene = replace(FLAT, surface="mesh", shutter=0.5, supersampling=2)
 
-    def render(look: SceneSettings, hand: Hand | None) -> RenderedFrame:
-        return next(render_sequence(KINEMATICS, motion, CAMERA, look, torch.Generator().manual_seed(1), hand=hand))
+    def render(scene: SceneSettings, hand: Hand | None) -> RenderedFrame:
+        return next(render_sequence(KINEMATICS, motion, CAMERA, scene, torch.Generator().manual_seed(1), hand=hand))
 
-    quadrics, skin = render(replace(look, surface="primitives"), None), render(look, hand)
+    quadrics, skin = render(replace(scene, surface="primitives"), None), render(scene, hand)
     state = hand(motion.poses[0], root_reference=motion.root_reference)
     assert torch.equal(skin.mask, silhouette(posed_mesh(hand, state), CAMERA))
     torch.testing.assert_close(skin.keypoints_cam, quadrics.keypoints_cam, rtol=0, atol=1e-12)
     differs = (_coverage(skin) - _coverage(quadrics)).abs()
     assert 0 < float(differs.mean()) < 0.1 * float(_coverage(quadrics).mean())
-    assert torch.equal(render(look, hand).image, skin.image)
+    assert torch.equal(render(scene, hand).image, skin.image)
 
 
 def test_the_mesh_needs_a_hand_of_the_same_side() -> None:
-    look = SceneSettings(surface="mesh")
+    scene = SceneSettings(surface="mesh")
     for hand, got in ((None, "none"), (load_hand_model().hand(side="left", dtype=torch.float64), "a left one")):
         with pytest.raises(ValueError, match=f"hand: expected the right hand whose mesh is to be drawn, got {got}"):
-            next(render_sequence(KINEMATICS, _motion(), CAMERA, look, torch.Generator(), hand=hand))
+            next(render_sequence(KINEMATICS, _motion(), CAMERA, scene, torch.Generator(), hand=hand))

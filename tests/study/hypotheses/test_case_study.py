@@ -120,7 +120,7 @@ def test_a_batch_is_the_same_whenever_it_is_run(found: Hypotheses, case: StudyCa
 
 
 def test_what_the_registration_knows_makes_a_difference(found: Hypotheses, case: StudyCase) -> None:
-    for change in ({"has_prior": False}, {"has_expectation": False}):
+    for change in ({"has_prior": False}, {"has_start_prior": False}):
         other = CaseStudy(case, MODEL, replace(SETTINGS, **change)).run(BATCH, 5)
         np.testing.assert_array_equal(other.perturbation, found.perturbation)
         assert np.abs(other.angle_deg - found.angle_deg).min() > 1e-3
@@ -149,8 +149,8 @@ def test_the_reference_lies_in_every_space(case: StudyCase) -> None:
         study = CaseStudy(replace(case, pose=HandPose.of(dofs, case.pose.reference)), MODEL, SETTINGS)
         expected = MODEL.kinematics(dtype=torch.float64)(dofs, root_reference=case.pose.reference).keypoints
         centre = study.space.dof(torch.zeros(study.space.size).double())
-        held = study.kinematics(centre, root_reference=study.case.pose.reference).keypoints
-        torch.testing.assert_close(held, expected, atol=1e-12, rtol=0)
+        keypoints = study.kinematics(centre, root_reference=study.case.pose.reference).keypoints
+        torch.testing.assert_close(keypoints, expected, atol=1e-12, rtol=0)
 
 
 def test_overlap_of_the_reference(case: StudyCase, study: CaseStudy) -> None:

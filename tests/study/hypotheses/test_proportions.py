@@ -60,12 +60,12 @@ def test_more_tries_than_starts_are_unknown() -> None:
 def test_quantiles_are_values_that_occur_and_failures_are_infinite() -> None:
     chance = np.random.default_rng(0)
     values = chance.normal(size=101)
-    for share in (0.01, 0.5, 0.9, 1.0):
-        assert quantile_with_failures(values, share) == np.quantile(values, share, method="inverted_cdf")
+    for fraction in (0.01, 0.5, 0.9, 1.0):
+        assert quantile_with_failures(values, fraction) == np.quantile(values, fraction, method="inverted_cdf")
     values = np.array([3.0, np.nan, 1.0, 2.0])
     assert quantile_with_failures(values, 0.5) == 2.0
     assert quantile_with_failures(values, 0.75) == 3.0
     assert quantile_with_failures(values, 0.9) == math.inf
     assert math.isnan(quantile_with_failures(np.empty(0), 0.5))
-    with pytest.raises(ValueError, match="share: expected above 0, to 1, got 0"):
+    with pytest.raises(ValueError, match="fraction: expected above 0, to 1, got 0"):
         quantile_with_failures(values, 0.0)

@@ -16,11 +16,11 @@ def test_twenty_iterations_unless_told_otherwise() -> None:
 
 
 @pytest.mark.parametrize("schedule", [SEARCH, TRACKING, (Stage(gross_m=0.01, rounds=3, iterations=50),)])
-@pytest.mark.parametrize("most", [6, 7, 13, 21, 40, 200])
-def test_iterations_are_shared_out(schedule: Schedule, most: int) -> None:
-    shared = with_iterations(schedule, most)
+@pytest.mark.parametrize("maximum", [6, 7, 13, 21, 40, 200])
+def test_iterations_are_shared_out(schedule: Schedule, maximum: int) -> None:
+    shared = with_iterations(schedule, maximum)
     min_rounds = min(stage.rounds for stage in schedule)
-    assert most - min_rounds < total_iterations(shared) <= most
+    assert maximum - min_rounds < total_iterations(shared) <= maximum
     for before, after in zip(schedule, shared, strict=True):
         assert (after.rounds, after.gross_m, after.pitch_px) == (before.rounds, before.gross_m, before.pitch_px)
 

@@ -25,7 +25,7 @@ INDEX = DOFS.index("index_mcp_fe")
 MODEL = load_hand_model()
 HAND = MODEL.hand(dtype=torch.float64)
 REFERENCE = facing("palm")
-SETTINGS = HullTorqueSettings(outside_share=0.0)
+SETTINGS = HullTorqueSettings(outside_fraction=0.0)
 
 
 def flat(deg: float) -> Tensor:
@@ -53,19 +53,19 @@ def bent() -> BentFinger:
     )
 
 
-@pytest.mark.parametrize(("level", "most_deg"), [(7, 1.0), (8, 0.5)])
-def test_the_bent_index_is_found_again(bent: BentFinger, level: int, most_deg: float) -> None:
+@pytest.mark.parametrize(("level", "max_deg"), [(7, 1.0), (8, 0.5)])
+def test_the_bent_index_is_found_again(bent: BentFinger, level: int, max_deg: float) -> None:
     found = converge(bent, level, SETTINGS)
-    assert len(found.error_deg) == len(found.inside_share) == 21
+    assert len(found.error_deg) == len(found.inside_fraction) == 21
     assert found.error_deg[0] == pytest.approx(10)
-    assert found.error_deg[-1] <= most_deg
-    assert found.within_share[-1] > found.within_share[0] > 0.5
-    assert found.inside_share[0] < found.inside_share[-1]  # the paper's rate: of all octants that are not WHITE
-    assert found.inside_share[-1] > 0.995
+    assert found.error_deg[-1] <= max_deg
+    assert found.within_fraction[-1] > found.within_fraction[0] > 0.5
+    assert found.inside_fraction[0] < found.inside_fraction[-1]  # the paper's rate: of all octants that are not WHITE
+    assert found.inside_fraction[-1] > 0.995
     assert found.milliseconds > 0
 
 
-def test_another_makers_hand_is_judged_by_the_change(bent: BentFinger) -> None:
+def test_another_makers_hand_is_evaluated_by_the_change(bent: BentFinger) -> None:
     """The start of another hand is off; what it settles to before does not count as a turn."""
     off = bent.start.dofs.clone()
     off[INDEX] = math.radians(4)

@@ -59,9 +59,9 @@ def test_the_filter_learns_rates_and_noise(followed: Any) -> None:
 def test_only_free_parameters_move(followed: Any) -> None:
     tracker, _, estimates = followed
     free = tracker._parts.motion.space.free_names
-    held = [i for i, name in enumerate(DOFS) if name not in free and not name.startswith("root_r")]
+    frozen = [i for i, name in enumerate(DOFS) if name not in free and not name.startswith("root_r")]
     for estimate in estimates[1:]:
-        torch.testing.assert_close(estimate.pose[held], estimates[0].pose[held], atol=1e-12, rtol=0)
+        torch.testing.assert_close(estimate.pose[frozen], estimates[0].pose[frozen], atol=1e-12, rtol=0)
 
 
 def test_a_saved_state_goes_on_bit_for_bit(film: Any, followed: Any) -> None:

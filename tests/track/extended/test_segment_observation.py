@@ -153,18 +153,18 @@ def test_an_open_hand_shows_all_segments_and_a_bent_finger_hides_its_own(studio:
     observe = observed(placed, "dof36")
     open_hand = torch.zeros(36, dtype=torch.float64)
     assert observe.usable(open_hand).all()
-    assert float(observe.visible_share(open_hand).min()) > 0.7
+    assert float(observe.visible_fraction(open_hand).min()) > 0.7
     behind = studio.placed(view="back", posed="open")
     curled = torch.zeros(36, dtype=torch.float64)
     for dof, angle in (("middle_mcp_fe", 85.0), ("middle_pip_fe", 100.0), ("middle_dip_fe", 67.0)):
         curled[DOFS.index(dof)] = math.radians(angle)
-    seen = observed(behind, "dof36").visible_share(curled)
+    seen = observed(behind, "dof36").visible_fraction(curled)
     is_middle = torch.tensor([name.startswith("middle") for name in SEGMENT_NAMES])
     assert float(seen[is_middle].max()) < 0.5  # under the palm, seen from the back
     usable = observed(behind, "dof36").usable(curled)
     assert usable[~is_middle].all()
     assert not usable[is_middle].any()
-    blind = observed(behind, "dof36", SegmentSettings(least_visible=0.0))
+    blind = observed(behind, "dof36", SegmentSettings(min_visible=0.0))
     assert blind.usable(curled)[8:10].all()  # it is hiding alone that leaves the middle phalanx out
 
 
@@ -302,8 +302,8 @@ def test_gradients_reach_the_shape(studio: Any) -> None:
     ("values", "message"),
     [
         ({"position_std_px": 0.0}, r"segments\.position_std_px: expected above 0 and finite, got 0\.0"),
-        ({"least_visible": 1.5}, r"segments\.least_visible: expected 0 to 1, got 1\.5"),
-        ({"least_foreshortening": 0.0}, r"segments\.least_foreshortening: expected above 0, at most 1, got 0\.0"),
+        ({"min_visible": 1.5}, r"segments\.min_visible: expected 0 to 1, got 1\.5"),
+        ({"min_foreshortening": 0.0}, r"segments\.min_foreshortening: expected above 0, at most 1, got 0\.0"),
         ({"samples": 0}, r"segments\.samples: expected 1 or more, got 0"),
     ],
 )

@@ -127,10 +127,10 @@ def test_hand_that_turns_and_changes_its_digits_at_once_is_followed(rig_hand, ri
 
 def test_digit_that_was_left_behind_is_fetched_now_and_then(tracker, rig_hand, pose_at, masks_of):
     right = pose_at("open")
-    astray = right[0].clone()
+    wrong = right[0].clone()
     little = slice(30, 36)
-    astray[little] = 0.4 * astray[little] + 0.6 * posture("fist", dtype=torch.float64)[little]
-    state, _ = tracker.step(_state(tracker, (astray, right[1])), _views(masks_of((astray, right[1]))), 0.0)
+    wrong[little] = 0.4 * wrong[little] + 0.6 * posture("fist", dtype=torch.float64)[little]
+    state, _ = tracker.step(_state(tracker, (wrong, right[1])), _views(masks_of((wrong, right[1]))), 0.0)
     state = replace(state, usual_score=0.9, best_score=0.98)  # as after some frames without that digit
     errors_mm = []
     for since in (0, 20):

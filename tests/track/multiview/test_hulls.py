@@ -8,7 +8,7 @@ from torchhand.track.multiview.settings import HullOctreeSettings
 from torchhand.volume import HullField
 
 
-def _inside_share(target, points) -> float:
+def _inside_fraction(target, points) -> float:
     value, _ = target.field.sample(points)
     return float((value < 0.003).double().mean())
 
@@ -26,16 +26,16 @@ def skin(rig_hand, pose_at):
 
 
 def test_hull_holds_the_hand_anywhere_and_near(rig, pose_at, masks_of, skin):
-    hulls, masks = Hulls(rig, HullOctreeSettings(follow=0.512)), masks_of(pose_at())
+    hulls, masks = Hulls(rig, HullOctreeSettings(tracked_side=0.512)), masks_of(pose_at())
     whole, near = hulls.anywhere(masks), hulls.near(masks, skin.mean(0))
     for hull in (whole, near):
         assert hull.views == (0, 1, 2, 3)
-        assert _inside_share(hull.target, skin) > 0.97
+        assert _inside_fraction(hull.target, skin) > 0.97
     assert _pitch(near) == pytest.approx(0.512 / 2**7)
 
 
 def test_hull_away_from_the_hand_is_none(rig, pose_at, masks_of):
-    hulls = Hulls(rig, HullOctreeSettings(follow=0.1))
+    hulls = Hulls(rig, HullOctreeSettings(tracked_side=0.1))
     hull = hulls.near(masks_of(pose_at()), torch.tensor((0.25, -0.2, 0.2), dtype=torch.float64))
     assert hull.target is None
     assert hull.reason == "the silhouettes of the views do not meet"
@@ -47,7 +47,7 @@ def test_one_view_that_shows_something_else_is_left_out(rig, pose_at, masks_of, 
     masks[1][5:25, 5:25] = True
     hull = Hulls(rig, HullOctreeSettings()).anywhere(masks)
     assert hull.views == (0, 2, 3)
-    assert _inside_share(hull.target, skin) > 0.97
+    assert _inside_fraction(hull.target, skin) > 0.97
 
 
 def test_views_without_silhouette_do_not_carve(rig, pose_at, masks_of, skin):
@@ -57,7 +57,7 @@ def test_views_without_silhouette_do_not_carve(rig, pose_at, masks_of, skin):
         masks[first], masks[second] = None, torch.zeros_like(masks[second])
         hull = hulls.anywhere(masks)
         assert set(hull.views) == {0, 1, 2, 3} - {first, second}
-        assert hull.target is None or _inside_share(hull.target, skin) > 0.97
+        assert hull.target is None or _inside_fraction(hull.target, skin) > 0.97
 
 
 def test_too_few_views_are_told(rig, pose_at, masks_of):
@@ -82,13 +82,13 @@ def _moved(mask):
 
 
 def test_given_cube(rig, pose_at, masks_of, skin):
-    settings = HullOctreeSettings(side=0.4, centre=(0.0, 0.0, 0.0), follow=None, level=6)
+    settings = HullOctreeSettings(side=0.4, centre=(0.0, 0.0, 0.0), tracked_side=None, level=6)
     hull = Hulls(rig, settings).near(masks_of(pose_at()), torch.full((3,), torch.nan, dtype=torch.float64))
     assert _pitch(hull) == pytest.approx(0.4 / 64)
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("level", 0), ("side", -1.0), ("follow", 0.0), ("margin_px", -1), ("least_views", 0)]
+    ("name", "value"), [("level", 0), ("side", -1.0), ("tracked_side", 0.0), ("margin_px", -1), ("min_views", 0)]
 )
 def test_settings_refuse(name, value):
     with pytest.raises(ValueError, match=f"octree.{name}"):

@@ -44,7 +44,7 @@ def test_skin_is_learned_in_every_view_and_found_in_later_pictures(cameras):
         assert _iou(mask, expected) > 0.95
 
 
-def test_clearest_lesson_counts(cameras):
+def test_clearest_picture_counts(cameras):
     makes = ViewSilhouettes(cameras)
     pictures = [_picture(camera, _disc(camera, (100, 90), 40)) for camera in cameras]
     clear = makes.learn(pictures, [None, None])
@@ -61,9 +61,9 @@ def test_skin_is_as_dark_as_in_the_darker_pictures_but_one(cameras):
     """A part in the shade shows in some pictures only; the darkest may be mistaken."""
     makes = ViewSilhouettes(cameras)
     disc, skins = _disc(cameras[0], (100, 90), 40), [None, None]
-    for share in (1.0, 0.9, 0.8, 0.7, 0.6):
+    for fraction in (1.0, 0.9, 0.8, 0.7, 0.6):
         picture = _picture(cameras[0], disc)
-        picture[disc] = (share * picture[disc].float()).to(torch.uint8)
+        picture[disc] = (fraction * picture[disc].float()).to(torch.uint8)
         skins = makes.learn([picture, None], skins)
     skin = skins[0]
     assert skin is not None

@@ -37,7 +37,7 @@ def _tracked(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "posture", "has_points", "most_px", "most_deg"),
+    ("name", "posture", "has_points", "max_px", "max_deg"),
     [
         ("planar_open", "open", False, 1.0, 0.7),
         ("planar_point", "point", False, 1.0, 0.7),
@@ -45,7 +45,7 @@ def _tracked(
     ],
 )
 def test_planar_motion_of_a_foreign_hand(
-    name: str, posture: str, has_points: bool, most_px: float, most_deg: float, data_dir: Path
+    name: str, posture: str, has_points: bool, max_px: float, max_deg: float, data_dir: Path
 ) -> None:
     folder = data_dir / "synthetic" / name
     if not folder.is_dir():
@@ -63,8 +63,8 @@ def test_planar_motion_of_a_foreign_hand(
     found = np.stack([estimate.keypoints_px[0].numpy() for estimate in estimates if estimate.keypoints_px is not None])
     errors = planar_motion_errors(found, truth)
     assert errors is not None
-    assert math.sqrt(float(np.mean(errors.displacement_px[1:] ** 2))) <= most_px
-    assert math.sqrt(float(np.mean(errors.rotation_deg[1:] ** 2))) <= most_deg
+    assert math.sqrt(float(np.mean(errors.displacement_px[1:] ** 2))) <= max_px
+    assert math.sqrt(float(np.mean(errors.rotation_deg[1:] ** 2))) <= max_deg
 
 
 def test_a_real_hand_waves(data_dir: Path) -> None:

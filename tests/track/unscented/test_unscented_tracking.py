@@ -91,13 +91,13 @@ def test_planar_motion_is_followed(film: Any, followed: Followed) -> None:
 
 def test_only_free_parameters_move(followed: Followed) -> None:
     _, estimates, states = followed
-    held = [i for i, dof in enumerate(DOFS) if dof not in ("root_tx", "root_ty", "root_rx", "root_ry", "root_rz")]
+    frozen = [i for i, dof in enumerate(DOFS) if dof not in ("root_tx", "root_ty", "root_rx", "root_ry", "root_rz")]
     assert states[0].hand is not None
     for estimate in estimates:
         assert estimate.pose is not None
         assert estimate.pose_std is not None
-        torch.testing.assert_close(estimate.pose[held], states[0].hand.base[held], rtol=0, atol=1e-12)
-        assert bool((estimate.pose_std[held] == 0).all())
+        torch.testing.assert_close(estimate.pose[frozen], states[0].hand.base[frozen], rtol=0, atol=1e-12)
+        assert bool((estimate.pose_std[frozen] == 0).all())
     free = [DOFS.index(name) for name in ("root_tx", "root_ty", "root_rz")]
     assert estimates[-1].pose_std is not None
     assert bool((estimates[-1].pose_std[free] > 0).all())
@@ -145,7 +145,7 @@ def test_a_hand_that_vanishes_is_lost_and_recovered(film: Any, followed: Followe
     assert state.hand.failures == 0
 
 
-def test_a_sudden_jump_is_caught_at_once(film: Any, followed: Followed) -> None:
+def test_a_jump_is_caught_at_once(film: Any, followed: Followed) -> None:
     """Frames are missing: a jump beyond the search. A frame that fails is searched afresh, not at the next due time."""
     tracker, _, states = followed
     assert tracker.settings.health.search_every > 1
@@ -246,8 +246,8 @@ def test_a_known_hand_is_certain_of_its_distance(film: Any, followed: Followed) 
     assert torch.equal(state.shape, shape)
     known, fitted = (float(one.keypoints_cov[0, 2, 2]) for one in (first, followed[1][0]))  # type: ignore[index]
     length = film.kinematics.shape_space.names.index("hand_length")
-    share = float(film.kinematics.shape_space.std[length] / shape[length])
-    expected = (share * float(followed[1][0].keypoints[0, 2])) ** 2  # type: ignore[index]
+    fraction = float(film.kinematics.shape_space.std[length] / shape[length])
+    expected = (fraction * float(followed[1][0].keypoints[0, 2])) ** 2  # type: ignore[index]
     assert fitted - known == pytest.approx(expected, rel=0.05)
 
 
@@ -275,7 +275,7 @@ def test_a_known_hand_is_certain_of_its_distance(film: Any, followed: Followed) 
     ids=["grey", "paper_weights", "paper", "order0", "order1", "scale"],
 )
 def test_configurations_follow_a_hand_on_black(settings: TrackerSettings, studio: Any) -> None:
-    film = studio.film("planar", 10, pace=1.7, look=DARK, seed=4)
+    film = studio.film("planar", 10, pace=1.7, scene=DARK, seed=4)
     _, estimates = run(_tracker(film, settings), film.images)
     assert [estimate.status for estimate in estimates] == ["tracked"] * 10
     assert float(motion_error_px(estimates, film.keypoints_px).square().mean().sqrt()) < 0.7
@@ -332,7 +332,7 @@ def test_joint_limits_hold_at_every_frame(studio: Any) -> None:
     assert bool(((poses[:, 6:] - skeleton.lower).abs() < 1e-9).any())  # some joint is at its limit
 
 
-def test_start_points_are_used_once_and_judged(film: Any) -> None:
+def test_start_points_are_used_once_and_evaluated(film: Any) -> None:
     wrist, tip = film.keypoints_px[0, 0].tolist(), film.keypoints_px[0, 12].tolist()
     _, estimates = run(_tracker(film, start_points=(*wrist, *tip)), film.images[:2])
     assert [estimate.status for estimate in estimates] == ["tracked"] * 2
@@ -380,9 +380,9 @@ def test_gradients_flow_after_tracking_in_the_same_process(studio: Any) -> None:
 @pytest.mark.parametrize(("every", "is_right"), [(2, True), (0, False)])
 def test_the_colours_follow_changing_light(studio: Any, every: int, is_right: bool) -> None:
     """The light goes down to a half and turns red within 24 frames: colours of the start alone lose the hand."""
-    film = studio.film("planar", 24, look=SceneSettings(supersampling=2, background="plain", noise=2.0))
+    film = studio.film("planar", 24, scene=SceneSettings(supersampling=2, background="plain", noise=2.0))
     dimmed = 1 + torch.linspace(0, 1, 24)[:, None] * (torch.tensor((0.55, 0.4, 0.3)) - 1)
-    images = [(image * share).round().to(torch.uint8) for image, share in zip(film.images, dimmed, strict=True)]
+    images = [(image * fraction).round().to(torch.uint8) for image, fraction in zip(film.images, dimmed, strict=True)]
     settings = TrackerSettings(colours=ColourUpdateSettings(every=every))
     _, estimates = run(_tracker(film, settings, shape=film.kinematics.default_shape), images)
     assert [estimate.status for estimate in estimates[:12]] == ["tracked"] * 12

@@ -24,7 +24,7 @@ def _rays(points: Tensor, kind: str) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def plain_visible_points(primitives: Primitives, seen: Outline, table: OutlineTable, kind: str) -> Tensor:
-    """The specification: every ray with every primitive's matrices, by the rule of FACTS 4.4."""
+    """The specification: every ray with every primitive's matrices."""
     origins, directions, depth = _rays(seen.points_cam, kind)
     quadrics, clips = primitives.quadrics()
     hits = meet_rays(ray_table(quadrics, origins, directions), ray_table(clips, origins, directions))

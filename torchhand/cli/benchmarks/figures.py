@@ -17,14 +17,14 @@ class Figure:
 
     name: str
     value: float | None
-    """What `must` and `aim` are about; None where it could not be measured."""
+    """Value that `must` and `aim` are about; None where it could not be measured."""
     unit: Literal["ratio", "frames/s", "IoU", "MiB", "%", "rad", "ms", "kbit/s"]
-    """Of value, must and aim. A ratio says how many times faster than the peer ours is."""
+    """Unit of value, must and aim. A ratio says how many times faster than the peer ours is."""
     must: float
-    """At least this; at most, where less is better (AT_MOST)."""
+    """Limit that the value must reach; must not exceed where less is better (AT_MOST)."""
     aim: float | None = None
     ours_ms: float | None = None
-    """Of one call, or of one frame."""
+    """Milliseconds of one call, or of one frame."""
     peer: str | None = None
     peer_ms: float | None = None
     ratio: float | None = None

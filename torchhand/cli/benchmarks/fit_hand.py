@@ -47,7 +47,7 @@ class Picture:
 
 
 def pictures(count: int) -> Iterator[Picture]:
-    """Both hands, both sides, with a forearm and without, after up to sixteen frames of two motions."""
+    """Pictures of both hands, both sides, with a forearm and without, after up to sixteen frames of two motions."""
     model = load_hand_model()
     camera = assumed_camera(*SIZE_PX, horizontal_fov_deg=FOV_DEG)
     for index in range(count):
@@ -66,8 +66,8 @@ def pictures(count: int) -> Iterator[Picture]:
         )
         motion = replace(motion, poses=motion.poses[-1:])
         background = _BACKGROUNDS[index // 5 % 4] if index % 5 == 0 else "plain"
-        look = SceneSettings(background=background, forearm=index // 8 % 2 == 0)
-        frame = next(iter(render_sequence(kinematics, motion, camera, look, generator, shape=shape)))
+        scene = SceneSettings(background=background, forearm=index // 8 % 2 == 0)
+        frame = next(iter(render_sequence(kinematics, motion, camera, scene, generator, shape=shape)))
         frames = HandProjector(kinematics, camera, shape).frames(motion.poses[0], motion.root_reference)
         yield Picture(
             image=_as_jpeg(frame.image),
@@ -100,14 +100,14 @@ def fit_hand_bones(name: str, repeats: int | None) -> Figure:
         found = picture.kinematics(fit.pose, fit.shape, root_reference=fit.root_reference).keypoints
         errors += (100 * (bone_lengths(found) / picture.bones - 1).abs()).tolist()
     fitted = len(errors) // len(BONES)
-    middle, most = np.percentile(errors, (50, 95)).tolist() if errors else (None, None)
+    middle, upper = np.percentile(errors, (50, 95)).tolist() if errors else (None, None)
     note = f"{fitted} of {count} people fitted, the others refused"
     if middle is not None:
         verdict = "" if middle < MEDIAN_MUST else " NOT MET"
         note = f"median {middle:.3g} % (must < {MEDIAN_MUST:g} %, aim {MEDIAN_AIM:g} %){verdict}; {note}"
     return Figure(
         name=name,
-        value=most,
+        value=upper,
         unit="%",
         must=MUST,
         aim=AIM,

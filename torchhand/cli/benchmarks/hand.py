@@ -49,14 +49,15 @@ def kinematics_forward(name: str, repeats: int | None) -> Figure:
 
 
 def kinematics_forward_backward(name: str, repeats: int | None) -> Figure:
-    """With gradients to the pose and to a shape per pose, against the peer's analytical ones to joint angles alone."""
+    """Forward and backward with gradients to the pose and to a shape per pose, against the peer's analytical ones to
+    joint angles alone."""
     kinematics = load_hand_model().kinematics()
     candidates = {"ours": _bones_there_and_back(kinematics, has_shapes=True)} | _peer_there_and_back()
     return against_peer(name, repeats or ROUNDS, "pytorch-kinematics", candidates, must=3.0, aim=8.0)
 
 
 def kinematics_compiled(name: str, repeats: int | None) -> Figure:
-    """The same with ours compiled, and, as a variant, with gradients to the pose alone, as the peer's."""
+    """Forward and backward with ours compiled, and, as a variant, with gradients to the pose alone, as the peer's."""
     if not any(shutil.which(compiler) for compiler in (os.environ.get("CXX") or "g++", "g++", "clang++")):
         note = "torch.compile needs a C++ compiler (g++), which was not found"
         return Figure(name=name, value=None, unit="ratio", must=COMPILED_MUST, aim=COMPILED_AIM, repeats=0, note=note)

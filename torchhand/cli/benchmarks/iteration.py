@@ -41,12 +41,12 @@ class Iteration:
         self.settings = LevenbergMarquardtSettings(iterations=1, damping=1e-2, cost_tolerance=0.0, step_tolerance=0.0)
 
     def residual(self, free: Tensor, channel: Tensor) -> Tensor:
-        """Of one hand."""
+        """The residual of one hand."""
         points = self.case.projector.outline_px(SPACE.dof(free)[None], self.case.reference, TABLE)[0]
         return self.field.sample(points, channel)[0]
 
     def residual_plainly(self, free: Tensor, channel: Tensor) -> Tensor:
-        """The same in operations that every automatic derivative knows."""
+        """The residual in operations that every automatic derivative knows."""
         projector, constants = self.case.projector, self.case.projector.kinematics.chain.constants
         pose, reference = SPACE.dof(free)[:, None], self.case.reference[..., None]
         placed = place_chain_plainly(pose, reference, projector.kinematics.default_levers, constants)
@@ -79,7 +79,7 @@ class Iteration:
         return residual, jacobian
 
     def run(self, linearise: Callable[..., Any], first: NormalEquations) -> Tensor:
-        """Propose a step, evaluate it with its derivatives, and judge it."""
+        """Propose a step, evaluate it with its derivatives, and accept or reject it."""
         with torch.inference_mode(linearise == self.in_closed_form):
             return levenberg_marquardt(linearise, self.start, settings=self.settings, first=first).values
 
@@ -113,9 +113,9 @@ def lm_iteration_pypose(name: str, repeats: int | None) -> Figure:
         f"{HYPOTHESES} hypotheses of ours, {PEER_HYPOTHESES} of the peer's one by one, per hypothesis; {SPACE.size}"
         f" parameters, {TABLE.size} residuals"
     )
-    share = HYPOTHESES / PEER_HYPOTHESES
+    fraction = HYPOTHESES / PEER_HYPOTHESES
     rounds = repeats or ROUNDS
-    return against_peer(name, rounds, "pypose", candidates, must=5.0, aim=20.0, work=share, note=note)
+    return against_peer(name, rounds, "pypose", candidates, must=5.0, aim=20.0, work=fraction, note=note)
 
 
 class _Model(nn.Module):

@@ -73,8 +73,8 @@ def keypoints_to_pose(name: str, repeats: int | None) -> Figure:
     kinematics = load_hand_model().kinematics(dtype=torch.float64)
     skeleton, space = kinematics.skeleton, named_pose_space("dof27")
     generator = torch.Generator().manual_seed(0)
-    share = torch.rand(FRAMES, len(skeleton.lower), generator=generator, dtype=torch.float64)
-    joints = skeleton.lower + share * (skeleton.upper - skeleton.lower)
+    fraction = torch.rand(FRAMES, len(skeleton.lower), generator=generator, dtype=torch.float64)
+    joints = skeleton.lower + fraction * (skeleton.upper - skeleton.lower)
     root = torch.randn(FRAMES, 6, generator=generator, dtype=torch.float64)
     truth = space.dof(torch.cat((root, joints), -1)[:, [DOFS.index(dof) for dof in space.free_names]])
     points = kinematics(truth).keypoints

@@ -104,7 +104,7 @@ class Case:
 
 
 def _registration(case: Case, schedule: Schedule) -> Callable[[PictureContours], Solutions]:
-    """With all that a tracker's registration has: constraints, prior and what is expected."""
+    """Registration with all that a tracker's registration has: constraints, prior and what is expected."""
     contours, model, starts = case.contours(TABLE), load_hand_model(), case.starts
     std = torch.full((SPACE.size,), math.radians(9.0), dtype=torch.float64)
     std[:3], std[3:6] = 0.03, 0.3
@@ -143,10 +143,10 @@ def one_registration(name: str, repeats: int | None) -> Figure:
     """One hypothesis from a prediction a few degrees off; the picture's maps and valleys are measured by themselves."""
     case = Case.of(1, deg=4.0, mm=3.0)
     fit, repeats = _registration(case, TRACKING), repeats or ROUNDS
-    look = partial(picture_contours, case.mask, TRACKING, image=case.image)
+    extract = partial(picture_contours, case.mask, TRACKING, image=case.image)
     with _picture_threads():
-        contours = look()
-        calls = {"fit": lambda: fit(contours), "picture": look, "together": lambda: fit(look())}
+        contours = extract()
+        calls = {"fit": lambda: fit(contours), "picture": extract, "together": lambda: fit(extract())}
         times = time_interleaved(calls, repeats, warm_up=3)
     found = fit(contours)
     errors = [float(case.errors_mm(hands)) for hands in (case.starts, found.pose)]

@@ -94,9 +94,9 @@ def memory_figure(
     )
 
 
-def there_and_back(moments: Sequence[Item], frames: int, what: str) -> Iterable[Item]:
+def there_and_back(items: Sequence[Item], frames: int, what: str) -> Iterable[Item]:
     """So many frames of a motion that goes forth and back again and again, with a progress bar."""
-    return with_bar(islice(cycle((*moments, *moments[-2:0:-1])), frames), frames, what)
+    return with_bar(islice(cycle((*items, *items[-2:0:-1])), frames), frames, what)
 
 
 def with_bar(steps: Iterable[Any] | None, total: int, what: str) -> Any:
@@ -104,7 +104,7 @@ def with_bar(steps: Iterable[Any] | None, total: int, what: str) -> Any:
 
 
 def own_environment() -> dict[str, str]:
-    """Of a process that shall find this package, installed or not."""
+    """Environment of a process that shall find this package, installed or not."""
     package = str(Path(torchhand.__file__).resolve().parents[1])
     return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, (package, os.environ.get("PYTHONPATH"))))}
 

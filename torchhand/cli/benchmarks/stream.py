@@ -81,7 +81,7 @@ def _figure(name: str, repeats: int | None, clips: dict[str, MotionClip]) -> Fig
         note="\n    ".join(lines),
         details={
             "kbit_per_s": best,
-            "still_share": {clip: _still_share(clips[clip]) for clip in clips},
+            "still_fraction": {clip: _still_fraction(clips[clip]) for clip in clips},
             "dofs": moving,
             "table": [{"clip": clip, "step_deg": step} | _entry(figures) for (clip, step), figures in rows.items()],
         },
@@ -107,7 +107,7 @@ def _moves(clip: MotionClip, column: int) -> bool:
     return bool((clip.poses[:, column] != clip.poses[0, column]).any())
 
 
-def _still_share(clip: MotionClip) -> float:
+def _still_fraction(clip: MotionClip) -> float:
     """Share of the frames in which no joint angle changes by more than a tenth of a degree."""
     change = torch.rad2deg(clip.poses[:, len(ROOT_DOFS) :].diff(dim=0)).abs().amax(-1)
     return float((change <= 0.1).double().mean())

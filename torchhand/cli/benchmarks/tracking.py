@@ -30,7 +30,7 @@ FILTER_ROUNDS, TRACKING_ROUNDS = 15, 5
 
 
 def filter_update(name: str, repeats: int | None) -> Figure:
-    """Both updates from the same sigma points and the same observations, which are computed before."""
+    """Time of both updates from the same sigma points and the same observations, which are computed before."""
     generator = torch.Generator().manual_seed(0)
     normal = partial(torch.randn, generator=generator, dtype=torch.float64)
     root = 0.1 * normal(STATE, STATE)
@@ -76,13 +76,13 @@ def _filterpy_update(
     return run
 
 
-def _simulated(motion: str, size: tuple[int, int], frames: int, look: SceneSettings) -> tuple[Camera, list[Tensor]]:
+def _simulated(motion: str, size: tuple[int, int], frames: int, scene: SceneSettings) -> tuple[Camera, list[Tensor]]:
     """A camera and the pictures of a hand before a plain wall."""
     kinematics = load_hand_model().kinematics(dtype=torch.float64)
     camera = replace(assumed_camera(*size, horizontal_fov_deg=FOV_DEG), is_assumed=False)
     generator = torch.Generator().manual_seed(0)
     course = scripted_motion(motion, frames, kinematics, camera, generator, fps=FRAMES_PER_SECOND)
-    rendered = render_sequence(kinematics, course, camera, look, generator)
+    rendered = render_sequence(kinematics, course, camera, scene, generator)
     return camera, [frame.image for frame in with_bar(rendered, frames, "rendering")]
 
 

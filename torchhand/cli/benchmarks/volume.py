@@ -49,7 +49,7 @@ def octree(name: str, repeats: int | None, *, level: int, must: float, aim: floa
 
 
 def frame_cameras() -> list[Camera]:
-    """Four cameras of a frame of 60 cm, as in paper 002: front, side, top, top at 45 degrees."""
+    """Four cameras of a frame of 60 cm, as in Ueda et al. (2003): front, side, top, top at 45 degrees."""
     half = 0.5**0.5
     turns = {
         "front": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),

@@ -31,7 +31,7 @@ class Actor:
     shape: Float[Tensor, "shape"]
     side: Side
     hand: Hand | None
-    """With its skin, where that is drawn."""
+    """Hand with its skin, where that is drawn."""
     model: HandModel
 
 
@@ -49,7 +49,7 @@ def actor_of(arguments: Arguments, generator: torch.Generator) -> Actor:
 
 
 def motion_of(arguments: Arguments, actor: Actor, camera: Camera, generator: torch.Generator) -> Motion:
-    """In the world of that camera. Raises InputError naming the option that cannot be met."""
+    """Motion in the world of that camera. Raises InputError naming the option that cannot be met."""
     frames = arguments.frames or DEFAULT_FRAMES
     how = {"shape": actor.shape, "view": arguments.view, "fps": arguments.fps}
     if arguments.pose:

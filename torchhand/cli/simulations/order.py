@@ -31,11 +31,11 @@ class Arguments:
     out: Annotated[Path, arg(metavar="DIR")]
     """Folder for the sequence."""
     motion: Literal["planar", "planar_point", "abduction", "flexion", "free", "wave", "leave"] = "planar"
-    """What the hand does."""
+    """Motion of the hand."""
     recorded: Annotated[Path | None, arg(metavar="FILE")] = None
     """Recorded joint angles of a sensing glove to play instead, with a small planar motion on top."""
     recorded_start: float = 0.0
-    """Where in the recording to start, seconds."""
+    """Time in the recording at which to start, seconds."""
     pose: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME[,DOF=DEG,...]")] = ()
     """A posture to show instead, such as point or flat,index_mcp_fe=10; repeat for a motion through several."""
     sampled: bool = False
@@ -66,9 +66,10 @@ class Arguments:
     random_hand: bool = False
     """Another person's hand for every seed."""
     surface: Literal["primitives", "mesh"] | None = None
-    """What is drawn of the hand: its 37 quadrics, or its skin; the quadrics, or the skin with a rig, if not given."""
+    """Surface of the hand that is drawn: its 37 quadrics, or its skin; the quadrics, or the skin with a rig, if not
+    given."""
     background: Literal["plain", "dark", "wall", "clutter", "blue"] = "plain"
-    """What is behind the hand."""
+    """Background behind the hand."""
     skin: Literal["light", "medium", "brown", "dark"] = "light"
     """Colour of the skin."""
     forearm: bool = False
@@ -113,7 +114,7 @@ class Arguments:
                 raise ValueError(f"expected at most one of --rig and --{name}, got both")
 
     def resolved(self) -> "Arguments":
-        """With what depends on other options in place of None."""
+        """The arguments with what depends on other options in place of None."""
         of_rig = self.rig is not None
         return replace(
             self,
@@ -135,7 +136,7 @@ class Arguments:
         return width, height
 
     @property
-    def look(self) -> SceneSettings:
+    def scene(self) -> SceneSettings:
         return SceneSettings(
             surface=self.surface or "primitives",
             background=self.background,

@@ -43,7 +43,7 @@ class MotionClip:
     """Numbers of the frames that repeat another's pose because their own was lost."""
     name: str = "hand"
     up: Up = "-y"
-    """Which axis of the poses' frame points up: -y in the frame of a camera."""
+    """Axis of the poses' frame that points up: -y in the frame of a camera."""
     names: tuple[str, ...] = field(default=DOFS)
     """Names of the poses' columns: DOFS."""
 

@@ -1,4 +1,4 @@
-"""MPEG-4 BAP text files of one hand, written and read in both numberings (FACTS 3.5).
+"""MPEG-4 BAP text files of one hand, written and read in both numberings (ISO/IEC 14496-2 and its draft).
 
 Header `version name fps frames`; then per frame a line of flags, one per parameter, and a line with the frame's number
 and the values of the flagged parameters; `#` begins a comment. Version 3.1 has 186 flags, 3.2 has 296 with the
@@ -23,7 +23,7 @@ from torchhand.hand.conventions import LARGEST_ID, NUMBERINGS, Numbering, bap_id
 BapVersion = Literal["3.1", "3.2"]
 FLAGS: dict[str, int] = {"3.1": 186, "3.2": 296}
 _NUMBERING_COMMENT, _SIDE_COMMENT = "# numbering", "# hand"
-_MOST_FRAMES = 10_000_000
+_MAX_FRAMES = 10_000_000
 _LARGEST_VALUE = 1 << 31
 _UNITS = {"1e-5 rad": 1.0, "1e-5 pi rad": torch.pi}
 BapUnit = Literal["1e-5 rad", "1e-5 pi rad"]
@@ -56,7 +56,7 @@ class BapMotion:
     """What a BAP file holds."""
 
     version: str
-    """3.1 or 3.2"""
+    """Version of the file, 3.1 or 3.2."""
     name: str
     fps: float
     declared: str | None
@@ -64,7 +64,7 @@ class BapMotion:
     flagged: tuple[int, ...]
     """Parameters that any frame has, increasing."""
     values: Float64[Tensor, "frames flagged"]
-    """In the file's units. A parameter without a flag in a frame keeps its last value, 0 before the first."""
+    """Values in the file's units. A parameter without a flag in a frame keeps its last value, 0 before the first."""
 
 
 def read_bap(path: str | Path) -> BapMotion:
@@ -81,7 +81,7 @@ def read_bap(path: str | Path) -> BapMotion:
         raise InputError(f"{path}: expected a BAP file that begins with '3.1 NAME FPS FRAMES' or '3.2 …', got {got}")
     (version, name, rate, count), i = content[0]
     fps, frames = finite(f"{path}, line {i}", rate), whole(f"{path}, line {i}", count)
-    if not 0 < fps <= 1e6 or not 1 <= frames <= _MOST_FRAMES:
+    if not 0 < fps <= 1e6 or not 1 <= frames <= _MAX_FRAMES:
         raise InputError(f"{path}, line {i}: expected a rate above 0 and one frame or more, got {rate} and {count}")
     words = [(word, i) for row, i in content[1:] for word in row][::-1]
     flags = FLAGS[version]

@@ -30,10 +30,10 @@ class BvhMotion:
     parents: tuple[int, ...]
     offsets: Float64[Tensor, "joints 3"]
     channels: tuple[tuple[str, ...], ...]
-    """Of each joint, in small letters."""
+    """Channels of each joint, in small letters."""
     values: Float64[Tensor, "frames channels"]
     frame_time: float
-    """Seconds."""
+    """Time of a frame, seconds."""
 
     def rotations(self) -> Float64[Tensor, "frames joints 3 3"]:
         """parent_from_joint: the product of the rotations in the order in which the channels stand."""

@@ -15,7 +15,7 @@ from torch import Tensor
 from torchhand import __version__
 from torchhand.export.clip import MotionClip
 from torchhand.export.rigged.glb_container import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, GlbContainer
-from torchhand.export.rigged.linear_skin import MOST_TARGETS, LinearSkin, linear_skin
+from torchhand.export.rigged.linear_skin import MAX_TARGETS, LinearSkin, linear_skin
 from torchhand.geometry import continuous, quaternion_of_rotation
 from torchhand.hand import BONES, FINGERS, PARENTS, PosedMesh
 
@@ -30,7 +30,7 @@ def write_glb(clip: MotionClip, path: str | Path, *, has_correctives: bool = Tru
     A clip of one frame becomes a posed hand without animation.
     """
     upright = clip.with_up("y")
-    skin = linear_skin(upright, most_targets=MOST_TARGETS if has_correctives else 0)
+    skin = linear_skin(upright, max_targets=MAX_TARGETS if has_correctives else 0)
     glb = GlbContainer()
     rotation, translation = _local(upright)
     quaternion = continuous(quaternion_of_rotation(rotation)).numpy().astype(np.float32)
@@ -121,11 +121,11 @@ def _mesh(glb: GlbContainer, clip: MotionClip, skin: LinearSkin) -> dict[str, An
 
 def _influences(weights: Tensor) -> tuple[np.ndarray, np.ndarray]:
     """The four strongest bones of every vertex and their shares, which add up to one in float32; unused ones are 0."""
-    share, bone = weights.topk(_INFLUENCES, dim=-1)
-    share = (share / share.sum(-1, keepdim=True)).numpy().astype(np.float32)
-    share[:, 0] = 1 - share[:, 1:].sum(-1)
-    bones = np.where(share > 0, bone.numpy(), 0).astype(np.uint8)
-    return bones, share
+    fraction, bone = weights.topk(_INFLUENCES, dim=-1)
+    fraction = (fraction / fraction.sum(-1, keepdim=True)).numpy().astype(np.float32)
+    fraction[:, 0] = 1 - fraction[:, 1:].sum(-1)
+    bones = np.where(fraction > 0, bone.numpy(), 0).astype(np.uint8)
+    return bones, fraction
 
 
 def _skin(glb: GlbContainer, skin: LinearSkin) -> dict[str, Any]:

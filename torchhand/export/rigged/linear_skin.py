@@ -14,7 +14,7 @@ from torch import Tensor
 from torchhand.export.clip import MotionClip
 from torchhand.hand import HandFrames
 
-MOST_TARGETS = 32
+MAX_TARGETS = 32
 ERROR_BOUND = 1e-4
 """Metres, at every vertex of the frames that the targets are made of."""
 _FRAMES_FOR_TARGETS = 192
@@ -26,20 +26,20 @@ class LinearSkin:
     """A mesh at its bind pose, its targets, and how well they do."""
 
     vertices: Float64[Tensor, "vertices 3"]
-    """At the bind pose, hand frame, metres."""
+    """Vertices at the bind pose, hand frame, metres."""
     bind: HandFrames
-    """The bones there."""
+    """The bones at the bind pose."""
     weights: Float64[Tensor, "vertices 20"]
     targets: Float64[Tensor, "targets vertices 3"]
     target_weights: Float64[Tensor, "frames targets"]
     error: float
     """Largest distance of a vertex from our own skin over all frames of the clip, metres."""
     linear_error: float
-    """The same without targets."""
+    """Largest error without targets, by blending alone."""
 
 
-def linear_skin(clip: MotionClip, *, most_targets: int = MOST_TARGETS, bound: float = ERROR_BOUND) -> LinearSkin:
-    """The skin of a clip; without targets where blending alone is within the bound, or `most_targets` is 0."""
+def linear_skin(clip: MotionClip, *, max_targets: int = MAX_TARGETS, bound: float = ERROR_BOUND) -> LinearSkin:
+    """The skin of a clip; without targets where blending alone is within the bound, or `max_targets` is 0."""
     mesh = clip.model.mesh
     if mesh is None:
         raise ValueError(f"model: expected one with a mesh, {clip.model.name!r} has none")
@@ -47,20 +47,20 @@ def linear_skin(clip: MotionClip, *, most_targets: int = MOST_TARGETS, bound: fl
     weights = clip.hand.skinning.weights.T
     vertices = at_bind.vertices.contiguous()
     chosen = torch.linspace(0, len(clip) - 1, min(len(clip), _FRAMES_FOR_TARGETS)).round().long()
-    lacks = [
-        _lack(clip, chosen_part, vertices, weights, at_bind.frames) for chosen_part in chosen.split(_FRAMES_AT_ONCE)
+    residuals = [
+        _residual(clip, chosen_part, vertices, weights, at_bind.frames) for chosen_part in chosen.split(_FRAMES_AT_ONCE)
     ]
-    lack = torch.cat([part.flatten(1) for part in lacks])
-    targets = _targets(lack, bound, most_targets)
+    residual = torch.cat([part.flatten(1) for part in residuals])
+    targets = _targets(residual, bound, max_targets)
     found, error, linear_error = [], 0.0, 0.0
     for part in torch.arange(len(clip)).split(_FRAMES_AT_ONCE):
-        lack = _lack(clip, part, vertices, weights, at_bind.frames).flatten(1)
-        share = lack @ targets.T
-        rest = (lack - share @ targets).unflatten(1, (-1, 3))
+        residual = _residual(clip, part, vertices, weights, at_bind.frames).flatten(1)
+        fraction = residual @ targets.T
+        rest = (residual - fraction @ targets).unflatten(1, (-1, 3))
         blended = _blend(clip, part, weights, at_bind.frames)
         error = max(error, _largest(blended @ rest[..., None]))
-        linear_error = max(linear_error, _largest(blended @ lack.unflatten(1, (-1, 3))[..., None]))
-        found.append(share)
+        linear_error = max(linear_error, _largest(blended @ residual.unflatten(1, (-1, 3))[..., None]))
+        found.append(fraction)
     scale = targets.abs().amax(1, keepdim=True) if len(targets) else targets.new_ones(0, 1)
     return LinearSkin(
         vertices=vertices,
@@ -79,7 +79,7 @@ def _blend(clip: MotionClip, index: Tensor, weights: Tensor, bind: HandFrames) -
     return torch.einsum("vb,nbij->nvij", weights, turns)
 
 
-def _lack(
+def _residual(
     clip: MotionClip, index: Tensor, vertices: Tensor, weights: Tensor, bind: HandFrames
 ) -> Float64[Tensor, "n vertices 3"]:
     """What has to be added to each vertex before blending for it to come where our skin has it."""
@@ -87,21 +87,21 @@ def _lack(
     shifts = clip.frames.position[index] - (turns @ bind.position[..., None]).squeeze(-1)
     blended = _blend(clip, index, weights, bind)
     linear = (blended @ vertices[..., None]).squeeze(-1) + weights @ shifts
-    lack = clip.hand(clip.poses[index], clip.shape).vertices - linear
-    return torch.linalg.solve(blended, lack[..., None]).squeeze(-1)
+    residual = clip.hand(clip.poses[index], clip.shape).vertices - linear
+    return torch.linalg.solve(blended, residual[..., None]).squeeze(-1)
 
 
-def _targets(lack: Float64[Tensor, "n m"], bound: float, most: int) -> Float64[Tensor, "targets m"]:
+def _targets(residual: Float64[Tensor, "n m"], bound: float, max_targets: int) -> Float64[Tensor, "targets m"]:
     """Orthonormal rows; as few as leave no vertex of any frame off by more than the bound."""
-    left = lack.clone()
-    if not most or float(_norms(left).max()) <= bound:
-        return lack[:0]
-    _, _, directions = torch.linalg.svd(lack, full_matrices=False)
-    for count, direction in enumerate(directions[:most], start=1):
+    left = residual.clone()
+    if not max_targets or float(_norms(left).max()) <= bound:
+        return residual[:0]
+    _, _, directions = torch.linalg.svd(residual, full_matrices=False)
+    for count, direction in enumerate(directions[:max_targets], start=1):
         left -= (left @ direction)[:, None] * direction
         if float(_norms(left).max()) <= bound:
             return directions[:count]
-    return directions[:most]
+    return directions[:max_targets]
 
 
 def _norms(flat: Tensor) -> Tensor:

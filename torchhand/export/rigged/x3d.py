@@ -1,4 +1,4 @@
-"""Motion as X3D 4.0: an H-Anim 2 hand (ISO/IEC 19774, names of FACTS 3.4) with its skin, moved by interpolators.
+"""Motion as X3D 4.0: an H-Anim 2 hand (ISO/IEC 19774) with its skin, moved by interpolators.
 
 Frame: y up, metres. The humanoid stands in our hand frame at the open hand, in which the skin is bound: at rest all
 joints' frames are parallel. The wrist's joint carries the hand's place and rotation in the world. Players blend the
@@ -45,7 +45,7 @@ def write_x3d(clip: MotionClip, path: str | Path, *, skin: X3DSkin = "weights") 
     for name, content in (("title", f"{clip.name}.x3d"), ("generator", f"torchhand {__version__}")):
         ElementTree.SubElement(head, "meta", {"name": name, "content": content})
     scene = ElementTree.SubElement(root, "Scene")
-    _look(scene, upright)
+    _viewpoint(scene, upright)
     names = hanim_joints(clip.side)
     humanoid = _add(scene, "HAnimHumanoid", "humanoid", {"name": clip.name, "version": "2.0"})
     base = _add(humanoid, "HAnimJoint", "humanoid_root", {"name": "humanoid_root", "containerField": "skeleton"})
@@ -69,7 +69,7 @@ def write_x3d(clip: MotionClip, path: str | Path, *, skin: X3DSkin = "weights") 
     write_text(Path(path), _HEADER + ElementTree.tostring(root, encoding="unicode") + "\n")
 
 
-def _look(scene: ElementTree.Element, clip: MotionClip) -> None:
+def _viewpoint(scene: ElementTree.Element, clip: MotionClip) -> None:
     """A viewpoint that sees the whole motion, and navigation around it."""
     points = clip.frames.keypoints.flatten(0, 1)
     low, high = points.amin(0), points.amax(0)

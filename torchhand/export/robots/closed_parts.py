@@ -55,9 +55,9 @@ def above_plane(
         key = (min(a, b), max(a, b))
         if key not in crossings:
             low, high = key
-            share = height[low] / (height[low] - height[high])
+            fraction = height[low] / (height[low] - height[high])
             crossings[key] = len(points)
-            points.append(vertices[low] + share * (vertices[high] - vertices[low]))
+            points.append(vertices[low] + fraction * (vertices[high] - vertices[low]))
         return crossings[key]
 
     kept: list[tuple[int, ...]] = []

@@ -27,11 +27,11 @@ class LinkSolid:
     """One bone's part of the hand, in the bone's frame."""
 
     vertices: Float64[np.ndarray, "vertices 3"]
-    """Metres."""
+    """Vertices of the solid, metres."""
     faces: Int[np.ndarray, "faces 3"]
     """Counter-clockwise seen from outside; every edge has two faces."""
     mass: float
-    """kg"""
+    """Mass, kg."""
     centre: Float64[np.ndarray, "3"]
     """Centre of mass, metres."""
     inertia: Float64[np.ndarray, "3 3"]
@@ -84,7 +84,7 @@ class _Piece(NamedTuple):
 
 
 def _digit(finger: str) -> list[int]:
-    """Its bones that are no part of the palm, from base to tip."""
+    """Bones of a digit that are no part of the palm, from base to tip."""
     levels = ("metacarpal", "proximal", "distal") if finger == "thumb" else ("proximal", "middle", "distal")
     return [BONES.index(f"{finger}_{level}") for level in levels]
 

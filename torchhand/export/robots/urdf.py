@@ -19,7 +19,7 @@ from torchhand.hand import BONES
 
 EFFORT_NM, VELOCITY = 5.0, 20.0
 """Limits of every joint, N m and rad/s: more than a finger can do, so that simulators do not hold it back."""
-_BETWEEN_SHARE, _BETWEEN_RADIUS = 0.02, 0.005  # of the bone's mass; metres
+_BETWEEN_FRACTION, _BETWEEN_RADIUS = 0.02, 0.005  # of the bone's mass; metres
 _COLOUR = "0.80 0.58 0.47 1"
 
 
@@ -48,7 +48,7 @@ def urdf_text(clip: MotionClip, solids: tuple[LinkSolid, ...], meshes: str) -> s
     root.insert(1, material)
     between = {bone: [link for link in root.iter("link") if _is_between(link, bone)] for bone in BONES}
     for bone, solid in zip(BONES, solids, strict=True):
-        kept = 1 - _BETWEEN_SHARE * len(between[bone])
+        kept = 1 - _BETWEEN_FRACTION * len(between[bone])
         link = next(link for link in root.iter("link") if link.get("name") == bone)
         _inertial(link, kept * solid.mass, solid.centre, kept * solid.inertia)
         for kind in ("visual", "collision"):
@@ -58,7 +58,7 @@ def urdf_text(clip: MotionClip, solids: tuple[LinkSolid, ...], meshes: str) -> s
             if kind == "visual":
                 ElementTree.SubElement(part, "material", {"name": "skin"})
         for small in between[bone]:
-            mass = _BETWEEN_SHARE * solid.mass
+            mass = _BETWEEN_FRACTION * solid.mass
             _inertial(small, mass, np.zeros(3), 0.4 * mass * _BETWEEN_RADIUS**2 * np.eye(3))
     for limit in root.iter("limit"):
         limit.set("effort", f"{EFFORT_NM:g}")

@@ -14,7 +14,7 @@ from torchhand.hand import DOFS, Side
 MAGIC, VERSION = b"THP", b"1"
 _LENGTHS = struct.Struct("<III")
 _LONGEST_HEADER = 1 << 20
-_MOST_FRAMES = 10_000_000
+_MAX_FRAMES = 10_000_000
 
 
 def packed_file(header: bytes, stream: bytes) -> bytes:
@@ -60,8 +60,8 @@ def read_header(path: Path, packed: bytes) -> dict[str, Any]:
         if key not in header:
             raise InputError(f"{where}: expected an entry {key!r}, it has none")
     frames, names = header["frames"], header["dofs"]
-    if not isinstance(frames, int) or isinstance(frames, bool) or not 1 <= frames <= _MOST_FRAMES:
-        raise InputError(f"{where}: frames: expected 1 to {_MOST_FRAMES}, got {short(frames)}")
+    if not isinstance(frames, int) or isinstance(frames, bool) or not 1 <= frames <= _MAX_FRAMES:
+        raise InputError(f"{where}: frames: expected 1 to {_MAX_FRAMES}, got {short(frames)}")
     allowed: dict[str, tuple[Side, ...] | tuple[Up, ...]] = {
         "side": ("left", "right"),
         "up": ("y", "-y", "z", "-z"),

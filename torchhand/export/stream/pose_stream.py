@@ -1,4 +1,5 @@
-"""Gestures at a low bit rate: poses as whole steps, predicted frame by frame, range coded (paper 000, section 9).
+"""Gestures at a low bit rate: poses as whole steps, predicted frame by frame, range coded (Ouhaddi and Horain 1998,
+section 9).
 
 A .thp file: b"THP" and the version's digit; lengths of header and stream and the CRC-32 of both (three unsigned 32-bit
 numbers, little-endian); the header, JSON under zlib; the stream of `step_coder`. The header names everything: fps,
@@ -42,9 +43,9 @@ class StreamSettings:
     """A value that is nearer than so many steps stays as it was; 0.5 to 1."""
 
     def __post_init__(self) -> None:
-        for name, most in (("step_deg", 30), ("root_step_deg", 30), ("root_step_mm", 1000)):
-            if not 0 < getattr(self, name) <= most:
-                raise ValueError(f"{name}: expected more than 0, {most} at most, got {getattr(self, name):g}")
+        for name, maximum in (("step_deg", 30), ("root_step_deg", 30), ("root_step_mm", 1000)):
+            if not 0 < getattr(self, name) <= maximum:
+                raise ValueError(f"{name}: expected more than 0, {maximum} at most, got {getattr(self, name):g}")
         if not 0.5 <= self.dead_zone <= 1:
             raise ValueError(f"dead_zone: expected 0.5 to 1, got {self.dead_zone:g}")
 

@@ -108,7 +108,7 @@ def _number(where: str, word: str) -> float:
 
 
 def _rotation(w: float, x: float, y: float, z: float) -> list[list[float]]:
-    """Of a Hamilton unit quaternion."""
+    """Rotation of a Hamilton unit quaternion."""
     return [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],

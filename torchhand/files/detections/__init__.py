@@ -1,11 +1,11 @@
 """Keypoints that other programs detected."""
 
 from torchhand.files.detections.formats import read_detections
-from torchhand.files.detections.record import DetectedHand, Detections, Units
+from torchhand.files.detections.record import Detections, HandDetection, Units
 
 __all__ = [
-    "DetectedHand",
     "Detections",
+    "HandDetection",
     "Units",
     "read_detections",
 ]

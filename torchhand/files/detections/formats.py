@@ -25,7 +25,7 @@ def read_detections(
 
     side: which hand, where the file has both; without it the one seen more often. points: of files with both, "space"
     reads those in space alone (MediaPipe's world landmarks: metres, about the hand's centre), "picture" those in the
-    pictures alone, auto both. units: of arrays, where their numbers leave a doubt. is_mirrored: MediaPipe names the
+    pictures alone, auto both. units: of arrays, where their numbers do not tell. is_mirrored: MediaPipe names the
     hand as if the picture were a mirror image (a selfie); True says it was one, so its names hold, False swaps them.
 
     Raises InputError naming the file (and the frame), what was expected and what was got.

@@ -7,7 +7,15 @@ from typing import Literal
 import numpy as np
 
 from torchhand.errors import InputError
-from torchhand.files.detections.record import COUNT, DetectedHand, Detections, Side, Units, detections_of, most_seen
+from torchhand.files.detections.record import (
+    COUNT,
+    Detections,
+    HandDetection,
+    Side,
+    Units,
+    detections_of,
+    majority_side,
+)
 from torchhand.files.disk import opened_arrays, short
 
 _SPACE_NAMES = ("keypoints3d", "world", "world_landmarks", "hand_world_landmarks", "joints3d", "joints")
@@ -28,7 +36,7 @@ class _Kind:
 
     name: str
     values: np.ndarray
-    """(frames, 21, 3) in space, (frames, 21, 2) in pictures"""
+    """Points: (frames, 21, 3) in space, (frames, 21, 2) in pictures"""
     units: Units
     is_single: bool
     """Whether the file holds one frame, without a dimension for frames."""
@@ -66,7 +74,7 @@ def read_keypoint_arrays(
     trust = _confidences(path, arrays, count, first.is_single)
     labels, score = _labels(path, arrays, count, is_mirrored), _scores(path, arrays, count)
     hands = [
-        DetectedHand(
+        HandDetection(
             picture=None if picture is None else picture.values[i],
             space=None if space is None else space.values[i],
             confidence=None if trust is None else trust[i].clip(0, 1),
@@ -78,20 +86,20 @@ def read_keypoint_arrays(
     return detections_of(
         f"{path}: {first.name}" if first.name else str(path),
         list(zip(_numbers(path, arrays, count), hands, strict=True)),
-        side=side or _side(arrays) or most_seen(labels),
+        side=side or _side(arrays) or majority_side(labels),
         is_normalised=picture is not None and picture.units == "normalised",
         image=_texts(path, arrays, "image", count),
     )
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
-    """By name; that of an .npy is empty."""
+    """Arrays by name; that of an .npy is empty."""
     with opened_arrays(path, complaint="expected an array file of numpy (.npy, .npz) that can be read") as stored:
         return dict(stored)
 
 
 def _kinds(path: Path, arrays: dict[str, np.ndarray], points: Points, units: Units | None) -> list[_Kind]:
-    """At most one kind in space and one in pictures, at least one of either."""
+    """Kinds of the arrays: at most one kind in space and one in pictures, at least one of either."""
     in_space = points != "picture" and units not in ("px", "normalised")
     names = [*(_SPACE_NAMES if in_space else ()), *(_PICTURE_NAMES if points != "space" else ()), *_EITHER_NAMES]
     chosen = [name for name in names if name in arrays]
@@ -185,7 +193,7 @@ def _texts(path: Path, arrays: dict[str, np.ndarray], name: str, count: int) -> 
 
 
 def _numbers(path: Path, arrays: dict[str, np.ndarray], count: int) -> list[int]:
-    """Of the frames."""
+    """Numbers of the frames."""
     if "frame" not in arrays:
         return list(range(count))
     found = arrays["frame"]

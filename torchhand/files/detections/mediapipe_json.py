@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from torchhand.errors import InputError
-from torchhand.files.detections.record import COUNT, DetectedHand, Detections, Side, detections_of, most_seen
+from torchhand.files.detections.record import COUNT, Detections, HandDetection, Side, detections_of, majority_side
 from torchhand.files.disk import read_number, short
 
 _PICTURE_KEYS = ("multi_hand_landmarks", "multiHandLandmarks", "hand_landmarks", "handLandmarks", "landmarks")
@@ -48,7 +48,7 @@ def mediapipe_detections(
     kinds = (points == "space" or (points == "auto" and has_space), points != "space" and has_picture)
     hands = [(number, _hands_of_both(where, frame, *kinds, is_mirrored)) for number, where, frame in frames]
     if side is None:
-        side = most_seen([hand.label for _, found in hands for hand in found])
+        side = majority_side([hand.label for _, found in hands for hand in found])
     rows = []
     for number, found in hands:
         own = [hand for hand in found if hand.label in (side, None)]
@@ -56,7 +56,9 @@ def mediapipe_detections(
     return detections_of(str(path), rows, side=side, is_normalised=True)
 
 
-def _hands_of_both(where: str, frame: Any, has_space: bool, has_picture: bool, is_mirrored: bool) -> list[DetectedHand]:
+def _hands_of_both(
+    where: str, frame: Any, has_space: bool, has_picture: bool, is_mirrored: bool
+) -> list[HandDetection]:
     """Hands of a frame; of both kinds the hands stand in the same order. What does not tell its kind is in space."""
     if not isinstance(frame, Mapping) or _HAND_KEY in frame:
         has_picture = has_picture and not has_space
@@ -110,7 +112,7 @@ def _found(content: Mapping[str, Any], keys: tuple[str, ...]) -> Any:
     return next((content[key] for key in keys if content.get(key) is not None), None)
 
 
-def _hands(where: str, frame: Any, in_space: bool, is_mirrored: bool) -> list[DetectedHand]:
+def _hands(where: str, frame: Any, in_space: bool, is_mirrored: bool) -> list[HandDetection]:
     if frame is None:
         return []
     labels: Any = []
@@ -138,7 +140,7 @@ def _hands(where: str, frame: Any, in_space: bool, is_mirrored: bool) -> list[De
         if side is not None and not is_mirrored:
             side = "left" if side == "right" else "right"
         kinds = {"space": points if in_space else None, "picture": None if in_space else points}
-        result.append(DetectedHand(**kinds, confidence=confidence, label=side, score=score))
+        result.append(HandDetection(**kinds, confidence=confidence, label=side, score=score))
     return result
 
 

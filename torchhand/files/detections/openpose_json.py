@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from torchhand.errors import InputError
-from torchhand.files.detections.record import COUNT, DetectedHand, Detections, Side, detections_of
+from torchhand.files.detections.record import COUNT, Detections, HandDetection, Side, detections_of
 from torchhand.files.disk import read_json, read_numbers, short
 from torchhand.files.pictures import natural_key
 
@@ -35,7 +35,8 @@ def read_openpose_folder(folder: Path, *, side: Side | None = None) -> Detection
 
 
 def openpose_detections(frames: Sequence[tuple[Path, int, Any]], *, side: Side | None = None) -> Detections:
-    """Of (file, frame number, content). Of several people, the hand with the highest total confidence counts.
+    """Detections of (file, frame number, content). Of several people, the hand with the highest total confidence
+    counts.
 
     Without a side, that of the higher total over all frames. Points with confidence 0 (OpenPose writes zeros) are
     missing; a confidence above 1 counts as 1.
@@ -49,7 +50,7 @@ def openpose_detections(frames: Sequence[tuple[Path, int, Any]], *, side: Side |
     rows = []
     for (_, number, _), hand in zip(frames, hands, strict=True):
         found = hand[side]
-        own = None if found is None else DetectedHand(picture=found, space=None, confidence=found[:, 2], label=side)
+        own = None if found is None else HandDetection(picture=found, space=None, confidence=found[:, 2], label=side)
         rows.append((number, own))
     return detections_of(_source(frames), rows, side=side)
 

@@ -17,17 +17,17 @@ COUNT = 21
 
 
 @dataclass(frozen=True, kw_only=True)
-class DetectedHand:
+class HandDetection:
     """What a detector found in one frame."""
 
     picture: Float[np.ndarray, "21 _"] | None
-    """In the picture; NaN where missing, None where the file has none. Columns after the second do not count."""
+    """Points in the picture; NaN where missing, None where the file has none. Columns after the second do not count."""
     space: Float[np.ndarray, "21 3"] | None
-    """In space, metres in the detector's own frame; NaN where missing, None where the file has none."""
+    """Points in space, metres in the detector's own coordinates; NaN where missing, None where the file has none."""
     confidence: Float[np.ndarray, "21"] | None
-    """Of every point, 0 to 1; None where the detector gives none."""
+    """Confidence of every point, 0 to 1; None where the detector gives none."""
     label: Side | None = None
-    """Which hand it is to the detector, where the file tells."""
+    """Side of the hand according to the detector, where the file tells."""
     score: float = float("nan")
     """How sure the detector is of this hand, 0 to 1; NaN where the file does not tell."""
 
@@ -40,20 +40,20 @@ class Detections:
     """
 
     picture: Float64[np.ndarray, "frames 21 2"] | None
-    """In px, or in shares of the picture's width and height (`is_normalised`); NaN where missing, None where the file
-    has none."""
+    """Points in the pictures, px, or fractions of the picture's width and height (`is_normalised`); NaN where missing,
+    None where the file has none."""
     space: Float64[np.ndarray, "frames 21 3"] | None
-    """Metres in the detector's own frame; NaN where missing, None where the file has none."""
+    """Points in space, metres in the detector's own coordinates; NaN where missing, None where the file has none."""
     confidence: Float64[np.ndarray, "frames 21"]
-    """Of every point, 0 where it is missing, 1 where the detector gives none."""
+    """Confidence of every point, 0 where it is missing, 1 where the detector gives none."""
     frame: Int[np.ndarray, "frames"]
     """Number of each frame in its sequence."""
     label: tuple[Side | None, ...]
-    """Which hand the detector saw in each frame, where the file tells; points of the other hand are missing."""
+    """Side of the hand that the detector saw in each frame, where the file tells; points of other hands are missing."""
     score: Float64[np.ndarray, "frames"]
     """How sure the detector was of the hand in each frame, 0 to 1; NaN where the file does not tell."""
     side: Side | None
-    """Which hand, where the file tells."""
+    """Side of the hand, where the file tells."""
     is_normalised: bool = False
     image: tuple[str, ...] | None = None
     """Name of each frame's picture, where the file tells."""
@@ -65,25 +65,26 @@ class Detections:
 
     @property
     def units(self) -> Units:
-        """Of `keypoints`."""
+        """Unit of `keypoints`."""
         return "metres" if self.space is not None else "normalised" if self.is_normalised else "px"
 
     @property
     def keypoints(self) -> Float64[np.ndarray, "frames 21 d"]:
-        """Those in space where there are some, else those in the pictures."""
+        """Points in space where there are some, else those in the pictures."""
         found = self.picture if self.space is None else self.space
         assert found is not None
         return found
 
     def in_space(self) -> "Detections":
-        """Without what is known of the pictures. Raises ValueError where the points are those of pictures alone."""
+        """The detections without what is known of the pictures. Raises ValueError where the points are those of
+        pictures alone."""
         if self.space is None:
             raise ValueError("units: expected points in space, got those of a picture")
         return replace(self, picture=None, is_normalised=False)
 
     def in_pixels(self, width: int, height: int) -> "Detections":
-        """Those in the pictures alone, as px: of shares, 0 and 1 are the picture's edges; the centre of the first pixel
-        is (0, 0). Raises ValueError where there are none."""
+        """The points in the pictures alone, as px: of fractions, 0 and 1 are the picture's edges; the first pixel's
+        centre is (0, 0). Raises ValueError where there are none."""
         if self.picture is None:
             raise ValueError("units: expected points of a picture, got metres")
         if not self.is_normalised:
@@ -91,11 +92,11 @@ class Detections:
         points = self.picture * np.array((width, height), dtype=np.float64) - 0.5
         return replace(self, picture=points, space=None, is_normalised=False, size=(width, height))
 
-    def at_frame(self, number: int) -> DetectedHand | None:
+    def at_frame(self, number: int) -> HandDetection | None:
         """The hand in the frame of a number; None where the file has no such frame, or no hand in it."""
         return self._at(self._rows_of_frames.get(number))
 
-    def in_image(self, name: str | Path) -> DetectedHand | None:
+    def in_image(self, name: str | Path) -> HandDetection | None:
         """The hand in the picture of a name, of which folders do not count; None where the file has no such picture, or
         no hand in it. Raises ValueError where the file does not name its pictures."""
         if self.image is None:
@@ -110,10 +111,10 @@ class Detections:
     def _rows_of_images(self) -> dict[str, int]:
         return {Path(name).name: row for row, name in enumerate(self.image or ())}
 
-    def _at(self, row: int | None) -> DetectedHand | None:
+    def _at(self, row: int | None) -> HandDetection | None:
         if row is None or not self.confidence[row].any():
             return None
-        return DetectedHand(
+        return HandDetection(
             picture=None if self.picture is None else self.picture[row],
             space=None if self.space is None else self.space[row],
             confidence=self.confidence[row],
@@ -124,7 +125,7 @@ class Detections:
 
 def detections_of(
     where: str,
-    rows: Sequence[tuple[int, DetectedHand | None]],
+    rows: Sequence[tuple[int, HandDetection | None]],
     *,
     side: Side | None,
     is_normalised: bool = False,
@@ -162,14 +163,14 @@ def detections_of(
     )
 
 
-def most_seen(labels: Sequence[Side | None]) -> Side | None:
+def majority_side(labels: Sequence[Side | None]) -> Side | None:
     """The side that is told more often, right where both are; None where neither is."""
     left, right = list(labels).count("left"), list(labels).count("right")
     return None if not left + right else "left" if left > right else "right"
 
 
-def _confidence(hand: DetectedHand | None) -> Float64[np.ndarray, "21"]:
-    """Of every point; what is no number is 0."""
+def _confidence(hand: HandDetection | None) -> Float64[np.ndarray, "21"]:
+    """Confidence of every point; what is no number is 0."""
     if hand is None:
         return np.zeros(COUNT)
     return np.ones(COUNT) if hand.confidence is None else np.nan_to_num(hand.confidence, posinf=0.0).astype(np.float64)

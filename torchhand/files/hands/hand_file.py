@@ -19,7 +19,7 @@ class FittedHand:
     """A hand's shape as read from a file."""
 
     side: str
-    """left or right"""
+    """Side of the hand: left or right."""
     values: dict[str, float]
     """Shape parameter by name, in the order in which the caller named them."""
     units: dict[str, str]

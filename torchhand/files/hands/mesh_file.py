@@ -59,9 +59,9 @@ def load_mesh(path: str | Path, *, shape_names: Sequence[str]) -> HandMesh:
     sizes["correctives"] = len(corrective_names)
     for name, dims in (_FLOATS | _INTEGERS).items():
         _check_array(f"{path}: {name}", arrays[name], dims, sizes, kind="f" if name in _FLOATS else "iu")
-    for name, most in (("faces", sizes["vertices"]), ("skin_bones", len(BONES))):
-        if arrays[name].size and not 0 <= arrays[name].min() <= arrays[name].max() < most:
-            raise InputError(f"{path}: {name}: expected indices from 0 to {most - 1}, got others")
+    for name, maximum in (("faces", sizes["vertices"]), ("skin_bones", len(BONES))):
+        if arrays[name].size and not 0 <= arrays[name].min() <= arrays[name].max() < maximum:
+            raise InputError(f"{path}: {name}: expected indices from 0 to {maximum - 1}, got others")
     weights = torch.from_numpy(arrays["skin_weights"].astype(np.float64))
     total = weights.sum(-1, keepdim=True)
     if bool((weights < 0).any()) or bool(((total - 1).abs() > _WEIGHT_TOLERANCE).any()):

@@ -21,7 +21,7 @@ class Frame:
     index: int
     """Place in the source, counted from 0 at its very first frame (also when reading starts later)."""
     image: UInt8[Tensor, "height width 3"] | None
-    """RGB; None where the frame could not be decoded."""
+    """The picture, RGB; None where the frame could not be decoded."""
     problem: str | None = None
     """One line for the user where `image` is None."""
 
@@ -32,7 +32,7 @@ class FrameRange:
 
     start: int = 0
     max_frames: int | None = None
-    """None: to the end."""
+    """Number of frames at most; None: to the end."""
     already_done: int = 0
     """Frames of the range that an earlier run has finished; it is no error when none remain."""
 
@@ -77,9 +77,9 @@ class FrameSource(ABC):
     count: int | None
     """How many frames this reading will deliver, for a progress bar; containers lie, so nothing else may rely on it."""
     width: int
-    """px"""
+    """Width of the pictures, px."""
     height: int
-    """px"""
+    """Height of the pictures, px."""
     ended_early: str | None = None
     """After the last frame: one line for the user if the container had promised more frames than could be read."""
 

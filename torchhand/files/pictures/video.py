@@ -19,7 +19,7 @@ VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpe
 FILE_PATIENCE = 300
 """Failed reads in a row after which a video file has ended; at the true end each costs microseconds."""
 WEBCAM_PATIENCE = 3
-"""The same for a webcam, where a failed read can wait for seconds."""
+"""Failed reads in a row after which a webcam has ended, each of which can take seconds."""
 _LARGEST_FPS = 1000.0
 _LARGEST_COUNT = 10**8
 

@@ -35,9 +35,9 @@ class TrackHeader:
     source: str
     """The input as the user named it."""
     side: str
-    """left or right"""
+    """Side of the hand: left or right."""
     camera: Mapping[str, Any]
-    """What identifies the camera: name, size, numbers, whether it was assumed. Values that JSON knows."""
+    """Identity of the camera: name, size, numbers, whether it was assumed. Values that JSON knows."""
     units: str = UNITS
     convention: str = CONVENTION
     made_with: Mapping[str, Any] = field(default_factory=dict)
@@ -60,11 +60,11 @@ class FrameRecord:
     pose_std: Float[np.ndarray, "dofs"]
     """Standard deviation of each DOF."""
     keypoints3d: Float[np.ndarray, "21 3"]
-    """Metres, camera frame (world frame for several cameras)."""
+    """Keypoints in space, metres, camera frame (world frame for several cameras)."""
     keypoints2d: Float[np.ndarray, "21 2"] | None
-    """px; None for several cameras."""
+    """Keypoints in the picture, px; None for several cameras."""
     keypoints3d_cov: Float[np.ndarray, "21 3 3"]
-    """m²"""
+    """Covariances of the keypoints in space, m²."""
     seconds: float
     """Compute time of the frame."""
     measures: Mapping[str, float] = field(default_factory=dict)

@@ -27,7 +27,7 @@ class FrozenViews:
         self._last: list[Tensor | None] = [None] * len(names)
         self._same = [0] * len(names)
 
-    def judge(self, images: Sequence[Tensor | None], problems: Sequence[str | None]) -> list[str | None]:
+    def check(self, images: Sequence[Tensor | None], problems: Sequence[str | None]) -> list[str | None]:
         """The problems, with those of frozen views."""
         is_same = [
             image is not None and last is not None and image.shape == last.shape and bool(torch.equal(image, last))
@@ -38,12 +38,12 @@ class FrozenViews:
             for image, last, same in zip(images, self._last, is_same, strict=True)
         ]
         self._last = [last if image is None else image for image, last in zip(images, self._last, strict=True)]
-        judged = list(problems)
+        checked = list(problems)
         for i, same in enumerate(is_same):
             if has_changed[i]:
                 self._same[i] = 0
             elif same and any(has_changed):
                 self._same[i] += 1
-            if same and self._same[i] >= FROZEN_AFTER and judged[i] is None:
-                judged[i] = f"{self._names[i]}: frozen, the same picture for {self._same[i] + 1} frames"
-        return judged
+            if same and self._same[i] >= FROZEN_AFTER and checked[i] is None:
+                checked[i] = f"{self._names[i]}: frozen, the same picture for {self._same[i] + 1} frames"
+        return checked

@@ -18,7 +18,7 @@ from torchhand.files.cameras import (
 from torchhand.files.disk import short, suggestion
 from torchhand.files.pictures import natural_key, open_source
 from torchhand.files.rigs.views import view_paths
-from torchhand.geometry import Camera, common_view, look_apart, rig_size, suspected_reading
+from torchhand.geometry import Camera, common_view, look_away, rig_size, suspected_reading
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 """Metres."""
@@ -166,7 +166,7 @@ def _check(path: Path, cameras: Sequence[Camera]) -> None:
     if int(common_view(cameras).sum()) < 2:
         hint = f"they would if {reading}" if reading else "check R and t (X_cam = R X_world + t)"
         raise InputError(f"{path}: no two cameras see anything together; {hint}")
-    if reading is not None and look_apart(cameras):
+    if reading is not None and look_away(cameras):
         raise InputError(f"{path}: the cameras look away from each other's common point; they would not if {reading}")
 
 

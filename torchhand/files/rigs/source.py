@@ -1,4 +1,4 @@
-"""Synchronised pictures of all cameras of a rig, moment by moment, each view with a reason where it has none."""
+"""Synchronised pictures of all cameras of a rig, frame by frame, each view with a reason where it has none."""
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,25 +15,25 @@ from torchhand.files.rigs.view import Picture, RigView, open_view
 from torchhand.files.rigs.views import find_views, mask_paths, view_paths
 from torchhand.geometry import Camera
 
-_LEAST_AGREEMENT = 0.5  # share of the shortest view's numbers that all views have
+_MIN_AGREEMENT = 0.5  # share of the shortest view's numbers that all views have
 
 
 @dataclass(frozen=True, kw_only=True)
 class RigFrame:
-    """One moment: a picture per camera, in the cameras' order."""
+    """One frame: a picture per camera, in the cameras' order."""
 
     index: int
-    """Counted from 0 at the rig's first moment, also when reading starts later."""
+    """Index of the frame, counted from 0 at the rig's first one, also when reading starts later."""
     images: tuple[UInt8[Tensor, "_height _width 3"] | None, ...]
-    """RGB; None where a view is missing, unreadable, of another size, black or frozen."""
+    """Pictures, RGB; None where a view is missing, unreadable, of another size, black or frozen."""
     problems: tuple[str | None, ...]
-    """One line for every picture that is None."""
+    """Problems, one line for every picture that is None."""
     masks: tuple[Bool[Tensor, "_height _width"] | None, ...] | None = None
     """The given silhouettes, None where one is missing; None where none were asked for."""
 
 
 class RigSource:
-    """A context manager and an iterator of `RigFrame`; read once and in order, one moment in memory.
+    """A context manager and an iterator of `RigFrame`; read once and in order, one frame in memory.
 
     Pictures belong together by the number in their names where all views are folders of pictures whose numbers agree,
     else by their place. A camera's offset is added to its positions: an offset of 3 takes its picture number 3 with
@@ -51,7 +51,7 @@ class RigSource:
         keep_all: bool = False,
         mask_views: int = 0,
     ) -> None:
-        """keep_all: moments count that any view has a numbered picture of, not only those between all views' ends.
+        """keep_all: frames count that any view has a numbered picture of, not only those between all views' ends.
 
         mask_views: so many of the last views are the silhouettes of the others, in their order.
 
@@ -82,15 +82,15 @@ class RigSource:
             texts = ", ".join(f"{view.name} {view.fps:g}" for view in usable)
             self.warnings.append(f"the views differ in frames per second ({texts}): they cannot stay synchronous")
         self._length_warnings(usable)
-        moments = self._moments_of(usable, keep_all=keep_all)
-        self._moments = moments if moments is None else moments[::every]
-        if self._moments is not None and start >= len(self._moments):
-            raise InputError(f"start {start} lies after the last moment ({len(self._moments) - 1})")
+        frames = self._frame_positions_of(usable, keep_all=keep_all)
+        self._frame_positions = frames if frames is None else frames[::every]
+        if self._frame_positions is not None and start >= len(self._frame_positions):
+            raise InputError(f"start {start} lies after the last frame ({len(self._frame_positions) - 1})")
         self._start, self._every, self._shift = start, every, self._first(usable)
-        stops = [max_frames and start + max_frames, self._moments and len(self._moments)]
+        stops = [max_frames and start + max_frames, self._frame_positions and len(self._frame_positions)]
         self._stop = min((stop for stop in stops if stop), default=None)
         self.count = self._promised_count(usable)
-        """How many moments this reading will deliver, for a progress bar; None where nobody knows."""
+        """How many frames this reading will deliver, for a progress bar; None where nobody knows."""
         self._used = False
         self._readers: list[Iterator[Picture]] = []
 
@@ -114,7 +114,7 @@ class RigSource:
                 problem or (blackness(name, image) if image is not None and view < self._cameras else None)
                 for view, (name, image, problem) in enumerate(zip(self.names, images, problems, strict=True))
             ]
-            problems = frozen.judge(images, problems)
+            problems = frozen.check(images, problems)
             good = tuple(None if p else image for p, image in zip(problems, images, strict=True))
             count = self._cameras
             yield RigFrame(
@@ -140,10 +140,10 @@ class RigSource:
 
     def _positions(self, offset: int) -> Iterator[int]:
         indices = itertools.count(self._start) if self._stop is None else range(self._start, self._stop)
-        if self._moments is None:
+        if self._frame_positions is None:
             return (self._shift + index * self._every + offset for index in indices)
-        moments = self._moments
-        return (moments[index] + offset for index in indices)
+        frames = self._frame_positions
+        return (frames[index] + offset for index in indices)
 
     def _aligned(self, views: Sequence[RigView], *, keep_all: bool) -> list[RigView]:
         """Positions that mean the same in all views: numbers that they share, else places."""
@@ -153,7 +153,7 @@ class RigSource:
             if keep_all:
                 agree = len(usable) == 1 or any(a & b for a, b in itertools.combinations(numbers, 2))
             else:
-                agree = len(set.intersection(*numbers)) >= _LEAST_AGREEMENT * min(map(len, numbers))
+                agree = len(set.intersection(*numbers)) >= _MIN_AGREEMENT * min(map(len, numbers))
             if agree:
                 if len({min(found) for found in numbers}) > 1 and not keep_all:
                     texts = ", ".join(f"{view.name} {view.first}" for view in usable)
@@ -166,7 +166,7 @@ class RigSource:
         """Numbers of its pictures as a camera without offset would have them."""
         return {position - self._offset(view) for position in view.pictures or ()}
 
-    def _moments_of(self, usable: Sequence[RigView], *, keep_all: bool) -> list[int] | None:
+    def _frame_positions_of(self, usable: Sequence[RigView], *, keep_all: bool) -> list[int] | None:
         """Positions for a camera without offset; None where only reading tells the end."""
         folders = [view for view in usable if view.pictures is not None]
         if not folders:
@@ -181,7 +181,7 @@ class RigSource:
         return [number for number in found if first <= number <= last]
 
     def _first(self, usable: Sequence[RigView]) -> int:
-        """Position of the first moment, for a camera without offset."""
+        """Position of the first frame, for a camera without offset."""
         return max(view.first - self._offset(view) for view in usable)
 
     def _offset(self, view: RigView) -> int:

@@ -27,7 +27,7 @@ class RigView:
     name: str
     path: Path | None
     width: int = 0
-    """px; 0 where the view cannot be used."""
+    """Width of the pictures, px; 0 where the view cannot be used."""
     height: int = 0
     fps: float = ASSUMED_FPS
     first: int = 0
@@ -37,7 +37,7 @@ class RigView:
     problem: str | None = None
     """Why the view cannot be used at all."""
     pictures: dict[int, Path] | None = None
-    """By position; None of videos."""
+    """Pictures by position; None of videos."""
     reference: Path | None = None
     """A picture of the right size, which also tells what counts as white in pictures of more than 8 bits."""
 

@@ -20,21 +20,21 @@ class Correspondences:
     """What is compared with a picture, frozen about some hands; a row per hand."""
 
     normals: Float[Tensor, "hands 2 points"]
-    """Of the model's points, as they were when this was decided."""
+    """Normals of the model's points, as they were when the points were associated."""
     channel: Int[Tensor, "hands points"]
-    """Of the outer contour's map."""
+    """Channel of the outer contour's map, for every model point."""
     on_valley: Float[Tensor, "hands points"]
     """1 for points that are compared with the valleys, 0 for those that are compared with the outer contour."""
     match: Int[Tensor, "hands 2 boundary"]
     """The model point of every point of the picture's boundary, twice; any where there is none."""
     is_matched: Float[Tensor, "hands boundary"]
-    """1, or 0 where there is none."""
+    """Whether the point has a match: 1, or 0 where it has none."""
     pair_normal: Float[Tensor, "hands 2 boundary"]
     """Normal of the match; 0 without one."""
     pair_offset: Float[Tensor, "hands boundary"]
-    """What is taken from the product of that normal with the match's place, px."""
+    """Number that is taken from the product of that normal with the match's place, px."""
     weight: Float[Tensor, "hands terms"]
-    """Of the model's points, then of the boundary's; px⁻²."""
+    """Weights of the model's points, then of the boundary's; px⁻²."""
     sharpness: Float[Tensor, "hands terms"]
     """Inverse squares of the distances beyond which residuals are gross; px⁻²."""
 
@@ -72,7 +72,7 @@ class Correspondences:
         )
 
     def rows(self, rows: Int[Tensor, "k"]) -> "Correspondences":
-        """Of some of the hands."""
+        """The rows of some of the hands."""
         return Correspondences(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
 

@@ -21,7 +21,7 @@ def match_boundary(
     *,
     turn_px: float | Float[Tensor, "hands"],
 ) -> Int[Tensor, "hands boundary"]:
-    """For every point of a picture's boundary the model's nearest; -1 where a hand has no usable point.
+    """Nearest point of the model for every point of a picture's boundary; -1 where a hand has no usable point.
 
     Near in place and in direction: d² = |Δx|² + (turn_px |Δnormal|)², so that the side of a finger goes to the same
     side of a finger.
@@ -31,8 +31,8 @@ def match_boundary(
     model = torch.cat((points_px, normals), -1).to(torch.float32)
     model = model.nan_to_num(nan=1e6, posinf=1e6, neginf=-1e6) - middle  # keeps the products small, as do the weights
     turn = torch.as_tensor(turn_px, dtype=torch.float32, device=model.device).expand(len(model))
-    most = turn.clamp_min(1.0)
-    near, alike = (1 / most).square(), (turn / most).square()
+    ratio = turn.clamp_min(1.0)
+    near, alike = (1 / ratio).square(), (turn / ratio).square()
     weighted = model * torch.stack((near, near, alike, alike), -1)[:, None]
     length = torch.where(is_usable, (weighted * model).sum(-1), torch.inf)
     # The weighted |model - picture|² less what is the same for all of the model, as one product.

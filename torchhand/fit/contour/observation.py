@@ -30,8 +30,8 @@ class ContourObservation:
 
     picture: PictureContours
     contours: Contours
-    """Of the surface to fit, primitives or mesh, before this camera. They are remade where the hand's shape is another
-    than theirs."""
+    """Contours of the surface to fit, primitives or mesh, before this camera. They are remade where the hand's shape is
+    another than theirs."""
     settings: ContourSettings
     view: int = 0
 
@@ -40,7 +40,7 @@ class ContourObservation:
         return self.picture.is_empty
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "ContourObservation":
-        """The same for all hypotheses."""
+        """This observation itself, which all hypotheses have in common."""
         return self
 
     def associate(self, hands: PosedHands, stage: Stage) -> "ContourFactor":
@@ -77,7 +77,7 @@ class ContourObservation:
     def _weights(
         self, visible: VisibleContour, gross_px: Float[Tensor, "hands"], length_px: Float[Tensor, "hands"]
     ) -> Float[Tensor, "hands terms"]:
-        """Of the model's points, then of the picture's: inverse variances, shared among those that count."""
+        """Weights of the model's points, then of the picture's: inverse variances, shared among those that count."""
         s, boundary = self.settings, self.picture.boundary
         precision = (s.contour_std_fraction * gross_px).clamp_min(s.contour_std_px).square().reciprocal()[:, None]
         outer, inner = visible.outer.to(precision), visible.inner.to(precision)
@@ -105,7 +105,7 @@ class ContourFactor:
     view: int
 
     def equations(self, hands: PosedHands) -> Equations:
-        """In the DOFs, and in the shape where it is unknown."""
+        """Normal equations in the DOFs, and in the shape where it is unknown."""
         motion = self.visible.motion if hands is self.associated else None
         if motion is None:
             motion = contours_of(self.contours, hands.shape, hands).motion(hands.pose, self.visible)
@@ -125,7 +125,7 @@ class ContourFactor:
         )
 
     def rows(self, rows: Int[Tensor, "n"]) -> "ContourFactor":
-        """Of some of the hands."""
+        """The rows of some of the hands."""
         return replace(
             self,
             visible=self.visible.rows(rows),
@@ -136,7 +136,8 @@ class ContourFactor:
         )
 
     def explained(self) -> tuple[Explained, ...]:
-        """Of the picture's contour on the fingers' side of the wrist; infinitely far where no outline is visible."""
+        """What is explained of the picture's contour on the fingers' side of the wrist; infinitely far where no outline
+        is visible."""
         pairs, points = self.pairs, self.visible.points_px
         weight = pairs.weight[:, points.shape[1] :]
         total = weight.sum(-1).clamp_min(1e-30)
@@ -149,7 +150,7 @@ class ContourFactor:
             Explained(
                 name=CONTOUR,
                 view=self.view,
-                share=torch.where(is_seen, near, 0.0),
+                fraction=torch.where(is_seen, near, 0.0),
                 distance=torch.where(is_seen, mean, torch.inf),
             ),
         )

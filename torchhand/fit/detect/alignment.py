@@ -29,10 +29,10 @@ _SPREADS = (1.0, 0.35)  # the posture is tried with its abductions as they are a
 _COARSE_POINTS, _FINE_POINTS = 110, 260  # outline points compared in the search and in its refinement
 _BEST = 12  # placements kept of each disc and template
 _REFINED = 12  # distinct placements refined
-_FEWEST_EDGE_POINTS = 20
+_MIN_EDGE_POINTS = 20
 _DISCS = 4  # places tried for the palm
-_LEAST_RADIUS_PX = 2.0
-_LEAST_SHARE = 0.55  # smallest radius of a disc over that of the largest
+_MIN_RADIUS_PX = 2.0
+_MIN_RADIUS_RATIO = 0.55  # smallest radius of a disc over that of the largest
 _BLANKED = 1.2  # no two discs have centres nearer than so many radii
 
 
@@ -43,7 +43,7 @@ class Alignment:
     pose: Float[Tensor, "36"]
     """Metres and radians, camera frame, with a zero rotation vector."""
     root_reference: Float[Tensor, "3 3"]
-    """cam_from_hand"""
+    """Rotation cam_from_hand."""
     facing: str
     """Side that the camera sees: palm or back."""
     cost: float
@@ -73,7 +73,7 @@ def align_posture(
     )
     small = (small > 127).astype(np.uint8)
     edge = boundary(small)
-    if len(edge) < _FEWEST_EDGE_POINTS:
+    if len(edge) < _MIN_EDGE_POINTS:
         return []
     distance = edge_distance(edge, small.shape)
     found: list[Candidate] = []
@@ -105,7 +105,7 @@ def _discs(mask: np.ndarray) -> list[tuple[np.ndarray, float]]:
     while len(discs) < _DISCS:
         y, x = np.unravel_index(int(left.argmax()), left.shape)
         radius = float(left[y, x])
-        if radius < _LEAST_RADIUS_PX or (discs and radius < _LEAST_SHARE * discs[0][1]):
+        if radius < _MIN_RADIUS_PX or (discs and radius < _MIN_RADIUS_RATIO * discs[0][1]):
             break
         discs.append((np.array((x, y), float), radius))
         cv2.circle(left, (int(x), int(y)), max(2, int(_BLANKED * radius)), 0.0, -1)

@@ -9,7 +9,7 @@ import numpy as np
 from torchhand.fit.detect.template import Template
 
 _REACH = 0.5  # distances are cut off here, palm radii
-_FEWEST = 10  # outline points on the fingers' side of the wrist, below which nothing is believed
+_MIN_POINTS = 10  # outline points on the fingers' side of the wrist, below which nothing is believed
 _ROUNDS = 10  # of the refinement
 _FIRST_SHIFT, _FIRST_TURN, _FIRST_STRETCH = 0.25, 0.07, 0.08  # palm radii, radians, share of the radius
 _SAME_TURN, _SAME_PLACE = 0.12, 0.25  # radians, palm radii: nearer candidates are one
@@ -22,11 +22,11 @@ class Candidate:
     cost: float
     template: Template
     centre: np.ndarray
-    """Of the palm, (x, y) px."""
+    """Centre of the palm, (x, y) px."""
     radius: float
-    """Of the palm, px."""
+    """Radius of the palm, px."""
     angle: float
-    """From upright, radians, clockwise in the picture."""
+    """Angle from upright, radians, clockwise in the picture."""
 
 
 def chamfer_costs(
@@ -62,7 +62,7 @@ def chamfer_costs(
     behind = _lookup(template.distance, back * template.pixels_per_radius + template.centre_px, _REACH)
     behind = np.minimum(behind, _REACH)
     backward = np.where(is_hand, behind, 0).sum(-1) / np.maximum(is_hand.sum(-1), 1)
-    backward = np.where(is_hand.sum(-1) < _FEWEST, _REACH, backward)
+    backward = np.where(is_hand.sum(-1) < _MIN_POINTS, _REACH, backward)
     return 0.5 * (ahead + backward) / _REACH
 
 
@@ -103,8 +103,8 @@ def thinned(points: np.ndarray, count: int) -> np.ndarray:
 
 def _differs(one: Candidate, other: Candidate) -> bool:
     turn = abs(math.remainder(one.angle - other.angle, 2 * math.pi))
-    apart = float(np.hypot(*(one.centre - other.centre))) / max(one.radius, other.radius)
-    return one.template.facing != other.template.facing or turn > _SAME_TURN or apart > _SAME_PLACE
+    distance = float(np.hypot(*(one.centre - other.centre))) / max(one.radius, other.radius)
+    return one.template.facing != other.template.facing or turn > _SAME_TURN or distance > _SAME_PLACE
 
 
 def _lookup(grid: np.ndarray, points: np.ndarray, outside: float) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Fits pose and proportions to one picture: maximum a posteriori Gauss-Newton on edges along the contour's normals.
 
-The start of a track: paper 003 sets the model's parameters by hand and names their estimation within the same framework
-as future work (its section 6.1); this is that. The measurement is the tracker's own.
+The start of a track: Stenger et al. (2001) set the model's parameters by hand and name their estimation within the same
+framework as future work (section 6.1); this is that. The measurement is the tracker's own.
 """
 
 from dataclasses import dataclass
@@ -36,8 +36,8 @@ _POSE_STD = {
     "dip_fe": 0.05,
 }
 _BENT = 0.3  # radians: a finger joint flexed more than this by the posture counts as bent
-_FEWEST_POINTS = 10
-_LEAST_SEARCH_PX = 4.0
+_MIN_POINTS = 10
+_MIN_SEARCH_PX = 4.0
 _STEP = 1e-4  # of the numerical derivative, prior standard deviations
 
 
@@ -45,9 +45,9 @@ _STEP = 1e-4  # of the numerical derivative, prior standard deviations
 class FitSettings:
     iterations: int = 14
     """Gauss-Newton steps; 1 or more."""
-    search_share: float = 0.10
+    search_fraction: float = 0.10
     """First half length of the edge search, as a share of the hand's length in the picture; above 0."""
-    final_search_share: float = 0.035
+    final_search_fraction: float = 0.035
     """Last half length, as such a share; above 0."""
     edge_std_px: float = 1.5
     """Standard deviation of one edge; above 0."""
@@ -55,7 +55,7 @@ class FitSettings:
     """Prior standard deviation of the flexions of a finger that the posture bends; above 0."""
 
     def __post_init__(self) -> None:
-        for name in ("search_share", "final_search_share", "edge_std_px", "bent_std_rad"):
+        for name in ("search_fraction", "final_search_fraction", "edge_std_px", "bent_std_rad"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise ValueError(f"fit.{name}: expected above 0 and finite, got {getattr(self, name)!r}")
         if not self.iterations >= 1:
@@ -69,7 +69,7 @@ class Fit:
     pose: Float[Tensor, "36"]
     """Metres and radians, with a zero rotation vector: the root's orientation is in root_reference."""
     root_reference: Float[Tensor, "3 3"]
-    """cam_from_hand"""
+    """Rotation cam_from_hand."""
     shape: Float[Tensor, "shape"]
     pose_std: Float[Tensor, "36"]
     """0 for DOFs that are held, and for those that lie at their limit."""
@@ -77,7 +77,7 @@ class Fit:
     """0 for parameters that are held, and for those that lie at their bound."""
     residual_px: float
     """Median absolute distance of the found edges from the contour before the last step; infinite without edges."""
-    found_share: float
+    found_fraction: float
     """Share of the visible outer contour points at which an edge was found."""
 
     @classmethod
@@ -93,7 +93,7 @@ class Fit:
             pose_std=zero,
             shape_std=torch.zeros_like(shape),
             residual_px=nothing,
-            found_share=0.0,
+            found_fraction=0.0,
         )
 
 
@@ -125,7 +125,7 @@ def fit_contour(
     Minimises Σ ρ(n·(e - x)) / σ² plus the squared distance to the start in units of its prior spread: the shape space's
     over people, a fixed one of the posture. Hand length stays: one picture cannot tell it from depth. Joint limits and
     the shape's bounds hold. The camera's frame is the world. Where fewer than ten contour points can be compared, the
-    start comes back with `found_share` 0.
+    start comes back with `found_fraction` 0.
     """
     settings = settings or FitSettings()
     edges = edges or EdgeSettings(polarity="inside_bright", min_strength=0.15, choose="nearest")
@@ -148,7 +148,7 @@ def fit_contour(
 
     precision = torch.diag(prior_std**-2)
     steps = _STEP * prior_std
-    information, residual, found_share = precision, torch.zeros(0, dtype=pose.dtype), 0.0
+    information, residual, found_fraction = precision, torch.zeros(0, dtype=pose.dtype), 0.0
     for iteration in range(settings.iterations):
         here_pose, here_shape = split(values)
         projector = HandProjector(kinematics, camera, here_shape)
@@ -156,11 +156,11 @@ def fit_contour(
         length_px = hand_length_px(camera, kinematics, here_pose, here_shape)
         silhouette = projector.silhouette(here_pose, root_reference)
         keep = contour.visible & is_outer(silhouette, contour.points_px, contour.normals, length_px)
-        if int(keep.sum()) < _FEWEST_POINTS:
+        if int(keep.sum()) < _MIN_POINTS:
             break
         progress = iteration / max(1, settings.iterations - 1)
-        share = settings.search_share * (settings.final_search_share / settings.search_share) ** progress
-        search = torch.full((int(keep.sum()),), max(_LEAST_SEARCH_PX, share * length_px), dtype=pose.dtype)
+        fraction = settings.search_fraction * (settings.final_search_fraction / settings.search_fraction) ** progress
+        search = torch.full((int(keep.sum()),), max(_MIN_SEARCH_PX, fraction * length_px), dtype=pose.dtype)
         normals = contour.normals[keep]
         seen = search_edges(plane, contour.points_px[keep], normals, edges, half_length_px=search)
         chosen = table.select(keep)
@@ -169,9 +169,9 @@ def fit_contour(
         points = HandProjector(kinematics, camera, shapes).outline_px(poses, root_reference, chosen)
         plus, minus = points.chunk(2)
         jacobian = ((plus - minus) * normals).sum(-1).T / (2 * steps)
-        residual, found_share = seen.offset_px, float(seen.found.float().mean())
+        residual, found_fraction = seen.offset_px, float(seen.found.float().mean())
         # Geman-McClure weights: half the search length is far; wrong edges of neighbouring fingers fade out.
-        scale = max(2.0, 0.3 * share * length_px)
+        scale = max(2.0, 0.3 * fraction * length_px)
         weight = seen.found / settings.edge_std_px**2 / (1 + (residual / scale) ** 2) ** 2
         weight = weight / seen.candidates.clamp_min(1)
         information = jacobian.T @ (weight[:, None] * jacobian) + precision
@@ -194,5 +194,5 @@ def fit_contour(
         pose_std=torch.zeros_like(pose).index_copy(0, free_pose, std[: len(free_pose)]),
         shape_std=torch.zeros_like(shape).index_copy(0, free_shape, std[len(free_pose) :]),
         residual_px=float(residual.abs().median()) if residual.numel() else float("inf"),
-        found_share=found_share,
+        found_fraction=found_fraction,
     )

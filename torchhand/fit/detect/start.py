@@ -34,8 +34,8 @@ _TRIES = 4  # alignments fitted per picture
 _SPREADS = (1.0, 1.6, 0.4)  # factors on the abductions from which the fit starts, as long as none is good
 _GOOD = 0.93  # overlap at which no other start is tried
 _NEAR = 0.65  # overlap below which other abductions are not tried: the hand has another posture or is elsewhere
-_LEAST_FOUND = 0.8  # share of the fitted contour that must lie on edges
-_LEAST_INSIDE = 0.8  # share of the keypoints that must lie in the picture
+_MIN_FOUND = 0.8  # share of the fitted contour that must lie on edges
+_MIN_INSIDE = 0.8  # share of the keypoints that must lie in the picture
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +50,7 @@ class Start:
     @property
     def quality(self) -> float:
         """Overlap, weighed down where the contour finds no edges."""
-        return self.overlap * min(1.0, self.fit.found_share / _LEAST_FOUND)
+        return self.overlap * min(1.0, self.fit.found_fraction / _MIN_FOUND)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,13 +95,13 @@ def find_hand(
     fit_shape: bool = True,
     settings: FitSettings | None = None,
     min_overlap: float = 0.75,
-    min_area_share: float = 0.004,
+    min_area_fraction: float = 0.004,
     silhouette: SilhouetteSettings | None = None,
     plate: BackgroundPlate | None = None,
 ) -> Start | NoStart:
     """Segments the picture, lays the posture over the silhouette, fits pose and shape, and judges the result."""
     mask, reason = segment_hand(image, appearance, silhouette, plate)
-    if float(mask.float().mean()) < min_area_share:
+    if float(mask.float().mean()) < min_area_fraction:
         return NoStart(reason=reason or "too little of the picture has the hand's colours", has_foreground=False)
     alignments = [a for a in align_posture(mask, camera, kinematics, shape, posture) if a.cost < _WORST_COST]
     best: Start | None = None
@@ -116,8 +116,10 @@ def find_hand(
         )
         if start is not None and (best is None or start.quality > best.quality):
             best, best_facing = start, alignment.facing
-    if best is None or best.overlap < min_overlap or best.fit.found_share < _LEAST_FOUND:
-        got = f"best overlap {best.overlap:.2f}, edges on {best.fit.found_share:.0%}" if best else "no placement fits"
+    if best is None or best.overlap < min_overlap or best.fit.found_fraction < _MIN_FOUND:
+        got = (
+            f"best overlap {best.overlap:.2f}, edges on {best.fit.found_fraction:.0%}" if best else "no placement fits"
+        )
         return NoStart(reason=f"no hand in the posture of the start ({got})", has_foreground=True)
     return best
 
@@ -134,7 +136,7 @@ def start_at_points(
     fit_shape: bool = True,
     settings: FitSettings | None = None,
 ) -> Start | NoStart:
-    """Starts from the wrist and the middle fingertip that the user gives: the paper's start by hand.
+    """Starts from the wrist and the middle fingertip that the user gives, as Stenger et al. (2001) start by hand.
 
     The colours of the palm so placed, against those around the hand, give a silhouette to fit; then those of the fitted
     hand give a better one. The better of palm and back is taken. The user is believed: there is no start only where no
@@ -210,7 +212,7 @@ def _fitted(
         fit_shape=fit_shape,
     )
     keypoints = camera.project(kinematics(fit.pose, fit.shape, root_reference=fit.root_reference).keypoints)
-    if float(is_in_picture(keypoints, camera).double().mean()) < _LEAST_INSIDE:
+    if float(is_in_picture(keypoints, camera).double().mean()) < _MIN_INSIDE:
         return None
     quality = fit_overlap(mask, kinematics, camera, fit)
     if appearance is None:

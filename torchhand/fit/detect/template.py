@@ -35,7 +35,7 @@ class Template:
     centre_px: np.ndarray
     """The palm's centre in the drawing, (x, y)."""
     wrist_y: float
-    """Beyond this line (down) there may be a forearm."""
+    """Line beyond which (down) there may be a forearm."""
     metres_per_radius: float
     centre_offset: np.ndarray
     """Palm centre relative to the hand's origin, x and y of the camera frame, metres."""

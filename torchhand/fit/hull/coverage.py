@@ -35,7 +35,7 @@ class CoverageObservation:
         return self.target.is_empty
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "CoverageObservation":
-        """The same for all hypotheses."""
+        """This observation itself, which all hypotheses have in common."""
         return self
 
     def associate(self, hands: PosedHands, stage: Stage) -> "CoverageFactor":
@@ -47,7 +47,7 @@ class CoverageObservation:
         distance = torch.where(beside > _BESIDE, torch.inf, across)
         is_hand = _is_hand(matched.data_places, bones, s.beyond_wrist_m)
         count = is_hand.sum(-1, keepdim=True).clamp_min(1)
-        precision = max(s.std_m, s.std_share * stage.gross_m) ** -2
+        precision = max(s.std_m, s.std_fraction * stage.gross_m) ** -2
         worth = s.surface_weight if self.target.rays is None else s.edge_weight
         return CoverageFactor(
             skin=self.vertices.skin,
@@ -57,10 +57,10 @@ class CoverageObservation:
             normals=matched.normals,
             weight=worth * precision / count * is_hand * self.vertices.rigidity[matched.match],
             robust=RobustLoss(kind="geman_mcclure", scale=stage.gross_m),
-            told=Explained(
+            explanation=Explained(
                 name=NAME,
                 view=None,
-                share=((distance <= s.near_m) * is_hand).sum(-1) / count[:, 0],
+                fraction=((distance <= s.near_m) * is_hand).sum(-1) / count[:, 0],
                 distance=(distance.clamp_max(stage.gross_m) * is_hand).sum(-1) / count[:, 0],
             ),
         )
@@ -95,7 +95,7 @@ class _Matched:
 
     match: Int[Tensor, "k data"]
     places: Float[Tensor, "k data 3"]
-    """Of those vertices."""
+    """Places of the matched vertices."""
     points: Float[Tensor, "data 3"]
     """Any point of each ray, or the point of the surface."""
     data_places: Float[Tensor, "k data 3"]
@@ -104,7 +104,7 @@ class _Matched:
     """Across the rays, or of the skin at the vertices."""
 
     def distances(self) -> tuple[Float[Tensor, "k data"], Float[Tensor, "k data"]]:
-        """Of the data from the vertices: across the surface and along it, metres."""
+        """Distances of the data from the vertices: across the surface and along it, metres."""
         away = self.places - self.data_places
         across = (self.normals * away).sum(-1).abs()
         return across, (away.square().sum(-1) - across.square()).clamp_min(0).sqrt()
@@ -121,20 +121,20 @@ class CoverageFactor:
     """½ Σ weight ρ(normal · (skin - data)), ρ of Geman and McClure; a row per hand. The skin is free to slide."""
 
     skin: SkinPoints
-    """Of the shape that is held or, where the shape is unknown, was the start."""
+    """Skin of the shape that is held fixed or, where the shape is unknown, was the start."""
     match: Int[Tensor, "k data"]
     """The vertex of each datum."""
     vertices: WeightedVertices
-    """Of that skin."""
+    """Vertices of the skin."""
     points: Float[Tensor, "data 3"]
     normals: Float[Tensor, "k data 3"]
     weight: Float[Tensor, "k data"]
     """Inverse variances, m⁻²."""
     robust: RobustLoss
-    told: Explained
+    explanation: Explained
 
     def equations(self, hands: PosedHands) -> Equations:
-        """In the DOFs, and in the shape where it is unknown."""
+        """Normal equations in the DOFs, and in the shape where it is unknown."""
         skin = self.skin.for_shape(hands)
         vertices = self.vertices if skin is self.skin else skin.weighted(self.match)
         motion = skin.motion(bones_of(skin, hands), vertices)
@@ -152,16 +152,16 @@ class CoverageFactor:
         )
 
     def rows(self, rows: Int[Tensor, "n"]) -> "CoverageFactor":
-        """Of some of the hands."""
+        """The rows of some of the hands."""
         return replace(
             self,
             match=self.match[rows],
             vertices=self.vertices.rows(rows),
             normals=self.normals[rows],
             weight=self.weight[rows],
-            told=self.told.rows(rows),
+            explanation=self.explanation.rows(rows),
         )
 
     def explained(self) -> tuple[Explained, ...]:
         """Share of the edges (or of the surface) with skin nearby, and their mean distance from it."""
-        return (self.told,)
+        return (self.explanation,)

@@ -24,7 +24,7 @@ from torchhand.hand import Hand, HandPose, PoseSpace
 
 MIN_COVERED = 0.85
 """Share of the silhouettes' edges that a hand explains, if it is one and the right one."""
-_MIN_HELD = 0.95  # share of its skin's area that is inside the hull or near it
+_MIN_NEAR = 0.95  # share of its skin's area that is inside the hull or near it
 _AT_ONCE = 32  # hypotheses: bounds the memory
 
 
@@ -33,11 +33,11 @@ class HullFitter:
     """Fits one hand of one shape, in one pose space, into any number of hulls."""
 
     hand: Hand
-    """In the dtype to compute its skin in."""
+    """The hand, in the dtype to compute its skin in."""
     space: PoseSpace
-    """In the dtype to solve in (float64 is meant); starts are put into it."""
+    """Pose space, in the dtype to solve in (float64 is meant); starts are put into it."""
     shape: Float[Tensor, "shape"] | None = None
-    """In place of the hand's own."""
+    """Shape in place of the hand's own."""
     settings: HullSettings = field(default_factory=HullSettings)
     schedule: Schedule = SEARCH
     joints: JointPriors = field(default_factory=JointPriors)
@@ -54,19 +54,19 @@ class HullFitter:
             CoverageObservation(target=target, vertices=self.vertices),
         )
 
-    def problem(self, target: HullTarget, *beliefs: Observation) -> Problem:
-        """Of poses in a hull. beliefs: further priors, such as a prediction."""
+    def problem(self, target: HullTarget, *priors: Observation) -> Problem:
+        """The problem of poses in a hull. priors: further ones than the joints', such as a prediction."""
         return Problem(
             space=self.space,
             skeleton=self.hand.kinematics.skeleton,
             shape=self.vertices.skin.shape.to(self.space.basis),
             observations=self.observations(target),
-            priors=(*self.joints.factors, *beliefs),
+            priors=(*self.joints.factors, *priors),
         )
 
-    def __call__(self, target: HullTarget, starts: HandPose, *beliefs: Observation) -> Solutions:
+    def __call__(self, target: HullTarget, starts: HandPose, *priors: Observation) -> Solutions:
         """Every hypothesis from its own start, as `solve`."""
-        return solve(self.problem(target, *beliefs), starts, self.schedule, at_once=_AT_ONCE)
+        return solve(self.problem(target, *priors), starts, self.schedule, at_once=_AT_ONCE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,27 +74,28 @@ class HullEvidence:
     """How well fitted hands and the silhouettes explain each other; 0 where there is no hull, or a fit failed."""
 
     covered: Float[Tensor, "*hypotheses"]
-    """Share of the silhouettes' edges, or else of the hull's surface, with skin nearby (`HullSettings.near_m`)."""
-    held: Float[Tensor, "*hypotheses"]
-    """Share of the skin's area near the hull or inside."""
+    """Fraction of the silhouettes' edges, or else of the hull's surface, with skin nearby (`HullSettings.near_m`)."""
+    near: Float[Tensor, "*hypotheses"]
+    """Fraction of the skin's area near the hull or inside."""
     inside: Float[Tensor, "*hypotheses"]
-    """Share of the skin's area inside the hull (the rate of convergence of Ueda et al. 2003)."""
+    """Fraction of the skin's area inside the hull (the rate of convergence of Ueda et al. 2003)."""
 
     @classmethod
     def of(cls, found: Solutions) -> "HullEvidence":
         nothing = torch.zeros_like(found.cost)
         if not found.explained:
-            return cls(covered=nothing, held=nothing, inside=nothing)
+            return cls(covered=nothing, near=nothing, inside=nothing)
         skin, edges = found.explained_by(inside.NAME), found.explained_by(coverage.NAME)
         assert skin.inside is not None
-        shares = (edges.share, skin.share, skin.inside)
-        covered, held, within = (
-            torch.where(found.is_sound, share.reshape(found.cost.shape).to(nothing), nothing) for share in shares
+        fractions = (edges.fraction, skin.fraction, skin.inside)
+        covered, near, within = (
+            torch.where(found.is_sound, fraction.reshape(found.cost.shape).to(nothing), nothing)
+            for fraction in fractions
         )
-        return cls(covered=covered, held=held, inside=within)
+        return cls(covered=covered, near=near, inside=within)
 
     @property
     def is_good(self) -> Bool[Tensor, "*hypotheses"]:
         """Whether a hand is there as fitted: False for a hull of something else, for a finger in the wrong place that
         leaves much unexplained, and where the fit failed."""
-        return (self.covered >= MIN_COVERED) & (self.held >= _MIN_HELD)
+        return (self.covered >= MIN_COVERED) & (self.near >= _MIN_NEAR)

@@ -31,7 +31,7 @@ class InsideObservation:
         return self.target.is_empty
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "InsideObservation":
-        """The same for all hypotheses."""
+        """This observation itself, which all hypotheses have in common."""
         return self
 
     def associate(self, hands: PosedHands, stage: Stage) -> "InsideFactor":
@@ -39,12 +39,12 @@ class InsideObservation:
         own, s = self.vertices, self.vertices.settings
         skin = own.skin.for_shape(hands)
         beyond, _ = self.target.field.sample(skin_at(skin, hands)[:, own.index])
-        index, weighted, area = own.index, own.weighted, own.area_share
+        index, weighted, area = own.index, own.weighted, own.area_fraction
         if stage.method == "gauss_newton" and len(hands) == 1:
             outside = beyond[0] > s.slack_m
             index, area = index[outside], area[outside]
             weighted = own.skin.weighted(index)
-        precision = max(s.std_m, s.std_share * stage.gross_m) ** -2
+        precision = max(s.std_m, s.std_fraction * stage.gross_m) ** -2
         return InsideFactor(
             skin=own.skin,
             field=self.target.field,
@@ -53,12 +53,12 @@ class InsideObservation:
             weight=s.inside_weight * precision * area * own.rigidity[index],
             robust=RobustLoss(kind="huber", scale=s.inside_gross * precision**-0.5),
             slack_m=s.slack_m,
-            told=Explained(
+            explanation=Explained(
                 name=NAME,
                 view=None,
-                share=((beyond <= s.near_m) * own.area_share).sum(-1),
-                distance=(beyond.clamp_min(0) * own.area_share).sum(-1),
-                inside=((beyond <= s.slack_m) * own.area_share).sum(-1),
+                fraction=((beyond <= s.near_m) * own.area_fraction).sum(-1),
+                distance=(beyond.clamp_min(0) * own.area_fraction).sum(-1),
+                inside=((beyond <= s.slack_m) * own.area_fraction).sum(-1),
             ),
         )
 
@@ -68,19 +68,19 @@ class InsideFactor:
     """½ Σ weight ρ(distance outside the hull), ρ of Huber; the same vertices of all hands."""
 
     skin: SkinPoints
-    """Of the shape that is held or, where the shape is unknown, was the start."""
+    """Skin of the shape that is held fixed or, where the shape is unknown, was the start."""
     field: HullField
     index: Int[Tensor, "points"]
     vertices: WeightedVertices
-    """Of that skin."""
+    """Vertices of the skin."""
     weight: Float[Tensor, "points"]
     """Inverse variances, m⁻²."""
     robust: RobustLoss
     slack_m: float
-    told: Explained
+    explanation: Explained
 
     def equations(self, hands: PosedHands) -> Equations:
-        """In the DOFs, and in the shape where it is unknown."""
+        """Normal equations in the DOFs, and in the shape where it is unknown."""
         skin = self.skin.for_shape(hands)
         vertices = self.vertices if skin is self.skin else skin.weighted(self.index)
         motion = skin.motion(bones_of(skin, hands), vertices)
@@ -100,9 +100,9 @@ class InsideFactor:
         )
 
     def rows(self, rows: Int[Tensor, "n"]) -> "InsideFactor":
-        """Of some of the hands."""
-        return replace(self, told=self.told.rows(rows))
+        """The rows of some of the hands."""
+        return replace(self, explanation=self.explanation.rows(rows))
 
     def explained(self) -> tuple[Explained, ...]:
         """Share of the skin's area near the hull or inside, mean distance outside it, and share inside."""
-        return (self.told,)
+        return (self.explanation,)

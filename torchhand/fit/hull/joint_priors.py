@@ -17,7 +17,7 @@ class JointPriors:
 
     @property
     def factors(self) -> tuple[Observation, ...]:
-        """For a problem. The postures, where they count, hold the ties between joints already."""
+        """Priors for a problem. The postures, where they count, hold the ties between joints already."""
         w, found = self.weights, []
         has_postures = self.postures is not None and w.postures > 0
         if self.constraints is not None and w.constraints > 0:

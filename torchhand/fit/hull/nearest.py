@@ -13,7 +13,7 @@ def match_hull(
     *,
     turn: float,
 ) -> Int[Tensor, "hands hull"]:
-    """For every point of the hull's surface the nearest point of each hand's skin.
+    """Nearest point of each hand's skin for every point of the hull's surface.
 
     Near in place and in direction: d² = |Δx|² + (turn |Δnormal|)², so that the back of a finger goes to the back of a
     finger. turn: metres that a turn of the surface by one radian is worth. Points that are not finite are nobody's
@@ -28,7 +28,7 @@ def match_hull(
 def nearest_columns(
     wanted: Float[Tensor, "views wanted n"], points: Float[Tensor, "hands views n points"]
 ) -> Int[Tensor, "hands views wanted"]:
-    """For each wanted place the nearest column of each hand, view by view, in single precision.
+    """Nearest column of each hand for each wanted place, view by view, in single precision.
 
     Columns that are not finite are nobody's nearest, unless all of a hand's are.
     """

@@ -28,7 +28,7 @@ class RayView:
     scale: float
     """Metres that a unit of the normalised image plane is worth where the hull is."""
     plane: Float[Tensor, "rays 2"]
-    """Of the normalised image plane."""
+    """Points of the normalised image plane."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,7 @@ class SilhouetteRays:
     """Rays through the edges of all silhouettes, view by view, in the world."""
 
     points: Float[Tensor, "rays 3"]
-    """On the rays, beside the hull's middle, metres."""
+    """Points on the rays, beside the hull's middle, metres."""
     directions: Float[Tensor, "rays 3"]
     """Unit, away from the camera."""
     normals: Float[Tensor, "rays 3"]
@@ -46,7 +46,7 @@ class SilhouetteRays:
     def match(
         self, vertices: Float[Tensor, "hands points 3"], normals: Float[Tensor, "hands points 3"], *, turn: float
     ) -> Int[Tensor, "hands rays"]:
-        """For every ray the vertex of each hand that it should touch: near it in its picture, and facing across it.
+        """Vertex of each hand that each ray should touch: near it in its picture, and facing across it.
 
         normals: of the vertices. turn: metres that a turn of the surface by one radian is worth.
         """

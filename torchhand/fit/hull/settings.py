@@ -40,7 +40,7 @@ class HullSettings:
     """Vertices of the skin that must be inside the hull, spread evenly over it; 1 or more."""
     std_m: float = 0.0007
     """Smallest standard deviation of the hull's surface, metres; above 0."""
-    std_share: float = 0.5
+    std_fraction: float = 0.5
     """Standard deviation of that surface over the distance at which a stage takes residuals for gross; above 0."""
     inside_weight: float = 100.0
     """Independent measurements that the vertices inside are worth together; 0 or more."""
@@ -69,7 +69,7 @@ class HullSettings:
 
     def __post_init__(self) -> None:
         _require_count("hull", self, "vertices")
-        for name in ("std_m", "std_share", "inside_gross", "turn_m", "near_m"):
+        for name in ("std_m", "std_fraction", "inside_gross", "turn_m", "near_m"):
             require_positive(f"hull.{name}", getattr(self, name))
         for name in ("inside_weight", "edge_weight", "surface_weight", "beyond_wrist_m", "rigidity_exponent"):
             _require_weight(f"hull.{name}", getattr(self, name))
@@ -105,17 +105,15 @@ class HullTorqueSettings:
     step_deg: float = 1.0
     """Δα by which an angle follows its torque in one step; above 0."""
     min_step_deg: float = 0.05
-    """To which Δα shrinks, as it is halved where an angle's torque turns round; above 0, `step_deg` keeps it as
+    """Step to which Δα shrinks, as it is halved where an angle's torque turns round; above 0, `step_deg` keeps it as
     printed."""
     steps: TorqueSteps = "largest"
-    """Whose angles take the step, which the paper leaves open (see `fit_by_torques`).
-
-    largest: in each digit the angle of the largest torque. proportional: the largest of all takes the whole Δα, others
-    their share of it. equal: every angle with a torque takes the whole Δα. The root's coordinates move in any case.
-    """
+    """Angles that take the step, which Ueda et al. (2003) leave open (see `fit_by_torques`). largest: in each digit the
+    angle of the largest torque. proportional: the largest of all takes the whole Δα, others their share of it. equal:
+    every angle with a torque takes the whole Δα. The root's coordinates move in any case."""
     root_step_mm: float = 1.0
     """Distance by which the root follows its force in one step, where it is free; above 0."""
-    outside_share: float = 0.002
+    outside_fraction: float = 0.002
     """Share of the vertices outside the hull below which the fit is done; 0 or more."""
     slack_m: float = 0.0
     """Distance from the hull's surface up to which a vertex counts as inside, metres; finite."""
@@ -129,7 +127,7 @@ class HullTorqueSettings:
         steps = get_args(TorqueSteps)
         require(self.steps in steps, "hull_torque.steps", f"one of {', '.join(steps)}", self.steps)
         require(self.min_step_deg <= self.step_deg, "hull_torque.min_step_deg", "at most step_deg", self.min_step_deg)
-        for name in ("outside_share", "min_torque"):
+        for name in ("outside_fraction", "min_torque"):
             value = getattr(self, name)
             require(0 <= value < 1, f"hull_torque.{name}", "0 or more and below 1", value)
         require(math.isfinite(self.slack_m), "hull_torque.slack_m", "a finite number", self.slack_m)
@@ -195,7 +193,8 @@ class HullShapeSettings:
     def schedule(self) -> Schedule:
         """One round after the other, the gross distance shrinking by the same factor."""
         first, last = self.gross_m
-        shares = (turn / max(1, self.rounds - 1) for turn in range(self.rounds))
+        fractions = (turn / max(1, self.rounds - 1) for turn in range(self.rounds))
         return tuple(
-            Stage(gross_m=first * (last / first) ** share, rounds=1, iterations=self.iterations) for share in shares
+            Stage(gross_m=first * (last / first) ** fraction, rounds=1, iterations=self.iterations)
+            for fraction in fractions
         )

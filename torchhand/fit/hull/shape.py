@@ -19,7 +19,7 @@ def fit_shape(
     fitter: HullFitter,
     targets: Sequence[HullTarget],
     starts: HandPose,
-    people: Anthropometry,
+    population: Anthropometry,
     settings: HullShapeSettings | None = None,
 ) -> SharedSolution:
     """Shape and poses from fits of the poses with some shape; the shape is within the anthropometric constraints.
@@ -27,7 +27,7 @@ def fit_shape(
     fitter: for the poses alone, of a hand in float64 and of the shape to start from; its schedule does not count.
     targets: the hulls of the frames, none empty, with the edges of their silhouettes (`with_rays`): fitted to the
     surface alone, the palm grows into what of a hull no hand fills. starts: one for each; leave out frames whose start
-    is not good. people: the anthropometric prior.
+    is not good. population: the anthropometric prior.
 
     Raises ValueError where the numbers of hulls and poses differ or a hull is empty.
     """
@@ -40,7 +40,7 @@ def fit_shape(
     problem = replace(
         fitter.problem(targets[0]),
         observations=tuple(FrameObservations(frames=frames) for frames in kinds),
-        shared=SharedUnknowns.of_shape(people, weight=settings.population_weight),
+        shared=SharedUnknowns.of_shape(population, weight=settings.population_weight),
     )
     found = solve_shared(problem, starts, settings.schedule)
-    return replace(found, pose=found.pose.normalized(), shape=people.project(found.shape))
+    return replace(found, pose=found.pose.normalized(), shape=population.project(found.shape))

@@ -52,7 +52,7 @@ def shape_rows(
 
 
 def _shape_motion(skin: SkinPoints, bones: PosedBones, hands: PosedHands) -> _ShapeMotion:
-    """By differences, which are exact: all is linear in any one parameter."""
+    """Motion of the points with the shape, by differences, which are exact: all is linear in any one parameter."""
     assert hands.unknowns is not None
     columns, kinematics, skinning = list(hands.unknowns.columns), skin.hand.kinematics, skin.hand.skinning
     step = kinematics.shape_space.std.to(skin.shape)[columns]

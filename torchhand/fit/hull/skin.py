@@ -23,14 +23,14 @@ class WeightedVertices:
     """Skinning of some vertices of a shape; the leading dimension is 1 where all hands have the same vertices."""
 
     places: Float[Tensor, "#hands 20 4 points"]
-    """In the bones' frames, times the weights; then the weights."""
+    """Places in the bones' frames, times the weights; then the weights."""
     carried: Float[Tensor, "#hands 20 points"]
     """Weights of each bone and of those beyond it."""
     correctives: Float[Tensor, "#hands c 6 points"]
-    """By feature, in the frames of the bones that the angles move."""
+    """Correctives by feature, in the frames of the bones that the angles move."""
 
     def rows(self, rows: Int[Tensor, "n"]) -> "WeightedVertices":
-        """Those of the given hands."""
+        """The vertices of the given hands."""
         if len(self.places) == 1:
             return self
         return WeightedVertices(
@@ -43,7 +43,7 @@ class PosedBones:
     """The bones of a batch of hands, and what their angles make of the skin's correctives."""
 
     rotation: Float[Tensor, "hands 20 3 3"]
-    """world_from_bone"""
+    """Rotations world_from_bone."""
     position: Float[Tensor, "hands 20 3"]
     """Origins in the world, metres."""
     turns: Float[Tensor, "hands 33 3"]
@@ -51,7 +51,7 @@ class PosedBones:
     bending: Float[Tensor, "hands c 3 6"]
     """world_from_bone of the bones that the correctives are given in, times the features of their angles."""
     slopes: Float[Tensor, "hands c 3 6"]
-    """Its derivative in those angles."""
+    """Derivative of `bending` in the correctives' angles."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,24 +60,24 @@ class SkinMotion:
 
     points: Float[Tensor, "hands points 3"]
     levers: Float[Tensor, "hands 20 3 points"]
-    """What each joint turns of each point, from the joint."""
-    share: Float[Tensor, "#hands points"]
-    """Of each point that all bones carry together: 1 up to rounding."""
+    """Levers from each joint to what it turns of each point."""
+    fraction: Float[Tensor, "#hands points"]
+    """Fraction of each point that all bones carry together: 1 up to rounding."""
     turns: Float[Tensor, "hands 33 3"]
     """Axes of the rotation vector's columns, then of the angles."""
     bones: Int[Tensor, "33"]
-    """Bone that each of them turns."""
+    """Bone that each column of `turns` turns."""
     bends: Float[Tensor, "hands c 3 points"]
     """Derivatives of the correctives in their angles."""
     bend_rows: Int[Tensor, "c"]
-    """Their angles, among the 36 DOFs."""
+    """Rows of the correctives' angles among the 36 DOFs."""
 
     def along(self, direction: Float[Tensor, "hands points 3"]) -> Float[Tensor, "hands points 36"]:
         """Derivative of direction · point in the DOFs, per metre and per radian, the direction held."""
         force = direction.mT
         torque = _cross(self.levers, force[:, None])
         of_turns = (self.turns[..., None] * torque.index_select(1, self.bones)).sum(2)
-        found = torch.cat((force * self.share[:, None], of_turns), 1)
+        found = torch.cat((force * self.fraction[:, None], of_turns), 1)
         of_bends = (self.bends * force[:, None]).sum(2)
         return found.index_add(1, self.bend_rows, of_bends).mT
 
@@ -165,7 +165,7 @@ class SkinPoints:
         return SkinMotion(
             points=whole[:, 0].mT,
             levers=torch.addcmul(whole, vertices.carried[:, :, None], bones.position[..., None], value=-1),
-            share=vertices.carried[:, 0],
+            fraction=vertices.carried[:, 0],
             turns=bones.turns,
             bones=self._bones,
             bends=bones.slopes @ vertices.correctives,

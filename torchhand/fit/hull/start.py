@@ -56,9 +56,9 @@ class HullStart:
     """A hand found in a hull."""
 
     found: Solutions
-    """Of one hypothesis, without batch dimensions."""
+    """Solution of one hypothesis, without batch dimensions."""
     size: int
-    """Which of the given shapes it has."""
+    """Index of the hand's shape among those given."""
 
 
 def palm_of(keypoints: Float[Tensor, "*batch 21 3"]) -> Float[Tensor, "*batch 3"]:
@@ -201,7 +201,7 @@ def _evaluated(
     """Mean distance of the skin outside the hull plus that of the silhouettes' edges, or else of the hull's surface,
     from the skin, cut off, metres. fitter: tells hand and shape."""
     hand, shape, starts = fitter.hand, fitter.vertices.skin.shape, starts.to(fitter.vertices.skin.shape)
-    vertices, share = spread_vertices(hand, 2 * settings.vertices)
+    vertices, fraction = spread_vertices(hand, 2 * settings.vertices)
     kinds, which = starts.dofs[:, 6:].unique(dim=0, return_inverse=True)
     state = hand(torch.cat((torch.zeros_like(kinds[:, :6]), kinds), -1), shape)
     skins, normals = state.vertices[:, vertices], posed_mesh(hand, state).vertex_normals()[:, vertices]
@@ -211,7 +211,7 @@ def _evaluated(
         turned = starts.reference[some].mT
         placed = skins[which[some]] @ turned + starts.dofs[some, None, :3]
         value, _ = target.field.sample(placed)
-        outside = (value.clamp(0, settings.far_m) * share).sum(-1)
+        outside = (value.clamp(0, settings.far_m) * fraction).sum(-1)
         if target.rays is None:
             distance = torch.cdist(surface.expand(len(some), -1, 3), placed).amin(-1)
         else:

@@ -35,9 +35,9 @@ class HullTarget:
 
     field: HullField
     points: Float[Tensor, "hull 3"]
-    """On its surface, metres; none where there is no hull."""
+    """Points on the hull's surface, metres; none where there is no hull."""
     normals: Float[Tensor, "hull 3"]
-    """Outward, unit."""
+    """Outward unit normals at the points."""
     inner: Float[Tensor, "inner 3"]
     """Grid points inside, metres."""
     depth: Float[Tensor, "inner"]
@@ -46,7 +46,7 @@ class HullTarget:
     """Rays that touch the object; None where only the hull is known."""
 
     def where(self, may_be: Callable[[Tensor], Tensor]) -> "HullTarget":
-        """The same with only those points, on the surface and inside, of which something is true; field and rays stay
+        """The target with only those points, on the surface and inside, of which something is true; field and rays stay
         whole. The whole target where nothing inside is left."""
         surface, inside = may_be(self.points), may_be(self.inner)
         if not bool(inside.any()) or not bool(surface.any()):

@@ -27,15 +27,15 @@ class HullTorqueFit:
     """Fitted hands, one per hypothesis, in the world, with the way there."""
 
     pose: HandPose
-    """(*hypotheses), with zero rotation vectors, within the limits."""
+    """Poses (*hypotheses), with zero rotation vectors, within the limits."""
     converged: Bool[Tensor, "*hypotheses"]
     """Whether the share of vertices outside fell below its threshold."""
     iterations: Int[Tensor, "*hypotheses"]
-    """Steps taken."""
-    inside_share: Float[Tensor, "*hypotheses steps"]
+    """Number of steps taken."""
+    inside_fraction: Float[Tensor, "*hypotheses steps"]
     """Share of the vertices inside, at the start and after every step (the rate of convergence of figure 14)."""
     poses: HandPose
-    """(*hypotheses, steps), at the start and after every step, all about the start's reference (figure 13)."""
+    """Poses (*hypotheses, steps), at the start and after every step, all about the start's reference (figure 13)."""
 
 
 def fit_by_torques(
@@ -74,7 +74,7 @@ def fit_by_torques(
         pose=found.pose.reshape(*batch),
         converged=found.converged.reshape(batch),
         iterations=found.iterations.reshape(batch),
-        inside_share=found.inside_share.reshape(*batch, -1),
+        inside_fraction=found.inside_fraction.reshape(*batch, -1),
         poses=found.poses.reshape(*batch, settings.iterations + 1),
     )
 
@@ -93,34 +93,34 @@ def _pulled(
     digits = _digits(space)
     is_open = torch.ones(len(start), dtype=torch.bool, device=device)
     taken = torch.zeros(len(start), dtype=torch.long, device=device)
-    shares, poses = [], []
+    fractions, poses = [], []
     for turn in range(settings.iterations + 1):
         here = HandPose(dofs=clamp_to_limits(space.dof(values), skeleton), reference=start.reference)
-        share, torque, reach = _torques(field, skin, everything, here, space, settings.slack_m)
-        shares.append(share.to(values))
+        fraction, torque, reach = _torques(field, skin, everything, here, space, settings.slack_m)
+        fractions.append(fraction.to(values))
         poses.append(here)
-        is_open = is_open & (share < 1 - settings.outside_share)
+        is_open = is_open & (fraction < 1 - settings.outside_fraction)
         if turn == settings.iterations or not bool(is_open.any()):
             break
         torque, reach = torque.to(values), reach.to(values)
         at_end = ((values <= bounds[0]) & (torque < 0)) | ((values >= bounds[1]) & (torque > 0))
         torque = torque.where((torque.abs() > settings.min_torque * reach) & ~at_end, 0.0)
-        share_of_step = _shares(torque, settings.steps, digits)
-        pulled = torque.sign() * (share_of_step > 0)
+        fraction_of_step = _fractions(torque, settings.steps, digits)
+        pulled = torque.sign() * (fraction_of_step > 0)
         agrees = pulled * before
         step = torch.where(agrees < 0, torch.maximum(_SHRINK * step, min_step), step)
         step = torch.where(agrees > 0, torch.minimum(_GROW * step, max_step), step)
         before = torch.where(pulled == 0, before, pulled)
-        moved = (values + step * pulled * share_of_step).clamp(*bounds)
+        moved = (values + step * pulled * fraction_of_step).clamp(*bounds)
         values = torch.where(is_open[:, None], moved, values)
         taken = taken + is_open
     missing = settings.iterations + 1 - len(poses)  # all had arrived: they stay
     way = HandPose.stack([*poses, *[poses[-1]] * missing])
     return HullTorqueFit(
         pose=poses[-1].normalized(),
-        converged=shares[-1] >= 1 - settings.outside_share,
+        converged=fractions[-1] >= 1 - settings.outside_fraction,
         iterations=taken,
-        inside_share=torch.stack([*shares, *[shares[-1]] * missing], 1),
+        inside_fraction=torch.stack([*fractions, *[fractions[-1]] * missing], 1),
         poses=HandPose(dofs=way.dofs.transpose(0, 1), reference=way.reference.transpose(0, 1)),
     )
 
@@ -146,7 +146,7 @@ def _digits(space: PoseSpace) -> Float[Tensor, "digits free"]:
     return digits
 
 
-def _shares(
+def _fractions(
     torque: Float[Tensor, "k free"], steps: TorqueSteps, digits: Float[Tensor, "digits free"]
 ) -> Float[Tensor, "k free"]:
     """Share of Δα that every angle takes."""

@@ -20,20 +20,20 @@ class SkinVertices:
     settings: HullSettings
     index: Int[Tensor, "points"]
     """Vertices that must be inside."""
-    area_share: Float[Tensor, "points"]
-    """Share of the skin's area that each of these stands for."""
+    area_fraction: Float[Tensor, "points"]
+    """Fraction of the skin's area that each of the chosen vertices stands for."""
     rigidity: Float[Tensor, "vertices"]
-    """What each vertex of the whole skin counts, by `HullSettings.rigidity_exponent`."""
+    """Weight of each vertex of the whole skin, by `HullSettings.rigidity_exponent`."""
 
     @classmethod
     def of(cls, skin: SkinPoints, settings: HullSettings) -> "SkinVertices":
-        index, area_share = spread_vertices(skin.hand, settings.vertices)
+        index, area_fraction = spread_vertices(skin.hand, settings.vertices)
         rigidity = skin.hand.skinning.weights.amax(0) ** settings.rigidity_exponent
-        return cls(skin=skin, settings=settings, index=index, area_share=area_share, rigidity=rigidity)
+        return cls(skin=skin, settings=settings, index=index, area_fraction=area_fraction, rigidity=rigidity)
 
     @cached_property
     def weighted(self) -> WeightedVertices:
-        """Those that must be inside, of the skin's own shape."""
+        """The vertices that must be inside, of the skin's own shape."""
         return self.skin.weighted(self.index)
 
 
@@ -58,5 +58,5 @@ def spread_vertices(hand: Hand, count: int) -> tuple[Int[Tensor, "points"], Floa
         distance = (vertices - vertices[chosen[-1]]).norm(dim=-1)
         owner = torch.where(distance < nearest, index, owner)
         nearest = torch.minimum(nearest, distance)
-    share = torch.zeros(len(chosen), dtype=vertices.dtype, device=device).index_add(0, owner, area)
-    return torch.tensor(chosen, device=device), share / area.sum()
+    fraction = torch.zeros(len(chosen), dtype=vertices.dtype, device=device).index_add(0, owner, area)
+    return torch.tensor(chosen, device=device), fraction / area.sum()

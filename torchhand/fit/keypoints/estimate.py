@@ -19,7 +19,7 @@ from torchhand.fit import (
 )
 from torchhand.fit.keypoints.observation import PictureKeypoints
 from torchhand.fit.keypoints.points import Detector
-from torchhand.fit.keypoints.prior import NaturalPosture, NaturalPrior, limit_information, missing_share
+from torchhand.fit.keypoints.prior import NaturalPosture, NaturalPrior, limit_information, missing_fraction
 from torchhand.fit.keypoints.settings import KeypointFitSettings
 from torchhand.fit.keypoints.start import start_in_space
 from torchhand.fit.keypoints.views import other_ways, starts_in_picture
@@ -36,7 +36,7 @@ _POSE_TOLERANCE, _SHARED_TOLERANCE = 1e-7, 1e-5
 _AT_ONCE = 256
 _KEPT = 3  # of the starts in a picture go on after the rough solution
 _ROUNDS = 2  # how often pictures are begun anew with the shape found so far
-_SETTLED = 0.2  # mean change of the shape, in its spread over people, after which pictures are not begun anew
+_MAX_SHAPE_CHANGE = 0.2  # mean change of the shape, in its spread over people, after which pictures are not begun anew
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,7 @@ class KeypointEstimate:
 
     solution: SharedSolution
     detector: Detector
-    """As it was found to be."""
+    """The detector as it was found to be."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +72,7 @@ class KeypointEstimator:
         # A better shape may tell ways of seeing the hand apart that were confused.
         for _ in range(_ROUNDS - 1 if self.columns or len(detector.extra) else 0):
             change = (found.solution.shape - shape) / self._kinematics.shape_space.std.to(shape)
-            if not self.columns or float(change[list(self.columns)].abs().mean()) < _SETTLED:
+            if not self.columns or float(change[list(self.columns)].abs().mean()) < _MAX_SHAPE_CHANGE:
                 break
             shape = found.solution.shape
             found = self._in_picture(self.observed, shape, found.detector)
@@ -99,7 +99,7 @@ class KeypointEstimator:
         return self._whole(pose, shape, detector)
 
     def _in_picture(self, observed: PictureKeypoints, shape: Tensor, detector: Detector) -> KeypointEstimate:
-        """From the best of several starts for every frame.
+        """Poses from the best of several starts for every frame.
 
         First with points trusted little, so that far starts are drawn in; a few of the best go on as the noise is. In
         a picture, a digit bent towards the camera may look like one bent away: each is then tried the other way.
@@ -128,15 +128,15 @@ class KeypointEstimator:
         return KeypointEstimate(solution=solution, detector=detector.at(solution.extra))
 
     def _problem(self, shape: Tensor, detector: Detector) -> Problem:
-        """Of all frames, with what they share held."""
-        share = self._prior_share()
-        is_believed = not self.posture.is_empty and bool(share.any())
+        """The problem of all frames, with what they share frozen."""
+        fraction = self._prior_fraction()
+        has_prior = not self.posture.is_empty and bool(fraction.any())
         return Problem(
             space=self.space,
             skeleton=self._kinematics.skeleton,
             shape=shape,
             observations=(replace(self.observed, detector=detector),),
-            priors=(NaturalPrior(posture=self.posture, share=share),) if is_believed else (),
+            priors=(NaturalPrior(posture=self.posture, fraction=fraction),) if has_prior else (),
         )
 
     def _unknowns(self, detector: Detector) -> SharedUnknowns | None:
@@ -144,21 +144,21 @@ class KeypointEstimator:
         if not self.columns and not len(extra):
             return None
         space = self._kinematics.shape_space
-        people = Anthropometry(space, AnthropometrySettings(softness=_SOFTNESS))
-        lower, upper = _box(people)
+        population = Anthropometry(space, AnthropometrySettings(softness=_SOFTNESS))
+        lower, upper = _box(population)
         scale, offsets = extra.split([int(detector.has_unknown_scale), len(extra) - int(detector.has_unknown_scale)])
         std = (torch.full_like(scale, _LOG_SCALE_STD), torch.full_like(offsets, self.settings.offset_std))
-        told = moving_parameters(self._kinematics)
+        moving = moving_parameters(self._kinematics)
         return SharedUnknowns(
             columns=self.columns,
-            prior=PopulationPrior(people=people),
+            prior=PopulationPrior(population=population),
             lower=lower,
             upper=upper,
             extra=extra,
             extra_mean=torch.cat((scale, torch.zeros_like(offsets))),
             extra_std=torch.cat(std),
-            people=people,
-            pliable=tuple(i for i in range(len(space.names)) if i not in told),
+            population=population,
+            pliable=tuple(i for i in range(len(space.names)) if i not in moving),
         )
 
     def _sized(self, shape: Tensor, size: float) -> Tensor:
@@ -171,7 +171,7 @@ class KeypointEstimator:
                 sized[column] = min(max(size * float(shape[column]), low), high)
         return sized
 
-    def _prior_share(self) -> Float[Tensor, "frames 36"]:
+    def _prior_fraction(self) -> Float[Tensor, "frames 36"]:
         is_in_space, mode = isinstance(self.observed, WorldKeypoints), self.settings.prior
         if mode == "auto":
             mode = "where_missing" if is_in_space else "always"
@@ -179,7 +179,7 @@ class KeypointEstimator:
         if self.observed.confidence is not None:
             confidence = confidence * self.observed.confidence
         if mode == "where_missing":
-            return missing_share(confidence)
+            return missing_fraction(confidence)
         return torch.full_like(confidence[:, :1], 1.0 if mode == "always" else 0.0).repeat(1, len(DOFS))
 
 
@@ -203,10 +203,10 @@ def _middle(size: Float[Tensor, "frames"]) -> Float[Tensor, ""]:
     return size.median() if len(size) else size.new_ones(())
 
 
-def _box(people: Anthropometry) -> tuple[Float[Tensor, "shape"], Float[Tensor, "shape"]]:
+def _box(population: Anthropometry) -> tuple[Float[Tensor, "shape"], Float[Tensor, "shape"]]:
     """The tightest bounds among the inequalities matrix · shape <= bound that concern one parameter."""
-    lower, upper = people.space.lower.clone(), people.space.upper.clone()
-    for row, bound in zip(people.matrix, people.bound, strict=True):
+    lower, upper = population.space.lower.clone(), population.space.upper.clone()
+    for row, bound in zip(population.matrix, population.bound, strict=True):
         (places,) = row.nonzero(as_tuple=True)
         if len(places) == 1:
             limit, place = bound / row[places[0]], places[0]

@@ -34,11 +34,11 @@ class KeypointFit:
     pose_std: Float[Tensor, "*frames 36"]
     """Standard deviations, 0 for DOFs that the pose space holds; rotations of the root are about the world's axes."""
     pose_covariance: Float[Tensor, "*frames free free"]
-    """Of the pose space's free parameters; the root's rotation is a left perturbation. The limits count as information
-    (a uniform distribution between them), so that it is finite; an angle at its limit keeps its spread."""
+    """Covariance of the pose space's free parameters; the root's rotation is a left perturbation. The limits count as
+    information (a uniform distribution between them), so that it is finite; an angle at its limit keeps its spread."""
     shape: Float[Tensor, "shape"]
     shape_std: Float[Tensor, "shape"]
-    """0 for parameters that were held."""
+    """Standard deviations of the parameters; 0 for those that were frozen."""
     keypoints: Float[Tensor, "*frames 21 3"]
     """Our keypoints of the fitted hand, metres in the world."""
     keypoints_covariance: Float[Tensor, "*frames 21 3 3"]
@@ -48,7 +48,7 @@ class KeypointFit:
     status: Int[Tensor, "*frames"]
     """Index into FIT_STATUSES."""
     iterations: Int[Tensor, "*frames"]
-    """Of the poses' last solution."""
+    """Iterations of the poses' last solution."""
     scale: float
     """Metres per unit of the measured points in space; 1 unless it was asked for."""
     offsets: Float[Tensor, "21 3"]
@@ -60,7 +60,7 @@ class KeypointFit:
         return self.status == 0
 
     def status_names(self) -> list[str]:
-        """Of the frames in order, flattened."""
+        """Names of the frames' status in order, flattened."""
         return [FIT_STATUSES[int(number)] for number in self.status.reshape(-1)]
 
 
@@ -103,7 +103,7 @@ def fit_keypoints(
     trust = torch.ones_like(points[..., 0]) if confidence is None else confidence.to(points).reshape(-1, 21)
     is_known = points.isfinite().all(-1) & trust.isfinite() & (trust > 0)
     points, trust = torch.where(is_known[..., None], points, torch.nan), torch.where(is_known, trust, 0.0)
-    good = ((is_known.sum(-1) >= settings.least_points) & ~_is_one_point(points)).nonzero()[:, 0]
+    good = ((is_known.sum(-1) >= settings.min_points) & ~_is_one_point(points)).nonzero()[:, 0]
     estimator = KeypointEstimator(
         observed=_observation(kinematics, points, trust, camera, settings).rows(good),
         coarse_std_px=None if camera is None else _std_px(points, settings)[1][good],
@@ -196,7 +196,7 @@ def _std_px(
     """Standard deviations of points in pictures, and such as are not so small that only near starts can be told
     apart."""
     extent = (points.nan_to_num(-torch.inf).amax(1) - points.nan_to_num(torch.inf).amin(1)).amax(-1)
-    coarse = settings.noise_share * extent.clamp_min(1.0)
+    coarse = settings.noise_fraction * extent.clamp_min(1.0)
     noise = coarse if settings.noise_px is None else torch.full_like(coarse, settings.noise_px)
     return noise, torch.maximum(noise, coarse)
 
@@ -217,8 +217,8 @@ def _free_columns(kinematics: HandKinematics, fit_shape: bool | Sequence[str], f
         if still := [name for name in fit_shape if names.index(name) not in moving]:
             raise ValueError(f"fit_shape: {still[0]} moves no keypoint")
         chosen = tuple(names.index(name) for name in fit_shape)
-    held = ("hand_length", "hand_breadth") if fit_scale else ()
-    return tuple(i for i in chosen if names[i] not in held)
+    fixed = ("hand_length", "hand_breadth") if fit_scale else ()
+    return tuple(i for i in chosen if names[i] not in fixed)
 
 
 def _placed(fit: KeypointFit, rows: Tensor, count: int, batch: torch.Size) -> KeypointFit:
@@ -239,7 +239,7 @@ def _placed(fit: KeypointFit, rows: Tensor, count: int, batch: torch.Size) -> Ke
 
 
 def _result(estimator: KeypointEstimator, shape: Float[Tensor, "shape"]) -> KeypointFit:
-    """Of the frames that have enough points."""
+    """The fit of the frames that have enough points."""
     found = estimator.estimate(shape)
     solution, space = found.solution, estimator.space
     observed = replace(estimator.observed, detector=found.detector)
@@ -290,7 +290,7 @@ def _measured(
 
 
 def _nothing(estimator: KeypointEstimator, shape: Float[Tensor, "shape"]) -> KeypointFit:
-    """Of no frame."""
+    """The fit of no frame."""
     free = estimator.space.size
     detector = estimator.observed.detector
     assert detector is not None

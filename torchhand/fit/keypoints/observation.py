@@ -12,7 +12,7 @@ from torchhand.fit.keypoints.points import (
     KeypointSettings,
     equations_of_points,
     frames_of,
-    trusted_share,
+    trusted_fraction,
 )
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics
@@ -41,7 +41,7 @@ class PictureKeypoints:
     """Loss of residuals in standard deviations, evaluated at every hand; None for what each point is trusted at the
     association."""
     detector: Detector | None = None
-    """None for one whose keypoints are ours."""
+    """Properties of the detector; None for one whose keypoints are ours."""
 
     @property
     def is_empty(self) -> bool:
@@ -54,7 +54,7 @@ class PictureKeypoints:
         return is_known if self.confidence is None else is_known & (self.confidence > 0)
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "PictureKeypoints":
-        """Of some of the frames; itself where the points are the same for all."""
+        """The rows of some of the frames; itself where the points are the same for all."""
         if len(self.points_px) == 1:
             return self
         return replace(
@@ -107,13 +107,13 @@ class PictureKeypointFactor:
     weight: Float[Tensor, "k 21"]
     """Inverse variances, px⁻²; 0 for missing points."""
     trust: Float[Tensor, "k 21"]
-    """What each point counts, of what it would if it were the only one and no outlier."""
+    """Weight of each point, as a fraction of what it would if it were the only one and no outlier."""
     view: int
     loss: RobustLoss | None
     detector: Detector
 
     def distance(self, hands: PosedHands) -> Float[Tensor, "k 21"]:
-        """Of every point from the hand's keypoint, px; 0 for missing ones."""
+        """Distance of every point from the hand's keypoint, px; 0 for missing ones."""
         away = self._projected(hands)[0] - self.points
         return torch.where(self.weight > 0, away.norm(dim=-1), 0.0)
 
@@ -124,7 +124,7 @@ class PictureKeypointFactor:
         return torch.where(self.weight > 0, away, torch.nan)
 
     def equations(self, hands: PosedHands) -> Equations:
-        """In the DOFs, and in the shared unknowns where there are some."""
+        """Normal equations in the DOFs, and in the shared unknowns where there are some."""
         pixels, slopes, depth = self._projected(hands)
         rows = slopes @ self.detector.pose_jacobian(self.kinematics, hands)
         shared = None
@@ -141,20 +141,20 @@ class PictureKeypointFactor:
         return self._projected(hands)[0].flatten(1)
 
     def measurement(self) -> tuple[Float[Tensor, "m"], Float[Tensor, "m"], Bool[Tensor, "m"]]:
-        """Of the first row: values, variances, and which are known; for filters."""
+        """Measurement of the first row: values, variances, and which are known; for filters."""
         precision = (self.weight[0] * self.trust[0])[:, None].expand(-1, 2).flatten()
         is_known = precision > 0
         return self.points[0].flatten(), torch.where(is_known, precision, 1.0).reciprocal(), is_known
 
     def rows(self, rows: Int[Tensor, "n"]) -> "PictureKeypointFactor":
-        """Of some of the hands."""
+        """The rows of some of the hands."""
         own = {name: getattr(self, name)[rows] for name in ("points", "weight", "trust")}
         return replace(self, camera=self.camera.rows(rows), **own)
 
     def explained(self) -> tuple[Explained, ...]:
         """Share of the points that are trusted by half at least; their distance counts for nothing here."""
-        share = trusted_share(self.weight, self.trust)
-        return (Explained(name=IN_PICTURE, view=self.view, share=share, distance=torch.zeros_like(share)),)
+        fraction = trusted_fraction(self.weight, self.trust)
+        return (Explained(name=IN_PICTURE, view=self.view, fraction=fraction, distance=torch.zeros_like(fraction)),)
 
     def _projected(
         self, hands: PosedHands

@@ -37,11 +37,11 @@ def place_hand(
         return None
     natural = natural_posture().mean.to(shape)
     told = [one for one in postures if not one.is_empty]
-    share = shape.new_ones(1, len(DOFS))
+    missing = shape.new_ones(1, len(DOFS))
     if told:
         starts = HandPose.cat([_placed(one.pose, pictures, kinematics, shape) for one in told])
         is_open = torch.stack([one.precision for one in told]).amax((0, 1)) == 0
-        share[:, -len(JOINT_DOFS) :] = is_open.to(share)
+        missing[:, -len(JOINT_DOFS) :] = is_open.to(missing)
     else:
         found = [starts_in_picture(one, shape, natural, _STARTS).reshape(-1) for one in pictures]
         starts = HandPose.cat(found)
@@ -50,7 +50,7 @@ def place_hand(
         skeleton=kinematics.skeleton,
         shape=shape,
         observations=(*pictures, *told),
-        priors=(NaturalPrior(posture=natural_posture(), share=share.repeat(len(starts), 1)),),
+        priors=(NaturalPrior(posture=natural_posture(), fraction=missing.repeat(len(starts), 1)),),
     )
     solutions = solve(problem, starts, _SCHEDULE)
     return solutions.select(solutions.best)

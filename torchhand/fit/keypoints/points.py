@@ -76,7 +76,7 @@ class Detector:
 
     @classmethod
     def known(cls, like: Tensor) -> "Detector":
-        """Of points in metres, at our own keypoints."""
+        """The detector of points in metres, at our own keypoints."""
         return cls(log_scale=like.new_zeros(()), offsets=like.new_zeros(_POINTS, 3))
 
     @property
@@ -87,7 +87,7 @@ class Detector:
         return torch.cat(parts) if parts else self.offsets.new_zeros(0)
 
     def at(self, extra: Float[Tensor, "extra"] | None) -> "Detector":
-        """The same with other values of the unknown ones; None for its own."""
+        """The detector with other values of its unknown properties; None keeps its own."""
         if extra is None or not len(extra):
             return self
         log_scale = extra[0] if self.has_unknown_scale else self.log_scale
@@ -139,7 +139,7 @@ def equations_of_points(
     rows: Float[Tensor, "k 21 d 36"],
     shared: Float[Tensor, "k 21 d c"] | None,
 ) -> Equations:
-    """Of ½ Σ precision · |missed|², or of a robust loss of it; points of precision 0 do not count."""
+    """Normal equations of ½ Σ precision · |missed|², or of a robust loss of it; points of precision 0 do not count."""
     known = torch.where(precision[..., None] > 0, missed, 0.0)
     weight = precision[..., None].expand_as(known)
     if loss is None:
@@ -156,7 +156,7 @@ def equations_of_points(
     )
 
 
-def trusted_share(weight: Float[Tensor, "k 21"], trust: Float[Tensor, "k 21"]) -> Float[Tensor, "k"]:
+def trusted_fraction(weight: Float[Tensor, "k 21"], trust: Float[Tensor, "k 21"]) -> Float[Tensor, "k"]:
     """Share of the known points (weight above 0) that are trusted by half of the best one at least."""
     highest = trust.amax(-1, keepdim=True).clamp_min(1e-30)
     is_trusted = (trust > 0.25 * highest) & (weight > 0)

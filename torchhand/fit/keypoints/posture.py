@@ -7,7 +7,6 @@ are read as a posture once, and hands are compared with the posture.
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -15,12 +14,12 @@ from torch import Tensor
 
 from torchhand.fit import Equations, Explained, PosedHands, Stage
 from torchhand.fit.keypoints.points import KeypointSettings
-from torchhand.fit.keypoints.prior import missing_share, natural_posture
+from torchhand.fit.keypoints.prior import missing_fraction, natural_posture
 from torchhand.fit.keypoints.start import palm_weight, start_in_space
 from torchhand.hand import FINGERS, JOINT_DOFS, HandKinematics, HandPose
 
 POSTURE = "posture of keypoints"
-_FEWEST = 5  # points that tell how the hand is turned and still something of its fingers
+_MIN_POINTS = 5  # points that tell how the hand is turned and still something of its fingers
 _FREEDOM = 4.0  # degrees of freedom of the t distribution of a finger's errors
 _PER_FINGER = len(JOINT_DOFS) // len(FINGERS)
 
@@ -70,17 +69,17 @@ class PostureKeypoints:
         """points: any frame and unit; NaN for missing ones. world_from_points: where their axes are known; they are
         the world's where it is None."""
         is_known = points.isfinite().all(-1)
-        is_known &= is_known.sum(-1, keepdim=True) >= _FEWEST
+        is_known &= is_known.sum(-1, keepdim=True) >= _MIN_POINTS
         natural = natural_posture(dtype=points.dtype, device=points.device).mean
         pose, _ = start_in_space(kinematics, points.nan_to_num(), is_known, shape, natural)
         if world_from_points is not None:
             pose = replace(pose, reference=world_from_points.to(points) @ pose.reference)
         std = settings.angle_error * points.new_tensor([_std_of(dof) for dof in JOINT_DOFS])
         is_placed = (palm_weight(is_known) > 0.5).sum(-1, keepdim=True) >= 3
-        told = (missing_share(is_known.to(points))[:, -len(JOINT_DOFS) :] < 0.5) & is_placed
+        told = (missing_fraction(is_known.to(points))[:, -len(JOINT_DOFS) :] < 0.5) & is_placed
         return cls(pose=pose, precision=torch.where(told, std.square().reciprocal(), 0.0), view=view)
 
-    @cached_property
+    @property
     def is_empty(self) -> bool:
         return not bool((self.precision > 0).any())
 
@@ -113,15 +112,15 @@ class PostureKeypoints:
             angles=self.angles.to(joints).expand(len(joints), -1),
             precision=precision,
             trust=trust.repeat_interleave(_PER_FINGER, -1),
-            least_cost=cost.sum(-1),
-            share=(missed <= 2 * count).to(joints).mean(-1),
+            floor=cost.sum(-1),
+            fraction=(missed <= 2 * count).to(joints).mean(-1),
             view=self.view,
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class PostureKeypointFactor:
-    """½ Σ trust · precision · (angle - detected angle)² above a least cost, which makes it the logarithm of the t
+    """½ Σ trust · precision · (angle - detected angle)² above a floor, which makes it the logarithm of the t
     distribution at the association; a row per hand."""
 
     angles: Float[Tensor, "k 30"]
@@ -129,8 +128,8 @@ class PostureKeypointFactor:
     """0 where nothing is known."""
     trust: Float[Tensor, "k 30"]
     """What each angle counts: more than 1 near the hand."""
-    least_cost: Float[Tensor, "k"]
-    share: Float[Tensor, "k"]
+    floor: Float[Tensor, "k"]
+    fraction: Float[Tensor, "k"]
     view: int
 
     def equations(self, hands: PosedHands) -> Equations:
@@ -139,7 +138,7 @@ class PostureKeypointFactor:
         weight = self.trust * self.precision
         pull = weight * missed
         return Equations(
-            cost=self.least_cost + 0.5 * (pull * missed).sum(-1),
+            cost=self.floor + 0.5 * (pull * missed).sum(-1),
             gradient=pull,
             matrix=weight.diag_embed(),
             first_dof=hands.pose.dofs.shape[-1] - len(JOINT_DOFS),
@@ -158,13 +157,15 @@ class PostureKeypointFactor:
 
     def rows(self, rows: Int[Tensor, "n"]) -> "PostureKeypointFactor":
         """Of some of the hands."""
-        own = {name: getattr(self, name)[rows] for name in ("angles", "precision", "trust", "least_cost", "share")}
+        own = {name: getattr(self, name)[rows] for name in ("angles", "precision", "trust", "floor", "fraction")}
         return replace(self, **own)
 
     def explained(self) -> tuple[Explained, ...]:
         """Share of the fingers whose angles are those of the points within √2 standard deviations on average; their
         distance counts for nothing here."""
-        return (Explained(name=POSTURE, view=self.view, share=self.share, distance=torch.zeros_like(self.share)),)
+        return (
+            Explained(name=POSTURE, view=self.view, fraction=self.fraction, distance=torch.zeros_like(self.fraction)),
+        )
 
 
 def _by_finger(values: Tensor) -> Tensor:

@@ -38,7 +38,7 @@ class NaturalPosture:
     """A Gaussian over the joint angles."""
 
     mean: Float[Tensor, "36"]
-    """Radians; zeros for the root, of which nothing is believed."""
+    """Mean angles, radians; zeros for the root, of which nothing is believed."""
     precision: Float[Tensor, "36 36"]
     """Inverse covariance; zero rows and columns for the root."""
 
@@ -52,7 +52,7 @@ class NaturalPrior:
     """½ |posture - mean|² in the metric of the precision, counted DOF by DOF. Its own factor: nothing is associated."""
 
     posture: NaturalPosture
-    share: Float[Tensor, "rows 36"]
+    fraction: Float[Tensor, "rows 36"]
     """0 to 1: how far the belief in the natural posture holds for each DOF of each frame."""
 
     @property
@@ -60,16 +60,16 @@ class NaturalPrior:
         return False
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "NaturalPrior":
-        """Of some of the frames."""
-        return replace(self, share=self.share[rows])
+        """The rows of some of the frames."""
+        return replace(self, fraction=self.fraction[rows])
 
     def associate(self, hands: PosedHands, stage: Stage) -> "NaturalPrior":
         """Itself."""
         return self
 
     def equations(self, hands: PosedHands) -> Equations:
-        """In the joint angles."""
-        root = self.share[:, _ROOT:].sqrt()
+        """Normal equations in the joint angles."""
+        root = self.fraction[:, _ROOT:].sqrt()
         precision = self.posture.precision[_ROOT:, _ROOT:].to(root)
         away = root * (hands.pose.dofs - self.posture.mean.to(root))[:, _ROOT:]
         pull = away @ precision
@@ -106,7 +106,7 @@ def limit_information(skeleton: Skeleton) -> Float[Tensor, "36"]:
 
 
 def points_of_dofs() -> tuple[tuple[int, ...], ...]:
-    """For every DOF the keypoints without which it cannot be told: the ends of the bones on both sides of the joint.
+    """Keypoints, for every DOF, without which it cannot be told: the ends of the bones on both sides of the joint.
 
     A twist is told only by the bone after the next. The root's six need none in particular.
     """
@@ -123,7 +123,7 @@ def points_of_dofs() -> tuple[tuple[int, ...], ...]:
     return tuple(table)
 
 
-def missing_share(confidence: Float[Tensor, "*frames 21"]) -> Float[Tensor, "*frames 36"]:
+def missing_fraction(confidence: Float[Tensor, "*frames 21"]) -> Float[Tensor, "*frames 36"]:
     """1 for the DOFs of which a keypoint is missing (confidence 0), falling to 0 as the least confidence rises to 1."""
     columns = [
         1 - confidence[..., list(points)].amin(-1).clamp(0, 1) if points else torch.zeros_like(confidence[..., 0])

@@ -15,16 +15,16 @@ class KeypointFitSettings:
     noise: float = 0.004
     """Standard deviation of a point in space along each axis, metres; above 0."""
     noise_px: float | None = None
-    """Standard deviation of a point in a picture along each axis, px; above 0. Where it is None, `noise_share`."""
-    noise_share: float = 0.025
+    """Standard deviation of a point in a picture along each axis, px; above 0. Where it is None, `noise_fraction`."""
+    noise_fraction: float = 0.025
     """Standard deviation of a point in a picture as a share of the longer side of the box around the frame's points;
     above 0."""
     gross: float = 5.0
     """Standard deviations beyond which points count for less (Huber); above 0, infinite for none."""
     prior: str = "auto"
-    """When the natural posture counts: for the joints whose points are missing, always, or never. auto is
-    where_missing in space, where a full set of points needs no belief that would only pull, and always in pictures."""
-    least_points: int = 5
+    """Use of the natural posture: for the joints whose points are missing, always, or never. auto is where_missing in
+    space, where a full set of points needs no belief that would only pull, and always in pictures."""
+    min_points: int = 5
     """Frames with fewer points, or with all of them in one place, are not fitted; 4 or more."""
     offset_std: float = 0.0
     """Spread of the constant offsets between the maker's keypoints and ours, metres, in the frames of the bones; one
@@ -35,11 +35,11 @@ class KeypointFitSettings:
     """Starts per frame that are followed up for pictures; 1 or more."""
 
     def __post_init__(self) -> None:
-        for name in ("noise", "noise_px", "noise_share"):
+        for name in ("noise", "noise_px", "noise_fraction"):
             if (value := getattr(self, name)) is not None:
                 require_positive(name, value)
         require(self.gross > 0, "gross", "above 0", self.gross)
         require(self.prior in PRIORS, "prior", f"one of {', '.join(PRIORS)}", self.prior)
         require(0 <= self.offset_std < math.inf, "offset_std", "0 or more and finite", self.offset_std)
-        for name, least in (("least_points", 4), ("starts", 1)):
-            require(getattr(self, name) >= least, name, f"{least} or more", getattr(self, name))
+        for name, minimum in (("min_points", 4), ("starts", 1)):
+            require(getattr(self, name) >= minimum, name, f"{minimum} or more", getattr(self, name))

@@ -87,8 +87,8 @@ def starts_in_picture(
 
 
 def other_ways(start: HandPose) -> HandPose:
-    """Of each pose (frames) six (frames, 6): itself, then for each digit the same with that digit bent if it was
-    straight, or straight if it was bent."""
+    """Six alternatives of each pose (frames), (frames, 6): itself, then for each digit the same with that digit bent if
+    it was straight, or straight if it was bent."""
     pose = start.dofs
     bent, straight = (posture(name).to(pose) for name in ("fist", "open"))
     poses = [pose]

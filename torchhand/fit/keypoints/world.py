@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.fit import Equations, Explained, PosedHands, Stage
-from torchhand.fit.keypoints.points import Detector, KeypointSettings, equations_of_points, trusted_share
+from torchhand.fit.keypoints.points import Detector, KeypointSettings, equations_of_points, trusted_fraction
 from torchhand.hand import HandKinematics
 from torchhand.numerics import RobustLoss
 
@@ -20,7 +20,7 @@ class WorldKeypoints:
     frame."""
 
     points: Float[Tensor, "#rows 21 3"]
-    """In the world, in the detector's unit; NaN for missing points."""
+    """Points in the world, in the detector's unit; NaN for missing points."""
     kinematics: HandKinematics
     settings: KeypointSettings
     confidence: Float[Tensor, "#rows 21"] | None = None
@@ -29,7 +29,7 @@ class WorldKeypoints:
     """Loss of residuals in standard deviations, evaluated at every hand; None for what each point is trusted at the
     association."""
     detector: Detector | None = None
-    """None for one that measures in metres and whose keypoints are ours."""
+    """Properties of the detector; None for one that measures in metres and whose keypoints are ours."""
 
     @property
     def is_empty(self) -> bool:
@@ -42,7 +42,7 @@ class WorldKeypoints:
         return is_known if self.confidence is None else is_known & (self.confidence > 0)
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "WorldKeypoints":
-        """Of some of the frames; itself where the points are the same for all."""
+        """The rows of some of the frames; itself where the points are the same for all."""
         if len(self.points) == 1:
             return self
         confidence = None if self.confidence is None else self.confidence[rows]
@@ -74,16 +74,16 @@ class WorldKeypointFactor:
     weight: Float[Tensor, "k 21"]
     """Inverse variances, m⁻²; 0 for missing points."""
     trust: Float[Tensor, "k 21"]
-    """What each point counts, of what it would if it were the only one and no outlier."""
+    """Weight of each point, as a fraction of what it would if it were the only one and no outlier."""
     loss: RobustLoss | None
     detector: Detector
 
     def distance(self, hands: PosedHands) -> Float[Tensor, "k 21"]:
-        """Of the hand's keypoints from the points, metres; 0 for missing ones."""
+        """Distance of the hand's keypoints from the points, metres; 0 for missing ones."""
         return torch.where(self.weight > 0, self._missed(hands).norm(dim=-1), 0.0)
 
     def equations(self, hands: PosedHands) -> Equations:
-        """In the DOFs, and in the shared unknowns where there are some."""
+        """Normal equations in the DOFs, and in the shared unknowns where there are some."""
         rows = self.detector.pose_jacobian(self.kinematics, hands)
         shared = None
         if hands.unknowns is not None:
@@ -93,13 +93,13 @@ class WorldKeypointFactor:
         return equations_of_points(self._missed(hands), self.weight * self.trust, self.loss, rows, shared)
 
     def rows(self, rows: Int[Tensor, "n"]) -> "WorldKeypointFactor":
-        """Of some of the hands."""
+        """The rows of some of the hands."""
         return replace(self, points=self.points[rows], weight=self.weight[rows], trust=self.trust[rows])
 
     def explained(self) -> tuple[Explained, ...]:
         """Share of the points that are trusted by half at least; their distance counts for nothing here."""
-        share = trusted_share(self.weight, self.trust)
-        return (Explained(name=IN_WORLD, view=None, share=share, distance=torch.zeros_like(share)),)
+        fraction = trusted_fraction(self.weight, self.trust)
+        return (Explained(name=IN_WORLD, view=None, fraction=fraction, distance=torch.zeros_like(fraction)),)
 
     def _missed(self, hands: PosedHands) -> Float[Tensor, "k 21 3"]:
         return self.detector.keypoints(self.kinematics, hands) - self._scale(hands) * self.points

@@ -64,7 +64,7 @@ def fit_open_hand(
         return NoRegions(
             reason="the fitted hand has hardly any edge in the picture", found=tuple(d.name for d in regions.digits)
         )
-    broken = problem.people.violation(problem.split(found.values)[1])
+    broken = problem.population.violation(problem.split(found.values)[1])
     fit = _as_fit(found, problem)
     return OpenHand(
         fit=fit,
@@ -99,7 +99,7 @@ def _as_fit(found: OutlineFit, problem: OpenHandProblem) -> Fit:
     count = len(problem.free_pose)
     pose_std = torch.zeros(len(DOFS), dtype=pose.dtype).index_copy(0, problem.free_pose, std[:count])
     shape_std = torch.zeros_like(shape).index_copy(0, problem.free_shape, std[count:])
-    shape, shape_std = _with_thickness(problem.people.space, problem.people.project(shape), shape_std)
+    shape, shape_std = _with_thickness(problem.population.space, problem.population.project(shape), shape_std)
     flat, reference = rebased(pose, problem.root_reference)
     return Fit(
         pose=flat,
@@ -108,7 +108,7 @@ def _as_fit(found: OutlineFit, problem: OpenHandProblem) -> Fit:
         pose_std=pose_std,
         shape_std=shape_std,
         residual_px=found.edges.residual_px,
-        found_share=found.edges.found_fraction,
+        found_fraction=found.edges.found_fraction,
     )
 
 

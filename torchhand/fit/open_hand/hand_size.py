@@ -21,9 +21,9 @@ class HandSize:
     """Length of a hand, and how it is known."""
 
     length: float
-    """Metres."""
+    """Hand length, metres."""
     std: float
-    """Metres."""
+    """Standard deviation of the hand length, metres."""
     source: SizeSource
 
 
@@ -33,7 +33,8 @@ def known_length(length: float) -> HandSize:
 
 
 def length_at_distance(fit: Fit, kinematics: HandKinematics, camera: Camera, distance: float) -> HandSize:
-    """From the distance, metres, of the palm's middle from a calibrated camera; its own error is not counted.
+    """Hand length from the distance, metres, of the palm's middle from a calibrated camera; its own error is not
+    counted.
 
     Raises ValueError for an orthographic camera, whose pictures do not change with distance.
     """

@@ -48,10 +48,10 @@ class OpenHandProblem:
 
     kinematics: HandKinematics
     camera: Camera
-    """Its frame is the world."""
+    """The camera, whose coordinates are the world."""
     root_reference: Float[Tensor, "3 3"]
     """Orientation about which the root turns, cam_from_hand."""
-    people: Anthropometry
+    population: Anthropometry
     pose: Float[Tensor, "36"]
     """Mean of the pose, and the values of what is held."""
     shape: Float[Tensor, "shape"]
@@ -76,15 +76,15 @@ class OpenHandProblem:
         root_reference: Float[Tensor, "3 3"],
     ) -> "OpenHandProblem":
         """The problem with a pose and the mean shape over people as means."""
-        people = Anthropometry(kinematics.shape_space)
-        space, skeleton = people.space, kinematics.skeleton
+        population = Anthropometry(kinematics.shape_space)
+        space, skeleton = population.space, kinematics.skeleton
         pose_std = torch.tensor(
             [next((std for end, std in _POSE_STD.items() if dof.endswith(end)), 0.0) for dof in DOFS], dtype=pose.dtype
         )
         shape_std = space.std.clone()
         length, breadth = (space.names.index(name) for name in ("hand_length", "hand_breadth"))
         shape_std[length] = 0.0
-        shape_std[breadth] *= math.sqrt(1 - people.settings.length_breadth_correlation**2)
+        shape_std[breadth] *= math.sqrt(1 - population.settings.length_breadth_correlation**2)
         free_pose, free_shape = pose_std.nonzero()[:, 0], shape_std.nonzero()[:, 0]
         std = torch.cat((pose_std[free_pose], shape_std[free_shape]))
         unbounded = torch.full((6,), torch.inf, dtype=pose.dtype)
@@ -98,7 +98,7 @@ class OpenHandProblem:
             kinematics=kinematics,
             camera=camera,
             root_reference=root_reference,
-            people=people,
+            population=population,
             pose=pose,
             shape=shape,
             free_pose=free_pose,
@@ -133,11 +133,11 @@ class OpenHandProblem:
 
         In standard deviations.
         """
-        people, count = self.people, len(self.people.space.names)
-        matrix, bound = people.matrix[2 * count :], people.bound[2 * count :]
-        spread = people.spread.clone()
-        spread[-1] *= self.shape[people.space.names.index("hand_length")]
-        scale = people.settings.softness * torch.cat((spread, spread))
+        population, count = self.population, len(self.population.space.names)
+        matrix, bound = population.matrix[2 * count :], population.bound[2 * count :]
+        spread = population.spread.clone()
+        spread[-1] *= self.shape[population.space.names.index("hand_length")]
+        scale = population.settings.softness * torch.cat((spread, spread))
         excess = (self.split(values)[1] @ matrix.T - bound) / scale
         return torch.cat((values, excess.clamp_min(0)), -1)
 

@@ -54,7 +54,7 @@ class DigitResiduals:
         self._problem = problem
 
     def corrected(self, values: Float[Tensor, "n"], drawn: HandRegions) -> "DigitResiduals":
-        """The same, free of the measurement's own bias: `drawn` is measured on the silhouette of the model.
+        """The residuals free of the measurement's own bias: `drawn` is measured on the silhouette of the model.
 
         Webs lie where the flesh of two fingers meets, not where the model's formula has them, and axes of curved digits
         end beside their tips; but the same so in both pictures.

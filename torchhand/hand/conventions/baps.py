@@ -1,4 +1,4 @@
-"""MPEG-4 body animation parameters (BAPs) of one hand in both numberings (FACTS 3.5), and our poses as their values.
+"""MPEG-4 body animation parameters (BAPs) of one hand in both numberings, and our poses as their values.
 
 The final numbering (ISO/IEC 14496-2) has 29 angles a hand, the draft that the papers of its time used 25: no bending
 of the palm. Neither has the thumb's MCP abduction. The hand frame is the humanoid's root: one hand is all there is, so
@@ -56,7 +56,7 @@ class BapValues:
     """Names of the columns: joint angles, then tr_vertical … rt_body_tilt."""
     values: Int[Tensor, "*batch parameters"]
     residual: Float[Tensor, "*batch 30"]
-    """What is lost of each joint angle, radians: all of those without a parameter, the rounding of the others."""
+    """Error of each joint angle, radians: all of those without a parameter, the rounding of the others."""
 
 
 def baps_of_pose(pose: Float[Tensor, "*batch 36"], numbering: Numbering, side: Side) -> BapValues:

@@ -19,7 +19,7 @@ class BoneFit:
     """A pose found from rotations of bones."""
 
     pose: Float[Tensor, "*batch 36"]
-    """In the order of DOFS; the angles are not held to their limits (`Skeleton.within_limits` does that)."""
+    """Pose in the order of DOFS; the angles are not held to their limits (`Skeleton.within_limits` does that)."""
     residual: Float[Tensor, "*batch 20"]
     """Angle, radians, between each bone's rotation relative to its parent as given and as the pose has it."""
 
@@ -41,10 +41,10 @@ def fit_bones(
     angles = _start(joint, axes, is_used)
     for _ in range(_STEPS):
         turned, columns = _turn(axes, angles)
-        lack = vector_from_rotation(joint @ turned.mT)
+        residual = vector_from_rotation(joint @ turned.mT)
         columns = columns * is_used[:, None, :]
         normal = columns.mT @ columns + torch.diag_embed((~is_used).double() + _DAMPING)
-        step = torch.linalg.solve(normal, (columns.mT @ lack[..., None]).squeeze(-1))
+        step = torch.linalg.solve(normal, (columns.mT @ residual[..., None]).squeeze(-1))
         angles = angles + step
         if not step.numel() or float(step.abs().max()) < _ENOUGH:
             break
@@ -117,5 +117,5 @@ def _start(joint: Tensor, axes: Tensor, is_used: Tensor) -> Tensor:
 
 def _any_across(axis: Float[Tensor, "19 3"]) -> Float[Tensor, "19 3"]:
     """Some direction that is not parallel to each axis."""
-    least = axis.abs().argmin(-1)
-    return torch.nn.functional.one_hot(least, 3).to(axis)
+    minimum = axis.abs().argmin(-1)
+    return torch.nn.functional.one_hot(minimum, 3).to(axis)

@@ -1,4 +1,4 @@
-"""Names of H-Anim (ISO/IEC 19774) for our bones: joints and the segments that they move (FACTS 3.4)."""
+"""Names of H-Anim (ISO/IEC 19774) for our bones: joints and the segments that they move."""
 
 from typing import Literal
 

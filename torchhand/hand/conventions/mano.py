@@ -1,7 +1,7 @@
 """MANO's sixteen axis-angle rotations and our angles. Only its joint order and axes are used: no file of MANO's.
 
 At zero all frames of MANO's skeleton are parallel: fingers along -x of the right hand (+x of the left one), the back of
-the hand to +y, the thumb's side to +z (FACTS 3.3, 9.1). A joint's rotation is its turn relative to its parent since
+the hand to +y, the thumb's side to +z. A joint's rotation is its turn relative to its parent since
 then. Its fingers have no metacarpals: what bends in our palm is part of the rotation at the knuckle, and only the
 direction of the finger survives, not the knuckle's place.
 
@@ -46,7 +46,8 @@ class ManoPose:
     axis_angle: Float[Tensor, "*batch 16 3"]
     """Rotation vector of each joint relative to its parent, radians; the first is the hand's in the world."""
     wrist: Float[Tensor, "*batch 3"]
-    """Where our wrist is, metres; smplx's `transl` is this less MANO's wrist joint at rest, which its shape moves."""
+    """Position of our wrist, metres; smplx's `transl` is this less MANO's wrist joint at rest, which its shape
+    moves."""
     residual: Float[Tensor, "*batch 21"]
     """Metres by which each of our keypoints is off when MANO's rotations alone pose the hand (the palm rigid)."""
 

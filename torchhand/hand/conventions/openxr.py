@@ -3,7 +3,7 @@
 Axes of a joint, for either hand: -z along the bone towards the fingertip, +y out of the back of the hand, +x to the
 right. A joint stands at the end of its bone that is nearer to the wrist and is named after the bone; a tip stands at
 the fingertip with the axes of the last bone; the palm stands in the middle of the middle finger's metacarpal. Without
-palm and the four fingers' metacarpals the order is that of our 21 keypoints (FACTS 9.1).
+palm and the four fingers' metacarpals the order is that of our 21 keypoints.
 """
 
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ class OpenXRJoints:
     """Where the 26 joints are, in the frame of the bones they were made of."""
 
     position: Float[Tensor, "*batch 26 3"]
-    """Metres."""
+    """Positions of the joints, metres."""
     rotation: Float[Tensor, "*batch 26 3 3"]
     """world_from_joint"""
 

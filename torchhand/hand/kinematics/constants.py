@@ -39,11 +39,11 @@ class ChainConstants:
     angles: Int[Tensor, "31"]
     """Rows of the pose: the angles of the 13 hinges, then three of each free bone; a missing angle's row is any."""
     angle_rows: Int[Tensor, "30"]
-    """Where each joint angle stands among those 31."""
+    """Row of each joint angle among the 31 of the chain."""
     keypoint_points: Int[Tensor, "21"]
     """The points that are keypoints."""
     point_keypoints: Int[Tensor, "25"]
-    """The keypoint at each point; 21 where there is none."""
+    """Keypoint at each point; 21 where the point has none."""
     lever_ends: Int[Tensor, "24"]
     """The point at the end of every lever."""
 

@@ -23,7 +23,7 @@ class HandPose:
     """
 
     dofs: Float[Tensor, "*batch 36"]
-    """In the order of DOFS; metres and radians."""
+    """Degrees of freedom in the order of DOFS; metres and radians."""
     reference: Float[Tensor, "*batch 3 3"]
     """world_from_hand where the rotation vector is zero."""
 
@@ -36,12 +36,12 @@ class HandPose:
 
     @classmethod
     def cat(cls, poses: Sequence["HandPose"]) -> "HandPose":
-        """Along the first batch dimension."""
+        """Poses joined along the first batch dimension."""
         return cls(dofs=torch.cat([one.dofs for one in poses]), reference=torch.cat([one.reference for one in poses]))
 
     @classmethod
     def stack(cls, poses: Sequence["HandPose"]) -> "HandPose":
-        """Along a new first batch dimension."""
+        """Poses stacked along a new first batch dimension."""
         dofs, reference = ([getattr(one, name) for one in poses] for name in ("dofs", "reference"))
         return cls(dofs=torch.stack(dofs), reference=torch.stack(reference))
 
@@ -53,7 +53,7 @@ class HandPose:
         return len(self.dofs)
 
     def __getitem__(self, index: "int | slice | Int[Tensor, '...']") -> "HandPose":
-        """Of the first batch dimension."""
+        """The poses at an index of the first batch dimension."""
         return HandPose(dofs=self.dofs[index], reference=self.reference[index])
 
     @property
@@ -92,13 +92,13 @@ class HandPose:
         return HandPose(dofs=dofs, reference=reference.expand_as(self.reference))
 
     def reshape(self, *batch: int) -> "HandPose":
-        """With other batch dimensions."""
+        """The poses with other batch dimensions."""
         return HandPose(dofs=self.dofs.reshape(*batch, len(DOFS)), reference=self.reference.reshape(*batch, 3, 3))
 
     def expand(self, *batch: int) -> "HandPose":
-        """Repeated without copies."""
+        """The poses repeated without copies."""
         return HandPose(dofs=self.dofs.expand(*batch, len(DOFS)), reference=self.reference.expand(*batch, 3, 3))
 
     def to(self, like: Tensor) -> "HandPose":
-        """In the dtype and on the device of a tensor."""
+        """The poses in the dtype and on the device of a tensor."""
         return HandPose(dofs=self.dofs.to(like), reference=self.reference.to(like))

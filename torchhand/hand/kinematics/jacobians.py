@@ -101,7 +101,7 @@ class PoseJacobian:
         position: Float[Tensor, "20 3 n"],
         keypoints: Float[Tensor, "21 3 n"],
     ) -> Float[Tensor, "21 3 free n"]:
-        """The same with the batch last, as the memory of HandFrames has it."""
+        """The derivative with the batch last, as the memory of HandFrames has it."""
         count = pose.shape[-1]
         axes = world_axes(pose, rotation, self._constants).index_select(0, self._angles)
         levers = keypoints.index_select(0, self._points) - position.index_select(0, self._bones)
@@ -155,17 +155,17 @@ class ShapeJacobian:
         matrix = kinematics.lever_matrix.unflatten(0, (len(LEVER_ENDS), 3))
         sizes = [space.names.index(name) for name in ("hand_length", "hand_breadth")]
         units = [[i for i, unit in enumerate(space.units) if unit == name] for name in ("/HL", "/HB")]
-        carriers = (*[0] * 5, *range(1, len(BONES)))  # the bone that carries each lever
+        lever_bones = (*[0] * 5, *range(1, len(BONES)))  # the bone that carries each lever
         bones, levers, parameters, places, sources = [], [], [], [], []
         for lever, end in enumerate(LEVER_ENDS):
             touched = set(matrix[lever].any(0).nonzero()[:, 0].tolist())
-            touched |= {size for size, shares in zip(sizes, units, strict=True) if touched & set(shares)}
+            touched |= {size for size, fractions in zip(sizes, units, strict=True) if touched & set(fractions)}
             for parameter in sorted(touched & set(self.columns)):
                 column = self.columns.index(parameter)
                 for point in _beyond(end):
                     places += [(3 * point + i) * len(self.columns) + column for i in range(3)]
                     sources.append(len(bones))
-                bones.append(carriers[lever])
+                bones.append(lever_bones[lever])
                 levers.append(lever)
                 parameters.append(parameter)
 
@@ -178,15 +178,16 @@ class ShapeJacobian:
         self._sizes = index(sizes)
         self._size_of = index([("m", "/HL", "/HB").index(unit) for unit in space.units])[self._parameters]
         # Of every size: the offsets that grow with it, as a map of the shares; and the entries that stand for the size.
-        self._shares = torch.zeros(2, 3 * len(LEVER_ENDS), len(space.names), dtype=like.dtype, device=like.device)
-        for i, shares in enumerate(units):
-            self._shares[i][:, shares] = kinematics.lever_matrix[:, shares]
+        self._fractions = torch.zeros(2, 3 * len(LEVER_ENDS), len(space.names), dtype=like.dtype, device=like.device)
+        for i, fractions in enumerate(units):
+            self._fractions[i][:, fractions] = kinematics.lever_matrix[:, fractions]
         self._is_size = (self._parameters == self._sizes[:, None]).to(like.dtype)[..., None, None]
 
     def __call__(
         self, frames: HandFrames, shape: Float[Tensor, "*#batch shape"]
     ) -> Float[Tensor, "*batch 21 3 columns"]:
-        """Per unit of each parameter: metres, or shares of hand length or breadth. frames: of that shape."""
+        """Derivative per unit of each parameter: metres, or fractions of hand length or breadth. frames: of that
+        shape."""
         batch = frames.rotation.shape[:-3]
         rotation = batch_last(frames.rotation, 3, batch)
         out = self.batch_last(rotation, batch_last(shape, 1, batch))
@@ -195,10 +196,10 @@ class ShapeJacobian:
     def batch_last(
         self, rotation: Float[Tensor, "20 3 3 n"], shape: Float[Tensor, "shape #n"]
     ) -> Float[Tensor, "21 3 columns n"]:
-        """The same with the batch last; a shape for all may have n = 1."""
+        """The derivative with the batch last; a shape for all may have n = 1."""
         factors = torch.cat((torch.ones_like(shape[:1]), shape.index_select(0, self._sizes)))
         per_unit = self._per_metre * factors.index_select(0, self._size_of)[:, None]
-        for grown, is_size in zip(self._shares @ shape, self._is_size, strict=True):
+        for grown, is_size in zip(self._fractions @ shape, self._is_size, strict=True):
             per_unit = per_unit + is_size * grown.unflatten(0, (-1, 3)).index_select(0, self._levers)
         turned = turn(rotation.index_select(0, self._bones), per_unit)
         out = rotation.new_zeros(3 * _POINTS * len(self.columns), rotation.shape[-1])

@@ -21,7 +21,7 @@ class HandFrames:
     """Where the bones of a hand are, metres."""
 
     rotation: Float[Tensor, "*batch 20 3 3"]
-    """world_from_bone"""
+    """Rotations world_from_bone."""
     position: Float[Tensor, "*batch 20 3"]
     """Origin of each bone in the world."""
     keypoints: Float[Tensor, "*batch 21 3"]

@@ -1,4 +1,4 @@
-"""Pose spaces: affine maps from a few free parameters to the 36 named DOFs (DESIGN section 2, FACTS 3.1 and 3.2)."""
+"""Pose spaces: affine maps from a few free parameters to the 36 named DOFs."""
 
 import math
 from dataclasses import dataclass, replace
@@ -92,18 +92,20 @@ def _joints_without(*left_out: str) -> tuple[str, ...]:
     return tuple(dof for dof in JOINT_DOFS if not any(dof.endswith(ending) for ending in left_out))
 
 
-_DIP_TIES = {f"{finger}_dip_fe": (f"{finger}_pip_fe", 2 / 3, 0.0) for finger in FINGERS[1:]}  # paper 000, equation 1
-_THUMB_TIE = {"thumb_mcp_fe": ("thumb_cmc_fe", 2.0, -math.pi / 3)}  # paper 000, equation 4
+_DIP_TIES = {
+    f"{finger}_dip_fe": (f"{finger}_pip_fe", 2 / 3, 0.0) for finger in FINGERS[1:]
+}  # Ouhaddi and Horain 1998, eq. 1
+_THUMB_TIE = {"thumb_mcp_fe": ("thumb_cmc_fe", 2.0, -math.pi / 3)}  # Ouhaddi and Horain 1998, equation 4
 _ABDUCTIONS = ("thumb_cmc_aa", *(f"{finger}_mcp_aa" for finger in FINGERS[1:]))
 
 POSE_SPACES: dict[str, tuple[tuple[str, ...], dict[str, tuple[str, float, float]]]] = {
-    # paper 003, section 5: translation in the picture and rotation about the optical axis
+    # Stenger et al. 2001, section 5: translation in the picture and rotation about the optical axis
     "planar": (("root_tx", "root_ty", "root_rz"), {}),
     # the same with depth, which is scale in the picture
     "planar_scale": (("root_tx", "root_ty", "root_tz", "root_rz"), {}),
-    # paper 000, sections 7.2 and 9: planar motion, scale and the abductions
+    # Ouhaddi and Horain 1998, sections 7.2 and 9: planar motion, scale and the abductions
     "planar_abduction": (("root_tx", "root_ty", "root_tz", "root_rz", *_ABDUCTIONS), {}),
-    # paper 000 with its constraints (1) and (4)
+    # Ouhaddi and Horain 1998 with constraints (1) and (4)
     "dof26": (
         (
             *ROOT_DOFS,
@@ -112,11 +114,11 @@ POSE_SPACES: dict[str, tuple[tuple[str, ...], dict[str, tuple[str, float, float]
         ),
         _DIP_TIES | _THUMB_TIE,
     ),
-    # paper 003, section 4.1
+    # Stenger et al. 2001, section 4.1
     "dof27": ((*ROOT_DOFS, "thumb_cmc_fe", *_joints_without("cmc_fe", "_tw")), {}),
-    # paper 000, section 3.3
+    # Ouhaddi and Horain 1998, section 3.3
     "dof28": ((*ROOT_DOFS, "thumb_cmc_fe", "thumb_cmc_tw", *_joints_without("cmc_fe", "_tw")), {}),
-    # paper 000, section 4, and paper 002
+    # Ouhaddi and Horain 1998, section 4, and Ueda et al. 2003
     "dof31": ((*ROOT_DOFS, "thumb_cmc_fe", *_joints_without("cmc_fe", "thumb_mcp_aa")), {}),
     # every angle of the model
     "dof36": (DOFS, {}),
@@ -148,7 +150,7 @@ def _fist_but(*straight: str, **angles: float) -> dict[str, float]:
 
 
 POSTURES: dict[str, dict[str, float]] = {
-    # degrees; FACTS 8.2 (design values)
+    # degrees; design values
     "open": _SPREAD,
     "flat": {"thumb_cmc_aa": 10.0},
     "fist": _FIST,

@@ -24,7 +24,7 @@ class ShapeSpace:
 
     names: tuple[str, ...]
     units: tuple[str, ...]
-    """m, /HL or /HB"""
+    """Units of the parameters: m, /HL or /HB."""
     default: Float[Tensor, "shape"]
     lower: Float[Tensor, "shape"]
     upper: Float[Tensor, "shape"]
@@ -99,7 +99,8 @@ def linear_map(
 TIP_DEPTH = 0.016
 """Depth of the fingertip keypoint below the skin at the fingertip, as a share of hand length (3 mm)."""
 
-# Joint centres that are no shape parameters, as shares of hand length (y) and of hand breadth (x, z); FACTS 1.2.
+# Joint centres that are no shape parameters, as shares of hand length (y) and of hand breadth (x, z), after Buchholz et
+# al. 1992.
 METACARPAL_BASE_Y = 0.073
 METACARPAL_BASE_Z = {"index": 0.126, "middle": 0.0, "ring": -0.129, "little": -0.223}
 KNUCKLE_X = {"index": 0.0, "middle": 0.02, "ring": 0.01, "little": -0.04}  # the palmar arch

@@ -29,7 +29,7 @@ JOINT_DOFS = (
         for joint in ("cmc_fe", "mcp_fe", "mcp_aa", "mcp_tw", "pip_fe", "dip_fe")
     ),
 )
-"""Thirty joint angles in FACTS 3.2's order: fe flexion, aa abduction, tw twist along the bone."""
+"""Names of the thirty joint angles: fe flexion, aa abduction, tw twist along the bone."""
 DOFS = ROOT_DOFS + JOINT_DOFS
 """The superset pose: three translations (m), a rotation vector (rad), thirty angles (rad)."""
 

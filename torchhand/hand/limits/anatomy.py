@@ -1,4 +1,4 @@
-"""The anatomy that `torchhand build_hand` writes into hand.urdf: resting directions, joint axes, limits (FACTS 1–3)."""
+"""The anatomy that `torchhand build_hand` writes into hand.urdf: resting directions, joint axes, limits."""
 
 import math
 
@@ -17,20 +17,20 @@ from torchhand.hand.kinematics import (
     joint_positions,
 )
 
-# Direction of each straight finger in the palm plane, degrees towards the thumb from the middle finger (FACTS 1.2: the
+# Direction of each straight finger in the palm plane, degrees towards the thumb from the middle finger (the
 # metacarpals fan out more than the fingers do, which lie nearly parallel when the abductions are zero).
 _FINGER_FAN_DEG = {"index": 2.0, "middle": 0.0, "ring": -2.0, "little": -6.0}
-# Roll of each finger's flexion plane about the finger: flexed fingertips converge towards the thumb's base (FACTS 3.3).
+# Roll of each finger's flexion plane about the finger: flexed fingertips converge towards the thumb's base.
 _FINGER_ROLL_DEG = {"index": -5.0, "middle": 0.0, "ring": 8.0, "little": 15.0}
 # Thumb metacarpal at zero angles lies beside the index: tilted towards the thumb's side and out of the palm.
 _THUMB_RADIAL_DEG, _THUMB_PALMAR_DEG = 28.0, 12.0
 # Its abduction plane is oblique, half way between the palm's plane and the perpendicular one.
 _THUMB_OBLIQUE_DEG = 45.0
-# Angle between the CMC joint's two axes, measured in vivo (FACTS 3.3).
+# Angle between the CMC joint's two axes, measured in vivo (Chang and Pollard 2008).
 _THUMB_AXES_SKEW_DEG = 87.0
 
 _LIMITS_DEG = {
-    # FACTS 2.1, recommended defaults; radial CMC joints move little
+    # Between the norms of the AAOS and the limits of published hand models; radial CMC joints move little.
     "thumb_cmc_fe": (-25, 80),
     "thumb_cmc_aa": (0, 60),
     "thumb_cmc_tw": (-20, 40),
@@ -47,12 +47,12 @@ _LIMITS_DEG = {
     "ring_cmc_fe": (0, 15),
     "little_cmc_fe": (0, 25),
     "middle_mcp_aa": (-12, 12),
-    # the outer fingers spread further than the recommended ±20: 30 to 42 and 30 to 35 in the table of FACTS 2.1
+    # the outer fingers spread further than the recommended ±20: 30 to 42 and 30 to 35 in published models
     "index_mcp_aa": (-20, 30),
     "little_mcp_aa": (-20, 35),
 }
 
-_ORDER = {"aa": 0, "fe": 1, "tw": 2}  # abduction outside flexion (paper 000, equation 7), twist innermost
+_ORDER = {"aa": 0, "fe": 1, "tw": 2}  # abduction outside flexion (Ouhaddi and Horain 1998, equation 7), twist innermost
 _JOINT_BONE = {"cmc": "metacarpal", "mcp": "proximal", "pip": "middle", "dip": "distal", "ip": "distal"}
 
 

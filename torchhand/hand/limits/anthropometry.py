@@ -1,11 +1,12 @@
-"""The 21 anthropometric constraints of paper 000, section 3.1: finger, phalanx and palm sizes as shares of hand length.
+"""The 21 anthropometric constraints of Ouhaddi and Horain (1998, section 3.1): sizes of fingers, phalanges and palm as
+fractions of hand length.
 
-The paper names their classes only; five finger lengths, fourteen phalanx lengths and two palm dimensions are 21
-(FACTS 1.8). Published: the phalanx means (Buchholz, Armstrong and Goldstein 1992; FACTS 1.1), and means and spreads of
-palm length and hand breadth over hand length (ANSUR II; FACTS 1.6). Chosen here: the spread of finger and phalanx
-lengths over people, 5 % of fingers and long segments and 8 % of middle and distal phalanges (inside the 5 to 15 % of
-bone lengths in FACTS 1.4; the ±0.003 of paper 000 is a regression's error, FACTS 1.7), and that an interval reaches two
-spreads to either side.
+The paper names their classes only; five finger lengths, fourteen phalanx lengths and two palm dimensions are 21.
+Published: the phalanx means (Buchholz, Armstrong and Goldstein 1992), and means and spreads of palm length and hand
+breadth over hand length (ANSUR II). Chosen here: the spread of finger and phalanx lengths over people, 5 % of fingers
+and long segments and 8 % of middle and distal phalanges (inside the 5 to 15 % of bone lengths in Buryanov and Kotiuk
+2010; the ±0.003 of Ouhaddi and Horain is a regression's error), and that an interval reaches two spreads to either
+side.
 """
 
 import math
@@ -19,7 +20,7 @@ from torchhand.hand.kinematics import FINGERS, ShapeSpace
 from torchhand.hand.limits.violation import Violation
 from torchhand.numerics import Polytope, polytope
 
-_PHALANX_MEANS = {  # FACTS 1.1
+_PHALANX_MEANS = {  # Buchholz, Armstrong and Goldstein 1992
     "thumb": {"proximal": 0.196, "distal": 0.158},
     "index": {"proximal": 0.245, "middle": 0.143, "distal": 0.097},
     "middle": {"proximal": 0.266, "middle": 0.170, "distal": 0.108},
@@ -54,9 +55,9 @@ class AnthropometrySettings:
     softness: float = 0.25
     """Violation that costs ½ in the penalty, in spreads of what is violated; above 0."""
     length_breadth_correlation: float = 0.715
-    """Of hand length and hand breadth over people, -1 to 1. 0.58 among men and 0.57 among women (FACTS 1.6); with the
-    difference between the sexes, which the shape space's spreads hold, 0.715, and only that gives the published spread
-    of breadth over length."""
+    """Correlation of hand length and hand breadth over people, -1 to 1. 0.58 among men and 0.57 among women (ANSUR II);
+    with the difference between the sexes, which the shape space's spreads hold, 0.715, and only that gives the
+    published spread of breadth over length."""
 
     def __post_init__(self) -> None:
         for name in ("reach", "long_spread", "short_spread", "softness"):

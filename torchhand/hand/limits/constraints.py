@@ -1,4 +1,4 @@
-"""What a hand can do: static limits and dynamic constraints of the joint angles (paper 000, section 3.2; FACTS 2)."""
+"""What a hand can do: static limits and dynamic constraints of the joint angles (Ouhaddi and Horain 1998, 3.2)."""
 
 import math
 from dataclasses import dataclass, fields
@@ -27,26 +27,27 @@ _ROUNDING = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class ConstraintSettings:
-    """Which of paper 000's dynamic constraints hold, and how hard."""
+    """Which dynamic constraints of Ouhaddi and Horain (1998) hold, and how hard."""
 
     bands: str = "paper"
     """Bands on neighbouring MCP flexions. "paper" is equation (3): the middle finger's MCP is bent at least as far as
     the index's less 25° and the ring's less 45°. That forbids a straight middle finger beside a ring finger fully bent
-    at its knuckle, so the textbook "victory" (40° too far). "neighbours" is the full table (FACTS 2.3), which also
-    forbids one straight finger beside a fully bent one: "point", "l", "shaka", "three". "none" leaves them out, for
-    signs that a thumb or a wall holds (V, W, 8)."""
+    at its knuckle, so the textbook "victory" (40° too far). "neighbours" is the table of Lee and Kunii (1995), which
+    also forbids one straight finger beside a fully bent one: "point", "l", "shaka", "three". "none" leaves them out,
+    for signs that a thumb or a wall holds (V, W, 8)."""
     ties: str = "soft"
     """Equations (1), (4) and (5), equalities: "soft" in penalties and log-probabilities only; "hard" in the feasible
     set as well, so in projections and samples."""
     abduction_vanishes_at_deg: float = 110.0
-    """θ_fe,max of equation (2): MCP flexion that leaves no abduction; above 0. 110 in paper 000, 70 elsewhere."""
+    """θ_fe,max of equation (2): MCP flexion that leaves no abduction; above 0. Ouhaddi and Horain have 110, others
+    70."""
     softness_deg: float = 2.0
     """Violation of an inequality that costs ½ in the penalty; above 0."""
     dip_spread_deg: float = 8.0
     """Standard deviation about equation (1); above 0."""
     thumb_flexion_spread_deg: float = 45.0
-    """Standard deviation about equation (4); above 0. Wide: paper 000 takes it from a thumb with other axes, and with
-    these a closed fist is 47° off it."""
+    """Standard deviation about equation (4); above 0. Wide: Ouhaddi and Horain take it from a thumb with other axes,
+    and with these a closed fist is 47° off it."""
     thumb_abduction_spread_deg: float = 20.0
     """Standard deviation about equation (5); above 0."""
 
@@ -157,7 +158,7 @@ class PoseConstraints:
         return lower * room, upper * room
 
     def tie_residuals(self, pose: Float[Tensor, "*batch 36"]) -> Float[Tensor, "*batch ties"]:
-        """By how much each of TIES is missed, radians: the angle less what the tie asks for within its limits."""
+        """Residual of each of TIES, radians: the angle less what the tie asks for within its limits."""
         _, joints = _split(pose)
         missed = [joints[..., tie.target] - self.tied_angle(i, joints) for i, tie in enumerate(TIES)]
         return torch.stack(missed, -1)

@@ -1,6 +1,6 @@
-"""How joint angles bind each other: the dynamic constraints of paper 000, equations (1) to (5) (FACTS 2.3).
+"""How joint angles bind each other: equations (1) to (5) of Ouhaddi and Horain (1998).
 
-Flexion is positive throughout; the seed's limits were converted once (FACTS 2.2).
+Flexion is positive throughout, unlike in the paper's limits.
 """
 
 import math
@@ -31,14 +31,14 @@ class Tie:
     """An angle that follows another: target = factor · source + offset, as far as the target's limits let it."""
 
     equation: int
-    """Number in paper 000."""
+    """Number of the equation in Ouhaddi and Horain (1998)."""
     source: int
-    """Index into JOINT_DOFS."""
+    """Index of the source into JOINT_DOFS."""
     target: int
-    """Index into JOINT_DOFS."""
+    """Index of the target into JOINT_DOFS."""
     factor: float
     offset: float = 0.0
-    """Radians."""
+    """Offset of the target, radians."""
 
     @property
     def name(self) -> str:

@@ -26,9 +26,9 @@ class PenetrationSettings:
     slack: float = 0.003
     """Depth at which two digits touch, metres; skin and pads give. 0 or more."""
     neighbour_slack: float = 0.005
-    """The same between neighbouring fingers beyond the webs, metres; 0 or more."""
+    """Overlap that is allowed between neighbouring fingers beyond the webs, metres; 0 or more."""
     palm_slack: float = 0.004
-    """The same between a digit and the palm or the thenar, metres; 0 or more."""
+    """Overlap that is allowed between a digit and the palm or the thenar, metres; 0 or more."""
     softness: float = 0.002
     """Depth beyond the slack that costs ½, metres; above 0."""
 
@@ -46,7 +46,7 @@ class Penetration:
     names: tuple[str, ...]
     """index_distal – thumb_distal and so on, then each outer segment with the palm and with the thenar."""
     depth: Float[Tensor, "*batch pairs"]
-    """Metres; positive where they overlap, minus the gap where they do not."""
+    """Depth of every pair's overlap, metres; positive where they overlap, minus the gap where they do not."""
     excess: Float[Tensor, "*batch pairs"]
     """Depth beyond what counts as touching, metres; 0 or more."""
 

@@ -1,4 +1,4 @@
-"""The hand of paper 003, section 4.1: 37 truncated quadrics that follow the bones and the shape vector."""
+"""The hand of Stenger et al. (2001, section 4.1): 37 truncated quadrics that follow the bones and the shape vector."""
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
@@ -16,7 +16,7 @@ _FINGER_BALLS = [f"{finger}_{joint}" for finger in FINGERS[1:] for joint in ("mc
 CONE_NAMES = ("palm", *_FINGER_CONES, "thumb_proximal", "thumb_distal")
 ELLIPSOID_NAMES = ("palm_fingers", "palm_wrist", *_FINGER_BALLS, "thumb_thenar", "thumb_mcp", "thumb_ip", "thumb_tip")
 PRIMITIVE_NAMES = CONE_NAMES + ELLIPSOID_NAMES
-"""Fifteen cones, then twenty-two ellipsoids (FACTS 4.1)."""
+"""Names of all primitives: fifteen cones, then twenty-two ellipsoids."""
 
 _JOINT_BONES = {"mcp": "proximal", "pip": "middle", "dip": "distal", "ip": "distal", "tip": "distal"}
 
@@ -60,7 +60,7 @@ class PrimitiveSizes:
 
     @cached_property
     def mirrored_placement(self) -> tuple[Float[Tensor, "*batch 37 3 3"], Float[Tensor, "*batch 37 3"]]:
-        """The same of a left hand: mirrored in z = 0. The surfaces themselves are symmetric."""
+        """`placement` of a left hand: mirrored in z = 0. The surfaces themselves are symmetric."""
         turned, origin = self.placement
         mirror = torch.tensor((1.0, 1.0, -1.0), dtype=origin.dtype, device=origin.device)
         return turned * (mirror[:, None] * mirror), origin * mirror
@@ -86,11 +86,11 @@ class Implicit:
     """Q = [[A, b], [bᵀ, c]] and the clips of placed primitives, in parts; the batch stands last."""
 
     upper: Float[Tensor, "37 3 3 n"]
-    """A"""
+    """A of the quadric [[A, b], [bᵀ, c]]."""
     edge: Float[Tensor, "37 3 n"]
-    """b"""
+    """b of the quadric [[A, b], [bᵀ, c]]."""
     corner: Float[Tensor, "37 n"]
-    """c"""
+    """c of the quadric [[A, b], [bᵀ, c]]."""
     axis: Float[Tensor, "37 3 n"]
     """A point X is kept where low <= axis·X <= high."""
     low: Float[Tensor, "37 n"]
@@ -140,7 +140,7 @@ class Primitives:
         return Primitives(sizes=sizes, rotation=self.rotation[index], position=self.position[index])
 
     def quadrics(self) -> tuple[Float[Tensor, "*batch 37 4 4"], Float[Tensor, "*batch 37 4 4"]]:
-        """Matrices Q and Π of every primitive in PRIMITIVE_NAMES order (paper 003, equations 1 and 2)."""
+        """Matrices Q and Π of every primitive in PRIMITIVE_NAMES order (Stenger et al. 2001, equations 1 and 2)."""
         s = self.sizes
         cones = moved(cone(s.cone_start, s.cone_end_scale, s.cone_length), self.cone_rotation, self.cone_position)
         zero = torch.zeros_like(s.cone_length)
@@ -176,11 +176,11 @@ def place_primitives(frames: HandFrames, sizes: PrimitiveSizes, *, is_left: bool
     batch = frames.position.shape[:-2]
     turned, origin = sizes.mirrored_placement if is_left else sizes.placement
     bones = _bone_index(frames.position.device)
-    carriers = batch_last(frames.rotation, 3, batch).index_select(0, bones)
+    bone_rotation = batch_last(frames.rotation, 3, batch).index_select(0, bones)
     position = batch_last(frames.position, 2, batch).index_select(0, bones) + turn(
-        carriers, batch_last(origin, 2, batch)
+        bone_rotation, batch_last(origin, 2, batch)
     )
-    rotation = compose(carriers, batch_last(turned, 3, batch))
+    rotation = compose(bone_rotation, batch_last(turned, 3, batch))
     return Primitives(sizes=sizes, rotation=batch_first(rotation, batch), position=batch_first(position, batch))
 
 

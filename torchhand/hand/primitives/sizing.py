@@ -30,7 +30,7 @@ _THENAR_SHIFT, _THENAR_REACH, _THENAR_WIDTH = (-0.2, 0.46, -0.45), 0.66, 1.4
 def primitive_sizes(space: ShapeSpace, shape: Float[Tensor, "*batch shape"]) -> PrimitiveSizes:
     """Sizes of the primitives for a shape; differentiable.
 
-    Joints are whole spheres, which stay closed when a finger bends where a hemisphere would gape (FACTS 4.1); tips and
+    Joints are whole spheres, which stay closed when a finger bends where a hemisphere would gape; tips and
     palm ends are halves. Everything but the palm is linear in the parameters in metres.
     """
     metres = space.metres(shape)
@@ -70,7 +70,8 @@ class _Palm:
 
 
 def _palm(m: Mapping[str, Tensor]) -> _Palm:
-    """Its axis runs from the middle of the wrist to the middle of the knuckles, beside the middle finger's line."""
+    """Sizes of the palm, whose axis runs from the middle of the wrist to the middle of the knuckles, beside the middle
+    finger's line."""
     zero = torch.zeros_like(m["hand_length"])
     start = torch.stack((zero, _PALM_START_Y * m["hand_length"], zero), -1)
     run = 0.25 * sum(m[f"{finger}_metacarpal"] for finger in FINGERS[1:]) - start[..., 1]

@@ -24,7 +24,7 @@ _STD_DEG = {
 """Spread of each angle about what the angles before it lead one to expect, for a component of spread 1."""
 
 SLOPES: dict[tuple[str, str], float] = {
-    # Fingers that bend take their neighbours along ("enslaving", FACTS 2.1: the middle follows the index by a quarter
+    # Fingers that bend take their neighbours along ("enslaving": the middle follows the index by a quarter
     # to a half); fingers that spread do so together; the palm cups as the outer fingers bend.
     ("thumb_ip_fe", "thumb_mcp_fe"): 0.4,
     **{
@@ -49,9 +49,9 @@ class PostureComponent:
     weight: float
     """Relative; above 0."""
     mean: Float[Tensor, "30"]
-    """Radians, JOINT_DOFS."""
+    """Means in the order of JOINT_DOFS, radians."""
     std: Float[Tensor, "30"]
-    """Radians; of each angle given the ones before it."""
+    """Standard deviation, radians, of each angle given the ones before it."""
 
     def __post_init__(self) -> None:
         if not 0 < self.weight < math.inf:

@@ -18,11 +18,12 @@ _COUNT = len(JOINT_DOFS)
 class PostureMixture(nn.Module):
     """p(joints) = Σ weight_k Π_a N(θ_a; μ_ka(θ before a), σ_ka) cut off to what the hard constraints leave θ_a.
 
-    Angles come in the order of JOINT_DOFS. What is left to each depends on the ones before it only: static limits,
-    the MCP flexions within the bands of the finger before, the abductions within what equation (2) leaves at that
-    flexion. So every sample is feasible and the density is normalised exactly, without any constant to estimate.
-    The means follow the angles before: neighbouring fingers bend together, and the soft ties of paper 000 (equations 1,
-    4, 5) enter as second opinions, two normals multiplied. With hard ties the angles that follow carry no density.
+    Angles come in the order of JOINT_DOFS. What is left to each depends on the ones before it only: static limits, the
+    MCP flexions within the bands of the finger before, the abductions within what equation (2) leaves at that flexion.
+    So every sample is feasible and the density is normalised exactly, without any constant to estimate. The means
+    follow the angles before: neighbouring fingers bend together, and the soft ties of Ouhaddi and Horain 1998
+    (equations 1, 4, 5) enter as second opinions, two normals multiplied. With hard ties the angles that follow carry no
+    density.
 
     The root has none either: it is uniform, which is improper.
     """
@@ -121,8 +122,8 @@ class PostureMixture(nn.Module):
         """
         device = generator.device
         uniform = torch.rand(count, 1 + _COUNT, generator=generator, dtype=torch.float64, device=device)
-        shares = self.log_weight.double().to(device).exp().cumsum(0)
-        kind = torch.searchsorted(shares, uniform[:, 0].contiguous())
+        fractions = self.log_weight.double().to(device).exp().cumsum(0)
+        kind = torch.searchsorted(fractions, uniform[:, 0].contiguous())
         kind = kind.clamp_max(len(self.names) - 1)
         offset, std, tied = (x.double().to(device)[kind] for x in (self.offset, self.std, self.tied))
         slopes = self.slopes.double().cpu()

@@ -1,4 +1,4 @@
-"""The postures that the prior mixes: design values in degrees, not measurements (FACTS 8.2 and 2.1 give the ranges).
+"""The postures that the prior mixes: design values in degrees, not measurements.
 
 Pinches were closed by inverse kinematics, so that the pads meet at the default shape.
 """

@@ -15,8 +15,8 @@ from torchhand.hand.prior.mixture import PostureMixture
 from torchhand.hand.prior.postures import COMPONENTS
 
 _CHUNK = 1024  # hands that are placed at once when sampling
-_MOST = 32 * _CHUNK  # proposals of one round
-_PATIENCE, _FEWEST = 10_000, 1e-3  # tries after which sampling gives up if it keeps a smaller share than that
+_MAX_PROPOSALS = 32 * _CHUNK  # proposals of one round
+_PATIENCE, _MIN_ACCEPTED = 10_000, 1e-3  # tries after which sampling gives up if it keeps a smaller share than that
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +26,8 @@ class HandPriorSettings:
     constraints: ConstraintSettings = field(default_factory=ConstraintSettings)
     anthropometry: AnthropometrySettings = field(default_factory=AnthropometrySettings)
     penetration: PenetrationSettings | None = field(default_factory=PenetrationSettings)
-    """None lets parts of the hand pass through each other: the density is then normalised exactly."""
+    """Settings of the penetration; None lets parts of the hand pass through each other: the density is then normalised
+    exactly."""
     deepest: float = 0.004
     """No sample, and no pose of finite log-probability, has a pair of parts deeper in each other than its slack and
     this, metres; above 0."""
@@ -39,20 +40,20 @@ class HandPriorSettings:
 
 
 class HandPrior(nn.Module):
-    """p(pose, shape) ∝ postures(joint angles) · people(shape) · exp(−penetration(joint angles, shape)).
+    """p(pose, shape) ∝ postures(joint angles) · population(shape) · exp(−penetration(joint angles, shape)).
 
-    `postures` is a mixture of truncated normals on the feasible set (`PostureMixture`), normalised exactly; `people` a
-    normal distribution cut off at the 21 anthropometric intervals and the shape's bounds (`Anthropometry`); penetration
-    as in `penetration`, infinite beyond `settings.deepest`. The constant that cutting off and penetration take away is
-    left out: log-probabilities of one prior can be compared, and `sample` follows them exactly. The root is uniform,
-    which is improper: it has no part in the density, and samples have it at zero.
+    `postures` is a mixture of truncated normals on the feasible set (`PostureMixture`), normalised exactly;
+    `population` a normal distribution cut off at the 21 anthropometric intervals and the shape's bounds
+    (`Anthropometry`); penetration as in `penetration`, infinite beyond `settings.deepest`. The constant that cutting
+    off and penetration take away is left out: log-probabilities of one prior can be compared, and `sample` follows them
+    exactly. The root is uniform, which is improper: it has no part in the density, and samples have it at zero.
     """
 
     def __init__(self, skeleton: Skeleton, shape_space: ShapeSpace, settings: HandPriorSettings | None = None) -> None:
         super().__init__()
         self.settings = settings or HandPriorSettings()
         self.constraints = PoseConstraints(skeleton, self.settings.constraints)
-        self.people = Anthropometry(shape_space, self.settings.anthropometry)
+        self.population = Anthropometry(shape_space, self.settings.anthropometry)
         self.postures = PostureMixture(self.constraints, self.settings.components)
         self.kinematics = HandKinematics(skeleton, shape_space)
 
@@ -71,8 +72,8 @@ class HandPrior(nn.Module):
         density = self.postures.log_density(pose) - cost
         possible = self.constraints.is_feasible(pose) & (excess <= self.settings.deepest)
         if shape is not None:
-            density = density + self.people.log_density(shape)
-            possible = possible & self.people.is_feasible(shape)
+            density = density + self.population.log_density(shape)
+            possible = possible & self.population.is_feasible(shape)
         return torch.where(possible, density, -torch.inf)
 
     def energy(
@@ -86,7 +87,7 @@ class HandPrior(nn.Module):
         _, cost = self._penetration(pose, shape)
         energy = cost - self.postures.log_density(pose) + self.constraints.wall(pose)
         if shape is not None:
-            energy = energy - self.people.log_density(shape) + self.people.penalty(shape)
+            energy = energy - self.population.log_density(shape) + self.population.penalty(shape)
         return energy
 
     def sample(
@@ -102,14 +103,14 @@ class HandPrior(nn.Module):
         poses, shapes, found, tried = [], [], 0, 0
         while found < count:
             rate = max(found, 1) / tried if tried else 1.0
-            wanted = min(max(math.ceil(1.1 * (count - found) / rate), 16), _MOST)
+            wanted = min(max(math.ceil(1.1 * (count - found) / rate), 16), _MAX_PROPOSALS)
             pose, shape = self._propose(wanted, generator)
             chance = torch.rand(wanted, generator=generator, dtype=torch.float64)
             kept = self._accepts(pose, shape, chance)
             poses.append(pose[kept])
             shapes.append(shape[kept])
             found, tried = found + int(kept.sum()), tried + wanted
-            if tried >= _PATIENCE and found < _FEWEST * tried:
+            if tried >= _PATIENCE and found < _MIN_ACCEPTED * tried:
                 raise ValueError(
                     f"sample: expected postures that hardly penetrate themselves, found {found} in {tried} tries"
                 )
@@ -128,7 +129,7 @@ class HandPrior(nn.Module):
 
     def _propose(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         pose, _ = self.postures.sample(count, generator)
-        return pose, self.people.sample(count, generator).to(pose)
+        return pose, self.population.sample(count, generator).to(pose)
 
     @torch.no_grad()
     def _accepts(self, pose: Tensor, shape: Tensor, chance: Tensor) -> Tensor:

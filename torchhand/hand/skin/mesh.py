@@ -16,7 +16,7 @@ class HandMesh:
     """
 
     vertices: Float[Tensor, "vertices 3"]
-    """In the hand frame, at `bind_pose` and the default shape."""
+    """Vertices in the hand frame, at `bind_pose` and the default shape."""
     faces: Int[Tensor, "faces 3"]
     """Counter-clockwise seen from outside."""
     shape_basis: Float[Tensor, "vertices 3 shape"]
@@ -24,14 +24,14 @@ class HandMesh:
     skin_bones: Int[Tensor, "vertices 4"]
     """Bones that carry each vertex, index into BONES."""
     skin_weights: Float[Tensor, "vertices 4"]
-    """Share of each of them; they sum to one."""
+    """Weights of each vertex's bones, which sum to one."""
     bind_pose: Float[Tensor, "36"]
     """Pose in which the vertices are given; root at the origin."""
     corrective_dofs: tuple[int, ...]
     """Joint angles that have a corrective, index into JOINT_DOFS."""
     corrective_basis: Float[Tensor, "vertices 3 corrective 2"]
-    """What linear blend skinning lacks at bent joints: offsets for sin and 1 − cos of each angle less its angle at the
-    bind pose, in the frame of the bone that the angle moves, metres at the default hand breadth."""
+    """Correctives of linear blend skinning at bent joints: offsets for sin and 1 − cos of each angle less its angle at
+    the bind pose, in the frame of the bone that the angle moves, metres at the default hand breadth."""
 
     def to(self, *, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> "HandMesh":
         """The same mesh with its tensors moved; indices keep their dtype."""

@@ -1,7 +1,7 @@
 """Linear blend skinning with pose correctives, as one product of matrices.
 
 With the batch last, a coordinate of vertex v is a sum over some hundred numbers that depend on the pose alone (the
-carriers: the columns of every bone's rotation, every bone's origin, and rotations times the features of the
+pose terms: the columns of every bone's rotation, every bone's origin, and rotations times the features of the
 correctives) times numbers that depend on the shape alone (the loads: weighted places of the vertex in the bones'
 frames, the weights, the correctives):
 
@@ -76,8 +76,8 @@ class Skinning(nn.Module):
         """The vertices in the world, from the bones there; in memory x, y and z of all hands follow each other."""
         if metres.shape[-1] == 1:
             bending = self._bending(rotation, pose, metres)
-            carriers = torch.cat((rotation.transpose(1, 2).flatten(0, 1), position, bending))
-            return _product(carriers, self.loads(metres[:, 0])).permute(1, 2, 0)
+            pose_terms = torch.cat((rotation.transpose(1, 2).flatten(0, 1), position, bending))
+            return _product(pose_terms, self.loads(metres[:, 0])).permute(1, 2, 0)
         if torch.compiler.is_compiling():
             return self._own_shapes(rotation, position, pose, metres).permute(1, 2, 0)
         parts = (x.split(_HANDS_AT_ONCE, -1) for x in (rotation, position, pose, metres))
@@ -96,7 +96,7 @@ class Skinning(nn.Module):
         return vertices
 
     def _bending(self, rotation: Tensor, pose: Tensor, metres: Tensor) -> Tensor:
-        """Carriers of the correctives: columns of the rotations of their bones times their features."""
+        """Pose terms of the correctives: columns of the rotations of their bones times their features."""
         features, _ = self.corrective_features(pose, metres)
         columns = rotation.index_select(0, self.corrective_bones).transpose(1, 2)
         return (columns[:, None] * features[:, :, None, None]).flatten(0, 2)
@@ -111,7 +111,7 @@ class Skinning(nn.Module):
     def loads_at(
         self, index: Int[Tensor, "points #n"], metres: Float[Tensor, "shape #n"]
     ) -> tuple[Float[Tensor, "20 3 points #n"], Float[Tensor, "20 points #n"], Float[Tensor, "c 2 3 points #n"]]:
-        """The same three parts for some vertices, which may differ from hand to hand, as may the shapes."""
+        """The three parts of `loads` for some vertices, which may differ from hand to hand, as may the shapes."""
         rest = self.rest_vertices[..., None] + self.rest_basis @ metres
         rest = torch.take_along_dim(rest, index[None], 1)
         places = torch.einsum("bji,ipn->bjpn", self.bone_from_hand, rest)
@@ -140,8 +140,8 @@ def mirrored_mesh(mesh: HandMesh) -> HandMesh:
     )
 
 
-def _product(carriers: Float[Tensor, "k i n"], loads: Float[Tensor, "k vertices"]) -> Float[Tensor, "i n vertices"]:
-    return (carriers.flatten(1).T @ loads).unflatten(0, carriers.shape[1:])
+def _product(pose_terms: Float[Tensor, "k i n"], loads: Float[Tensor, "k vertices"]) -> Float[Tensor, "i n vertices"]:
+    return (pose_terms.flatten(1).T @ loads).unflatten(0, pose_terms.shape[1:])
 
 
 def _dense_weights(mesh: HandMesh) -> Float[Tensor, "20 vertices"]:

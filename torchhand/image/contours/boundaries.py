@@ -20,13 +20,13 @@ class Boundary:
 
     points_px: Float[Tensor, "points 2"]
     normals: Float[Tensor, "points 2"]
-    """Unit, outward."""
+    """Outward unit normals."""
 
 
 def boundary_points(
     mask: Bool[Tensor, "height width"], count: int, *, ignored: Bool[Tensor, "height width"] | None = None
 ) -> Boundary:
-    """At most `count` points spread over the boundary of a silhouette, between its pixels, float64.
+    """Up to `count` points spread over the boundary of a silhouette, between its pixels, float64.
 
     Each outermost pixel inside is moved along the gradient of the smoothed silhouette to where that is ½.
     """

@@ -22,7 +22,7 @@ __all__ = ["Boundary", "DistanceField", "boundary_field", "boundary_points", "ch
 
 _OVERLAP = 1.5  # half width of the directions in a channel, channels
 _MARGIN = 0.35  # maps reach so far beyond the contour, shares of its box's diagonal
-_LEAST_MARGIN = 8  # map pixels
+_MIN_MARGIN = 8  # map pixels
 
 
 def channel_of(normals: Float[Tensor, "*batch 2"], channels: int) -> Int[Tensor, "*batch"]:
@@ -97,7 +97,7 @@ def _extent(
         return np.zeros(2, dtype=int), whole
     first, last = together.min(1), together.max(1)
     reach = _MARGIN * math.hypot(*(last - first)) if reach_px is None else reach_px / pitch_px
-    margin = _LEAST_MARGIN + round(reach)
+    margin = _MIN_MARGIN + round(reach)
     return np.maximum(first - margin, 0), np.minimum(last + 1 + margin, whole)
 
 

@@ -85,8 +85,8 @@ def distance_map_torch(mask: Bool[Tensor, "*batch height width"]) -> Float[Tenso
     along = torch.minimum(row - above, below - row).to(torch.float32)
     along = torch.where(along < far / 2, along, torch.inf).square().reshape(-1, width)
     column = torch.arange(width, device=mask.device, dtype=torch.float32)
-    apart = (column[:, None] - column).square()
+    offsets = (column[:, None] - column).square()
     together = max(1, _AT_ONCE // (width * width))
-    rows = [(rows[:, None] + apart).amin(-1) for rows in along.split(together)]
+    rows = [(rows[:, None] + offsets).amin(-1) for rows in along.split(together)]
     squared = torch.cat(rows) if rows else along
     return squared.sqrt().reshape(mask.shape)

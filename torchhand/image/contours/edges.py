@@ -23,9 +23,9 @@ class EdgeSettings:
     min_strength: float = 0.03
     """Weakest edge accepted: height of the step in the picture's own units (0.03 is 8 grey levels of 255)."""
     polarity: Literal["any", "inside_bright", "inside_dark"] = "any"
-    """Which side of an edge must be the brighter; inside is where the normal comes from."""
+    """Side of an edge that must be the brighter; inside is where the normal comes from."""
     choose: Literal["strongest", "nearest"] = "strongest"
-    """The strongest edge (paper 003), or the one nearest to the predicted point among the rivals."""
+    """The strongest edge (Stenger et al. 2001), or the one nearest to the predicted point among the rivals."""
     rival_fraction: float = 0.5
     """An edge at least this share as strong as the strongest is its rival; 0..1."""
 
@@ -58,7 +58,8 @@ class EdgeSearch:
     """+1 the inside is brighter, -1 the outside is."""
     found: Bool[Tensor, "*batch points"]
     candidates: Int[Tensor, "*batch points"]
-    """Number of rivals, the chosen one included; above 1 there is clutter and the measurement deserves less trust."""
+    """Number of candidate edges, the chosen one included; above 1 there is clutter and the measurement deserves less
+    trust."""
 
 
 def search_edges(
@@ -70,7 +71,7 @@ def search_edges(
     half_length_px: Float[Tensor, "*batch points"] | None = None,
     channel_weights: Float[Tensor, " channels"] | None = None,
 ) -> EdgeSearch:
-    """Edge nearest the truth along each contour normal (paper 003, section 4.3; FACTS 7, one-dimensional search).
+    """Edge nearest the truth along each contour normal (Stenger et al. 2001, section 4.3).
 
     The picture, one plane (height, width) or several (channels, height, width), is read bilinearly along each unit,
     outward normal and correlated with t/sigma² exp(-t²/2 sigma²), cut off at 3 sigma and scaled so that a step of

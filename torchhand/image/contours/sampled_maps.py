@@ -49,8 +49,8 @@ class DistanceField:
     ) -> tuple[Float[Tensor, "*batch points"], Float[Tensor, "*batch 2 points"]]:
         """`sample` where x and y of all points stand in a row each, which is faster for many."""
         first, last, last_cell = self._frame.to(points_px).unbind()
-        held = torch.minimum(torch.maximum(points_px, first), last)
-        place = (held - first) / self.pitch_px
+        clamped = torch.minimum(torch.maximum(points_px, first), last)
+        place = (clamped - first) / self.pitch_px
         cell = torch.minimum(place.detach().nan_to_num().floor(), last_cell)
         x, y = (place - cell).unbind(-2)
         left, right = (
@@ -67,7 +67,7 @@ class DistanceField:
             # As a share, 0 or 1, it picks faster than `where`.
             found = torch.lerp(-found[1], found[0], is_outside.unsqueeze(-2))
         value, slope = found[..., 0, :], found[..., 1:, :] / self.pitch_px
-        outside = points_px - held
+        outside = points_px - clamped
         away = torch.copysign((outside.square().sum(-2) + _NOTHING).sqrt(), value)
         return value + away, torch.where(outside == 0, slope, outside / away.unsqueeze(-2))
 

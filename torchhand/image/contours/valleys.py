@@ -1,7 +1,7 @@
-"""Dark lines of a picture, between its pixels: where fingers touch or hide each other (paper 000, section 7.3).
+"""Dark lines of a picture, between its pixels: where fingers touch or hide each other (Ouhaddi and Horain 1998, 7.3).
 
 The paper seeks inner contours as thalwegs, valleys of the grey levels taken as a relief, since operators for edges
-answer twice, on both sides of such a line. Its operator is not printed; this is the usual one (FACTS section 7): the
+answer twice, on both sides of such a line. Its operator is not printed; this is the usual one (Steger 1998): the
 Hessian of the smoothed picture, its largest eigenvalue and where the slope along its eigenvector is zero.
 """
 
@@ -30,8 +30,8 @@ class ValleySettings:
     low: float = 3.0
     """Least σ² × second derivative across the line, grey levels; a place counts if linked to one above `high`."""
     high: float = 7.0
-    """Where a line begins; not below `low`."""
-    fewest: int = 8
+    """Strength at which a line begins; not below `low`."""
+    min_points: int = 8
     """Pixels of the shortest line; 1 or more."""
     steepest: float = 0.5
     """Largest |slope across the line| · σ of a place relative to the strength: edges are steep, valleys level; above
@@ -42,8 +42,8 @@ class ValleySettings:
             raise ValueError(f"valleys.sigma_px: expected 0.5 to 20, got {self.sigma_px!r}")
         if not 0 < self.low <= self.high < float("inf"):
             raise ValueError(f"valleys.low: expected above 0 and at most high, got {self.low!r} and {self.high!r}")
-        if self.fewest < 1:
-            raise ValueError(f"valleys.fewest: expected 1 or more, got {self.fewest!r}")
+        if self.min_points < 1:
+            raise ValueError(f"valleys.min_points: expected 1 or more, got {self.min_points!r}")
         if not 0 < self.steepest < float("inf"):
             raise ValueError(f"valleys.steepest: expected above 0 and finite, got {self.steepest!r}")
 
@@ -53,7 +53,7 @@ class Valleys:
     """Places on dark lines, float64; one per pixel that a line crosses."""
 
     points_px: Float[Tensor, "points 2"]
-    """(x, y), between the pixels."""
+    """Points (x, y) of the lines, between the pixels."""
     directions: Float[Tensor, "points 2"]
     """Unit, across the line; its sign means nothing."""
     strength: Float[Tensor, "points"]
@@ -148,5 +148,5 @@ def _linked(y: np.ndarray, x: np.ndarray, strength: np.ndarray, settings: Valley
     own = pieces.labels.numpy()[y, x] - 1
     peak = np.zeros(len(pieces.areas))
     np.maximum.at(peak, own, strength[y, x])
-    good = (peak >= settings.high) & (pieces.areas.numpy() >= settings.fewest)
+    good = (peak >= settings.high) & (pieces.areas.numpy() >= settings.min_points)
     return good[own]

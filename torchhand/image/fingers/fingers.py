@@ -20,10 +20,10 @@ from torchhand.image.operations import dilate, label_pieces, square_kernel
 from torchhand.image.segmentation import fill_holes, largest_component
 
 _SLIVER = 0.045  # pieces smaller than this share of the square of the palm's radius are ragged outline
-_MOST_ENLARGED = 3.0  # small silhouettes are searched enlarged
+_MAX_ENLARGEMENT = 3.0  # small silhouettes are searched enlarged
 _PIECES = 8  # the largest of them are considered
 _SOLID = 0.86  # share of its convex hull that a straight piece fills at least
-_LEAST_BRANCH = 0.4  # two fingers are apart where both reach so much farther, palm radii
+_MIN_BRANCH = 0.4  # two fingers are apart where both reach so much farther, palm radii
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,10 +38,10 @@ class FingerSettings:
     """Discs tried; 2 or more."""
     work_side_px: int = 320
     """The silhouette's box is searched at this longer side, small ones enlarged up to 3 times; 64 or more."""
-    least_elongation: float = 1.15
+    min_elongation: float = 1.15
     """Length over mean width of a piece that can be a finger; above 0."""
-    least_length: float = 0.5
-    """Its least length, over the radius of the palm; above 0."""
+    min_length: float = 0.5
+    """Smallest length of a finger, over the radius of the palm; above 0."""
 
     def __post_init__(self) -> None:
         if not 0 < self.smallest_disc < self.largest_disc < 1:
@@ -53,7 +53,7 @@ class FingerSettings:
             raise ValueError(f"FingerSettings.sizes: expected 2 or more, got {self.sizes}")
         if self.work_side_px < 64:
             raise ValueError(f"FingerSettings.work_side_px: expected 64 or more, got {self.work_side_px}")
-        for name in ("least_elongation", "least_length"):
+        for name in ("min_elongation", "min_length"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise ValueError(f"FingerSettings.{name}: expected above 0 and finite, got {getattr(self, name)}")
 
@@ -63,7 +63,7 @@ class FingerPiece:
     """One piece that the top-hat left and that has a finger's form; px of the whole picture, (x, y)."""
 
     tip: tuple[float, float]
-    """Its point farthest from its base."""
+    """The piece's point farthest from its base."""
     base: tuple[float, float]
     """Middle of its contact with what the opening kept."""
     width: float
@@ -80,11 +80,11 @@ class FingerSearch:
     """What the top-hat found in one silhouette."""
 
     pieces: tuple[FingerPiece, ...]
-    """Those that have a finger's form, at the disc that was chosen, the largest first."""
+    """Pieces that have a finger's form, at the disc that was chosen, the largest first."""
     order: FingerOrder | None
-    """Which of them are thumb to little; None where none agree with an open hand."""
+    """Order of the pieces, thumb to little; None where none agree with an open hand."""
     disc_radius: float
-    """px; 0 where no disc showed a piece."""
+    """Radius of the disc that was chosen, px; 0 where no disc showed a piece."""
     palm_radius: float
     """Radius of the largest disc within the silhouette that has the fingers around it, px."""
     palm_centre: tuple[float, float]
@@ -102,20 +102,20 @@ def find_fingers(mask: Bool[Tensor, "height width"], settings: FingerSettings | 
     nothing = FingerSearch(pieces=(), order=None, disc_radius=0.0, palm_radius=0.0, palm_centre=(0.0, 0.0))
     if not width:
         return nothing
-    scale = min(_MOST_ENLARGED, settings.work_side_px / max(width, height))
+    scale = min(_MAX_ENLARGEMENT, settings.work_side_px / max(width, height))
     work = _resized(whole[top : top + height, left : left + width], scale)
     depth = depth_map(torch.from_numpy(work > 0)).numpy()
     best: FingerSearch | None = None
     for palm_radius, palm_centre in _palms(depth):
-        for share in np.geomspace(settings.smallest_disc, settings.largest_disc, settings.sizes):
-            pieces = _pieces(work, depth, float(share) * palm_radius, palm_radius, palm_centre, settings)
+        for fraction in np.geomspace(settings.smallest_disc, settings.largest_disc, settings.sizes):
+            pieces = _pieces(work, depth, float(fraction) * palm_radius, palm_radius, palm_centre, settings)
             order = order_fingers(
                 [piece.tip for piece in pieces], [piece.base for piece in pieces], palm_centre, palm_radius
             )
             found = FingerSearch(
                 pieces=tuple(pieces),
                 order=order,
-                disc_radius=float(share) * palm_radius,
+                disc_radius=float(fraction) * palm_radius,
                 palm_radius=palm_radius,
                 palm_centre=palm_centre,
             )
@@ -184,8 +184,8 @@ def _pieces(
         centre = np.array(palm_centre) - (x, y)
         for part, its_base in _branches(inside, contact, centre, palm_radius):
             piece = _measured(part, its_base, (x, y))
-            is_long = piece.length >= settings.least_length * palm_radius
-            if is_long and piece.length >= settings.least_elongation * piece.width:
+            is_long = piece.length >= settings.min_length * palm_radius
+            if is_long and piece.length >= settings.min_elongation * piece.width:
                 pieces.append(piece)
     return sorted(pieces, key=lambda piece: -piece.area)[:_PIECES]
 
@@ -204,10 +204,10 @@ def _branches(
     y, x = np.indices(inside.shape)
     distance = np.where(inside, np.hypot(x - centre[0], y - centre[1]), 0.0)
     low, high = float(distance[inside].min()), float(distance.max())
-    for level in np.arange(low, high - _LEAST_BRANCH * palm_radius, max(1.0, 0.05 * palm_radius)):
+    for level in np.arange(low, high - _MIN_BRANCH * palm_radius, max(1.0, 0.05 * palm_radius)):
         pieces = label_pieces(torch.from_numpy(distance > level))
         parts = [pieces.labels.numpy() == label for label in range(1, len(pieces.areas) + 1)]
-        parts = [part for part in parts if distance[part].max() > level + _LEAST_BRANCH * palm_radius]
+        parts = [part for part in parts if distance[part].max() > level + _MIN_BRANCH * palm_radius]
         if len(parts) > 1:
             found = []
             for part in parts:
@@ -235,7 +235,7 @@ def _merit(found: FingerSearch) -> float:
 
 
 def _in_picture(found: FingerSearch, scale: float, corner: tuple[int, int]) -> FingerSearch:
-    """The same in px of the whole picture."""
+    """A search's result in px of the whole picture."""
 
     def moved(point: tuple[float, float]) -> tuple[float, float]:
         x, y = ((coordinate - 1.0 + 0.5) / scale - 0.5 for coordinate in point)

@@ -14,7 +14,7 @@ class MaskMoments:
     area: Float[Tensor, "*batch"]
     """Sum of the mask, px²."""
     centroid_px: Float[Tensor, "*batch 2"]
-    """(x, y), px."""
+    """Centroid (x, y), px."""
     covariance_px2: Float[Tensor, "*batch 2 2"]
     """Second central moments over the area, px²."""
 

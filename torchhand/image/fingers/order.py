@@ -10,7 +10,7 @@ Point = tuple[float, float]
 DIGITS = ("thumb", "index", "middle", "ring", "little")
 
 # Plan of a right hand's back, fingers up and spread, the wrist at the origin, x to the right and y down, shares of hand
-# length: where each digit leaves the palm, and its tip. From the published ratios (FACTS 1.1, 1.2) at medium spread.
+# length: where each digit leaves the palm, and its tip. From the ratios of Buchholz et al. (1992) at medium spread.
 _BASES = np.array(((-0.28, -0.20), (-0.145, -0.583), (0.0, -0.586), (0.116, -0.547), (0.234, -0.496)))
 _TIPS = np.array(((-0.555, -0.38), (-0.228, -0.918), (0.0, -0.99), (0.18, -0.917), (0.342, -0.747)))
 _PALM = np.array((0.0, -0.32))
@@ -20,7 +20,7 @@ _TIP_WEIGHTS = np.array((0.35, 0.7, 0.7, 0.7, 0.6))
 _PALM_WEIGHT = 1.0
 _WORST_MISFIT = 0.14  # root mean square over hand length; above it, it is no hand
 _PALM_SIZE_WEIGHT = 0.1  # of the logarithm of the palm's size over the plan's
-_FEWEST = 2
+_MIN_FINGERS = 2
 _SCALES = (0.7, 1.5)  # of the palm's disc over the plan's
 
 
@@ -35,15 +35,15 @@ class FingerOrder:
     misfit: float
     """Weighted root mean square distance from the plan, over hand length."""
     wrist: Point
-    """Where the plan puts the wrist, px."""
+    """Position of the wrist by the plan, px."""
     axis: Point
     """Unit vector from the wrist along the middle finger, as the plan lies."""
     hand_length: float
-    """px, as the plan lies."""
+    """Length of the hand by the plan, px."""
 
 
 def order_fingers(
-    tips: list[Point], bases: list[Point], palm_centre: Point, palm_radius: float, most: int = 8
+    tips: list[Point], bases: list[Point], palm_centre: Point, palm_radius: float, max_tips: int = 8
 ) -> FingerOrder | None:
     """The largest set of pieces that agrees with the plan of an open hand, as many as five; None where no two do.
 
@@ -51,13 +51,13 @@ def order_fingers(
     which; the plan is laid over tips, bases and the palm's centre by the similarity that fits best, as it is and
     mirrored, and the choice that fits best among the largest that fit is taken.
     """
-    count = min(len(tips), most)
-    if count < _FEWEST:
+    count = min(len(tips), max_tips)
+    if count < _MIN_FINGERS:
         return None
     unit = np.array((1.0, 1.0j))
     tip, base, palm = np.array(tips[:count]) @ unit, np.array(bases[:count]) @ unit, complex(*palm_centre)
     sweep = np.argsort(np.angle(tip + base - 2 * palm))
-    for size in range(min(5, count), _FEWEST - 1, -1):
+    for size in range(min(5, count), _MIN_FINGERS - 1, -1):
         pieces, digits = _choices(sweep, size)
         found = _best(pieces, digits, tip, base, palm, palm_radius)
         if found is not None and found.misfit < _WORST_MISFIT:

@@ -17,13 +17,13 @@ class FingerProfile:
     """One finger's axis in the picture; px, (x, y)."""
 
     tip: Float[np.ndarray, "2"]
-    """Where the axis leaves the silhouette."""
+    """Point where the axis leaves the silhouette."""
     direction: Float[np.ndarray, "2"]
     """Unit vector from base to tip."""
     along: Float[np.ndarray, "samples"]
     """Distances from the tip, towards the base, of the cross-sections."""
     width: Float[np.ndarray, "samples"]
-    """Widths there; NaN where a side does not end within reach."""
+    """Widths at the steps along the axis; NaN where a side does not end within reach."""
     straightness: float
     """Root mean square distance of the middles of the cross-sections from the axis, over the median width."""
 
@@ -97,9 +97,9 @@ def _first_below(values: np.ndarray, steps: np.ndarray) -> np.ndarray:
     index = below.argmax(1)
     rows = np.arange(len(values))
     before, after = values[rows, np.maximum(index - 1, 0)], values[rows, index]
-    share = (before - 0.5) / np.maximum(before - after, 1e-9)
+    fraction = (before - 0.5) / np.maximum(before - after, 1e-9)
     found = below.any(1) & (index > 0)
-    return np.where(found, steps[np.maximum(index - 1, 0)] + share * _STEP_PX, np.nan)
+    return np.where(found, steps[np.maximum(index - 1, 0)] + fraction * _STEP_PX, np.nan)
 
 
 def sampled(plane: Float[np.ndarray, "height width"], places: Float[np.ndarray, "*points 2"]) -> np.ndarray:

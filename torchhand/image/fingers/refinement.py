@@ -18,15 +18,15 @@ from torchhand.image.fingers.fingers import FingerSearch, FingerSettings, find_f
 from torchhand.image.operations import dilate, intersection_over_union, square_kernel
 from torchhand.image.segmentation import bootstrap_skin, clean, fill_holes, largest_component
 
-_LEAST_SHARE, _MOST_SHARE = 0.02, 0.75  # of the picture that a hand may cover
-_MOST_BORDER = 0.75  # of the picture's border that a hand may take up: more is what is behind it
+_MIN_AREA_FRACTION, _MAX_AREA_FRACTION = 0.02, 0.75  # of the picture that a hand may cover
+_MAX_BORDER = 0.75  # of the picture's border that a hand may take up: more is what is behind it
 _FAIR_FINGERS = 3  # a guess that shows fewer is not refined
 _REFINED = 3  # guesses refined
 _SAME = 0.97  # intersection over union of guesses of which one is refined for both
 _QUICK = FingerSettings(sizes=8, work_side_px=200)
 _LUMA_RANGE = (0.55, 1.6)  # of a digit over the palm: shadows are darker
-_MOST_CHROMA = 14.0  # distance of a digit's mean (Cr, Cb) from the palm's, 8-bit levels
-_LEAST_GRADIENT = 0.03  # change of a channel (0..1) across the outline that counts as an edge
+_MAX_CHROMA = 14.0  # distance of a digit's mean (Cr, Cb) from the palm's, 8-bit levels
+_MIN_GRADIENT = 0.03  # change of a channel (0..1) across the outline that counts as an edge
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,20 +35,20 @@ class RefinementSettings:
 
     max_side_px: int = 320
     """Larger pictures are reduced to this longer side for the cut; >= 32."""
-    core_share: float = 0.35
-    """What lies deeper than this share of a guess's greatest depth is surely inside; between 0 and 1."""
-    band_share: float = 0.5
-    """What lies farther from the guess than this share of its greatest depth is surely outside; above 0."""
+    core_fraction: float = 0.35
+    """Fraction of a guess's greatest depth beyond which a pixel is surely inside; between 0 and 1."""
+    band_fraction: float = 0.5
+    """Distance from a guess, as a fraction of its greatest depth, beyond which a pixel is surely outside; above 0."""
     iterations: int = 3
     """Rounds of the cut; 1 or more."""
 
     def __post_init__(self) -> None:
         if self.max_side_px < 32:
             raise ValueError(f"RefinementSettings.max_side_px must be >= 32, got {self.max_side_px}")
-        if not 0 < self.core_share < 1:
-            raise ValueError(f"RefinementSettings.core_share must lie between 0 and 1, got {self.core_share}")
-        if not 0 < self.band_share < float("inf"):
-            raise ValueError(f"RefinementSettings.band_share must be > 0, got {self.band_share}")
+        if not 0 < self.core_fraction < 1:
+            raise ValueError(f"RefinementSettings.core_fraction must lie between 0 and 1, got {self.core_fraction}")
+        if not 0 < self.band_fraction < float("inf"):
+            raise ValueError(f"RefinementSettings.band_fraction must be > 0, got {self.band_fraction}")
         if self.iterations < 1:
             raise ValueError(f"RefinementSettings.iterations must be >= 1, got {self.iterations}")
 
@@ -62,8 +62,8 @@ class HandSilhouette:
     source: str
     """How it was found: the guess, and whether it was refined."""
     search: FingerSearch | None
-    """Its fingers."""
-    edge_share: float
+    """Search for the silhouette's fingers."""
+    edge_fraction: float
     """Share of its outline, the picture's border left out, that lies on edges of the picture."""
     odd_digits: tuple[str, ...] = ()
     """Digits of another colour than the palm's: shadows, or something behind the hand."""
@@ -120,16 +120,16 @@ def find_open_hand(
     everything = guesses + refined
     if not everything:
         nothing = torch.zeros(image.shape[:2], dtype=torch.bool, device=image.device)
-        return HandSilhouette(mask=nothing, source="none", search=None, edge_share=0.0)
+        return HandSilhouette(mask=nothing, source="none", search=None, edge_fraction=0.0)
     return max(everything, key=_merit)
 
 
-def edge_share(image: UInt8[Tensor, "height width 3"], mask: Bool[Tensor, "height width"]) -> float:
+def edge_fraction(image: UInt8[Tensor, "height width 3"], mask: Bool[Tensor, "height width"]) -> float:
     """Share of a silhouette's outline that lies on edges of the picture; the picture's border counts for neither."""
-    return _share_on(_edges(image), mask)
+    return _fraction_on(_edges(image), mask)
 
 
-def _share_on(edges: np.ndarray, mask: Tensor) -> float:
+def _fraction_on(edges: np.ndarray, mask: Tensor) -> float:
     height, width = mask.shape
     outlines, _ = cv2.findContours(mask.cpu().numpy().astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not outlines:
@@ -139,7 +139,7 @@ def _share_on(edges: np.ndarray, mask: Tensor) -> float:
     points = points[inner]
     if not len(points):
         return 0.0
-    return float((edges[points[:, 1], points[:, 0]] > _LEAST_GRADIENT).mean())
+    return float((edges[points[:, 1], points[:, 0]] > _MIN_GRADIENT).mean())
 
 
 def _edges(image: Tensor) -> np.ndarray:
@@ -157,8 +157,8 @@ def _cut(pixels: np.ndarray, guess: np.ndarray, settings: RefinementSettings) ->
     depth, away = depth_map(inside).numpy(), distance_map(inside).numpy()
     greatest = float(depth.max())
     marks = np.where(guess, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
-    marks[depth > settings.core_share * greatest] = cv2.GC_FGD
-    marks[away > settings.band_share * greatest] = cv2.GC_BGD
+    marks[depth > settings.core_fraction * greatest] = cv2.GC_FGD
+    marks[away > settings.band_fraction * greatest] = cv2.GC_BGD
     if not ((marks == cv2.GC_BGD) | (marks == cv2.GC_PR_BGD)).any():
         return None
     models = np.zeros((1, 65)), np.zeros((1, 65))
@@ -187,16 +187,16 @@ def _guesses(image: Tensor, max_side_px: int) -> list[tuple[str, Tensor]]:
 def _judged(image: Tensor, edges: np.ndarray, mask: Tensor, source: str) -> HandSilhouette | None:
     piece = largest_component(clean(mask.cpu()))
     piece = fill_holes(piece, max_area=max(1, piece.numel() // 500))
-    share = float(piece.double().mean())
+    fraction = float(piece.double().mean())
     border = torch.cat((piece[0], piece[-1], piece[:, 0], piece[:, -1])).double().mean()
-    if not _LEAST_SHARE < share < _MOST_SHARE or float(border) > _MOST_BORDER:
+    if not _MIN_AREA_FRACTION < fraction < _MAX_AREA_FRACTION or float(border) > _MAX_BORDER:
         return None
     search = find_fingers(piece, _QUICK)
     return HandSilhouette(
         mask=piece.to(image.device),
         source=source,
         search=search,
-        edge_share=_share_on(edges, piece),
+        edge_fraction=_fraction_on(edges, piece),
         odd_digits=odd_digits(image, search),
     )
 
@@ -212,7 +212,7 @@ def odd_digits(image: UInt8[Tensor, "height width 3"], search: FingerSearch) -> 
         piece = search.pieces[number]
         digit = _mean_along(pixels, piece.base, piece.tip, 0.25 * piece.width)
         is_lit = _LUMA_RANGE[0] < digit[0] / max(float(palm[0]), 1.0) < _LUMA_RANGE[1]
-        if not is_lit or float(np.hypot(*(digit - palm)[1:])) > _MOST_CHROMA:
+        if not is_lit or float(np.hypot(*(digit - palm)[1:])) > _MAX_CHROMA:
             odd.append(name)
     return tuple(odd)
 
@@ -238,5 +238,5 @@ def _merit(found: HandSilhouette) -> float:
     """Fingers in an open hand's order first; then how well they lie, and how much of the outline lies on edges."""
     order = None if found.search is None else found.search.order
     if order is None:
-        return found.edge_share
-    return len(order.fingers) - len(found.odd_digits) + 2.0 * found.edge_share - 10.0 * order.misfit
+        return found.edge_fraction
+    return len(order.fingers) - len(found.odd_digits) + 2.0 * found.edge_fraction - 10.0 * order.misfit

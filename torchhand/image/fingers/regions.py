@@ -19,14 +19,14 @@ from torchhand.image.fingers.profile import FingerProfile, finger_profile
 from torchhand.image.operations import gaussian_blur
 from torchhand.image.segmentation import fill_holes, largest_component
 
-_LEAST_AREA_PX = 400  # fewer pixels show no fingers
-_LEAST_PARALLEL = 0.1  # radians between a finger's axis and the hand's for their crossing to tell anything
+_MIN_AREA_PX = 400  # fewer pixels show no fingers
+_MIN_ANGLE = 0.1  # radians between a finger's axis and the hand's for their crossing to tell anything
 _PLAN_WEIGHT = 2.0  # of the plan's wrist, in crossings
 _FARTHEST_CROSSING = 0.3  # of the plan's wrist, hand lengths; a crossing farther off is none
 _REACH = 3.4  # no part of a hand is farther from its palm's centre, palm radii
 _SECOND_HAND = 0.2  # least area of a second hand, over that of the largest piece
 _CLEAR_MISFIT = 0.1  # of a second hand
-_CUT_SHARE = 0.6  # a digit that ends at the picture's border over so much of its width is cut
+_CUT_FRACTION = 0.6  # a digit that ends at the picture's border over so much of its width is cut
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +35,7 @@ class Digit:
 
     name: str
     tip: np.ndarray
-    """Its end on its axis."""
+    """End of the digit on its axis."""
     base: np.ndarray
     """The point of its axis level with the webs beside it; of the thumb, with the end of its top-hat piece."""
     direction: np.ndarray
@@ -55,7 +55,7 @@ class HandRegions:
     digits: tuple[Digit, ...]
     """Thumb to little."""
     webs: np.ndarray
-    """(4, 2): deepest points between neighbouring digits, thumb and index first."""
+    """Webs (4, 2): deepest points between neighbouring digits, thumb and index first."""
     wrist: np.ndarray
     axis: np.ndarray
     """Unit vector from the wrist to the fingers."""
@@ -81,8 +81,8 @@ def divide_hand(mask: Bool[Tensor, "height width"], settings: FingerSettings | N
     """
     silhouette = fill_holes(largest_component(mask)).cpu()
     area = int(silhouette.sum())
-    if area < _LEAST_AREA_PX:
-        return NoRegions(reason=f"the silhouette is almost empty ({area} px, expected {_LEAST_AREA_PX} or more)")
+    if area < _MIN_AREA_PX:
+        return NoRegions(reason=f"the silhouette is almost empty ({area} px, expected {_MIN_AREA_PX} or more)")
     search = find_fingers(silhouette, settings)
     if search.order is not None and _has_second_hand(mask.cpu(), area, search, settings):
         return NoRegions(reason="there are two hands; cover one, or give its mask alone")
@@ -156,7 +156,7 @@ def _is_cut(pixels: np.ndarray, piece: FingerPiece) -> bool:
         if near < reach:
             first = max(0, round(along - piece.width))
             contact = max(contact, int(line[first : round(along + piece.width) + 1].sum()))
-    return contact > _CUT_SHARE * piece.width
+    return contact > _CUT_FRACTION * piece.width
 
 
 def _webs(pixels: np.ndarray, profiles: list[FingerProfile], wrist: np.ndarray) -> np.ndarray:
@@ -201,8 +201,8 @@ def _digit(i: int, profile: FingerProfile, piece: FingerPiece, webs: np.ndarray)
 def _wrist(
     mask: Tensor, digits: tuple[Digit, ...], plan_wrist: np.ndarray, plan_axis: np.ndarray, length: float
 ) -> np.ndarray:
-    """The paper's crossings of the four finger axes with the hand's inertia axis, held near the wrist of the plan,
-    which alone decides where axes are too parallel to cross."""
+    """Crossings (Ouhaddi and Horain 1998) of the four finger axes with the hand's inertia axis, held near the wrist of
+    the plan, which alone decides where axes are too parallel to cross."""
     height, width = mask.shape
     y, x = np.mgrid[:height, :width]
     above = (x - plan_wrist[0]) * plan_axis[0] + (y - plan_wrist[1]) * plan_axis[1] > 0
@@ -213,7 +213,7 @@ def _wrist(
     places = [plan_wrist] * round(_PLAN_WEIGHT)
     for digit in digits[1:]:
         cross = inertia[0] * digit.direction[1] - inertia[1] * digit.direction[0]
-        if abs(cross) < _LEAST_PARALLEL:
+        if abs(cross) < _MIN_ANGLE:
             continue
         gap = digit.tip - centre
         along = (gap[0] * digit.direction[1] - gap[1] * digit.direction[0]) / cross

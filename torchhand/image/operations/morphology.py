@@ -217,8 +217,8 @@ def _pieces_torch(mask: Tensor, connectivity: int) -> Pieces:
     index = torch.arange(nothing, device=mask.device).reshape(height, width)
     first = torch.where(mask, index, nothing)
     while True:
-        rows = _least_of_three(first, 0)
-        columns = _least_of_three(rows if connectivity == 8 else first, 1)
+        rows = _min_of_three(first, 0)
+        columns = _min_of_three(rows if connectivity == 8 else first, 1)
         seen = torch.where(mask, torch.minimum(rows, columns), nothing).flatten()
         known = torch.cat((first.flatten(), first.new_tensor([nothing])))
         known = known.scatter_reduce(0, first.flatten(), seen, "amin")
@@ -247,7 +247,7 @@ def _pieces_torch(mask: Tensor, connectivity: int) -> Pieces:
     )
 
 
-def _least_of_three(plane: Int[Tensor, "height width"], dim: int) -> Int[Tensor, "height width"]:
+def _min_of_three(plane: Int[Tensor, "height width"], dim: int) -> Int[Tensor, "height width"]:
     """The least of every number and its two neighbours along a dimension."""
     found = plane.clone()
     size = plane.shape[dim]

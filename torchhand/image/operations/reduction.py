@@ -21,7 +21,7 @@ def reduced(
     if suits_opencv(plane):
         pixels = cv2.resize(plane.detach().contiguous().numpy(), (width, height), interpolation=cv2.INTER_AREA)
         return torch.from_numpy(pixels)
-    rows, columns = (_shares(*sizes).to(plane) for sizes in ((plane.shape[0], height), (plane.shape[1], width)))
+    rows, columns = (_fractions(*sizes).to(plane) for sizes in ((plane.shape[0], height), (plane.shape[1], width)))
     return rows @ plane @ columns.mT
 
 
@@ -42,7 +42,7 @@ def _check(plane: Tensor, height: int, width: int) -> None:
 
 
 @lru_cache(maxsize=64)
-def _shares(size: int, reduced_size: int) -> Float[Tensor, "reduced_size size"]:
+def _fractions(size: int, reduced_size: int) -> Float[Tensor, "reduced_size size"]:
     """Share of each old pixel in each new one, along one dimension; float64."""
     with torch.inference_mode(False):  # kept for callers in any mode
         edges = torch.arange(reduced_size + 1, dtype=torch.float64) * (size / reduced_size)

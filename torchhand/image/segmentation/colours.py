@@ -13,7 +13,7 @@ from torchhand.image.operations import suits_opencv
 from torchhand.image.segmentation.histograms import log_ratio, look_up, probability_u8, smoothed
 
 _LUMINANCE = (9798, 19235, 3735)  # of red, green and blue, 2⁻¹⁵: the fixed point numbers of OpenCV
-_FEW = 10.0  # pixels of a colour that make half a lesson
+_HALF_WEIGHT = 10.0  # pixels of a colour with which a picture counts as much as what was known before
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,9 +61,9 @@ def relearn_colours(
     """
     counts = _counts(image, inside, outside, tuple(model.log_ratio.shape), smoothing_bins)
     pixels = counts[0] + counts[1]
-    share = torch.from_numpy((1.0 - keep) * pixels / (pixels + _FEW)).to(model.log_ratio)
+    fraction = torch.from_numpy((1.0 - keep) * pixels / (pixels + _HALF_WEIGHT)).to(model.log_ratio)
     fresh = torch.from_numpy(log_ratio(*counts)).to(model.log_ratio)
-    return ColourModel(log_ratio=torch.lerp(model.log_ratio, fresh, share))
+    return ColourModel(log_ratio=torch.lerp(model.log_ratio, fresh, fraction))
 
 
 def _counts(
@@ -96,8 +96,8 @@ def luminance(image: UInt8[Tensor, "height width 3"]) -> UInt8[Tensor, "height w
     """0.299 red + 0.587 green + 0.114 blue, rounded."""
     if suits_opencv(image):
         return torch.from_numpy(cv2.cvtColor(image.contiguous().numpy(), cv2.COLOR_RGB2GRAY))
-    shares = torch.tensor(_LUMINANCE, device=image.device)
-    return ((image.int() * shares).sum(-1) + 2**14 >> 15).to(torch.uint8)
+    fractions = torch.tensor(_LUMINANCE, device=image.device)
+    return ((image.int() * fractions).sum(-1) + 2**14 >> 15).to(torch.uint8)
 
 
 def foreground_probability_torch(

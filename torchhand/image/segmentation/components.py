@@ -14,7 +14,7 @@ class Component:
     """One connected piece (8 neighbours) of a mask."""
 
     label: int
-    """Its number in `label_pieces`, from 1."""
+    """Number of the component in `label_pieces`, from 1."""
     area_px: int
     left: int
     top: int

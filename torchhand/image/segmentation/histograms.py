@@ -6,7 +6,7 @@ import torch
 
 UNIFORM_FOREGROUND, UNIFORM_BACKGROUND = 0.005, 0.02
 """Share of each class spread evenly over all colours: one never seen is background at 4 : 1."""
-WIDE_SHARE = 0.05
+WIDE_FRACTION = 0.05
 """Share of each count spread widely, so that a mixed colour at an outline falls to the class it resembles."""
 WIDE_FACTOR = 4.0
 """How much wider, in widths of the ordinary smoothing."""
@@ -20,15 +20,15 @@ def smoothed(counts: np.ndarray, sigma_bins: float, wrapped_axes: tuple[int, ...
     for axis, size in enumerate(counts.shape):
         narrow = _along(_spreading(size, sigma_bins, axis in wrapped_axes), narrow, axis)
         wide = _along(_spreading(size, WIDE_FACTOR * sigma_bins, axis in wrapped_axes), wide, axis)
-    return (1.0 - WIDE_SHARE) * narrow + WIDE_SHARE * wide
+    return (1.0 - WIDE_FRACTION) * narrow + WIDE_FRACTION * wide
 
 
 def log_ratio(foreground: np.ndarray, background: np.ndarray) -> np.ndarray:
     """Log of the likelihood ratio per cell from non-negative weights of each cell, each class scaled to one."""
     cells = foreground.size
-    share_foreground = (1.0 - UNIFORM_FOREGROUND) * foreground / foreground.sum() + UNIFORM_FOREGROUND / cells
-    share_background = (1.0 - UNIFORM_BACKGROUND) * background / background.sum() + UNIFORM_BACKGROUND / cells
-    return np.log(share_foreground / share_background)
+    fraction_foreground = (1.0 - UNIFORM_FOREGROUND) * foreground / foreground.sum() + UNIFORM_FOREGROUND / cells
+    fraction_background = (1.0 - UNIFORM_BACKGROUND) * background / background.sum() + UNIFORM_BACKGROUND / cells
+    return np.log(fraction_foreground / fraction_background)
 
 
 def probability_u8(log_ratios: np.ndarray) -> np.ndarray:
@@ -46,7 +46,7 @@ def look_up(picture: np.ndarray, table: np.ndarray, ends: tuple[int, ...]) -> np
 
 
 def _look_up_pairs(picture: np.ndarray, table: np.ndarray, ends: tuple[int, ...]) -> np.ndarray:
-    """The same for two channels: the table, spread over their values, is read as a picture; in half the time."""
+    """`look_up` for two channels: the table, spread over their values, is read as a picture; in half the time."""
     first, second = (np.arange(end) * size // end for size, end in zip(table.shape, ends, strict=True))
     spread = np.ascontiguousarray(table.T.astype(np.uint8)[second].take(first, 1))
     place = np.empty((*picture.shape[:2], 2), np.uint8)

@@ -22,7 +22,8 @@ _RIM = 200  # as a share of the picture's longer side, half the width of a rim o
 @dataclass(frozen=True, kw_only=True)
 class SilhouetteSettings:
     method: Literal["skin", "background", "chroma"] = "skin"
-    """By a skin model, by a plate of the empty scene, or by the hue of a coloured screen."""
+    """Method of the segmentation: by a skin model, by a plate of the empty scene, or by the hue of a coloured
+    screen."""
     skin_threshold: float = 0.5
     """Least probability of skin; between 0 and 1."""
     shaded_skin: float = 1.0
@@ -116,12 +117,12 @@ def _foreground(
 def _skin_pixels(image: Tensor, settings: SilhouetteSettings, skin: SkinModel) -> Tensor:
     """What is lit as the skin that the model learned, and patches of its hue that are in the shade."""
     found, value = hue_probability_u8(image, skin)
-    least = 255.0 * settings.skin_threshold
-    mask = torch.from_numpy(with_dark_u8(found, value, skin) > math.floor(least))
+    floor = 255.0 * settings.skin_threshold
+    mask = torch.from_numpy(with_dark_u8(found, value, skin) > math.floor(floor))
     if settings.shaded_skin < 1.0:
         darkest = max(_DARKEST, settings.shaded_skin * skin.dark_value)
         is_dim = (value < skin.dark_value) & (value >= darkest)
-        shaded = is_dim & (found > math.floor(_SHADED * least))
+        shaded = is_dim & (found > math.floor(_SHADED * floor))
         mask |= opened(torch.from_numpy(shaded), disc_kernel(max(1, round(max(shaded.shape) / _RIM))))
     return mask.to(image.device)
 

@@ -21,7 +21,7 @@ class SkinModel:
     log_ratio: Float[Tensor, "hue saturation"]
     """One value per bin; hue bins divide 0..180 (half degrees), saturation bins 0..256."""
     dark_log_ratio: float
-    """The same for pixels too dark for hue to mean anything, counted together."""
+    """Log-likelihood ratio of pixels too dark for hue to mean anything, counted together."""
     dark_value: int
     """A pixel whose largest channel is below this is dark; 0..255."""
 
@@ -77,8 +77,8 @@ def skin_probability_u8(image: UInt8[Tensor, "height width 3"], model: SkinModel
 
 
 def hue_probability_u8(image: UInt8[Tensor, "height width 3"], model: SkinModel) -> tuple[np.ndarray, np.ndarray]:
-    """The same by hue and saturation alone, however dark a pixel is, and every pixel's largest channel; what per-frame
-    work on a CPU goes on with."""
+    """The probability by hue and saturation alone, 8 bit, however dark a pixel is, and every pixel's largest channel;
+    what per-frame work on a CPU goes on with."""
     hsv = _hsv(image)
     found = look_up(hsv, probability_u8(model.log_ratio.cpu().numpy()), HUE_SATURATION_ENDS)
     return found, cv2.extractChannel(hsv, 2)

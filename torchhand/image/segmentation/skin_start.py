@@ -34,7 +34,7 @@ class CrSplit:
     """The redder class."""
     threshold: float
     """Greatest Cr of the other class."""
-    between_share: float
+    between_fraction: float
     """Variance between the classes over all variance, 0..1; about 0.64 for one bell-shaped cluster."""
     contrast: float
     """Mean Cr of the redder class minus that of the other, in 8-bit levels; 0 when the picture has one Cr only."""
@@ -54,7 +54,7 @@ class SkinStart:
     separability: float
     """Distance of the mean (Cr, Cb) of skin and of the rest over the sum of their root mean square spreads."""
     contrast: float
-    """Distance of these means in 8-bit levels."""
+    """Distance of the means of both parts in 8-bit levels."""
     chroma: tuple[float, float]
     """Mean (Cr, Cb) of the piece."""
     area_fraction: float
@@ -64,17 +64,20 @@ class SkinStart:
 
 
 def otsu_cr_mask(image: UInt8[Tensor, "height width 3"]) -> CrSplit:
-    """Redder half of a picture by Otsu's threshold on Cr. It always splits: look at `between_share` and `contrast`."""
+    """Redder half of a picture by Otsu's threshold on Cr. It always splits: see `between_fraction` and `contrast`."""
     cr = _chroma(image)[..., 0]
     threshold, redder = cv2.threshold(cr, 0, 1, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
     mask = redder.astype(bool)
-    share, contrast = 0.0, 0.0
+    fraction, contrast = 0.0, 0.0
     weight = float(mask.mean())
     if 0.0 < weight < 1.0:
         contrast = float(cr[mask].mean() - cr[~mask].mean())
-        share = weight * (1.0 - weight) * contrast**2 / float(cr.var())
+        fraction = weight * (1.0 - weight) * contrast**2 / float(cr.var())
     return CrSplit(
-        mask=torch.from_numpy(mask).to(image.device), threshold=float(threshold), between_share=share, contrast=contrast
+        mask=torch.from_numpy(mask).to(image.device),
+        threshold=float(threshold),
+        between_fraction=fraction,
+        contrast=contrast,
     )
 
 

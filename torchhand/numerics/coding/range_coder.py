@@ -52,7 +52,7 @@ class RangeEncoder:
         return value
 
     def plain(self, value: int) -> int:
-        """The same for a bit that is 0 or 1 with equal chance."""
+        """Code a bit that is 0 or 1 with equal chance."""
         self._range >>= 1
         if not value:
             self._low += self._range
@@ -114,7 +114,7 @@ class RangeDecoder:
         return found
 
     def plain(self, value: int = 0) -> int:
-        """The same for a bit that is 0 or 1 with equal chance."""
+        """Code a bit that is 0 or 1 with equal chance."""
         self._range >>= 1
         found = int(self._code < self._range)
         if not found:

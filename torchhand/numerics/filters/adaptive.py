@@ -1,4 +1,4 @@
-"""Noise that a filter learns while it runs: the adaptive filter that paper 000, section 7.5, announces (FACTS 5.5).
+"""Noise that a filter learns while it runs: the adaptive filter that Ouhaddi and Horain (1998, 7.5) announce.
 
 After every frame the filter says what it believes of the noise that it has just met: the measurement noise from the
 residual, the process noise from the innovation. Exponential forgetting averages these samples, and bounds relative to
@@ -68,7 +68,7 @@ def residual_variance(
 
 
 def gain_covariance(predicted: Gaussian, updated: Gaussian) -> Float[Tensor, "*batch n n"]:
-    """G ν νᵀ Gᵀ, the plain sample of the process noise Q (FACTS 5.5): the square of the correction, never negative.
+    """G ν νᵀ Gᵀ, the plain sample of the process noise Q: the square of the correction, never negative.
 
     Its mean is P⁻ - P⁺: the noise of a random walk in its steady state, but not of a model with velocities, and not
     while the filter settles or misses measurements. `process_covariance` has none of these faults.
@@ -135,7 +135,7 @@ def adapted_covariance(
     *,
     used: Bool[Tensor, "*batch m"] | None = None,
 ) -> Float[Tensor, "*batch m m"]:
-    """The same for full matrices, positive definite whenever the nominal one is.
+    """`adapted_variance` for full matrices, positive definite whenever the nominal one is.
 
     floor · nominal <= result <= ceiling · nominal in every direction: the bounds hold for the eigenvalues relative to
     the nominal noise, so units do not matter. Rows and columns of measurements that are not used keep their values;
@@ -146,8 +146,8 @@ def adapted_covariance(
         inside = used.unsqueeze(-1) & used.unsqueeze(-2)
         sample = torch.where(inside, sample, 0.0)
         is_known = used & sample.isfinite().all(-1).all(-1, keepdim=True)
-    root_of_share = estimate.new_tensor(settings.forgetting).sqrt()  # in the estimate's precision
-    keep = torch.where(is_known, root_of_share, 1.0)
+    root_of_fraction = estimate.new_tensor(settings.forgetting).sqrt()  # in the estimate's precision
+    keep = torch.where(is_known, root_of_fraction, 1.0)
     inside = is_known.unsqueeze(-1) & is_known.unsqueeze(-2)
     learned = (1 - settings.forgetting) * torch.where(inside, sample, 0.0)
     mixed = keep.unsqueeze(-1) * estimate * keep.unsqueeze(-2) + learned

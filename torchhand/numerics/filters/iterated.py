@@ -50,7 +50,7 @@ class IteratedUpdate:
     """Innovation, its variance and the gate are those at the prediction; the covariance is that at the last estimate.
     `nis` is twice the cost at the estimate, which on a linear problem is νᵀ S⁻¹ ν."""
     iterations: Int[Tensor, "*batch"]
-    """Steps taken."""
+    """Number of steps taken."""
     is_converged: Bool[Tensor, "*batch"]
     """False where steps ran out or no shorter step lowered the cost; the best estimate is returned all the same."""
 

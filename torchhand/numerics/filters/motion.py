@@ -14,8 +14,8 @@ from torch import Tensor
 class MotionModel:
     """Linear dynamics, the same for every degree of freedom (DOF).
 
-    The state of k DOFs is laid out in blocks, [k positions, k velocities, k accelerations] (paper 003, equation 10),
-    cut after the block `order`. In continuous time
+    The state of k DOFs is laid out in blocks, [k positions, k velocities, k accelerations] (Stenger et al. 2001, eq.
+    10), cut after the block `order`. In continuous time
 
         position' = velocity,  velocity' = acceleration - velocity / velocity_decay_s,
         acceleration' = noise - acceleration / acceleration_decay_s,
@@ -31,7 +31,8 @@ class MotionModel:
     velocity_decay_s: float | None = None
     """Seconds until a velocity has fallen to 37 %; None: never. Ignored at order 0, which has no velocity."""
     acceleration_decay_s: float | None = None
-    """The same for an acceleration. Ignored below order 2, which has no acceleration."""
+    """Seconds until an acceleration has fallen to 37 %; None: never. Ignored below order 2, which has no
+    acceleration."""
 
     def __post_init__(self) -> None:
         if self.order not in (0, 1, 2):
@@ -50,12 +51,12 @@ class MotionModel:
     def transition(
         self, dt_s: float, dofs: int, *, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu"
     ) -> Float[Tensor, "n n"]:
-        """The matrix F that a step of `dt_s` seconds multiplies the expected state by (FACTS section 5.4)."""
+        """The matrix F that a step of `dt_s` seconds multiplies the expected state by."""
         block = _step(self, float(dt_s))[0].to(dtype=dtype, device=device)
         return torch.kron(block, torch.eye(dofs, dtype=dtype, device=device))
 
     def process_noise(self, dt_s: float, density: Float[Tensor, "*batch k"]) -> Float[Tensor, "*batch n n"]:
-        """Covariance Q that a step of `dt_s` seconds adds (FACTS section 5.4), for one density per DOF, all >= 0.
+        """Covariance Q that a step of `dt_s` seconds adds, for one density per DOF, all >= 0.
 
         "white": `density` is the spectral density of the driving noise, in (position unit)² / s^(2 order + 1), and two
         half steps add what one whole step does. "piecewise": `density` is the variance of one draw per step: of a

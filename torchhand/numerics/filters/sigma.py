@@ -14,13 +14,13 @@ from torchhand.numerics.filters.gaussian import Gaussian
 
 @dataclass(frozen=True, kw_only=True)
 class UnscentedSettings:
-    """Which sigma points the unscented transform uses (FACTS sections 5.1 and 5.2).
+    """Which sigma points the unscented transform uses.
 
     "scaled"    van der Merwe's set with alpha, beta, kappa; alpha = 1 and beta = 0 make it Julier's set with kappa.
-    "kappa"     2n + 1 equal weights, spread sqrt(n + 1/2): the printed set of paper 003 made exact.
+    "kappa"     2n + 1 equal weights, spread sqrt(n + 1/2): the printed set of Stenger et al. (2001) made exact.
     "julier95"  2n equal weights, spread sqrt(n); the centre has weight 0.
-    "paper"     as printed in paper 003: 2n + 1 equal weights, spread sqrt(n). Its covariance is 2n / (2n + 1) of the
-                true one, so a prediction shrinks a little and an update gains a little less.
+    "paper"     as printed in Stenger et al. (2001): 2n + 1 equal weights, spread sqrt(n). Its covariance is
+                2n / (2n + 1) of the true one, so a prediction shrinks a little and an update gains a little less.
     """
 
     variant: Literal["scaled", "kappa", "julier95", "paper"] = "scaled"

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchhand.numerics.least_squares.records import NormalEquations
 
-_LEAST_DIAGONAL = 1e-12  # of the largest entry of the diagonal: an unknown without any influence stays solvable
+_MIN_DIAGONAL = 1e-12  # of the largest entry of the diagonal: an unknown without any influence stays solvable
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,16 +40,16 @@ class ArrowEquations:
         }
         return cls(**joined, **summed)
 
-    def eliminated(self, held: Bool[Tensor, "f n"] | None = None) -> "Eliminated":
+    def eliminated(self, fixed: Bool[Tensor, "f n"] | None = None) -> "Eliminated":
         """What is left of the shared unknowns once every block has followed them to its own minimum.
 
-        held: unknowns of blocks that do not follow, such as those on a bound that the cost drives against it. A block
+        fixed: unknowns of blocks that do not follow, such as those on a bound that the cost drives against it. A block
         whose matrix is not positive semi-definite does not follow at all.
         """
-        is_open = torch.ones_like(self.block_gradient) if held is None else (~held).to(self.blocks)
+        is_open = torch.ones_like(self.block_gradient) if fixed is None else (~fixed).to(self.blocks)
         blocks = self.blocks * is_open[:, :, None] * is_open[:, None, :]
         diagonal = blocks.diagonal(dim1=-2, dim2=-1)
-        diagonal += (1 - is_open) + _LEAST_DIAGONAL * diagonal.amax(-1, keepdim=True)
+        diagonal += (1 - is_open) + _MIN_DIAGONAL * diagonal.amax(-1, keepdim=True)
         mixed = self.mixed * is_open[..., None]
         factor, info = torch.linalg.cholesky_ex(blocks)
         right = torch.cat((mixed, (self.block_gradient * is_open)[..., None]), -1)

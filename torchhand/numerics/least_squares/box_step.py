@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 _PASSES = 3  # after them, what still leads out of the box is cut off
-_LEAST_DIAGONAL = 1e-12  # of the largest entry of the diagonal: a variable without any influence stays solvable
+_MIN_DIAGONAL = 1e-12  # of the largest entry of the diagonal: a variable without any influence stays solvable
 
 
 def damped_box_step(
@@ -24,8 +24,8 @@ def damped_box_step(
     matrix could be factored; elsewhere the step is 0.
     """
     diagonal = matrix.diagonal(dim1=-2, dim2=-1)
-    least = _LEAST_DIAGONAL * diagonal.amax(-1, keepdim=True) + torch.finfo(matrix.dtype).tiny
-    damped = matrix + (damping[:, None] * torch.maximum(diagonal, least) + least).diag_embed()
+    minimum = _MIN_DIAGONAL * diagonal.amax(-1, keepdim=True) + torch.finfo(matrix.dtype).tiny
+    damped = matrix + (damping[:, None] * torch.maximum(diagonal, minimum) + minimum).diag_embed()
     if room_below is None or room_above is None:
         return _solved(damped, -gradient)
     pinned = ((room_below >= 0) & (gradient > 0)) | ((room_above <= 0) & (gradient < 0))
@@ -36,24 +36,24 @@ def damped_box_step(
         if not len(again):
             return step, is_solved
         pinned = pinned | leads_out
-        held = torch.where(pinned[again], step[again].clamp(room_below[again], room_above[again]), 0.0)
-        solved, is_fine = _solved_with_pinned(damped[again], gradient[again], pinned[again], held)
+        pinned_step = torch.where(pinned[again], step[again].clamp(room_below[again], room_above[again]), 0.0)
+        solved, is_fine = _solved_with_pinned(damped[again], gradient[again], pinned[again], pinned_step)
         step[again] = solved
         is_solved[again] &= is_fine
         leads_out = (step < room_below) | (step > room_above)
     return step.clamp(room_below, room_above), is_solved
 
 
-def _solved_with_pinned(matrix: Tensor, gradient: Tensor, pinned: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
-    """The step whose pinned entries are those of `held` and whose others solve the rest."""
+def _solved_with_pinned(matrix: Tensor, gradient: Tensor, pinned: Tensor, pinned_step: Tensor) -> tuple[Tensor, Tensor]:
+    """The step whose pinned entries are those of `pinned_step` and whose others solve the rest."""
     if not bool(pinned.any()):
         return _solved(matrix, -gradient)
-    right = -gradient - (matrix @ held[..., None]).squeeze(-1)
+    right = -gradient - (matrix @ pinned_step[..., None]).squeeze(-1)
     is_open = (~pinned).to(matrix.dtype)
     reduced = matrix * is_open[:, :, None] * is_open[:, None, :]
     reduced.diagonal(dim1=-2, dim2=-1).add_(pinned.to(matrix.dtype))
     step, is_solved = _solved(reduced, right * is_open)
-    return torch.where(pinned, held, step), is_solved
+    return torch.where(pinned, pinned_step, step), is_solved
 
 
 def _solved(matrix: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:

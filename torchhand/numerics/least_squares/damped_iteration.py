@@ -1,4 +1,5 @@
-"""The state of many damped Gauss-Newton iterations: propose a step for each problem, judge it, drop what is done."""
+"""The state of many damped Gauss-Newton iterations: propose a step for each problem, accept or reject it, drop what is
+done."""
 
 from dataclasses import dataclass, fields
 from typing import Any
@@ -9,11 +10,11 @@ from torch import Tensor
 from torchhand.numerics.least_squares.box_step import damped_box_step
 from torchhand.numerics.least_squares.records import LevenbergMarquardtSettings, NormalEquations, Status
 
-_ACCEPTED_SHARE = 1e-4  # of the predicted decrease
-_GOOD_SHARE, _POOR_SHARE = 0.75, 0.25
+_ACCEPTED_FRACTION = 1e-4  # of the predicted decrease
+_GOOD_FRACTION, _POOR_FRACTION = 0.75, 0.25
 _LOOSEN, _KEEP, _TIGHTEN = 0.1, 0.5, 2.0  # damping times this after a good, fair or poor step
 _REFUSED = 4.0  # after a refused one, doubled with every further one
-_LEAST_DAMPING = 1e-12
+_MIN_DAMPING = 1e-12
 _DAMPING_OF_GAUSS_NEWTON = 1.0  # a small step counts as convergence only where no more damping than this made it small
 _ROUNDING = 8.0  # tolerances below this many units of rounding mean nothing
 
@@ -32,7 +33,7 @@ class DampedIteration:
     cost: Tensor
     damping: Tensor
     factor: Tensor
-    """By what a refused step multiplies the damping."""
+    """Factor by which a refused step multiplies the damping."""
     status: Tensor
     is_open: Tensor
     iterations: Tensor
@@ -84,22 +85,22 @@ class DampedIteration:
         arrived = is_solved & ((is_small & (self.damping <= _DAMPING_OF_GAUSS_NEWTON)) | (length == 0))
         arrived = self.is_open & (arrived | (self.cost <= settings.cost_floor))
         self.status = self.status.masked_fill(arrived, Status.CONVERGED.value)
-        self.is_open = self.is_open & ~arrived & (self.damping <= settings.most_damping)
+        self.is_open = self.is_open & ~arrived & (self.damping <= settings.max_damping)
         trial = self.values + step if self.low is None else (self.values + step).clamp(self.low, self.high)
         self.trial = torch.where((self.is_open & is_solved)[:, None], trial, self.values)
         self.promised = promised.masked_fill(~is_solved, torch.inf)
 
-    def judge(self, found: NormalEquations, settings: LevenbergMarquardtSettings) -> None:
+    def accept_or_reject(self, found: NormalEquations, settings: LevenbergMarquardtSettings) -> None:
         """Take the trials that lower the cost, and set the damping."""
-        share = (self.cost - found.cost) / self.promised
-        better = self.is_open & _is_finite(found) & (found.cost < self.cost) & (share >= _ACCEPTED_SHARE)
+        fraction = (self.cost - found.cost) / self.promised
+        better = self.is_open & _is_finite(found) & (found.cost < self.cost) & (fraction >= _ACCEPTED_FRACTION)
         refused = self.is_open & ~better
         self.iterations += self.is_open
-        change = torch.full_like(share, _TIGHTEN)
-        change = torch.where(share > _POOR_SHARE, _KEEP, change)
-        change = torch.where(share > _GOOD_SHARE, _LOOSEN, change)
+        change = torch.full_like(fraction, _TIGHTEN)
+        change = torch.where(fraction > _POOR_FRACTION, _KEEP, change)
+        change = torch.where(fraction > _GOOD_FRACTION, _LOOSEN, change)
         change = torch.where(better, change, torch.where(refused, self.factor, 1.0))
-        self.damping = (self.damping * change).clamp_min(_LEAST_DAMPING)
+        self.damping = (self.damping * change).clamp_min(_MIN_DAMPING)
         self.factor = torch.where(better, _REFUSED, torch.where(refused, 2 * self.factor, self.factor))
         if bool(better.all()):
             self.values, self.matrix, self.gradient, self.cost = self.trial, found.matrix, found.gradient, found.cost

@@ -11,7 +11,7 @@ from torchhand.numerics.least_squares.levenberg_marquardt import Linearise
 from torchhand.numerics.least_squares.records import LeastSquares, NormalEquations, Status, normal_equations
 from torchhand.numerics.least_squares.robust import RobustLoss
 
-_LEAST = 1e-12  # of the largest entry of the diagonal: variables without any influence get a finite scale
+_MIN_DIAGONAL = 1e-12  # of the largest entry of the diagonal: variables without any influence get a finite scale
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,19 +23,19 @@ class DescentSettings:
     rate: float = 0.2
     """First step, in units of scale² × gradient; above 0."""
     growth: float = 1.5
-    """By what a step that lowers the cost multiplies the rate; 1 or more."""
+    """Factor by which a step that lowers the cost multiplies the rate; 1 or more."""
     shrink: float = 0.4
-    """By what one that does not multiplies it; between 0 and 1."""
+    """Factor by which a step that does not lower the cost multiplies the rate; between 0 and 1."""
     cost_tolerance: float = 1e-9
     """Converged when a step taken lowers the cost by at most this share of it; 0 or more."""
-    least_rate: float = 1e-10
-    """Where no step lowers the cost down to this rate, the problem has stalled; above 0."""
+    min_rate: float = 1e-10
+    """Rate at which a problem has stalled whose cost no step has lowered; above 0."""
 
     def __post_init__(self) -> None:
         if self.iterations < 1:
             raise ValueError(f"iterations: expected 1 or more, got {self.iterations!r}")
-        if not 0 < self.least_rate < self.rate < float("inf"):
-            raise ValueError(f"rate: expected above least_rate, both above 0, got {self.rate!r}, {self.least_rate!r}")
+        if not 0 < self.min_rate < self.rate < float("inf"):
+            raise ValueError(f"rate: expected above min_rate, both above 0, got {self.rate!r}, {self.min_rate!r}")
         if not 1 <= self.growth < float("inf"):
             raise ValueError(f"growth: expected 1 or more and finite, got {self.growth!r}")
         if not 0 < self.shrink < 1:
@@ -94,7 +94,7 @@ def gradient_descent(
     status = torch.where(is_open, Status.STALLED.value, Status.FAILED.value)
     if scale is None:
         diagonal = here.matrix.diagonal(dim1=-2, dim2=-1)
-        floor = _LEAST * diagonal.amax(-1, keepdim=True) + torch.finfo(values.dtype).tiny
+        floor = _MIN_DIAGONAL * diagonal.amax(-1, keepdim=True) + torch.finfo(values.dtype).tiny
         squared = torch.maximum(diagonal, floor).reciprocal()
     else:
         squared = flat(scale).square()
@@ -104,7 +104,7 @@ def gradient_descent(
         trial = bounded(values - rate[:, None] * squared * here.gradient)
         is_still = is_open & (trial == values).all(-1)
         status[is_still] = Status.CONVERGED.value
-        is_open = is_open & ~is_still & (rate > settings.least_rate)
+        is_open = is_open & ~is_still & (rate > settings.min_rate)
         if not bool(is_open.any()):
             break
         trial = torch.where(is_open[:, None], trial, values)

@@ -84,7 +84,7 @@ def levenberg_marquardt(
         if takes_rows and len(left) <= _WORTH_DROPPING * len(work.rows):
             done.append(work.select((~work.is_open).nonzero()[:, 0]))
             work = work.select(left)
-        work.judge(evaluate(work.trial, work.rows), settings)
+        work.accept_or_reject(evaluate(work.trial, work.rows), settings)
     done.append(work)
     whole = DampedIteration.joined(done)
     on_bound = torch.zeros_like(whole.values, dtype=torch.bool)
@@ -102,7 +102,7 @@ def levenberg_marquardt(
 
 
 def _in_a_row(found: NormalEquations, size: int) -> NormalEquations:
-    """With one batch dimension."""
+    """The problems with one batch dimension."""
     return NormalEquations(
         matrix=found.matrix.reshape(-1, size, size),
         gradient=found.gradient.reshape(-1, size),

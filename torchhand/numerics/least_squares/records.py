@@ -27,9 +27,9 @@ class LevenbergMarquardtSettings:
     iterations: int = 50
     """Most evaluations after that at the start; 1 or more."""
     damping: float = 1e-3
-    """At the start, relative to the diagonal of JᵀJ; above 0."""
-    most_damping: float = 1e8
-    """Where no step lowers the cost up to this damping, the problem has stalled; above `damping`."""
+    """Damping at the start, relative to the diagonal of JᵀJ; above 0."""
+    max_damping: float = 1e8
+    """Damping at which a problem has stalled whose cost no step has lowered; above `damping`."""
     cost_tolerance: float = 1e-12
     """Converged when the predicted decrease is at most this share of the cost; 0 or more."""
     step_tolerance: float = 1e-9
@@ -40,10 +40,10 @@ class LevenbergMarquardtSettings:
     def __post_init__(self) -> None:
         if self.iterations < 1:
             raise ValueError(f"iterations: expected 1 or more, got {self.iterations!r}")
-        if not 0 < self.damping < self.most_damping < float("inf"):
+        if not 0 < self.damping < self.max_damping < float("inf"):
             raise ValueError(
-                "damping: expected above 0 and below most_damping, both finite,"
-                f" got {self.damping!r} and {self.most_damping!r}"
+                "damping: expected above 0 and below max_damping, both finite,"
+                f" got {self.damping!r} and {self.max_damping!r}"
             )
         for name in ("cost_tolerance", "step_tolerance", "cost_floor"):
             if not 0 <= getattr(self, name) < float("inf"):
@@ -59,7 +59,7 @@ class NormalEquations:
     gradient: Float[Tensor, "*batch n"]
     """Jᵀr; must be the exact derivative of the cost."""
     cost: Float[Tensor, "*batch"]
-    """½ rᵀr"""
+    """Cost ½ rᵀr."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +69,7 @@ class LeastSquares:
     values: Float[Tensor, "*batch n"]
     """The best found, within the bounds."""
     cost: Float[Tensor, "*batch"]
-    """Half the sum of squares (or the robust loss) there."""
+    """Half the sum of squares (or the robust loss) at the values."""
     status: Int[Tensor, "*batch"]
     """Numbers of `Status`."""
     iterations: Int[Tensor, "*batch"]
@@ -95,7 +95,7 @@ Linearisation = tuple[Tensor, Tensor] | NormalEquations
 
 
 def normal_equations(found: Linearisation, robust: RobustLoss | None) -> NormalEquations:
-    """Of a robust loss those of iteratively reweighted least squares: the gradient is exact."""
+    """Normal equations; of a robust loss those of iteratively reweighted least squares: the gradient is exact."""
     if isinstance(found, NormalEquations):
         return found
     residual, jacobian = found

@@ -1,7 +1,7 @@
 """How simulated hands move: scripts, postures, recordings, and whose hands they are."""
 
 from torchhand.simulate.motion.motion import VIEWS, Motion, View, facing, filling_distance, hand_length, scripted_motion
-from torchhand.simulate.motion.people import sample_shape
+from torchhand.simulate.motion.population import sample_shape
 from torchhand.simulate.motion.poses import parse_pose, posed_motion, sampled_motion
 from torchhand.simulate.motion.recorded import (
     GLOVE_COLUMNS,

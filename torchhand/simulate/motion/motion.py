@@ -95,7 +95,7 @@ def stage_before(
     index = torch.arange(frames, dtype=torch.float64)
     return Stage(
         seconds=index / fps,
-        share=index / max(1, frames - 1),
+        progress=index / max(1, frames - 1),
         pace=pace,
         generator=generator,
         width=scale * size[0] / focal[0],
@@ -105,12 +105,13 @@ def stage_before(
 
 
 def filling_distance(camera: Camera, hand_length: float) -> float:
-    """From the camera, in metres, at which a hand of that length fills the picture well; any one if orthographic."""
+    """Distance from the camera, metres, at which a hand of that length fills the picture well; any one if
+    orthographic."""
     if camera.kind == "orthographic":
         return _ORTHOGRAPHIC_DISTANCE
     focal = [float(f) for f in camera.intrinsics.diagonal()[:2]]
     size = (camera.width, camera.height)
-    return max(hand_length * f / (share * px) for f, share, px in zip(focal, _HAND_IN_PICTURE, size, strict=True))
+    return max(hand_length * f / (fraction * px) for f, fraction, px in zip(focal, _HAND_IN_PICTURE, size, strict=True))
 
 
 def facing(view: View) -> Float[Tensor, "3 3"]:

@@ -50,16 +50,16 @@ class GloveRecording:
     """Joint angles as they were recorded."""
 
     seconds: Float[np.ndarray, "rows"]
-    """From the first row on, increasing."""
+    """Times from the first row on, increasing."""
     angles: Float[np.ndarray, "rows 23"]
-    """Radians, GLOVE_COLUMNS."""
+    """Angles in the order of GLOVE_COLUMNS, radians."""
 
 
 def read_glove(path: str | Path) -> GloveRecording:
     """A text file of rows of 7 time columns and 23 angles, separated by blanks.
 
     Raises InputError naming the file and the row: missing, not a number, too few columns, time that runs backwards, or
-    fewer than two moments.
+    fewer than two samples.
     """
     path = Path(path)
     try:

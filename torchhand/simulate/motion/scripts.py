@@ -17,17 +17,17 @@ class Stage:
     """What a script needs to know: the clock, the chance, and the room that there is in the picture."""
 
     seconds: Float[Tensor, "frames"]
-    share: Float[Tensor, "frames"]
-    """Time as share of the sequence, 0 to 1."""
+    progress: Float[Tensor, "frames"]
+    """Time as a fraction of the sequence, 0 to 1."""
     pace: float
     """Factor on every speed."""
     generator: torch.Generator
     width: float
     """Width of the picture at the distance of the hand, metres."""
     height: float
-    """The same, height."""
+    """Height that the picture shows at the hand's distance, metres."""
     distance: float
-    """Of the hand from the camera, metres."""
+    """Distance of the hand from the camera, metres."""
 
     def wander(self, count: int) -> Float[Tensor, "frames {count}"]:
         """`count` independent smooth curves within [-1, 1] that start from rest at 0."""
@@ -49,16 +49,16 @@ class Course:
     """Rotation vector of the whole sequence: an oblique view."""
 
 
-def planar_course(stage: Stage, share: float = 1.0) -> tuple[Float[Tensor, "frames 3"], Float[Tensor, "frames 3"]]:
-    """Displacement and turn within the picture plane; `share` of the usual amplitude."""
-    curves = share * stage.wander(3)
+def planar_course(stage: Stage, amplitude: float = 1.0) -> tuple[Float[Tensor, "frames 3"], Float[Tensor, "frames 3"]]:
+    """Displacement and turn within the picture plane; `amplitude` relative to the usual one."""
+    curves = amplitude * stage.wander(3)
     zero = torch.zeros_like(stage.seconds)
     centre = torch.stack((0.22 * stage.width * curves[:, 0], 0.13 * stage.height * curves[:, 1], zero), -1)
     return centre, torch.stack((zero, zero, math.radians(35) * curves[:, 2]), -1)
 
 
 def _planar(stage: Stage) -> Course:
-    """An open hand moves in the picture plane (paper 003, section 5)."""
+    """An open hand moves in the picture plane (Stenger et al. 2001, section 5)."""
     centre, turn = planar_course(stage)
     return Course(posture="open", centre=centre, turn=turn)
 
@@ -70,7 +70,7 @@ def _planar_point(stage: Stage) -> Course:
 
 
 def _abduction(stage: Stage) -> Course:
-    """The fingers close and spread together, each a little on its own (paper 000, section 9); small planar motion."""
+    """The fingers close and spread together, each a little on its own (Ouhaddi and Horain 1998, section 9)."""
     centre, turn = planar_course(stage, 0.25)
     together = 0.5 - 0.5 * torch.cos(2 * torch.pi * 0.35 * stage.pace * stage.seconds)
     own = stage.wander(5)
@@ -97,7 +97,7 @@ def _flexion(stage: Stage) -> Course:
     slots = len(FINGERS) + 1
     for i, finger in enumerate(FINGERS):
         at_the_end = 0.75 if finger == "thumb" else 0.9
-        amount = 0.95 * bump(slots * stage.share - i) + at_the_end * bump(slots * stage.share - len(FINGERS))
+        amount = 0.95 * bump(slots * stage.progress - i) + at_the_end * bump(slots * stage.progress - len(FINGERS))
         joints = joints + _bent(finger, amount)
     sway = stage.wander(6)
     turn = math.radians(4) * sway[:, 3:]
@@ -130,7 +130,7 @@ def _wave(stage: Stage) -> Course:
 def _leave(stage: Stage) -> Course:
     """Small planar motion; the hand leaves the picture at one side, stays away for a while and comes back."""
     centre, turn = planar_course(stage, 0.4)
-    away = ease((stage.share - 0.25) / 0.15) - ease((stage.share - 0.65) / 0.15)
+    away = ease((stage.progress - 0.25) / 0.15) - ease((stage.progress - 0.65) / 0.15)
     side = 1.0 if bool(torch.rand((), generator=stage.generator) < 0.5) else -1.0
     distance = side * (0.5 * stage.width + 0.8 * stage.height)
     return Course(posture="open", centre=centre + away[:, None] * torch.tensor((distance, 0.0, 0.0)), turn=turn)

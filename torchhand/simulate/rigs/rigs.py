@@ -1,4 +1,4 @@
-"""Named rigs of cameras around one place: the frame of paper 002, and a ring."""
+"""Named rigs of cameras around one place: the frame of Ueda et al. (2003), and a ring."""
 
 import math
 import re
@@ -27,15 +27,15 @@ _FRAME: dict[str, tuple[float, float]] = {
 }
 """Degrees to the right of the front, and up."""
 _RING_UP_DEG = 15.0
-_MOST_IN_A_RING = 36
+_MAX_IN_A_RING = 36
 _NAME = re.compile(r"(frame|ring)(\d{0,3})")
 _DEFAULTS = {"frame": 4, "ring": 8}
 
 
 def named_rig(name: str, *, size: tuple[int, int] = SIZE_PX, fov_deg: float = FOV_DEG) -> list[Camera]:
-    """frame3 is that of paper 002's simulator (section 6.1: front, side, top), frame or frame4 that of its real
-    pictures (7.1: top at 45° as well); frame1 to frame8 leave some away or add more directions. ring8 or another number
-    stands around the upright axis.
+    """frame3 is that of the simulator of Ueda et al. (2003, section 6.1: front, side, top), frame or frame4 that of its
+    real pictures (7.1: top at 45° as well); frame1 to frame8 leave some away or add more directions. ring8 or another
+    number stands around the upright axis.
 
     The middle is the world's origin, whose axes are those of the first camera: x right, y down, z away from it. size:
     px.
@@ -46,12 +46,12 @@ def named_rig(name: str, *, size: tuple[int, int] = SIZE_PX, fov_deg: float = FO
     kind, count = (match[1], int(match[2] or _DEFAULTS[match[1]])) if match else ("", 0)
     if kind == "frame" and 1 <= count <= len(_FRAME):
         places = dict(list(_FRAME.items())[:count])
-    elif kind == "ring" and 2 <= count <= _MOST_IN_A_RING:
+    elif kind == "ring" and 2 <= count <= _MAX_IN_A_RING:
         places = {f"cam{i}": (360.0 * i / count, _RING_UP_DEG if i else 0.0) for i in range(count)}
     else:
         raise InputError(
             f"--rig: expected a file or folder of cameras, frame1 to frame{len(_FRAME)}, or ring2 to"
-            f" ring{_MOST_IN_A_RING}; got {name!r}"
+            f" ring{_MAX_IN_A_RING}; got {name!r}"
         )
     return [_camera(own, *place, size=size, fov_deg=fov_deg) for own, place in places.items()]
 

@@ -21,7 +21,7 @@ def background_picture(
 
     plain: one cool colour; dark: nearly black; wall: a warm bright wall, unevenly lit, its colour near that of skin;
     clutter: overlapping shapes of all colours, skin's among them, with strong edges everywhere; blue: the boards of
-    paper 002's frame, for a chroma key.
+    the frame of Ueda et al. 2003, for a chroma key.
     """
     if kind not in BACKGROUNDS:
         raise ValueError(f"background: expected one of {', '.join(BACKGROUNDS)}, got {kind!r}")

@@ -47,7 +47,7 @@ class SceneSettings:
     shutter: float = 0.0
     """Share of the time between two frames in which the shutter is open: motion blur."""
     shutter_samples: int = 5
-    """Moments averaged while the shutter is open."""
+    """Number of pictures that are averaged over the time the shutter is open."""
     supersampling: int = 3
     """Rays per pixel along each axis."""
     light: tuple[float, float, float] = (-0.4, -0.6, -0.7)
@@ -77,11 +77,11 @@ class RenderedFrame:
 
     index: int
     image: UInt8[Tensor, "height width 3"]
-    """RGB."""
+    """The picture, RGB."""
     mask: Bool[Tensor, "height width"]
     """Pixels whose centre sees the hand; not its forearm."""
     keypoints_cam: Float[Tensor, "21 3"]
-    """Metres, camera frame."""
+    """Keypoints in metres, camera frame."""
     keypoints_px: Float[Tensor, "21 2"]
 
 
@@ -89,7 +89,7 @@ def render_sequence(
     kinematics: HandKinematics,
     motion: Motion,
     camera: Camera,
-    look: SceneSettings,
+    scene: SceneSettings,
     generator: torch.Generator,
     *,
     shape: Float[Tensor, "shape"] | None = None,
@@ -101,25 +101,25 @@ def render_sequence(
     lens's blur and the sensor's noise. Mask and keypoints belong to the middle of the exposure. The same seed gives the
     same sequence bit for bit; a frame's noise depends on the frames before it.
 
-    hand: of the same side and dtype as the kinematics, for a look whose surface is the mesh; it gets `shape`.
+    hand: of the same side and dtype as the kinematics, for a scene whose surface is the mesh; it gets `shape`.
     """
-    if look.surface == "mesh" and (hand is None or hand.side != kinematics.side):
+    if scene.surface == "mesh" and (hand is None or hand.side != kinematics.side):
         got = "none" if hand is None else f"a {hand.side} one"
         raise ValueError(f"hand: expected the {kinematics.side} hand whose mesh is to be drawn, got {got}")
     dtype = kinematics.default_shape.dtype
     camera = camera.to(dtype=dtype)
-    behind = background_picture(look.background, camera.width, camera.height, generator)
+    behind = background_picture(scene.background, camera.width, camera.height, generator)
     projector = HandProjector(kinematics, camera, None if shape is None else shape.to(dtype))
     reference = motion.root_reference.to(dtype)
-    drawn = hand if look.surface == "mesh" else None
+    drawn = hand if scene.surface == "mesh" else None
     for index in range(len(motion.poses)):
-        moments = _poses_while_open(motion.poses, index, look)
-        exposed = [_exposed(projector, _posed(projector, drawn, pose, reference), behind, look) for pose in moments]
+        poses = _poses_while_open(motion.poses, index, scene)
+        exposed = [_exposed(projector, _posed(projector, drawn, pose, reference), behind, scene) for pose in poses]
         posed = _posed(projector, drawn, motion.poses[index], reference)
         yield RenderedFrame(
             index=index,
-            image=_developed(torch.stack(exposed).mean(0), look, generator),
-            mask=_cast(projector, posed, camera, look).part >= 0,
+            image=_developed(torch.stack(exposed).mean(0), scene, generator),
+            mask=_cast(projector, posed, camera, scene).part >= 0,
             keypoints_cam=camera.cam_from_world(posed.frames.keypoints),
             keypoints_px=camera.project(posed.frames.keypoints),
         )
@@ -127,14 +127,14 @@ def render_sequence(
 
 @dataclass(frozen=True, kw_only=True)
 class _Posed:
-    """A hand at one moment, in the world."""
+    """A hand at one time, in the world."""
 
     frames: HandFrames
     surface: Surface
 
 
 def _posed(projector: HandProjector, hand: Hand | None, pose: Float[Tensor, "36"], reference: Tensor) -> _Posed:
-    """With its mesh where a `hand` is given, else with its primitives."""
+    """The posed hand, with its mesh where a `hand` is given, else with its primitives."""
     pose = pose.to(reference)
     if hand is not None:
         state = hand(pose, projector.shape, root_reference=reference)
@@ -144,23 +144,23 @@ def _posed(projector: HandProjector, hand: Hand | None, pose: Float[Tensor, "36"
     return _Posed(frames=frames, surface=place_primitives(frames, projector.sizes, is_left=is_left))
 
 
-def _poses_while_open(poses: Float[Tensor, "frames 36"], index: int, look: SceneSettings) -> list[Float[Tensor, "36"]]:
-    """Poses at evenly spread moments around the frame's own, between the neighbouring frames' poses."""
-    if look.shutter == 0 or len(poses) < 2:
+def _poses_while_open(poses: Float[Tensor, "frames 36"], index: int, scene: SceneSettings) -> list[Float[Tensor, "36"]]:
+    """Poses at evenly spread times around the frame's own, between the neighbouring frames' poses."""
+    if scene.shutter == 0 or len(poses) < 2:
         return [poses[index]]
-    moments = look.shutter * ((torch.arange(look.shutter_samples) + 0.5) / look.shutter_samples - 0.5)
+    offsets = scene.shutter * ((torch.arange(scene.shutter_samples) + 0.5) / scene.shutter_samples - 0.5)
     before, after = poses[max(index - 1, 0)], poses[min(index + 1, len(poses) - 1)]
     backward, forward = poses[index] - before, after - poses[index]
-    return [poses[index] + float(moment) * (forward if moment > 0 else backward) for moment in moments]
+    return [poses[index] + float(offset) * (forward if offset > 0 else backward) for offset in offsets]
 
 
 _FOREARM = -2  # in the part labels, where nothing is -1
 
 
-def _cast(projector: HandProjector, posed: _Posed, camera: Camera, look: SceneSettings) -> Raycast:
+def _cast(projector: HandProjector, posed: _Posed, camera: Camera, scene: SceneSettings) -> Raycast:
     """The hand, with its forearm where it has one."""
     hand = cast(posed.surface, camera)
-    if not look.forearm:
+    if not scene.forearm:
         return hand
     arm = cast_forearm(posed.frames, projector.kinematics.shape_space, projector.shape, camera)
     in_front = arm.depth < hand.depth
@@ -172,44 +172,45 @@ def _cast(projector: HandProjector, posed: _Posed, camera: Camera, look: SceneSe
 
 
 def _exposed(
-    projector: HandProjector, posed: _Posed, behind: UInt8[Tensor, "height width 3"], look: SceneSettings
+    projector: HandProjector, posed: _Posed, behind: UInt8[Tensor, "height width 3"], scene: SceneSettings
 ) -> Float[Tensor, "height width 3"]:
-    """One moment's light, averaged over every pixel's area; grey levels. Only the hand's window is cast and shaded."""
+    """Light of one time, averaged over every pixel's area; grey levels. Only the hand's window is cast and shaded."""
     image = behind.double()
-    left, top, right, bottom = _window(projector, posed.frames, look)
+    left, top, right, bottom = _window(projector, posed.frames, scene)
     if right <= left or bottom <= top:
         return image
     shift = torch.tensor((left, top), dtype=projector.camera.intrinsics.dtype)
     intrinsics = projector.camera.intrinsics.clone()
     intrinsics[:2, 2] -= shift
     camera = replace(projector.camera, intrinsics=intrinsics, width=right - left, height=bottom - top)
-    side = look.supersampling
-    seen = _cast(projector, posed, camera.resized(float(side)), look)
+    side = scene.supersampling
+    seen = _cast(projector, posed, camera.resized(float(side)), scene)
     around = behind[top:bottom, left:right].repeat_interleave(side, 0).repeat_interleave(side, 1)
     lit = replace(seen, part=torch.where(seen.part == _FOREARM, 0, seen.part))
-    picture = shade(lit, skin=SKIN_TONES[look.skin], background=around, light=look.light, ambient=look.ambient)
+    picture = shade(lit, skin=SKIN_TONES[scene.skin], background=around, light=scene.light, ambient=scene.ambient)
     averaged = torch.nn.functional.avg_pool2d(picture.permute(2, 0, 1).float(), side)
     image[top:bottom, left:right] = averaged.permute(1, 2, 0).double()
     return image
 
 
-def _window(projector: HandProjector, frames: HandFrames, look: SceneSettings) -> tuple[int, int, int, int]:
-    """Pixels x0, y0, x1, y1 (exclusive) that hold all of the hand and its forearm; the whole picture where in doubt."""
+def _window(projector: HandProjector, frames: HandFrames, scene: SceneSettings) -> tuple[int, int, int, int]:
+    """Pixels x0, y0, x1, y1 (exclusive) that hold all of the hand and its forearm; the whole picture where that is not
+    certain."""
     camera = projector.camera
     space = projector.kinematics.shape_space
     reach = _REACH * space.metric(projector.shape)["hand_length"]
     points = camera.cam_from_world(frames.keypoints)
     offsets = torch.tensor([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=points.dtype)
     corners = (points[:, None] + reach * offsets).reshape(-1, 3)
-    if look.forearm:
+    if scene.forearm:
         corners = torch.cat((corners, camera.cam_from_world(forearm_corners(frames, space, projector.shape))))
     return pixel_box(corners, camera)
 
 
-def _developed(image: Tensor, look: SceneSettings, generator: torch.Generator) -> UInt8[Tensor, "height width 3"]:
+def _developed(image: Tensor, scene: SceneSettings, generator: torch.Generator) -> UInt8[Tensor, "height width 3"]:
     """Lens blur, sensor noise and rounding."""
-    if look.blur_px > 0:
-        image = torch.from_numpy(cv2.GaussianBlur(image.contiguous().numpy(), (0, 0), look.blur_px))
-    if look.noise > 0:
-        image = image + look.noise * torch.randn(image.shape, generator=generator, dtype=image.dtype)
+    if scene.blur_px > 0:
+        image = torch.from_numpy(cv2.GaussianBlur(image.contiguous().numpy(), (0, 0), scene.blur_px))
+    if scene.noise > 0:
+        image = image + scene.noise * torch.randn(image.shape, generator=generator, dtype=image.dtype)
     return image.round().clamp(0, 255).to(torch.uint8)

@@ -43,14 +43,14 @@ class StudyCase:
 
     frame: int
     image: UInt8[Tensor, "height width 3"]
-    """RGB."""
+    """The picture, RGB."""
     mask: Bool[Tensor, "height width"]
     """Silhouette of the hand; a forearm may be part of it."""
     camera: Camera
     side: Side
     shape: Float[Tensor, "shape"]
     pose: HandPose
-    """() float64; what starts are perturbed from and errors are against."""
+    """Reference pose, () float64: starts are perturbed from it, and errors are against it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +110,7 @@ class CaseStudy:
 
     @cached_property
     def contours(self) -> Contours:
-        """Of the surface that is registered."""
+        """Contours of the surface that is registered."""
         s = self.settings
         if s.surface == "mesh":
             hand = self.model.hand(side=self.case.side, dtype=torch.float64).to(self.device)
@@ -150,10 +150,10 @@ class CaseStudy:
         change = draw_perturbations(self.space, size, s.perturbation, generator)
         change = change.to(self.device).clamp(*free_bounds(self.space, self.kinematics.skeleton))
         starts = self._hands(change)
-        found = self._registered(starts, starts if s.has_expectation else None)
-        return self._told(batch, own_seed, level, change, found)
+        found = self._registered(starts, starts if s.has_start_prior else None)
+        return self._recorded(batch, own_seed, level, change, found)
 
-    def _told(
+    def _recorded(
         self, batch: StudyBatch, seed: int, level: Tensor, change: Float[Tensor, "starts free"], found: Solutions
     ) -> Hypotheses:
         """A row of the record for every start."""

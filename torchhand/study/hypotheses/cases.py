@@ -35,15 +35,15 @@ class Given:
     """What the user says about the pictures."""
 
     source: Path | None
-    """None: simulated pictures."""
+    """Source of the pictures; None: simulated pictures."""
     frames: tuple[int, ...] | None
-    """None: all that there are."""
+    """Frames of the source; None: all that there are."""
     camera: Path | None = None
     hand: FittedHand | None = None
     side: Side | None = None
     mask: Path | None = None
     size: tuple[int, int] = (640, 480)
-    """Of simulated pictures, px."""
+    """Size of simulated pictures, px."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,7 +138,7 @@ def _known_case(known: KnownPoses, number: int, image: Tensor, mask: Tensor, cam
 
 
 def _mask(folder: Path, masks: dict[int, Path], number: int, image: Tensor) -> Bool[Tensor, "height width"]:
-    """From masks/ where the folder has them, else by the skin's colour."""
+    """Mask from masks/ where the folder has them, else by the skin's colour."""
     if not masks:
         start = bootstrap_skin(image)
         if not start.has_skin:

@@ -15,9 +15,9 @@ def wilson_interval(successes: int, trials: int, z: float = Z_95) -> tuple[float
         raise ValueError(f"successes: expected 0 to {trials}, got {successes}")
     if trials == 0:
         return 0.0, 1.0
-    share, spread = successes / trials, z * z / trials
-    centre = (share + 0.5 * spread) / (1 + spread)
-    half = z * math.sqrt(share * (1 - share) / trials + 0.25 * spread / trials) / (1 + spread)
+    fraction, spread = successes / trials, z * z / trials
+    centre = (fraction + 0.5 * spread) / (1 + spread)
+    half = z * math.sqrt(fraction * (1 - fraction) / trials + 0.25 * spread / trials) / (1 + spread)
     return max(0.0, centre - half), min(1.0, centre + half)
 
 
@@ -44,14 +44,14 @@ def success_of_best(cost: Float[np.ndarray, "starts"], is_success: Bool[np.ndarr
     return float(rank_weights(len(cost), tries) @ is_success[order])
 
 
-def quantile_with_failures(values: Float[np.ndarray, "starts"], share: float) -> float:
+def quantile_with_failures(values: Float[np.ndarray, "starts"], fraction: float) -> float:
     """The smallest value that at least this share of them do not exceed; what is not finite counts as infinite.
 
     NaN of no values at all.
     """
-    if not 0 < share <= 1:
-        raise ValueError(f"share: expected above 0, to 1, got {share!r}")
+    if not 0 < fraction <= 1:
+        raise ValueError(f"fraction: expected above 0, to 1, got {fraction!r}")
     if not len(values):
         return float("nan")
     ordered = np.sort(np.where(np.isfinite(values), values, np.inf))
-    return float(ordered[math.ceil(share * len(values) - 1e-9) - 1])
+    return float(ordered[math.ceil(fraction * len(values) - 1e-9) - 1])

@@ -19,11 +19,12 @@ class Hypotheses:
     frame: Int[np.ndarray, "starts"]
     batch: Int[np.ndarray, "starts"]
     seed: Int[np.ndarray, "starts"]
-    """Of the batch's generator."""
+    """Seed of the batch's generator."""
     level: Int[np.ndarray, "starts"]
     """Size of the perturbation: 1 to the number of levels."""
     perturbation: Float[np.ndarray, "starts free"]
-    """Of the pose space's free parameters, metres and radians, within the limits; the rotation is a left one."""
+    """Perturbation of the pose space's free parameters, metres and radians, within the limits; the rotation is a left
+    one."""
     start_angle_deg: Float[np.ndarray, "starts"]
     start_keypoint_mm: Float[np.ndarray, "starts"]
     start_rotation_deg: Float[np.ndarray, "starts"]
@@ -58,12 +59,12 @@ class Hypotheses:
         return Hypotheses(**{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """By name, as `from_arrays` takes them."""
+        """Arrays by name, as `from_arrays` takes them."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> "Hypotheses":
-        """Of a file. Raises KeyError for what is missing, ValueError for arrays of differing lengths."""
+        """The hypotheses of a file. Raises KeyError for what is missing, ValueError for arrays of differing lengths."""
         chosen = {f.name: arrays[f.name] for f in fields(cls)}
         lengths = {len(array) for array in chosen.values()}
         if len(lengths) != 1:

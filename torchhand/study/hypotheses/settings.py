@@ -21,14 +21,14 @@ class HypothesisStudySettings:
     """Starts, registration, and what counts as success."""
 
     starts: int = 10_000
-    """Of all pictures together, shared out evenly; 1 to 10,000,000."""
+    """Starts of all pictures together, shared out evenly; 1 to 10,000,000."""
     batch: int = 128
     """Starts that are registered together: bounds the memory. Other batches draw other starts. 1 to 4096."""
     perturbation: PerturbationSettings = field(default_factory=PerturbationSettings)
     space: str = "dof26"
     """Pose space, through the reference pose: what it ties or holds is as in the reference."""
     surface: SurfaceName = "primitives"
-    """Whose contours are registered: those of the quadrics, or those of the skinned mesh."""
+    """Surface whose contours are registered: those of the quadrics, or those of the skinned mesh."""
     points_per_generator: int = 12
     """Outline points on each side of a cone; 2 or more."""
     points_per_arc: int = 8
@@ -37,23 +37,23 @@ class HypothesisStudySettings:
     """Most points of the mesh's contours; 50 or more."""
     has_prior: bool = True
     """The registration knows which postures are likely."""
-    has_expectation: bool = True
+    has_start_prior: bool = True
     """The registration knows how far starts may be off: normal errors with the spread of the largest perturbation, as a
     tracker's prediction has."""
     success_deg: float = 5.0
     """Largest mean error of the joint angles of a success; above 0."""
     best_of: tuple[int, ...] = (1, 2, 4, 8, 16)
-    """Numbers of starts of which the cheapest is judged; increasing, 1 or more."""
+    """Numbers of starts of which the cheapest is evaluated; increasing, 1 or more."""
     schedule: Schedule = SEARCH
     """Registration from coarse to fine; at least one stage."""
     contour: ContourSettings = field(default_factory=ContourSettings)
     """Weights and tolerances of the contours in a picture."""
 
     def __post_init__(self) -> None:
-        for name, most in (("starts", _MAX_STARTS), ("batch", _MAX_AT_ONCE)):
-            require(1 <= getattr(self, name) <= most, name, f"1 to {most}", getattr(self, name))
-        for name, least in (("points_per_generator", 2), ("points_per_arc", 4), ("mesh_points", 50)):
-            require(getattr(self, name) >= least, name, f"{least} or more", getattr(self, name))
+        for name, maximum in (("starts", _MAX_STARTS), ("batch", _MAX_AT_ONCE)):
+            require(1 <= getattr(self, name) <= maximum, name, f"1 to {maximum}", getattr(self, name))
+        for name, minimum in (("points_per_generator", 2), ("points_per_arc", 4), ("mesh_points", 50)):
+            require(getattr(self, name) >= minimum, name, f"{minimum} or more", getattr(self, name))
         require(self.space in STUDY_SPACES, "space", f"one of {', '.join(STUDY_SPACES)}", self.space)
         require(
             self.surface in get_args(SurfaceName), "surface", f"one of {', '.join(get_args(SurfaceName))}", self.surface
@@ -69,20 +69,20 @@ def total_iterations(schedule: Schedule) -> int:
     return sum(stage.rounds * stage.iterations for stage in schedule)
 
 
-def with_iterations(schedule: Schedule, most: int) -> Schedule:
+def with_iterations(schedule: Schedule, total: int) -> Schedule:
     """The stages with their iterations scaled so that there are at most so many in all, and hardly fewer.
 
     Raises ValueError for fewer than one per association.
     """
     rounds, whole = sum(stage.rounds for stage in schedule), total_iterations(schedule)
-    if most < rounds:
-        raise ValueError(f"iterations: expected {rounds} or more, one for each round of the schedule, got {most}")
-    scaled = [replace(stage, iterations=max(1, stage.iterations * most // whole)) for stage in schedule]
-    for i in sorted(range(len(schedule)), key=lambda i: -(schedule[i].iterations * most % whole)):
-        left = most - total_iterations(tuple(scaled))
+    if total < rounds:
+        raise ValueError(f"iterations: expected {rounds} or more, one for each round of the schedule, got {total}")
+    scaled = [replace(stage, iterations=max(1, stage.iterations * total // whole)) for stage in schedule]
+    for i in sorted(range(len(schedule)), key=lambda i: -(schedule[i].iterations * total % whole)):
+        left = total - total_iterations(tuple(scaled))
         if left >= scaled[i].rounds:
             scaled[i] = replace(scaled[i], iterations=scaled[i].iterations + 1)
-    while total_iterations(tuple(scaled)) > most:  # where the one iteration that every round needs was too many
+    while total_iterations(tuple(scaled)) > total:  # where the one iteration that every round needs was too many
         i = max(range(len(scaled)), key=lambda i: scaled[i].iterations)
         scaled[i] = replace(scaled[i], iterations=scaled[i].iterations - 1)
     return tuple(scaled)

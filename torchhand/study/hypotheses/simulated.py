@@ -18,7 +18,7 @@ from torchhand.study.hypotheses.settings import HypothesisStudySettings
 
 _FOV_DEG = 55.0
 _TILT_DEG = 40.0
-_HAND_SHARE = 0.6  # length of the hand, of the picture's height
+_HAND_FRACTION = 0.6  # length of the hand, of the picture's height
 _MIDDLE = 0.48  # of a hand, share of its length from the wrist
 
 
@@ -50,14 +50,14 @@ def simulated_case(
     tilt = torch.nn.functional.normalize(tilt, dim=-1) * math.radians(_TILT_DEG * amount)
     reference = rotation_from_vector(tilt) @ facing("palm" if view < 0.5 else "back")
     length = hand_length(kinematics, shape)
-    ahead = float(camera.intrinsics[0, 0]) * length / (_HAND_SHARE * height)
+    ahead = float(camera.intrinsics[0, 0]) * length / (_HAND_FRACTION * height)
     middle = torch.tensor((0.0, 0.0, ahead), dtype=torch.float64)
     pose[:3] = middle - reference @ torch.tensor((0.0, _MIDDLE * length, 0.0), dtype=torch.float64)
     pose[3:6] = 0
-    look = SceneSettings(surface=settings.surface, supersampling=2)
+    scene = SceneSettings(surface=settings.surface, supersampling=2)
     motion = Motion(name="still", poses=pose[None], root_reference=reference, fps=30.0)
     hand = model.hand(side=side, dtype=torch.float64) if settings.surface == "mesh" else None
-    frame = next(iter(render_sequence(kinematics, motion, camera, look, generator, shape=shape, hand=hand)))
+    frame = next(iter(render_sequence(kinematics, motion, camera, scene, generator, shape=shape, hand=hand)))
     return StudyCase(
         frame=number,
         image=frame.image,

@@ -33,7 +33,7 @@ class StudyRow:
     """Wilson's 95 % interval."""
     success_high: float
     start_success: float
-    """The same share before they were registered."""
+    """Fraction of the starts that were successes before they were registered."""
     start_angle_median_deg: float
     angle_median_deg: float
     angle_p90_deg: float
@@ -53,7 +53,7 @@ class StudyRow:
     @property
     def failed(self) -> float:
         """Share of the starts that could not be registered."""
-        return sum(share for name, share in zip(STATUS_NAMES, self.statuses, strict=True) if name in _FAILURES)
+        return sum(fraction for name, fraction in zip(STATUS_NAMES, self.statuses, strict=True) if name in _FAILURES)
 
 
 _FAILURES = ("failed", "no_data")

@@ -43,13 +43,13 @@ class Work:
 
     settings: HypothesisStudySettings
     cases: Sequence[StudyCase]
-    """With their final references."""
+    """Cases with their final references."""
     overlaps: Sequence[float]
-    """Of the reference hands and the silhouettes."""
+    """Overlaps of the reference hands and the silhouettes."""
     prior: PostureResiduals | None
     seed: int
     source: str
-    """Of the pictures, for the user."""
+    """Source of the pictures, for the user."""
     reference: str
     """How the reference poses are known, for the user."""
     device: str
@@ -72,7 +72,7 @@ class Work:
         }
 
     def _digest(self) -> str:
-        """Of everything that a registration sees, and of the references."""
+        """Digest of everything that a registration sees, and of the references."""
         digest = hashlib.sha256()
         for case in self.cases:
             camera, seen = case.camera, (case.image, case.mask, case.pose.dofs, case.pose.reference, case.shape)

@@ -30,14 +30,14 @@ class BentFinger:
     hand: Hand
     shape: Float[Tensor, "shape"]
     space: PoseSpace
-    """What moves: no DOF of the root, for the palm's place is known."""
+    """Pose space of what moves: no DOF of the root, for the palm's place is known."""
     start: HandPose
-    """With a zero rotation vector."""
+    """Start with a zero rotation vector."""
     measure: Measure
     truth_deg: float
     straight_masks: Sequence[Bool[Tensor, "_height _width"]] | None = None
-    """Of the hand before its index was bent, where it is not the model itself: the fit is first left to settle in
-    them, so that what is judged is the change, and not that two hands call different angles straight."""
+    """Silhouettes of the hand before its index was bent, where it is not the model itself: the pose is first fitted to
+    them, so that what is evaluated is the change, and not that two hands call different angles straight."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,13 +45,13 @@ class Convergence:
     """One fit, at the start and after every iteration."""
 
     error_deg: tuple[float, ...]
-    """Figure 13: |estimated - true| angle."""
-    inside_share: tuple[float, ...]
-    """Figure 14: of the vertices, those in the voxel model, which is the BLACK and GRAY octants (section 3.2)."""
-    within_share: tuple[float, ...]
-    """The same of the surface that the fit goes by, in the middle of the GRAY shell."""
+    """Figure 13: error of the angle, |estimated - true|, degrees."""
+    inside_fraction: tuple[float, ...]
+    """Figure 14: fraction of the vertices in the voxel model, which is the BLACK and GRAY octants (section 3.2)."""
+    within_fraction: tuple[float, ...]
+    """Fraction of the vertices within the surface that the fit goes by, in the middle of the GRAY shell."""
     milliseconds: float
-    """Of carving and fit together."""
+    """Time of carving and fit together."""
 
 
 def converge(case: BentFinger, level: int, settings: HullTorqueSettings) -> Convergence:
@@ -68,14 +68,14 @@ def converge(case: BentFinger, level: int, settings: HullTorqueSettings) -> Conv
         outside, _ = hull_field(octree).sample(SkinPoints(case.hand, case.shape).vertices(found.poses))
     return Convergence(
         error_deg=tuple(error.tolist()),
-        inside_share=tuple((outside <= 0).double().mean(-1).tolist()),
-        within_share=tuple(found.inside_share.double().tolist()),
+        inside_fraction=tuple((outside <= 0).double().mean(-1).tolist()),
+        within_fraction=tuple(found.inside_fraction.double().tolist()),
         milliseconds=1e3 * seconds,
     )
 
 
 def _carved(case: BentFinger, masks: Sequence[Tensor], level: int) -> Octree:
-    return carve(masks, case.cameras, case.root, CarvingSettings(level=level, least_views=len(case.cameras)))
+    return carve(masks, case.cameras, case.root, CarvingSettings(level=level, min_views=len(case.cameras)))
 
 
 def _fitted(case: BentFinger, octree: Octree, settings: HullTorqueSettings, start: HandPose) -> HullTorqueFit:

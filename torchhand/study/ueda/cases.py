@@ -75,7 +75,7 @@ class BentCase:
 
 
 def fingers() -> tuple[str, ...]:
-    """Names of the joint angles of the paper's 31-DOF hand."""
+    """Names of the joint angles of the 31-DOF hand of Ueda et al. (2003)."""
     return tuple(name for name in named_pose_space(SPACE).free_names if not name.startswith("root"))
 
 
@@ -88,9 +88,9 @@ def own_bent(model: HandModel, cameras: Sequence[Camera], angle_deg: float, seed
     stage = stage_camera(cameras, hand_length(kinematics))
     motion = posed_motion([straight, bent], 2, kinematics, stage, view="palm")
     only = Motion(name="bent", poses=motion.poses[1:], root_reference=motion.root_reference, fps=motion.fps)
-    look = SceneSettings(surface="mesh", background="blue", supersampling=2)
+    scene = SceneSettings(surface="mesh", background="blue", supersampling=2)
     generator = torch.Generator().manual_seed(seed_of(seed, "bent"))
-    [views] = list(render_rig(kinematics, only, cameras, look, generator, hand=hand))
+    [views] = list(render_rig(kinematics, only, cameras, scene, generator, hand=hand))
     finger = BentFinger(
         cameras=cameras,
         masks=[view.mask for view in views],
@@ -106,7 +106,7 @@ def own_bent(model: HandModel, cameras: Sequence[Camera], angle_deg: float, seed
 
 
 def root_at(cameras: Sequence[Camera]) -> RootCube:
-    """The paper's cube, where the cameras look."""
+    """The cube of Ueda et al. (2003), where the cameras look."""
     x, y, z = meeting_point(cameras).tolist() if len(cameras) > 1 else (0.0, 0.0, 0.0)
     return RootCube(centre=(x, y, z), side=ROOT_SIDE)
 
@@ -121,7 +121,7 @@ class Recording:
     folder: Path
     cameras: Sequence[Camera]
     pictures: Sequence[UInt8[Tensor, "_height _width 3"]]
-    """Of the second frame."""
+    """Pictures of the second frame."""
     straight: Sequence[Bool[Tensor, "_height _width"]]
     bent: Sequence[Bool[Tensor, "_height _width"]]
     truth_deg: float
@@ -203,7 +203,7 @@ def _fitted(
     """Pose and shape of our hand in one frame, without a guess."""
 
     def hull(level: int, points: int) -> HullTarget:
-        settings = CarvingSettings(level=level, least_views=len(cameras))
+        settings = CarvingSettings(level=level, min_views=len(cameras))
         field = hull_field(carve(masks, cameras, root_at(cameras), settings), surface="middle")
         return with_rays(target_of(field, points=points), cameras, masks)
 
@@ -226,7 +226,7 @@ def _fitted(
         replace(fitter, shape=sizes[best.size]),
         [hull(_SHAPE_LEVEL, _SHAPE_POINTS)],
         best.found.pose.reshape(1),
-        model.prior().people,
+        model.prior().population,
         HullShapeSettings(gross_m=(0.02, 0.006)),
     )
     return found.pose[0], found.shape
@@ -238,7 +238,7 @@ def _joints(model: HandModel) -> JointPriors:
     )
 
 
-# ------------------------------------------------------------------ people of our own
+# ------------------------------------------------------------------ random people
 
 
 def subject(

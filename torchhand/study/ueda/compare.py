@@ -34,7 +34,7 @@ class Subject:
 
 @dataclass(frozen=True, kw_only=True)
 class FitError:
-    """Of one fit."""
+    """Error of one fit."""
 
     joint_mm: float
     """Mean distance of the 21 keypoints in the world."""
@@ -44,10 +44,10 @@ class FitError:
 
 
 def fit_errors(subject: Subject, cameras: int, level: int, methods: Mapping[str, Method]) -> dict[str, FitError]:
-    """Each method on the hull of the first so many cameras; the time is that of the fit alone."""
+    """Errors of each method on the hull of the first so many cameras; the time is that of the fit alone."""
     views = slice(cameras)
     octree = carve(
-        subject.masks[views], subject.cameras[views], subject.root, CarvingSettings(level=level, least_views=cameras)
+        subject.masks[views], subject.cameras[views], subject.root, CarvingSettings(level=level, min_views=cameras)
     )
     problem = FitProblem(
         cameras=subject.cameras[views],

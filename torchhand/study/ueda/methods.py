@@ -28,7 +28,7 @@ class FitProblem:
     cameras: Sequence[Camera]
     masks: Sequence[Bool[Tensor, "_height _width"]]
     target: HullTarget
-    """Their hull, its surface in the middle of the GRAY shell, and the edges of the silhouettes."""
+    """Hull of the silhouettes, its surface in the middle of the GRAY shell, and the edges of the silhouettes."""
     hand: Hand
     shape: Float[Tensor, "shape"]
     space: PoseSpace
@@ -79,7 +79,7 @@ METHODS: Mapping[str, Method] = {
 
 
 def keypoints_of(problem: FitProblem, found: HandPose) -> Float[Tensor, "21 3"]:
-    """In the world, metres."""
+    """Keypoints in the world, metres."""
     kinematics = problem.hand.kinematics
     like = kinematics.default_shape
     found = found.to(like)

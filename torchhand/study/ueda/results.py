@@ -18,10 +18,10 @@ from torchhand.files.disk import write_text
 from torchhand.study.ueda.stages import PAPER_MS, STAGES
 
 DEFAULT_STEPS = "largest"
-"""Reading of the paper's step that the figures show."""
+"""Reading of the step of Ueda et al. (2003) that the figures show."""
 SOURCES = {"own": "own simulator", "data": "another maker's hand"}
 
-_CURVES = ("error_deg", "inside_share", "within_share")
+_CURVES = ("error_deg", "inside_fraction", "within_fraction")
 
 Rows = list[dict[str, Any]]
 
@@ -35,8 +35,8 @@ def convergence_rows(parts: Mapping[str, Any]) -> Rows:
             "steps": part["steps"],
             "iteration": iteration,
             "error_deg": error,
-            "inside_share": inside,
-            "within_share": within,
+            "inside_fraction": inside,
+            "within_fraction": within,
         }
         for part in _of(parts, "converge")
         for iteration, (error, inside, within) in enumerate(zip(*(part[key] for key in _CURVES), strict=True))
@@ -83,9 +83,9 @@ def printed(parts: Mapping[str, Any]) -> str:
             lines.append(f"{title}: error of the index after {len(found[0]['error_deg']) - 1} iterations, degrees")
         for steps in dict.fromkeys(part["steps"] for part in found):
             ends = "  ".join(
-                f"level {part['level']}: {part['error_deg'][-1]:5.2f} ({100 * part['inside_share'][-1]:.1f} % inside)"
-                for part in found
-                if part["steps"] == steps
+                f"level {one['level']}: {one['error_deg'][-1]:5.2f} ({100 * one['inside_fraction'][-1]:.1f} % inside)"
+                for one in found
+                if one["steps"] == steps
             )
             lines.append(f"  {steps:<13} {ends}")
     for part in _of(parts, "stages"):
@@ -120,14 +120,14 @@ def write_results(folder: Path, parts: Mapping[str, Any]) -> None:
         )
         _write_picture(
             folder / "figure14.png",
-            _figure(parts, "inside_share", "vertices outside, %", lambda inside: 100 * (1 - inside)),
+            _figure(parts, "inside_fraction", "vertices outside, %", lambda inside: 100 * (1 - inside)),
         )
     if tables["comparison"]:
         _write_picture(folder / "comparison.png", _comparison(tables["comparison"]))
 
 
 def csv_text(rows: Rows) -> str:
-    """With a heading; floats to six digits."""
+    """Text with a heading; floats to six digits."""
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()

@@ -15,8 +15,8 @@ from torchhand.volume import Carver, CarvingSettings, hull_field
 STAGES = ("silhouettes", "octree", "field", "fit by torques", "fit by LM")
 """The last two are alternatives: either makes a frame whole."""
 PAPER_MS = {"silhouettes": 130.0, "octree": 70.0, "fit by torques": 300.0}
-"""What the paper prints for four cameras and level 7 on two Pentium III of 1 GHz: image capture, construction of the
-voxel model, pose estimation."""
+"""What Ueda et al. (2003) print for four cameras and level 7 on two Pentium III of 1 GHz: image capture, construction
+of the voxel model, pose estimation."""
 
 
 def stage_times(
@@ -26,14 +26,14 @@ def stage_times(
 
     pictures: of the case's cameras, before a screen of the default key's colour.
     """
-    carver = Carver(case.cameras, case.root, CarvingSettings(level=level, least_views=len(case.cameras)))
+    carver = Carver(case.cameras, case.root, CarvingSettings(level=level, min_views=len(case.cameras)))
     octree = carver.carve(case.masks)
     field = hull_field(octree, surface="middle")
     target = with_rays(target_of(field), case.cameras, case.masks)
     fitter = HullFitter(hand=case.hand, space=case.space, shape=case.shape, schedule=TRACKING)
     screen = SilhouetteSettings(method="chroma")
     skin, start = fitter.vertices.skin, case.start.reshape(1)
-    torques = HullTorqueSettings(outside_share=0.0)
+    torques = HullTorqueSettings(outside_fraction=0.0)
     stages: dict[str, Callable[[], object]] = {
         "silhouettes": lambda: [segment(picture, screen) for picture in pictures],
         "octree": partial(carver.carve, case.masks),

@@ -22,13 +22,13 @@ class PosedBelief:
     """What a belief says of a hand, in the world."""
 
     pose: Float[Tensor, "36"]
-    """With the root's whole rotation vector; metres and radians."""
+    """Pose with the root's whole rotation vector; metres and radians."""
     pose_std: Float[Tensor, "36"]
     """0 for DOFs that are held; those of the root's rotation are of a small turn in the world's axes."""
     root_rotation: Float[Tensor, "3 3"]
-    """world_from_hand"""
+    """Rotation world_from_hand."""
     keypoints: Float[Tensor, "21 3"]
-    """Metres."""
+    """Keypoints, metres."""
     keypoints_cov: Float[Tensor, "21 3 3"]
     """Square metres: of the belief, and of joint centres within the flesh, which no filter knows."""
 
@@ -57,7 +57,7 @@ def posed_belief(
 
 @lru_cache(maxsize=8)
 def _jacobian_of(kinematics: HandKinematics) -> PoseJacobian:
-    """In all DOFs; laid out once for each kinematics module."""
+    """Jacobian in all DOFs; laid out once for each kinematics module."""
     with torch.inference_mode(False):  # kept for callers in any mode
         return PoseJacobian(kinematics)
 

@@ -47,7 +47,7 @@ class HandMotion:
 
     @cached_property
     def kinds(self) -> tuple[Kind, ...]:
-        """Of the free parameters."""
+        """Kinds of the free parameters."""
         return tuple(kind_of(name) for name in self.space.free_names)
 
     @cached_property
@@ -95,9 +95,9 @@ class HandMotion:
         count, belief = self.space.size, hand.belief
         lower, upper = torch.full_like(belief.mean, -torch.inf), torch.full_like(belief.mean, torch.inf)
         lower[:count], upper[:count] = free_bounds(self.space.about(hand.base), self.skeleton)
-        mean, held = mode_in_box(belief, lower, upper)
+        mean, is_bound = mode_in_box(belief, lower, upper)
         blocks = mean.reshape(-1, count).clone()
-        blocks[1:] = torch.where(held[:count], 0.0, blocks[1:])
+        blocks[1:] = torch.where(is_bound[:count], 0.0, blocks[1:])
         kept = replace(hand, belief=Gaussian(blocks.flatten(), belief.covariance))
         turned = rotation_from_vector(self.pose(kept).dofs[3:6])
         blocks[0] = torch.where(self._is_rotation, 0.0, blocks[0])

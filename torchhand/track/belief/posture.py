@@ -1,4 +1,4 @@
-"""Weak beliefs about posture as linear measurements of the free parameters, for what a contour does not tell."""
+"""A weak posture prior as linear measurements of the free parameters, for what a contour does not tell."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ class PostureMeasurements:
 
     matrix: Float[Tensor, "rows free"]
     variance: Float[Tensor, "rows"]
-    """Radians squared."""
+    """Variances, radians squared."""
     tilts: tuple[tuple[int, int], ...]
     """(row, axis of the camera) of the beliefs about the tilt since the start."""
     is_tie: Bool[Tensor, "rows"]
@@ -28,7 +28,7 @@ class PostureMeasurements:
     anything that tells."""
 
     def value(self, reference: Float[Tensor, "3 3"], start_reference: Float[Tensor, "3 3"]) -> Float[Tensor, "rows"]:
-        """What the beliefs expect of a hand whose rotation is a left perturbation of `reference`, radians.
+        """Values that the prior expects of a hand whose rotation is a left perturbation of `reference`, radians.
 
         Both are cam_from_hand: now, and at the start.
         """
@@ -41,9 +41,9 @@ class PostureMeasurements:
 
 
 def posture_prior(space: PoseSpace, settings: PosturePriorSettings, *, has_tilt: bool) -> PostureMeasurements:
-    """The beliefs about the free parameters of a pose space, which count changes from the start; float64.
+    """The prior on the free parameters of a pose space, which count changes from the start; float64.
 
-    has_tilt: whether there is one about the rotation out of the picture's plane, which is that of the world's z.
+    has_tilt: whether there is a measurement of the rotation out of the picture's plane, which is that of the world's z.
     """
     rows: list[Tensor] = []
     variances: list[float] = []

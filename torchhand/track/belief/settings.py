@@ -28,7 +28,7 @@ class NoiseSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class PosturePriorSettings:
-    """Weak beliefs about posture, used as measurements at every frame where fingers are free."""
+    """A weak posture prior, used as measurements at every frame where fingers are free."""
 
     rest_std_rad: float = 1.0
     """Standard deviation of joint angles about those of the start; above 0."""

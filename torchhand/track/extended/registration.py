@@ -31,14 +31,14 @@ class SceneRegistration:
     """About the pose of the track's start."""
     shape: Float[Tensor, "shape"]
     contours: tuple[Contours, ...]
-    """Of the surface to fit, before each camera."""
+    """Contours of the surface to fit, before each camera."""
     projectors: tuple[HandProjector, ...]
     keypoints: tuple[Observation, ...]
     """Detected keypoints, where there are any."""
     priors: tuple[Observation, ...]
     scene: Scene
     pose: HandPose
-    """Of the frame before."""
+    """Pose in the frame before."""
 
     def pictures(self, masks: tuple[Bool[Tensor, "_height _width"] | None, ...], schedule: Schedule) -> Pictures:
         """Contours of the silhouettes, and the valleys within them, for a schedule."""
@@ -57,9 +57,9 @@ class SceneRegistration:
         nothing was found."""
         if not bool(found.cost.isfinite()):
             return math.inf
-        told = [one for one in found.explained if one.name == CONTOUR and bool(one.distance.isfinite().all())]
-        cameras = [self.projectors[one.view or 0].camera for one in told]
-        pairs = zip(told, cameras, strict=True)
+        contours = [one for one in found.explained if one.name == CONTOUR and bool(one.distance.isfinite().all())]
+        cameras = [self.projectors[one.view or 0].camera for one in contours]
+        pairs = zip(contours, cameras, strict=True)
         metres = [float(one.distance) / float(pixels_per_metre(camera, found.pose)) for one, camera in pairs]
         return max(metres, default=math.inf) / self.settings.max_contour_distance_m
 

@@ -1,10 +1,10 @@
 """Limb segments of the last two phalanges, and how their ends move with the pose, in closed form.
 
-A limb is a straight contour generator of a phalanx's cone, between the cone's two ends (paper 000, section 7.2). When
-the pose changes, its ends move with the bone, and they slide around the cone, because the contour is where the camera
-grazes it: at the angle θ of the section with cos(θ ∓ α) = c, (cos α, sin α) the direction of the camera in units of the
-section and c as in `torchhand.view.outlines.generators`. Both parts are needed: seen at a slant, sliding moves an end
-along the segment.
+A limb is a straight contour generator of a phalanx's cone, between the cone's two ends (Ouhaddi and Horain 1998, 7.2).
+When the pose changes, its ends move with the bone, and they slide around the cone, because the contour is where the
+camera grazes it: at the angle θ of the section with cos(θ ∓ α) = c, (cos α, sin α) the direction of the camera in units
+of the section and c as in `torchhand.view.outlines.generators`. Both parts are needed: seen at a slant, sliding moves
+an end along the segment.
 """
 
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ class Segments:
     ends_px: Float[Tensor, "*batch 20 2 2"]
     """Beginning (towards the palm) and end; x, y."""
     ends_cam: Float[Tensor, "*batch 20 2 3"]
-    """Metres."""
+    """Ends of the segments, camera frame, metres."""
     is_real: Bool[Tensor, "*batch 20"]
     """False where the cone has no outline (seen along its axis, or from inside) or lies behind the camera."""
 
@@ -121,7 +121,8 @@ class SegmentJacobian:
         return of_free.unflatten(-2, (2, 2, 2)).flatten(-5, -4)
 
     def _twists(self, pose: Tensor, frames: HandFrames, projector: HandProjector) -> tuple[Tensor, Tensor, Tensor]:
-        """In the camera frame: axes (10, 9, 3) of root and joints, points on them, and the root's shifts (3, 3)."""
+        """Twists in the camera frame: axes (10, 9, 3) of root and joints, points on them, and the root's shifts (3,
+        3)."""
         batch = pose.shape[:-1]
         axes = world_axes(batch_last(pose, 1, batch), batch_last(frames.rotation, 3, batch), self._constants)
         axes = batch_first(axes, batch)[..., self._angles, :]

@@ -1,6 +1,7 @@
-"""What the extended Kalman filter of paper 000 observes: middles, lengths and directions of registered limb segments.
+"""Observation of the extended Kalman filter of Ouhaddi and Horain (1998): registered limb segments, of each the middle,
+length and direction.
 
-The observation is loosely coupled (paper 000, section 7.5; FACTS 5.6): registration fits the model to the picture
+The observation is loosely coupled (section 7.5 of the paper): registration fits the model to the picture
 first, and the segments of the fitted pose are what the filter measures, never raw edges. Twenty segments of the last
 two phalanges give 80 numbers.
 """
@@ -34,24 +35,24 @@ class SegmentSettings:
     """Standard deviation of each coordinate of a segment's middle. That of its direction is this over its length."""
     length_std_px: float = 1.5
     """Standard deviation of the length of a segment that faces the camera; grows with 1 / foreshortening."""
-    least_visible: float = 0.5
+    min_visible: float = 0.5
     """Share of a segment that must be seen, not hidden by the hand itself; 0 to 1."""
-    least_foreshortening: float = 0.25
+    min_foreshortening: float = 0.25
     """Sine of the angle between segment and line of sight that must be reached; above 0, at most 1."""
-    least_length_px: float = 3.0
+    min_length_px: float = 3.0
     """Shorter segments have no direction worth the name; above 0."""
     samples: int = 8
-    """Points per segment at which visibility is judged; 1 or more."""
+    """Points per segment at which visibility is tested; 1 or more."""
 
     def __post_init__(self) -> None:
-        for name in ("position_std_px", "length_std_px", "least_length_px"):
+        for name in ("position_std_px", "length_std_px", "min_length_px"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise ValueError(f"segments.{name}: expected above 0 and finite, got {getattr(self, name)!r}")
-        if not 0 <= self.least_visible <= 1:
-            raise ValueError(f"segments.least_visible: expected 0 to 1, got {self.least_visible!r}")
-        if not 0 < self.least_foreshortening <= 1:
+        if not 0 <= self.min_visible <= 1:
+            raise ValueError(f"segments.min_visible: expected 0 to 1, got {self.min_visible!r}")
+        if not 0 < self.min_foreshortening <= 1:
             raise ValueError(
-                f"segments.least_foreshortening: expected above 0, at most 1, got {self.least_foreshortening!r}"
+                f"segments.min_foreshortening: expected above 0, at most 1, got {self.min_foreshortening!r}"
             )
         if self.samples < 1:
             raise ValueError(f"segments.samples: expected 1 or more, got {self.samples!r}")
@@ -99,29 +100,29 @@ class SegmentObservation:
         self, free: Float[Tensor, "*batch free"]
     ) -> tuple[Float[Tensor, "*batch 80"], Float[Tensor, "*batch 80 free"]]:
         """Values and Jacobian; derivatives of a segment without outline or length mean nothing."""
-        placed = self._placed(free)
-        return segment_values(placed.segments.ends_px), self._jacobian_of(placed)
+        posed = self._posed(free)
+        return segment_values(posed.segments.ends_px), self._jacobian_of(posed)
 
     def value(self, free: Float[Tensor, "*batch free"]) -> Float[Tensor, "*batch 80"]:
         """The values alone, differentiable in the free parameters and in the projector's shape."""
-        return segment_values(self._placed(free).segments.ends_px)
+        return segment_values(self._posed(free).segments.ends_px)
 
     def segments(self, free: Float[Tensor, "*batch free"]) -> Segments:
         """The segments themselves, for drawing and for judging."""
-        return self._placed(free).segments
+        return self._posed(free).segments
 
-    def visible_share(self, free: Float[Tensor, "*batch free"]) -> Float[Tensor, "*batch 20"]:
+    def visible_fraction(self, free: Float[Tensor, "*batch free"]) -> Float[Tensor, "*batch 20"]:
         """Share of every segment that the camera sees past the rest of the hand."""
-        return self._visible_share(self._placed(free))
+        return self._visible_fraction(self._posed(free))
 
     def usable(self, free: Float[Tensor, "*batch free"]) -> Bool[Tensor, "*batch 20"]:
         """Segments that are real, in the picture, seen, long enough and not too foreshortened."""
-        return self._usable(self._placed(free))
+        return self._usable(self._posed(free))
 
     def variances(self, free: Float[Tensor, "*batch free"]) -> Float[Tensor, "*batch 80"]:
         """Noise of the values: a fixed one of the middle, of the length more the more it is foreshortened, of the
         direction the middle's over the length."""
-        return self._variances(self._placed(free).segments)
+        return self._variances(self._posed(free).segments)
 
     def measure(
         self,
@@ -134,52 +135,52 @@ class SegmentObservation:
         the registration cannot know (the model's shape). It must come from the picture alone: a registration that was
         pulled to the prediction would count the prediction twice.
         """
-        placed = self._placed(free)
-        noise, valid = self._variances(placed.segments), self._usable(placed).repeat_interleave(len(SCALARS), -1)
+        posed = self._posed(free)
+        noise, valid = self._variances(posed.segments), self._usable(posed).repeat_interleave(len(SCALARS), -1)
         if covariance is not None:
-            jacobian = torch.where(valid[..., None], self._jacobian_of(placed), 0.0)
+            jacobian = torch.where(valid[..., None], self._jacobian_of(posed), 0.0)
             spread = jacobian @ covariance @ jacobian.mT
             noise = 0.5 * (spread + spread.mT) + noise.diag_embed()
-        return SegmentMeasurement(value=segment_values(placed.segments.ends_px), noise=noise, valid=valid)
+        return SegmentMeasurement(value=segment_values(posed.segments.ends_px), noise=noise, valid=valid)
 
-    def _placed(self, free: Tensor) -> "_Placed":
+    def _posed(self, free: Tensor) -> "_PosedSegments":
         wanted = self.space.dof(free)
         pose = torch.where(self._is_tied, clamp_to_limits(wanted, self.projector.kinematics.skeleton), wanted)
         frames = self.projector.kinematics(pose, self.projector.shape, root_reference=self.root_reference)
         primitives = self.projector.primitives_cam(frames)
         segments = segments_of(self.projector, primitives)
-        return _Placed(pose=pose, moving=pose == wanted, frames=frames, primitives=primitives, segments=segments)
+        return _PosedSegments(pose=pose, moving=pose == wanted, frames=frames, primitives=primitives, segments=segments)
 
-    def _jacobian_of(self, placed: "_Placed") -> Tensor:
+    def _jacobian_of(self, posed: "_PosedSegments") -> Tensor:
         of_ends = self._jacobian(
-            placed.pose, placed.frames, placed.primitives, placed.segments, self.projector, placed.moving
+            posed.pose, posed.frames, posed.primitives, posed.segments, self.projector, posed.moving
         )
-        return _of_values(placed.segments.ends_px, of_ends)
+        return _of_values(posed.segments.ends_px, of_ends)
 
-    def _visible_share(self, placed: "_Placed") -> Tensor:
+    def _visible_fraction(self, posed: "_PosedSegments") -> Tensor:
         with torch.no_grad():
-            table = _sample_table(self.settings.samples, placed.pose)
+            table = _sample_table(self.settings.samples, posed.pose)
             is_orthographic = self.projector.is_orthographic
-            seen = outline(placed.primitives, table, is_orthographic=is_orthographic)
-            visible = visible_points(placed.primitives, seen, table, is_orthographic=is_orthographic)
-        return visible.unflatten(-1, (len(SEGMENT_NAMES), -1)).to(placed.pose.dtype).mean(-1)
+            seen = outline(posed.primitives, table, is_orthographic=is_orthographic)
+            visible = visible_points(posed.primitives, seen, table, is_orthographic=is_orthographic)
+        return visible.unflatten(-1, (len(SEGMENT_NAMES), -1)).to(posed.pose.dtype).mean(-1)
 
-    def _usable(self, placed: "_Placed") -> Tensor:
-        segments, s = placed.segments, self.settings
+    def _usable(self, posed: "_PosedSegments") -> Tensor:
+        segments, s = posed.segments, self.settings
         facing = foreshortening(segments.ends_cam, is_orthographic=self.projector.is_orthographic)
         return (
             segments.is_real
             & is_in_picture(segments.ends_px.mean(-2), self.projector.camera)
-            & (_length(segments.ends_px) >= s.least_length_px)
-            & (facing >= s.least_foreshortening)
-            & (self._visible_share(placed) >= s.least_visible)
+            & (_length(segments.ends_px) >= s.min_length_px)
+            & (facing >= s.min_foreshortening)
+            & (self._visible_fraction(posed) >= s.min_visible)
         )
 
     def _variances(self, segments: Segments) -> Tensor:
         s = self.settings
         facing = foreshortening(segments.ends_cam, is_orthographic=self.projector.is_orthographic)
-        length = _length(segments.ends_px).clamp_min(s.least_length_px)
-        of_length = s.length_std_px / facing.clamp_min(s.least_foreshortening)
+        length = _length(segments.ends_px).clamp_min(s.min_length_px)
+        of_length = s.length_std_px / facing.clamp_min(s.min_foreshortening)
         position = torch.full_like(length, s.position_std_px)
         return torch.stack((position, position, of_length, position / length), -1).flatten(-2).square()
 
@@ -210,7 +211,7 @@ class StackedSegments:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Placed:
+class _PosedSegments:
     """A batch of hands before the camera."""
 
     pose: Tensor

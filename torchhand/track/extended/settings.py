@@ -25,7 +25,7 @@ class ExtendedUpdateSettings:
     and Horain 1998, section 7)."""
 
     surface: Literal["primitives", "mesh"] = "primitives"
-    """Whose contours are registered: the quadrics', or the skin's, which takes several times as long."""
+    """Surface whose contours are registered: the quadrics', or the skin's, which takes several times as long."""
     contour: ContourSettings = field(default_factory=lambda: ContourSettings(contour_std_fraction=0.25))
     """Weights of contours, coverage and valleys."""
     schedule: Schedule = _SCHEDULE
@@ -33,9 +33,9 @@ class ExtendedUpdateSettings:
     search_schedule: Schedule = _SEARCH
     """Registration of the scene in which a hand is found, and of a hand that is sought anew."""
     constraint_weight: float = 1.0
-    """Of the constraints between joints; 0 or more, 0 leaves them out."""
+    """Weight of the constraints between joints; 0 or more, 0 leaves them out."""
     prior_weight: float = 1.0
-    """Of the posture prior; 0 or more, 0 leaves it out."""
+    """Weight of the posture prior; 0 or more, 0 leaves it out."""
     adaptive: AdaptiveNoiseSettings = field(default_factory=AdaptiveNoiseSettings)
     """How the process noise is learned."""
     is_adaptive: bool = True
@@ -62,7 +62,7 @@ class ExtendedUpdateSettings:
     filter: Literal["extended", "none"] = "extended"
     """The extended Kalman filter over the segments of the registered hand, or the registered hand as it is."""
     segments: SegmentSettings = field(default_factory=SegmentSettings)
-    """What the filter observes of the registered hand."""
+    """Settings of the segments that the filter observes of the registered hand."""
     pose_weight: float = 0.25
     """Weight of the registered parameters themselves, with the registration's covariance, beside the segments, which
     leave open what the palm and hidden fingers do; 0 or more, 0 leaves them out."""

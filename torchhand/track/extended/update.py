@@ -1,8 +1,8 @@
 """The extended update (Ouhaddi and Horain 1998, section 7): registration on distance maps, steadied by a filter.
 
 Every scene is registered from the filter's prediction and from the last pose; the better one's limb segments are what
-the filter observes (section 7.5). What the paper announces is here too: flexion and self-occlusion, noise that is
-learned, more starts where the motion was sudden; and several cameras, whose contours and segments are stacked.
+the filter observes (section 7.5). What Ouhaddi and Horain announce is here too: flexion and self-occlusion, noise that
+is learned, more starts where the prediction was far off; and several cameras, whose contours and segments are stacked.
 """
 
 from collections.abc import Sequence
@@ -143,7 +143,7 @@ class ExtendedUpdate:
         return tuple(found)
 
     def _length_px(self, projector: HandProjector, pose: HandPose) -> float:
-        """Of a hand held parallel to the picture."""
+        """Length of a hand held parallel to the picture."""
         camera = projector.camera
         focal = 0.5 * float(camera.intrinsics[0, 0] + camera.intrinsics[1, 1])
         length = float(projector.shape[self.kinematics.shape_space.names.index("hand_length")])
@@ -197,10 +197,10 @@ class ExtendedUpdate:
         made, pose = self._for(shape), self.motion.pose(hand)
         near, in_view = [], []
         for picture, contours, projector in zip(pictures, made.contours, made.projectors, strict=True):
-            share, inside = self._contour_share(picture, contours, projector, pose)
+            fraction, inside = self._contour_fraction(picture, contours, projector, pose)
             in_view.append(inside)
             if picture is not None:
-                near.append(share)
+                near.append(fraction)
         return Candidate(
             hand=hand,
             pose=pose,
@@ -209,7 +209,7 @@ class ExtendedUpdate:
             in_view=max(in_view),
         )
 
-    def _contour_share(
+    def _contour_fraction(
         self, picture: PictureContours | None, contours: Contours, projector: HandProjector, pose: HandPose
     ) -> tuple[float, float]:
         """Share of the outer contour near the picture's, and share of the visible contour in the picture."""

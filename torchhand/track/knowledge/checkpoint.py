@@ -32,7 +32,7 @@ _KIND = "record"
 
 
 def saved_state(state: TrackerState) -> dict[str, Any]:
-    """From which `restored_state` goes on exactly."""
+    """The state as plain data, from which `restored_state` goes on exactly."""
     return _plain(state)
 
 

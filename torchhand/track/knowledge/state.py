@@ -8,7 +8,7 @@ from torch import Tensor
 from torchhand.files import FrameStatus
 from torchhand.hand import HandPose
 from torchhand.track.belief import FollowedHand
-from torchhand.track.scene import Looks
+from torchhand.track.scene import Appearances
 
 _SAME_TIME_S = 1e-3
 
@@ -19,7 +19,7 @@ class Keyframe:
 
     time_s: float
     pose: HandPose
-    """With a zero rotation vector."""
+    """Pose with a zero rotation vector."""
 
     def is_of(self, time_s: float) -> bool:
         """Whether it is of this very time."""
@@ -31,21 +31,21 @@ class TrackerState:
     """Everything a tracker knows between two frames; `Tracker.step` takes one and returns the next."""
 
     time_s: float | None = None
-    """Of the last frame; None before the first."""
+    """Time of the last frame; None before the first."""
     hand: FollowedHand | None = None
     """The hand that is followed; None while there is none."""
     shape: Float[Tensor, "shape"] | None = None
     """The proportions; None until they are known."""
-    appearance: Looks = ()
-    """What the hand looks like, view by view."""
+    appearance: Appearances = ()
+    """Appearance of the hand, view by view; empty until it is known."""
     posture: Float[Tensor, "36"] | None = None
-    """The posture of the start as it was fitted, which a search looks for."""
+    """Posture of the first hand as it was fitted, for which a search looks."""
     keyframes: tuple[Keyframe, ...] = ()
     """Hands that were found before tracking began."""
     usual_score: float = 0.0
     """How much of the pictures the frames before were explained, 0 to 1; 0 before there is one."""
     best_score: float = 0.0
-    """Best of these scores, which is forgotten slowly."""
+    """Best score of the frames before, which is forgotten slowly."""
     frames_since_search: int = 0
     search_after: int = 0
     """Frames after which a search without any guess is due."""
@@ -70,9 +70,9 @@ class Estimate:
     """Standard deviations, 0 for DOFs that are held; those of the root's rotation are of a small turn in the world's
     axes."""
     keypoints: Float[Tensor, "21 3"] | None = None
-    """Metres, world frame."""
+    """Keypoints in metres, world frame."""
     keypoints_px: Float[Tensor, "views 21 2"] | None = None
-    """In every camera's picture."""
+    """Keypoints in every camera's picture."""
     keypoints_cov: Float[Tensor, "21 3 3"] | None = None
     """Square metres: the belief's covariance and what no filter can know."""
     overlaps: Float[Tensor, "views"] | None = None

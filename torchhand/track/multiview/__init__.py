@@ -1,29 +1,26 @@
 """Several cameras: silhouettes, their hull, a hand found in it without a guess, its proportions, and the MAP update."""
 
-from torchhand.track.multiview.acquaintance import Acquaintance, acquaint, moments_of
-from torchhand.track.multiview.fitting import Anchor, MomentFitter, Placed, score_of
+from torchhand.track.multiview.fitting import FrameFitter, HullFit
+from torchhand.track.multiview.hand_initialization import HandInitialization, evenly_spaced_frames, initialize_hand
 from torchhand.track.multiview.hulls import Hull
-from torchhand.track.multiview.introduction import Introduction, introduce
+from torchhand.track.multiview.initialization import Initialization, initialize
 from torchhand.track.multiview.scale import in_unit
 from torchhand.track.multiview.settings import HullOctreeSettings, RigSettings
-from torchhand.track.multiview.update import HullUpdate, anchor_of, hull_about, hull_anywhere
+from torchhand.track.multiview.update import HullUpdate, hull_about, hull_anywhere
 
 __all__ = [
-    "Acquaintance",
-    "Anchor",
+    "FrameFitter",
+    "HandInitialization",
     "Hull",
+    "HullFit",
     "HullOctreeSettings",
     "HullUpdate",
-    "Introduction",
-    "MomentFitter",
-    "Placed",
+    "Initialization",
     "RigSettings",
-    "acquaint",
-    "anchor_of",
+    "evenly_spaced_frames",
     "hull_about",
     "hull_anywhere",
     "in_unit",
-    "introduce",
-    "moments_of",
-    "score_of",
+    "initialize",
+    "initialize_hand",
 ]

@@ -1,4 +1,4 @@
-"""Hands fitted to the silhouettes of one moment: from a prediction, from hands of other moments, or without a guess."""
+"""Hands fitted to the silhouettes of one frame: from a prediction, from hands of other frames, or without a guess."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -24,106 +24,81 @@ from torchhand.track.multiview.settings import RigSettings
 from torchhand.track.scene import Masks, SilhouetteComparison, mean_overlap
 
 _KNUCKLE = 9  # keypoint about which the hull is carved: the middle finger's
-_SETTLING = (
+_REFINING = (
     Stage(gross_m=0.012, rounds=2, iterations=2),
     Stage(gross_m=0.005, rounds=2, iterations=2),
     Stage(gross_m=0.002, rounds=1, iterations=3),
 )
-_TURNS = (
+_TURNS_DEG = (
     *((0.0, angle, 0.0) for angle in (-90.0, -60.0, -30.0, 30.0, 60.0, 90.0)),
     *((angle, 0.0, 0.0) for angle in (-30.0, 30.0)),
     *((0.0, 0.0, angle) for angle in (-25.0, 25.0)),
 )
-"""Degrees about the hand's axes: mostly about that of the forearm."""
-_ALIKE = 0.25  # of what the best leaves unexplained: scores that differ by less are alike, and the cost decides
-
-
-@dataclass(frozen=True, kw_only=True)
-class Anchor:
-    """A hand found in some moment, to start from there in others."""
-
-    pose: Float[Tensor, "36"]
-    """With a zero rotation vector; metres and radians, world frame."""
-    root_reference: Float[Tensor, "3 3"]
+"""Rotation vectors about the hand's axes, degrees: mostly about that of the forearm."""
+_ALIKE = 0.25  # part of what the best fit leaves unexplained: scores that differ by less are alike, the cost decides
 
 
 @dataclass(frozen=True, kw_only=True)
 class HullFit:
-    """One hand fitted into a hull."""
+    """One hand fitted into the hull of one frame, and how the silhouettes bear it out."""
 
-    pose: Float[Tensor, "36"]
-    """With a zero rotation vector; metres and radians, world frame."""
-    root_reference: Float[Tensor, "3 3"]
-    """world_from_hand"""
+    pose: HandPose
+    """Pose with a zero rotation vector, world frame."""
     cost: Float[Tensor, ""]
-    """Nats; infinite if the fit failed."""
+    """Cost of the fit, nats; infinite if the fit failed."""
     covariance: Float[Tensor, "free free"]
-    """Of the free parameters, the rotation as a left perturbation of the reference; NaN if the fit failed."""
-    inside_share: float
-    """Share of the skin inside the hull (the rate of convergence of Ueda et al. 2003)."""
-    covered_share: float
-    """Share of the silhouettes' edges that the skin explains."""
+    """Covariance of the free parameters, the rotation as a left perturbation of the reference; NaN if the fit
+    failed."""
+    inside_fraction: float
+    """Fraction of the skin inside the hull (the rate of convergence of Ueda et al. 2003)."""
+    covered_fraction: float
+    """Fraction of the silhouettes' edges that the skin explains."""
     is_good: bool
-    """Whether a hand is there as fitted."""
-
-    @classmethod
-    def of(cls, found: Solutions) -> "HullFit":
-        """Of one hypothesis, without batch dimensions."""
-        evidence = HullEvidence.of(found)
-        return cls(
-            pose=found.pose.dofs,
-            root_reference=found.pose.reference,
-            cost=found.cost,
-            covariance=found.covariance,
-            inside_share=float(evidence.inside),
-            covered_share=float(evidence.covered),
-            is_good=bool(evidence.is_good),
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Placed:
-    """A fitted hand and how the silhouettes bear it out."""
-
-    fit: HullFit
+    """Whether the fit is good enough for a hand and not for something else."""
     overlaps: Float[Tensor, "views"]
     """Intersection over union in every view, NaN where one is missing."""
 
+    @classmethod
+    def of(cls, found: Solutions, overlaps: Float[Tensor, "views"]) -> "HullFit":
+        """The fit of one hypothesis, without batch dimensions."""
+        evidence = HullEvidence.of(found)
+        return cls(
+            pose=found.pose,
+            cost=found.cost,
+            covariance=found.covariance,
+            inside_fraction=float(evidence.inside),
+            covered_fraction=float(evidence.covered),
+            is_good=bool(evidence.is_good),
+            overlaps=overlaps,
+        )
+
     @property
     def overlap(self) -> float:
-        """Mean over the views."""
+        """Mean intersection over union of the views."""
         return mean_overlap(self.overlaps)
 
     @property
     def score(self) -> float:
-        """How much of the pictures it explains, as `score_of`."""
-        return score_of(self.overlap, self.fit.covered_share)
-
-    @property
-    def views(self) -> int:
-        """How many views it is compared with."""
-        return int(self.overlaps.isfinite().sum())
-
-    @property
-    def anchor(self) -> Anchor:
-        return Anchor(pose=self.fit.pose, root_reference=self.fit.root_reference)
+        """How much of the pictures the hand explains, 0 to 1: the silhouettes' areas and their edges, in equal
+        parts."""
+        return 0.5 * (self.overlap + self.covered_fraction)
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Made:
+class _Fitters:
     """What fits a hand of some proportions."""
 
-    near: HullFitter
-    """From a prediction, or a pose that differs by one digit."""
-    settling: HullFitter
-    """From one that may be 10 mm off."""
-    broad: HullFitter
-    """From starts that may be farther off."""
+    tracking: HullFitter
+    """Fitter from a prediction, or from a pose that differs by one digit."""
+    refining: HullFitter
+    """Fitter from a pose that may be 10 mm off."""
+    searching: HullFitter
+    """Fitter from starts that may be farther off."""
     comparison: SilhouetteComparison
 
 
-class MomentFitter:
-    """Everything that fits one hand to the silhouettes of one moment, for a fixed rig."""
+class FrameFitter:
+    """Everything that fits one hand to the silhouettes of one frame, for a fixed rig."""
 
     def __init__(self, hand: Hand, cameras: Sequence[Camera], settings: RigSettings) -> None:
         """hand: in float64. cameras: without distortion.
@@ -142,11 +117,11 @@ class MomentFitter:
             postures=PostureResiduals.of(HandPrior(skeleton, hand.kinematics.shape_space).postures),
             weights=settings.joints,
         )
-        self._made: _Made | None = None
+        self._fitters: _Fitters | None = None
 
-    def hull_about(self, anchor: Anchor, shape: Float[Tensor, "shape"], masks: Masks) -> Hull:
+    def hull_about(self, pose: HandPose, shape: Float[Tensor, "shape"], masks: Masks) -> Hull:
         """The hull where a hand is, or is expected."""
-        hand = self.hand.kinematics(anchor.pose, shape, root_reference=anchor.root_reference)
+        hand = self.hand.kinematics(pose.dofs, shape, root_reference=pose.reference)
         return self.hulls.near(masks, hand.keypoints[_KNUCKLE])
 
     def hull_anywhere(self, shape: Float[Tensor, "shape"] | None, masks: Masks) -> Hull:
@@ -158,15 +133,15 @@ class MomentFitter:
             length = float(space.metric(shape)["hand_length"])
         return self.hulls.anywhere(masks, hand_length=length)
 
-    def expected(
+    def fit_predicted(
         self,
         hull: Hull,
-        starts: Sequence[Anchor],
+        starts: Sequence[HandPose],
         mean: Float[Tensor, "free"],
         covariance: Float[Tensor, "free free"],
         shape: Float[Tensor, "shape"],
         masks: Masks,
-    ) -> Placed | None:
+    ) -> HullFit | None:
         """The hand fitted with a prediction, the best of some starts; None without a hull.
 
         starts: the first is the prediction itself. mean, covariance: of the prediction in the free parameters, about
@@ -174,83 +149,81 @@ class MomentFitter:
         """
         if hull.target is None:
             return None
-        near = self._made_for(shape).near
+        fitter = self._fitters_for(shape).tracking
         if self.settings.fitting == "torque":
-            pulled = fit_by_torques(
-                hull.target.field, near.vertices.skin, self.space, _stacked(starts[:1]), self.settings.torque
-            )
-            judged = near(hull.target, pulled.pose)  # how sure it is, and how good
-            found = replace(judged, pose=pulled.pose)
+            start = HandPose.stack(starts[:1])
+            pulled = fit_by_torques(hull.target.field, fitter.vertices.skin, self.space, start, self.settings.torque)
+            evaluated = fitter(hull.target, pulled.pose)  # for its covariance and its evidence
+            found = replace(evaluated, pose=pulled.pose)
         else:
-            prediction = HandPose.of(self.space.dof(mean), starts[0].root_reference)
+            prediction = HandPose.of(self.space.dof(mean), starts[0].reference)
             belief = GaussianPrior.of_covariance(prediction, covariance, self.space)
-            found = near(hull.target, _stacked(starts), belief)
-        return self._placed(found.select(found.best), shape, masks)
+            found = fitter(hull.target, HandPose.stack(starts), belief)
+        return self._compared(found.select(found.best), shape, masks)
 
-    def from_anchors(
-        self, hull: Hull, anchors: Sequence[Anchor], shape: Float[Tensor, "shape"], masks: Masks
-    ) -> Placed | None:
-        """The best of the hands fitted from some that may be a good way off; None without a hull or an anchor."""
-        return self._best(self._made_for(shape).broad, hull, _stacked(anchors), shape, masks) if anchors else None
+    def fit_from(
+        self, hull: Hull, starts: Sequence[HandPose], shape: Float[Tensor, "shape"], masks: Masks
+    ) -> HullFit | None:
+        """The best of the hands fitted from some that may be a good way off; None without a hull or a start."""
+        if not starts:
+            return None
+        return self._best(self._fitters_for(shape).searching, hull, HandPose.stack(starts), shape, masks)
 
-    def settled(self, hull: Hull, anchor: Anchor, shape: Float[Tensor, "shape"], masks: Masks) -> Placed | None:
-        """The hand fitted from one that is nearly right, the better of small steps, after which digits stay where they
+    def refine(self, hull: Hull, start: HandPose, shape: Float[Tensor, "shape"], masks: Masks) -> HullFit | None:
+        """The hand fitted from one that is nearly right: the better of small steps, after which digits stay where they
         are, and large ones."""
-        made = self._made_for(shape)
-        start = _stacked([anchor])
-        return chosen([self._best(own, hull, start, shape, masks) for own in (made.settling, made.broad)])
+        fitters, starts = self._fitters_for(shape), HandPose.stack([start])
+        fits = [self._best(own, hull, starts, shape, masks) for own in (fitters.refining, fitters.searching)]
+        return best_of(fits)
 
-    def in_place(
-        self, hull: Hull, anchor: Anchor, others: Sequence[Anchor], shape: Float[Tensor, "shape"], masks: Masks
-    ) -> list[Placed]:
-        """Hands fitted from one, and from where others would be if their palms were where its is."""
+    def fit_in_place(
+        self, hull: Hull, pose: HandPose, others: Sequence[HandPose], shape: Float[Tensor, "shape"], masks: Masks
+    ) -> list[HullFit]:
+        """Hands fitted from one, and from where others would be if their palms were where its palm is."""
         if hull.target is None:
             return []
-        palm = self._palm(anchor, shape)
+        palm = self._palm(pose, shape)
         moved = [
-            replace(other, pose=torch.cat((other.pose[:3] + palm - self._palm(other, shape), other.pose[3:])))
+            replace(other, dofs=torch.cat((other.dofs[:3] + palm - self._palm(other, shape), other.dofs[3:])))
             for other in others
         ]
-        found = self._made_for(shape).broad(hull.target, _stacked([anchor, *moved]))
-        return [self._placed(found.select(index), shape, masks) for index in found.is_sound.nonzero()[:, 0].tolist()]
+        found = self._fitters_for(shape).searching(hull.target, HandPose.stack([pose, *moved]))
+        return [self._compared(found.select(index), shape, masks) for index in found.is_sound.nonzero()[:, 0].tolist()]
 
-    def _palm(self, anchor: Anchor, shape: Tensor) -> Float[Tensor, "3"]:
-        points = self.hand.kinematics(anchor.pose, shape, root_reference=anchor.root_reference).keypoints
-        return palm_of(points)
-
-    def with_other_digits(
-        self, hull: Hull, anchor: Anchor, others: Sequence[Anchor], shape: Float[Tensor, "shape"], masks: Masks
-    ) -> Placed | None:
+    def vary_fingers(
+        self, hull: Hull, pose: HandPose, others: Sequence[HandPose], shape: Float[Tensor, "shape"], masks: Masks
+    ) -> HullFit | None:
         """The best of the hands in one place, with single digits in other postures or in the postures of others; the
-        cheapest after small steps go on from there."""
+        cheapest after small steps are refined."""
         if hull.target is None:
             return None
-        pose = HandPose(dofs=anchor.pose, reference=anchor.root_reference)
-        postures = [torch.cat((anchor.pose[:6], other.pose[6:])) for other in others]
-        tried = HandPose.of(torch.stack([*finger_proposals(pose).dofs, *postures]), anchor.root_reference)
-        made = self._made_for(shape)
-        found = made.near(hull.target, tried)
+        postures = [torch.cat((pose.dofs[:6], other.dofs[6:])) for other in others]
+        tried = HandPose.of(torch.stack([*finger_proposals(pose).dofs, *postures]), pose.reference)
+        fitters = self._fitters_for(shape)
+        found = fitters.tracking(hull.target, tried)
         cheapest = found.pose[found.cost.argsort()[: self.settings.start.fine]]
-        return self._best(made.settling, hull, cheapest, shape, masks)
+        return self._best(fitters.refining, hull, cheapest, shape, masks)
 
-    def turned(self, hull: Hull, anchor: Anchor, shape: Float[Tensor, "shape"], masks: Masks) -> Placed | None:
+    def vary_orientation(
+        self, hull: Hull, pose: HandPose, shape: Float[Tensor, "shape"], masks: Masks
+    ) -> HullFit | None:
         """The best of the hands turned about the palm from where one is, such as after a fast turn of the forearm."""
-        palm = self._palm(anchor, shape)
-        turns = torch.deg2rad(torch.tensor(_TURNS, dtype=anchor.pose.dtype))
-        references = rotation_from_vector(turns @ anchor.root_reference.mT) @ anchor.root_reference
-        moved = palm + references @ (anchor.root_reference.mT @ (anchor.pose[:3] - palm))
-        tried = HandPose.of(torch.cat((moved, anchor.pose[3:].expand(len(moved), -1)), -1), references)
-        return self._best(self._made_for(shape).settling, hull, tried, shape, masks)
+        palm = self._palm(pose, shape)
+        turns = torch.deg2rad(torch.tensor(_TURNS_DEG, dtype=pose.dofs.dtype))
+        references = rotation_from_vector(turns @ pose.reference.mT) @ pose.reference
+        moved = palm + references @ (pose.reference.mT @ (pose.dofs[:3] - palm))
+        tried = HandPose.of(torch.cat((moved, pose.dofs[3:].expand(len(moved), -1)), -1), references)
+        return self._best(self._fitters_for(shape).refining, hull, tried, shape, masks)
 
-    def searched(self, hull: Hull, shape: Float[Tensor, "shape"], masks: Masks) -> Placed | None:
+    def search(self, hull: Hull, shape: Float[Tensor, "shape"], masks: Masks) -> HullFit | None:
         """The best of a search without any guess; None where nothing can be looked for."""
         if hull.target is None:
             return None
-        found = find_in_hull(hull.target, self._made_for(shape).broad, shape[None], self.settings.start)
-        return chosen([self._placed(one.found, shape, masks) for one in found])
+        found = find_in_hull(hull.target, self._fitters_for(shape).searching, shape[None], self.settings.start)
+        return best_of([self._compared(one.found, shape, masks) for one in found])
 
     def shape_fitter(self, shape: Float[Tensor, "shape"] | None) -> HullFitter:
-        """With which proportions are fitted, from those given or from the hand's own."""
+        """What fits proportions, from those given or from the hand's own."""
         weights = replace(self.settings.joints, postures=self.settings.shape_posture_weight)
         return HullFitter(
             hand=self.hand,
@@ -260,48 +233,41 @@ class MomentFitter:
             joints=replace(self.joints, weights=weights),
         )
 
-    def _best(self, fitter: HullFitter, hull: Hull, starts: HandPose, shape: Tensor, masks: Masks) -> Placed | None:
+    def _palm(self, pose: HandPose, shape: Tensor) -> Float[Tensor, "3"]:
+        return palm_of(self.hand.kinematics(pose.dofs, shape, root_reference=pose.reference).keypoints)
+
+    def _best(self, fitter: HullFitter, hull: Hull, starts: HandPose, shape: Tensor, masks: Masks) -> HullFit | None:
         if hull.target is None or not len(starts):
             return None
         found = fitter(hull.target, starts)
         best = found.cost.argsort()[: self.settings.start.fine]
-        return chosen([self._placed(found.select(int(index)), shape, masks) for index in best])
+        return best_of([self._compared(found.select(int(index)), shape, masks) for index in best])
 
-    def _placed(self, found: Solutions, shape: Tensor, masks: Masks) -> Placed:
-        fit = HullFit.of(found)
-        return Placed(fit=fit, overlaps=self._made_for(shape).comparison.overlaps(found.pose, masks))
+    def _compared(self, found: Solutions, shape: Tensor, masks: Masks) -> HullFit:
+        return HullFit.of(found, self._fitters_for(shape).comparison.overlaps(found.pose, masks))
 
-    def _made_for(self, shape: Tensor) -> "_Made":
+    def _fitters_for(self, shape: Tensor) -> _Fitters:
         """What depends on the proportions, kept while they stay the same."""
-        if self._made is None or self._made.comparison.shape is not shape:
+        if self._fitters is None or self._fitters.comparison.shape is not shape:
             s = self.settings
-            broad = HullFitter(
+            searching = HullFitter(
                 hand=self.hand, space=self.space, shape=shape, settings=s.hull, schedule=s.search, joints=self.joints
             )
-            near = replace(broad, settings=replace(s.hull, vertices=s.tracking_vertices), schedule=s.tracking)
+            tracking = replace(searching, settings=replace(s.hull, vertices=s.tracking_vertices), schedule=s.tracking)
             comparison = SilhouetteComparison(self.hand.kinematics, self.cameras, shape, side_px=s.check_side_px)
-            self._made = _Made(
-                near=near, settling=replace(near, schedule=_SETTLING), broad=broad, comparison=comparison
+            self._fitters = _Fitters(
+                tracking=tracking,
+                refining=replace(tracking, schedule=_REFINING),
+                searching=searching,
+                comparison=comparison,
             )
-        return self._made
+        return self._fitters
 
 
-def score_of(overlap: float, covered_share: float) -> float:
-    """How much of the pictures a hand explains, 0 to 1: the silhouettes' areas and their edges, in equal shares."""
-    return 0.5 * (overlap + covered_share)
-
-
-def _stacked(anchors: Sequence[Anchor]) -> HandPose:
-    """(anchors)"""
-    return HandPose(
-        dofs=torch.stack([one.pose for one in anchors]), reference=torch.stack([one.root_reference for one in anchors])
-    )
-
-
-def chosen(tried: Sequence[Placed | None]) -> Placed | None:
-    """The one that the silhouettes bear out best; among those that they bear out alike, that of the lowest cost."""
-    good = [one for one in tried if one is not None and bool(one.fit.cost.isfinite())]
+def best_of(fits: Sequence[HullFit | None]) -> HullFit | None:
+    """The fit that the silhouettes bear out best; among those that they bear out alike, that of the lowest cost."""
+    good = [fit for fit in fits if fit is not None and bool(fit.cost.isfinite())]
     if not good:
         return None
-    best = max(one.score for one in good)
-    return min((one for one in good if one.score >= best - _ALIKE * (1 - best)), key=lambda one: float(one.fit.cost))
+    best = max(fit.score for fit in good)
+    return min((fit for fit in good if fit.score >= best - _ALIKE * (1 - best)), key=lambda fit: float(fit.cost))

@@ -18,7 +18,7 @@ _KERNELS = tuple(cv2.getStructuringElement(kind, (3, 3)) for kind in (cv2.MORPH_
 
 
 class HandEnd:
-    """Tells the places of a moment that may be on the hand from those that are on the arm."""
+    """Tells the places of one frame that may be on the hand from those that are on the arm."""
 
     def __init__(self, cameras: Sequence[Camera], masks: Masks, hand_length: float) -> None:
         """cameras: without distortion. hand_length: metres."""

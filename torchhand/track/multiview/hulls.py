@@ -1,4 +1,4 @@
-"""From the silhouettes of one moment to the hull that a hand is fitted into."""
+"""From the silhouettes of one frame to the hull that a hand is fitted into."""
 
 import math
 from collections.abc import Sequence
@@ -15,23 +15,23 @@ from torchhand.track.multiview.settings import HullOctreeSettings
 from torchhand.track.scene import Masks
 from torchhand.volume import Carver, CarvingSettings, Octree, RootCube, hull_field, root_cube
 
-_FINEST = 10
-_COARSE_LEAF = 0.016  # metres: of the hull that tells where a hand may be
-_AROUND = 1.5  # its leaves about that place
-_RAYS, _SPARE = 600, 2  # through edges, and how many times as many there are to choose from
-_LEAST_HULL = 3e-5  # cubic metres: what is smaller is no hand (a child's has five times that)
+_MAX_LEVEL = 10
+_COARSE_LEAF = 0.016  # metres: leaves of the hull that tells where a hand may be
+_MARGIN = 1.5  # leaves of the coarse hull that are kept about that place
+_RAYS, _SPARE = 600, 2  # rays through edges, and how many times as many there are to choose from
+_MIN_VOLUME = 3e-5  # cubic metres: a hull that is smaller is no hand (a child's has five times that)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Hull:
-    """The hull of one moment."""
+    """The hull of one frame."""
 
     target: HullTarget | None
-    """None where there is none."""
+    """Target that a hand is fitted to; None where the silhouettes have no hull."""
     views: tuple[int, ...]
-    """That it was carved from."""
+    """Views from which the hull was carved."""
     reason: str = ""
-    """Why there is none."""
+    """Why the silhouettes have no hull."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,29 +57,29 @@ class Hulls:
         """contours: with the edges of the silhouettes.
 
         Raises ValueError where the cameras see no volume together and no cube is given."""
-        self.cameras, self.settings, self._fewest = tuple(cameras), settings, min_views
+        self.cameras, self.settings, self._min_views = tuple(cameras), settings, min_views
         self._contours = contours
         self._carvers: dict[tuple[tuple[int, ...], float, CarvingSettings], Carver] = {}
         self.root = (
             root_cube(cameras) if settings.side is None else RootCube(centre=settings.centre, side=settings.side)
         )
 
-    def anywhere(self, masks: Masks, *, hand_length: float | None = None, least_volume: float = _LEAST_HULL) -> Hull:
+    def anywhere(self, masks: Masks, *, hand_length: float | None = None, min_volume: float = _MIN_VOLUME) -> Hull:
         """The hull in the whole cube, fine enough to look for a hand in it.
 
-        hand_length: metres; then only what may be a hand at the end of an arm. least_volume: cubic metres below which
-        there is none.
+        hand_length: metres; then only what may be a hand at the end of an arm. min_volume: cubic metres below which
+        there is no hull.
         """
         if hand_length is None:
             level = math.ceil(math.log2(self.root.side / self.settings.start_leaf))
-            return self._hull(masks, self.root, max(1, min(_FINEST, level)), least_volume)
+            return self._hull(masks, self.root, max(1, min(_MAX_LEVEL, level)), min_volume)
         level = max(1, math.ceil(math.log2(self.root.side / _COARSE_LEAF)))
-        carved = self._carved(masks, self.root, level, least_volume)
+        carved = self._carved(masks, self.root, level, min_volume)
         if carved.octree is None:
             return Hull(target=None, views=carved.views, reason=carved.reason)
         kept = [mask if view in carved.views else None for view, mask in enumerate(masks)]
         end = HandEnd(self.cameras, kept, hand_length)
-        return self._hull(kept, self._cube_of(end, carved.octree), self.settings.level, least_volume, end)
+        return self._hull(kept, self._cube_of(end, carved.octree), self.settings.level, min_volume, end)
 
     def _cube_of(self, end: HandEnd, octree: Octree) -> RootCube:
         """A cube around what may be a hand; the whole one where nothing may."""
@@ -89,14 +89,14 @@ class Hulls:
         places = places[end(places)]
         if not len(places):
             return self.root
-        around = _AROUND * octree.leaf_side
-        low, high = places.amin(0) - around, places.amax(0) + around
+        margin = _MARGIN * octree.leaf_side
+        low, high = places.amin(0) - margin, places.amax(0) + margin
         x, y, z = (0.5 * (low + high)).tolist()
         return RootCube(centre=(x, y, z), side=min(self.root.side, float((high - low).max())))
 
     def near(self, masks: Masks, place: Float[Tensor, "3"]) -> Hull:
         """The hull about a place, world frame, metres, where a hand is followed."""
-        root, side = self.root, self.settings.follow
+        root, side = self.root, self.settings.tracked_side
         if side is None or side >= root.side or not bool(place.isfinite().all()):
             return self._hull(masks, root, self.settings.level)
         leaf = side / 2**self.settings.level
@@ -108,10 +108,10 @@ class Hulls:
         masks: Masks,
         root: RootCube,
         level: int,
-        least_volume: float = _LEAST_HULL,
+        min_volume: float = _MIN_VOLUME,
         end: HandEnd | None = None,
     ) -> Hull:
-        carved = self._carved(masks, root, level, least_volume)
+        carved = self._carved(masks, root, level, min_volume)
         if carved.octree is None:
             return Hull(target=None, views=carved.views, reason=carved.reason)
         target = target_of(hull_field(carved.octree, surface="middle"))
@@ -124,22 +124,22 @@ class Hulls:
                 target = replace(target, rays=end.rays(target.rays, _RAYS))
         return Hull(target=target, views=carved.views)
 
-    def _carved(self, masks: Masks, root: RootCube, level: int, least_volume: float) -> "_Carved":
-        """From all views or, where these do not meet, from all but the one without which most is left."""
+    def _carved(self, masks: Masks, root: RootCube, level: int, min_volume: float) -> "_Carved":
+        """An octree from all views or, where these do not meet, from all but the one without which most is left."""
         views = tuple(view for view, mask in enumerate(masks) if mask is not None and mask.cpu().numpy().any())
-        if len(views) < self._fewest:
+        if len(views) < self._min_views:
             missing = sum(mask is None for mask in masks)
             reason = (
-                f"a silhouette in {len(views)} of {len(masks)} views ({missing} missing), {self._fewest} are needed"
+                f"a silhouette in {len(views)} of {len(masks)} views ({missing} missing), {self._min_views} are needed"
             )
             return _Carved(views=views, reason=reason)
         octree = self._octree(masks, views, root, level)
-        if float(octree.volume()) <= least_volume and len(views) > self._fewest:
+        if float(octree.volume()) <= min_volume and len(views) > self._min_views:
             others = [tuple(v for v in views if v != left_out) for left_out in views]
             trees = [self._octree(masks, some, root, level) for some in others]
             best = max(range(len(trees)), key=lambda i: float(trees[i].volume()))
             views, octree = others[best], trees[best]
-        if float(octree.volume()) <= least_volume:
+        if float(octree.volume()) <= min_volume:
             return _Carved(views=views, reason="the silhouettes of the views do not meet")
         return _Carved(views=views, octree=octree)
 
@@ -150,16 +150,16 @@ class Hulls:
             level=level,
             margin_px=s.margin_px,
             tolerated_views=tolerated,
-            least_views=min(s.least_views or max(2, math.ceil(0.75 * count)), count),
+            min_views=min(s.min_views or max(2, math.ceil(0.75 * count)), count),
         )
         return self._carver(tuple(views), root, settings).carve([masks[view] for view in views])
 
     def _carver(self, views: tuple[int, ...], root: RootCube, settings: CarvingSettings) -> Carver:
-        """Those of the cubes that come again and again are kept."""
+        """The carver of some views and a cube; those of the cubes that come again and again are kept."""
         key = (views, root.side, settings)
         if key in self._carvers:
             return self._carvers[key].moved(root)
         made = Carver([self.cameras[view] for view in views], root, settings)
-        if root.side in (self.root.side, self.settings.follow):
+        if root.side in (self.root.side, self.settings.tracked_side):
             self._carvers[key] = made
         return made

@@ -9,17 +9,17 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.geometry import Camera, rig_size
-from torchhand.hand import ShapeSpace
-from torchhand.track.multiview.fitting import Anchor
+from torchhand.hand import HandPose, ShapeSpace
 from torchhand.track.multiview.hulls import Hulls
 from torchhand.track.multiview.settings import HullOctreeSettings
 from torchhand.track.scene import Masks
 
 _BALL = 0.030
-"""Metres: radius of the largest ball in the hull of a fist or a relaxed hand."""
+"""Radius, metres, of the largest ball in the hull of a fist or a relaxed hand."""
 _SCALES = (0.6, 0.72, 0.86, 1.0, 1.17, 1.35)
-"""Tried about the unit that makes the largest ball so large: in a hand that stays flat it is half of that."""
-_TELLING = (0.2, 0.45, 0.7)  # quantiles of the balls of all moments whose moments are asked for the size
+"""Factors that are tried about the unit that makes the largest ball so large: in a hand that stays flat it is half of
+that."""
+_DECISIVE = (0.2, 0.45, 0.7)  # quantiles of the balls of all frames: the frames at these decide about the size
 _FIRST_SIZE = 0.6  # metres between the cameras in the first carving, which only tells the ball
 
 
@@ -29,26 +29,26 @@ def in_unit(cameras: Sequence[Camera], metres: float) -> list[Camera]:
 
 
 def rough_units(
-    cameras: Sequence[Camera], moments: Sequence[tuple[int, Masks]]
+    cameras: Sequence[Camera], frames: Sequence[tuple[int, Masks]]
 ) -> tuple[tuple[float, ...], list[tuple[int, Masks]]]:
     """Candidates for the metres of the cameras' unit by the thickness of what all silhouettes show, one of them good
-    to a tenth or so, and moments that are likely to tell which: from open hands to fists.
+    to a tenth or so, and frames that are likely to tell which: from open hands to fists.
 
-    No candidates where no moment has a hull.
+    No candidates where no frame has a hull.
     """
     first = _FIRST_SIZE / rig_size(cameras)
     hulls = Hulls(in_unit(cameras, first), HullOctreeSettings(start_leaf=0.006))
     balls: list[tuple[float, int]] = []
-    for place, (_, masks) in enumerate(moments):
-        hull = hulls.anywhere(masks, least_volume=0.0)
+    for place, (_, masks) in enumerate(frames):
+        hull = hulls.anywhere(masks, min_volume=0.0)
         if hull.target is not None and len(hull.target.depth):
             balls.append((float(hull.target.depth.max()), place))
     if not balls:
         return (), []
     balls.sort()
     unit = first * _BALL / balls[-1][0]
-    places = sorted({balls[int(share * len(balls))][1] for share in _TELLING})
-    return tuple(unit * scale for scale in _SCALES), [moments[place] for place in places]
+    places = sorted({balls[int(quantile * len(balls))][1] for quantile in _DECISIVE})
+    return tuple(unit * scale for scale in _SCALES), [frames[place] for place in places]
 
 
 def resized_shape(shape: Float[Tensor, "shape"], factor: float, space: ShapeSpace) -> Float[Tensor, "shape"]:
@@ -58,11 +58,9 @@ def resized_shape(shape: Float[Tensor, "shape"], factor: float, space: ShapeSpac
     return larger.clamp(space.lower.to(shape), space.upper.to(shape))
 
 
-def moved_anchor(anchor: Anchor, factor: float) -> Anchor:
-    """The same place when everything is so many times as large."""
-    pose = anchor.pose.clone()
-    pose[:3] = factor * pose[:3]
-    return replace(anchor, pose=pose)
+def resized_pose(pose: HandPose, factor: float) -> HandPose:
+    """The hand's pose when everything is so many times as large."""
+    return replace(pose, dofs=torch.cat((factor * pose.dofs[..., :3], pose.dofs[..., 3:]), -1))
 
 
 def size_factor(shape: Float[Tensor, "shape"], known: Float[Tensor, "shape"], space: ShapeSpace) -> float:

@@ -26,26 +26,26 @@ class HullOctreeSettings:
     side: float | None = None
     """Side of the cube that is divided, metres; null: what all cameras see together."""
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Its centre where a side is given, world frame, metres."""
-    follow: float | None = 0.75
+    """Centre of the cube where its side is given, world frame, metres."""
+    tracked_side: float | None = 0.75
     """Side of a smaller cube about the hand while it is followed, metres; null: always the whole cube."""
     start_leaf: float = 0.004
     """Side of the finest octants in the whole cube, metres at most; above 0."""
     margin_px: int = 1
-    """As in `CarvingSettings`."""
+    """Pixels by which the projection of an octant is widened on all sides, as in `CarvingSettings`; 0 or more."""
     tolerated_views: int = 0
-    """As in `CarvingSettings`: views that may be wrong at every place."""
-    least_views: int | None = None
+    """Views that may be wrong at every place, as in `CarvingSettings`; 0 or more."""
+    min_views: int | None = None
     """Views in which the hand must appear; null: three quarters of those there are, at least two."""
 
     def __post_init__(self) -> None:
         require(1 <= self.level <= 10, "rig.octree.level", "1 to 10", self.level)
-        for name in ("side", "follow", "start_leaf"):
+        for name in ("side", "tracked_side", "start_leaf"):
             if getattr(self, name) is not None:
                 require_positive(f"rig.octree.{name}", getattr(self, name))
-        for name, least in (("margin_px", 0), ("tolerated_views", 0), ("least_views", 1)):
+        for name, lowest in (("margin_px", 0), ("tolerated_views", 0), ("min_views", 1)):
             value = getattr(self, name)
-            require(value is None or value >= least, f"rig.octree.{name}", f"{least} or more", value)
+            require(value is None or value >= lowest, f"rig.octree.{name}", f"{lowest} or more", value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,17 +53,18 @@ class RigSettings:
     """A hand in the hull of the silhouettes of several cameras (Ueda et al. 2003)."""
 
     fitting: Literal["least_squares", "torque"] = "least_squares"
-    """Method: both sides of skin and hull with prediction and filter, or the paper's torques."""
+    """Method of the fit: least squares on both sides of skin and hull with prediction and filter, or the torques of
+    Ueda et al. (2003)."""
     pose_space: str = "dof28"
     """Free DOFs: a name of torchhand.hand.POSE_SPACES."""
     octree: HullOctreeSettings = field(default_factory=HullOctreeSettings)
     contours: bool = True
-    """The edges of all views' silhouettes must touch the skin; without them the hull's surface must be on it, which in
-    part is volume that no hand fills."""
+    """Whether the edges of all views' silhouettes must touch the skin; if not, the hull's surface must be on it, which
+    in part is volume that no hand fills."""
     hull: HullSettings = field(default_factory=lambda: HullSettings(rigidity_exponent=1.5))
     """Weights and sizes of the fit by least squares."""
     joints: JointPriorWeights = field(default_factory=lambda: JointPriorWeights(postures=0.5, posture_tail=3.0))
-    """What is believed of joint angles in that fit."""
+    """Weights of the priors on joint angles in the fit by least squares."""
     tracking: Schedule = TRACKING
     """Stages of the fit while a hand is followed."""
     tracking_vertices: int = 250
@@ -71,14 +72,14 @@ class RigSettings:
     search: Schedule = SEARCH
     """Stages of the fit from starts that are farther off, such as the last step of a search."""
     start: HullStartSettings = field(default_factory=HullStartSettings)
-    """Where a hand is looked for."""
+    """Poses and places from which a search without a guess begins."""
     torque: HullTorqueSettings = field(default_factory=HullTorqueSettings)
-    """Steps of the fit by torques."""
+    """Step sizes and ends of the fit by torques."""
     shape: HullShapeSettings = field(default_factory=HullShapeSettings)
-    """Rounds of the fit of the proportions."""
+    """Rounds and weights of the fit of the proportions."""
     shape_posture_weight: float = 0.8
-    """Weight of the likely postures in that fit; 0 or more. The less each frame's posture may deviate, the more the
-    frames tell of the proportions."""
+    """Weight of the posture prior in the fit of the proportions; 0 or more. The less each frame's posture may deviate,
+    the more the frames tell of the proportions."""
     shape_frames: int = 12
     """Frames, evenly over the sequence, to which the proportions are fitted once where they are not given; 0 keeps
     those of the generic hand."""

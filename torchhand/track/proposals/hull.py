@@ -6,54 +6,42 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.hand import HandPose
 from torchhand.track.knowledge import Keyframe, TrackerState
-from torchhand.track.multiview import (
-    Anchor,
-    Hull,
-    HullUpdate,
-    MomentFitter,
-    Placed,
-    anchor_of,
-    hull_about,
-    hull_anywhere,
-)
+from torchhand.track.multiview import FrameFitter, Hull, HullFit, HullUpdate, hull_about, hull_anywhere
 from torchhand.track.proposals.protocol import Occasion, Proposals, ProposalSource, Proposed
 from torchhand.track.scene import Candidate, Health, Scene
 
-_NEAREST = 6  # keyframes that are tried
+_MAX_KEYFRAMES = 6  # keyframes that are tried
 _ALTERNATIONS = 3  # of turns and fingers: after a fast turn one leads to the other
 
 
 @dataclass(frozen=True, kw_only=True)
 class HullProposals:
-    """What all sources of one rig share."""
+    """Update rule and health that all sources of one rig have in common."""
 
     update: HullUpdate
     health: Health
 
     @property
-    def fits(self) -> MomentFitter:
-        return self.update.fits
+    def fitter(self) -> FrameFitter:
+        return self.update.fitter
 
-    def proposed(
-        self, placed: Sequence[Placed | None], hull: Hull | None = None, shape: Float[Tensor, "shape"] | None = None
-    ) -> Proposals:
-        """Fitted hands as proposals. shape: the proportions that they were fitted with, where those are news."""
+    def proposed(self, fit: HullFit | None, hull: Hull, shape: Float[Tensor, "shape"] | None = None) -> Proposals:
+        """A fitted hand as a proposal. shape: the proportions that it was fitted with, where those are new."""
         hands = []
-        for one in placed:
-            candidate = None if one is None else self.update.candidate(one)
-            if one is not None and candidate is not None:
-                hands.append(
-                    Proposed(pose=candidate.pose, covariance=one.fit.covariance, candidate=candidate, shape=shape)
-                )
-        reason = "no hand fits the hull" if hull is None else hull.reason or "no hand fits the hull"
-        has_foreground = bool(hands) or (hull is not None and len(hull.views) > 0)
-        return Proposals(hands=tuple(hands), reason=reason, has_foreground=has_foreground)
+        candidate = None if fit is None else self.update.candidate(fit)
+        if fit is not None and candidate is not None:
+            hands.append(Proposed(pose=candidate.pose, covariance=fit.covariance, candidate=candidate, shape=shape))
+        has_foreground = bool(hands) or len(hull.views) > 0
+        return Proposals(
+            hands=tuple(hands), reason=hull.reason or "no hand fits the hull", has_foreground=has_foreground
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class KeyframeHere:
-    """The keyframe of this very time, which always takes part."""
+    """The keyframe of the scene's own time, which always takes part."""
 
     shared: HullProposals
 
@@ -62,14 +50,14 @@ class KeyframeHere:
         return "always"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
-        """At most one hand."""
+        """Proposals of at most one hand."""
         here = [one for one in state.keyframes if one.is_of(scene.time_s)]
         if not here or state.shape is None:
             return Proposals()
-        fits, anchor = self.shared.fits, anchor_of(here[0].pose)
-        hull = fits.hull_about(anchor, state.shape, scene.masks)
+        fitter, pose = self.shared.fitter, here[0].pose.normalized()
+        hull = fitter.hull_about(pose, state.shape, scene.masks)
         scene.kept["hull"] = hull
-        return self.shared.proposed([fits.settled(hull, anchor, state.shape, scene.masks)], hull)
+        return self.shared.proposed(fitter.refine(hull, pose, state.shape, scene.masks), hull)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,12 +71,12 @@ class Refit:
         return "declining"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
-        """At most one hand."""
+        """Proposals of at most one hand."""
         if best is None or state.shape is None:
             return Proposals()
-        hull = hull_about(self.shared.fits, scene, best.pose, state.shape)
-        placed = self.shared.fits.settled(hull, anchor_of(best.pose), state.shape, scene.masks)
-        return self.shared.proposed([placed], hull)
+        hull = hull_about(self.shared.fitter, scene, best.pose, state.shape)
+        fit = self.shared.fitter.refine(hull, best.pose.normalized(), state.shape, scene.masks)
+        return self.shared.proposed(fit, hull)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,12 +90,12 @@ class Turns:
         return "degraded"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
-        """At most one hand."""
+        """Proposals of at most one hand."""
         if best is None or state.shape is None:
             return Proposals()
-        hull = hull_about(self.shared.fits, scene, best.pose, state.shape)
-        placed = self.shared.fits.turned(hull, anchor_of(best.pose), state.shape, scene.masks)
-        return self.shared.proposed([placed], hull)
+        hull = hull_about(self.shared.fitter, scene, best.pose, state.shape)
+        fit = self.shared.fitter.vary_orientation(hull, best.pose.normalized(), state.shape, scene.masks)
+        return self.shared.proposed(fit, hull)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,13 +109,13 @@ class Fingers:
         return "degraded"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
-        """At most one hand."""
+        """Proposals of at most one hand."""
         if best is None or state.shape is None:
             return Proposals()
-        hull = hull_about(self.shared.fits, scene, best.pose, state.shape)
+        hull = hull_about(self.shared.fitter, scene, best.pose, state.shape)
         others = nearest_keyframes(state.keyframes, scene.time_s)
-        placed = self.shared.fits.with_other_digits(hull, anchor_of(best.pose), others, state.shape, scene.masks)
-        return self.shared.proposed([placed], hull)
+        fit = self.shared.fitter.vary_fingers(hull, best.pose.normalized(), others, state.shape, scene.masks)
+        return self.shared.proposed(fit, hull)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,12 +129,12 @@ class Keyframes:
         return "degraded"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
-        """At most one hand; none while the followed one is not failing."""
+        """Proposals of at most one hand; none while the followed one is not failing."""
         if state.shape is None or not self.shared.health.is_failing(best):
             return Proposals()
-        hull = hull_anywhere(self.shared.fits, scene, state.shape)
+        hull = hull_anywhere(self.shared.fitter, scene, state.shape)
         others = nearest_keyframes(state.keyframes, scene.time_s)
-        return self.shared.proposed([self.shared.fits.from_anchors(hull, others, state.shape, scene.masks)], hull)
+        return self.shared.proposed(self.shared.fitter.fit_from(hull, others, state.shape, scene.masks), hull)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,21 +148,21 @@ class HullSearch:
         return "search"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
-        """At most one hand."""
-        shape = self.shared.fits.hand.kinematics.default_shape if state.shape is None else state.shape
-        hull = hull_anywhere(self.shared.fits, scene, shape)
-        news = shape if state.shape is None else None
-        return self.shared.proposed([self.shared.fits.searched(hull, shape, scene.masks)], hull, news)
+        """Proposals of at most one hand."""
+        shape = self.shared.fitter.hand.kinematics.default_shape if state.shape is None else state.shape
+        hull = hull_anywhere(self.shared.fitter, scene, shape)
+        new_shape = shape if state.shape is None else None
+        return self.shared.proposed(self.shared.fitter.search(hull, shape, scene.masks), hull, new_shape)
 
 
-def nearest_keyframes(keyframes: Sequence[Keyframe], time_s: float) -> list[Anchor]:
-    """The nearest in time, nearest first."""
+def nearest_keyframes(keyframes: Sequence[Keyframe], time_s: float) -> list[HandPose]:
+    """Poses of the keyframes that are nearest in time, nearest first."""
     ordered = sorted(keyframes, key=lambda one: abs(one.time_s - time_s))
-    return [anchor_of(one.pose) for one in ordered[:_NEAREST]]
+    return [one.pose.normalized() for one in ordered[:_MAX_KEYFRAMES]]
 
 
 def hull_sources(update: HullUpdate, health: Health) -> tuple[ProposalSource, ...]:
-    """All of them in the order in which they are asked."""
+    """All sources of one rig in the order in which they are asked."""
     shared = HullProposals(update=update, health=health)
     alternation = (Turns(shared=shared), Fingers(shared=shared)) * _ALTERNATIONS
     return (

@@ -27,7 +27,7 @@ class PostureSearch:
     camera: Camera
     table: OutlineTable
     posture: str
-    """Name of the posture that the first search looks for."""
+    """Name of the posture for which the first search looks."""
     fit: FitSettings
     silhouette: SilhouetteSettings
     min_overlap: float
@@ -41,7 +41,7 @@ class PostureSearch:
         return "search"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
-        """At most one hand."""
+        """Proposals of at most one hand."""
         image = scene.views[0].image
         if image is None:
             return Proposals(reason="the picture is missing")
@@ -63,12 +63,12 @@ class PostureSearch:
             return start_at_points(
                 image, self.start_points, *where, posture(self.posture), fit_shape=fits_shape, settings=self.fit
             )
-        look = state.appearance[0] if state.appearance else None
+        known = state.appearance[0] if state.appearance else None
         return find_hand(
             image,
             *where,
             posture(self.posture) if state.posture is None else state.posture,
-            appearance=look if isinstance(look, Appearance) else None,
+            appearance=known if isinstance(known, Appearance) else None,
             fit_shape=fits_shape,
             settings=self.fit,
             min_overlap=self.min_overlap,

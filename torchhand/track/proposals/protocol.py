@@ -1,4 +1,4 @@
-"""Proposals: other hands that may explain a scene, tried in their order while the followed one is in doubt."""
+"""Proposals: other hands that may explain a scene, tried in their order while the followed one is degraded."""
 
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
@@ -18,13 +18,13 @@ class Proposed:
 
     pose: HandPose
     covariance: Float[Tensor, "free free"] | None = None
-    """Of the free parameters, where it is known."""
+    """Covariance of the free parameters, where it is known."""
     candidate: Candidate | None = None
-    """The proposal as its update rule judges it, where the proposal has done so already."""
+    """The proposal as its update rule evaluates it, where the proposal has done so already."""
     shape: Float[Tensor, "shape"] | None = None
-    """Proportions that were fitted with it; None where the known ones were used."""
+    """Proportions that were fitted together with the pose; None where the known ones were used."""
     appearance: Appearance | None = None
-    """What it looks like, where that was learned with it."""
+    """Appearance of the hand, where that was learned with it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,14 +33,14 @@ class Proposals:
 
     hands: tuple[Proposed, ...] = ()
     reason: str = ""
-    """Why there are none."""
+    """Why no hand is proposed."""
     has_foreground: bool = False
-    """Whether something that may be a hand was there all the same."""
+    """Whether the scene shows something that may be a hand."""
 
 
 Occasion = Literal["always", "declining", "degraded", "search"]
-"""At every frame; where the hand explains less than it did at best; where it is in doubt; the same, now and then
-only."""
+"""When a source is asked: at every frame; where the hand explains less than it did at best; where it is degraded; where
+it is degraded and a search is due."""
 
 
 @runtime_checkable

@@ -5,27 +5,27 @@ from torchhand.track.scene.candidate import Candidate
 from torchhand.track.scene.health import Health, HealthSettings
 from torchhand.track.scene.keypoints import SceneKeypoints, detected_hand, parts_of, scene_keypoints
 from torchhand.track.scene.segmentation import (
+    Appearances,
     ColourSegmentation,
     ColourUpdateSettings,
-    Looks,
     RigSegmentation,
     Segmentation,
 )
 from torchhand.track.scene.silhouettes import Images, LearnedSkin, Masks, PackedMask, ViewSilhouettes
 from torchhand.track.scene.update_rule import UpdateRule
-from torchhand.track.scene.views import DetectedHand, Scene, View
+from torchhand.track.scene.views import HandKeypoints, Scene, View
 
 __all__ = [
     "Agreement",
+    "Appearances",
     "Candidate",
     "ColourSegmentation",
     "ColourUpdateSettings",
-    "DetectedHand",
+    "HandKeypoints",
     "Health",
     "HealthSettings",
     "Images",
     "LearnedSkin",
-    "Looks",
     "Masks",
     "PackedMask",
     "RigSegmentation",

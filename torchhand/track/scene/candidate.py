@@ -18,9 +18,9 @@ class Candidate:
     pose: HandPose
     agreement: Agreement
     edges: float
-    """Share of the contour, or of the silhouettes' edges, that is found where the hand says."""
+    """Fraction of the contour, or of the silhouettes' edges, that is found where the hand predicts it."""
     in_view: float = 1.0
-    """Share of the visible contour inside the pictures."""
+    """Fraction of the visible contour inside the pictures."""
     nis: float | None = None
     """Normalised innovation squared per accepted measurement; None where it means nothing."""
     inside: float | None = None
@@ -28,11 +28,11 @@ class Candidate:
     keypoints: float | None = None
     """How far the hand is the one that a detector found, 0 to 1; None where it found none."""
     cost: float = 0.0
-    """Nats, comparable between candidates of one scene; 0 where the update has no cost."""
+    """Cost in nats, comparable between candidates of one scene; 0 where the update has none."""
     is_sound: bool = True
-    """False where the estimate explains so little that it is in doubt whatever it explained before."""
+    """Whether the estimate explains enough; one that does not is degraded, whatever the frames before explained."""
     if_failing: FollowedHand | None = None
-    """What to go on with where the scene does not bear the hand out; the hand itself where it is None."""
+    """Hand to go on with where the scene does not bear this one out; None stands for `hand` itself."""
 
     @property
     def overlap(self) -> float:

@@ -1,4 +1,4 @@
-"""From the views of one time to a scene: the hand's silhouettes by what is known of its looks, view by view."""
+"""From the views of one time to a scene: the hand's silhouettes by what is known of its appearance, view by view."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,8 +16,8 @@ from torchhand.track.scene.silhouettes import LearnedSkin, ViewSilhouettes
 from torchhand.track.scene.views import Scene, View
 from torchhand.view import HandProjector
 
-Looks = tuple[Appearance | LearnedSkin | None, ...]
-"""What the hand looks like, view by view; None where nothing is known."""
+Appearances = tuple[Appearance | LearnedSkin | None, ...]
+"""Appearance of the hand, view by view; None where nothing is known."""
 
 _MARGIN = 0.015  # along the outline, colours are nobody's, hand lengths
 
@@ -38,18 +38,20 @@ class ColourUpdateSettings:
 
 @runtime_checkable
 class Segmentation(Protocol):
-    """Makes scenes, and learns looks from hands that the pictures bear out."""
+    """Makes scenes, and learns the hand's appearance where the pictures bear the hand out."""
 
-    def first_looks(self, views: Sequence[View]) -> Looks:
-        """Looks that pictures tell without any hand being known; none where they tell nothing."""
+    def initial_appearances(self, views: Sequence[View]) -> Appearances:
+        """Appearances that pictures tell without any hand being known; empty where they tell nothing."""
         ...
 
-    def scene(self, views: Sequence[View], looks: Looks, time_s: float) -> Scene:
+    def scene(self, views: Sequence[View], appearances: Appearances, time_s: float) -> Scene:
         """The views of one time with their silhouettes."""
         ...
 
-    def learned(self, looks: Looks, pose: HandPose, shape: Float[Tensor, "shape"], scene: Scene) -> Looks:
-        """The looks after a scene that bears a hand out."""
+    def learned(
+        self, appearances: Appearances, pose: HandPose, shape: Float[Tensor, "shape"], scene: Scene
+    ) -> Appearances:
+        """The appearances after a scene that bears a hand out."""
         ...
 
 
@@ -61,26 +63,29 @@ class ColourSegmentation:
     camera: Camera
     settings: ColourUpdateSettings
 
-    def first_looks(self, views: Sequence[View]) -> Looks:
-        """None: colours are learned with the first hand."""
+    def initial_appearances(self, views: Sequence[View]) -> Appearances:
+        """No appearances: colours are learned with the first hand."""
         return ()
 
-    def scene(self, views: Sequence[View], looks: Looks, time_s: float) -> Scene:
-        """Without looks nothing is told of the silhouette: the search for a hand makes its own."""
+    def scene(self, views: Sequence[View], appearances: Appearances, time_s: float) -> Scene:
+        """The views as a scene. Without appearances nothing is told of the silhouette: the search for a hand makes its
+        own."""
         [view] = views
         probability = None
-        if looks and isinstance(looks[0], Appearance) and view.image is not None:
-            probability = looks[0].probability(view.image)
+        if appearances and isinstance(appearances[0], Appearance) and view.image is not None:
+            probability = appearances[0].probability(view.image)
         return Scene(views=(view,), masks=(view.mask,), probabilities=(probability,), time_s=time_s)
 
-    def learned(self, looks: Looks, pose: HandPose, shape: Float[Tensor, "shape"], scene: Scene) -> Looks:
+    def learned(
+        self, appearances: Appearances, pose: HandPose, shape: Float[Tensor, "shape"], scene: Scene
+    ) -> Appearances:
         """The colours of a picture that bears a hand out."""
-        [look], image, probability = looks, scene.views[0].image, scene.probabilities[0]
-        if not isinstance(look, Appearance) or image is None or probability is None:
-            return looks
+        [appearance], image, probability = appearances, scene.views[0].image, scene.probabilities[0]
+        if not isinstance(appearance, Appearance) or image is None or probability is None:
+            return appearances
         model = HandProjector(self.kinematics, self.camera, shape).silhouette(pose.dofs, pose.reference)
         margin = max(1, round(_MARGIN * hand_length_px(self.camera, self.kinematics, pose.dofs, shape)))
-        return (relearned(look, image, probability, model, margin, keep=self.settings.keep),)
+        return (relearned(appearance, image, probability, model, margin, keep=self.settings.keep),)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,22 +94,24 @@ class RigSegmentation:
 
     silhouettes: ViewSilhouettes
 
-    def first_looks(self, views: Sequence[View]) -> Looks:
+    def initial_appearances(self, views: Sequence[View]) -> Appearances:
         """The skin that stands out of every view's picture."""
         if self.silhouettes.settings.method != "skin":
             return ()
         learned = self.silhouettes.learn([view.image for view in views], [None] * len(views))
         return tuple(learned) if any(learned) else ()
 
-    def scene(self, views: Sequence[View], looks: Looks, time_s: float) -> Scene:
+    def scene(self, views: Sequence[View], appearances: Appearances, time_s: float) -> Scene:
         """A view's given silhouette is preferred to one by its picture."""
-        skins = [look if isinstance(look, LearnedSkin) else None for look in looks] or [None] * len(views)
+        skins = [one if isinstance(one, LearnedSkin) else None for one in appearances] or [None] * len(views)
         given = self.silhouettes.undistorted([view.mask for view in views])
         images = [view.image if mask is None else None for view, mask in zip(views, given, strict=True)]
         seen = self.silhouettes(images, skins)
         masks = tuple(own if mask is None else mask for own, mask in zip(seen, given, strict=True))
         return Scene(views=tuple(views), masks=masks, probabilities=(None,) * len(views), time_s=time_s)
 
-    def learned(self, looks: Looks, pose: HandPose, shape: Float[Tensor, "shape"], scene: Scene) -> Looks:
+    def learned(
+        self, appearances: Appearances, pose: HandPose, shape: Float[Tensor, "shape"], scene: Scene
+    ) -> Appearances:
         """Skin is learned before tracking begins and kept."""
-        return looks
+        return appearances

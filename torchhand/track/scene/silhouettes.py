@@ -46,7 +46,7 @@ class LearnedSkin:
     model: SkinModel
     separability: float
     dark_values: tuple[int, ...] = ()
-    """Of all pictures that showed skin: how dark it gets in any of them."""
+    """Darkest brightness of skin in each picture that showed skin."""
 
 
 class ViewSilhouettes:
@@ -75,8 +75,8 @@ class ViewSilhouettes:
 
     @single_threaded()
     def learn(self, images: Images, known: Sequence[LearnedSkin | None]) -> list[LearnedSkin | None]:
-        """What is known of every view's skin with what these pictures teach: the clearest lesson counts, but skin is
-        believed as dark as in the darker ones, where parts of the hand were in the shade."""
+        """The skin of every view after these pictures: that of the clearest picture counts, but skin is believed as
+        dark as in the darker ones, where parts of the hand were in the shade."""
         learned = list(known)
         for view, image in enumerate(images):
             if image is None or self.settings.method != "skin":

@@ -15,7 +15,7 @@ from torchhand.track.scene.views import Scene
 class UpdateRule(Protocol):
     """Estimates a hand from one scene; a value without state of its own.
 
-    All candidates of one rule are judged in the same way, so that they can be compared.
+    All candidates of one rule are evaluated in the same way, so that they can be compared.
     """
 
     def follow(

@@ -14,13 +14,13 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
-class DetectedHand:
+class HandKeypoints:
     """Keypoints that a detector found in one picture."""
 
     points_px: Float[Tensor, "21 2"]
-    """In the picture as it was taken; NaN for missing points."""
+    """Points in the picture as it was taken; NaN for missing ones."""
     points: Float[Tensor, "21 3"] | None = None
-    """In space, metres, in any frame; NaN for missing points. None where the detector gives none."""
+    """Points in space, metres, in any coordinates; NaN for missing ones. None where the detector gives none."""
     score: float = 1.0
     """How sure the detector is, 0 to 1."""
 
@@ -30,10 +30,11 @@ class View:
     """What one camera gives at one time; nothing where its picture is missing."""
 
     image: UInt8[Tensor, "height width 3"] | None = None
-    """RGB."""
+    """The picture, RGB."""
     mask: Bool[Tensor, "height width"] | None = None
     """The hand's silhouette where it is given, in place of one by colour."""
-    keypoints: DetectedHand | None = None
+    keypoints: HandKeypoints | None = None
+    """Keypoints of the hand where a detector found it."""
 
     @property
     def is_empty(self) -> bool:
@@ -70,7 +71,7 @@ class Scene:
         return self.once(("plane", view), lambda: mask_plane(mask))
 
     def without(self, view: int) -> "Scene":
-        """The same without one view."""
+        """The scene without one view."""
         gone = View()
         return Scene(
             views=tuple(gone if index == view else own for index, own in enumerate(self.views)),

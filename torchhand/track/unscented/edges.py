@@ -24,9 +24,9 @@ class Planes:
     """The pictures of one view in which edges are searched, 0..1."""
 
     outer: Float[Tensor, "height width"]
-    """For the silhouette."""
+    """Picture for the edges of the silhouette."""
     inner: Float[Tensor, "height width"] | None
-    """For parts of the hand before others; None leaves those out."""
+    """Picture for the edges of parts of the hand before others; None leaves those out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,7 @@ class EdgeMeasurement:
     """Edges found in one view, as measurements of the contour's points along its normals, px."""
 
     predicted: Float[Tensor, "sigma points"]
-    """Of every sigma point's hand."""
+    """Predictions of every sigma point's hand."""
     value: Float[Tensor, "points"]
     variance: Float[Tensor, "points"]
     is_found: Bool[Tensor, "points"]
@@ -50,7 +50,7 @@ class EdgeMeasurement:
     """Of the error of the model's surface, which all edges on one primitive have in common, as if it were each edge's
     own: that variance times their number."""
     visibility: ContourVisibility
-    """For a further pass over the same picture, which does not judge it again."""
+    """Visibility of the points, for a further pass over the same picture, which does not evaluate it again."""
     in_picture: Bool[Tensor, "points"]
 
     @property
@@ -111,7 +111,7 @@ class EdgeSearch:
         """Offsets along the normals, where an edge was found, and variances: an edge among rivals deserves less
         trust."""
         s = self.settings
-        reach_px = max(_MIN_SEARCH_PX, s.search_share * length_px) * (1 + _WIDENING * failures)
+        reach_px = max(_MIN_SEARCH_PX, s.search_fraction * length_px) * (1 + _WIDENING * failures)
         offset, is_found = torch.zeros_like(points[:, 0]), torch.zeros_like(outer)
         rivals, weight = torch.ones_like(outer, dtype=torch.long), torch.ones_like(offset)
         searches: list[tuple[Tensor, Tensor, EdgeSettings, float, float]] = [
@@ -119,11 +119,11 @@ class EdgeSearch:
         ]
         if planes.inner is not None:
             searches.append((~outer, planes.inner, s.inner_edges, _INNER_REACH * reach_px, s.inner_weight))
-        for which, plane, how, half_length_px, share in searches:
+        for which, plane, how, half_length_px, fraction in searches:
             if bool(which.any()):
                 edges = search_edges(plane, points[which], normals[which], replace(how, half_length_px=half_length_px))
                 offset[which], is_found[which], rivals[which] = edges.offset_px, edges.found, edges.candidates
-                weight[which] = share
+                weight[which] = fraction
         return offset, is_found, s.edge_std_px**2 * rivals.clamp_min(1) / weight
 
 

@@ -14,7 +14,8 @@ class UnscentedUpdateSettings:
     """Edges along the normals of the predicted contour, through sigma points (Stenger et al. 2001, section 4)."""
 
     edges_in: Literal["colour", "grey"] = "colour"
-    """Picture in which the outer contour is searched: probability of the hand's colours, or grey levels (the paper)."""
+    """Picture in which the outer contour is searched: probability of the hand's colours, or grey levels (Stenger et al.
+    2001)."""
     transform: UnscentedSettings = field(default_factory=UnscentedSettings)
     outer_edges: EdgeSettings = field(
         default_factory=lambda: EdgeSettings(polarity="inside_bright", min_strength=0.2, choose="nearest")
@@ -31,7 +32,7 @@ class UnscentedUpdateSettings:
     have in common, and that counts where detected keypoints tell of the posture too; 0 or more."""
     gate: float = 9.0
     """Edges whose squared innovation exceeds this many times its variance are refused; above 0."""
-    search_share: float = 0.06
+    search_fraction: float = 0.06
     """Half length of the edge search as a share of the hand's length in the picture; above 0."""
     passes: int = 1
     """Measurement updates per frame with fresh edges, each with its share of the weight; 1 or more."""
@@ -39,7 +40,7 @@ class UnscentedUpdateSettings:
 
     def __post_init__(self) -> None:
         require(self.edges_in in ("colour", "grey"), "update.edges_in", "colour or grey", self.edges_in)
-        for name in ("edge_std_px", "gate", "search_share"):
+        for name in ("edge_std_px", "gate", "search_fraction"):
             require_positive(f"update.{name}", getattr(self, name))
         require(self.passes >= 1, "update.passes", "1 or more", self.passes)
         require(0 <= self.surface_std < 1, "update.surface_std", "0 or more, below 1", self.surface_std)

@@ -140,7 +140,7 @@ class UnscentedUpdate:
         return replace(hand, belief=Gaussian(mean, covariance))
 
     def _updated(self, before: _Measured, scene: Scene, shape: Tensor) -> _Measured:
-        """One measurement update with fresh edges of all views, the keypoints, and weak beliefs about posture.
+        """One measurement update with fresh edges of all views, the keypoints, and the weak posture prior.
 
         Where no view has enough of the contour in its picture, the hand comes back as it is with all shares 0.
         """

@@ -46,21 +46,21 @@ class VisibleContour:
 
     points_px: Float[Tensor, "hands points 2"]
     normals: Float[Tensor, "hands points 2"]
-    """Unit, outward."""
+    """Outward unit normals."""
     outer: Bool[Tensor, "hands points"]
     """Visible, with background beyond."""
     inner: Bool[Tensor, "hands points"]
     """Visible, with more of the hand beyond."""
     wrist_px: Float[Tensor, "hands 2"]
     distal_px: Float[Tensor, "hands 2"]
-    """From the wrist to the middle finger's knuckle."""
+    """Direction in the picture from the wrist to the middle finger's knuckle."""
     edges: Int[Tensor, "hands points 2"] | None = None
-    """Of a mesh: the vertices at the ends of each point's edge."""
+    """Edges of a mesh: the vertices at the ends of each point's edge."""
     motion: ContourMotion | None = None
-    """At these poses, where it is known."""
+    """Motion of the points at these poses, where it is known."""
 
     def rows(self, rows: Int[Tensor, "k"]) -> "VisibleContour":
-        """Of some of the hands, without their motion."""
+        """The rows of some of the hands, without their motion."""
 
         def own(name: str) -> Any:
             value = getattr(self, name)
@@ -83,11 +83,12 @@ class Contours(Protocol):
     def shape(self) -> Float[Tensor, "shape"]: ...
 
     def with_shape(self, shape: Float[Tensor, "shape"]) -> "Contours":
-        """Of a hand of another shape."""
+        """The contours of a hand of another shape."""
         ...
 
     def visible(self, pose: HandPose, *, probe_distance_px: float | Float[Tensor, "hands"] = 1.0) -> VisibleContour:
-        """At the poses (hands). probe_distance_px: how far outside a point the picture is asked for the hand."""
+        """Contours at the poses (hands). probe_distance_px: how far outside a point the picture is asked for the
+        hand."""
         ...
 
     def points(self, pose: HandPose, visible: VisibleContour) -> Float[Tensor, "hands 2 points"]:
@@ -120,11 +121,12 @@ class PrimitiveContours:
         return self.projector.shape
 
     def with_shape(self, shape: Float[Tensor, "shape"]) -> "PrimitiveContours":
-        """Of a hand of another shape."""
+        """The contours of a hand of another shape."""
         return PrimitiveContours(HandProjector(self.kinematics, self.camera, shape), self._tracer.table)
 
     def visible(self, pose: HandPose, *, probe_distance_px: float | Float[Tensor, "hands"] = 1.0) -> VisibleContour:
-        """At the poses (hands). probe_distance_px: how far outside a point the picture is asked for the hand."""
+        """Contours at the poses (hands). probe_distance_px: how far outside a point the picture is asked for the
+        hand."""
         tracer, camera = self._tracer, self.camera
         bones = tracer.place(pose)
         placed = tracer.outlines.placed(bones.cam_from_bone)

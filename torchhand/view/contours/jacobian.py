@@ -33,11 +33,11 @@ class OutlineMotion:
     columns_px: Float[Tensor, "hands 2 points"]
     """The points; here and below a row for each coordinate, which is faster for many."""
     columns_cam: Float[Tensor, "hands 3 points"]
-    """Metres; of points that are not before the camera, any that are."""
+    """Points in the camera frame, metres; of points that are not before the camera, any that are."""
     columns_plane: Float[Tensor, "hands 2 points"]
-    """On the normalised image plane."""
+    """Points on the normalised image plane."""
     screws: Float[Tensor, "hands 36 6"]
-    """Of the DOFs: turn, then shift of the camera's centre."""
+    """Screws of the DOFs: turn, then shift of the camera's centre."""
     camera: Camera
     outlines: PartOutlines
     carried: CarriedParts
@@ -108,7 +108,7 @@ class OutlineTracer:
         self._ahead = like.new_tensor((0.0, 0.0, 1.0))[:, None]
 
     def __call__(self, pose: HandPose) -> OutlineMotion:
-        """Of hands in the world; no visibility."""
+        """Motion of outlines of hands in the world; no visibility."""
         bones = self.place(pose)
         return self.motion(bones, self.outlines(self.outlines.placed(bones.cam_from_bone)))
 
@@ -122,7 +122,7 @@ class OutlineTracer:
         return self._placer(pose.dofs, pose.reference)
 
     def motion(self, bones: SeenBones, outline: OutlineColumns) -> OutlineMotion:
-        """Of an outline that is known."""
+        """Motion of an outline that is known."""
         columns_px, points, plane = self._projected(outline.points)
         return OutlineMotion(
             columns_px=columns_px,

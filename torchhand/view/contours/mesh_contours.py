@@ -27,11 +27,11 @@ class EdgeMotion:
     columns_px: Float[Tensor, "hands 2 points"]
     """The points, a row for each coordinate."""
     columns_cam: Float[Tensor, "hands 3 points"]
-    """Metres."""
+    """Points in the camera frame, metres."""
     columns_plane: Float[Tensor, "hands 2 points"]
-    """On the normalised image plane."""
+    """Points on the normalised image plane."""
     jacobian: Float[Tensor, "hands points 3 36"]
-    """Of the points in the camera frame, in the pose."""
+    """Jacobian of the points in the camera frame, in the pose."""
     camera: Camera
 
     def slopes(self, direction: Float[Tensor, "hands terms 2 points"]) -> Float[Tensor, "hands terms points 36"]:
@@ -82,13 +82,14 @@ class MeshContours:
         return self._shape
 
     def with_shape(self, shape: Float[Tensor, "shape"]) -> "MeshContours":
-        """Of a hand of another shape."""
+        """The contours of a hand of another shape."""
         other = copy.copy(self)
         other._shape = shape
         return other
 
     def visible(self, pose: HandPose, *, probe_distance_px: float | Float[Tensor, "hands"] = 1.0) -> VisibleContour:
-        """At the poses (hands). probe_distance_px: how far outside a point the picture is asked for the hand."""
+        """Contours at the poses (hands). probe_distance_px: how far outside a point the picture is asked for the
+        hand."""
         state = self.hand(pose.dofs, self._shape, root_reference=pose.reference)
         like = state.vertices[:, 0, 0]
         probes = torch.as_tensor(probe_distance_px, dtype=like.dtype, device=like.device).expand_as(like).tolist()
@@ -127,7 +128,7 @@ class MeshContours:
         )
 
     def _visible(self, vertices: Float[Tensor, "vertices 3"], probe_distance_px: float) -> tuple[Tensor, ...]:
-        """Of one hand: points, normals, which are outer, which inner, edges; padded with what is neither."""
+        """Contours of one hand: points, normals, which are outer, which inner, edges; padded with what is neither."""
         camera, faces = self._camera, self.hand.faces
         seen = camera.cam_from_world(vertices)
         a, b, c = seen[faces].unbind(1)

@@ -28,7 +28,8 @@ class SeenBones:
     cam_from_bone: Float[Tensor, "hands 20 3 4"]
     """Rotation and, last, origin in metres."""
     screws: Float[Tensor, "hands 36 6"]
-    """What each DOF does to all that it carries: turn, and shift of the camera's centre, per radian or metre."""
+    """Screw by which each DOF moves all that it carries: turn, and shift of the camera's centre, per radian or
+    metre."""
 
 
 class BonePlacer:
@@ -64,7 +65,7 @@ class BonePlacer:
         self._moves = torch.cat((torch.zeros_like(rotation), rotation.T), 1)
 
     def __call__(self, pose: Float[Tensor, "hands 36"], root_reference: Float[Tensor, "hands 3 3"]) -> SeenBones:
-        """Of poses with rotation vectors about their references: world_from_hand = exp(vector) · reference."""
+        """Bones of poses with rotation vectors about their references: world_from_hand = exp(vector) · reference."""
         hands = len(pose)
         place, vector = torch.addmm(self._root_shift, pose[:, :_ROOT], self._root_turn).split(3, 1)
         turn, jacobian = self._exponential(vector)

@@ -31,11 +31,11 @@ class Quadrics:
     """Q = [[A, b], [bᵀ, c]] of the parts of some hands in the camera's frame, and where each is cut off."""
 
     upper: Float[Tensor, "hands 37 3 3"]
-    """A"""
+    """A of the quadrics [[A, b], [bᵀ, c]]."""
     edge: Float[Tensor, "hands 37 3"]
-    """b"""
+    """b of the quadrics [[A, b], [bᵀ, c]]."""
     corner: Float[Tensor, "hands 37"]
-    """c"""
+    """c of the quadrics [[A, b], [bᵀ, c]]."""
     axis: Float[Tensor, "hands 37 3"]
     """A point X is kept where low <= axis · X <= high."""
     low: Float[Tensor, "hands 37"]
@@ -82,7 +82,8 @@ class _Rays:
     products: Float[Tensor, "hands 6 rays"]
     """x², xy, y², x, y, 1"""
     depth: Float[Tensor, "hands rays"]
-    """Of what is looked at: a part that begins before it and ends behind it swallows it."""
+    """Depth of the point that the ray is for: a part that begins before it and ends behind it holds the point
+    inside."""
     enough: Float[Tensor, "hands rays"]
     """A part that begins or ends before this hides it."""
 
@@ -95,7 +96,7 @@ class _Parts:
     """The quadrics along the rays."""
 
     conic: Float[Tensor, "hands 37 6"]
-    """Its coefficients of the rays' products."""
+    """Coefficients of the conic, in terms of the rays' products."""
     rows: Float[Tensor, "hands 10 37"]
     """l, then axis, both of (x, y, 1); s; rate, low, high. A part ends where axis + rate t is low and high, all of this
     over the depth where rays are central."""

@@ -20,16 +20,16 @@ class ConeGenerators:
     """Two straight generators per cone: low + fraction · rise."""
 
     low: Tensor
-    """(15, 2, 3, n) metres"""
+    """Lower ends (15, 2, 3, n), metres."""
     rise: Tensor
-    """(15, 2, 3, n) metres"""
+    """Vectors from the lower to the upper ends (15, 2, 3, n), metres."""
     normal: Tensor | None
-    """(15, 2, 3, n) outward, the same all along a generator"""
+    """Outward normals (15, 2, 3, n), the same all along a generator."""
     is_real: Tensor
-    """(15, n)"""
+    """Whether a cone has generators that the camera sees (15, n)."""
 
     def of_hand(self, index: int) -> "ConeGenerators":
-        """Those of one hand of the batch, with n = 1."""
+        """The part of one hand of the batch, with n = 1."""
         low, rise, is_real = (x[..., index : index + 1] for x in (self.low, self.rise, self.is_real))
         normal = None if self.normal is None else self.normal[..., index : index + 1]
         return ConeGenerators(low=low, rise=rise, normal=normal, is_real=is_real)
@@ -40,18 +40,18 @@ class EllipsoidArcs:
     """One arc per ellipsoid: centre + cos φ · first + sin φ · second, |φ| <= half_angle."""
 
     curve: Tensor
-    """(22, 3, 3, n) columns centre, first, second; metres"""
+    """Curve (22, 3, 3, n) in columns centre, first, second; metres."""
     normal: Tensor | None
-    """(22, 3, 3, n) the outward normal in the same three parts"""
+    """Outward normal (22, 3, 3, n) in the same three parts as the curve."""
     half_angle: Tensor
-    """(22, n)"""
+    """Half of the angle that the arc spans (22, n)."""
     is_real: Tensor
-    """(22, n)"""
+    """Whether an ellipsoid has an arc that the camera sees (22, n)."""
     is_outside: Tensor
-    """(22, n) where the camera is not within the ellipsoid"""
+    """Whether the camera is outside the ellipsoid (22, n)."""
 
     def of_hand(self, index: int) -> "EllipsoidArcs":
-        """Those of one hand of the batch, with n = 1."""
+        """The part of one hand of the batch, with n = 1."""
         one = slice(index, index + 1)
         return EllipsoidArcs(
             curve=self.curve[..., one],
@@ -100,8 +100,8 @@ def _cones(
     length: Tensor,
     with_normals: bool,
 ) -> ConeGenerators:
-    """At angle φ of the section: cos φ p_x + sin φ p_z = w - k p_y, p the camera in units of the section at the
-    start."""
+    """Generators of cones. At angle φ of the section: cos φ p_x + sin φ p_z = w - k p_y, p the camera in units of the
+    section at the start."""
     across = eye[:, ::2] / start
     slope = (1 - scale) / length
     distance = (across * across).sum(1).clamp_min(1e-18).sqrt()
@@ -130,7 +130,8 @@ def _cones(
 def _arcs(
     rotation: Tensor, position: Tensor, eye: Tensor, weight: float, axes: Tensor, level: Tensor, with_normals: bool
 ) -> EllipsoidArcs:
-    """On the unit sphere u the outline is the circle u·p = w, p the camera's centre; y >= level cuts an arc of it.
+    """Arcs of ellipsoids. On the unit sphere u the outline is the circle u·p = w, p the camera's centre; y >= level
+    cuts an arc of it.
 
     φ = 0 is the circle's highest point (largest y), so the kept arc is centred on it. Seen along y there is none: any.
     """

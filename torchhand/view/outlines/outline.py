@@ -1,5 +1,5 @@
-"""Outlines of the hand's primitives, sampled in closed form at fixed parameters (paper 003, section 4.2; FACTS 4.3,
-4.5).
+"""Outlines of the hand's primitives, sampled in closed form at fixed parameters (Stenger et al. 2001,
+4.2).
 
 The paper draws each conic from its eigendecomposition, which has no solution for the line pairs of cones and cylinders
 and gives points that do not correspond between two poses. Here the contour generator is parametrised on the primitive
@@ -86,7 +86,7 @@ class Outline:
     """Points of the contour generators in the camera frame."""
 
     points_cam: Float[Tensor, "*batch points 3"]
-    """Metres."""
+    """Points in the camera frame, metres."""
     normals_cam: Float[Tensor, "*batch points 3"]
     """Outward surface normals, not of unit length; as a homogeneous line, the tangent l = C x of the outline there."""
     is_real: Bool[Tensor, "*batch points"]
@@ -145,7 +145,8 @@ def pixel_normals(
 ) -> Float[Tensor, "*batch points 2"]:
     """Unit outward normals in the picture at points of the normalised plane, through lens distortion.
 
-    A tangent line l of the plane has the normal (l₁, l₂) (paper 003, section 3.1); pixels x = f(plane) turn it by J⁻ᵀ.
+    A tangent line l of the plane has the normal (l₁, l₂) (Stenger et al. 2001, 3.1); pixels x = f(plane) turn it by
+    J⁻ᵀ.
     """
     (a, b), (c, d) = (row.unbind(-1) for row in camera.pixel_jacobian(plane).unbind(-2))
     n1, n2 = normals_cam[..., 0], normals_cam[..., 1]

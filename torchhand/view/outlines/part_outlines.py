@@ -28,7 +28,7 @@ class OutlineColumns:
     """Points of outlines in the camera's frame, a row for each coordinate."""
 
     points: Float[Tensor, "hands 3 points"]
-    """Metres."""
+    """Points in the camera frame, metres."""
     normals: Float[Tensor, "hands 3 points"] | None
     """Outward surface normals, not of unit length."""
     is_real: Bool[Tensor, "hands points"] | None
@@ -92,7 +92,7 @@ class PartOutlines:
         return [group.unflatten(-1, (count, -1)).transpose(-2, -3) for group, count in groups]
 
     def quadrics(self, placed: Float[Tensor, "hands 37 3 4"]) -> Quadrics:
-        """Of all parts, as `Primitives.implicit`."""
+        """Quadrics of all parts, as `Primitives.implicit`."""
         axes, place = placed[..., :3], placed[..., 3]
         upper, axis = (axes * self._form) @ axes.mT, axes[..., 2] / self._length
         pulled, tilt = (upper @ place[..., None]).squeeze(-1), axis * self._slope[:, None]

@@ -32,7 +32,7 @@ _FARTHEST_PX = 1e5  # farther corners do not fit into OpenCV's numbers
 
 @dataclass(frozen=True, kw_only=True)
 class Contour:
-    """The reference contour of one hand: what paper 003 calls the list I0 with its normals."""
+    """The reference contour of one hand: what Stenger et al. (2001) call the list I0 with its normals."""
 
     points_px: Float[Tensor, "points 2"]
     normals: Float[Tensor, "points 2"]

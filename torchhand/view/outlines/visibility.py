@@ -1,4 +1,4 @@
-"""Self-occlusion of outline points by ray-quadric intersection (paper 003, section 4.2, with the rule of FACTS 4.4)."""
+"""Self-occlusion of outline points by ray-quadric intersection (Stenger et al. 2001, section 4.2)."""
 
 import torch
 from jaxtyping import Bool, Float

@@ -118,7 +118,7 @@ def _filled(seen: SeenTriangles, camera: Camera) -> tuple[Tensor, Tensor, Tensor
 
 
 def _tested(seen: SeenTriangles, camera: Camera) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """The same, pixel by pixel, for lenses that distort."""
+    """Triangles, rows, columns and nearness, tested pixel by pixel, for lenses that distort."""
     triangle, pixel, plane = tested_pixels(seen.corners, camera)
     [nearness] = _nearness_at(seen, triangle, [plane])
     return triangle, pixel // camera.width, pixel % camera.width, nearness

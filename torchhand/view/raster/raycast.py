@@ -18,8 +18,8 @@ class Raycast:
     depth: Float[Tensor, "height width"]
     """z in the camera frame, metres; infinite where nothing is."""
     part: Int[Tensor, "height width"]
-    """What the nearest surface belongs to, -1 where nothing is: of primitives the one of PRIMITIVE_NAMES, of a skinned
-    mesh the bone of BONES."""
+    """Part that the nearest surface belongs to, -1 where nothing is: of primitives the one of PRIMITIVE_NAMES, of a
+    skinned mesh the bone of BONES."""
     normal: Float[Tensor, "height width 3"]
     """Unit outward normal in the camera frame; zero where nothing is."""
 
@@ -68,7 +68,7 @@ def raycast(primitives_world: Primitives, camera: Camera) -> Raycast:
 def _meet(parts: Implicit, index: int, plane: Tensor, is_orthographic: bool) -> tuple[Tensor, Tensor]:
     """Depth of the first point of one primitive on the rays through points of the plane, and half the gradient there.
 
-    The nearer of the roots that lie in front of the camera and within the truncation (FACTS 4.4, points 1, 2 and 5).
+    The nearer of the roots that lie in front of the camera and within the truncation.
     """
     upper, edge, axis = parts.upper[index, ..., 0], parts.edge[index, :, 0], parts.axis[index, :, 0]
     corner, low, high = parts.corner[index, 0], parts.low[index, 0], parts.high[index, 0]

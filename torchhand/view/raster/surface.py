@@ -1,4 +1,5 @@
-"""One interface for both surfaces of a hand, the primitives and the skinned mesh (paper 000, figure 5)."""
+"""One interface for both surfaces of a hand, the primitives and the skinned mesh (Ouhaddi and Horain 1998, figure
+5)."""
 
 from dataclasses import fields, replace
 

@@ -17,15 +17,16 @@ class SeenTriangles:
     """Triangles with every corner in front of the camera; those of all meshes of a batch one after the other."""
 
     corners: Float[Tensor, "triangles 3 2"]
-    """In pixels; on the normalised image plane where the camera's lens distorts, for only there edges are straight."""
+    """Corners in pixels; on the normalised image plane where the camera's lens distorts, for only there edges are
+    straight."""
     nearness: Float[Tensor, "triangles 3"]
-    """What is affine over a triangle's picture and grows towards the camera: 1/z (orthographic: -z)."""
+    """Number that is affine over a triangle's picture and grows towards the camera: 1/z (orthographic: -z)."""
     face: Int[Tensor, "triangles"]
     """The face that each one is, or is a piece of."""
     mesh: Int[Tensor, "triangles"]
     """Index into the batch."""
     normals: Float[Tensor, "triangles 3 3"] | None = None
-    """At the corners, in the camera frame, of any length; where they were given."""
+    """Normals at the corners, in the camera frame, of any length; where they were given."""
 
 
 def seen_triangles(
@@ -126,7 +127,7 @@ def _cut(
 
 def _crossing(ahead: Float[Tensor, "n c"], behind: Float[Tensor, "n c"]) -> Float[Tensor, "n c"]:
     """Where the edges meet the plane; the same for both faces of an edge, as it always runs away from the camera."""
-    share = (ahead[:, 2:3] - NEAREST) / (ahead[:, 2:3] - behind[:, 2:3])
-    crossing = ahead + share * (behind - ahead)
+    fraction = (ahead[:, 2:3] - NEAREST) / (ahead[:, 2:3] - behind[:, 2:3])
+    crossing = ahead + fraction * (behind - ahead)
     crossing[:, 2] = NEAREST
     return crossing

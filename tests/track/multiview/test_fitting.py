@@ -3,7 +3,8 @@ import torch
 
 from torchhand.fit.hull import HullStartSettings
 from torchhand.geometry import rotation_from_vector
-from torchhand.track.multiview.fitting import Anchor, MomentFitter, Placed, chosen
+from torchhand.hand import HandPose
+from torchhand.track.multiview.fitting import FrameFitter, HullFit, best_of
 from torchhand.track.multiview.settings import RigSettings
 
 SETTINGS = RigSettings(
@@ -12,40 +13,40 @@ SETTINGS = RigSettings(
 
 
 @pytest.fixture(scope="module")
-def fits(rig_hand, rig) -> MomentFitter:
-    return MomentFitter(rig_hand, rig, SETTINGS)
+def fitter(rig_hand, rig) -> FrameFitter:
+    return FrameFitter(rig_hand, rig, SETTINGS)
 
 
-def _error_mm(rig_hand, placed: Placed | None, pose) -> float:
-    assert placed is not None
-    found = rig_hand.kinematics(placed.fit.pose, root_reference=placed.fit.root_reference).keypoints
+def _error_mm(rig_hand, fit: HullFit | None, pose) -> float:
+    assert fit is not None
+    found = rig_hand.kinematics(fit.pose.dofs, root_reference=fit.pose.reference).keypoints
     truth = rig_hand.kinematics(pose[0], root_reference=pose[1]).keypoints
     return 1e3 * float((found - truth).norm(dim=-1).mean())
 
 
-def test_hand_that_turned_fast_about_its_forearm_is_followed(fits, rig_hand, pose_at, masks_of):
+def test_hand_that_turned_fast_about_its_forearm_is_followed(fitter, rig_hand, pose_at, masks_of):
     pose, reference = pose_at("point")
     masks, shape = masks_of((pose, reference)), rig_hand.kinematics.default_shape
     about = reference @ torch.tensor((0.0, 1.0, 0.0), dtype=torch.float64)
-    before = Anchor(pose=pose, root_reference=rotation_from_vector(1.1 * about) @ reference)
+    before = HandPose(dofs=pose, reference=rotation_from_vector(1.1 * about) @ reference)
     with torch.inference_mode():
-        hull = fits.hull_about(before, shape, masks)
-        near = fits.from_anchors(hull, [before], shape, masks)
-        turned = fits.turned(hull, before, shape, masks)
+        hull = fitter.hull_about(before, shape, masks)
+        near = fitter.fit_from(hull, [before], shape, masks)
+        turned = fitter.vary_orientation(hull, before, shape, masks)
     assert _error_mm(rig_hand, turned, (pose, reference)) < 5.0
     assert turned.score > near.score + 0.05
 
 
-def test_digit_is_found_though_the_hand_is_some_way_off(fits, rig_hand, pose_at, masks_of):
+def test_digit_is_found_though_the_hand_is_some_way_off(fitter, rig_hand, pose_at, masks_of):
     pose, reference = pose_at("point")
     masks, shape = masks_of((pose, reference)), rig_hand.kinematics.default_shape
     fist = torch.cat((pose[:6], pose_at("fist")[0][6:]))
     fist[:3] += torch.tensor((0.006, -0.006, 0.004))
     about = reference @ torch.tensor((0.0, 0.35, 0.1), dtype=torch.float64)
-    before = Anchor(pose=fist, root_reference=rotation_from_vector(about) @ reference)
+    before = HandPose(dofs=fist, reference=rotation_from_vector(about) @ reference)
     with torch.inference_mode():
-        hull = fits.hull_about(before, shape, masks)
-        found = fits.with_other_digits(hull, before, [], shape, masks)
+        hull = fitter.hull_about(before, shape, masks)
+        found = fitter.vary_fingers(hull, before, [], shape, masks)
     assert _error_mm(rig_hand, found, (pose, reference)) < 4.0
 
 
@@ -65,40 +66,38 @@ def _before_arm(pose, rig_hand, rig, masks_of, views: int) -> tuple[list[torch.T
     return [*masks[:views], *[None] * (len(rig) - views)], points
 
 
-def test_search_finds_the_hand_at_the_end_of_an_arm(fits, rig_hand, rig, pose_at, masks_of):
+def test_search_finds_the_hand_at_the_end_of_an_arm(fitter, rig_hand, rig, pose_at, masks_of):
     pose, shape = pose_at("point"), rig_hand.kinematics.default_shape
     masks, _ = _before_arm(pose, rig_hand, rig, masks_of, views=3)
     with torch.inference_mode():
-        found = fits.searched(fits.hull_anywhere(shape, masks), shape, masks)
+        found = fitter.search(fitter.hull_anywhere(shape, masks), shape, masks)
     assert _error_mm(rig_hand, found, pose) < 12.0
 
 
-def test_two_views_of_an_arm_tell_the_hand_and_then_its_digits(fits, rig_hand, rig, pose_at, masks_of):
-    """How far the fingers in the fist are bent hardly shows: the search leaves it open, and other digits settle it."""
+def test_two_views_of_an_arm_tell_the_hand_and_then_its_fingers(fitter, rig_hand, rig, pose_at, masks_of):
+    """How far the fingers of the fist are bent hardly shows: the search leaves it open, finger proposals decide it."""
     pose, shape = pose_at("point"), rig_hand.kinematics.default_shape
     masks, points = _before_arm(pose, rig_hand, rig, masks_of, views=2)
     with torch.inference_mode():
-        hull = fits.hull_anywhere(shape, masks)
-        found = fits.searched(hull, shape, masks)
+        hull = fitter.hull_anywhere(shape, masks)
+        found = fitter.search(hull, shape, masks)
         assert found is not None
-        places = rig_hand.kinematics(found.fit.pose, root_reference=found.fit.root_reference).keypoints
-        settled = fits.with_other_digits(hull, found.anchor, [], shape, masks)
+        places = rig_hand.kinematics(found.pose.dofs, root_reference=found.pose.reference).keypoints
+        varied = fitter.vary_fingers(hull, found.pose, [], shape, masks)
     seen = [0, 5, 6, 7, 8, 9, 13, 17]  # wrist, knuckles and the finger that points
     assert float((places - points).norm(dim=-1)[seen].max()) < 0.012
-    assert _error_mm(rig_hand, settled, pose) < 12.0
+    assert _error_mm(rig_hand, varied, pose) < 12.0
 
 
-def test_the_likelier_of_those_that_explain_alike_is_chosen(fits, rig_hand, pose_at, masks_of):
+def test_best_of_hands_that_explain_alike_is_the_one_of_lowest_cost(fitter, rig_hand, pose_at, masks_of):
     masks, shape = masks_of(pose_at()), rig_hand.kinematics.default_shape
     with torch.inference_mode():
-        anchors = [Anchor(pose=p, root_reference=r) for p, r in (pose_at(), pose_at(turn=0.5))]
-        hull = fits.hull_about(anchors[0], shape, masks)
-        good, other = (fits.from_anchors(hull, [anchor], shape, masks) for anchor in anchors)
-        far = fits.with_other_digits(
-            hull, Anchor(pose=pose_at("fist")[0], root_reference=pose_at()[1]), [], shape, masks
-        )
-    assert chosen([None, far, good]) is good
+        starts = [HandPose(dofs=p, reference=r) for p, r in (pose_at(), pose_at(turn=0.5))]
+        hull = fitter.hull_about(starts[0], shape, masks)
+        good, other = (fitter.fit_from(hull, [start], shape, masks) for start in starts)
+        far = fitter.vary_fingers(hull, HandPose(dofs=pose_at("fist")[0], reference=pose_at()[1]), [], shape, masks)
+    assert best_of([None, far, good]) is good
     assert good is not None
     assert other is not None
-    assert chosen([other, good]) is min((good, other), key=lambda one: float(one.fit.cost))
-    assert chosen([None]) is None
+    assert best_of([other, good]) is min((good, other), key=lambda one: float(one.cost))
+    assert best_of([None]) is None

@@ -1,0 +1,87 @@
+from dataclasses import replace
+
+import pytest
+import torch
+
+from torchhand.fit.hull import HullShapeSettings, HullStartSettings
+from torchhand.hand import Anthropometry, HandPose
+from torchhand.track.multiview.fitting import FrameFitter
+from torchhand.track.multiview.hand_initialization import evenly_spaced_frames, initialize_hand
+from torchhand.track.multiview.scale import in_unit, resized_pose, resized_shape, rough_units, size_factor
+from torchhand.track.multiview.settings import RigSettings
+
+SETTINGS = RigSettings(
+    start=HullStartSettings(places=1, rolls=4, postures=("open",), coarse=6, fine=2, finger_rounds=0),
+    shape=HullShapeSettings(rounds=3, iterations=2),
+)
+
+
+@pytest.mark.parametrize(
+    ("count", "wanted", "expected"),
+    [(12, 12, tuple(range(12))), (100, 4, (12, 37, 62, 87)), (3, 8, (0, 1, 2)), (5, 0, ()), (0, 4, ())],
+)
+def test_frames_are_spaced_evenly(count, wanted, expected):
+    assert evenly_spaced_frames(count, wanted) == expected
+
+
+def test_hand_is_found_in_the_frames_that_show_it(rig_hand, rig, pose_at, masks_of):
+    fitter = FrameFitter(rig_hand, rig, SETTINGS)
+    population = Anthropometry(rig_hand.kinematics.shape_space)
+    poses = [pose_at(), pose_at(turn=0.45)]
+    empty = [torch.zeros_like(mask) for mask in masks_of(poses[0])]
+    done = []
+    with torch.inference_mode():
+        found = initialize_hand(
+            fitter,
+            [(3, masks_of(poses[0])), (8, empty), (9, masks_of(poses[1]))],
+            population,
+            done=lambda: done.append(1),
+        )
+    assert len(done) == 3
+    assert set(found.poses) == {3, 9}
+    assert found.shape_frames == (3, 9)
+    space = rig_hand.kinematics.shape_space
+    deviation = (found.shape - space.default.to(found.shape)).abs() / space.std.to(found.shape)
+    assert float(deviation.mean()) < 1.0
+    for pose, (dofs, reference) in zip((found.poses[3], found.poses[9]), poses, strict=True):
+        points = rig_hand.kinematics(pose.dofs, found.shape, root_reference=pose.reference).keypoints
+        truth = rig_hand.kinematics(dofs, root_reference=reference).keypoints
+        assert float((points - truth).norm(dim=-1).mean()) < 0.008
+
+
+def test_no_hand_is_found_where_there_is_none(rig_hand, rig, pose_at, masks_of):
+    fitter = FrameFitter(rig_hand, rig, SETTINGS)
+    empty = [torch.zeros_like(mask) for mask in masks_of(pose_at())]
+    found = initialize_hand(fitter, [(0, empty)], Anthropometry(rig_hand.kinematics.shape_space))
+    assert not found.poses
+    assert found.shape_std is None
+    torch.testing.assert_close(found.shape, rig_hand.kinematics.default_shape)
+
+
+def test_rough_units_hold_the_true_one(rig, pose_at, masks_of):
+    unknown = in_unit(rig, 1 / 0.0254)  # as if in inches
+    empty = [torch.zeros_like(mask) for mask in masks_of(pose_at())]
+    for postures in (("open",), ("fist", "open"), ("fist",)):
+        frames = [(i, masks_of(pose_at(name))) for i, name in enumerate(postures)]
+        units, decisive = rough_units(unknown, [(9, empty), *frames])
+        assert min(abs(unit / 0.0254 - 1) for unit in units) < 0.13
+        assert [index for index, _ in decisive] == list(range(len(postures)))
+    assert rough_units(unknown, [(9, empty)]) == ((), [])
+
+
+def test_everything_scales_together(rig_hand, pose_at):
+    space = rig_hand.kinematics.shape_space
+    shape = rig_hand.kinematics.default_shape
+    larger = resized_shape(shape, 1.1, space)
+    assert size_factor(shape, larger, space) == pytest.approx(1.1)
+    pose, reference = pose_at()
+    moved = resized_pose(HandPose(dofs=pose, reference=reference), 1.1)
+    before = rig_hand.kinematics(pose, shape, root_reference=reference).keypoints
+    after = rig_hand.kinematics(moved.dofs, larger, root_reference=moved.reference).keypoints
+    torch.testing.assert_close(after, 1.1 * before)
+
+
+def test_settings_refuse():
+    for name, value in (("pose_space", "dof99"), ("sizes", ()), ("shape_frames", -1)):
+        with pytest.raises(ValueError, match=name):
+            replace(SETTINGS, **{name: value})
