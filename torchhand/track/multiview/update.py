@@ -91,7 +91,11 @@ def anchor_of(pose: HandPose) -> Anchor:
 
 def hull_about(fits: MomentFitter, scene: Scene, pose: HandPose, shape: Float[Tensor, "shape"]) -> Hull:
     """The hull about a hand; the first one asked for serves all that are near."""
-    return scene.once("hull", lambda: fits.hull_about(anchor_of(pose), shape, scene.masks))
+
+    def made() -> Hull:
+        return fits.hull_about(anchor_of(pose), shape, scene.masks).with_observations(scene.observations)
+
+    return scene.once("hull", made)
 
 
 def hull_anywhere(fits: MomentFitter, scene: Scene, shape: Float[Tensor, "shape"]) -> Hull:
