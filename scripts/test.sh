@@ -23,5 +23,6 @@ echo "== pytest, compiled and exported hands"
 # Without the checks of shapes at run time, which torch.compile cannot follow.
 JAXTYPING_DISABLE=1 "$python" -m pytest tests/compiled --override-ini "addopts=--import-mode=importlib" || failed=1
 echo "== pytest"
-"$python" -m pytest "$@" || failed=1
+# Two workers, each with one thread; a file's tests stay together, as their fixtures do.
+OMP_NUM_THREADS=1 "$python" -m pytest -n 2 --dist loadfile "$@" || failed=1
 exit "$failed"
