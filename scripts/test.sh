@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Style, types, import layers and tests, in an environment of the repository's own. Arguments go to pytest:
+# Style, types, import layers, dead code and tests, in an environment of the repository's own. Arguments go to pytest:
 #   bash scripts/test.sh -k unscented
 # Exit code 0 only when everything passes; pytest's summary is the last line.
 set -uo pipefail
@@ -17,10 +17,12 @@ check "ruff check" "$python" -m ruff check .
 check "ruff format" "$python" -m ruff format --check .
 check "pyright" "$python" -m pyright --pythonpath "$python"
 check "import layers" "$environment/bin/lint-imports"
+check "nothing that only tests reach" "$python" -m vulture
 [ "$failed" = 0 ] || echo "One of the checks above failed; the tests run all the same."
 echo "== pytest, compiled and exported hands"
 # Without the checks of shapes at run time, which torch.compile cannot follow.
 JAXTYPING_DISABLE=1 "$python" -m pytest tests/compiled --override-ini "addopts=--import-mode=importlib" || failed=1
 echo "== pytest"
-"$python" -m pytest "$@" || failed=1
+# Two workers, each with one thread; a file's tests stay together, as their fixtures do.
+OMP_NUM_THREADS=1 "$python" -m pytest -n 2 --dist loadfile "$@" || failed=1
 exit "$failed"

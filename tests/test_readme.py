@@ -1,5 +1,6 @@
 """What the README shows must run and be there."""
 
+import importlib
 import re
 from pathlib import Path
 
@@ -47,6 +48,16 @@ def test_the_example_runs_and_its_gradients_are_those_of_the_pinch(capsys) -> No
     assert float(gradient[6:9].abs().max()) > 1e-3
     assert float(names["shape"].grad.abs().max()) > 1e-3
     assert "thumb_cmc_fe" in capsys.readouterr().out
+
+
+def test_functions_that_it_names_exist() -> None:
+    names = re.findall(r"`torchhand\.([\w.]+)`", README)
+    assert names
+    for name in names:
+        door, *rest = name.split(".")
+        value: object = importlib.import_module(f"torchhand.{door}")
+        for part in rest:
+            value = getattr(value, part)
 
 
 def test_pictures_and_pages_that_it_names_exist() -> None:

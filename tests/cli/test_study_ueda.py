@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from torchhand.cli import study_ueda
 from torchhand.cli.simulate import main as simulate
+from torchhand.cli.studies import ueda
+from torchhand.cli.studies.ueda import numbers_of
 from torchhand.cli.study import main
-from torchhand.cli.study_ueda import numbers_of
 from torchhand.errors import InputError
 from torchhand.files import save_cameras
 from torchhand.simulate import named_rig
@@ -32,7 +32,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, ...]]
     rig = tmp_path_factory.mktemp("rig") / "cameras.json"
     save_cameras(named_rig("frame3", size=(160, 120)), rig)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(study_ueda, "_REPEATS", 1)
+        patch.setattr(ueda, "_REPEATS", 1)
         yield (*SMALL, "--rig", str(rig))
 
 
@@ -61,7 +61,7 @@ def test_tables_and_plots(result: Path) -> None:
     assert 0.5 < float(rows[0]["within_fraction"]) < float(rows[0]["inside_fraction"]) <= 1
     assert [row["stage"] for row in table(result / "stages.csv")] == list(STAGES)
     compared = table(result / "comparison.csv")
-    assert {row["method"] for row in compared} == set(study_ueda.METHODS)
+    assert {row["method"] for row in compared} == set(ueda.METHODS)
     assert {row["cameras"] for row in compared} == {"2"}
     for name in ("figure13", "figure14", "comparison"):
         picture = cv2.imread(str(result / f"{name}.png"))
@@ -76,18 +76,18 @@ def test_a_stopped_study_goes_on_to_the_same_figures(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    compared = study_ueda.fit_errors
+    compared = ueda.fit_errors
 
     def stopped(*args: object) -> None:
         raise KeyboardInterrupt
 
     out = tmp_path / "out"
-    monkeypatch.setattr(study_ueda, "fit_errors", stopped)
+    monkeypatch.setattr(ueda, "fit_errors", stopped)
     assert main(["ueda", "--out", str(out), *small]) == 130
     assert "stopped by Ctrl-C; the same command with --resume goes on" in capsys.readouterr().err
     assert not (out / "comparison.csv").exists()
-    monkeypatch.setattr(study_ueda, "fit_errors", compared)
-    monkeypatch.setattr(study_ueda, "converge", stopped)  # what is done is not done again
+    monkeypatch.setattr(ueda, "fit_errors", compared)
+    monkeypatch.setattr(ueda, "converge", stopped)  # what is done is not done again
     assert main(["ueda", "--out", str(out), *small, "--resume"]) == 0
     assert (out / "convergence.csv").read_bytes() == (result / "convergence.csv").read_bytes()
     for row, other in zip(table(out / "comparison.csv"), table(result / "comparison.csv"), strict=True):

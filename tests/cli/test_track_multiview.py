@@ -1,10 +1,12 @@
 """`torchhand track_multiview`: what a run leaves, going on after a stop, bad views and wrong input."""
 
+import io
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,10 +17,12 @@ import yaml
 from torchhand.cli.track_multiview import main
 from torchhand.files import load_hand_model, load_track, read_picture, save_cameras, save_hand, write_video
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand import posture
+from torchhand.hand import Hand, posture
 from torchhand.runs import Run
 from torchhand.simulate import named_rig
 from torchhand.track import Estimate, Tracker
+from torchhand.track.multiview import Initialization, initialize
+from torchhand.track.scene import ViewSilhouettes
 from torchhand.view import mesh_silhouette
 
 FRAMES, SIZE = 5, (240, 180)
@@ -71,6 +75,28 @@ def result(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("out") / "result"
     assert main([str(recording), "--out", str(out), "--hand", str(recording / "hand.json"), *FAST]) == 0
     return out
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _initialized_once() -> Iterator[None]:
+    """The hand is looked for once in the same pictures: it is the same hand every time, and takes most of a run."""
+    found: dict[bytes, Initialization] = {}
+
+    def remembered(
+        hand: Hand, silhouettes: ViewSilhouettes, frames: list, *rest: Any, **options: Any
+    ) -> Initialization:
+        done = options.pop("done")
+        what = (silhouettes.cameras, silhouettes.settings, frames, rest[1:], options)
+        content = io.BytesIO()
+        torch.save(what, content)
+        key = content.getvalue()
+        if key not in found:
+            found[key] = initialize(hand, silhouettes, frames, *rest, **options, done=done)
+        return found[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("torchhand.runs.tracking.initialize", remembered)
+        yield
 
 
 @pytest.fixture

@@ -1,18 +1,18 @@
 """A new kind of observation is one class and its factor: here the ray from a camera on which the index fingertip lies.
 
-Nothing else knows of it. It works over many hypotheses with one camera or several, and in the fit of a shape.
+It works over many hypotheses with one camera or several, and in the fit of a shape.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import pytest
 import torch
-from jaxtyping import Float, Int
 from torch import Tensor
 
+from tests.fingertip import TIP, FingertipRay
 from torchhand.files import load_hand_model
 from torchhand.fit.frames import FrameObservations
-from torchhand.fit.observation import Equations, Explained, Factor, Observation, PosedHands
+from torchhand.fit.observation import Factor, Observation, PosedHands
 from torchhand.fit.priors import ConstraintPrior, GaussianPrior
 from torchhand.fit.problem import Problem
 from torchhand.fit.schedule import Stage
@@ -21,94 +21,13 @@ from torchhand.fit.solve import SolveStatus, solve
 from torchhand.fit.solve_shared import solve_shared
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import (
-    KEYPOINTS,
     Anthropometry,
-    HandKinematics,
     HandPose,
     PoseConstraints,
     PoseJacobian,
-    ShapeJacobian,
     named_pose_space,
 )
 from torchhand.hand.limits import clamp_to_limits
-
-TIP = KEYPOINTS.index("index_tip")
-
-
-# ------------------------------------------------------------------ all that a new observation needs
-
-
-@dataclass(frozen=True, kw_only=True)
-class FingertipRay:
-    """The index fingertip as seen by one camera: a ray in the world."""
-
-    origin: Float[Tensor, "3"]
-    direction: Float[Tensor, "3"]
-    """Unit."""
-    kinematics: HandKinematics
-    jacobian: PoseJacobian
-    """Of the keypoints of these kinematics in the pose."""
-    std_m: float = 0.001
-    """Standard deviation of the fingertip's distance from the ray, in each direction."""
-    view: int = 0
-
-    @property
-    def is_empty(self) -> bool:
-        return not bool(self.direction.isfinite().all())
-
-    def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "FingertipRay":
-        """This observation itself, which all hypotheses have in common."""
-        return self
-
-    def associate(self, hands: PosedHands, stage: Stage) -> "FingertipRayFactor":
-        """There is nothing to decide: one point belongs to one ray."""
-        factor = FingertipRayFactor(ray=self, distance=hands.shape.new_zeros(len(hands)))
-        return replace(factor, distance=factor.offset(hands).norm(dim=-1))
-
-
-@dataclass(frozen=True, kw_only=True)
-class FingertipRayFactor:
-    """½ |distance from the ray|² / std²; a row per hand."""
-
-    ray: FingertipRay
-    distance: Float[Tensor, "k"]
-    """At the association, metres."""
-
-    @property
-    def across(self) -> Float[Tensor, "3 3"]:
-        """What takes from a vector its part along the ray."""
-        direction = self.ray.direction
-        return torch.eye(3, dtype=direction.dtype) - direction[:, None] * direction
-
-    def offset(self, hands: PosedHands) -> Float[Tensor, "k 3"]:
-        """From the ray to the fingertip, metres."""
-        frames = self.ray.kinematics(hands.pose.dofs, hands.shape, root_reference=hands.pose.reference)
-        return (frames.keypoints[:, TIP] - self.ray.origin) @ self.across
-
-    def equations(self, hands: PosedHands) -> Equations:
-        """In the DOFs, and in the shape where it is unknown."""
-        kinematics, pose = self.ray.kinematics, hands.pose
-        frames = kinematics(pose.dofs, hands.shape, root_reference=pose.reference)
-        offset = self.offset(hands)
-        weight = torch.full_like(offset, self.ray.std_m**-2)
-        cost, shared = 0.5 * (weight * offset.square()).sum(-1), None
-        if hands.unknowns is not None:
-            slopes = ShapeJacobian(kinematics, hands.unknowns.columns)(frames, hands.shape)[:, TIP]
-            shared = self.across @ torch.nn.functional.pad(slopes, (0, len(hands.unknowns.extra)))
-        rows = self.across @ self.ray.jacobian(pose.dofs, frames)[:, TIP]
-        return Equations.of_rows(offset, weight, rows, cost, shared=shared)
-
-    def rows(self, rows: Int[Tensor, "n"]) -> "FingertipRayFactor":
-        """Of some of the hands."""
-        return replace(self, distance=self.distance[rows])
-
-    def explained(self) -> tuple[Explained, ...]:
-        """Whether the fingertip is on the ray."""
-        is_on = (self.distance < 3 * self.ray.std_m).to(self.distance)
-        return (Explained(name="fingertip", view=self.ray.view, fraction=is_on, distance=self.distance),)
-
-
-# ------------------------------------------------------------------ and where it works
 
 MODEL = load_hand_model()
 KINEMATICS = MODEL.kinematics(dtype=torch.float64)

@@ -17,7 +17,6 @@ from torchhand.geometry.quadrics import (
     moved,
     orthographic_conic_of_quadric,
     quadratic_roots,
-    ray_coefficients,
     ray_table,
     slab,
 )
@@ -103,6 +102,15 @@ def test_a_sphere_appears_as_a_circle() -> None:
     torch.testing.assert_close(conic_of_quadric(sphere), expected, atol=1e-14, rtol=0)
     flat = orthographic_conic_of_quadric(sphere)
     torch.testing.assert_close(flat, torch.diag(_number(1.0, 1.0, -r * r)), atol=1e-14, rtol=0)
+
+
+def ray_coefficients(quadric: Tensor, origin: Tensor, direction: Tensor) -> Tensor:
+    """The specification of `ray_table`: a, b, c of a s² + 2 b s + c, one quadric for each ray."""
+    upper, edge = quadric[..., :3, :3], quadric[..., :3, 3]
+    along = (upper @ direction[..., None]).squeeze(-1)
+    quadratic = (direction * along).sum(-1)
+    linear = (origin * along).sum(-1) + (edge * direction).sum(-1)
+    return torch.stack(torch.broadcast_tensors(quadratic, linear, evaluate(quadric, origin)))
 
 
 def _meets(quadric: Tensor, origin: Tensor, direction: Tensor) -> bool:

@@ -21,6 +21,8 @@ _FRACTIONS = (
     "min_in_view",
     "found_overlap",
     "edge_weight",
+    "keypoint_weight",
+    "min_keypoints",
     "memory",
     "max_score_drop",
     "better_by",
@@ -44,6 +46,7 @@ CASES = [
     ],
     (UnscentedUpdateSettings, "gate", math.inf, "update.gate: expected above 0 and finite, got inf"),
     (UnscentedUpdateSettings, "edge_std_px", math.nan, "update.edge_std_px: expected above 0 and finite, got nan"),
+    (UnscentedUpdateSettings, "surface_std", -0.1, "update.surface_std: expected 0 or more, below 1, got -0.1"),
     (UnscentedUpdateSettings, "passes", 0, "update.passes: expected 1 or more, got 0"),
     (UnscentedUpdateSettings, "inner_weight", -0.1, "update.inner_weight: expected 0 or more and finite, got -0.1"),
     *[

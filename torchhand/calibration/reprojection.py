@@ -8,9 +8,6 @@ from torch import Tensor
 
 from torchhand.geometry import distort, distortion_jacobian, skew, vector_from_rotation
 
-LENS_FOCAL_AND_CENTRE = 4
-"""A lens is fx, fy, cx, cy and then OpenCV's coefficients."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Pose:

@@ -13,8 +13,8 @@ import torch
 from tqdm import tqdm
 from tyro.conf import Positional, UseAppendAction, arg
 
-from torchhand.cli import study_ueda
 from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
+from torchhand.cli.studies import UEDA, study_ueda
 from torchhand.errors import InputError
 from torchhand.files import check_output_folder, load_hand_model, load_settings
 from torchhand.fit import PostureResiduals
@@ -129,8 +129,8 @@ class Arguments:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one study, or go on with it; `ueda` as the first word asks for that of Ueda et al. (2003)."""
     words = sys.argv[1:] if argv is None else list(argv)
-    if words[:1] == [study_ueda.WORD]:
-        return study_ueda.run(words[1:])
+    if words[:1] == [UEDA]:
+        return study_ueda(words[1:])
     arguments = parse(Arguments, argv, name="study")
     settings = _settings(arguments)
     check_output_folder(arguments.out, resume=arguments.resume, overwrite=arguments.overwrite)

@@ -14,7 +14,6 @@ from torchhand.fit.appearance import (
     unexplained_px,
 )
 from torchhand.fit.bounds import free_bounds
-from torchhand.fit.equations import summed, weighted_equations
 from torchhand.fit.frames import FrameFactor, FrameObservations
 from torchhand.fit.limits import DynamicConstraints
 from torchhand.fit.observation import Equations, Explained, Factor, Observation, PosedHands
@@ -60,7 +59,5 @@ __all__ = [
     "relearned",
     "solve",
     "solve_shared",
-    "summed",
     "unexplained_px",
-    "weighted_equations",
 ]

@@ -21,7 +21,6 @@ from torchhand.geometry.quadrics import (
     orthographic_conic_of_quadric,
     plane_pair,
     quadratic_roots,
-    ray_coefficients,
     ray_table,
     slab,
 )
@@ -74,7 +73,6 @@ __all__ = [
     "plane_pair",
     "quadratic_roots",
     "quaternion_of_rotation",
-    "ray_coefficients",
     "ray_table",
     "rig_size",
     "rotation_from_vector",

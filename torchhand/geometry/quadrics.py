@@ -110,23 +110,15 @@ class RayHits:
     is_hit: Bool[Tensor, "*batch"]
 
 
-def ray_coefficients(
-    quadric: Float[Tensor, "*#batch 4 4"], origin: Float[Tensor, "*#batch 3"], direction: Float[Tensor, "*#batch 3"]
-) -> Float[Tensor, "3 *_"]:
-    """a, b, c of a s² + 2 b s + c, the value of the quadric along origin + s · direction; all arguments broadcast."""
-    upper, edge = quadric[..., :3, :3], quadric[..., :3, 3]
-    along = (upper @ direction[..., None]).squeeze(-1)
-    quadratic = (direction * along).sum(-1)
-    linear = (origin * along).sum(-1) + (edge * direction).sum(-1)
-    return torch.stack(torch.broadcast_tensors(quadratic, linear, evaluate(quadric, origin)))
-
-
 def ray_table(
     quadrics: Float[Tensor, "*batch quadrics 4 4"],
     origins: Float[Tensor, "*batch rays 3"],
     directions: Float[Tensor, "*batch rays 3"],
 ) -> Float[Tensor, "3 *batch rays quadrics"]:
-    """`ray_coefficients` of every ray with every quadric, as three matrix products."""
+    """a, b, c of a s² + 2 b s + c, the value along origin + s · direction, of every ray and every quadric.
+
+    Three matrix products.
+    """
     weights = quadrics.flatten(-2).transpose(-1, -2)  # *batch 16 quadrics
     point = torch.cat((origins, torch.ones_like(origins[..., :1])), -1)
     towards = torch.cat((directions, torch.zeros_like(directions[..., :1])), -1)

@@ -28,7 +28,6 @@ from torchhand.hand.kinematics import (
     pose_space,
     posture,
     rebased,
-    shape_jacobian,
 )
 from torchhand.hand.limits import (
     MEASURES,
@@ -122,6 +121,5 @@ __all__ = [
     "posture_component",
     "primitive_sizes",
     "rebased",
-    "shape_jacobian",
     "skin_jacobian",
 ]

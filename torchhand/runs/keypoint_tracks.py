@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -13,6 +14,16 @@ from torchhand.hand import Side
 from torchhand.track import HandKeypoints
 
 
+@dataclass(frozen=True, kw_only=True)
+class DetectionFiles:
+    """Files of detected keypoints."""
+
+    paths: tuple[Path, ...]
+    """One per camera, in their order."""
+    side: Side = "right"
+    """Of the hand that is tracked; those of the other hand are left out."""
+
+
 class KeypointTracks:
     """One file of detections per camera, in the cameras' order.
 
@@ -20,12 +31,13 @@ class KeypointTracks:
     both; points in space alone cannot be used, as they do not tell where the hand is.
     """
 
-    def __init__(self, paths: Sequence[Path], cameras: Sequence[Camera], side: Side) -> None:
+    def __init__(self, files: DetectionFiles, cameras: Sequence[Camera]) -> None:
         """Raises InputError for files that cannot be read, that hold no points in the picture, or are not one a
         camera."""
+        paths = files.paths
         if len(paths) != len(cameras):
             raise InputError(f"--keypoints: expected one file per camera, {len(cameras)}, got {len(paths)}")
-        self._views = [_View(path, camera, side) for path, camera in zip(paths, cameras, strict=True)]
+        self._views = [_View(path, camera, files.side) for path, camera in zip(paths, cameras, strict=True)]
 
     def hand(self, view: int, frame: int) -> HandKeypoints | None:
         """What was found in a frame of a view; None where nothing was."""

@@ -12,9 +12,8 @@ from torchhand.files import FrameSource, RigSource, camera_for, load_rig, open_r
 from torchhand.files.pictures import PICTURE_SUFFIXES
 from torchhand.files.rigs import mask_paths
 from torchhand.geometry import Camera
-from torchhand.hand import Side
 from torchhand.image import BackgroundPlate, learn_background
-from torchhand.runs.keypoint_tracks import KeypointTracks
+from torchhand.runs.keypoint_tracks import DetectionFiles, KeypointTracks
 from torchhand.track import View
 from torchhand.track.multiview import evenly_spaced_frames
 
@@ -80,13 +79,11 @@ class OneCameraRecording:
         source: str | Path,
         camera: Path | None,
         *,
-        keypoints: Sequence[Path] = (),
-        side: Side = "right",
+        detections: DetectionFiles | None = None,
         start: int = 0,
         max_frames: int | None = None,
     ) -> None:
-        """keypoints: a file of detections, of the hand of a side. Raises InputError for an input or a camera that is
-        wrong."""
+        """Raises InputError for an input or a camera that is wrong."""
         self.path, self.source, self.start, self.max_frames = source, str(source), start, max_frames
         self.is_live = isinstance(source, str)
         self._warnings: list[str] = []
@@ -96,7 +93,7 @@ class OneCameraRecording:
         self.width, self.height = frames.width, frames.height
         try:
             self.cameras = (camera_for(camera, frames.width, frames.height),)
-            self._keypoints = KeypointTracks(keypoints, self.cameras, side) if keypoints else None
+            self._keypoints = None if detections is None else KeypointTracks(detections, self.cameras)
         except InputError:
             self.close()
             raise
@@ -156,11 +153,10 @@ class RigRecording:
         offsets: Mapping[str, int] | None = None,
         start: int = 0,
         max_frames: int | None = None,
-        keypoints: Sequence[Path] = (),
-        side: Side = "right",
+        detections: DetectionFiles | None = None,
     ) -> None:
-        """keypoints: detections, one file per camera, of the hand of a side. unit: `hand` where it is not known and
-        to be fitted. masks: whether silhouettes are given; where the folder holds them if None."""
+        """unit: `hand` where it is not known and to be fitted. masks: whether silhouettes are given; where the folder
+        holds them if None."""
         self.folder, self._offsets, self.start, self.max_frames = folder.expanduser(), offsets or {}, start, max_frames
         self.source, self.name = str(self.folder), self.folder.name
         place = self.folder if cameras is None else cameras
@@ -170,7 +166,7 @@ class RigRecording:
         self.cameras = load_rig(place, unit=1.0 if fits_unit else unit)  # 1: what a unit is, is not known yet
         if len(self.cameras) < 2:
             raise InputError(f"{place}: expected two cameras or more, got {len(self.cameras)}")
-        self._keypoints = KeypointTracks(keypoints, self.cameras, side) if keypoints else None
+        self._keypoints = None if detections is None else KeypointTracks(detections, self.cameras)
         self.camera_names = tuple(camera.name for camera in self.cameras)
         has_masks = any(mask_paths(self.folder, len(self.cameras)))
         self.has_masks = has_masks if masks is None else masks

@@ -11,6 +11,7 @@ from torchhand.fit.detect import StartPoints
 from torchhand.hand import Side
 from torchhand.image import BackgroundPlate, learn_background
 from torchhand.runs.changes import changes_of
+from torchhand.runs.keypoint_tracks import DetectionFiles
 from torchhand.track import DEFAULTS, TrackerSettings
 
 MIN_START_SPAN_PX = 10.0
@@ -46,6 +47,11 @@ class Request:
     overwrite: bool = False
     has_overlay: bool = True
     seed: int = 0
+
+    @property
+    def detections(self) -> DetectionFiles | None:
+        """The files of keypoints with the hand that is looked for in them; None where none are used."""
+        return DetectionFiles(paths=self.keypoints, side=self.side) if self.keypoints else None
 
 
 def settings_of(config: str, changes: Sequence[str] = (), posture: str | None = None) -> TrackerSettings:

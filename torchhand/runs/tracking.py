@@ -41,8 +41,7 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
     recording = OneCameraRecording(
         source,
         request.camera,
-        keypoints=request.keypoints,
-        side=request.side,
+        detections=request.detections,
         start=request.start,
         max_frames=request.max_frames,
     )
@@ -111,8 +110,7 @@ def track_rig(folder: Path, out_dir: Path, request: Request, say: Say) -> Track:
         offsets=request.offsets,
         start=request.start,
         max_frames=request.max_frames,
-        keypoints=request.keypoints,
-        side=request.side,
+        detections=request.detections,
     )
     for line in recording.notes:
         say(line)

@@ -21,7 +21,7 @@ from torchhand.track.assembly import Assembly, assembled
 from torchhand.track.belief import FollowedHand, posed_belief, scale_covariance, unknown_scale_std
 from torchhand.track.knowledge import Estimate, TrackerState
 from torchhand.track.proposals import Proposals, ProposalSource, Proposed
-from torchhand.track.scene import Candidate, HandKeypoints, Scene, View
+from torchhand.track.scene import Candidate, HandKeypoints, ObservationsOf, Scene, View
 from torchhand.track.settings import TrackerSettings
 
 _BEST_KEPT = 0.99  # share of the best score that outlasts a frame
@@ -58,11 +58,13 @@ class Tracker:
         shape: Float[Tensor, "shape"] | None = None,
         start_points: StartPoints | None = None,
         plates: Sequence[BackgroundPlate] | None = None,
+        observations: ObservationsOf | None = None,
     ) -> None:
         """hand: the model; its own shape does not count. shape: proportions where they are known; else they are fitted.
 
         start_points: where the hand is in the first picture of one camera, in place of a search. plates: the empty
-        scene in every view, for the silhouette method "background".
+        scene in every view, for the silhouette method "background". observations: what else is known of the hand, scene
+        by scene, poses in the tracker's world; any `torchhand.fit.Observation`, under every update rule.
         Raises ValueError where that method lacks its plates, and for cameras that see no volume together.
         """
         self.settings = settings or TrackerSettings()
@@ -70,6 +72,7 @@ class Tracker:
         known = None if shape is None else shape.double()
         self._parts: Assembly = assembled(hand, self.cameras, self.settings, known, start_points, plates)
         self.known_shape = known
+        self._observations = observations
         self.kinematics = self._parts.kinematics
         self._scale_std = 0.0
         if len(self.cameras) == 1:
@@ -99,7 +102,7 @@ class Tracker:
             return self._unseen(state, predicted)
         views = [self._undistorted(view, index) for index, view in enumerate(views)]
         looks = state.appearance or self._parts.segmentation.initial_appearances(views)
-        scene = self._parts.segmentation.scene(views, looks, time_s)
+        scene = self._observed(self._parts.segmentation.scene(views, looks, time_s))
         scene = replace(scene, guesses=tuple(one.pose for one in state.keyframes if one.is_of(time_s)))
         state = replace(
             state,
@@ -144,7 +147,14 @@ class Tracker:
     def scene(self, state: TrackerState, views: Sequence[View], time_s: float) -> Scene:
         """What `step` sees in the views of one time."""
         own = [self._undistorted(view, index) for index, view in enumerate(views)]
-        return self._parts.segmentation.scene(own, state.appearance, time_s)
+        return self._observed(self._parts.segmentation.scene(own, state.appearance, time_s))
+
+    def _observed(self, scene: Scene) -> Scene:
+        """The scene with further observations, among which are detected keypoints where the update rule does not look
+        for these by itself."""
+        further = () if self._observations is None else tuple(self._observations(scene))
+        keypoints = self._parts.keypoints(scene).observations if self._parts.takes_proposals else ()
+        return replace(scene, observations=(*further, *keypoints))
 
     def _started(self, state: TrackerState | None) -> TrackerState:
         if state is not None:
@@ -250,7 +260,7 @@ class Tracker:
         if proposed.candidate is not None and self._parts.takes_proposals:
             return self._compared_with_keypoints(proposed.candidate, scene, shape)
         if proposed.appearance is not None:  # the first hand: the scene has been segmented without its colours
-            scene = self._parts.segmentation.scene(scene.views, (proposed.appearance,), scene.time_s)
+            scene = self._observed(self._parts.segmentation.scene(scene.views, (proposed.appearance,), scene.time_s))
         begun = self._parts.rule.begin(proposed.pose, proposed.covariance, scene, shape)
         return self._compared_with_keypoints(begun, scene, shape)
 

@@ -247,22 +247,17 @@ def test_points_in_pictures_without_those_in_space(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.in_pixels(640, 480).keypoints, POINTS[..., :2])
 
 
-def test_a_hand_is_found_by_the_number_of_its_frame_and_the_name_of_its_picture(tmp_path: Path) -> None:
+def test_a_hand_is_found_by_the_number_of_its_frame(tmp_path: Path) -> None:
     path, arrays = tmp_path / "mediapipe.npz", _detector_arrays(frame=np.array((3, 5, 7, 9)))
     np.savez(path, **arrays)
     found = read_detections(path)
-    for hand in (found.at_frame(9), found.in_image("some/where/d.jpg")):
-        assert hand is not None
-        assert hand.space is not None
-        np.testing.assert_array_equal(hand.space, arrays["world"][3])
-        np.testing.assert_array_equal(hand.picture, arrays["points_px"][3])
-        assert (hand.label, hand.score) == ("right", pytest.approx(0.8))
+    hand = found.at_frame(9)
+    assert hand is not None
+    assert hand.space is not None
+    np.testing.assert_array_equal(hand.space, arrays["world"][3])
+    np.testing.assert_array_equal(hand.picture, arrays["points_px"][3])
+    assert (hand.label, hand.score) == ("right", pytest.approx(0.8))
     assert [found.at_frame(number) for number in (0, 4, 5, 7)] == [None] * 4  # not there, no hand, the other hand
-    assert found.in_image("a.jpg") is None
-    assert found.in_image("z.jpg") is None
-    np.savez(path, **{name: array for name, array in arrays.items() if name != "image"})
-    with pytest.raises(ValueError, match="image: expected detections that name their pictures"):
-        read_detections(path).in_image("d.jpg")
 
 
 def test_mediapipes_results_hold_both_kinds(tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ from torchhand.hand.kinematics.jacobians import (
     PoseJacobian,
     ShapeJacobian,
     keypoint_jacobian,
-    shape_jacobian,
 )
 from torchhand.hand.kinematics.kinematics import HandKinematics, Side
 from torchhand.hand.kinematics.pose import named_pose_space
@@ -51,7 +50,7 @@ def test_both_agree_with_autograd(side: Side, batch: tuple[int, ...], generator:
     frames = kinematics(pose, shape, root_reference=reference)
     of_pose, of_shape = _by_autograd(kinematics, pose, shape, reference)
     torch.testing.assert_close(keypoint_jacobian(kinematics, pose, frames), of_pose, atol=1e-12, rtol=0)
-    torch.testing.assert_close(shape_jacobian(kinematics, frames, shape), of_shape, atol=1e-12, rtol=0)
+    torch.testing.assert_close(ShapeJacobian(kinematics)(frames, shape), of_shape, atol=1e-12, rtol=0)
 
 
 @pytest.mark.parametrize("vector", [(0.0, 0.0, 0.0), (1e-9, 0.0, 0.0), (3e-5, -2e-5, 0.0), (0.0, 3.14159, 0.0)])
@@ -90,7 +89,7 @@ def test_chosen_shape_columns(generator: torch.Generator) -> None:
     frames = kinematics(pose, shape)
     names = kinematics.shape_space.names
     columns = [names.index(name) for name in ("little_distal", "hand_breadth", "index_tip_radius", "hand_length")]
-    expected = shape_jacobian(kinematics, frames, shape)[..., columns]
+    expected = ShapeJacobian(kinematics)(frames, shape)[..., columns]
     torch.testing.assert_close(ShapeJacobian(kinematics, columns)(frames, shape), expected, atol=1e-14, rtol=0)
     assert float(expected[..., 2].abs().max()) == 0  # a radius moves no joint
 
@@ -99,8 +98,8 @@ def test_one_shape_for_the_whole_batch(generator: torch.Generator) -> None:
     kinematics = _hand("left")
     pose, shape, _ = _random(kinematics, (3,), generator)
     frames = kinematics(pose, shape[0])
-    expected = shape_jacobian(kinematics, frames, shape[0].expand(3, -1))
-    torch.testing.assert_close(shape_jacobian(kinematics, frames, shape[0]), expected, atol=1e-14, rtol=0)
+    expected = ShapeJacobian(kinematics)(frames, shape[0].expand(3, -1))
+    torch.testing.assert_close(ShapeJacobian(kinematics)(frames, shape[0]), expected, atol=1e-14, rtol=0)
 
 
 def test_points_fixed_to_the_bones_of_keypoints(generator: torch.Generator) -> None:

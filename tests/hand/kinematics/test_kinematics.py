@@ -207,13 +207,16 @@ def _near_zero(generator: torch.Generator) -> Tensor:
     ],
 )
 def test_derivatives(side: str, start: Callable[[torch.Generator], Tensor], generator: torch.Generator) -> None:
-    """To pose, shape and (through a rotation vector) the root's reference."""
+    """To pose, shape and (through a rotation vector) the root's reference; of random sums of all outputs, as many as
+    there are pose parameters."""
     kinematics = _kinematics(side)
     pose, shape = start(generator).requires_grad_(), _shape(kinematics, generator).requires_grad_()
     vector = torch.randn(3, generator=generator, dtype=torch.float64).requires_grad_()
 
     def everything(pose: Tensor, shape: Tensor, vector: Tensor) -> Tensor:
-        return _flat(kinematics(pose, shape, root_reference=rotation_from_vector(vector)))
+        outputs = _flat(kinematics(pose, shape, root_reference=rotation_from_vector(vector)))
+        seeded = torch.Generator().manual_seed(1)
+        return torch.randn(36, len(outputs), generator=seeded, dtype=torch.float64) @ outputs
 
     assert torch.autograd.gradcheck(everything, (pose, shape, vector))
 

@@ -83,7 +83,7 @@ def test_penalty_and_its_derivatives(generator: torch.Generator) -> None:
     place = space.names.index("index_proximal")
     shape[place] = 0.2695 + 0.25 * 0.05 * 0.245
     assert float(population.penalty(shape)) == pytest.approx(0.5)
-    wild = _wild(4, generator).requires_grad_()
+    wild = _wild(2, generator).requires_grad_()
     assert torch.autograd.gradcheck(population.penalty, wild, atol=1e-4)
     assert torch.autograd.gradcheck(population.measures, wild)
     assert torch.autograd.gradcheck(population.project, wild)

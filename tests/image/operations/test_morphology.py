@@ -18,7 +18,6 @@ from torchhand.image.operations.morphology import (
     bounding_box,
     closed,
     count_pieces,
-    cross_kernel,
     dilate,
     disc_kernel,
     erode,
@@ -31,7 +30,7 @@ from torchhand.image.operations.morphology import (
 from torchhand.image.operations.reduction import reduced, reduced_mask
 from torchhand.image.segmentation import clean, components, fill_holes, largest_component, luminance, touching
 
-KERNELS = [disc_kernel(1), disc_kernel(4), square_kernel(1), square_kernel(3), cross_kernel()]
+KERNELS = [disc_kernel(1), disc_kernel(4), square_kernel(1), square_kernel(3)]
 OPERATIONS = [dilate, erode, opened, closed]
 
 
@@ -103,7 +102,6 @@ def test_a_disc_holds_the_neighbours_within_its_radius() -> None:
         y, x = (kernel.nonzero() - radius).unbind(-1)
         assert float((x**2 + y**2).float().sqrt().max()) < radius + 0.5
         assert len(x) == pytest.approx(np.pi * radius**2, rel=0.05, abs=2 * radius + 2)
-    assert cross_kernel().int().tolist() == [[0, 1, 0], [1, 1, 1], [0, 1, 0]]
 
 
 @pytest.mark.parametrize("kernel", KERNELS, ids=lambda k: f"{k.shape[0]}_{int(k.sum())}")

@@ -9,10 +9,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchhand.numerics.filters.extended import linearised, predict_extended, predict_motion, update_extended
+from tests.numerics.filters.linearised import linearised
+from torchhand.numerics.filters.extended import update_extended
 from torchhand.numerics.filters.gaussian import Gaussian
 from torchhand.numerics.filters.motion import MotionModel
-from torchhand.numerics.filters.unscented import predict, predict_linear, update
+from torchhand.numerics.filters.unscented import predict_linear, update
 from torchhand.numerics.filters.whitening import wrapped
 
 
@@ -79,7 +80,7 @@ def test_a_run_equals_filterpy_and_the_unscented_filter() -> None:
         z = randn(m, seed=10 + index)
         peer.predict()
         peer.update(z.numpy())
-        ours = predict_motion(ours, model, dt_s, density)
+        ours = predict_linear(ours, model.transition(dt_s, dofs), model.process_noise(dt_s, density))
         result = update_extended(ours, z - matrix @ ours.mean[:dofs], matrix, variance)
         ours = result.state
         theirs = predict_linear(theirs, model.transition(dt_s, dofs), model.process_noise(dt_s, density))
@@ -120,29 +121,6 @@ def test_jacobians_by_automatic_differentiation_are_those_of_the_function() -> N
     for i in range(3):
         shift = step * torch.eye(3, dtype=torch.float64)[i]
         close(jacobian[..., i], (polar(states + shift) - polar(states - shift)) / (2 * step), 1e-8)
-
-
-def test_predictions_agree_for_linear_and_nearly_linear_models() -> None:
-    state = Gaussian(randn(2, 4, seed=1), spd(2, 4, seed=2))
-    model, density = MotionModel(order=1), randn(2, 2, seed=3).square()
-    noise = model.process_noise(0.1, density)
-    step = model.transition(0.1, 2)
-    expected = Gaussian((step @ state.mean[..., None])[..., 0], step @ state.covariance @ step.mT + noise)
-    for got in (
-        predict_motion(state, model, 0.1, density),
-        predict_extended(state, linearised(lambda x: x @ step.mT), noise),
-    ):
-        close(got.mean, expected.mean, 1e-12)
-        close(got.covariance, expected.covariance, 1e-12)
-    narrow = Gaussian(state.mean, 1e-8 * state.covariance)
-
-    def curved(x: Tensor) -> Tensor:
-        return x + 0.1 * x.roll(1, -1).sin() * x
-
-    ours = predict_extended(narrow, linearised(curved), 1e-8 * noise)
-    theirs = predict(narrow, curved, 1e-8 * noise)
-    close(ours.mean, theirs.mean, 1e-7)
-    close(ours.covariance, theirs.covariance, 1e-13)
 
 
 @pytest.mark.parametrize("batch", [(), (1,), (2, 3)])
@@ -277,14 +255,6 @@ TWO = torch.ones(2, dtype=torch.float64)
         (
             lambda: update_extended(STATE, TWO, torch.ones(2, 3).double(), TWO),
             "jacobian must have 1 to 2 columns, got 3",
-        ),
-        (
-            lambda: predict_motion(STATE, MotionModel(order=1), 0.1, TWO),
-            "density must be for 1 degrees of freedom, which a state of 2 numbers has at order 1, got 2",
-        ),
-        (
-            lambda: predict_extended(STATE, lambda x: (x[:1], EYE2), EYE2),
-            r"transition's value must have shape \(2,\), got \(1,\)",
         ),
     ],
 )

@@ -8,7 +8,8 @@ import scipy.optimize
 import torch
 from torch import Tensor
 
-from torchhand.numerics.filters.extended import linearised, update_extended
+from tests.numerics.filters.linearised import linearised
+from torchhand.numerics.filters.extended import update_extended
 from torchhand.numerics.filters.gaussian import Gaussian
 from torchhand.numerics.filters.iterated import IteratedSettings, update_iterated
 

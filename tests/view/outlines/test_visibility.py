@@ -9,7 +9,7 @@ from torch import Tensor
 from torchhand.geometry import meet_rays, ray_table
 from torchhand.hand import PRIMITIVE_NAMES, Primitives, posture
 from torchhand.view.outlines.outline import Outline, OutlineTable, outline, outline_table, pixel_normals
-from torchhand.view.outlines.visibility import DEFAULT_SLACK, inside_any, visible_points
+from torchhand.view.outlines.visibility import DEFAULT_SLACK, visible_points
 
 KINDS = ("pinhole", "orthographic")
 
@@ -119,19 +119,3 @@ def test_slack_decides_about_grazing_occluders(scene: Any, generator: torch.Gene
     strict, loose = (visible_points(primitives, seen, table, slack=slack) for slack in (0.0, 1.0))
     assert bool((loose | ~strict).all()), "slack can only show more"
     assert int(loose.sum()) > int(strict.sum())
-
-
-@pytest.mark.parametrize("batch", [(), (1,), (2, 3)])
-def test_inside_any_is_the_union_of_the_matrices(
-    batch: tuple[int, ...], scene: Any, generator: torch.Generator
-) -> None:
-    projector = scene.projector(scene.camera())
-    primitives = scene.primitives(projector, *scene.pose(generator, *batch))
-    points = torch.tensor((0.0, 0.0, 0.5)) + 0.05 * torch.randn(
-        *batch, 400, 3, generator=generator, dtype=torch.float64
-    )
-    quadrics, clips = primitives.quadrics()
-    zero = torch.zeros_like(points)
-    expected = ((ray_table(quadrics, points, zero)[2] < 0) & (ray_table(clips, points, zero)[2] >= 0)).any(-1)
-    assert torch.equal(inside_any(primitives, points), expected)
-    assert 0.02 < float(expected.double().mean()) < 0.9

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchhand.geometry import Camera, meet_rays, ray_table, rotation_from_vector
 from torchhand.hand import ELLIPSOID_NAMES, PRIMITIVE_NAMES, Primitives, posture
-from torchhand.view.outlines import inside_any, outline, outline_table
+from torchhand.view.outlines import outline, outline_table
 from torchhand.view.raster.boxes import plane_boxes
 from torchhand.view.raster.raycast import raycast, shade
 
@@ -63,6 +63,13 @@ def test_equals_the_plain_form(kind: str, lens: int, side: str, scene: Any) -> N
         same = cast.part == part
         assert float(same.double().mean()) > 0.999, "only where two parts are equally near"
         torch.testing.assert_close(cast.normal[same], normal[same], atol=1e-7, rtol=0)
+
+
+def inside_any(primitives: Primitives, points: Tensor) -> Tensor:
+    """Whether points lie inside the union of the truncated primitives, by the values of their matrices."""
+    quadrics, clips = primitives.quadrics()
+    zero = torch.zeros_like(points)
+    return ((ray_table(quadrics, points, zero)[2] < 0) & (ray_table(clips, points, zero)[2] >= 0)).any(-1)
 
 
 def test_mask_is_where_dense_samples_are_inside(scene: Any, generator: torch.Generator) -> None:

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -96,20 +95,9 @@ class Detections:
         """The hand in the frame of a number; None where the file has no such frame, or no hand in it."""
         return self._at(self._rows_of_frames.get(number))
 
-    def in_image(self, name: str | Path) -> HandDetection | None:
-        """The hand in the picture of a name, of which folders do not count; None where the file has no such picture, or
-        no hand in it. Raises ValueError where the file does not name its pictures."""
-        if self.image is None:
-            raise ValueError("image: expected detections that name their pictures, got some without names")
-        return self._at(self._rows_of_images.get(Path(name).name))
-
     @cached_property
     def _rows_of_frames(self) -> dict[int, int]:
         return {int(number): row for row, number in enumerate(self.frame)}
-
-    @cached_property
-    def _rows_of_images(self) -> dict[str, int]:
-        return {Path(name).name: row for row, name in enumerate(self.image or ())}
 
     def _at(self, row: int | None) -> HandDetection | None:
         if row is None or not self.confidence[row].any():

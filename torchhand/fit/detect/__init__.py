@@ -1,7 +1,7 @@
 """Finds a hand in a single picture without a first guess, and fits pose and proportions to its edges."""
 
 from torchhand.fit.detect.edge_fit import Fit, FitSettings
-from torchhand.fit.detect.facing import facing_rotation, shows_same_side, turned_in_picture
+from torchhand.fit.detect.facing import facing_rotation, turned_in_picture
 from torchhand.fit.detect.start import (
     NoStart,
     Start,
@@ -21,7 +21,6 @@ __all__ = [
     "facing_rotation",
     "find_hand",
     "fit_overlap",
-    "shows_same_side",
     "start_at_points",
     "start_at_pose",
     "turned_in_picture",

@@ -25,12 +25,6 @@ def facing_rotation(facing: str, *, dtype: torch.dtype = torch.float64) -> Float
     return axes.T.contiguous()
 
 
-def shows_same_side(one: Float[Tensor, "3 3"], other: Float[Tensor, "3 3"]) -> bool:
-    """Whether the palms of two orientations (cam_from_hand) point to the same half of space."""
-    palm = facing_rotation("palm", dtype=one.dtype)[2]  # the line of sight in the frame of a hand that shows its palm
-    return float((one @ palm) @ (other @ palm)) > 0
-
-
 def turned_in_picture(rotation: Float[Tensor, "3 3"], angle: float) -> Float[Tensor, "3 3"]:
     """The orientation after a turn about the optical axis, radians, clockwise in the picture."""
     c, s = math.cos(angle), math.sin(angle)

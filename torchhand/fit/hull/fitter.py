@@ -48,10 +48,11 @@ class HullFitter:
         return SkinVertices.of(SkinPoints(self.hand, self.shape), self.settings)
 
     def observations(self, target: HullTarget) -> tuple[Observation, ...]:
-        """What a hull tells."""
+        """What a hull tells, and what else is known."""
         return (
             InsideObservation(target=target, vertices=self.vertices),
             CoverageObservation(target=target, vertices=self.vertices),
+            *target.observations,
         )
 
     def problem(self, target: HullTarget, *priors: Observation) -> Problem:

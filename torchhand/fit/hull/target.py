@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand import volume
+from torchhand.fit import Observation
 from torchhand.fit.hull.rays import SilhouetteRays, silhouette_rays
 from torchhand.geometry import Camera
 from torchhand.volume import places_of
@@ -44,6 +45,8 @@ class HullTarget:
     """How deep they are, metres."""
     rays: SilhouetteRays | None = None
     """Rays that touch the object; None where only the hull is known."""
+    observations: tuple[Observation, ...] = ()
+    """What else is known of the hand at that time."""
 
     def where(self, may_be: Callable[[Tensor], Tensor]) -> "HullTarget":
         """The target with only those points, on the surface and inside, of which something is true; field and rays stay

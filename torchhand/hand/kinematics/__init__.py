@@ -10,7 +10,6 @@ from torchhand.hand.kinematics.jacobians import (
     ShapeJacobian,
     keypoint_jacobian,
     moving_parameters,
-    shape_jacobian,
 )
 from torchhand.hand.kinematics.joint_rotations import world_axes
 from torchhand.hand.kinematics.kinematics import HandFrames, HandKinematics, Side
@@ -62,7 +61,6 @@ __all__ = [
     "pose_space",
     "posture",
     "rebased",
-    "shape_jacobian",
     "sided_skeleton",
     "world_axes",
 ]

@@ -214,13 +214,6 @@ def _beyond(point: int) -> tuple[int, ...]:
     return tuple(i for i, name in enumerate(KEYPOINTS) if point in _chain_to(_bone_of(name)))
 
 
-def shape_jacobian(
-    kinematics: HandKinematics, frames: HandFrames, shape: Float[Tensor, "*#batch shape"]
-) -> Float[Tensor, "*batch 21 3 shape"]:
-    """Derivative of the keypoints in the shape parameters; `frames` are those of that shape."""
-    return ShapeJacobian(kinematics)(frames, shape)
-
-
 def moving_parameters(kinematics: HandKinematics) -> tuple[int, ...]:
     """Shape parameters that move keypoints, index into the shape space's names."""
     frames = kinematics(torch.zeros(len(DOFS)).to(kinematics.default_levers))

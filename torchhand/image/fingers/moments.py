@@ -19,13 +19,6 @@ class MaskMoments:
     """Second central moments over the area, px²."""
 
     @property
-    def axis_lengths_px(self) -> Float[Tensor, "*batch 2"]:
-        """Semi-axes, long then short, of the uniform ellipse with these moments, px."""
-        xx, xy, yy = self._entries()
-        mean, half = 0.5 * (xx + yy), torch.hypot(0.5 * (xx - yy), xy)
-        return 2.0 * torch.stack([mean + half, (mean - half).clamp_min(0.0)], dim=-1).sqrt()
-
-    @property
     def axis_angle(self) -> Float[Tensor, "*batch"]:
         """Direction of the long axis from +x towards +y (down), radians in [-pi/2, pi/2]; a round mask has none."""
         xx, xy, yy = self._entries()

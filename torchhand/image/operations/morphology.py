@@ -46,11 +46,6 @@ def square_kernel(radius_px: int) -> Kernel:
         return torch.ones(2 * radius_px + 1, 2 * radius_px + 1, dtype=torch.bool)
 
 
-def cross_kernel() -> Kernel:
-    """The four neighbours along the row and the column."""
-    return disc_kernel(1)
-
-
 # ---------------------------------------------------------------- morphology
 
 

@@ -11,7 +11,6 @@ from torchhand.image.segmentation.colours import (
 from torchhand.image.segmentation.components import (
     Component,
     clean,
-    component_mask,
     components,
     fill_holes,
     largest_component,
@@ -33,7 +32,6 @@ __all__ = [
     "bootstrap_skin",
     "chroma_mask",
     "clean",
-    "component_mask",
     "components",
     "fill_holes",
     "foreground_probability",

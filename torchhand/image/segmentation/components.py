@@ -23,20 +23,16 @@ class Component:
     """Smallest rectangle around it, in whole pixels."""
     centroid: tuple[float, float]
     """Mean (x, y) of its pixel centres, px."""
-    touches_border: bool
-    """Whether it has a pixel on the outermost row or column of the picture."""
 
 
 def components(mask: Bool[Tensor, "height width"], min_area: int = 1) -> list[Component]:
     """Pieces of at least `min_area` pixels, the largest first."""
     pieces = label_pieces(mask)
-    height, width = mask.shape
     found = []
     numbers = zip(pieces.boxes.tolist(), pieces.areas.tolist(), pieces.centroids.tolist(), strict=True)
     for label, ((left, top, wide, high), area, (x, y)) in enumerate(numbers, 1):
         if area < min_area:
             continue
-        touches = left == 0 or top == 0 or left + wide == width or top + high == height
         found.append(
             Component(
                 label=label,
@@ -46,15 +42,9 @@ def components(mask: Bool[Tensor, "height width"], min_area: int = 1) -> list[Co
                 width=wide,
                 height=high,
                 centroid=(x, y),
-                touches_border=touches,
             )
         )
     return sorted(found, key=lambda piece: (-piece.area_px, piece.label))
-
-
-def component_mask(mask: Bool[Tensor, "height width"], component: Component) -> Bool[Tensor, "height width"]:
-    """The pixels of one of `components(mask)`."""
-    return label_pieces(mask).labels == component.label
 
 
 def largest_component(mask: Bool[Tensor, "height width"]) -> Bool[Tensor, "height width"]:

@@ -34,8 +34,6 @@ class CrSplit:
     """The redder class."""
     threshold: float
     """Greatest Cr of the other class."""
-    between_fraction: float
-    """Variance between the classes over all variance, 0..1; about 0.64 for one bell-shaped cluster."""
     contrast: float
     """Mean Cr of the redder class minus that of the other, in 8-bit levels; 0 when the picture has one Cr only."""
 
@@ -64,21 +62,12 @@ class SkinStart:
 
 
 def otsu_cr_mask(image: UInt8[Tensor, "height width 3"]) -> CrSplit:
-    """Redder half of a picture by Otsu's threshold on Cr. It always splits: see `between_fraction` and `contrast`."""
+    """Redder half of a picture by Otsu's threshold on Cr. It always splits: look at `contrast`."""
     cr = _chroma(image)[..., 0]
     threshold, redder = cv2.threshold(cr, 0, 1, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
     mask = redder.astype(bool)
-    fraction, contrast = 0.0, 0.0
-    weight = float(mask.mean())
-    if 0.0 < weight < 1.0:
-        contrast = float(cr[mask].mean() - cr[~mask].mean())
-        fraction = weight * (1.0 - weight) * contrast**2 / float(cr.var())
-    return CrSplit(
-        mask=torch.from_numpy(mask).to(image.device),
-        threshold=float(threshold),
-        between_fraction=fraction,
-        contrast=contrast,
-    )
+    contrast = float(cr[mask].mean() - cr[~mask].mean()) if mask.any() and not mask.all() else 0.0
+    return CrSplit(mask=torch.from_numpy(mask).to(image.device), threshold=float(threshold), contrast=contrast)
 
 
 def bootstrap_skin(image: UInt8[Tensor, "height width 3"], *, max_side_px: int = 320, rounds: int = 2) -> SkinStart:

@@ -2,22 +2,16 @@
 
 from torchhand.numerics.filters.adaptive import (
     AdaptiveNoiseSettings,
-    adapted_covariance,
     adapted_variance,
     gain_covariance,
     noise_density,
     process_covariance,
-    residual_covariance,
-    residual_variance,
 )
 from torchhand.numerics.filters.cholesky import robust_cholesky
 from torchhand.numerics.filters.conditioning import with_marginal
 from torchhand.numerics.filters.consistency import chi_square_quantile, mean_chi_square_band, nees, nis
 from torchhand.numerics.filters.extended import (
     Linearised,
-    linearised,
-    predict_extended,
-    predict_motion,
     update_extended,
 )
 from torchhand.numerics.filters.gaussian import Gaussian
@@ -37,23 +31,17 @@ __all__ = [
     "SigmaPoints",
     "UnscentedSettings",
     "Update",
-    "adapted_covariance",
     "adapted_variance",
     "chi_square_quantile",
     "gain_covariance",
-    "linearised",
     "mean_chi_square_band",
     "nees",
     "nis",
     "noise_density",
     "observed_points",
     "predict",
-    "predict_extended",
     "predict_linear",
-    "predict_motion",
     "process_covariance",
-    "residual_covariance",
-    "residual_variance",
     "robust_cholesky",
     "sigma_points",
     "update",

@@ -1,12 +1,11 @@
 """Noise that a filter learns while it runs: the adaptive filter that Ouhaddi and Horain (1998, 7.5) announce.
 
-After every frame the filter says what it believes of the noise that it has just met: the measurement noise from the
-residual, the process noise from the innovation. Exponential forgetting averages these samples, and bounds relative to
-the nominal noise keep a run of luck, or of gross errors, from taking the filter over.
+After every frame the innovation says what the filter should believe of the process noise that it has just met.
+Exponential forgetting averages these samples, and bounds relative to the nominal noise keep a run of luck, or of gross
+errors, from taking the filter over.
 
-One of the two kinds can be learned to its true value while the other is known. Both at once settle where innovations
-are as large as the filter expects (NIS = m), but not necessarily at the true split between the two: that is not
-contained in single innovations.
+Process noise is learned to its true value while the measurement noise is known: single innovations do not tell how to
+split what they have too much between the two.
 """
 
 from dataclasses import dataclass
@@ -15,7 +14,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.numerics.filters.cholesky import robust_cholesky
 from torchhand.numerics.filters.gaussian import Gaussian
 from torchhand.numerics.filters.motion import MotionModel
 
@@ -45,28 +43,6 @@ class AdaptiveNoiseSettings:
 DEFAULT_SETTINGS = AdaptiveNoiseSettings()
 
 
-def residual_covariance(
-    residual: Float[Tensor, "*batch m"], jacobian: Float[Tensor, "*#batch m k"], updated: Gaussian
-) -> Float[Tensor, "*batch m m"]:
-    """ε εᵀ + H P Hᵀ: what one frame says of the measurement noise's covariance R, positive semi-definite.
-
-    residual: measurement minus its prediction from the *updated* state; jacobian: there, in the first k components.
-    """
-    columns = jacobian.shape[-1]
-    spread = jacobian @ updated.covariance[..., :columns, :columns] @ jacobian.mT
-    return residual.unsqueeze(-1) * residual.unsqueeze(-2) + 0.5 * (spread + spread.mT)
-
-
-def residual_variance(
-    residual: Float[Tensor, "*batch m"], jacobian: Float[Tensor, "*#batch m k"], updated: Gaussian
-) -> Float[Tensor, "*batch m"]:
-    """The diagonal of `residual_covariance`, without the rest. Divide it by the frame's own nominal variances to learn
-    factors of a noise that changes from frame to frame."""
-    columns = jacobian.shape[-1]
-    spread = (jacobian @ updated.covariance[..., :columns, :columns] * jacobian).sum(-1)
-    return residual.square() + spread
-
-
 def gain_covariance(predicted: Gaussian, updated: Gaussian) -> Float[Tensor, "*batch n n"]:
     """G ν νᵀ Gᵀ, the plain sample of the process noise Q: the square of the correction, never negative.
 
@@ -84,7 +60,7 @@ def process_covariance(
 
     Its mean is Q where Q is true, for any motion model and any pattern of missing measurements; where corrections are
     larger than the filter expects, it is more. Without a measurement it is Q and nothing is learned. One sample may be
-    indefinite: the average, and the bounds of `adapted_variance` and `adapted_covariance`, are what is used.
+    indefinite: the average, and the bounds of `adapted_variance`, are what is used.
     """
     expected = predicted.covariance - updated.covariance
     return process_noise + gain_covariance(predicted, updated) - expected
@@ -125,37 +101,3 @@ def adapted_variance(
     mixed = settings.forgetting * estimate + (1 - settings.forgetting) * torch.where(is_known, sample, 0.0)
     mixed = torch.where(is_known, mixed, estimate)
     return torch.minimum(torch.maximum(mixed, settings.floor * nominal), settings.ceiling * nominal)
-
-
-def adapted_covariance(
-    estimate: Float[Tensor, "*batch m m"],
-    sample: Float[Tensor, "*batch m m"],
-    nominal: Float[Tensor, "*#batch m m"],
-    settings: AdaptiveNoiseSettings = DEFAULT_SETTINGS,
-    *,
-    used: Bool[Tensor, "*batch m"] | None = None,
-) -> Float[Tensor, "*batch m m"]:
-    """`adapted_variance` for full matrices, positive definite whenever the nominal one is.
-
-    floor · nominal <= result <= ceiling · nominal in every direction: the bounds hold for the eigenvalues relative to
-    the nominal noise, so units do not matter. Rows and columns of measurements that are not used keep their values;
-    their covariances with used ones fade by √ρ, which keeps the matrix definite.
-    """
-    is_known = sample.isfinite().all(-1).all(-1, keepdim=True).expand(sample.shape[:-1])
-    if used is not None:
-        inside = used.unsqueeze(-1) & used.unsqueeze(-2)
-        sample = torch.where(inside, sample, 0.0)
-        is_known = used & sample.isfinite().all(-1).all(-1, keepdim=True)
-    root_of_fraction = estimate.new_tensor(settings.forgetting).sqrt()  # in the estimate's precision
-    keep = torch.where(is_known, root_of_fraction, 1.0)
-    inside = is_known.unsqueeze(-1) & is_known.unsqueeze(-2)
-    learned = (1 - settings.forgetting) * torch.where(inside, sample, 0.0)
-    mixed = keep.unsqueeze(-1) * estimate * keep.unsqueeze(-2) + learned
-
-    root = robust_cholesky(nominal).expand_as(mixed)
-    relative = torch.linalg.solve_triangular(root, mixed, upper=False)
-    relative = torch.linalg.solve_triangular(root, relative.mT, upper=False)
-    values, vectors = torch.linalg.eigh(0.5 * (relative + relative.mT))
-    bounded = (vectors * values.clamp(settings.floor, settings.ceiling).unsqueeze(-2)) @ vectors.mT
-    result = root @ bounded @ root.mT
-    return 0.5 * (result + result.mT)

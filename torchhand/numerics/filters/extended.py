@@ -1,4 +1,4 @@
-"""The extended Kalman filter, batched over independent filters: prediction and one linearised measurement update.
+"""The extended Kalman filter's measurement update, linearised once, batched over independent filters.
 
 `iterated.py` repeats the linearisation; `unscented.py` is the filter that needs no Jacobian.
 """
@@ -11,52 +11,12 @@ from torch import Tensor
 
 from torchhand.numerics.filters.cholesky import robust_cholesky
 from torchhand.numerics.filters.gaussian import Gaussian
-from torchhand.numerics.filters.motion import MotionModel
 from torchhand.numerics.filters.square_root import PosteriorRoot
-from torchhand.numerics.filters.unscented import Update, predict_linear
+from torchhand.numerics.filters.unscented import Update
 from torchhand.numerics.filters.whitening import is_full, masked_noise, noise_root, usable, whiten
 
 Linearised = Callable[[Tensor], tuple[Tensor, Tensor]]
 """A function of states (*batch, k) that returns values (*batch, m) and their Jacobian (*batch, m, k)."""
-
-
-def linearised(function: Callable[[Tensor], Tensor]) -> Linearised:
-    """A differentiable function of states (n, k) -> (n, m), row by row, with the Jacobian that autograd gives."""
-
-    def both(states: Tensor) -> tuple[Tensor, Tensor]:
-        flat = states.reshape(-1, states.shape[-1])
-
-        def of_one(state: Tensor) -> tuple[Tensor, Tensor]:
-            value = function(state.unsqueeze(0)).squeeze(0)
-            return value, value
-
-        jacobian, value = torch.func.vmap(torch.func.jacrev(of_one, has_aux=True))(flat)
-        batch = states.shape[:-1]
-        return value.reshape(*batch, -1), jacobian.reshape(*batch, *jacobian.shape[-2:])
-
-    return both
-
-
-def predict_motion(
-    state: Gaussian, model: MotionModel, dt_s: float, density: Float[Tensor, "*#batch dofs"]
-) -> Gaussian:
-    """Time update by a motion model; the density of its noise is that of `MotionModel.process_noise`."""
-    dofs, mean = density.shape[-1], state.mean
-    if model.state_size(dofs) != mean.shape[-1]:
-        raise ValueError(
-            f"density must be for {mean.shape[-1] / (model.order + 1):g} degrees of freedom, which a state of"
-            f" {mean.shape[-1]} numbers has at order {model.order}, got {dofs}"
-        )
-    step = model.transition(dt_s, dofs, dtype=mean.dtype, device=mean.device)
-    return predict_linear(state, step, model.process_noise(dt_s, density))
-
-
-def predict_extended(state: Gaussian, transition: Linearised, process_noise: Float[Tensor, "*#batch n n"]) -> Gaussian:
-    """Time update through a nonlinear transition that returns the moved state and its Jacobian: f(x), F P Fᵀ + Q."""
-    moved, jacobian = transition(state.mean)
-    _require_shape("transition's value", moved, state.mean.shape)
-    _require_shape("transition's Jacobian", jacobian, state.covariance.shape)
-    return Gaussian(moved, _symmetric(jacobian @ state.covariance @ jacobian.mT + process_noise))
 
 
 def update_extended(
@@ -162,8 +122,3 @@ def _group_nis(innovation: Tensor, rows: Tensor, noise: Tensor, group: int, *, f
 
 def _symmetric(matrix: Tensor) -> Tensor:
     return 0.5 * (matrix + matrix.mT)
-
-
-def _require_shape(name: str, values: Tensor, shape: tuple[int, ...]) -> None:
-    if tuple(values.shape) != tuple(shape):
-        raise ValueError(f"{name} must have shape {tuple(shape)}, got {tuple(values.shape)}")

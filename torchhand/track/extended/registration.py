@@ -126,7 +126,7 @@ class SceneRegistration:
             space=self.space,
             skeleton=self.projectors[0].kinematics.skeleton,
             shape=self.shape,
-            observations=(*contours, *self.keypoints),
+            observations=(*contours, *self.keypoints, *self.scene.observations),
             priors=self.priors,
         )
         return solve(problem, starts, schedule)

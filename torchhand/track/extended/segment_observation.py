@@ -111,10 +111,6 @@ class SegmentObservation:
         """The segments themselves, for drawing and for judging."""
         return self._posed(free).segments
 
-    def visible_fraction(self, free: Float[Tensor, "*batch free"]) -> Float[Tensor, "*batch 20"]:
-        """Share of every segment that the camera sees past the rest of the hand."""
-        return self._visible_fraction(self._posed(free))
-
     def usable(self, free: Float[Tensor, "*batch free"]) -> Bool[Tensor, "*batch 20"]:
         """Segments that are real, in the picture, seen, long enough and not too foreshortened."""
         return self._usable(self._posed(free))

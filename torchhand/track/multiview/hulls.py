@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.fit import Observation
 from torchhand.fit.hull import HullTarget, target_of, with_rays
 from torchhand.geometry import Camera
 from torchhand.track.multiview.hand_end import HandEnd
@@ -32,6 +33,12 @@ class Hull:
     """Views from which the hull was carved."""
     reason: str = ""
     """Why the silhouettes have no hull."""
+
+    def with_observations(self, observations: tuple[Observation, ...]) -> "Hull":
+        """The same with what else is known of the hand at that time."""
+        if self.target is None:
+            return self
+        return replace(self, target=replace(self.target, observations=observations))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -80,7 +80,11 @@ def _candidate(fit: HullFit, hand: FollowedHand, predicted: FollowedHand | None)
 
 def hull_about(fitter: FrameFitter, scene: Scene, pose: HandPose, shape: Float[Tensor, "shape"]) -> Hull:
     """The hull about a hand; the first one asked for serves all that are near."""
-    return scene.once("hull", lambda: fitter.hull_about(pose.normalized(), shape, scene.masks))
+
+    def made() -> Hull:
+        return fitter.hull_about(pose.normalized(), shape, scene.masks).with_observations(scene.observations)
+
+    return scene.once("hull", made)
 
 
 def hull_anywhere(fitter: FrameFitter, scene: Scene, shape: Float[Tensor, "shape"]) -> Hull:

@@ -13,7 +13,7 @@ from torchhand.track.scene.segmentation import (
 )
 from torchhand.track.scene.silhouettes import Images, LearnedSkin, Masks, PackedMask, ViewSilhouettes
 from torchhand.track.scene.update_rule import UpdateRule
-from torchhand.track.scene.views import HandKeypoints, Scene, View
+from torchhand.track.scene.views import HandKeypoints, ObservationsOf, Scene, View
 
 __all__ = [
     "Agreement",
@@ -27,6 +27,7 @@ __all__ = [
     "Images",
     "LearnedSkin",
     "Masks",
+    "ObservationsOf",
     "PackedMask",
     "RigSegmentation",
     "Scene",

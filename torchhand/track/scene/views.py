@@ -1,13 +1,13 @@
 """What the cameras give at one time, and what a tracker makes of it before any hand is compared with it."""
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from torchhand.fit import mask_plane
+from torchhand.fit import Observation, mask_plane
 from torchhand.hand import HandPose
 
 T = TypeVar("T")
@@ -56,6 +56,8 @@ class Scene:
     time_s: float
     guesses: tuple[HandPose, ...] = ()
     """Hands that were found at this very time before tracking began: further starts of an update."""
+    observations: tuple[Observation, ...] = ()
+    """What else is known of the hand at this time, beside what the update rule sees in the views by itself."""
     kept: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @property
@@ -79,6 +81,7 @@ class Scene:
             probabilities=tuple(None if index == view else own for index, own in enumerate(self.probabilities)),
             time_s=self.time_s,
             guesses=self.guesses,
+            observations=self.observations,
         )
 
     def once(self, key: Hashable, make: Callable[[], T]) -> T:
@@ -86,3 +89,7 @@ class Scene:
         if key not in self.kept:
             self.kept[key] = make()
         return self.kept[key]
+
+
+ObservationsOf = Callable[[Scene], Sequence[Observation]]
+"""Further observations of a scene, poses in the tracker's world; none where nothing was observed."""

@@ -5,7 +5,7 @@ from torchhand.view.outlines.generators import generators
 from torchhand.view.outlines.outline import Outline, OutlineTable, outline, outline_points, outline_table, pixel_normals
 from torchhand.view.outlines.part_outlines import OutlineColumns, PartOutlines
 from torchhand.view.outlines.projector import Contour, Generators, HandProjector
-from torchhand.view.outlines.visibility import inside_any, visible_points
+from torchhand.view.outlines.visibility import visible_points
 
 __all__ = [
     "Contour",
@@ -16,7 +16,6 @@ __all__ = [
     "OutlineTable",
     "PartOutlines",
     "generators",
-    "inside_any",
     "outline",
     "outline_points",
     "outline_table",

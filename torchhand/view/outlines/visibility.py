@@ -1,7 +1,7 @@
 """Self-occlusion of outline points by ray-quadric intersection (Stenger et al. 2001, section 4.2)."""
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from torch import Tensor
 
 from torchhand.geometry import quadratic_roots
@@ -89,15 +89,3 @@ def _parallel_rays(parts: Implicit, points: Tensor) -> tuple[Tensor, Tensor, Ten
 def _clips(parts: Implicit, hand: Tensor, part: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Axis and bounds of the part of each pair."""
     return parts.axis.movedim(-1, 0)[hand, part], parts.low[part, hand], parts.high[part, hand]
-
-
-def inside_any(primitives: Primitives, points: Float[Tensor, "*batch points 3"]) -> Bool[Tensor, "*batch points"]:
-    """Whether points lie inside the union of the truncated primitives, all in one frame."""
-    batch, count = points.shape[:-2], points.shape[-2]
-    parts = primitives.implicit()
-    flat = points.reshape(-1, count, 3)
-    quadratic, linear, constant = _central_rays(parts, flat)
-    value = quadratic + 2 * linear + constant
-    height = flat @ parts.axis.movedim(-1, 0).transpose(-1, -2)
-    low, high = parts.low.movedim(-1, 0)[:, None], parts.high.movedim(-1, 0)[:, None]
-    return ((value < 0) & (height >= low) & (height <= high)).any(-1).reshape(*batch, count)

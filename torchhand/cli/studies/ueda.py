@@ -34,7 +34,7 @@ from torchhand.study.ueda import (
     write_results,
 )
 
-WORD = "ueda"
+UEDA = "ueda"
 """The word after `torchhand study` that asks for this study."""
 
 _MAX_CAMERAS = 8
@@ -108,9 +108,9 @@ class Arguments:
 Part = Callable[[], dict[str, Any]]
 
 
-def run(argv: Sequence[str]) -> int:
+def study_ueda(argv: Sequence[str]) -> int:
     """Run the study, or go on with it. Raises InputError as commands do."""
-    arguments = parse(Arguments, argv, name=f"study {WORD}")
+    arguments = parse(Arguments, argv, name=f"study {UEDA}")
     check_output_folder(arguments.out, resume=arguments.resume, overwrite=arguments.overwrite)
     with threads(arguments.threads):
         plan = _plan(arguments)
@@ -149,7 +149,7 @@ def _header(arguments: Arguments) -> dict[str, Any]:
     """What must be equal in a study that is to be resumed."""
     given = {key: value for key, value in asdict(arguments).items() if key not in ("out", "resume", "overwrite")}
     given = {key: str(value) if isinstance(value, Path) else value for key, value in given.items()}
-    return {"study": WORD, "torchhand": torchhand.__version__, "torch": str(torch.__version__), **given}
+    return {"study": UEDA, "torchhand": torchhand.__version__, "torch": str(torch.__version__), **given}
 
 
 def _plan(arguments: Arguments) -> dict[str, Part]:

@@ -1,66 +1,23 @@
-"""What every command shares: reading its arguments, and turning the user's mistakes into one line and exit code 2."""
+"""A command's arguments, read into a record."""
 
 import contextlib
-import functools
 import inspect
 import io
-import os
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from typing import ParamSpec, TypeVar
+from collections.abc import Iterator, Sequence
+from typing import TypeVar
 
 import torch
 import tyro
 
+from torchhand.cli.command.guard import WRONG_INPUT
 from torchhand.errors import InputError
 
 Arguments = TypeVar("Arguments")
-Parameters = ParamSpec("Parameters")
-
-DONE = 0
-WRONG_INPUT = 2
-STOPPED_BY_USER = 130  # 128 + SIGINT, as a shell reports it
-READER_WENT_AWAY = 141  # 128 + SIGPIPE
 
 MAX_THREADS = 1024
 
 HELP_TEXT_INDENT = " " * 9  # in tyro's messages; names stand 4 columns further left
 UNWANTED = ("For full helptext", "Argument helptext")
-
-
-def command(main: Callable[Parameters, int]) -> Callable[Parameters, int]:
-    """Decorator of a command's `main(argv)`; the command is called after the file that holds it.
-
-    InputError, and OSError (no such file, no permission, disk full), become one line on stderr and exit code 2. Ctrl-C
-    becomes one line and 130. A reader that closes the pipe early (`| head`) ends the command quietly. Anything else is
-    a mistake of ours and keeps its traceback.
-    """
-    name = f"torchhand {main.__module__.rpartition('.')[2]}"
-
-    @functools.wraps(main)
-    def guarded(*args: Parameters.args, **kwargs: Parameters.kwargs) -> int:
-        try:
-            code = main(*args, **kwargs)
-            sys.stdout.flush()
-            return code
-        except InputError as error:
-            print(f"{name}: error: {_one_line(str(error))}", file=sys.stderr)
-            return WRONG_INPUT
-        except BrokenPipeError:
-            # The interpreter flushes stdout once more at exit; give it a place that takes everything.
-            with contextlib.suppress(OSError, ValueError):
-                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return READER_WENT_AWAY
-        except OSError as error:
-            print(f"{name}: error: {_one_line(_os_error_text(error))}", file=sys.stderr)
-            return WRONG_INPUT
-        except KeyboardInterrupt:
-            print(f"{name}: stopped by Ctrl-C", file=sys.stderr)
-            return STOPPED_BY_USER
-        except SystemExit as stop:  # tyro after --help
-            return stop.code if isinstance(stop.code, int) else DONE
-
-    return guarded
 
 
 def parse(kind: type[Arguments], argv: Sequence[str] | None, *, name: str) -> Arguments:
@@ -111,13 +68,3 @@ def _text_of_box(text: str) -> str:
             paragraphs[-1].append(inside)
     sentences = [" ".join(paragraph).strip(" .") for paragraph in paragraphs]
     return "; ".join(sentence for sentence in sentences if sentence and not sentence.startswith(UNWANTED))
-
-
-def _os_error_text(error: OSError) -> str:
-    if error.filename is None or error.strerror is None:
-        return str(error)
-    return f"{error.filename}: {error.strerror}"
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
