@@ -21,7 +21,8 @@ check "nothing that only tests reach" "$python" -m vulture
 [ "$failed" = 0 ] || echo "One of the checks above failed; the tests run all the same."
 echo "== pytest, compiled and exported hands"
 # Without the checks of shapes at run time, which torch.compile cannot follow.
-JAXTYPING_DISABLE=1 "$python" -m pytest tests/compiled --override-ini "addopts=--import-mode=importlib" || failed=1
+JAXTYPING_DISABLE=1 OMP_NUM_THREADS=1 "$python" -m pytest -n 2 --dist loadfile tests/compiled \
+    --override-ini "addopts=--import-mode=importlib" || failed=1
 echo "== pytest"
 # Two workers, each with one thread; a file's tests stay together, as their fixtures do.
 OMP_NUM_THREADS=1 "$python" -m pytest -n 2 --dist loadfile "$@" || failed=1

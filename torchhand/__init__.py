@@ -11,11 +11,12 @@ if TYPE_CHECKING:
     import torch
 
     import torchhand.hand
-    from torchhand.files import load_cameras, load_hand_model
+    from torchhand.files import load_cameras, load_hand, load_hand_model, load_rig, load_track
     from torchhand.fit.keypoints import fit_keypoints
     from torchhand.geometry import Camera, assumed_camera
     from torchhand.hand import HandPrior
-    from torchhand.runs import settings_of
+    from torchhand.runs import fit_hand, settings_of
+    from torchhand.runs import track as track_source
     from torchhand.track import Estimate, Tracker, TrackerSettings, TrackerState, View
 
 __version__ = "0.1.0"
@@ -31,10 +32,15 @@ __all__ = [
     "View",
     "__version__",
     "assumed_camera",
+    "fit_hand",
     "fit_keypoints",
     "load_cameras",
+    "load_hand",
     "load_hand_model",
+    "load_rig",
+    "load_track",
     "settings_of",
+    "track_source",
 ]
 
 _DOORS = {
@@ -46,18 +52,24 @@ _DOORS = {
     "TrackerState": "torchhand.track",
     "View": "torchhand.track",
     "assumed_camera": "torchhand.geometry",
+    "fit_hand": "torchhand.runs",
     "fit_keypoints": "torchhand.fit.keypoints",
     "load_cameras": "torchhand.files",
+    "load_hand": "torchhand.files",
     "load_hand_model": "torchhand.files",
+    "load_rig": "torchhand.files",
+    "load_track": "torchhand.files",
     "settings_of": "torchhand.runs",
+    "track_source": "torchhand.runs",
 }
+_OTHER_NAMES = {"track_source": "track"}  # in the doors; torchhand.track is the package of the trackers
 
 
 def __getattr__(name: str) -> Any:
     """What a package's door exports, loaded at its first use."""
     if name not in _DOORS:
         raise AttributeError(f"module 'torchhand' has no attribute {name!r}")
-    return getattr(importlib.import_module(_DOORS[name]), name)
+    return getattr(importlib.import_module(_DOORS[name]), _OTHER_NAMES.get(name, name))
 
 
 def Hand(

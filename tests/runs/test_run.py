@@ -188,7 +188,7 @@ def test_without_a_hand_there_is_none(background: str, begin: Any) -> None:
     generator = torch.Generator().manual_seed(0)
     behind = background_picture(background, WIDTH, HEIGHT, generator)  # pyright: ignore[reportArgumentType]
     run = begin()
-    for index in range(3):
+    for index in range(2):
         noisy = behind + 3.0 * torch.randn(HEIGHT, WIDTH, 3, generator=generator)
         record, _ = run.step(_frame(index, noisy.round().clamp(0, 255).to(torch.uint8)))
         assert record.status == "no_hand"

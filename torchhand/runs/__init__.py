@@ -6,6 +6,7 @@ from torchhand.runs.recording import OneCameraRecording, RecordedFrame, Recordin
 from torchhand.runs.records import record_of
 from torchhand.runs.request import Request, known_hand, settings_of, start_points_of
 from torchhand.runs.run import Run, Say, header_of
+from torchhand.runs.short import fit_hand, track
 from torchhand.runs.tracking import how_to_go_on, summary_of, track_rig, track_sequence
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "Run",
     "Say",
     "changes_of",
+    "fit_hand",
     "header_of",
     "how_to_go_on",
     "known_hand",
@@ -25,6 +27,7 @@ __all__ = [
     "settings_of",
     "start_points_of",
     "summary_of",
+    "track",
     "track_rig",
     "track_sequence",
 ]

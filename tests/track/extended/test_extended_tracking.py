@@ -25,9 +25,19 @@ def film(studio: Any) -> Any:
 
 
 @pytest.fixture(scope="module")
-def followed(film: Any) -> Any:
-    tracker = Tracker(right_hand(), film.camera, ABDUCTION)
-    return tracker, *run(tracker, film.images)
+def states(film: Any) -> Any:
+    """The tracker, and its state and estimate after every frame."""
+    tracker, state, found = Tracker(right_hand(), film.camera, ABDUCTION), None, []
+    for image in film.images:
+        state, (estimate,) = run(tracker, [image], state)
+        found.append((state, estimate))
+    return tracker, found
+
+
+@pytest.fixture(scope="module")
+def followed(states: Any) -> Any:
+    tracker, found = states
+    return tracker, found[-1][0], [estimate for _, estimate in found]
 
 
 def test_a_moving_hand_is_followed(film: Any, followed: Any) -> None:
@@ -64,12 +74,11 @@ def test_only_free_parameters_move(followed: Any) -> None:
         torch.testing.assert_close(estimate.pose[frozen], estimates[0].pose[frozen], atol=1e-12, rtol=0)
 
 
-def test_a_saved_state_goes_on_bit_for_bit(film: Any, followed: Any) -> None:
-    tracker, _, estimates = followed
-    state, _ = run(tracker, film.images[:4])
+def test_a_saved_state_goes_on_bit_for_bit(film: Any, states: Any) -> None:
+    _, found = states
     again = Tracker(right_hand(), film.camera, ABDUCTION)
-    _, rest = run(again, film.images[4:], saved_and_restored(state))
-    for one, other in zip(rest, estimates[4:], strict=True):
+    _, rest = run(again, film.images[4:], saved_and_restored(found[3][0]))
+    for one, (_, other) in zip(rest, found[4:], strict=True):
         assert_equal(one, other)
 
 

@@ -1,0 +1,42 @@
+"""The short way finds what the long way finds, and says in one line what it cannot use."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from tests.steps import assert_equal, right_hand
+from tests.steps import run as stepped
+from tests.studio import Studio
+from torchhand.errors import InputError
+from torchhand.files import open_source, write_video
+from torchhand.geometry import assumed_camera
+from torchhand.runs.request import settings_of
+from torchhand.runs.short import fit_hand, track
+from torchhand.track import Tracker
+
+
+def test_the_estimates_are_those_of_a_tracker_that_steps_through_the_pictures(tmp_path: Path) -> None:
+    film = Studio().film("planar", 3, pace=6.0)
+    path = tmp_path / "video.mp4"
+    with write_video(path, width=film.camera.width, height=film.camera.height) as video:
+        for image in film.images:
+            video.write(image)
+    settings = settings_of("contour_planar")
+    found = list(track(path, settings=settings))
+    tracker = Tracker(right_hand(), assumed_camera(film.camera.width, film.camera.height), settings)
+    frames = open_source(path)
+    _, expected = stepped(tracker, [frame.image for frame in frames])
+    frames.close()
+    assert [one.status for one in found] == ["tracked"] * 3
+    for one, other in zip(found, expected, strict=True):
+        assert_equal(one, other)
+
+
+def test_a_picture_without_a_hand_is_refused() -> None:
+    with pytest.raises(InputError, match="picture: "):
+        fit_hand(torch.full((120, 160, 3), 90, dtype=torch.uint8))
+    with pytest.raises(InputError, match=r"nowhere\.jpg"):
+        fit_hand("nowhere.jpg")
+    with pytest.raises(InputError, match=r"nowhere\.mp4"):
+        list(track("nowhere.mp4"))

@@ -1,0 +1,76 @@
+"""The short way: the estimates of a recording, and the hand of a photograph, in one call without a result folder."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from torchhand.errors import InputError
+from torchhand.files import load_hand_model, read_picture
+from torchhand.fit.open_hand import OpenHand, fit_open_hand
+from torchhand.geometry import Camera, assumed_camera
+from torchhand.hand import Side
+from torchhand.image import NoRegions, find_open_hand
+from torchhand.runs.keypoint_tracks import DetectionFiles
+from torchhand.runs.recording import OneCameraRecording
+from torchhand.runs.request import settings_of
+from torchhand.track import Estimate, Tracker, TrackerSettings
+
+
+def track(
+    source: str | Path | int,
+    *,
+    side: Side = "right",
+    camera: Path | None = None,
+    shape: Float[Tensor, "shape"] | None = None,
+    settings: TrackerSettings | None = None,
+    keypoints: Path | None = None,
+) -> Iterator[Estimate]:
+    """The estimates of one camera's recording, one per frame, as they are made; poses in the camera's frame.
+
+    source: a video, a folder of pictures, or the number of a webcam. camera: a file of its calibration; else a field of
+    view is assumed. shape: proportions where they are known, such as those of `fit_hand`; else they are fitted.
+    settings: those of the configuration contour_full where none are given. keypoints: a file of a detector's points.
+    Nothing is corrected backwards; `torchhand track` does that, and keeps the result.
+
+    Raises InputError for a source, a camera or keypoints that cannot be read.
+    """
+    hand = load_hand_model().hand(side=side, dtype=torch.float64)
+    detections = None if keypoints is None else DetectionFiles(paths=(keypoints,), side=side)
+    place = str(source) if isinstance(source, int) else Path(source)
+    recording = OneCameraRecording(place, camera, detections=detections)
+    try:
+        tracker = Tracker(hand, recording.cameras, settings or settings_of("contour_full"), shape=shape)
+        state = None
+        with recording.opened(0) as frames:
+            for frame in frames:
+                state, estimate = tracker.step(state, frame.views, frame.time_s)
+                yield estimate
+    finally:
+        recording.close()
+
+
+def fit_hand(
+    picture: str | Path | UInt8[Tensor, "height width 3"], *, side: Side = "right", camera: Camera | None = None
+) -> OpenHand:
+    """Proportions and pose of the open hand in one picture (a file, or RGB), with their standard deviations.
+
+    One picture does not tell how large a hand is: its length is that of the average hand (`torchhand.fit.open_hand`
+    has other sizes). camera: in whose frame the pose is; a field of view is assumed where none is given.
+
+    Raises InputError where the picture shows no open hand, or not all five fingers.
+    """
+    image = picture if isinstance(picture, Tensor) else read_picture(Path(picture))
+    name = "picture" if isinstance(picture, Tensor) else str(picture)
+    found = find_open_hand(image)
+    if not bool(found.mask.any()):
+        raise InputError(f"{name}: no hand: nothing of a hand's size stands out by colour or brightness")
+    if found.odd_digits:
+        raise InputError(f"{name}: {', '.join(found.odd_digits)} of another colour than the palm")
+    camera = camera or assumed_camera(image.shape[1], image.shape[0])
+    hand = fit_open_hand(found.mask, load_hand_model().kinematics(side, dtype=torch.float64), camera)
+    if isinstance(hand, NoRegions):
+        raise InputError(f"{name}: {hand.reason}")
+    return hand
