@@ -16,7 +16,7 @@ from torchhand.hand import DOFS, JOINT_DOFS, HandKinematics, HandPose, named_pos
 _SPACE = named_pose_space("dof26")  # what points tell of, whatever is followed
 _SCHEDULE = (Stage(gross_m=0.03, rounds=1, iterations=8), Stage(gross_m=0.01, rounds=2, iterations=8))
 _STARTS = 4  # per view without points in space
-_LEAST_DEPTH = 0.05  # metres
+_MIN_DEPTH = 0.05  # metres
 _FAR = 0.5  # metres, for cameras that do not show depth
 
 
@@ -87,7 +87,7 @@ def _before(place: Float[Tensor, "k 3"], picture: PictureKeypoints) -> Float[Ten
     camera = picture.camera
     own = place @ camera.rotation.to(place).mT + camera.translation.to(place)
     if camera.kind == "pinhole":
-        is_before = own[:, 2:] > _LEAST_DEPTH
+        is_before = own[:, 2:] > _MIN_DEPTH
         own = torch.where(is_before, own, own.new_tensor((0.0, 0.0, _FAR)))
     else:
         own = torch.cat((own[:, :2], torch.full_like(own[:, 2:], _FAR)), -1)
