@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from torchhand.fit.keypoints import fit_keypoints
     from torchhand.geometry import Camera, assumed_camera
     from torchhand.hand import HandPrior
-    from torchhand.runs import fit_hand, settings_of
-    from torchhand.runs import track as track_source
+    from torchhand.runs import fit_hand, settings_of, track
     from torchhand.track import Estimate, Tracker, TrackerSettings, TrackerState, View
 
 __version__ = "0.1.0"
@@ -40,7 +39,7 @@ __all__ = [
     "load_rig",
     "load_track",
     "settings_of",
-    "track_source",
+    "track",
 ]
 
 _DOORS = {
@@ -60,16 +59,16 @@ _DOORS = {
     "load_rig": "torchhand.files",
     "load_track": "torchhand.files",
     "settings_of": "torchhand.runs",
-    "track_source": "torchhand.runs",
 }
-_OTHER_NAMES = {"track_source": "track"}  # in the doors; torchhand.track is the package of the trackers
 
 
 def __getattr__(name: str) -> Any:
     """What a package's door exports, loaded at its first use."""
+    if name == "track":  # a package, which may be called
+        return importlib.import_module("torchhand.track")
     if name not in _DOORS:
         raise AttributeError(f"module 'torchhand' has no attribute {name!r}")
-    return getattr(importlib.import_module(_DOORS[name]), _OTHER_NAMES.get(name, name))
+    return getattr(importlib.import_module(_DOORS[name]), name)
 
 
 def Hand(

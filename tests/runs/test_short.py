@@ -1,5 +1,7 @@
 """The short way finds what the long way finds, and says in one line what it cannot use."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -40,3 +42,12 @@ def test_a_picture_without_a_hand_is_refused() -> None:
         fit_hand("nowhere.jpg")
     with pytest.raises(InputError, match=r"nowhere\.mp4"):
         list(track("nowhere.mp4"))
+
+
+def test_the_package_of_the_trackers_is_the_short_way_too() -> None:
+    """`torchhand.track(...)`, whether or not the package of that name has been imported before."""
+    for before in ("", "import torchhand.track.scene; "):
+        code = f"import torchhand; {before}next(iter(torchhand.track('nowhere.mp4')))"
+        found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+        assert "InputError" in found.stderr
+        assert "nowhere.mp4" in found.stderr

@@ -1,4 +1,14 @@
-"""The tracker: how a hand is found, followed through one camera or several, lost, found again and smoothed."""
+"""The tracker: how a hand is found, followed through one camera or several, lost, found again and smoothed.
+
+The package may be called: `torchhand.track(source, ...)` is `torchhand.runs.track`, the short way to the estimates of a
+recording.
+"""
+
+import importlib
+import sys
+from collections.abc import Iterator
+from types import ModuleType
+from typing import Any
 
 from torchhand.track.knowledge import Estimate, Keyframe, TrackerState, restored_state, saved_state
 from torchhand.track.scene import HandKeypoints, View
@@ -20,3 +30,13 @@ __all__ = [
     "restored_state",
     "saved_state",
 ]
+
+
+class _ShortWay(ModuleType):
+    """This package as a function, so that one name serves both."""
+
+    def __call__(self, source: Any, **options: Any) -> Iterator[Estimate]:
+        return importlib.import_module("torchhand.runs").track(source, **options)
+
+
+sys.modules[__name__].__class__ = _ShortWay
