@@ -74,7 +74,7 @@ def _candidate(placed: Placed, hand: FollowedHand, predicted: FollowedHand | Non
     return Candidate(
         hand=hand,
         pose=HandPose.of(fit.pose, fit.root_reference),
-        agreement=Agreement(overlaps=placed.overlaps, unexplained=torch.full_like(placed.overlaps, torch.nan)),
+        agreement=Agreement.of_overlaps(placed.overlaps),
         edges=fit.covered_share,
         inside=fit.inside_share,
         cost=float(fit.cost),

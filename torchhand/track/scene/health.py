@@ -8,6 +8,7 @@ from torch import Tensor
 from torchhand.errors import require
 from torchhand.track.scene.candidate import Candidate
 
+_MAX_BEYOND = 0.08  # squares of the hand's length beyond the wrist that are no forearm
 _RIG_SEARCH_EVERY = 60  # frames from one search of several cameras to the next where they find nothing
 
 
@@ -118,7 +119,8 @@ class Health:
 
     def is_found(self, candidate: Candidate) -> bool:
         """Whether a proposed hand is one."""
-        return not self.is_failing(candidate) and candidate.overlap >= self.settings.found_overlap
+        is_at_an_arm = candidate.agreement.mean_beyond <= _MAX_BEYOND
+        return is_at_an_arm and not self.is_failing(candidate) and candidate.overlap >= self.settings.found_overlap
 
     def is_gone(self, candidate: Candidate | None) -> bool:
         """Whether they speak so clearly against it that the track ends at once."""
