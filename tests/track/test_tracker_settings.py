@@ -18,7 +18,6 @@ from torchhand.track.unscented import UnscentedUpdateSettings
 _SHARES = (
     "min_overlap",
     "min_edges",
-    "min_in_view",
     "found_overlap",
     "edge_weight",
     "memory",

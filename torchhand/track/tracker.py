@@ -129,6 +129,13 @@ class Tracker:
         return found.hand, self._estimate("tracked", found, state, scene.time_s)
 
     @torch.inference_mode()
+    @single_threaded()
+    def candidate(self, pose: HandPose, scene: Scene, shape: Float[Tensor, "shape"]) -> Candidate | None:
+        """A hand near a pose as the update rule finds it in a scene, whatever is followed; None where it finds none."""
+        found = self._parts.rule.begin(pose, None, scene, shape)
+        return self._compared_with_keypoints(found, scene, shape)
+
+    @torch.inference_mode()
     def at_rest(self, hand: FollowedHand) -> FollowedHand:
         """The same hand with rates of which nothing is known, from where it can be followed into either time."""
         prior = self._parts.motion.prior(hand)

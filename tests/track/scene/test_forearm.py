@@ -12,7 +12,7 @@ from tests.steps import right_hand
 from tests.studio import Placed
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import DOFS, HandPose
-from torchhand.simulate.scene.forearm import cast_forearm
+from torchhand.simulate.scene import cast_forearm
 from torchhand.track import Tracker, TrackerSettings
 from torchhand.track.scene import Candidate, Health, Scene, View
 
