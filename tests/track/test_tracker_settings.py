@@ -43,6 +43,7 @@ CASES = [
     ],
     (UnscentedUpdateSettings, "gate", math.inf, "update.gate: expected above 0 and finite, got inf"),
     (UnscentedUpdateSettings, "edge_std_px", math.nan, "update.edge_std_px: expected above 0 and finite, got nan"),
+    (UnscentedUpdateSettings, "surface_std", 1.0, "update.surface_std: expected 0 or more, below 1, got 1.0"),
     (UnscentedUpdateSettings, "passes", 0, "update.passes: expected 1 or more, got 0"),
     (UnscentedUpdateSettings, "inner_weight", -0.1, "update.inner_weight: expected 0 or more and finite, got -0.1"),
     *[
@@ -73,6 +74,7 @@ CASES = [
     *[(PosturePriorSettings, name, 0.0, f"prior.{name}: expected above 0 and finite, got 0.0") for name in _PRIOR],
     *[(HealthSettings, name, 1.5, f"health.{name}: expected 0 to 1, got 1.5") for name in _SHARES],
     *[(HealthSettings, name, -0.5, f"health.{name}: expected 0 to 1, got -0.5") for name in _SHARES],
+    (HealthSettings, "false_alarm_rate", 0.5, "health.false_alarm_rate: expected 0.01 to 0.1, got 0.5"),
     (HealthSettings, "max_unexplained", -1.0, "health.max_unexplained: expected 0 or more, got -1.0"),
     *[(HealthSettings, name, 0, f"health.{name}: expected 1 or more, got 0") for name in ("patience", "search_every")],
     (HealthSettings, "search_at_most_every", 2, "health.search_at_most_every: expected search_every or more, got 2"),

@@ -15,10 +15,7 @@ from torchhand.errors import InputError
 from torchhand.files.disk import write_text
 from torchhand.runs import settings_of
 from torchhand.study.status import collect, derived_table
-from torchhand.track.scene import Health
-
-TABLE = Path(torchhand.__file__).parent / "track" / "scene" / "status_rates.json"
-"""The table that comes with the package, beside the thresholds that it measures."""
+from torchhand.track.scene import TABLE, Health
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,6 +26,7 @@ from torchhand.track.scene import (
     Segmentation,
     UpdateRule,
     ViewSilhouettes,
+    measured_test,
     scene_keypoints,
 )
 from torchhand.track.settings import TrackerSettings
@@ -146,10 +147,18 @@ def _of_one_camera(
         segmentation=ColourSegmentation(kinematics=kinematics, camera=here, settings=s.colours),
         rule=own.rule((here,)),
         sources=(KeypointHand(kinematics=kinematics, cameras=(here,), settings=s.keypoints), search, start),
-        health=Health(settings=s.health),
+        health=Health(settings=s.health, test=measured_test(_measured_config(own))),
         takes_proposals=False,
         keypoint_settings=s.keypoints,
     )
+
+
+def _measured_config(own: _Ingredients) -> str:
+    """Of the measured configurations the one most like the settings."""
+    if own.settings.method == "distance":
+        return "distance_full"
+    moves_joints = any(not name.startswith("root_") for name in own.motion.space.free_names)
+    return "contour_full" if moves_joints else "contour_planar"
 
 
 def _of_a_rig(own: _Ingredients, cameras: Sequence[Camera], plates: Sequence[BackgroundPlate] | None) -> Assembly:

@@ -244,6 +244,8 @@ class Tracker:
             if not health.is_found(candidate):
                 told = f"edges on {candidate.edges:.0%}, overlap {candidate.overlap:.2f}"
                 reason = f"no hand where the search began ({told})"
+                if best is not None and not health.is_failing(best):
+                    continue  # what is no hand takes no hand's place
             has_found |= health.is_found(candidate)
             before, best = best, health.better(best, candidate, facing)
             chosen = proposed if best is not before else chosen

@@ -24,6 +24,7 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 _RIGHT = 0.06  # mean error of the keypoints in the picture up to which a hand is the right one, hand lengths
 _WRONG = 0.15  # and from which on it is another one
+_LEAST_AREA = 0.004  # share of the picture with the hand's colours, below which a search does not begin
 _INSIDE = 0.8  # share of its keypoints that lies in the picture, below which a search does not propose a hand
 
 
@@ -108,12 +109,13 @@ def _without(own: Picture, tracker: Tracker, generator: torch.Generator) -> Cand
     """The best of a few candidates where a search lays a posture over the silhouette."""
     scene: Scene = own.scene(without_hand(own, generator))
     plane = scene.plane(0)
-    mask = plane > 0.5
-    if float(mask.float().mean()) < 0.004:
+    if plane is None or float((plane > 0.5).double().mean()) < _LEAST_AREA:
         return None
     health = Health(settings=tracker.settings.health)
     best: Candidate | None = None
-    for alignment in align_posture(mask, own.camera, own.kinematics, own.believed_shape, named_joints(generator))[:2]:
+    for alignment in align_posture(
+        plane > 0.5, own.camera, own.kinematics, own.believed_shape, named_joints(generator)
+    )[:2]:
         start = HandPose.of(alignment.pose, alignment.root_reference)
         points = own.keypoints_of(start)
         size = torch.tensor((own.camera.width, own.camera.height))

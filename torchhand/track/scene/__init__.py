@@ -4,6 +4,15 @@ from torchhand.track.scene.agreement import Agreement, SilhouetteComparison, mea
 from torchhand.track.scene.candidate import Candidate
 from torchhand.track.scene.health import Health, HealthSettings
 from torchhand.track.scene.keypoints import SceneKeypoints, detected_hand, parts_of, scene_keypoints
+from torchhand.track.scene.likelihood import (
+    EVIDENCE,
+    TABLE,
+    EvidenceDensity,
+    HandTest,
+    LikelihoodRatio,
+    evidence,
+    measured_test,
+)
 from torchhand.track.scene.segmentation import (
     ColourSegmentation,
     ColourUpdateSettings,
@@ -16,15 +25,20 @@ from torchhand.track.scene.update_rule import UpdateRule
 from torchhand.track.scene.views import DetectedHand, Scene, View
 
 __all__ = [
+    "EVIDENCE",
+    "TABLE",
     "Agreement",
     "Candidate",
     "ColourSegmentation",
     "ColourUpdateSettings",
     "DetectedHand",
+    "EvidenceDensity",
+    "HandTest",
     "Health",
     "HealthSettings",
     "Images",
     "LearnedSkin",
+    "LikelihoodRatio",
     "Looks",
     "Masks",
     "PackedMask",
@@ -37,7 +51,9 @@ __all__ = [
     "View",
     "ViewSilhouettes",
     "detected_hand",
+    "evidence",
     "mean_overlap",
+    "measured_test",
     "parts_of",
     "scene_keypoints",
 ]

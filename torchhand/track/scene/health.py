@@ -1,7 +1,7 @@
 """Whether a hand is still the one in the pictures: one measure for every tracker.
 
-How often the thresholds are wrong, and the likelihood ratio of right hands to others, stands in status_rates.json; the
-command that measured it (`torchhand measure_status`) is in there.
+How often all this is wrong stands in status_rates.json with the likelihood ratio of right hands to others and the
+command that measured both (`torchhand measure_status`).
 """
 
 from dataclasses import dataclass, replace
@@ -11,8 +11,11 @@ from torch import Tensor
 
 from torchhand.errors import require
 from torchhand.track.scene.candidate import Candidate
+from torchhand.track.scene.likelihood import HandTest
 
-_MAX_BEYOND = 0.08  # squares of the hand's length beyond the wrist that are no forearm
+_MAX_BEYOND = 0.08
+"""Squares of the hand's length beyond the wrist that are no forearm. One in a hundred simulated right hands has more
+than 0.04 (status_rates.json), one in twenty photographs of hands with sleeves and bare forearms more than 0.074."""
 _MIN_IN_VIEW = 0.35  # share of the contour's points inside the picture, below which there is too little to judge by
 _KEYPOINT_WEIGHT = 0.3  # share of the score that detected keypoints have, where there are any
 _MIN_KEYPOINTS = 0.5  # agreement with detected keypoints, below which a detector found another hand
@@ -30,7 +33,9 @@ class HealthSettings:
     patience: int = 3
     """Frames in a row that may fail before the track is lost; 1 or more."""
     found_overlap: float = 0.60
-    """Smallest overlap with which a proposed hand is taken as found; 0 to 1."""
+    """Smallest overlap with which a hand proposed by several cameras or a detector is taken as found; 0 to 1."""
+    false_alarm_rate: float = 0.05
+    """Share of wrong and absent hands that one camera without a detector takes as found; 0.01 to 0.1."""
     edge_weight: float = 0.0
     """Share of the score that edges have beside areas; 0 to 1."""
     memory: float = 1.0
@@ -83,6 +88,8 @@ class HealthSettings:
         for name in (*shares, "max_score_drop", "better_by", "turned_by"):
             require(0 <= getattr(self, name) <= 1, f"health.{name}", "0 to 1", getattr(self, name))
         require(self.max_unexplained >= 0, "health.max_unexplained", "0 or more", self.max_unexplained)
+        is_measured = 0.01 <= self.false_alarm_rate <= 0.1
+        require(is_measured, "health.false_alarm_rate", "0.01 to 0.1", self.false_alarm_rate)
         for name in ("patience", "search_every"):
             require(getattr(self, name) >= 1, f"health.{name}", "1 or more", getattr(self, name))
         is_rarer = self.search_at_most_every >= self.search_every
@@ -94,6 +101,8 @@ class Health:
     """Judges candidates by areas and edges of the silhouettes, and by detected keypoints."""
 
     settings: HealthSettings
+    test: HandTest | None = None
+    """Of a hand that nothing but one camera's picture tells of; None where it was not measured."""
 
     def score(self, candidate: Candidate) -> float:
         """How much of the pictures a candidate explains, 0 to 1."""
@@ -116,9 +125,12 @@ class Health:
         return not has_edges or candidate.overlap < s.min_overlap
 
     def is_found(self, candidate: Candidate) -> bool:
-        """Whether a proposed hand is one."""
-        is_at_an_arm = candidate.agreement.mean_beyond <= _MAX_BEYOND
-        return is_at_an_arm and not self.is_failing(candidate) and candidate.overlap >= self.settings.found_overlap
+        """Whether a proposed hand is one: by the likelihood ratio where there is one that was measured."""
+        if self.is_failing(candidate) or candidate.agreement.mean_beyond > _MAX_BEYOND:
+            return False
+        if self.test is None or candidate.keypoints is not None:
+            return candidate.overlap >= self.settings.found_overlap
+        return self.test.passes(candidate, self.settings.false_alarm_rate)
 
     def is_gone(self, candidate: Candidate | None) -> bool:
         """Whether they speak so clearly against it that the track ends at once."""
