@@ -18,11 +18,8 @@ from torchhand.track.unscented import UnscentedUpdateSettings
 _FRACTIONS = (
     "min_overlap",
     "min_edges",
-    "min_in_view",
     "found_overlap",
     "edge_weight",
-    "keypoint_weight",
-    "min_keypoints",
     "memory",
     "max_score_drop",
     "better_by",

@@ -132,6 +132,13 @@ class Tracker:
         return found.hand, self._estimate("tracked", found, state, scene.time_s)
 
     @torch.inference_mode()
+    @single_threaded()
+    def candidate(self, pose: HandPose, scene: Scene, shape: Float[Tensor, "shape"]) -> Candidate | None:
+        """A hand near a pose as the update rule finds it in a scene, whatever is followed; None where it finds none."""
+        found = self._parts.rule.begin(pose, None, scene, shape)
+        return self._compared_with_keypoints(found, scene, shape)
+
+    @torch.inference_mode()
     def at_rest(self, hand: FollowedHand) -> FollowedHand:
         """The same hand with rates of which nothing is known, from where it can be followed into either time."""
         prior = self._parts.motion.prior(hand)
@@ -247,6 +254,8 @@ class Tracker:
             if not health.is_found(candidate):
                 told = f"edges on {candidate.edges:.0%}, overlap {candidate.overlap:.2f}"
                 reason = f"no hand where the search began ({told})"
+                if best is not None and not health.is_failing(best):
+                    continue  # what is no hand takes no hand's place
             has_found |= health.is_found(candidate)
             before, best = best, health.better(best, candidate, facing)
             chosen = proposed if best is not before else chosen

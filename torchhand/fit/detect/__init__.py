@@ -1,5 +1,6 @@
 """Finds a hand in a single picture without a first guess, and fits pose and proportions to its edges."""
 
+from torchhand.fit.detect.alignment import Alignment, align_posture
 from torchhand.fit.detect.edge_fit import Fit, FitSettings
 from torchhand.fit.detect.facing import facing_rotation, turned_in_picture
 from torchhand.fit.detect.start import (
@@ -13,11 +14,13 @@ from torchhand.fit.detect.start import (
 )
 
 __all__ = [
+    "Alignment",
     "Fit",
     "FitSettings",
     "NoStart",
     "Start",
     "StartPoints",
+    "align_posture",
     "facing_rotation",
     "find_hand",
     "fit_overlap",

@@ -69,7 +69,7 @@ def _candidate(fit: HullFit, hand: FollowedHand, predicted: FollowedHand | None)
     return Candidate(
         hand=hand,
         pose=fit.pose,
-        agreement=Agreement(overlaps=fit.overlaps, unexplained=torch.full_like(fit.overlaps, torch.nan)),
+        agreement=Agreement.of_overlaps(fit.overlaps),
         edges=fit.covered_fraction,
         inside=fit.inside_fraction,
         cost=float(fit.cost),

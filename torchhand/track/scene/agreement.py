@@ -20,6 +20,7 @@ from torchhand.image import (
     reduced_mask,
     touching,
 )
+from torchhand.track.scene.forearm import forearm_mismatch
 from torchhand.track.scene.silhouettes import Masks
 from torchhand.track.scene.views import Scene
 from torchhand.view import HandProjector
@@ -39,6 +40,15 @@ class Agreement:
     """Intersection over union, forearm cut at the wrist; NaN in views without a silhouette."""
     unexplained: Float[Tensor, "views"]
     """Area of the picture's hand outside the model, in pieces as thick as a finger, in squares of the hand's length."""
+    beyond: Float[Tensor, "views"]
+    """How far the picture beyond the wrist differs from every forearm and from nothing, in squares of the hand's length
+    (`forearm_mismatch`); NaN in views without a silhouette."""
+
+    @classmethod
+    def of_overlaps(cls, overlaps: Float[Tensor, "views"]) -> "Agreement":
+        """Where nothing else was measured."""
+        unknown = torch.full_like(overlaps, math.nan)
+        return cls(overlaps=overlaps, unexplained=unknown, beyond=unknown)
 
     @property
     def overlap(self) -> float:
@@ -50,6 +60,11 @@ class Agreement:
         """Of the view that explains least; 0 where there is none."""
         known = self.unexplained[self.unexplained.isfinite()]
         return float(known.max()) if len(known) else 0.0
+
+    @property
+    def mean_beyond(self) -> float:
+        """Over the views that there are; 0 where there is none."""
+        return mean_overlap(self.beyond)
 
     @property
     def views(self) -> int:
@@ -82,9 +97,12 @@ class SilhouetteComparison:
         """In every view; what is apart from the hand does not count."""
         found = []
         for compared in self._compared(pose, [self._reduced(scene, view) for view in range(len(scene.views))]):
-            found.append((math.nan, math.nan) if compared is None else (compared.overlap, compared.unexplained))
-        overlaps, unexplained = torch.tensor(found, dtype=torch.float64).T
-        return Agreement(overlaps=overlaps, unexplained=unexplained)
+            if compared is None:
+                found.append((math.nan,) * 3)
+            else:
+                found.append((compared.overlap, compared.unexplained, compared.beyond))
+        overlaps, unexplained, beyond = torch.tensor(found, dtype=torch.float64).T
+        return Agreement(overlaps=overlaps, unexplained=unexplained, beyond=beyond)
 
     def overlaps(self, pose: HandPose, masks: Masks) -> Float[Tensor, "views"]:
         """Intersection over union alone, with silhouettes of any size; NaN in views without one."""
@@ -135,15 +153,20 @@ class SilhouetteComparison:
         focal = 0.5 * float(camera.intrinsics[0, 0] + camera.intrinsics[1, 1])
         depth = max(float(in_cam[0, 2]), 1e-3) if camera.kind == "pinhole" else 1.0
         length_px = self._length * focal / depth
-        region = self._region(camera, in_cam, model, length_px)
-        return _Compared(model=model, picture=touching(silhouette, model), region=region, length_px=length_px)
-
-    def _region(self, camera: Camera, in_cam: Tensor, model: Tensor, length_px: float) -> Bool[Tensor, "height width"]:
-        """Where hand and picture can be compared: on the fingers' side of the wrist, or around the model."""
         wrist, knuckle = camera.pixels_from_plane(camera.plane_from_cam(in_cam))
-        if float((knuckle - wrist).norm()) > _STEEP * length_px:
-            return hand_region((camera.height, camera.width), wrist, knuckle, _REACH * length_px)
-        return dilate(model, disc_kernel(max(1, round(min(_RING * length_px, camera.width)))))
+        has_direction = float((knuckle - wrist).norm()) > _STEEP * length_px
+        if has_direction:  # the fingers' side of the wrist
+            region = hand_region((camera.height, camera.width), wrist, knuckle, _REACH * length_px)
+        else:
+            region = dilate(model, disc_kernel(max(1, round(min(_RING * length_px, camera.width)))))
+        return _Compared(
+            model=model,
+            picture=touching(silhouette, model),
+            region=region,
+            length_px=length_px,
+            wrist=wrist,
+            towards_elbow=(wrist - knuckle) / (wrist - knuckle).norm() if has_direction else None,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,9 +177,13 @@ class _Compared:
     picture: Bool[Tensor, "height width"]
     """Without what is apart from the model."""
     region: Bool[Tensor, "height width"]
-    """Where they can be compared."""
+    """Where the hands can be compared: on the fingers' side of the wrist, or around the model."""
     length_px: float
     """The hand's length, held parallel to the picture."""
+    wrist: Float[Tensor, "2"]
+    """px"""
+    towards_elbow: Float[Tensor, "2"] | None
+    """Unit, in the picture; None where the palm has no direction there."""
 
     @property
     def overlap(self) -> float:
@@ -166,6 +193,12 @@ class _Compared:
     def unexplained(self) -> float:
         missed = unexplained_px(self.model, self.picture, self.region, _FINGER * self.length_px)
         return missed / self.length_px**2
+
+    @property
+    def beyond(self) -> float:
+        if self.towards_elbow is None:
+            return 0.0
+        return forearm_mismatch(self.picture, self.model, self.wrist, self.towards_elbow, self.length_px)
 
 
 def mean_overlap(overlaps: Float[Tensor, "views"]) -> float:

@@ -1,0 +1,6 @@
+"""How well the trackers tell a hand from another one and from none, on simulated pictures."""
+
+from torchhand.study.status.collect import KINDS, Sample, collect
+from torchhand.study.status.rates import derived_table
+
+__all__ = ["KINDS", "Sample", "collect", "derived_table"]
