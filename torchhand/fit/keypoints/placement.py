@@ -35,7 +35,7 @@ def place_hand(
     pictures = [one for one in pictures if not one.is_empty]
     if not pictures:
         return None
-    natural = natural_posture().mean.to(shape)
+    natural = natural_posture()
     told = [one for one in postures if not one.is_empty]
     missing = shape.new_ones(1, len(DOFS))
     if told:
@@ -43,14 +43,14 @@ def place_hand(
         is_open = torch.stack([one.precision for one in told]).amax((0, 1)) == 0
         missing[:, -len(JOINT_DOFS) :] = is_open.to(missing)
     else:
-        found = [starts_in_picture(one, shape, natural, _STARTS).reshape(-1) for one in pictures]
+        found = [starts_in_picture(one, shape, natural.mean.to(shape), _STARTS).reshape(-1) for one in pictures]
         starts = HandPose.cat(found)
     problem = Problem(
         space=_SPACE,
         skeleton=kinematics.skeleton,
         shape=shape,
         observations=(*pictures, *told),
-        priors=(NaturalPrior(posture=natural_posture(), fraction=missing.repeat(len(starts), 1)),),
+        priors=(NaturalPrior(posture=natural, fraction=missing.repeat(len(starts), 1)),),
     )
     solutions = solve(problem, starts, _SCHEDULE)
     return solutions.select(solutions.best)
@@ -68,8 +68,8 @@ def _placed(
         weight = one.is_known.to(arms)[..., None]
         seen = arms @ rotation.mT + camera.translation.to(arms)
         depth = seen[..., 2:] if camera.kind == "pinhole" else torch.ones_like(seen[..., 2:])
-        share = plane[..., None] if camera.kind == "pinhole" else torch.zeros_like(plane[..., None])
-        rows = rotation[:2] - share * rotation[2]
+        slope = plane[..., None] if camera.kind == "pinhole" else torch.zeros_like(plane[..., None])
+        rows = rotation[:2] - slope * rotation[2]
         matrices.append((weight[..., None] * rows).flatten(1, 2).expand(len(arms), -1, -1))
         values.append((weight * (plane * depth - seen[..., :2])).flatten(1))
     matrix, value = torch.cat(matrices, 1), torch.cat(values, 1)

@@ -1,7 +1,8 @@
 """Several cameras: other turns, fingers and places of the hand in the hull of its silhouettes."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from jaxtyping import Float
 from torch import Tensor
@@ -26,6 +27,16 @@ class HullProposals:
     @property
     def fitter(self) -> FrameFitter:
         return self.update.fitter
+
+    def about(
+        self, best: Candidate | None, scene: Scene, state: TrackerState, fit: Callable[..., HullFit | None]
+    ) -> Proposals:
+        """The best hand so far fitted once more by `fit`, a method of the fitter that is given the hull about it, its
+        pose, the shape and the masks; no proposals where there is no hand."""
+        if best is None or state.shape is None:
+            return Proposals()
+        hull = hull_about(self.fitter, scene, best.pose, state.shape)
+        return self.proposed(fit(hull, best.pose.normalized(), shape=state.shape, masks=scene.masks), hull)
 
     def proposed(self, fit: HullFit | None, hull: Hull, shape: Float[Tensor, "shape"] | None = None) -> Proposals:
         """A fitted hand as a proposal. shape: the proportions that it was fitted with, where those are new."""
@@ -72,11 +83,7 @@ class Refit:
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """Proposals of at most one hand."""
-        if best is None or state.shape is None:
-            return Proposals()
-        hull = hull_about(self.shared.fitter, scene, best.pose, state.shape)
-        fit = self.shared.fitter.refine(hull, best.pose.normalized(), state.shape, scene.masks)
-        return self.shared.proposed(fit, hull)
+        return self.shared.about(best, scene, state, self.shared.fitter.refine)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,11 +98,7 @@ class Turns:
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """Proposals of at most one hand."""
-        if best is None or state.shape is None:
-            return Proposals()
-        hull = hull_about(self.shared.fitter, scene, best.pose, state.shape)
-        fit = self.shared.fitter.vary_orientation(hull, best.pose.normalized(), state.shape, scene.masks)
-        return self.shared.proposed(fit, hull)
+        return self.shared.about(best, scene, state, self.shared.fitter.vary_orientation)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,12 +113,8 @@ class Fingers:
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """Proposals of at most one hand."""
-        if best is None or state.shape is None:
-            return Proposals()
-        hull = hull_about(self.shared.fitter, scene, best.pose, state.shape)
         others = nearest_keyframes(state.keyframes, scene.time_s)
-        fit = self.shared.fitter.vary_fingers(hull, best.pose.normalized(), others, state.shape, scene.masks)
-        return self.shared.proposed(fit, hull)
+        return self.shared.about(best, scene, state, partial(self.shared.fitter.vary_fingers, others=others))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,7 +27,7 @@ class KeypointHand:
 
     kinematics: HandKinematics
     cameras: Sequence[Camera]
-    """Those of the scene."""
+    """Cameras of the scene, one per view."""
     settings: KeypointSettings
 
     @property
@@ -42,8 +42,8 @@ class KeypointHand:
         pose = detected_hand(scene, self.cameras, self.kinematics, self.settings, shape)
         if pose is None:
             return Proposals()
-        news = shape if state.shape is None else None
-        return Proposals(hands=(Proposed(pose=pose, shape=news),), has_foreground=True)
+        new_shape = shape if state.shape is None else None
+        return Proposals(hands=(Proposed(pose=pose, shape=new_shape),), has_foreground=True)
 
 
 @dataclass(frozen=True, kw_only=True)

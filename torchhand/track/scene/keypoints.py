@@ -20,11 +20,12 @@ _COMPARED = Stage(gross_m=0.01)
 
 @dataclass(frozen=True, kw_only=True)
 class SceneKeypoints:
-    """Of every view in which a detector found a hand."""
+    """What detectors found in the views of one scene."""
 
     pictures: tuple[PictureKeypoints, ...]
+    """Points in the picture of every view in which a hand was found."""
     postures: tuple[PostureKeypoints, ...]
-    """Of those that have points in space."""
+    """Postures of the views whose detector gives points in space."""
 
     @property
     def observations(self) -> tuple[PictureKeypoints | PostureKeypoints, ...]:
@@ -115,4 +116,4 @@ def detected_hand(
         found = place_hand(seen.pictures, seen.postures, kinematics, shape)
         return None if found is None or not bool(found.cost.isfinite()) else found.pose.normalized()
 
-    return scene.once(("detected", id(shape)), placed)
+    return scene.once(("detected", tuple(shape.tolist())), placed)

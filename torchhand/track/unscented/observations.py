@@ -15,7 +15,7 @@ _NEAR = Stage(gross_m=0.004)
 _NOTHING = 1e-12  # of the largest information, below which a direction is not observed
 
 
-def told_of(
+def corrected_by(
     hand: FollowedHand, scene: Scene, motion: HandMotion, shape: Float[Tensor, "shape"], *, weight: float
 ) -> FollowedHand:
     """The hand corrected by the scene's further observations; itself where there are none.

@@ -23,7 +23,7 @@ from torchhand.track.scene import (
     scene_keypoints,
 )
 from torchhand.track.unscented.edges import ContourVisibility, EdgeMeasurement, EdgeSearch, Planes
-from torchhand.track.unscented.observations import told_of
+from torchhand.track.unscented.observations import corrected_by
 from torchhand.track.unscented.settings import UnscentedUpdateSettings
 from torchhand.view import HandProjector, OutlineTable
 
@@ -141,12 +141,12 @@ class UnscentedUpdate:
         return replace(hand, belief=Gaussian(mean, covariance))
 
     def _updated(self, before: _Measured, scene: Scene, shape: Tensor) -> _Measured:
-        """One measurement update with fresh edges of all views, the keypoints, and the weak posture prior.
+        """One measurement update with fresh edges of all views, further observations and the weak posture prior.
 
         Where no view has enough of the contour in its picture, the hand comes back as it is with all shares 0.
         """
         s, count = self.settings, self.motion.space.size
-        hand = told_of(before.hand, scene, self.motion, shape, weight=1 / s.passes)
+        hand = corrected_by(before.hand, scene, self.motion, shape, weight=1 / s.passes)
         # The centre of the sigma points is the reference hand: all are placed at once.
         candidates = observed_points(hand.belief, s.transform, count)
         poses = HandPose.of(self.motion.space.about(hand.base).dof(candidates), hand.reference)
