@@ -3,7 +3,17 @@
 from torchhand.files.cameras import camera_entry, camera_for, camera_of_entry, load_cameras, save_cameras
 from torchhand.files.detections import Detections, HandDetection, read_detections
 from torchhand.files.disk import configs_dir, find_config, models_dir
-from torchhand.files.hands import FittedHand, load_hand, load_hand_model, load_mesh, save_hand, save_mesh
+from torchhand.files.hands import (
+    FittedHand,
+    load_hand,
+    load_hand_model,
+    load_mesh,
+    load_proposal_network,
+    proposal_network_path,
+    save_hand,
+    save_mesh,
+    save_proposal_network,
+)
 from torchhand.files.hull_file import save_hull
 from torchhand.files.pictures import (
     Frame,
@@ -52,6 +62,7 @@ __all__ = [
     "load_hand",
     "load_hand_model",
     "load_mesh",
+    "load_proposal_network",
     "load_rig",
     "load_settings",
     "load_track",
@@ -59,6 +70,7 @@ __all__ = [
     "offsets_of",
     "open_rig",
     "open_source",
+    "proposal_network_path",
     "read_detections",
     "read_picture",
     "rig_notes",
@@ -66,6 +78,7 @@ __all__ = [
     "save_hand",
     "save_hull",
     "save_mesh",
+    "save_proposal_network",
     "save_settings",
     "sequences_of",
     "setting_in",

@@ -1,0 +1,193 @@
+"""Pictures of single hands and forearms as a z-buffer gives them: what is where, how far away and how it is turned."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+
+import torch
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor
+
+from torchhand.geometry import assumed_camera, rotation_from_vector, rotation_of_quaternion
+from torchhand.hand import HandModel
+from torchhand.learn.proposals.postures import drawn_hands
+from torchhand.propose import palm_middle, views_towards
+from torchhand.view import rasterize
+
+RENDERED_PX = 96
+HAND_SHARE = 0.58
+"""Half the side of the smallest square around the hand, over half that of the picture."""
+FOREARM_LENGTH = 0.24
+"""Metres."""
+HAND, FIRST_OF_FOREARM, LAST_OF_FOREARM = 1, 2, 255
+"""Labels."""
+_DEPTH_RANGE = 0.15  # metres before and behind the palm
+_DISTANCES = (0.22, 1.6)  # metres, from the camera to the palm
+_RINGS, _SPOKES = 25, 16
+_THICKNESS, _WIDENING = 0.72, 1.45  # of the forearm: thickness over breadth, and breadth at the elbow over the wrist's
+_ROUND = 0.12  # share of the forearm over which its end is rounded
+_OVERLAP = 0.012  # metres by which the forearm reaches into the palm
+_WRIST_BEND = (0.45, 0.25)  # radians: standard deviations of the wrist's flexion and abduction
+_STEEP, _KEPT_STEEP = 0.75, 0.4  # hands that point along the line of sight more than that are rarer by that factor
+_AT_ONCE = 256
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderedHands:
+    """Right hands before cameras that look at the middle of the hand, and the truth in the cameras' frames."""
+
+    label: UInt8[Tensor, "hands side side"]
+    """0 beside, 1 the hand, 2 to 255 the forearm from the wrist to its end."""
+    depth: UInt8[Tensor, "hands side side"]
+    """Depth relative to the palm's, 0 to 255 for `_DEPTH_RANGE` before to as much behind; 255 where nothing is."""
+    normal: UInt8[Tensor, "hands 2 side side"]
+    """x and y of the unit normal in the camera frame, 0 to 255 for -1 to 1."""
+    rotation: Float[Tensor, "hands 3 3"]
+    """cam_from_hand"""
+    joints: Float[Tensor, "hands 30"]
+    palm: Float[Tensor, "hands 3"]
+    """Middle of the palm in the camera frame, metres."""
+    length: Float[Tensor, "hands"]
+    """The hands' lengths, metres."""
+    reach: Float[Tensor, "hands"]
+    """Half the side of the picture on the normalised image plane."""
+
+    def __len__(self) -> int:
+        return len(self.reach)
+
+    def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "RenderedHands":
+        return RenderedHands(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
+    @classmethod
+    def cat(cls, parts: "list[RenderedHands]") -> "RenderedHands":
+        return cls(**{f.name: torch.cat([getattr(part, f.name) for part in parts]) for f in fields(cls)})
+
+
+def hand_pool(
+    model: HandModel, count: int, generator: torch.Generator, tick: Callable[[int], object] = lambda count: None
+) -> RenderedHands:
+    """Random hands, rendered. tick: is told of the hands that are ready, some hundreds at a time."""
+    joints, shape = drawn_hands(model.prior(), count, generator)
+    parts = []
+    for rows in torch.arange(count).split(_AT_ONCE):
+        parts.append(rendered_hands(model, joints[rows], shape[rows], generator))
+        tick(len(rows))
+    return RenderedHands.cat(parts)
+
+
+def rendered_hands(
+    model: HandModel,
+    joints: Float[Tensor, "hands 30"],
+    shape: Float[Tensor, "hands shape"],
+    generator: torch.Generator,
+) -> RenderedHands:
+    """Every hand from a random direction and distance, with a forearm that is bent at the wrist and 24 cm long."""
+    parts = zip(joints.split(_AT_ONCE), shape.split(_AT_ONCE), strict=True)
+    return RenderedHands.cat([_rendered(model, some.float(), own.float(), generator) for some, own in parts])
+
+
+def _rendered(model: HandModel, joints: Tensor, shape: Tensor, generator: torch.Generator) -> RenderedHands:
+    count = len(joints)
+    hand = model.hand(dtype=torch.float32)
+    turn = _directions(count, generator)
+    with torch.no_grad():
+        state = hand(torch.cat((torch.zeros(count, 6), joints), -1), shape)
+    metric = model.shape_space.to(dtype=torch.float32).metric(shape)
+    forearm, forearm_faces, forearm_labels = _forearms(metric["wrist_breadth"], generator)
+    low, high = (math.log(end) for end in _DISTANCES)
+    distance = (low + (high - low) * torch.rand(count, generator=generator)).exp()
+    palm = (turn @ palm_middle(state.keypoints)[..., None]).squeeze(-1)
+    place = torch.stack((0 * distance, 0 * distance, distance), -1) - palm
+    skin, arm = (points @ turn.mT + place[:, None] for points in (state.vertices, forearm))
+    looking = _looking_at(skin)
+    plane = skin @ looking
+    plane = plane[..., :2] / plane[..., 2:]
+    reach = plane.abs().amax((1, 2)) / HAND_SHARE
+    everything = torch.cat((skin, arm), 1) @ looking
+    faces = torch.cat((state.faces, forearm_faces + skin.shape[1]))
+    labels = torch.cat((torch.full((len(state.faces),), HAND), forearm_labels))
+    palm = (palm + place)[:, None] @ looking
+    pictures = [
+        _picture(points, faces, labels, float(own_reach), float(depth))
+        for points, own_reach, depth in zip(everything, reach, palm[:, 0, 2], strict=True)
+    ]
+    label, depth, normal = (torch.stack(part) for part in zip(*pictures, strict=True))
+    return RenderedHands(
+        label=label,
+        depth=depth,
+        normal=normal,
+        rotation=looking.mT @ turn,
+        joints=joints,
+        palm=palm[:, 0],
+        length=metric["hand_length"].expand(count).clone(),
+        reach=reach,
+    )
+
+
+def _picture(
+    points: Float[Tensor, "points 3"], faces: Tensor, labels: Tensor, reach: float, palm: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    focal, middle = 0.5 * RENDERED_PX / reach, 0.5 * (RENDERED_PX - 1)
+    intrinsics = torch.tensor([[focal, 0.0, middle], [0.0, focal, middle], [0.0, 0.0, 1.0]])
+    camera = replace(assumed_camera(RENDERED_PX, RENDERED_PX, dtype=torch.float32), intrinsics=intrinsics)
+    seen = rasterize(points.contiguous(), faces, camera, labels, is_closed=True)
+    depth = ((seen.depth - palm) / _DEPTH_RANGE).clamp(-1, 1)
+    normal = seen.normal[..., :2].movedim(-1, 0)
+    return seen.part.clamp_min(0).to(torch.uint8), _bytes(depth), _bytes(normal)
+
+
+def _bytes(values: Tensor) -> UInt8[Tensor, "*shape"]:
+    """-1 to 1 as 0 to 255."""
+    return (127.5 * (values + 1)).round().to(torch.uint8)
+
+
+def _directions(count: int, generator: torch.Generator) -> Float[Tensor, "count 3 3"]:
+    """cam_from_hand: uniform, but for hands that point along the line of sight, which are rarer."""
+    tries = rotation_of_quaternion(
+        torch.nn.functional.normalize(torch.randn(4 * count + 64, 4, generator=generator), dim=-1)
+    )
+    chance = torch.rand(len(tries), generator=generator)
+    kept = (tries[:, 2, 1].abs() < _STEEP) | (chance < _KEPT_STEEP)
+    return tries[kept][:count]
+
+
+def _looking_at(points: Float[Tensor, "hands points 3"]) -> Float[Tensor, "hands 3 3"]:
+    """cam_from_view of views towards the middle of the points' picture."""
+    plane = points[..., :2] / points[..., 2:]
+    middle = 0.5 * (plane.amin(1) + plane.amax(1))
+    ahead = torch.cat((middle, torch.ones_like(middle[:, :1])), -1)
+    up = torch.tensor((0.0, -1.0, 0.0)).expand_as(ahead)
+    return views_towards(ahead, up, torch.ones(len(ahead))).cam_from_view
+
+
+def _forearms(
+    wrist_breadth: Float[Tensor, "*#hands"], generator: torch.Generator
+) -> tuple[Float[Tensor, "hands points 3"], Int[Tensor, "faces 3"], Int[Tensor, "faces"]]:
+    """Elliptic cones in the frames of the hands, closed, bent at the wrist; the labels of their faces."""
+    count = len(wrist_breadth)
+    spread = 1 + 0.1 * torch.randn(count, 2, generator=generator)
+    along = torch.linspace(0, 1, _RINGS)
+    angle = torch.arange(_SPOKES) * (2 * math.pi / _SPOKES)
+    rounded = (along / _ROUND).clamp_max(1).sqrt()  # the end inside the palm
+    half = 0.5 * wrist_breadth[:, None, None] * ((0.6 + 0.4 * rounded) * (1 + (_WIDENING - 1) * along))[:, None]
+    x = _THICKNESS * half * spread[:, :1, None] * angle.cos()
+    z = half * spread[:, 1:, None] * angle.sin()
+    y = (_OVERLAP - FOREARM_LENGTH * along)[:, None].expand_as(x)
+    points = torch.stack((x, y, z), -1).flatten(1, 2)
+    ends = points.unflatten(1, (_RINGS, _SPOKES))[:, [0, -1]].mean(2)
+    flexion, abduction = (std * torch.randn(count, generator=generator) for std in _WRIST_BEND)
+    bend = rotation_from_vector(torch.stack((abduction, 0 * abduction, flexion), -1))
+    ring, spoke = torch.meshgrid(torch.arange(_RINGS - 1), torch.arange(_SPOKES), indexing="ij")
+    here, beside = ring * _SPOKES + spoke, ring * _SPOKES + (spoke + 1) % _SPOKES
+    sides = torch.cat(
+        (torch.stack((here, beside, here + _SPOKES), -1), torch.stack((beside, beside + _SPOKES, here + _SPOKES), -1))
+    ).flatten(0, 1)
+    caps = [
+        torch.stack((torch.full((_SPOKES,), _RINGS * _SPOKES + end), *pair), -1)
+        for end, pair in enumerate(((beside[0], here[0]), (here[-1] + _SPOKES, beside[-1] + _SPOKES)))
+    ]
+    step = (LAST_OF_FOREARM - FIRST_OF_FOREARM) / (_RINGS - 2)
+    of_sides = (FIRST_OF_FOREARM + step * ring).round().long().reshape(-1).repeat(2)
+    of_caps = torch.tensor((FIRST_OF_FOREARM, LAST_OF_FOREARM)).repeat_interleave(_SPOKES)
+    faces = torch.cat((sides, *caps))
+    return torch.cat((points, ends), 1) @ bend.mT, faces, torch.cat((of_sides, of_caps))
