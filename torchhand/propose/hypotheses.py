@@ -150,15 +150,15 @@ class _SeenHands:
     def likeliest(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
         """Poses in the world and their weights, those that are alike joined."""
         points, weight = self.keypoints.flatten(1, 2), self.weight.flatten(1, 2)
-        rows, weights = zip(*(_joined(*one, _ALIKE * self.length, count) for one in zip(points, weight, strict=True)))
-        chosen = torch.stack(rows)
+        joined = [_joined(*one, _ALIKE * self.length, count) for one in zip(points, weight, strict=True)]
+        chosen, weights = (torch.stack(part) for part in zip(*joined, strict=True))
         root, rotation, joints = (_picked(x.flatten(1, 2), chosen) for x in (self.root, self.rotation, self.joints))
         moved = []
         for camera, at, turn in zip([one.camera for one in self.silhouettes], root, rotation, strict=True):
             world_from_cam, place = camera.rotation.to(at).mT, camera.translation.to(at)
             moved.append(((at - place) @ world_from_cam.mT, world_from_cam @ turn))
         place, reference = (torch.stack(part) for part in zip(*moved, strict=True))
-        return torch.cat((place, torch.zeros_like(place), joints), -1), reference, torch.stack(weights)
+        return torch.cat((place, torch.zeros_like(place), joints), -1), reference, weights
 
 
 def sampled_channels(silhouette: Silhouette, views: SquareViews) -> Float[Tensor, "views channels side side"]:

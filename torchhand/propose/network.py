@@ -1,5 +1,6 @@
 """A small convolutional network from a view of a silhouette to several weighted postures and places of a hand."""
 
+import itertools
 from dataclasses import dataclass
 
 import torch
@@ -59,7 +60,7 @@ class ProposalNetwork(nn.Module):
         self.outputs = (_ROTATION, len(free), _PLACE, 1, 1)
         channels = (width, 2 * width, 4 * width, 8 * width)
         layers: list[nn.Module] = [*_convolution(CHANNELS, channels[0], 5, stride=2)]
-        for before, after in zip(channels, channels[1:], strict=False):
+        for before, after in itertools.pairwise(channels):
             layers += [*_convolution(before, after, 3, stride=2), _Block(after)]
         self.picture = nn.Sequential(*layers)
         last = SIDE_PX // 16

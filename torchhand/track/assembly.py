@@ -16,7 +16,14 @@ from torchhand.image import BackgroundPlate
 from torchhand.track.belief import HandMotion
 from torchhand.track.extended import ExtendedUpdate, ExtendedUpdateSettings
 from torchhand.track.multiview import FrameFitter, HullUpdate
-from torchhand.track.proposals import KeypointHand, KeypointStart, PostureSearch, ProposalSource, hull_sources
+from torchhand.track.proposals import (
+    KeypointHand,
+    KeypointStart,
+    LearnedHands,
+    PostureSearch,
+    ProposalSource,
+    hull_sources,
+)
 from torchhand.track.scene import (
     ColourSegmentation,
     Health,
@@ -138,6 +145,24 @@ def _of_one_camera(
     start = KeypointStart(
         kinematics=kinematics, camera=here, settings=s.keypoints, table=own.table, fit=s.fit, known_shape=shape
     )
+    sources: tuple[ProposalSource, ...] = (
+        KeypointHand(kinematics=kinematics, cameras=(here,), settings=s.keypoints),
+        search,
+        start,
+    )
+    if s.learned_proposals and here.kind == "pinhole":
+        sources += (
+            LearnedHands(
+                kinematics=kinematics,
+                camera=here,
+                table=own.table,
+                fit=s.fit,
+                silhouette=s.silhouette,
+                min_overlap=s.search_overlap,
+                plate=plate,
+                known_shape=shape,
+            ),
+        )
     return Assembly(
         kinematics=kinematics,
         cameras=(here,),
@@ -145,7 +170,7 @@ def _of_one_camera(
         motion=own.motion,
         segmentation=ColourSegmentation(kinematics=kinematics, camera=here, settings=s.colours),
         rule=own.rule((here,)),
-        sources=(KeypointHand(kinematics=kinematics, cameras=(here,), settings=s.keypoints), search, start),
+        sources=sources,
         health=Health(settings=s.health),
         takes_proposals=False,
         keypoint_settings=s.keypoints,

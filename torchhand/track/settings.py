@@ -46,6 +46,9 @@ class TrackerSettings:
     """Settings of the fit to the picture in which a hand is found."""
     search_overlap: float = 0.80
     """Smallest overlap with which a search of one camera takes a hand as found; 0 to 1."""
+    learned_proposals: bool = True
+    """Whether a trained network proposes hands in any posture to one pinhole camera, where the posture of the start is
+    not found or leaves something unexplained."""
     rig: RigSettings = field(default_factory=RigSettings)
     """Several cameras: the hull of the silhouettes, in which a hand is found whatever the update rule."""
     smoothing_window_s: float = 0.0

@@ -20,11 +20,6 @@ _HEADER = "header"
 _COUNTERS = "num_batches_tracked"  # of batch normalisation; only training looks at them
 
 
-def proposal_network_path() -> Path:
-    """The network that is shipped."""
-    return models_dir() / "proposals" / "network.npz"
-
-
 def save_proposal_network(path: str | Path, network: ProposalNetwork, provenance: Mapping[str, Any]) -> None:
     """Write a network; the same network gives the same bytes. provenance: how it was trained, for people."""
     header = {
@@ -49,7 +44,7 @@ def load_proposal_network(path: str | Path | None = None) -> ProposalNetwork:
 
     Raises InputError naming the file and what is wrong with it.
     """
-    path = proposal_network_path() if path is None else Path(path)
+    path = models_dir() / "proposals" / "network.npz" if path is None else Path(path)
     with opened_arrays(path, complaint="is no proposal network that can be read") as stored:
         arrays = dict(stored)
     header = _header(path, arrays.pop(_HEADER, None))

@@ -9,6 +9,7 @@ from torchhand.fit.detect.start import (
     StartPoints,
     find_hand,
     fit_overlap,
+    segment_hand,
     start_at_points,
     start_at_pose,
 )
@@ -24,6 +25,7 @@ __all__ = [
     "facing_rotation",
     "find_hand",
     "fit_overlap",
+    "segment_hand",
     "start_at_points",
     "start_at_pose",
     "turned_in_picture",

@@ -118,7 +118,7 @@ def hypothesis_errors(found: ViewedHands, seen: SeenHands, kinematics: HandKinem
 
 
 def mixture_loss(found: ViewedHands, errors: Float[Tensor, "hands k"]) -> Float[Tensor, ""]:
-    """Negative log-likelihood of the mixture whose components fall off exponentially with their errors (Bishop 1994)."""
+    """Negative log-likelihood of a mixture whose components fall off exponentially with their errors (Bishop 1994)."""
     fit = -_INDEPENDENT * (errors / found.spread + found.spread.log())
     return -torch.logsumexp(found.log_weight + fit, -1).mean()
 

@@ -2,7 +2,17 @@
 
 from torchhand.track.proposals.hull import hull_sources
 from torchhand.track.proposals.keypoints import KeypointHand, KeypointStart
+from torchhand.track.proposals.learned import LearnedHands
 from torchhand.track.proposals.posture_search import PostureSearch
 from torchhand.track.proposals.protocol import Proposals, ProposalSource, Proposed
 
-__all__ = ["KeypointHand", "KeypointStart", "PostureSearch", "ProposalSource", "Proposals", "Proposed", "hull_sources"]
+__all__ = [
+    "KeypointHand",
+    "KeypointStart",
+    "LearnedHands",
+    "PostureSearch",
+    "ProposalSource",
+    "Proposals",
+    "Proposed",
+    "hull_sources",
+]

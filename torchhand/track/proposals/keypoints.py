@@ -71,7 +71,7 @@ class KeypointStart:
         pose = detected_hand(scene, (self.camera,), self.kinematics, self.settings, shape)
         if pose is None:
             return Proposals()
-        fit_shape = self.known_shape is None and _shows_proportions(pose, self.camera)
+        fit_shape = self.known_shape is None and shows_proportions(pose, self.camera)
         where = (self.kinematics, self.camera, shape, self.table)
         start = start_at_pose(image, pose, *where, fit_shape=fit_shape, settings=self.fit)
         if isinstance(start, NoStart):
@@ -81,7 +81,7 @@ class KeypointStart:
         return Proposals(hands=(proposed,), has_foreground=True)
 
 
-def _shows_proportions(pose: HandPose, camera: Camera) -> bool:
+def shows_proportions(pose: HandPose, camera: Camera) -> bool:
     """Whether the outline of a hand tells its proportions: an open hand, parallel to the picture."""
     palm = float((camera.rotation.to(pose.rotation) @ pose.rotation)[2, 0].abs())
     return palm > math.cos(_SLANT) and float(pose.dofs[_FLEXIONS].max()) < _SLANT

@@ -1,0 +1,137 @@
+"""Train the network that proposes hands in any posture for a silhouette, on simulated hands alone; measure it."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import torch
+from tqdm import tqdm
+from tyro.conf import arg
+
+import torchhand
+from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
+from torchhand.errors import InputError
+from torchhand.files import load_hand_model, load_proposal_network, save_proposal_network
+from torchhand.files.disk import explained_errors
+from torchhand.learn.proposals import (
+    ProposalFigures,
+    ProposalTraining,
+    figures_table,
+    hand_pool,
+    measured_on_pictures,
+    measured_on_views,
+    new_network,
+    posed_pictures,
+    train_proposals,
+)
+from torchhand.propose import ProposalNetwork
+
+REPORTS = 30  # along the training
+_VIEWS = 7  # seed of the views of held-out hands
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Train the network that proposes hands in any posture for a silhouette, on simulated hands alone; measure it.
+
+    Hands of the prior, of the signs and of mixtures of them are rendered from all sides, with forearms, ragged masks,
+    random lights and picture edges; the network learns several weighted hypotheses for each view. FILE gets it, and is
+    written anew at every report. Without --out the network of --network is only measured. The same arguments give the
+    same network on the same machine.
+
+    Example:
+        torchhand learn_proposals --out network.npz --evaluate data/synthetic/free
+    """
+
+    out: Annotated[Path | None, arg(metavar="FILE")] = None
+    """File for the network, .npz."""
+    network: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Network to measure, without --out; the shipped one if not given."""
+    evaluate: Annotated[tuple[Path, ...], arg(metavar="FOLDER")] = ()
+    """Folders of pictures with true keypoints: sequences with cameras.json and frames/, or stills with truth.npz and
+    images/."""
+    side: Literal["left", "right"] = "right"
+    """Which hand these pictures show."""
+    every: int = 1
+    """Take every so many of their pictures."""
+    steps: int | None = None
+    """Steps of training; as many as took the shipped network if not given."""
+    hands: int | None = None
+    """Simulated hands to train on."""
+    seed: int | None = None
+    """Seed of everything that is random; 0 if not given."""
+    threads: int = 1
+    """Threads of the training."""
+
+
+@command
+def main(argv: Sequence[str] | None = None) -> int:
+    """Train where a file is given, then measure."""
+    arguments = parse(Arguments, argv, name="learn_proposals")
+    if arguments.every < 1:
+        raise InputError(f"--every: expected 1 or more, got {arguments.every}")
+    pictures = [(folder, posed_pictures(folder, every=arguments.every)) for folder in arguments.evaluate]
+    model = load_hand_model()
+    with threads(arguments.threads):
+        if arguments.out is not None:
+            if arguments.network is not None:
+                raise InputError("expected at most one of --out and --network, got both")
+            try:
+                network = _trained(arguments, arguments.out)
+            except KeyboardInterrupt:
+                print(f"torchhand learn_proposals: stopped by Ctrl-C; {arguments.out} has the last report's network")
+                return STOPPED_BY_USER
+        else:
+            network = load_proposal_network(arguments.network)
+            if not pictures:
+                raise InputError("expected --out FILE to train, or --evaluate FOLDER to measure")
+        kinematics = model.kinematics(arguments.side, dtype=torch.float64)
+        rows: list[tuple[str, ProposalFigures]] = []
+        for folder, some in pictures:
+            shown = tqdm(some, desc=folder.name, unit="picture", leave=False, disable=not sys.stderr.isatty())
+            proposed, registered = measured_on_pictures(network, shown, kinematics)
+            rows += [(f"{folder.name}, proposed", proposed), (f"{folder.name}, registered", registered)]
+    if rows:
+        print(f"errors of the likeliest / of the best of {network.sizes['hypotheses']}, means")
+        print(figures_table(rows))
+    return DONE
+
+
+def _trained(arguments: Arguments, out: Path) -> ProposalNetwork:
+    """Render, train and measure on held-out hands."""
+    settings, model = _settings(arguments), load_hand_model()
+    with explained_errors(out):
+        out.parent.mkdir(parents=True, exist_ok=True)
+    hidden = not sys.stderr.isatty()
+    with tqdm(total=settings.hands + settings.held_out, desc="rendering", unit="hand", disable=hidden) as bar:
+        generators = (torch.Generator().manual_seed(settings.seed + number) for number in range(2))
+        counts = (settings.hands, settings.held_out)
+        hands, held_out = (hand_pool(model, *one, bar.update) for one in zip(counts, generators, strict=True))
+    network = new_network(settings, model)
+    provenance = {"torchhand": torchhand.__version__, "command": "learn_proposals", "settings": asdict(settings)}
+    with tqdm(total=settings.steps, desc="learning", unit="step", disable=hidden) as bar:
+        for reached in train_proposals(network, hands, settings, model, report_every=max(1, settings.steps // REPORTS)):
+            figures = measured_on_views(network, held_out, model, _VIEWS)
+            save_proposal_network(out, network, {**provenance, "step": reached.step})
+            bar.update(reached.step - bar.n)
+            print(
+                f"step {reached.step}: loss {reached.loss:.2f}, keypoints {figures.errors.top['aligned_mm']:.1f} mm"
+                f" (best {figures.errors.best['aligned_mm']:.1f}), palm {figures.errors.top['rotation_deg']:.0f}°"
+                f" (best {figures.errors.best['rotation_deg']:.0f}°), likeliest right in {figures.kept:.0%}, promised"
+                f" {figures.promised:.0%}",
+                flush=True,
+            )
+    print(figures_table([("held-out simulated hands, one view", figures.errors)]))
+    print(f"saved {out}")
+    return load_proposal_network(out)
+
+
+def _settings(arguments: Arguments) -> ProposalTraining:
+    names = ("steps", "hands", "seed")
+    given = {name: value for name in names if (value := getattr(arguments, name)) is not None}
+    try:
+        return replace(ProposalTraining(), **given)
+    except ValueError as error:
+        raise InputError(f"--{error}") from error

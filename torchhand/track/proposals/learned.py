@@ -1,0 +1,101 @@
+"""One camera: hands in any posture that a trained network proposes for the silhouette, registered on it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchhand.files import load_proposal_network
+from torchhand.fit import Appearance, Solutions
+from torchhand.fit.detect import FitSettings, NoStart, segment_hand, start_at_pose
+from torchhand.fit.proposals import ProposalRegistration
+from torchhand.geometry import Camera
+from torchhand.hand import HandKinematics, HandPose
+from torchhand.image import BackgroundPlate, SilhouetteSettings
+from torchhand.propose import Silhouette, propose_hands
+from torchhand.track.knowledge import TrackerState
+from torchhand.track.proposals.keypoints import shows_proportions
+from torchhand.track.proposals.protocol import Occasion, Proposals, Proposed
+from torchhand.track.scene import Candidate, Scene
+from torchhand.view import OutlineTable
+
+_MIN_AREA = 0.004  # share of the picture that a silhouette fills at least
+_STARTS = 2  # registered hands whose colours are learned in the first picture
+_MIN_FOUND = 0.8  # share of the first hand's contour on edges
+_RESTARTS = 3  # registered hands that a followed one is compared with
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnedHands:
+    """Segments the picture, asks the network, registers all that it proposes, and hands on the cheapest.
+
+    It is asked where the posture of the start was looked for in vain or leaves something unexplained. The first hand
+    brings its colours, and its proportions where it shows them.
+    """
+
+    kinematics: HandKinematics
+    camera: Camera
+    """A pinhole camera, which is the world."""
+    table: OutlineTable
+    fit: FitSettings
+    silhouette: SilhouetteSettings
+    min_overlap: float
+    """Smallest overlap of the first hand."""
+    plate: BackgroundPlate | None = None
+    known_shape: Float[Tensor, "shape"] | None = None
+
+    @property
+    def occasion(self) -> Occasion:
+        return "degraded"
+
+    @cached_property
+    def _registration(self) -> ProposalRegistration:
+        return ProposalRegistration(kinematics=self.kinematics)
+
+    def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
+        """Some hands; none in frames in which no search was due."""
+        image = scene.views[0].image
+        if image is None or state.frames_since_search > 0:
+            return Proposals()
+        mask = self._mask(scene, image, state)
+        if float(mask.float().mean()) < _MIN_AREA:
+            return Proposals()
+        seen = Silhouette(mask=mask, camera=self.camera, image=image)
+        shape = state.shape if state.shape is not None else self.known_shape
+        found = self._registered(seen, self.kinematics.default_shape if shape is None else shape)
+        if state.has_started:
+            hands = tuple(Proposed(pose=found.pose[i]) for i in range(min(_RESTARTS, len(found.cost))))
+            return Proposals(hands=hands, has_foreground=True)
+        return self._first(found, image)
+
+    def _registered(self, seen: Silhouette, shape: Tensor) -> Solutions:
+        """Registered hypotheses, the cheapest first."""
+        hands = propose_hands(load_proposal_network(), (seen,), self.kinematics, shape)
+        found = self._registration(seen, hands.pose[0], shape, weight=hands.weight[0])
+        order = found.cost.argsort()
+        return found.rows(order[found.cost[order].isfinite()])
+
+    def _first(self, found: Solutions, image: Tensor) -> Proposals:
+        """The first hand with its colours, as it is refitted to the silhouette by these."""
+        shape = self.kinematics.default_shape if self.known_shape is None else self.known_shape
+        where = (self.kinematics, self.camera, shape, self.table)
+        hands = []
+        for index in range(min(_STARTS, len(found.cost))):
+            pose = found.pose[index]
+            fit_shape = self.known_shape is None and shows_proportions(pose, self.camera)
+            start = start_at_pose(image, pose, *where, fit_shape=fit_shape, settings=self.fit)
+            if isinstance(start, NoStart) or start.overlap < self.min_overlap or start.fit.found_fraction < _MIN_FOUND:
+                continue
+            fitted = HandPose.of(start.fit.pose, start.fit.root_reference)
+            hands.append(Proposed(pose=fitted, shape=start.fit.shape, appearance=start.appearance))
+        reason = "" if hands else "no proposed hand fits the silhouette"
+        return Proposals(hands=tuple(hands), reason=reason, has_foreground=True)
+
+    def _mask(self, scene: Scene, image: Tensor, state: TrackerState) -> Bool[Tensor, "height width"]:
+        """Silhouette by what is known of the hand's colours."""
+        if scene.masks[0] is not None:
+            return scene.masks[0]
+        known = state.appearance[0] if state.appearance else None
+        appearance = known if isinstance(known, Appearance) else None
+        return segment_hand(image, appearance, self.silhouette, self.plate)[0]
