@@ -7,7 +7,13 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from torchhand.geometry.rotations import left_jacobian, rotation_from_vector, skew, vector_from_rotation
+from torchhand.geometry.rotations import (
+    left_jacobian,
+    rotation_from_columns,
+    rotation_from_vector,
+    skew,
+    vector_from_rotation,
+)
 
 
 def _vectors(generator: torch.Generator, count: int = 200) -> Tensor:
@@ -90,3 +96,16 @@ def test_float32_keeps_its_precision() -> None:
     torch.testing.assert_close(rotation_from_vector(vector).double(), exact, atol=1.2e-7, rtol=0)
     back = vector_from_rotation(rotation_from_vector(vector))
     torch.testing.assert_close(back, vector, atol=1e-7, rtol=0)
+
+
+def test_rotations_from_columns() -> None:
+    generator = torch.Generator().manual_seed(2)
+    columns = torch.randn(50, 6, generator=generator, dtype=torch.float64)
+    rotation = rotation_from_columns(columns)
+    torch.testing.assert_close(rotation @ rotation.mT, torch.eye(3, dtype=torch.float64).expand(50, 3, 3))
+    torch.testing.assert_close(torch.linalg.det(rotation), torch.ones(50, dtype=torch.float64))
+    again = rotation_from_columns(torch.cat((rotation[..., 0], rotation[..., 1]), -1))
+    torch.testing.assert_close(again, rotation)
+    cross = torch.linalg.cross(columns[:, :3], columns[:, 3:])
+    torch.testing.assert_close(torch.nn.functional.normalize(cross, dim=-1), rotation[..., 2])
+    assert torch.autograd.gradcheck(rotation_from_columns, columns[:3].requires_grad_())

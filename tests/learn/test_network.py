@@ -8,7 +8,7 @@ from torchhand.files import load_hand_model
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import JOINT_DOFS, Side
 from torchhand.learn.estimate import estimate_hands
-from torchhand.learn.network import PoseNetwork, rotation_from_columns
+from torchhand.learn.network import PoseNetwork
 from torchhand.learn.observation import observe
 
 MODEL = load_hand_model()
@@ -119,19 +119,6 @@ def test_batches_equal_a_loop(batch: tuple[int, ...], generator: torch.Generator
     whole = estimate_hands(network, points)
     loop = [estimate_hands(network, some).keypoints for some in points.reshape(-1, 21, 2)]
     torch.testing.assert_close(whole.keypoints.reshape(-1, 21, 3), torch.stack(loop), atol=1e-5, rtol=0)
-
-
-def test_rotations_from_columns() -> None:
-    generator = torch.Generator().manual_seed(2)
-    columns = torch.randn(50, 6, generator=generator, dtype=torch.float64)
-    rotation = rotation_from_columns(columns)
-    torch.testing.assert_close(rotation @ rotation.mT, torch.eye(3, dtype=torch.float64).expand(50, 3, 3))
-    torch.testing.assert_close(torch.linalg.det(rotation), torch.ones(50, dtype=torch.float64))
-    again = rotation_from_columns(torch.cat((rotation[..., 0], rotation[..., 1]), -1))
-    torch.testing.assert_close(again, rotation)
-    cross = torch.linalg.cross(columns[:, :3], columns[:, 3:])
-    torch.testing.assert_close(torch.nn.functional.normalize(cross, dim=-1), rotation[..., 2])
-    assert torch.autograd.gradcheck(rotation_from_columns, columns[:3].requires_grad_())
 
 
 def test_weights_can_be_loaded_into_another_network() -> None:

@@ -37,6 +37,7 @@ from torchhand.geometry.rig import (
 from torchhand.geometry.rotations import (
     exponential_coefficients,
     left_jacobian,
+    rotation_from_columns,
     rotation_from_vector,
     skew,
     vector_from_rotation,
@@ -75,6 +76,7 @@ __all__ = [
     "quaternion_of_rotation",
     "ray_table",
     "rig_size",
+    "rotation_from_columns",
     "rotation_from_vector",
     "rotation_of_quaternion",
     "sees",

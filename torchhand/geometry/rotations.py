@@ -92,3 +92,11 @@ def left_jacobian(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 
     cross = skew(vector)
     identity = torch.eye(3, dtype=vector.dtype, device=vector.device)
     return identity + second[..., None, None] * cross + third[..., None, None] * (cross @ cross)
+
+
+def rotation_from_columns(columns: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 3 3"]:
+    """The rotation that Gram and Schmidt make of its first two columns; the third is their product."""
+    first = torch.nn.functional.normalize(columns[..., :3], dim=-1)
+    second = columns[..., 3:] - (first * columns[..., 3:]).sum(-1, keepdim=True) * first
+    second = torch.nn.functional.normalize(second, dim=-1)
+    return torch.stack((first, second, torch.linalg.cross(first, second)), -1)

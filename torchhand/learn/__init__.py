@@ -3,7 +3,7 @@
 from torchhand.learn.data import HandPool, Samples, SampleSettings, draw_samples, hand_pool
 from torchhand.learn.estimate import estimate_hands
 from torchhand.learn.figures import FIGURES, Figures, baseline_of, figures_of
-from torchhand.learn.network import HandEstimate, PoseNetwork, rotation_from_columns
+from torchhand.learn.network import HandEstimate, PoseNetwork
 from torchhand.learn.observation import MIN_SEEN, Observation, mirrored, observe
 from torchhand.learn.record import CURVE_NAME, MODEL_NAME, Curve, TrainingRecord, load_record, save_record
 from torchhand.learn.stills import Stills, load_stills
@@ -53,7 +53,6 @@ __all__ = [
     "new_training",
     "observe",
     "restored",
-    "rotation_from_columns",
     "save_record",
     "snapshot",
     "train",

@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from torchhand.geometry import rotation_from_columns
 from torchhand.hand import DOFS, JOINT_DOFS, ROOT_DOFS, HandKinematics, HandModel, named_pose_space
 from torchhand.learn.observation import FEATURES, Observation
 
@@ -102,11 +103,3 @@ class _Block(nn.Module):
 
     def forward(self, hidden: Tensor) -> Tensor:
         return hidden + self.inside(hidden)
-
-
-def rotation_from_columns(columns: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 3 3"]:
-    """The rotation that Gram and Schmidt make of its first two columns; the third is their product."""
-    first = torch.nn.functional.normalize(columns[..., :3], dim=-1)
-    second = columns[..., 3:] - (first * columns[..., 3:]).sum(-1, keepdim=True) * first
-    second = torch.nn.functional.normalize(second, dim=-1)
-    return torch.stack((first, second, torch.linalg.cross(first, second)), -1)

@@ -18,6 +18,7 @@ from torchhand.propose.views import SIDE_PX, SquareViews, palm_middle, views_tow
 _FINE = 3  # samples along each side of a pixel of a view
 _MARGIN = 1.1  # of the square about a whole silhouette, over the silhouette
 _DISC_REACH = 4.0  # half the square about a palm, over the radius of the largest disc in the silhouette
+_THICKEST = 0.98  # of the largest disc's radius: middles of other discs that count, so that ties do not decide
 _CLOSER = 1.25  # of the square about a proposed hand, over the box of its keypoints
 _SKIN = 0.1  # of the hand's length: what the skin adds to that box
 _ALIKE = 0.08  # of the hand's length: mean distance of keypoints below which two hypotheses are one
@@ -187,8 +188,9 @@ def _first_views(silhouette: Silhouette) -> SquareViews | None:
     top, bottom, left, right = (int(end) for end in (rows[0], rows[-1], columns[0], columns[-1]))
     whole = (0.5 * (left + right), 0.5 * (top + bottom), _MARGIN * 0.5 * (max(right - left, bottom - top) + 1))
     inscribed = depth_map(mask, is_border_outside=True)
-    y, x = divmod(int(inscribed.argmax()), mask.shape[1])
-    palm = (float(x), float(y), min(_DISC_REACH * float(inscribed[y, x]), whole[2]))
+    radius = float(inscribed.max())
+    y, x = (inscribed >= _THICKEST * radius).nonzero().double().mean(0).tolist()
+    palm = (x, y, min(_DISC_REACH * radius, whole[2]))
     exact = camera.to(dtype=torch.float64)
     squares = torch.tensor((whole, palm, whole, palm), dtype=torch.float64)
     ends = torch.stack(

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from torchhand.geometry import rotation_from_columns
 from torchhand.hand import JOINT_DOFS, ROOT_DOFS, Skeleton, named_pose_space
 from torchhand.propose.channels import CHANNELS
 from torchhand.propose.views import SIDE_PX
@@ -101,11 +102,3 @@ class _Block(nn.Module):
 def _convolution(before: int, after: int, size: int, *, stride: int = 1) -> tuple[nn.Module, nn.Module, nn.Module]:
     convolution = nn.Conv2d(before, after, size, stride=stride, padding=size // 2, bias=False)
     return convolution, nn.BatchNorm2d(after), nn.ReLU(inplace=True)
-
-
-def rotation_from_columns(columns: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 3 3"]:
-    """The rotation that Gram and Schmidt make of its first two columns; the third is their product."""
-    first = torch.nn.functional.normalize(columns[..., :3], dim=-1)
-    second = columns[..., 3:] - (first * columns[..., 3:]).sum(-1, keepdim=True) * first
-    second = torch.nn.functional.normalize(second, dim=-1)
-    return torch.stack((first, second, torch.linalg.cross(first, second)), -1)

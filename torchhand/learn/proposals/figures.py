@@ -48,7 +48,8 @@ def proposal_figures(
     """
     own, true = (points.detach().double().cpu().numpy() for points in (keypoints, truth))
     is_there = np.isfinite(own).all((1, 2, 3))
-    kept, hers = own[is_there], true[is_there][:, None]
+    kept = own[is_there]
+    hers = np.broadcast_to(true[is_there][:, None], kept.shape)
     if not len(kept):
         nothing = dict.fromkeys(FIGURES, float("nan"))
         return ProposalFigures(pictures=len(own), top=nothing, best=nothing, within=0.0)

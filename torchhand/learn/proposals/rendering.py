@@ -89,7 +89,7 @@ def rendered_hands(
 def _rendered(model: HandModel, joints: Tensor, shape: Tensor, generator: torch.Generator) -> RenderedHands:
     count = len(joints)
     hand = model.hand(dtype=torch.float32)
-    turn = _directions(count, generator)
+    turn = random_directions(count, generator)
     with torch.no_grad():
         state = hand(torch.cat((torch.zeros(count, 6), joints), -1), shape)
     metric = model.shape_space.to(dtype=torch.float32).metric(shape)
@@ -141,7 +141,7 @@ def _bytes(values: Tensor) -> UInt8[Tensor, "*shape"]:
     return (127.5 * (values + 1)).round().to(torch.uint8)
 
 
-def _directions(count: int, generator: torch.Generator) -> Float[Tensor, "count 3 3"]:
+def random_directions(count: int, generator: torch.Generator) -> Float[Tensor, "count 3 3"]:
     """cam_from_hand: uniform, but for hands that point along the line of sight, which are rarer."""
     tries = rotation_of_quaternion(
         torch.nn.functional.normalize(torch.randn(4 * count + 64, 4, generator=generator), dim=-1)
