@@ -53,9 +53,7 @@ def _sequence(folder: Path) -> Path:
     return folder
 
 
-def test_a_training_leaves_a_network_that_can_be_measured(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_training_leaves_a_network_that_can_be_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "new" / "network.npz"
     assert main(["--out", str(out), "--steps", "3", "--hands", "8"]) == 0
     assert load_proposal_network(out).sizes == {"hypotheses": 3, "width": 2, "hidden": 384}
@@ -87,7 +85,11 @@ def test_the_shipped_network_is_measured_on_a_sequence(tmp_path: Path, capsys: p
     ],
 )
 def test_mistakes_are_told_in_a_line(
-    arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    arguments: list[str],
+    complaint: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(arguments) == 2

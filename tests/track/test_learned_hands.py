@@ -3,6 +3,7 @@
 from dataclasses import replace
 from typing import Any
 
+import pytest
 import torch
 
 from tests.steps import right_hand, run
@@ -12,22 +13,21 @@ SETTINGS = replace(DEFAULTS["contour"], pose_space="dof26")
 WITHOUT = replace(SETTINGS, learned_proposals=False)
 
 
-def test_hands_in_other_postures_are_found(studio: Any) -> None:
-    """Of pointing hands, victory signs and fists from both sides most are, and without the network hardly any."""
-    found = []
-    for settings in (SETTINGS, WITHOUT):
-        count = 0
-        for posed in ("point", "victory", "fist"):
-            for view in ("palm", "back"):
-                placed = studio.placed(size=0.8, posed=posed, view=view, camera=studio.camera(320, 240))
-                tracker = Tracker(right_hand(), placed.camera, settings, shape=placed.shape)
-                _, [estimate] = run(tracker, [placed.picture(seed=1)])
-                if estimate.status == "tracked" and estimate.keypoints_px is not None:
-                    error = (estimate.keypoints_px[0] - placed.keypoints_px).norm(dim=-1).mean()
-                    count += int(float(error) < 20)  # a tenth of an open hand's length
-        found.append(count)
-    assert found[0] >= 4
-    assert found[0] >= found[1] + 2
+@pytest.mark.parametrize("posed", ["point", "fist"])
+def test_a_hand_in_another_posture_is_found(studio: Any, posed: str) -> None:
+    placed = studio.placed(size=0.8, posed=posed, view="back", camera=studio.camera(320, 240))
+    tracker = Tracker(right_hand(), placed.camera, SETTINGS, shape=placed.shape)
+    _, [estimate] = run(tracker, [placed.picture(seed=1)])
+    assert estimate.status == "tracked"
+    assert estimate.keypoints_px is not None
+    assert float((estimate.keypoints_px[0] - placed.keypoints_px).norm(dim=-1).mean()) < 8  # of 192 for an open hand
+
+
+def test_without_the_network_a_fist_is_not_found(studio: Any) -> None:
+    placed = studio.placed(size=0.8, posed="fist", view="back", camera=studio.camera(320, 240))
+    tracker = Tracker(right_hand(), placed.camera, WITHOUT, shape=placed.shape)
+    _, [estimate] = run(tracker, [placed.picture(seed=1)])
+    assert estimate.status in ("no_hand", "lost")
 
 
 def test_an_open_hand_starts_as_it_did(studio: Any) -> None:
@@ -39,6 +39,8 @@ def test_an_open_hand_starts_as_it_did(studio: Any) -> None:
         for settings in (SETTINGS, WITHOUT)
     )
     for own, other in zip(with_network, without, strict=True):
+        assert own.pose is not None
+        assert other.pose is not None
         assert torch.equal(own.pose, other.pose)
 
 
@@ -55,5 +57,5 @@ def test_skin_that_is_no_hand_is_none(studio: Any) -> None:
     for name, shape in shapes.items():
         noise = 4 * torch.randn(240, 320, 3, generator=torch.Generator().manual_seed(0))
         image = (torch.where(shape[..., None], skin, wall) + noise).round().clamp(0, 255).to(torch.uint8)
-        _, estimates = run(Tracker(right_hand(), placed.camera, SETTINGS), [image] * 2)
+        _, estimates = run(Tracker(right_hand(), placed.camera, SETTINGS), [image])
         assert {one.status for one in estimates} <= {"lost", "no_hand"}, name
