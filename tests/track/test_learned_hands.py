@@ -13,9 +13,8 @@ SETTINGS = replace(DEFAULTS["contour"], pose_space="dof26")
 WITHOUT = replace(SETTINGS, learned_proposals=False)
 
 
-@pytest.mark.parametrize("posed", ["point", "fist"])
-def test_a_hand_in_another_posture_is_found(studio: Any, posed: str) -> None:
-    placed = studio.placed(size=0.8, posed=posed, view="back", camera=studio.camera(320, 240))
+def test_a_hand_in_another_posture_is_found(studio: Any) -> None:
+    placed = studio.placed(size=0.8, posed="point", view="back", camera=studio.camera(320, 240))
     tracker = Tracker(right_hand(), placed.camera, SETTINGS, shape=placed.shape)
     _, [estimate] = run(tracker, [placed.picture(seed=1)])
     assert estimate.status == "tracked"
@@ -23,8 +22,8 @@ def test_a_hand_in_another_posture_is_found(studio: Any, posed: str) -> None:
     assert float((estimate.keypoints_px[0] - placed.keypoints_px).norm(dim=-1).mean()) < 8  # of 192 for an open hand
 
 
-def test_without_the_network_a_fist_is_not_found(studio: Any) -> None:
-    placed = studio.placed(size=0.8, posed="fist", view="back", camera=studio.camera(320, 240))
+def test_without_the_network_it_is_not_found(studio: Any) -> None:
+    placed = studio.placed(size=0.8, posed="point", view="back", camera=studio.camera(320, 240))
     tracker = Tracker(right_hand(), placed.camera, WITHOUT, shape=placed.shape)
     _, [estimate] = run(tracker, [placed.picture(seed=1)])
     assert estimate.status in ("no_hand", "lost")

@@ -91,7 +91,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         rows: list[tuple[str, ProposalFigures]] = []
         for folder, some in pictures:
             shown = tqdm(some, desc=folder.name, unit="picture", leave=False, disable=not sys.stderr.isatty())
-            proposed, registered = measured_on_pictures(network, shown, kinematics)
+            proposed, registered = measured_on_pictures(network, iter(shown), kinematics)
             rows += [(f"{folder.name}, proposed", proposed), (f"{folder.name}, registered", registered)]
     if rows:
         print(f"errors of the likeliest / of the best of {network.sizes['hypotheses']}, means")

@@ -70,6 +70,7 @@ from torchhand.image.segmentation import (
     relearn_colours,
     segment,
     skin_probability,
+    solidity,
     touching,
 )
 
@@ -136,6 +137,7 @@ __all__ = [
     "search_edges",
     "segment",
     "skin_probability",
+    "solidity",
     "square_kernel",
     "touching",
 ]

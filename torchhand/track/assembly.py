@@ -158,7 +158,6 @@ def _of_one_camera(
                 table=own.table,
                 fit=s.fit,
                 silhouette=s.silhouette,
-                min_overlap=s.search_overlap,
                 plate=plate,
                 known_shape=shape,
             ),

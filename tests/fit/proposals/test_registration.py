@@ -14,7 +14,9 @@ from torchhand.propose import Silhouette
 
 @pytest.fixture(scope="module")
 def staged() -> StagedHand:
-    return Studio().placed(posed="victory", size=0.8, view="back", angle_deg=20.0)
+    return Studio().placed(
+        posed="open", size=0.8, view="back", angle_deg=20.0, camera=Studio().camera(320, 240)
+    )
 
 
 def _starts(staged: StagedHand) -> HandPose:

@@ -14,6 +14,7 @@ from torchhand.image.segmentation.components import (
     components,
     fill_holes,
     largest_component,
+    solidity,
     touching,
 )
 from torchhand.image.segmentation.silhouette import SilhouetteSettings, segment
@@ -44,5 +45,6 @@ __all__ = [
     "relearn_colours",
     "segment",
     "skin_probability",
+    "solidity",
     "touching",
 ]

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import cv2
+import numpy as np
 import torch
 from jaxtyping import Bool
 from torch import Tensor
@@ -106,3 +108,15 @@ def clean(mask: Bool[Tensor, "height width"], radius_px: int | None = None) -> B
 def _chosen(pieces: Bool[Tensor, "pieces"]) -> Bool[Tensor, "labels"]:
     """Whether a label is that of a chosen piece; 0, beside the mask, is not."""
     return torch.nn.functional.pad(pieces, (1, 0))
+
+
+def solidity(mask: Bool[Tensor, "height width"]) -> float:
+    """Area over that of the convex hull: 1 for what is convex, less for what has dents; 0 for an empty mask."""
+    rows, columns = mask.cpu().nonzero(as_tuple=True)
+    if not len(rows):
+        return 0.0
+    corners = torch.stack((columns, rows), -1)[:, None].to(torch.int32).numpy()
+    hull = cv2.convexHull(corners)
+    filled = np.zeros(mask.shape, dtype=np.uint8)
+    cv2.fillConvexPoly(filled, hull, 1)
+    return float(mask.sum()) / float(filled.sum())

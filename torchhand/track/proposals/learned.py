@@ -12,7 +12,7 @@ from torchhand.fit.detect import FitSettings, NoStart, segment_hand, start_at_po
 from torchhand.fit.proposals import ProposalRegistration
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics, HandPose
-from torchhand.image import BackgroundPlate, SilhouetteSettings
+from torchhand.image import BackgroundPlate, SilhouetteSettings, solidity
 from torchhand.propose import Silhouette, propose_hands
 from torchhand.track.knowledge import TrackerState
 from torchhand.track.proposals.keypoints import shows_proportions
@@ -21,6 +21,11 @@ from torchhand.track.scene import Candidate, Scene
 from torchhand.view import OutlineTable
 
 _MIN_AREA = 0.004  # share of the picture that a silhouette fills at least
+_MAX_SOLIDITY = 0.9
+"""Area of a silhouette over that of its convex hull, beyond which it is no hand that nobody followed: some fist explains
+every oval, so that faces would be hands. Ovals on necks have 0.93; nine of ten photographs of hands in any posture, with
+their forearms, have less than 0.89, closed fists have more."""
+_MIN_OVERLAP = 0.9  # of the first hand with the silhouette by its colours
 _STARTS = 2  # registered hands whose colours are learned in the first picture
 _MIN_FOUND = 0.8  # share of the first hand's contour on edges
 _RESTARTS = 3  # registered hands that a followed one is compared with
@@ -31,7 +36,8 @@ class LearnedHands:
     """Segments the picture, asks the network, registers all that it proposes, and hands on the cheapest.
 
     It is asked where the posture of the start was looked for in vain or leaves something unexplained. The first hand
-    brings its colours, and its proportions where it shows them.
+    brings its colours, and its proportions where it shows them. A convex silhouette is no hand, as long as none is
+    followed.
     """
 
     kinematics: HandKinematics
@@ -40,8 +46,6 @@ class LearnedHands:
     table: OutlineTable
     fit: FitSettings
     silhouette: SilhouetteSettings
-    min_overlap: float
-    """Smallest overlap of the first hand."""
     plate: BackgroundPlate | None = None
     known_shape: Float[Tensor, "shape"] | None = None
 
@@ -59,7 +63,7 @@ class LearnedHands:
         if image is None or state.frames_since_search > 0:
             return Proposals()
         mask = self._mask(scene, image, state)
-        if float(mask.float().mean()) < _MIN_AREA:
+        if float(mask.float().mean()) < _MIN_AREA or (best is None and solidity(mask) > _MAX_SOLIDITY):
             return Proposals()
         seen = Silhouette(mask=mask, camera=self.camera, image=image)
         shape = state.shape if state.shape is not None else self.known_shape
@@ -85,7 +89,7 @@ class LearnedHands:
             pose = found.pose[index]
             fit_shape = self.known_shape is None and shows_proportions(pose, self.camera)
             start = start_at_pose(image, pose, *where, fit_shape=fit_shape, settings=self.fit)
-            if isinstance(start, NoStart) or start.overlap < self.min_overlap or start.fit.found_fraction < _MIN_FOUND:
+            if isinstance(start, NoStart) or start.overlap < _MIN_OVERLAP or start.fit.found_fraction < _MIN_FOUND:
                 continue
             fitted = HandPose.of(start.fit.pose, start.fit.root_reference)
             hands.append(Proposed(pose=fitted, shape=start.fit.shape, appearance=start.appearance))
