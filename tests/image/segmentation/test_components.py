@@ -9,6 +9,7 @@ from torchhand.image.segmentation.components import (
     fill_holes,
     label_pieces,
     largest_component,
+    solidity,
     touching,
 )
 
@@ -109,3 +110,12 @@ def test_pieces_apart_from_the_model_do_not_count() -> None:
     assert torch.equal(kept, expected)
     assert not bool(touching(picture, torch.zeros_like(model)).any())
     assert not bool(touching(torch.zeros_like(model), model).any())
+
+
+def test_solidity_of_shapes_whose_hulls_are_known() -> None:
+    mask = torch.zeros(60, 60, dtype=torch.bool)
+    assert solidity(mask) == 0
+    mask[10:40, 10:40] = True
+    assert solidity(mask) == 1
+    mask[10:25, 25:40] = False  # the hull of what is left cuts the corner off: 900 - 225 of 900 - 112.5
+    assert solidity(mask) == pytest.approx(675 / 787.5, abs=0.02)
