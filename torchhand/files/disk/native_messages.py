@@ -25,7 +25,7 @@ class Messages:
 @contextlib.contextmanager
 def quiet_opencv() -> Iterator[None]:
     """OpenCV logs nothing inside the block."""
-    logging = cv2.utils.logging
+    logging = getattr(cv2.utils, "logging", cv2)  # OpenCV 4 has the same two functions at its top level
     before = logging.getLogLevel()
     logging.setLogLevel(_SILENT)
     try:
