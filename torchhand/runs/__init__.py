@@ -4,7 +4,7 @@ from torchhand.runs.changes import changes_of
 from torchhand.runs.overlay import overlay_frames
 from torchhand.runs.recording import OneCameraRecording, RecordedFrame, Recording, RigRecording
 from torchhand.runs.records import record_of
-from torchhand.runs.request import Request, known_hand, settings_of, start_points_of
+from torchhand.runs.request import Request, keypoints_of, known_hand, settings_of, start_points_of
 from torchhand.runs.run import Run, Say, header_of
 from torchhand.runs.short import fit_hand, track
 from torchhand.runs.tracking import how_to_go_on, summary_of, track_rig, track_sequence
@@ -21,6 +21,7 @@ __all__ = [
     "fit_hand",
     "header_of",
     "how_to_go_on",
+    "keypoints_of",
     "known_hand",
     "overlay_frames",
     "record_of",
