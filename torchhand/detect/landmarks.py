@@ -1,7 +1,7 @@
 """What a program that finds hands in pictures is to us."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from jaxtyping import UInt8
 from torch import Tensor
@@ -9,6 +9,7 @@ from torch import Tensor
 from torchhand.files import HandDetection
 
 
+@runtime_checkable
 class Landmarks(Protocol):
     """Finds the hands of pictures that follow one another."""
 
@@ -21,6 +22,7 @@ class Landmarks(Protocol):
     def close(self) -> None: ...
 
 
+@runtime_checkable
 class Landmarker(Protocol):
     """A program of which any number can be opened, one per sequence of pictures."""
 

@@ -60,7 +60,8 @@ class DetectedTracks:
         if self._has_found or not other:
             return []
         side = self._detectors[0].side
-        return [f"the detector saw no {side} hand, but {other} of the other side; is it the {side} one (--side)?"]
+        named = "left" if side == "right" else "right"
+        return [f"the detector saw no {side} hand, but {named} ones in {other} pictures; is --side wrong?"]
 
 
 @contextlib.contextmanager

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from jaxtyping import Float
 from torch import Tensor
@@ -17,6 +17,7 @@ from torchhand.runs.recording import RecordedFrame
 from torchhand.track import HandKeypoints
 
 
+@runtime_checkable
 class KeypointSource(Protocol):
     """What gives the keypoints of a recording's frames."""
 
