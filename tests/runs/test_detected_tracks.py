@@ -4,14 +4,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from torchhand.cli.track import main as track_main
 from torchhand.detect import HandDetector, Landmarks
 from torchhand.errors import InputError
 from torchhand.files import DetectionLog, HandDetection
@@ -115,13 +113,6 @@ def test_hands_of_the_other_side_alone_are_told() -> None:
     own = _tracks()
     assert _points(_frames(1)[0], own) == 1
     assert own.notes() == []
-
-
-def test_a_model_without_mediapipe_is_refused(tmp_path: Path, capsys: Any) -> None:
-    out = str(tmp_path / "out")
-    assert track_main([str(tmp_path), "--out", out, "--hand-model", "hand_landmarker.task"]) == 2
-    assert "--hand-model: expected --keypoints mediapipe with it" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("texts", [["mediapipe", "one.npz"], ["one.npz", "mediapipe"]])

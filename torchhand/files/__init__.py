@@ -1,6 +1,13 @@
 """Everything that touches a disk or a camera device: pictures in, calibrations, settings, results, hand models."""
 
-from torchhand.files.cameras import camera_entry, camera_for, camera_of_entry, load_cameras, save_cameras
+from torchhand.files.cameras import (
+    camera_entry,
+    camera_for,
+    camera_of_entry,
+    camera_per_picture,
+    load_cameras,
+    save_cameras,
+)
 from torchhand.files.detections import DetectionLog, Detections, HandDetection, read_detections, save_detections
 from torchhand.files.disk import configs_dir, find_config, models_dir
 from torchhand.files.hands import FittedHand, load_hand, load_hand_model, load_mesh, save_hand, save_mesh
@@ -46,6 +53,7 @@ __all__ = [
     "camera_entry",
     "camera_for",
     "camera_of_entry",
+    "camera_per_picture",
     "check_output_folder",
     "configs_dir",
     "find_config",

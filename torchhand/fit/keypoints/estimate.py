@@ -144,7 +144,8 @@ class KeypointEstimator:
         found = [starts_in_picture(one, shape, self._natural, self.settings.starts) for one in observed]
         for one, told in zip(self.measured.relative, self.measured.postures, strict=True):
             turned = replace(told.pose, reference=one.cam_from_world.mT @ told.pose.reference)
-            found.append(placed_in_pictures(observed, turned, shape)[:, None])
+            placed = placed_in_pictures(observed, turned, shape)
+            found.append(HandPose(dofs=placed.dofs[:, None], reference=placed.reference[:, None]))
         dofs, references = torch.cat([one.dofs for one in found], 1), torch.cat([one.reference for one in found], 1)
         return HandPose(dofs=dofs, reference=references)
 

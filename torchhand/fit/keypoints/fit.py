@@ -47,8 +47,8 @@ class KeypointFit:
     keypoints_covariance: Float[Tensor, "*frames 21 3 3"]
     """m², from that of the pose."""
     residual: Float[Tensor, "*frames 21"]
-    """Distance of each measured point from the fitted hand: metres, or px, the mean over several cameras. NaN for missing
-    points."""
+    """Distance of each measured point from the fitted hand: metres, or px (the mean over several cameras). NaN for
+    missing points."""
     status: Int[Tensor, "*frames"]
     """Index into FIT_STATUSES."""
     iterations: Int[Tensor, "*frames"]
@@ -362,8 +362,8 @@ def _measured(
     jacobian: PoseJacobian,
     covariance: Float[Tensor, "k free free"],
 ) -> tuple[Float[Tensor, "k 21 3"], Float[Tensor, "k 21 3 3"], Float[Tensor, "k 21"]]:
-    """Keypoints, their covariances, and the distance of each measured point, on average over the cameras: metres, or px;
-    NaN for missing ones."""
+    """Keypoints, their covariances, and the distance of each measured point, on average over the cameras: metres, or
+    px; NaN for missing ones."""
     hands = PosedHands(pose=pose, shape=solution.shape)
     frames = frames_of(observed[0].kinematics, hands)
     columns = jacobian(pose.dofs, frames).contiguous()

@@ -17,8 +17,8 @@ IN_SPACE = "keypoints in space"
 class RelativeKeypoints:
     """Points in space about an origin and in a unit of their own, along the axes of a camera; a row for each frame.
 
-    The hand's size over that of the points varies from frame to frame with such detectors (MediaPipe's by a third within
-    one recording), and depth is what they tell worst.
+    The hand's size over that of the points varies from frame to frame with such detectors (MediaPipe's by a third
+    within one recording), and depth is what they tell worst.
     """
 
     points: Float[Tensor, "rows 21 3"]
@@ -61,7 +61,7 @@ class RelativeKeypoints:
 
 @dataclass(frozen=True, kw_only=True)
 class RelativeKeypointFactor:
-    """½ Σ |scale · (keypoint - mean) - (point - mean)|² / std², with the scale that makes it smallest; a row per hand."""
+    """½ Σ |scale · (keypoint - mean) - (point - mean)|² / std² at the scale that makes it smallest; a row per hand."""
 
     kinematics: HandKinematics
     points: Float[Tensor, "k 21 3"]

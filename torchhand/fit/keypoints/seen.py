@@ -18,8 +18,8 @@ class SeenKeypoints:
     points_px: Float[Tensor, "*frames 21 2"]
     """Points in the pictures; NaN for missing ones."""
     points: Float[Tensor, "*frames 21 3"] | None = None
-    """Points in space along the camera's axes (such as MediaPipe's world landmarks), metres; their place and size do not
-    count. NaN for missing ones, None where the detector gives none."""
+    """Points in space along the camera's axes (such as MediaPipe's world landmarks), metres; their place and size do
+    not count. NaN for missing ones, None where the detector gives none."""
     confidence: Float[Tensor, "*frames 21"] | None = None
     """Share of a point's information that is believed, 0 for missing points; all of it where None."""
     cov_px: Float[Tensor, "*frames 21 2 2"] | None = None
