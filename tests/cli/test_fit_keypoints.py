@@ -153,7 +153,7 @@ def test_several_cameras_with_standard_deviations(tmp_path: Path) -> None:
         cameras.append(one)
         files.append(tmp_path / f"view_{view}.npz")
         np.savez(files[-1], points_px=pixels, std_px=std, side="left")
-    save_cameras(tmp_path / "cameras.json", cameras)
+    save_cameras(cameras, tmp_path / "cameras.json")
     options = ("--camera", tmp_path / "cameras.json", "--no-fit-shape")
     assert _run(*files, "--out", tmp_path / "out", *options) == 0
     with np.load(tmp_path / "out" / "keypoints_fit.npz") as result:
