@@ -205,7 +205,7 @@ def _covariances(path: Path, arrays: dict[str, np.ndarray], count: int) -> np.nd
     is_symmetric = np.allclose(known, np.swapaxes(known, -1, -2), rtol=1e-6, atol=0)
     if not is_symmetric or not (np.linalg.eigvalsh(known) > 0).all():
         raise InputError(f"{path}: {name}: expected numbers above 0 (covariances: positive definite), got others")
-    return np.broadcast_to(cov, (count, COUNT, 2, 2))
+    return np.broadcast_to(cov, (count, COUNT, 2, 2)).copy()
 
 
 def _texts(path: Path, arrays: dict[str, np.ndarray], name: str, count: int) -> tuple[str, ...] | None:
