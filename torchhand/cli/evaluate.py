@@ -1,9 +1,9 @@
-"""Measure a tracked sequence against its truth, print the errors and save them as evaluation.json."""
+"""Measure a tracked sequence: against its truth, or by itself the range of motion; print and save them."""
 
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,12 +12,14 @@ from tyro.conf import Positional, arg
 from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.errors import InputError
 from torchhand.evaluate import (
+    JointRange,
     MaskOfFrame,
     Truth,
     evaluate,
     load_mask,
     load_truth,
     numbered_pictures,
+    range_of_motion,
     tracked_projector,
     tracked_silhouettes,
 )
@@ -35,19 +37,23 @@ TABLE = (
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
-    """Measure a tracked sequence against its truth, print the errors and save them.
+    """Measure a tracked sequence, print the figures and save them.
 
-    Example:
+    With a truth: the errors. Without one: the range of motion, per joint the smallest and the largest angle of the
+    tracked frames, each with its standard deviation.
+
+    Examples:
         torchhand evaluate out/planar_open data/synthetic/planar_open
+        torchhand evaluate out/clip
     """
 
     directory: Annotated[Positional[Path], arg(metavar="DIR")]
     """Result folder of `torchhand track`. The silhouettes judged are drawn from its track and hand.json; if it has
     masks/, one picture per frame number, these are judged instead."""
-    truth: Annotated[Positional[Path], arg(metavar="TRUTH")]
+    truth: Annotated[Positional[Path | None], arg(metavar="TRUTH")] = None
     """Folder with truth.npz (keypoints3d, keypoints2d, flexion_deg; any may be missing) and masks/, or the file."""
     out: Annotated[Path | None, arg(metavar="FILE")] = None
-    """File for the figures; DIR/evaluation.json if not given."""
+    """File for the figures; if not given, DIR/evaluation.json, or DIR/range_of_motion.json without a truth."""
 
 
 @command
@@ -56,12 +62,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = parse(Arguments, argv, name="evaluate")
     if not arguments.directory.is_dir():
         raise InputError(f"{arguments.directory}: expected the result folder of `torchhand track`; there is none")
-    truth = load_truth(arguments.truth)
     track = load_track(arguments.directory)
-    with threads(1):
-        figures = evaluate(track, truth, _silhouettes(arguments.directory, track, truth))
-    print(table(figures))
-    out = arguments.out or arguments.directory / "evaluation.json"
+    if arguments.truth is None:
+        ranges = range_of_motion(track)
+        print(range_table(ranges))
+        name = "range_of_motion.json"
+        figures: dict[str, Any] = {"range_of_motion_deg": {name: asdict(one) for name, one in ranges.items()}}
+    else:
+        name, truth = "evaluation.json", load_truth(arguments.truth)
+        with threads(1):
+            figures = evaluate(track, truth, _silhouettes(arguments.directory, track, truth))
+        print(table(figures))
+    out = arguments.out or arguments.directory / name
     write_text(out, json.dumps(_without_nan(figures), indent=2) + "\n")
     print(f"saved {out}")
     return DONE
@@ -76,6 +88,19 @@ def _silhouettes(directory: Path, track: Track, truth: Truth) -> MaskOfFrame | N
     if not truth.mask_files or not hand_file.is_file():
         return None
     return tracked_silhouettes(track, tracked_projector(track, hand_file))
+
+
+def range_table(ranges: Mapping[str, JointRange]) -> str:
+    """The ranges as text, one line per joint."""
+    width = max(map(len, (*ranges, "joint angle (degrees)")))
+    lines = [f"{'joint angle (degrees)':<{width}}  {'smallest':>17}  {'largest':>17}  {'range':>6}"]
+    for name, one in ranges.items():
+        low, high = (
+            f"{one.smallest_deg:.1f} ± {one.smallest_std_deg:.1f}",
+            f"{one.largest_deg:.1f} ± {one.largest_std_deg:.1f}",
+        )
+        lines.append(f"{name:<{width}}  {low:>17}  {high:>17}  {one.range_deg:>6.1f}")
+    return "\n".join(lines)
 
 
 def table(figures: dict[str, Any]) -> str:
