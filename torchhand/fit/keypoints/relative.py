@@ -10,8 +10,6 @@ from torchhand.fit import Equations, Explained, PosedHands, Stage
 from torchhand.fit.keypoints.points import Detector, equations_of_points
 from torchhand.hand import HandKinematics
 
-IN_SPACE = "keypoints in space"
-
 
 @dataclass(frozen=True, kw_only=True)
 class RelativeKeypoints:
