@@ -12,7 +12,6 @@ from tyro.conf import Positional, UseAppendAction, arg
 from torchhand.cli.command import DONE, STOPPED_BY_USER, WRONG_INPUT, command, parse, threads
 from torchhand.errors import InputError
 from torchhand.files import Track, check_output_folder, sequences_of
-from torchhand.hand import Side
 from torchhand.runs import (
     Request,
     how_to_go_on,
@@ -49,7 +48,7 @@ class Arguments:
     hand: Annotated[Path | None, arg(metavar="FILE")] = None
     """Known shape of the hand (hand.json), which is then not fitted."""
     side: Literal["left", "right"] | None = None
-    """Which hand; right, or that of --hand."""
+    """Which hand. Without it, that of --hand; else the one that detected keypoints tell of; else right."""
     posture: Annotated[str | None, arg(metavar="NAME")] = None
     """Posture at the start: open, flat, point, fist, victory ..."""
     start_points: Annotated[str | None, arg(metavar="WX,WY,MX,MY")] = None
@@ -124,11 +123,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _request(arguments: Arguments) -> Request:
     settings = settings_of(arguments.config, arguments.changes, arguments.posture)
     hand = None if arguments.hand is None else known_hand(arguments.hand)
-    side: Side = arguments.side or ("left" if hand is not None and hand.side == "left" else "right")
     return Request(
         settings=settings,
         config=arguments.config,
-        side=side,
+        side=arguments.side,
         hand=hand,
         camera=arguments.camera,
         **keypoints_of([] if arguments.keypoints is None else [arguments.keypoints], arguments.hand_model),

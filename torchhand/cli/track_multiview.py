@@ -49,7 +49,7 @@ class Arguments:
     hand: Annotated[Path | None, arg(metavar="FILE")] = None
     """Known shape of the hand (hand.json), which is then not fitted."""
     side: Literal["left", "right"] | None = None
-    """Which hand; right, or that of --hand."""
+    """Which hand. Without it, that of --hand; else the one that detected keypoints tell of; else right."""
     keypoints: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="mediapipe|FILE")] = ()
     """Detected keypoints that are used beside the silhouettes. mediapipe: MediaPipe runs along before every camera (pip
     install torchhand[mediapipe]), and what it finds is kept in DIR/keypoints_0.npz and so on. FILE: those that were
@@ -103,7 +103,7 @@ def _request(arguments: Arguments) -> Request:
     return Request(
         settings=_settings(arguments),
         config=arguments.config,
-        side=arguments.side or ("left" if hand is not None and hand.side == "left" else "right"),
+        side=arguments.side,
         hand=hand,
         camera=arguments.cameras,
         **keypoints_of(arguments.keypoints, arguments.hand_model),

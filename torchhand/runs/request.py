@@ -1,7 +1,7 @@
 """What a tracking run is asked for, read from texts and files and checked before anything starts."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import hypot, isfinite
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,8 @@ from torchhand.hand import Side
 from torchhand.image import BackgroundPlate, learn_background
 from torchhand.runs.changes import changes_of
 from torchhand.runs.keypoint_tracks import KeypointTracks
+from torchhand.runs.recording import Recording
+from torchhand.runs.side import find_side
 from torchhand.track import DEFAULTS, TrackerSettings
 
 MIN_START_SPAN_PX = 10.0
@@ -29,7 +31,10 @@ class Request:
     settings: TrackerSettings
     config: str
     """Name of the configuration, as the user gave it."""
-    side: Side = "right"
+    side: Side | None = None
+    """Which hand; None where it is to be found out (`with_side`)."""
+    side_source: str = "given"
+    """How the side is known, for the saved configuration."""
     hand: FittedHand | None = None
     """A known shape, which is then not fitted."""
     camera: Path | None = None
@@ -57,13 +62,36 @@ class Request:
     has_overlay: bool = True
     seed: int = 0
 
+    def with_side(self, recording: Recording, say: Callable[[str], None]) -> "Request":
+        """The request with a side: the one given, that of the known hand, or the one that the recording shows."""
+        known: Side | None = None if self.hand is None else ("left" if self.hand.side == "left" else "right")
+        found = find_side(
+            self.side or known,
+            recording,
+            keypoints=self.keypoints,
+            has_detector=self.has_detector,
+            hand_model=self.hand_model,
+        )
+        for line in found.notes():
+            say(line)
+        return replace(self, side=found.side, side_source=found.source)
+
+    @property
+    def known_side(self) -> Side:
+        """The side; right where it has not been found out."""
+        return self.side or "right"
+
     def keypoint_tracks(self, cameras: Sequence[Camera]) -> KeypointTracks | None:
         """What the files of keypoints hold of the hand; None where none are used."""
-        return KeypointTracks(self.keypoints, cameras, side=self.side) if self.keypoints else None
+        return KeypointTracks(self.keypoints, cameras, side=self.known_side) if self.keypoints else None
 
     def detectors(self, cameras: Sequence[Camera]) -> list[HandDetector]:
         """A detector per camera; none where none runs along. Raises InputError where it cannot be had."""
-        return [HandDetector(side=self.side, hand_model=self.hand_model) for _ in cameras] if self.has_detector else []
+        return (
+            [HandDetector(side=self.known_side, hand_model=self.hand_model) for _ in cameras]
+            if self.has_detector
+            else []
+        )
 
 
 def keypoints_of(texts: Sequence[str], hand_model: Path | None) -> dict[str, Any]:

@@ -19,13 +19,14 @@ from torchhand.runs.detected_tracks import DetectedTracks
 from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks, with_keypoints
 from torchhand.runs.recording import OneCameraRecording
 from torchhand.runs.request import MEDIAPIPE, settings_of
+from torchhand.runs.side import find_side
 from torchhand.track import Estimate, Tracker, TrackerSettings
 
 
 def track(
     source: str | Path | int,
     *,
-    side: Side = "right",
+    side: Side | None = None,
     camera: Path | None = None,
     shape: Float[Tensor, "shape"] | None = None,
     settings: TrackerSettings | None = None,
@@ -34,7 +35,8 @@ def track(
 ) -> Iterator[Estimate]:
     """The estimates of one camera's recording, one per frame, as they are made; poses in the camera's frame.
 
-    source: a video, a folder of pictures, or the number of a webcam. camera: a file of its calibration; else a field of
+    source: a video, a folder of pictures, or the number of a webcam. side: found out from the keypoints where none is
+    given, right without any. camera: a file of its calibration; else a field of
     view is assumed. shape: proportions where they are known, such as those of `fit_hand`; else they are fitted.
     settings: those of the configuration contour_full where none are given. keypoints: a file of a detector's points,
     or MediaPipe itself, with hand_model (hand_landmarker.task) where it has none of its own. Nothing is corrected
@@ -42,15 +44,18 @@ def track(
 
     Raises InputError for a source, a camera or keypoints that cannot be read.
     """
-    hand = load_hand_model().hand(side=side, dtype=torch.float64)
     place = str(source) if isinstance(source, int) else Path(source)
     recording = OneCameraRecording(place, camera)
     try:
+        has_detector = keypoints == MEDIAPIPE
+        files = [] if keypoints is None or has_detector else [Path(keypoints)]
+        side = find_side(side, recording, keypoints=files, has_detector=has_detector, hand_model=hand_model).side
+        hand = load_hand_model().hand(side=side, dtype=torch.float64)
         seen: KeypointSource | None = None
-        if keypoints == MEDIAPIPE:
+        if has_detector:
             seen = DetectedTracks([HandDetector(side=side, hand_model=hand_model)])
-        elif keypoints is not None:
-            seen = KeypointTracks([Path(keypoints)], recording.cameras, side=side)
+        elif files:
+            seen = KeypointTracks(files, recording.cameras, side=side)
         tracker = Tracker(hand, recording.cameras, settings or settings_of("contour_full"), shape=shape)
         state, followed_px = None, None
         with recording.opened(0) as frames:

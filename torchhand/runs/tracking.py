@@ -53,7 +53,8 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
         check_start_points(request.start_points, recording.width, recording.height)
         method = request.settings.silhouette.method
         plate = plate_of(request.background, method, recording.width, recording.height)
-        hand = load_hand_model().hand(side=request.side, dtype=torch.float64)
+        request = request.with_side(recording, say)
+        hand = load_hand_model().hand(side=request.known_side, dtype=torch.float64)
         tracker = Tracker(
             hand,
             recording.cameras,
@@ -119,6 +120,7 @@ def track_rig(folder: Path, out_dir: Path, request: Request, say: Say) -> Track:
         start=request.start,
         max_frames=request.max_frames,
     )
+    request = request.with_side(recording, say)
     files, detectors = request.keypoint_tracks(recording.cameras), request.detectors(recording.cameras)
     for line in recording.notes:
         say(line)
@@ -151,7 +153,7 @@ class _RigStart:
 
     def __init__(self, recording: RigRecording, request: Request) -> None:
         self.recording, self.request, self.settings = recording, request, request.settings
-        self.hand = load_hand_model().hand(side=request.side, dtype=torch.float64)
+        self.hand = load_hand_model().hand(side=request.known_side, dtype=torch.float64)
         self.known = _known_shape(request)
         self.plates = rig_plates(recording, request.background, self.settings.silhouette.method)
 
@@ -257,7 +259,7 @@ def _writer(
     }
     return TrackWriter(
         out_dir,
-        header_of(recording, request.settings, made_with, side=request.side),
+        header_of(recording, request.settings, made_with, side=request.known_side),
         resume=request.resume,
         overwrite=request.overwrite,
         checkpoint_every=CHECKPOINT_EVERY,
@@ -277,6 +279,7 @@ def _asked(request: Request) -> dict[str, Any]:
     """What the user asked for, for config.yaml."""
     return {
         "config": request.config,
+        "side_is": request.side_source,
         "camera": request.camera,
         "hand_given": None if request.hand is None else request.hand.values,
         "keypoints": [MEDIAPIPE] if request.has_detector else [str(path) for path in request.keypoints],
