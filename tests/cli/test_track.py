@@ -169,7 +169,7 @@ def test_the_saved_settings_are_a_configuration(clip: Clip) -> None:
 
 
 def test_the_last_line_sums_up(clip: Clip, run: Run, tmp_path: Path) -> None:
-    outcome = run(clip.frames, "--out", tmp_path / "out", "--max-frames", "2", "--side", "right", *clip.options)
+    outcome = run(clip.frames, "--out", tmp_path / "out", "--max-frames", "2", *clip.options)
     assert outcome.code == 0
     assert outcome.err == ""
     assert outcome.out.count("\n") == 1

@@ -33,8 +33,6 @@ class FoundSide:
 
     def notes(self) -> list[str]:
         """What the user should know of it."""
-        if self.source == "assumed":
-            return [f"no --side given: a {self.side} hand is assumed; silhouettes cannot tell"]
         if self.probability is None:
             return []
         if self.source == "inferred":
