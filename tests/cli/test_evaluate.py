@@ -104,7 +104,7 @@ def test_without_a_truth_the_range_of_motion_is_told(
         bent = np.rad2deg(track["pose"][:, DOFS.index("index_pip_fe")])
     assert figures["index_pip_fe"]["largest_deg"] == pytest.approx(np.nanmax(bent))
     assert figures["index_pip_fe"]["smallest_deg"] == pytest.approx(np.nanmin(bent))
-    assert re.search(r"index_pip_fe +-?\d+\.\d ± \d+\.\d +-?\d+\.\d ± \d+\.\d +\d+\.\d\n", text)
+    assert re.search(r"index_pip_fe +-?\d+\.\d ± \d+\.\d +\d +-?\d+\.\d ± \d+\.\d +\d +\d+\.\d\n", text)
     assert not (result_dir / "evaluation.json").exists()
 
 

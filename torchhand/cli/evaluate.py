@@ -92,14 +92,14 @@ def _silhouettes(directory: Path, track: Track, truth: Truth) -> MaskOfFrame | N
 
 def range_table(ranges: Mapping[str, JointRange]) -> str:
     """The ranges as text, one line per joint."""
-    width = max(map(len, (*ranges, "joint angle (degrees)")))
-    lines = [f"{'joint angle (degrees)':<{width}}  {'smallest':>17}  {'largest':>17}  {'range':>6}"]
+    title = "joint angle (degrees)"
+    width = max(map(len, (*ranges, title)))
+    lines = [f"{title:<{width}}  {'smallest':>15}  {'frame':>6}  {'largest':>15}  {'frame':>6}  {'range':>6}"]
     for name, one in ranges.items():
-        low, high = (
-            f"{one.smallest_deg:.1f} ± {one.smallest_std_deg:.1f}",
-            f"{one.largest_deg:.1f} ± {one.largest_std_deg:.1f}",
-        )
-        lines.append(f"{name:<{width}}  {low:>17}  {high:>17}  {one.range_deg:>6.1f}")
+        low = f"{one.smallest_deg:.1f} ± {one.smallest_std_deg:.1f}"
+        high = f"{one.largest_deg:.1f} ± {one.largest_std_deg:.1f}"
+        ends = f"{low:>15}  {one.smallest_frame:>6}  {high:>15}  {one.largest_frame:>6}"
+        lines.append(f"{name:<{width}}  {ends}  {one.range_deg:>6.1f}")
     return "\n".join(lines)
 
 
@@ -136,6 +136,15 @@ def table(figures: dict[str, Any]) -> str:
         lines.append(
             ("flexion, each joint's offset removed", f"mean {angles['mean']:.2f}°, raw {angles['raw_mean']:.2f}°")
         )
+        (low, high), (true_low, true_high) = angles["range"], angles["true_range"]
+        text = f"{low:.0f}° to {high:.0f}° (truth {true_low:.0f}° to {true_high:.0f}°)"
+        lines.append(("flexion of a finger over MCP, PIP and DIP", text))
+    if "status" in figures:
+        wrong = figures["status"]
+        lines.append(
+            ("tracked, but a tip over 20 mm off", f"{wrong['fraction_tracked_with_a_tip_beyond_20mm']:.1%} of frames")
+        )
+        lines.append(("lost, but there is a hand", f"{wrong['fraction_with_a_hand_but_lost']:.1%} of frames"))
     if "silhouette" in figures:
         overlap = figures["silhouette"]
         text = f"median {overlap['median_iou']:.3f}, smallest {overlap['smallest_iou']:.3f}"
@@ -147,10 +156,22 @@ def table(figures: dict[str, Any]) -> str:
         honesty = figures["uncertainty"]
         text = f"{honesty['fraction_inside']:.1%}, mean per dof {honesty['mean_per_dof']:.2f} (honest: 95 % and 1)"
         lines.append(("NEES inside its 95 % band", text))
+        lines.append(("joints inside their 95 % region", _by_joint(honesty["by_joint"])))
     if "speed" in figures:
         lines.append(("compute time per frame", f"median {figures['speed']['median_ms_per_frame']:.2f} ms"))
     width = max(len(label) for label, _ in lines)
     return "\n".join(f"{label:<{width}}  {text}" for label, text in lines)
+
+
+def _by_joint(joints: dict[str, dict[str, float]]) -> str:
+    """The mean over the joints, and the least and the most of them."""
+    shares = {name: one["fraction_in_95_percent_band"] for name, one in joints.items()}
+    known = {name: share for name, share in shares.items() if math.isfinite(share)}
+    if not known:
+        return "unknown"
+    low, high = min(known, key=known.__getitem__), max(known, key=known.__getitem__)
+    mean = sum(known.values()) / len(known)
+    return f"{mean:.1%}; {low} {known[low]:.0%} to {high} {known[high]:.0%} (honest: 95 %)"
 
 
 def _planar_lines(motion: dict[str, Any]) -> list[tuple[str, str]]:

@@ -3,6 +3,7 @@
 from torchhand.files.results.results import (
     CHECKPOINT_NAME,
     CONFIG_NAME,
+    DETECTIONS_NAME,
     HAND_NAME,
     OVERLAY_NAME,
     UNFINISHED_NAME,
@@ -25,6 +26,7 @@ __all__ = [
     "CHECKPOINT_NAME",
     "CONFIG_NAME",
     "CONVENTION",
+    "DETECTIONS_NAME",
     "HAND_NAME",
     "JSONL_NAME",
     "NPZ_NAME",

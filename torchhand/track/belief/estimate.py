@@ -8,13 +8,17 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics, HandPose, PoseJacobian, ShapeSpace
+from torchhand.hand import KEYPOINTS, HandKinematics, HandPose, PoseJacobian, ShapeSpace
 from torchhand.hand.limits import clamp_to_limits
 from torchhand.track.belief.motion import HandMotion
 from torchhand.track.belief.state import FollowedHand
 
-_JOINT_CENTRE_STD = 0.004
-"""Metres: two hand models place their joint centres a few millimetres apart under the same skin."""
+_CENTRE_STD_M = {"wrist": 0.008, "thumb_cmc": 0.0105, "tip": 0.0045}
+_OTHER_CENTRE_STD_M = 0.004
+"""Two hand models place their joint centres some millimetres apart under the same skin. Root mean square distances
+along an axis between ours and another maker's, the surface being known to a millimetre: `torchhand track_multiview` on
+`mv_static`, then `torchhand evaluate`, which prints them joint by joint. Joints that happen to agree better there are
+not believed to do so in every model."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,9 +38,17 @@ class PosedBelief:
 
 
 def posed_belief(
-    hand: FollowedHand, motion: HandMotion, kinematics: HandKinematics, shape: Float[Tensor, "shape"]
+    hand: FollowedHand,
+    motion: HandMotion,
+    kinematics: HandKinematics,
+    shape: Float[Tensor, "shape"],
+    *,
+    overconfidence: float = 1.0,
 ) -> PosedBelief:
-    """Pose and keypoints of a followed hand with their covariances, first order."""
+    """Pose and keypoints of a followed hand with their covariances, first order.
+
+    overconfidence: factor by which the belief's covariance is too small (`UpdateRule.overconfidence`).
+    """
     space = motion.space.about(hand.base)
     prior = motion.prior(hand)
     wanted = space.dof(prior.mean)
@@ -45,14 +57,21 @@ def posed_belief(
     frames = kinematics(dofs, shape, root_reference=hand.reference)
     jacobian = _jacobian_of(kinematics)(dofs, frames) @ basis
     pose = HandPose(dofs=dofs, reference=hand.reference)
-    eye = torch.eye(3, dtype=dofs.dtype)
+    covariance = overconfidence * prior.covariance
     return PosedBelief(
         pose=pose.vector,
-        pose_std=(basis @ prior.covariance @ basis.T).diagonal().clamp_min(0).sqrt(),
+        pose_std=(basis @ covariance @ basis.T).diagonal().clamp_min(0).sqrt(),
         root_rotation=pose.rotation,
         keypoints=frames.keypoints,
-        keypoints_cov=jacobian @ prior.covariance @ jacobian.mT + _JOINT_CENTRE_STD**2 * eye,
+        keypoints_cov=jacobian @ covariance @ jacobian.mT + _centre_covariance().to(dofs),
     )
+
+
+@lru_cache(maxsize=1)
+def _centre_covariance() -> Float[Tensor, "21 3 3"]:
+    """Square metres: what another model's joint centres differ by."""
+    std = [_CENTRE_STD_M.get(name, _CENTRE_STD_M.get(name.split("_")[-1], _OTHER_CENTRE_STD_M)) for name in KEYPOINTS]
+    return torch.tensor(std, dtype=torch.float64).square()[:, None, None] * torch.eye(3, dtype=torch.float64)
 
 
 @lru_cache(maxsize=8)

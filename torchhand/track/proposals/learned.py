@@ -22,9 +22,9 @@ from torchhand.view import OutlineTable
 
 _MIN_AREA = 0.004  # share of the picture that a silhouette fills at least
 _MAX_SOLIDITY = 0.9
-"""Area of a silhouette over that of its convex hull, beyond which it is no hand that nobody followed: some fist explains
-every oval, so that faces would be hands. Ovals on necks have 0.93; nine of ten photographs of hands in any posture, with
-their forearms, have less than 0.89, closed fists have more."""
+"""Area of a silhouette over that of its convex hull, beyond which it is no hand unless one is followed: some fist
+explains every oval, so that faces would be hands. Ovals on necks have 0.93; nine of ten photographs of hands in any
+posture, with their forearms, have less than 0.89, closed fists have more."""
 _MIN_OVERLAP = 0.9  # of the first hand with the silhouette by its colours
 _STARTS = 2  # registered hands whose colours are learned in the first picture
 _MIN_FOUND = 0.8  # share of the first hand's contour on edges
