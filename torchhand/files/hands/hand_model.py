@@ -24,7 +24,7 @@ def load_hand_model(name: str = "generic_hand") -> HandModel:
     """
     folder = Path(name) if Path(name).is_dir() else models_dir() / name
     if not folder.is_dir():
-        known = ", ".join(sorted(entry.name for entry in models_dir().iterdir() if entry.is_dir()))
+        known = ", ".join(sorted(entry.name for entry in models_dir().iterdir() if (entry / "hand.urdf").is_file()))
         raise InputError(f"hand model: expected a folder or one of {known}, got {name!r}")
     space, mesh_path = read_shape_space(folder / "shape.json"), folder / MESH_NAME
     return HandModel(
