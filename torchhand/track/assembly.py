@@ -158,6 +158,7 @@ def _of_one_camera(
                 table=own.table,
                 fit=s.fit,
                 silhouette=s.silhouette,
+                can_start=start_points is None,
                 plate=plate,
                 known_shape=shape,
             ),

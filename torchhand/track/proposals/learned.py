@@ -46,6 +46,8 @@ class LearnedHands:
     table: OutlineTable
     fit: FitSettings
     silhouette: SilhouetteSettings
+    can_start: bool = True
+    """Whether the first hand may come from here; not where the user said where it is."""
     plate: BackgroundPlate | None = None
     known_shape: Float[Tensor, "shape"] | None = None
 
@@ -60,7 +62,8 @@ class LearnedHands:
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """Some hands; none in frames in which no search was due."""
         image = scene.views[0].image
-        if image is None or state.frames_since_search > 0:
+        is_due = state.frames_since_search == 0 and (self.can_start or state.has_started)
+        if image is None or not is_due:
             return Proposals()
         mask = self._mask(scene, image, state)
         if float(mask.float().mean()) < _MIN_AREA or (best is None and solidity(mask) > _MAX_SOLIDITY):
