@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics, HandPose, PoseJacobian, ShapeSpace
+from torchhand.hand import HandKinematics, HandPose, PoseJacobian, PoseSpace, ShapeSpace
 from torchhand.hand.limits import clamp_to_limits
 from torchhand.track.belief.motion import HandMotion
 from torchhand.track.belief.state import FollowedHand
@@ -37,21 +37,42 @@ def posed_belief(
     hand: FollowedHand, motion: HandMotion, kinematics: HandKinematics, shape: Float[Tensor, "shape"]
 ) -> PosedBelief:
     """Pose and keypoints of a followed hand with their covariances, first order."""
-    space = motion.space.about(hand.base)
-    prior = motion.prior(hand)
-    wanted = space.dof(prior.mean)
-    dofs = clamp_to_limits(wanted, motion.skeleton)
+    space, prior = motion.space.about(hand.base), motion.prior(hand)
+    return _posed(space.dof(prior.mean), hand.reference, prior.covariance, space, kinematics, shape)
+
+
+def posed_gaussian(
+    pose: HandPose,
+    covariance: Float[Tensor, "free free"],
+    space: PoseSpace,
+    kinematics: HandKinematics,
+    shape: Float[Tensor, "shape"],
+) -> PosedBelief:
+    """The same of a pose () with a covariance of a space's free parameters, the rotation a left perturbation of it."""
+    at = pose.normalized()
+    return _posed(at.dofs, at.reference, covariance, space, kinematics, shape)
+
+
+def _posed(
+    wanted: Float[Tensor, "36"],
+    reference: Float[Tensor, "3 3"],
+    covariance: Float[Tensor, "free free"],
+    space: PoseSpace,
+    kinematics: HandKinematics,
+    shape: Float[Tensor, "shape"],
+) -> PosedBelief:
+    dofs = clamp_to_limits(wanted, kinematics.skeleton)
     basis = (dofs == wanted)[:, None] * space.basis  # a tied angle may have stopped at its limit
-    frames = kinematics(dofs, shape, root_reference=hand.reference)
+    frames = kinematics(dofs, shape, root_reference=reference)
     jacobian = _jacobian_of(kinematics)(dofs, frames) @ basis
-    pose = HandPose(dofs=dofs, reference=hand.reference)
+    pose = HandPose(dofs=dofs, reference=reference)
     eye = torch.eye(3, dtype=dofs.dtype)
     return PosedBelief(
         pose=pose.vector,
-        pose_std=(basis @ prior.covariance @ basis.T).diagonal().clamp_min(0).sqrt(),
+        pose_std=(basis @ covariance @ basis.T).diagonal().clamp_min(0).sqrt(),
         root_rotation=pose.rotation,
         keypoints=frames.keypoints,
-        keypoints_cov=jacobian @ prior.covariance @ jacobian.mT + _JOINT_CENTRE_STD**2 * eye,
+        keypoints_cov=jacobian @ covariance @ jacobian.mT + _JOINT_CENTRE_STD**2 * eye,
     )
 
 
