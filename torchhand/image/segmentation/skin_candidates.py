@@ -1,5 +1,7 @@
 """Silhouettes that a picture may show of hand and forearm, where nothing is known of its colours but human skin's."""
 
+import math
+
 import cv2
 import numpy as np
 import torch
@@ -49,9 +51,10 @@ def skin_candidates(
 
 
 def _merit(piece: Tensor, likeness: np.ndarray) -> float:
-    """Mean likeness to skin, less along the picture's border."""
+    """Likeness to skin summed over the piece, for its size counts as a length, less along the picture's border."""
     border = torch.cat((piece[0], piece[-1], piece[1:-1, 0], piece[1:-1, -1])).float().mean()
-    return float(likeness[piece.numpy()].mean()) * (1 - float(border)) ** 3
+    inside = likeness[piece.numpy()]
+    return float(inside.mean()) * math.sqrt(inside.size) * (1 - float(border)) ** 3
 
 
 def _overlap(one: Tensor, other: Tensor) -> float:

@@ -112,7 +112,7 @@ class SinglePoseFitter:
         return self._refined(work, found, shape, is_shape_known) if len(found) else None
 
     def _alone(self, work: "_Work", shape: Tensor, is_shape_known: bool) -> _Judged | None:
-        """The best hand of all silhouettes that the picture may show."""
+        """The hand of the first silhouette that one explains, of all that the picture may show, the likeliest first."""
         best: _Judged | None = None
         masks = [work.mask] if work.mask is not None else [] if work.image is None else silhouettes_by_skin(work.image)
         for mask in masks:
@@ -121,6 +121,8 @@ class SinglePoseFitter:
             if starts is None or not len(starts):
                 continue
             best = self._better(best, self._registered(work, mask, starts, shape, is_shape_known=True))
+            if best is not None and not best.objection:
+                break
         if best is None or work.mask is not None or work.image is None:
             return best
         return self._better(best, self._refined(work, best.hand.pose.reshape(1), shape, is_shape_known))

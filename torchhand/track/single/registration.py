@@ -139,9 +139,8 @@ class PictureProblem:
         """The same hand with the proportions that its outline shows; what the hypotheses leave open stays open."""
         names, population = self.kinematics.shape_space.names, _population(self.kinematics)
         unknown = SharedUnknowns.of_shape(population, tuple(names.index(name) for name in _SHOWN))
-        found = solve_shared(
-            replace(problem, shared=unknown), result.pose.reshape(1), self.settings.schedule[-1:]
-        )
+        stage = replace(self.settings.schedule[-1], rounds=1)
+        found = solve_shared(replace(problem, shared=unknown), result.pose.reshape(1), (stage,))
         contour = next(one for one in found.explained if one.name == CONTOUR)
         if not bool(found.covariance[0].isfinite().all()):
             return result

@@ -24,7 +24,7 @@ class SinglePoseSettings:
     """How far detected points are believed."""
     schedule: Schedule = (*SEARCH[:-1], replace(SEARCH[-1], gross_m=_FINEST_M))
     """Registration from coarse to fine; the first stage is that of all hypotheses, the others those of the best."""
-    finalists: int = 6
+    finalists: int = 4
     """Hypotheses that are registered to the end; 1 or more."""
     fits_shape: bool = True
     """Whether the proportions that an outline shows are fitted where they are not known."""

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -12,9 +13,10 @@ from torch import Tensor
 
 from torchhand.fit.detect import facing_rotation
 from torchhand.geometry import Camera, assumed_camera, rotation_from_vector
-from torchhand.hand import DOFS, HandKinematics, HandPose, HandPrior
+from torchhand.hand import DOFS, HandKinematics, HandPose, HandPrior, place_primitives
 from torchhand.image import depth_map, hand_region
 from torchhand.view import HandProjector
+from torchhand.view.outlines import generators
 
 _YAWS, _PITCHES_DEG = 8, (-35.0, 0.0, 35.0)  # of the views: about the hand's long axis, and towards the camera
 _FIELD_DEG, _DEPTH_M = 20.0, 2.0  # of the drawings: nearly orthographic
@@ -63,7 +65,7 @@ class SilhouetteTable:
         dofs = shape.new_zeros(len(joints) * len(views), len(DOFS))
         dofs[:, _ROOT:] = joints.repeat_interleave(len(views), 0)
         poses = HandPose.of(dofs, views.repeat(len(joints), 1, 1))
-        made = [one for i in range(len(poses)) for one in _drawn(kinematics, shape, poses[i], i)]
+        made = [one for i, seen in enumerate(_seen(kinematics, shape, poses)) for one in _drawn(seen, i)]
         own = torch.tensor([one.pose for one in made])
         return cls(
             poses=poses[own],
@@ -160,36 +162,55 @@ class _Drawn:
     radius_m: float
 
 
-def _drawn(kinematics: HandKinematics, shape: Float[Tensor, "shape"], pose: HandPose, number: int) -> list[_Drawn]:
-    """One view without a forearm and with forearms."""
+@dataclass(frozen=True, kw_only=True)
+class _Seen:
+    """One view of a hand, far away and in the middle of the picture."""
+
+    mask: Float[np.ndarray, "side side"]
+    wrist: Float[np.ndarray, "2"]
+    knuckle: Float[np.ndarray, "2"]
+    metres_per_px: float
+    length_px: float
+
+
+def _seen(kinematics: HandKinematics, shape: Float[Tensor, "shape"], poses: HandPose) -> Iterator[_Seen]:
+    """Hands in all poses (n)."""
     camera = assumed_camera(_DRAWN_PX, _DRAWN_PX, horizontal_fov_deg=_FIELD_DEG, dtype=shape.dtype)
     projector, length = HandProjector(kinematics, camera, shape), float(kinematics.shape_space.metric(shape)["hand_length"])
-    dofs = pose.dofs.clone()
-    middle = pose.reference @ dofs.new_tensor((0.0, 0.5 * length, 0.0))
-    dofs[:2], dofs[2] = -middle[:2], _DEPTH_M
-    mask = projector.silhouette(dofs, pose.reference).numpy().astype(np.float32)
-    wrist, knuckle = camera.project(projector.frames(dofs, pose.reference).keypoints)[[0, 9]]
-    metres_per_px = _DEPTH_M / float(camera.intrinsics[0, 0])
-    length_px, towards = length / metres_per_px, (wrist - knuckle).numpy()
-    x, y, radius = largest_discs(mask > 0)[0]
-    weight, pictures = np.ones_like(mask), [mask]
-    if np.linalg.norm(towards) > _STEEP * length_px:
-        is_hand = hand_region((camera.height, camera.width), wrist, knuckle).numpy()
-        weight = np.where(is_hand, 1.0, _BEYOND).astype(np.float32)
-        towards = towards / np.linalg.norm(towards)
-        for turn, end in itertools.product(_FOREARMS_DEG, _SLEEVES):
-            size = np.array((end, _FOREARM_BREADTH)) * length_px
-            pictures.append(_with_forearm(mask, wrist.numpy(), towards, math.radians(turn), size))
-    cells = _window(weight, x, y, radius, 0.0, beyond=_BEYOND)
-    return [
-        _Drawn(
-            pose=number,
-            drawn=_window(picture, x, y, radius, 0.0),
-            weight=cells,
-            palm_m=(np.array((x, y)) - wrist.numpy()) * metres_per_px,
-            radius_m=radius * metres_per_px,
+    dofs, metres_per_px = poses.dofs.clone(), _DEPTH_M / float(camera.intrinsics[0, 0])
+    dofs[:, :2], dofs[:, 2] = -0.5 * length * poses.reference[:, :2, 1], _DEPTH_M
+    frames = kinematics(dofs, shape, root_reference=poses.reference)
+    placed = place_primitives(frames, projector.sizes, is_left=kinematics.side == "left")
+    cones, arcs = generators(placed, is_orthographic=False, with_normals=False)
+    points = camera.project(frames.keypoints[:, [0, 9]]).numpy()
+    for i in range(len(poses)):
+        mask = projector.silhouette_of(placed.select(i), (cones.of_hand(i), arcs.of_hand(i)))
+        yield _Seen(
+            mask=mask.numpy().astype(np.float32),
+            wrist=points[i, 0],
+            knuckle=points[i, 1],
+            metres_per_px=metres_per_px,
+            length_px=length / metres_per_px,
         )
-        for picture in pictures
+
+
+def _drawn(seen: _Seen, number: int) -> list[_Drawn]:
+    """One view without a forearm and with forearms."""
+    mask, towards = seen.mask, seen.wrist - seen.knuckle
+    x, y, radius = largest_discs(mask > 0)[0]
+    weight, pictures, span = np.ones_like(mask), [mask], float(np.linalg.norm(towards))
+    if span > _STEEP * seen.length_px:
+        ends = torch.from_numpy(seen.wrist), torch.from_numpy(seen.knuckle)
+        weight = np.where(hand_region((_DRAWN_PX, _DRAWN_PX), *ends).numpy(), 1.0, _BEYOND).astype(np.float32)
+        for turn, end in itertools.product(_FOREARMS_DEG, _SLEEVES):
+            size = np.array((end, _FOREARM_BREADTH)) * seen.length_px
+            pictures.append(_with_forearm(mask, seen.wrist, towards / span, math.radians(turn), size))
+    cells = _window(weight, x, y, radius, 0.0, beyond=_BEYOND)
+    palm = (np.array((x, y)) - seen.wrist) * seen.metres_per_px
+    size = radius * seen.metres_per_px
+    return [
+        _Drawn(pose=number, drawn=_window(one, x, y, radius, 0.0), weight=cells, palm_m=palm, radius_m=size)
+        for one in pictures
     ]
 
 
