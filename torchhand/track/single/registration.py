@@ -97,9 +97,12 @@ class PictureProblem:
         *,
         is_shape_known: bool,
     ) -> Registered | None:
-        """The best of the hands that are reached from some starts (k); None where none is in sight."""
+        """The best of the hands that are reached from some starts (k); None where the silhouette has no outline, and where
+        none is in sight."""
         s = self.settings
         problem = self._problem(mask, image, shape)
+        if problem.observations[0].is_empty:
+            return None
         if len(starts) > s.finalists:
             rough = solve(problem, starts, s.schedule[:1])
             starts = rough.pose[rough.cost.argsort()[: s.finalists]]

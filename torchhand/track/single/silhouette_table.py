@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.fit.detect import facing_rotation
@@ -46,7 +46,7 @@ class SilhouetteTable:
 
     poses: HandPose
     """(n), cam_from_hand, the hand's origin at the camera's."""
-    posture: Float[np.ndarray, "n"]
+    posture: Int[np.ndarray, "n"]
     """Which posture each shows."""
     drawn: Float[Tensor, "n cells"]
     """The silhouettes with a bare forearm or none, times the weights."""
