@@ -9,10 +9,12 @@ import torch
 from torch import Tensor
 
 from tests.studio import StagedHand, Studio
-from torchhand.fit import SolveStatus, Solutions
+from torchhand.fit import Solutions, SolveStatus
+from torchhand.fit.detect import align_posture
+from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandPose, named_pose_space, posture
 from torchhand.track import HandKeypoints, View
-from torchhand.track.single import SilhouetteTable, SinglePoseFitter, SinglePoseSettings
+from torchhand.track.single import SinglePoseFitter, SinglePoseSettings
 from torchhand.track.single.registration import mixture
 
 FLEXIONS = [i for i, n in enumerate(DOFS) if n.endswith(("mcp_fe", "pip_fe")) and not n.startswith("thumb")]
@@ -84,7 +86,8 @@ def test_proportions_come_out_of_the_outline_where_they_are_not_known() -> None:
     broad[names.index("hand_breadth")] *= 1.1
     hand = replace(placed, shape=broad)
     found = fitter()(View(mask=hand.mask, keypoints=detected(hand)), hand.camera)
-    relative = [float(one[names.index("hand_breadth")] / one[names.index("hand_length")]) for one in (placed.shape, found.shape, broad)]
+    breadth, length = names.index("hand_breadth"), names.index("hand_length")
+    relative = [float(one[breadth] / one[length]) for one in (placed.shape, found.shape, broad)]
     assert relative[1] - relative[0] > 0.5 * (relative[2] - relative[0])
 
 
@@ -122,34 +125,23 @@ def no_hand(what: str) -> Tensor:
     return picture
 
 
-@cache
-def table() -> SilhouetteTable:
-    kinematics = Studio().kinematics()
-    whole = SilhouetteTable.of_prior(kinematics, kinematics.default_shape)
-    return whole
+def aligned(mask: Tensor, image: Tensor | None, camera: Camera, shape: Tensor) -> HandPose:
+    """Open hands over a silhouette."""
+    found = align_posture(mask, camera, Studio().kinematics(), shape, posture("open"), keep=3)
+    return HandPose.stack([HandPose.of(one.pose, one.root_reference) for one in found])
 
 
 @cache
 def fitter_alone() -> SinglePoseFitter:
-    source = lambda mask, image, camera, shape: table().placed(mask, camera, 6)[0]  # noqa: E731
-    return SinglePoseFitter(Studio().kinematics(), sources=(source,))
+    return SinglePoseFitter(Studio().kinematics(), sources=(aligned,))
 
 
-def test_the_table_lays_a_posture_over_its_own_silhouette() -> None:
+def test_an_open_hand_is_found_alone() -> None:
     placed = staged("open")
-    poses, overlap = table().placed(placed.mask, placed.camera, 4)
-    assert len(poses) == 4
-    assert overlap[0] > 0.7
-    assert (overlap[:-1] >= overlap[1:]).all()
-    projector = placed.projector
-    model = projector.silhouette(poses.dofs[0], poses.reference[0])
-    assert float((model & placed.mask).sum() / (model | placed.mask).sum()) > 0.6
-
-
-def test_an_empty_silhouette_gives_no_poses() -> None:
-    poses, overlap = table().placed(torch.zeros(40, 50, dtype=torch.bool), Studio().camera(50, 40), 4)
-    assert len(poses) == 0
-    assert len(overlap) == 0
+    found = fitter_alone()(View(image=placed.picture()), placed.camera, shape=placed.shape).estimate
+    assert found.keypoints_px is not None, found.reason
+    away = (found.keypoints_px[0] - placed.keypoints_px).norm(dim=-1)
+    assert float(away.mean()) < 0.04 * placed.length_px
 
 
 def solutions(pose: HandPose, cost: list[float]) -> Solutions:

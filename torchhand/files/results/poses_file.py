@@ -1,4 +1,4 @@
-"""The results of single pictures: a line each while a run goes on (poses.jsonl), arrays of all in the end (poses.npz)."""
+"""The results of single pictures: a line each while a run goes on (poses.jsonl), arrays in the end (poses.npz)."""
 
 import contextlib
 import json

@@ -156,7 +156,9 @@ class Track:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What track.npz holds."""
-        arrays = {name: getattr(self, name) for name in ("frame", "status", *ARRAY_FIELDS, "seconds", "reason", "image")}
+        arrays = {
+            name: getattr(self, name) for name in ("frame", "status", *ARRAY_FIELDS, "seconds", "reason", "image")
+        }
         arrays |= self.measures
         arrays |= {"dof_names": np.array(self.dof_names), "units": np.array(self.units)}
         arrays |= {"convention": np.array(self.convention), "header": np.array(json.dumps(self.header))}

@@ -27,12 +27,12 @@ _FLOOR_PX = 50  # pixels of skin colour, below which brightness divides nothing
 def skin_candidates(
     image: UInt8[Tensor, "height width 3"], *, max_side_px: int = 240
 ) -> list[Bool[Tensor, "small_height small_width"]]:
-    """Distinct pieces that may be hand and bare forearm, in the picture reduced to `max_side_px`: the most skin-like and
-    least along the border first.
+    """Distinct pieces that may be hand and bare forearm, in the picture reduced to `max_side_px`: large, skin-like ones
+    off the border first.
 
     Pieces are proposed by skin's hue (as `bootstrap_skin` does), by brightness among what has that hue, and by
-    clusters of colour. Each is also given with the colours, brightness included, that it teaches against the rest. Which
-    of them is a hand its shape must tell.
+    clusters of colour. Each is also given with the colours, brightness included, that it teaches against the rest.
+    Which of them is a hand its shape must tell.
     """
     scale = min(1.0, max_side_px / max(image.shape[:2]))
     pixels = image.cpu().contiguous().numpy()

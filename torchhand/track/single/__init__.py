@@ -2,6 +2,5 @@
 
 from torchhand.track.single.fitter import PoseSource, SinglePose, SinglePoseFitter
 from torchhand.track.single.settings import SinglePoseSettings
-from torchhand.track.single.silhouette_table import SilhouetteTable
 
-__all__ = ["PoseSource", "SilhouetteTable", "SinglePose", "SinglePoseFitter", "SinglePoseSettings"]
+__all__ = ["PoseSource", "SinglePose", "SinglePoseFitter", "SinglePoseSettings"]

@@ -29,15 +29,16 @@ from torchhand.track.scene import (
 )
 from torchhand.track.single.registration import PictureProblem, Registered
 from torchhand.track.single.settings import SinglePoseSettings
-from torchhand.track.single.silhouette import silhouette_at, silhouettes_by_skin
+from torchhand.track.single.silhouette import oval_overlap, silhouette_at, silhouettes_by_skin
 
 _CHECK_SIDE_PX = 320  # of the reduced pictures in which silhouettes are compared
+_OVAL = 0.93  # intersection over union with an ellipse, beyond which an outline alone shows nothing of a hand
 _TURNED = 6  # sides from which keypoints are taken to be seen
 _ROUNDS = 2  # of colours learned at the hand and registration on what has them
 
 Picture = UInt8[Tensor, "height width 3"]
 PoseSource = Callable[[Bool[Tensor, "height width"], Picture | None, Camera, Float[Tensor, "shape"]], HandPose]
-"""First poses (k), in the camera's frame, of a hand of a shape whose silhouette, with a forearm or without, is given."""
+"""First poses (k), in the camera's frame, of a hand of a shape whose silhouette, perhaps with a forearm, is given."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,7 +157,10 @@ class SinglePoseFitter:
         compare = SilhouetteComparison(self.kinematics, (work.camera,), hand.shape, side_px=_CHECK_SIDE_PX)
         agreement = compare(hand.pose, work.scene(mask))
         by_keypoints = work.seen(self.kinematics, self.settings).agreement(hand.pose, hand.shape)
-        objection = self._objection(hand, agreement, by_keypoints)
+        is_detected = by_keypoints is not None and by_keypoints >= MIN_KEYPOINTS
+        objection = self._objection(hand, agreement, is_detected=is_detected)
+        if not objection and not is_detected and oval_overlap(mask) > _OVAL:
+            objection = "what has its colours is a plain oval, which a face may be as well"
         return _Judged(hand=hand, mask=mask, agreement=agreement, objection=objection)
 
     def _problem(self, work: "_Work") -> PictureProblem:
@@ -167,10 +171,9 @@ class SinglePoseFitter:
             observations=work.seen(self.kinematics, self.settings).observations,
         )
 
-    def _objection(self, hand: Registered, agreement: Agreement, by_keypoints: float | None) -> str:
+    def _objection(self, hand: Registered, agreement: Agreement, *, is_detected: bool) -> str:
         s = self.settings
         told = f"overlap {agreement.overlap:.2f}, {hand.edges:.0%} of the outline explained"
-        is_detected = by_keypoints is not None and by_keypoints >= MIN_KEYPOINTS
         overlap, edges = (s.min_overlap, s.min_edges) if is_detected else (s.alone_overlap, s.alone_edges)
         if agreement.overlap < overlap or hand.edges < edges:
             return f"no hand explains what has its colours ({told})"
@@ -184,9 +187,7 @@ class SinglePoseFitter:
             return one or other
         return other if other.quality > one.quality else one
 
-    def _result(
-        self, best: _Judged, work: "_Work", view: View, camera: Camera, *, is_shape_known: bool
-    ) -> SinglePose:
+    def _result(self, best: _Judged, work: "_Work", view: View, camera: Camera, *, is_shape_known: bool) -> SinglePose:
         hand, agreement = best.hand, best.agreement
         space = PictureProblem(kinematics=self.kinematics, camera=camera, settings=self.settings).space
         posed = posed_gaussian(hand.pose, hand.covariance, space.about(hand.pose.dofs), self.kinematics, hand.shape)
@@ -229,7 +230,9 @@ class _Work:
         for name, picture in (("image", view.image), ("mask", view.mask)):
             if picture is not None and picture.shape[:2] != (camera.height, camera.width):
                 got = f"{picture.shape[1]}×{picture.shape[0]} px"
-                raise ValueError(f"view.{name}: expected {camera.width}×{camera.height} px as the camera says, got {got}")
+                raise ValueError(
+                    f"view.{name}: expected {camera.width}×{camera.height} px as the camera says, got {got}"
+                )
         if view.image is None and view.mask is None:
             raise ValueError("view: expected a picture or a silhouette, got neither")
         here = replace(

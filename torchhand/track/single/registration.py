@@ -97,8 +97,8 @@ class PictureProblem:
         *,
         is_shape_known: bool,
     ) -> Registered | None:
-        """The best of the hands that are reached from some starts (k); None where the silhouette has no outline, and where
-        none is in sight."""
+        """The best of the hands that are reached from some starts (k); None where the silhouette has no outline, and
+        where none of them is in sight."""
         s = self.settings
         problem = self._problem(mask, image, shape)
         if problem.observations[0].is_empty:
@@ -136,9 +136,7 @@ class PictureProblem:
             priors=_priors(self.kinematics),
         )
 
-    def _with_shape(
-        self, problem: Problem, result: Registered, own: Float[Tensor, "free free"]
-    ) -> Registered:
+    def _with_shape(self, problem: Problem, result: Registered, own: Float[Tensor, "free free"]) -> Registered:
         """The same hand with the proportions that its outline shows; what the hypotheses leave open stays open."""
         names, population = self.kinematics.shape_space.names, _population(self.kinematics)
         unknown = SharedUnknowns.of_shape(population, tuple(names.index(name) for name in _SHOWN))
@@ -202,5 +200,3 @@ def _priors(kinematics: HandKinematics) -> tuple[Observation, ...]:
 @lru_cache(maxsize=4)
 def _population(kinematics: HandKinematics) -> Anthropometry:
     return Anthropometry(kinematics.shape_space)
-
-

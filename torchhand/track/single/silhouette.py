@@ -49,3 +49,18 @@ def silhouettes_by_skin(image: UInt8[Tensor, "height width 3"]) -> list[Bool[Ten
         small = piece.numpy().astype(np.float32)
         found.append(torch.from_numpy(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5))
     return found
+
+
+def oval_overlap(mask: Bool[Tensor, "height width"]) -> float:
+    """Intersection over union of a mask and the ellipse of its first and second moments; 0 for an empty mask."""
+    pixels = mask.cpu().numpy().astype(np.uint8)
+    moments = cv2.moments(pixels, binaryImage=True)
+    area = moments["m00"]
+    if not area:
+        return 0.0
+    spread = np.array(((moments["mu20"], moments["mu11"]), (moments["mu11"], moments["mu02"]))) / area
+    y, x = np.mgrid[: pixels.shape[0], : pixels.shape[1]]
+    away = np.stack((x - moments["m10"] / area, y - moments["m01"] / area), -1)
+    inverse = np.linalg.inv(spread + 1e-6 * np.eye(2))
+    is_oval = np.einsum("...i,ij,...j->...", away, inverse, away) <= 4  # of a filled ellipse: half axes of 2 deviations
+    return float((is_oval & (pixels > 0)).sum() / (is_oval | (pixels > 0)).sum())
