@@ -25,6 +25,7 @@ from torchhand.files.disk import replacing
 from torchhand.files.results import CONVENTION, POSES_NAME, PictureRecord, PosesWriter
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandPose, Side
+from torchhand.runs import record_of
 from torchhand.runs.pictures.inputs import (
     CameraOf,
     PictureKeypointsFile,
@@ -33,7 +34,6 @@ from torchhand.runs.pictures.inputs import (
     pictures_in,
 )
 from torchhand.runs.pictures.sources import pose_sources
-from torchhand.runs.records import record_of
 from torchhand.track import Estimate, View
 from torchhand.track.single import SinglePose, SinglePoseFitter, SinglePoseSettings
 from torchhand.view import HandProjector
