@@ -92,6 +92,22 @@ def test_the_errors_are_printed_and_saved(
         assert re.search(pattern, text), pattern
 
 
+def test_without_a_truth_the_range_of_motion_is_told(
+    simulated: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    result_dir, _ = simulated
+    capsys.readouterr()
+    assert main([str(result_dir)]) == 0
+    text, _ = capsys.readouterr()
+    figures = json.loads((result_dir / "range_of_motion.json").read_text())["range_of_motion_deg"]
+    with np.load(result_dir / "track.npz") as track:
+        bent = np.rad2deg(track["pose"][:, DOFS.index("index_pip_fe")])
+    assert figures["index_pip_fe"]["largest_deg"] == pytest.approx(np.nanmax(bent))
+    assert figures["index_pip_fe"]["smallest_deg"] == pytest.approx(np.nanmin(bent))
+    assert re.search(r"index_pip_fe +-?\d+\.\d ± \d+\.\d +\d +-?\d+\.\d ± \d+\.\d +\d +\d+\.\d\n", text)
+    assert not (result_dir / "evaluation.json").exists()
+
+
 def test_the_file_may_go_elsewhere(result_dir: Path, truth_dir: Path, tmp_path: Path) -> None:
     out = tmp_path / "figures.json"
     assert main([str(result_dir), str(truth_dir / "truth.npz"), "--out", str(out)]) == 0

@@ -60,7 +60,7 @@ def test_the_truth_itself_has_no_error() -> None:
     assert figures["planar_motion"]["displacement_largest_px"] < 1e-10
     assert figures["planar_motion"]["rotation_largest_deg"] < 1e-10
     assert figures["planar_motion"]["proximal_turn_largest_deg"] < 1e-10
-    assert figures["flexion_deg"] == {"mean": 0.0, "raw_mean": 0.0}
+    assert (figures["flexion_deg"]["mean"], figures["flexion_deg"]["raw_mean"]) == (0.0, 0.0)
     assert figures["tracking"]["followed"] == FRAMES
     assert figures["tracking"]["share_largest_error_below_20mm"] == 1.0
     assert figures["speed"] == {"median_ms_per_frame": 10.0, "largest_ms_per_frame": 500.0}
@@ -77,6 +77,42 @@ def test_a_finger_that_spreads_too_far_is_seen_in_its_proximal_phalanx() -> None
     motion = evaluate(replace(track, keypoints2d=points), truth())["planar_motion"]
     assert motion["proximal_turn_largest_deg"] == pytest.approx(6.0, abs=1e-9)
     assert motion["proximal_turn_mean_deg"] == pytest.approx(6.0 / 10, abs=1e-9)  # one of five fingers in two frames
+
+
+def test_a_status_is_wrong_where_a_tip_is_elsewhere_in_the_picture_and_where_a_hand_is_given_up() -> None:
+    """Along the line of sight of one camera a tip may be anywhere; frame 3 is lost."""
+    track = perfect([0, 1, 2, 3, 4, 5])
+    points = track.keypoints3d.copy()
+    points[1] *= 1.4  # farther away, in the same place of the picture
+    points[2, 8] += [0.0, 0.021, 0.0]
+    points[4, 8] += [0.0, 0.019, 0.0]
+    points[3] = np.nan
+    wrong = evaluate(replace(track, keypoints3d=points), truth())["status"]
+    assert wrong["fraction_tracked_with_a_tip_beyond_20mm"] == pytest.approx(1 / 5)
+    assert wrong["fraction_with_a_hand_but_lost"] == pytest.approx(1 / 6)
+    wrong = evaluate(replace(track, keypoints3d=points, keypoints2d=None), truth())["status"]
+    assert wrong["fraction_tracked_with_a_tip_beyond_20mm"] == pytest.approx(2 / 5)
+
+
+def test_the_range_of_motion_stands_beside_that_of_the_truth() -> None:
+    known = truth()
+    assert known.flexion_deg is not None
+    angles = evaluate(perfect([0, 1, 2, 3, 4, 5]), known)["flexion_deg"]
+    closed = known.flexion_deg[:, 1:].sum(-1).mean(-1)
+    assert angles["range"] == pytest.approx([closed.min(), closed.max()])
+    assert angles["true_range"] == angles["range"]
+
+
+def test_joints_are_judged_one_by_one() -> None:
+    track = perfect([0, 1, 2, 3, 4, 5])
+    points = track.keypoints3d.copy()
+    points[:3, 5] += [0.003, 0.0, 0.0]  # 3 mm at a standard deviation of 1 mm: outside of what holds 95 %
+    points[:, 6] += [0.002, 0.0, 0.0]  # 2 mm: inside
+    joints = evaluate(replace(track, keypoints3d=points), truth())["uncertainty"]["by_joint"]
+    assert joints["index_mcp"]["fraction_in_95_percent_band"] == pytest.approx(0.5)
+    assert joints["index_mcp"]["rms_along_an_axis_mm"] == pytest.approx(3 / np.sqrt(6))
+    assert joints["index_pip"]["fraction_in_95_percent_band"] == 1
+    assert joints["wrist"]["rms_along_an_axis_mm"] == pytest.approx(0, abs=1e-9)
 
 
 def test_frames_are_matched_by_number() -> None:
@@ -122,7 +158,7 @@ def test_a_hand_that_was_never_found() -> None:
 
 def test_sections_without_their_truth_are_missing() -> None:
     figures = evaluate(perfect([0, 1]), truth(keypoints2d=None, flexion_deg=None))
-    assert set(figures) == {"tracking", "position_mm", "turn_in_space_deg", "uncertainty", "speed"}
+    assert set(figures) == {"tracking", "position_mm", "turn_in_space_deg", "status", "uncertainty", "speed"}
     figures = evaluate(perfect([0]), truth(keypoints3d=None, keypoints2d=None))
     assert set(figures) == {"tracking", "flexion_deg", "speed"}
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from torchhand.evaluate.nees import consistency, normalised_errors_squared
+from torchhand.evaluate.nees import consistency, fraction_in_band, normalised_errors_squared
 
 
 def random_covariances(rng: np.random.Generator, *batch: int) -> tuple[np.ndarray, np.ndarray]:
@@ -60,3 +60,18 @@ def test_lost_frames_and_zero_covariances_do_not_count() -> None:
     assert found is not None
     assert found.samples == 1
     assert consistency(errors[1:], covariance[1:]) is None
+
+
+def test_the_region_holds_95_percent_of_honest_points_and_counts_only_known_ones() -> None:
+    rng = np.random.default_rng(4)
+    roots, covariance = random_covariances(rng, 400, 21)
+    errors = (roots @ rng.normal(size=(400, 21, 3, 1)))[..., 0]
+    errors[:, 3] = np.nan
+    covariance[:, 4] = 0.0
+    inside, weight = fraction_in_band(errors, covariance)
+    assert (weight[:, [3, 4]] == 0).all()
+    assert (inside[:, [3, 4]] == 0).all()
+    # 400 draws a point: the share's standard deviation is 1.1 %; 5 of them.
+    assert np.abs(np.delete(inside, [3, 4], 1).mean(0) - 0.95).max() < 0.055
+    inside, _ = fraction_in_band(0 * errors, covariance)
+    assert np.delete(inside, [3, 4], 1).all()  # no error is too small

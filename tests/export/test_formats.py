@@ -30,6 +30,7 @@ ONE_NAME_EACH = {
     "mano": "hand.mano.npz",
     "openxr": "hand.openxr.json",
     "keypoints": "hand.keypoints.json",
+    "angles": "angles.csv",
     "bap": "hand.bap",
     "x3d": "hand.x3d",
     "stream": "hand.thp",

@@ -1,9 +1,9 @@
-"""Measure a tracked sequence against its truth, print the errors and save them as evaluation.json."""
+"""Measure a tracked sequence: against its truth, or by itself the range of motion; print and save them."""
 
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,12 +12,14 @@ from tyro.conf import Positional, arg
 from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.errors import InputError
 from torchhand.evaluate import (
+    JointRange,
     MaskOfFrame,
     Truth,
     evaluate,
     load_mask,
     load_truth,
     numbered_pictures,
+    range_of_motion,
     tracked_projector,
     tracked_silhouettes,
 )
@@ -35,19 +37,23 @@ TABLE = (
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
-    """Measure a tracked sequence against its truth, print the errors and save them.
+    """Measure a tracked sequence, print the figures and save them.
 
-    Example:
+    With a truth: the errors. Without one: the range of motion, per joint the smallest and the largest angle of the
+    tracked frames, each with its standard deviation.
+
+    Examples:
         torchhand evaluate out/planar_open data/synthetic/planar_open
+        torchhand evaluate out/clip
     """
 
     directory: Annotated[Positional[Path], arg(metavar="DIR")]
     """Result folder of `torchhand track` or `torchhand fit_pose`. The silhouettes judged are drawn from its track and
     hand.json; if it has masks/, one picture per frame number, these are judged instead."""
-    truth: Annotated[Positional[Path], arg(metavar="TRUTH")]
+    truth: Annotated[Positional[Path | None], arg(metavar="TRUTH")] = None
     """Folder with truth.npz (keypoints3d, keypoints2d, flexion_deg; any may be missing) and masks/, or the file."""
     out: Annotated[Path | None, arg(metavar="FILE")] = None
-    """File for the figures; DIR/evaluation.json if not given."""
+    """File for the figures; if not given, DIR/evaluation.json, or DIR/range_of_motion.json without a truth."""
 
 
 @command
@@ -56,12 +62,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = parse(Arguments, argv, name="evaluate")
     if not arguments.directory.is_dir():
         raise InputError(f"{arguments.directory}: expected the result folder of `torchhand track`; there is none")
-    truth = load_truth(arguments.truth)
     track = load_track(arguments.directory)
-    with threads(1):
-        figures = evaluate(track, truth, _silhouettes(arguments.directory, track, truth))
-    print(table(figures))
-    out = arguments.out or arguments.directory / "evaluation.json"
+    if arguments.truth is None:
+        ranges = range_of_motion(track)
+        print(range_table(ranges))
+        name = "range_of_motion.json"
+        figures: dict[str, Any] = {"range_of_motion_deg": {name: asdict(one) for name, one in ranges.items()}}
+    else:
+        name, truth = "evaluation.json", load_truth(arguments.truth)
+        with threads(1):
+            figures = evaluate(track, truth, _silhouettes(arguments.directory, track, truth))
+        print(table(figures))
+    out = arguments.out or arguments.directory / name
     write_text(out, json.dumps(_without_nan(figures), indent=2) + "\n")
     print(f"saved {out}")
     return DONE
@@ -76,6 +88,19 @@ def _silhouettes(directory: Path, track: Track, truth: Truth) -> MaskOfFrame | N
     if not truth.mask_files or not hand_file.is_file():
         return None
     return tracked_silhouettes(track, tracked_projector(track, hand_file))
+
+
+def range_table(ranges: Mapping[str, JointRange]) -> str:
+    """The ranges as text, one line per joint."""
+    title = "joint angle (degrees)"
+    width = max(map(len, (*ranges, title)))
+    lines = [f"{title:<{width}}  {'smallest':>15}  {'frame':>6}  {'largest':>15}  {'frame':>6}  {'range':>6}"]
+    for name, one in ranges.items():
+        low = f"{one.smallest_deg:.1f} ± {one.smallest_std_deg:.1f}"
+        high = f"{one.largest_deg:.1f} ± {one.largest_std_deg:.1f}"
+        ends = f"{low:>15}  {one.smallest_frame:>6}  {high:>15}  {one.largest_frame:>6}"
+        lines.append(f"{name:<{width}}  {ends}  {one.range_deg:>6.1f}")
+    return "\n".join(lines)
 
 
 def table(figures: dict[str, Any]) -> str:
@@ -111,6 +136,15 @@ def table(figures: dict[str, Any]) -> str:
         lines.append(
             ("flexion, each joint's offset removed", f"mean {angles['mean']:.2f}°, raw {angles['raw_mean']:.2f}°")
         )
+        (low, high), (true_low, true_high) = angles["range"], angles["true_range"]
+        text = f"{low:.0f}° to {high:.0f}° (truth {true_low:.0f}° to {true_high:.0f}°)"
+        lines.append(("flexion of a finger over MCP, PIP and DIP", text))
+    if "status" in figures:
+        wrong = figures["status"]
+        lines.append(
+            ("tracked, but a tip over 20 mm off", f"{wrong['fraction_tracked_with_a_tip_beyond_20mm']:.1%} of frames")
+        )
+        lines.append(("lost, but there is a hand", f"{wrong['fraction_with_a_hand_but_lost']:.1%} of frames"))
     if "silhouette" in figures:
         overlap = figures["silhouette"]
         text = f"median {overlap['median_iou']:.3f}, smallest {overlap['smallest_iou']:.3f}"
@@ -122,10 +156,22 @@ def table(figures: dict[str, Any]) -> str:
         honesty = figures["uncertainty"]
         text = f"{honesty['fraction_inside']:.1%}, mean per dof {honesty['mean_per_dof']:.2f} (honest: 95 % and 1)"
         lines.append(("NEES inside its 95 % band", text))
+        lines.append(("joints inside their 95 % region", _by_joint(honesty["by_joint"])))
     if "speed" in figures:
         lines.append(("compute time per frame", f"median {figures['speed']['median_ms_per_frame']:.2f} ms"))
     width = max(len(label) for label, _ in lines)
     return "\n".join(f"{label:<{width}}  {text}" for label, text in lines)
+
+
+def _by_joint(joints: dict[str, dict[str, float]]) -> str:
+    """The mean over the joints, and the least and the most of them."""
+    shares = {name: one["fraction_in_95_percent_band"] for name, one in joints.items()}
+    known = {name: share for name, share in shares.items() if math.isfinite(share)}
+    if not known:
+        return "unknown"
+    low, high = min(known, key=known.__getitem__), max(known, key=known.__getitem__)
+    mean = sum(known.values()) / len(known)
+    return f"{mean:.1%}; {low} {known[low]:.0%} to {high} {known[high]:.0%} (honest: 95 %)"
 
 
 def _planar_lines(motion: dict[str, Any]) -> list[tuple[str, str]]:

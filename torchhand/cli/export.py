@@ -23,8 +23,8 @@ class Arguments:
 
     The ending of --to says which: .glb (skin and animation), .bvh, .urdf and .xml (MuJoCo) with a folder of link
     meshes, .obj and .ply (one file per frame), .mano.npz, .openxr.json, .keypoints.json/.npz and .csv (21 points),
-    .bap (MPEG-4), .x3d (H-Anim), .thp (a pose stream of a few hundred bits a second). A hand.json alone gives the open
-    hand at rest; a .thp is read back.
+    angles.csv (every joint angle with its standard deviation, time and status), .bap (MPEG-4), .x3d (H-Anim), .thp (a
+    pose stream of a few hundred bits a second). A hand.json alone gives the open hand at rest; a .thp is read back.
 
     Example:
         torchhand export out/clip --to hand.glb

@@ -8,6 +8,7 @@ from torchhand.evaluate.nees import Consistency, consistency, normalised_errors_
 from torchhand.evaluate.planar_motion import PlanarMotionErrors, planar_motion_errors
 from torchhand.evaluate.pose_errors import PoseErrors, pose_errors
 from torchhand.evaluate.positions import WRIST, aligned_errors, joint_errors, root_relative_errors
+from torchhand.evaluate.range_of_motion import JointRange, range_of_motion
 from torchhand.evaluate.timing import (
     PROC,
     THREAD_VARIABLES,
@@ -27,6 +28,7 @@ __all__ = [
     "WRIST",
     "Consistency",
     "Continuity",
+    "JointRange",
     "MaskOfFrame",
     "PlanarMotionErrors",
     "PoseErrors",
@@ -48,6 +50,7 @@ __all__ = [
     "numbered_pictures",
     "planar_motion_errors",
     "pose_errors",
+    "range_of_motion",
     "root_relative_errors",
     "time_interleaved",
     "tracked_projector",

@@ -1,5 +1,6 @@
 """All errors of one tracked sequence, as plain numbers ready for a file or a table."""
 
+import math
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -17,13 +18,13 @@ from torchhand.evaluate.angles import (
 )
 from torchhand.evaluate.continuity import continuity
 from torchhand.evaluate.finite import is_finite_set, max_finite, mean_finite, median_finite, rms_finite
-from torchhand.evaluate.nees import consistency
+from torchhand.evaluate.nees import consistency, fraction_in_band
 from torchhand.evaluate.planar_motion import planar_motion_errors
 from torchhand.evaluate.positions import WRIST, aligned_errors, joint_errors, root_relative_errors
 from torchhand.evaluate.tracked_silhouettes import MaskOfFrame
 from torchhand.evaluate.truth import Truth, load_mask
 from torchhand.files import Track
-from torchhand.hand import FINGERS
+from torchhand.hand import FINGERS, KEYPOINTS
 from torchhand.image import hand_region, intersection_over_union
 
 MIDDLE_MCP = 9
@@ -62,6 +63,8 @@ def evaluate(track: Track, truth: Truth, predicted_mask: MaskOfFrame | None = No
         motion = _planar_motion(track, true_px)
         if motion is not None:
             figures["planar_motion"] = motion
+    if truth.keypoints3d is not None:
+        figures["status"] = _status(track, truth.keypoints3d[rows], is_one_camera=track.keypoints2d is not None)
     if truth.flexion_deg is not None:
         figures["flexion_deg"] = _flexion(track, truth.flexion_deg[rows])
     elif truth.keypoints3d is not None:
@@ -74,9 +77,10 @@ def evaluate(track: Track, truth: Truth, predicted_mask: MaskOfFrame | None = No
     if np.isfinite(own_overlap).any():
         figures["overlap_with_own_segmentation"] = {"median": median_finite(own_overlap)}
     if truth.keypoints3d is not None:
-        honesty = consistency(track.keypoints3d - truth.keypoints3d[rows], track.keypoints3d_cov)
+        missed = track.keypoints3d - truth.keypoints3d[rows]
+        honesty = consistency(missed, track.keypoints3d_cov)
         if honesty is not None:
-            figures["uncertainty"] = asdict(honesty)
+            figures["uncertainty"] = {**asdict(honesty), "by_joint": _by_joint(missed, track.keypoints3d_cov)}
     ms = 1e3 * track.seconds
     figures["speed"] = {"median_ms_per_frame": median_finite(ms), "largest_ms_per_frame": max_finite(ms)}
     return figures
@@ -104,6 +108,40 @@ def _tracking(track: Track, truth: Truth) -> Figures:
             largest = MM_PER_M * errors.max(axis=-1)  # NaN where any joint is unknown: such a frame is not below
             figures[name] = float(np.mean(largest < GOOD_FRAME_MM))
     return figures
+
+
+def _status(track: Track, true: Float[np.ndarray, "frames 21 3"], *, is_one_camera: bool) -> Figures:
+    """How often the status is wrong: frames with an estimate whose worst fingertip is more than 20 mm from the truth,
+    for one camera across the line of sight; and frames with a hand that were given up."""
+    tips = np.array([i for i, name in enumerate(KEYPOINTS) if name.endswith("_tip")])
+    own, real = track.keypoints3d[:, tips], true[:, tips]
+    if is_one_camera:
+        across = own[..., :2] / own[..., 2:] - real[..., :2] / real[..., 2:]
+        distance = MM_PER_M * np.linalg.norm(across * real[..., 2:], axis=-1)
+    else:
+        distance = MM_PER_M * np.linalg.norm(own - real, axis=-1)
+    has_hand, has_estimate = np.isfinite(real).all((1, 2)), np.isfinite(distance).all(1)
+    off = distance[has_estimate].max(1) > GOOD_FRAME_MM
+    return {
+        "fraction_tracked_with_a_tip_beyond_20mm": float(off.mean()) if off.size else math.nan,
+        "fraction_with_a_hand_but_lost": float((~has_estimate[has_hand]).mean()) if has_hand.any() else math.nan,
+    }
+
+
+def _by_joint(
+    missed: Float[np.ndarray, "frames 21 3"], covariance: Float[np.ndarray, "frames 21 3 3"]
+) -> dict[str, Figures]:
+    """What is known of every joint by itself: share of its frames inside its 95 % region, and its root mean square
+    error along an axis."""
+    inside, weight = fraction_in_band(missed, covariance)
+    counted = weight.sum(0)
+    return {
+        name: {
+            "fraction_in_95_percent_band": float(inside[:, i].sum() / counted[i]) if counted[i] else math.nan,
+            "rms_along_an_axis_mm": MM_PER_M * rms_finite(missed[:, i]),
+        }
+        for i, name in enumerate(KEYPOINTS)
+    }
 
 
 def _positions(track: Track, true: Float[np.ndarray, "frames 21 3"]) -> Figures:
@@ -158,8 +196,21 @@ def _turns_in_space(track: Track, true: Float[np.ndarray, "frames 21 3"]) -> Fig
 
 
 def _flexion(track: Track, true_deg: Float[np.ndarray, "frames 5 3"]) -> Figures:
-    errors = flexion_deg(track.keypoints3d) - true_deg
-    return {"mean": mean_finite(np.abs(without_offset(errors))), "raw_mean": mean_finite(np.abs(errors))}
+    own_deg = flexion_deg(track.keypoints3d)
+    errors = own_deg - true_deg
+    return {
+        "mean": mean_finite(np.abs(without_offset(errors))),
+        "raw_mean": mean_finite(np.abs(errors)),
+        "range": _closing(own_deg),
+        "true_range": _closing(true_deg),
+    }
+
+
+def _closing(flexion: Float[np.ndarray, "frames 5 3"]) -> list[float]:
+    """Smallest and largest flexion of the recording, summed over MCP, PIP and DIP, mean of the four fingers."""
+    closed = flexion[:, 1:].sum(-1).mean(-1)
+    closed = closed[np.isfinite(closed)]
+    return [float(closed.min()), float(closed.max())] if closed.size else [math.nan, math.nan]
 
 
 def _silhouettes(track: Track, truth: Truth, predicted_mask: MaskOfFrame) -> Figures:

@@ -47,6 +47,18 @@ def normalised_errors_squared(
     return np.asarray(np.where(rank > 0, terms.sum(axis=-1), np.nan)), rank
 
 
+def fraction_in_band(
+    errors: Float[np.ndarray, "*batch d"], covariance: Float[np.ndarray, "*batch d d"]
+) -> tuple[Float[np.ndarray, "*batch"], Float[np.ndarray, "*batch"]]:
+    """1 where a point lies inside the region that holds it with a probability of 95 %, else 0, and the weight that it
+    counts with: 0 where error or covariance is unknown, or the covariance is zero."""
+    nees, rank = normalised_errors_squared(errors, covariance)
+    dof = torch.arange(1, errors.shape[-1] + 1, dtype=torch.float64)
+    highest = chi_square_quantile(0.95, dof).numpy()[np.maximum(rank, 1) - 1]
+    is_known = rank > 0
+    return (is_known & (np.nan_to_num(nees, nan=np.inf) <= highest)).astype(float), is_known.astype(float)
+
+
 def consistency(
     errors: Float[np.ndarray, "*batch d"], covariance: Float[np.ndarray, "*batch d d"]
 ) -> Consistency | None:

@@ -8,7 +8,15 @@ from typing import Literal
 import torch
 
 from torchhand.errors import InputError
-from torchhand.export.clip import KEYPOINT_SUFFIXES, MotionClip, mesh_paths, write_keypoints, write_mesh_frames
+from torchhand.export.clip import (
+    ANGLE_SUFFIX,
+    KEYPOINT_SUFFIXES,
+    MotionClip,
+    mesh_paths,
+    write_angles,
+    write_keypoints,
+    write_mesh_frames,
+)
 from torchhand.export.conventions import BapVersion, BvhNames, write_bap, write_bvh, write_mano, write_openxr
 from torchhand.export.rigged import X3DSkin, write_glb, write_x3d
 from torchhand.export.robots import meshes_folder, write_mjcf, write_urdf
@@ -16,7 +24,9 @@ from torchhand.export.stream import StreamSettings, write_stream
 from torchhand.hand import JOINT_DOFS
 from torchhand.hand.conventions import Numbering
 
-FormatName = Literal["glb", "bvh", "urdf", "mjcf", "obj", "ply", "mano", "openxr", "keypoints", "bap", "x3d", "stream"]
+FormatName = Literal[
+    "glb", "bvh", "urdf", "mjcf", "obj", "ply", "mano", "openxr", "keypoints", "angles", "bap", "x3d", "stream"
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,6 +105,11 @@ def _keypoints(clip: MotionClip, path: Path, options: ExportOptions) -> list[str
     return []
 
 
+def _angles(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
+    write_angles(clip, path)
+    return [] if clip.pose_std is not None else ["no standard deviations are known: their columns are empty"]
+
+
 def _bap(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
     lost = write_bap(clip, path, numbering=options.bap_numbering, version=options.bap_version).abs().amax(0)
     names = [JOINT_DOFS[i] for i in (lost > 1e-4).nonzero().squeeze(-1).tolist()]
@@ -143,6 +158,7 @@ FORMATS: tuple[Format, ...] = (
         suffixes=(".keypoints.json", ".keypoints.npz", ".csv", ".npy", *KEYPOINT_SUFFIXES[:2]),
         write=_keypoints,
     ),
+    Format(name="angles", suffixes=(ANGLE_SUFFIX,), write=_angles),
     Format(name="bap", suffixes=(".bap",), write=_bap),
     Format(name="x3d", suffixes=(".x3d",), write=_x3d),
     Format(name="stream", suffixes=(".thp",), write=_stream),
@@ -162,7 +178,8 @@ def format_of(path: str | Path, name: FormatName | None = None) -> Format:
         return chosen
     longest = max((s for f in FORMATS for s in f.suffixes if path.name.lower().endswith(s)), key=len, default="")
     fitting = [entry for entry in FORMATS if longest in entry.suffixes]
-    if not longest or not path.name.lower().removesuffix(longest):
+    is_bare = longest.startswith(".") and path.name.lower() == longest
+    if not longest or is_bare:
         allowed = ", ".join(entry.suffixes[0] for entry in FORMATS)
         raise InputError(f"{path}: expected a file name with a known ending ({allowed}), got {path.suffix!r}")
     if len(fitting) > 1:

@@ -109,6 +109,9 @@ def clip_of_track(
     else:
         frame = np.arange(number[0], number[-1] + 1)
         kept = known[(np.searchsorted(number[known], frame, side="right") - 1).clip(0)]
+    is_own = number[kept] == frame
+    std = np.where(is_own[:, None], track.pose_std[kept], np.nan)
+    said = dict(zip(number.tolist(), track.status.tolist(), strict=True))
     return MotionClip(
         model=model,
         side=side,
@@ -116,7 +119,9 @@ def clip_of_track(
         poses=torch.from_numpy(track.pose[kept].astype(np.float64)),
         fps=fps,
         frame=tuple(int(f) for f in frame),
-        held=tuple(int(f) for f in frame[number[kept] != frame]),
+        held=tuple(int(f) for f in frame[~is_own]),
+        pose_std=torch.from_numpy(std.astype(np.float64)),
+        status=tuple(str(said.get(int(f), "missing")) for f in frame),
         name=name,
         up=up,
     )

@@ -346,7 +346,8 @@ class Tracker:
 
     def _estimate(self, status: FrameStatus, found: Candidate, state: TrackerState, time_s: float) -> Estimate:
         assert state.shape is not None
-        posed = posed_belief(found.hand, self._parts.motion, self.kinematics, state.shape)
+        factor = self._parts.rule.overconfidence
+        posed = posed_belief(found.hand, self._parts.motion, self.kinematics, state.shape, overconfidence=factor)
         inside = found.inside
         return Estimate(
             status=status,

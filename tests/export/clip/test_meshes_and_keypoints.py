@@ -1,4 +1,4 @@
-"""OBJ and PLY through trimesh; keypoints through our readers of detections, and numpy."""
+"""OBJ and PLY through trimesh; keypoints through our readers of detections, and numpy; tables through csv."""
 
 import csv
 import json
@@ -7,14 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 
 from torchhand.errors import InputError
+from torchhand.export.clip.angle_file import write_angles
 from torchhand.export.clip.keypoint_file import write_keypoints
 from torchhand.export.clip.mesh_frames import write_mesh_frames
 from torchhand.export.clip.motion_clip import MotionClip
 from torchhand.files import read_detections
-from torchhand.hand import KEYPOINTS
+from torchhand.hand import DOFS, JOINT_DOFS, KEYPOINTS
 
 
 @pytest.mark.parametrize(("suffix", "rounding"), [("obj", 1e-9), ("ply", 1e-7)])
@@ -71,3 +73,22 @@ def test_the_file_is_in_the_form_of_mediapipe(clips: dict[str, MotionClip], tmp_
 def test_other_endings_are_refused(clip: MotionClip, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"expected keypoints as one of .json, .npz, .npy, .csv, got '.txt'"):
         write_keypoints(clip, tmp_path / "hand.txt")
+
+
+def test_angles_as_a_table_with_what_is_known_of_each(clip: MotionClip, tmp_path: Path) -> None:
+    """Lost frames keep their line, with no number that was not measured."""
+    std = torch.deg2rad(torch.arange(36, dtype=torch.float64)).expand(7, -1).clone()
+    status = ("tracked",) * 3 + ("lost",) + ("recovered",) + ("tracked",) * 2
+    write_angles(replace(clip, pose_std=std, status=status, held=(3,)), tmp_path / "angles.csv")
+    with (tmp_path / "angles.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["status"] for row in rows] == list(status)
+    assert [float(row["time"]) for row in rows] == [t / 25 for t in range(7)]
+    for t, row in enumerate(rows):
+        for name in JOINT_DOFS:
+            value, spread = row[f"{name}_deg"], row[f"{name}_std_deg"]
+            if t == 3:
+                assert (value, spread) == ("", "")
+            else:
+                assert float(value) == pytest.approx(float(torch.rad2deg(clip.poses[t, DOFS.index(name)])), abs=1e-4)
+                assert float(spread) == pytest.approx(DOFS.index(name), abs=1e-4)

@@ -12,7 +12,10 @@ from torchhand.hand import DOFS, HandKinematics, Side, named_pose_space
 from torchhand.numerics import Gaussian, MotionModel
 from torchhand.track.belief import FollowedHand, HandMotion, NoiseSettings, PosedBelief, posed_belief
 
-JOINT_CENTRE_VARIANCE = 0.004**2
+CENTRE_STD_M = torch.tensor(
+    [0.008, 0.0105, 0.004, 0.004, 0.0045, *([0.004, 0.004, 0.004, 0.0045] * 4)], dtype=torch.float64
+)
+"""What another maker's joint centres differ by."""
 
 
 def randn(*shape: int, seed: int) -> Tensor:
@@ -58,9 +61,22 @@ def test_covariances_are_those_of_the_derivative_by_automatic_differentiation(si
 
     jacobian = torch.func.jacrev(keypoints)(free)
     covariance = state.belief.covariance[: space.size, : space.size]
-    expected = jacobian @ covariance @ jacobian.mT + JOINT_CENTRE_VARIANCE * torch.eye(3, dtype=torch.float64)
+    centres = CENTRE_STD_M.square()[:, None, None] * torch.eye(3, dtype=torch.float64)
+    expected = jacobian @ covariance @ jacobian.mT + centres
     torch.testing.assert_close(got.keypoints_cov, expected, rtol=1e-11, atol=1e-16)
     torch.testing.assert_close(got.keypoints, keypoints(free), rtol=0, atol=1e-15)
+
+
+def test_an_overconfident_belief_is_spread_and_joint_centres_stay() -> None:
+    kinematics = load_hand_model().kinematics(dtype=torch.float64)
+    motion = motion_of(kinematics, "dof27")
+    state = hand_of(motion)
+    one = posed(kinematics, motion, state)
+    other = posed_belief(state, motion, kinematics, kinematics.default_shape, overconfidence=4.0)
+    centres = CENTRE_STD_M.square()[:, None, None] * torch.eye(3, dtype=torch.float64)
+    torch.testing.assert_close(other.pose_std, 2 * one.pose_std)
+    torch.testing.assert_close(other.keypoints_cov - centres, 4 * (one.keypoints_cov - centres))
+    torch.testing.assert_close(other.pose, one.pose, rtol=0, atol=0)
 
 
 def test_an_angle_that_stopped_at_its_limit_moves_nothing() -> None:

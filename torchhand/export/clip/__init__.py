@@ -1,15 +1,18 @@
 """A hand in motion as one record, and its plain arrays."""
 
+from torchhand.export.clip.angle_file import ANGLE_SUFFIX, write_angles
 from torchhand.export.clip.keypoint_file import KEYPOINT_SUFFIXES, write_keypoints
 from torchhand.export.clip.mesh_frames import mesh_paths, write_mesh_frames
 from torchhand.export.clip.motion_clip import MotionClip, Up, rest_clip
 
 __all__ = [
+    "ANGLE_SUFFIX",
     "KEYPOINT_SUFFIXES",
     "MotionClip",
     "Up",
     "mesh_paths",
     "rest_clip",
+    "write_angles",
     "write_keypoints",
     "write_mesh_frames",
 ]

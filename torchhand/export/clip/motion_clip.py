@@ -46,6 +46,10 @@ class MotionClip:
     """Axis of the poses' frame that points up: -y in the frame of a camera."""
     names: tuple[str, ...] = field(default=DOFS)
     """Names of the poses' columns: DOFS."""
+    pose_std: Float64[Tensor, "frames 36"] | None = None
+    """Standard deviations of the poses, where they are known; NaN in frames without an estimate."""
+    status: tuple[str, ...] = ()
+    """What the tracker said of each frame; empty where nothing was tracked."""
 
     def __post_init__(self) -> None:
         if self.names != DOFS:
@@ -63,6 +67,8 @@ class MotionClip:
             object.__setattr__(self, "frame", tuple(range(len(self.poses))))
         if len(self.frame) != len(self.poses):
             raise ValueError(f"frame: expected {len(self.poses)} numbers, one per pose, got {len(self.frame)}")
+        if self.status and len(self.status) != len(self.poses):
+            raise ValueError(f"status: expected {len(self.poses)}, one per pose, got {len(self.status)}")
         self.model.shape_space.check(self.shape)
 
     def __len__(self) -> int:
@@ -114,7 +120,15 @@ class MotionClip:
             allowed = f"{self.frame[0]} to {self.frame[-1]}"
             raise ValueError(f"frame: expected the number of a frame in the clip, {allowed}, got {frame}")
         place = self.frame.index(frame)
-        return replace(self, poses=self.poses[place : place + 1], frame=(frame,), held=tuple({frame} & set(self.held)))
+        rows = slice(place, place + 1)
+        return replace(
+            self,
+            poses=self.poses[rows],
+            frame=(frame,),
+            held=tuple({frame} & set(self.held)),
+            pose_std=None if self.pose_std is None else self.pose_std[rows],
+            status=self.status[rows],
+        )
 
 
 def rest_clip(

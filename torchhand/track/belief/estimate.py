@@ -8,13 +8,17 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics, HandPose, PoseJacobian, PoseSpace, ShapeSpace
+from torchhand.hand import KEYPOINTS, HandKinematics, HandPose, PoseJacobian, PoseSpace, ShapeSpace
 from torchhand.hand.limits import clamp_to_limits
 from torchhand.track.belief.motion import HandMotion
 from torchhand.track.belief.state import FollowedHand
 
-_JOINT_CENTRE_STD = 0.004
-"""Metres: two hand models place their joint centres a few millimetres apart under the same skin."""
+_CENTRE_STD_M = {"wrist": 0.008, "thumb_cmc": 0.0105, "tip": 0.0045}
+_OTHER_CENTRE_STD_M = 0.004
+"""Two hand models place their joint centres some millimetres apart under the same skin. Root mean square distances
+along an axis between ours and another maker's, the surface being known to a millimetre: `torchhand track_multiview` on
+`mv_static`, then `torchhand evaluate`, which prints them joint by joint. Joints that happen to agree better there are
+not believed to do so in every model."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,11 +38,20 @@ class PosedBelief:
 
 
 def posed_belief(
-    hand: FollowedHand, motion: HandMotion, kinematics: HandKinematics, shape: Float[Tensor, "shape"]
+    hand: FollowedHand,
+    motion: HandMotion,
+    kinematics: HandKinematics,
+    shape: Float[Tensor, "shape"],
+    *,
+    overconfidence: float = 1.0,
 ) -> PosedBelief:
-    """Pose and keypoints of a followed hand with their covariances, first order."""
+    """Pose and keypoints of a followed hand with their covariances, first order.
+
+    overconfidence: factor by which the belief's covariance is too small (`UpdateRule.overconfidence`).
+    """
     space, prior = motion.space.about(hand.base), motion.prior(hand)
-    return _posed(space.dof(prior.mean), hand.reference, prior.covariance, space, kinematics, shape)
+    at = HandPose(dofs=space.dof(prior.mean), reference=hand.reference)
+    return posed_gaussian(at, overconfidence * prior.covariance, space, kinematics, shape)
 
 
 def posed_gaussian(
@@ -48,32 +61,27 @@ def posed_gaussian(
     kinematics: HandKinematics,
     shape: Float[Tensor, "shape"],
 ) -> PosedBelief:
-    """The same of a pose () with a covariance of a space's free parameters, the rotation a left perturbation of it."""
-    at = pose.normalized()
-    return _posed(at.dofs, at.reference, covariance, space, kinematics, shape)
-
-
-def _posed(
-    wanted: Float[Tensor, "36"],
-    reference: Float[Tensor, "3 3"],
-    covariance: Float[Tensor, "free free"],
-    space: PoseSpace,
-    kinematics: HandKinematics,
-    shape: Float[Tensor, "shape"],
-) -> PosedBelief:
-    dofs = clamp_to_limits(wanted, kinematics.skeleton)
-    basis = (dofs == wanted)[:, None] * space.basis  # a tied angle may have stopped at its limit
-    frames = kinematics(dofs, shape, root_reference=reference)
+    """Pose () within the limits and its keypoints, from a covariance of a space's free parameters; the rotation about
+    the pose's reference."""
+    dofs = clamp_to_limits(pose.dofs, kinematics.skeleton)
+    basis = (dofs == pose.dofs)[:, None] * space.basis  # a tied angle may have stopped at its limit
+    frames = kinematics(dofs, shape, root_reference=pose.reference)
     jacobian = _jacobian_of(kinematics)(dofs, frames) @ basis
-    pose = HandPose(dofs=dofs, reference=reference)
-    eye = torch.eye(3, dtype=dofs.dtype)
+    limited = HandPose(dofs=dofs, reference=pose.reference)
     return PosedBelief(
-        pose=pose.vector,
+        pose=limited.vector,
         pose_std=(basis @ covariance @ basis.T).diagonal().clamp_min(0).sqrt(),
-        root_rotation=pose.rotation,
+        root_rotation=limited.rotation,
         keypoints=frames.keypoints,
-        keypoints_cov=jacobian @ covariance @ jacobian.mT + _JOINT_CENTRE_STD**2 * eye,
+        keypoints_cov=jacobian @ covariance @ jacobian.mT + _centre_covariance().to(dofs),
     )
+
+
+@lru_cache(maxsize=1)
+def _centre_covariance() -> Float[Tensor, "21 3 3"]:
+    """Square metres: what another model's joint centres differ by."""
+    std = [_CENTRE_STD_M.get(name, _CENTRE_STD_M.get(name.split("_")[-1], _OTHER_CENTRE_STD_M)) for name in KEYPOINTS]
+    return torch.tensor(std, dtype=torch.float64).square()[:, None, None] * torch.eye(3, dtype=torch.float64)
 
 
 @lru_cache(maxsize=8)

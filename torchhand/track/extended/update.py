@@ -37,6 +37,7 @@ from torchhand.view import Contours, HandProjector, MeshContours, OutlineTable, 
 _HOLE = 3e-4  # largest hole of a silhouette that is filled, squares of the hand's length
 _ROOT = 6
 _MIN_POINTS = 16  # of the model's contour
+_OVERCONFIDENCE = 4.0  # as of the contour update: the registered contours have the same surface
 
 Masks = tuple[Bool[Tensor, "_height _width"] | None, ...]
 
@@ -71,6 +72,10 @@ class ExtendedUpdate:
             postures = PostureResiduals.of(HandPrior(skeleton, hand.kinematics.shape_space).postures)
             self._priors += (PostureDensity(postures=postures, weight=settings.prior_weight),)
         self._made: _Made | None = None
+
+    @property
+    def overconfidence(self) -> float:
+        return _OVERCONFIDENCE
 
     def follow(
         self, hand: FollowedHand, predicted: FollowedHand, scene: Scene, shape: Float[Tensor, "shape"]

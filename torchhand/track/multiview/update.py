@@ -20,6 +20,11 @@ class HullUpdate:
         """health: by which a view that disagrees is left out."""
         self.fitter, self.motion, self._health = fitter, motion, health
 
+    @property
+    def overconfidence(self) -> float:
+        """1: the errors that it states are those of the joint centres and little else."""
+        return 1.0
+
     def follow(
         self, hand: FollowedHand, predicted: FollowedHand, scene: Scene, shape: Float[Tensor, "shape"]
     ) -> Candidate | None:

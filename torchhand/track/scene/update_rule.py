@@ -18,6 +18,12 @@ class UpdateRule(Protocol):
     All candidates of one rule are evaluated in the same way, so that they can be compared.
     """
 
+    @property
+    def overconfidence(self) -> float:
+        """Variance of its estimates' errors over the variance that they come with: a filter takes neighbouring
+        measurements for independent, which have the errors of the model's surface in common."""
+        ...
+
     def follow(
         self, hand: FollowedHand, predicted: FollowedHand, scene: Scene, shape: Float[Tensor, "shape"]
     ) -> Candidate | None:

@@ -190,7 +190,8 @@ class SinglePoseFitter:
     def _result(self, best: _Judged, work: "_Work", view: View, camera: Camera, *, is_shape_known: bool) -> SinglePose:
         hand, agreement = best.hand, best.agreement
         space = PictureProblem(kinematics=self.kinematics, camera=camera, settings=self.settings).space
-        posed = posed_gaussian(hand.pose, hand.covariance, space.about(hand.pose.dofs), self.kinematics, hand.shape)
+        at = hand.pose.normalized()
+        posed = posed_gaussian(at, hand.covariance, space.about(at.dofs), self.kinematics, hand.shape)
         scale_std = unknown_scale_std(self.kinematics.shape_space, camera, is_shape_known=is_shape_known)
         estimate = Estimate(
             status="tracked",

@@ -20,6 +20,7 @@ from torchhand.fit import (
 )
 from torchhand.fit import PosturePrior as PostureDensity
 from torchhand.fit.contour import CONTOUR, ContourObservation, picture_contours
+from torchhand.fit.keypoints import PostureKeypoints
 from torchhand.geometry import Camera
 from torchhand.hand import (
     DOFS,
@@ -74,6 +75,16 @@ class PictureProblem:
     def space(self) -> PoseSpace:
         return named_pose_space(self.settings.pose_space)
 
+    @property
+    def _priors(self) -> tuple[Observation, ...]:
+        """What is believed of postures: less where a detector tells the posture of this hand."""
+        is_told = any(isinstance(one, PostureKeypoints) for one in self.observations)
+        weight = self.settings.detected_prior_weight if is_told else 1.0
+        constraints = ConstraintPrior(constraints=PoseConstraints(self.kinematics.skeleton), has_ties=weight == 0)
+        if weight == 0:
+            return (constraints,)
+        return (constraints, PostureDensity(postures=_postures(self.kinematics), weight=weight))
+
     def of_keypoints(self, starts: HandPose, shape: Float[Tensor, "shape"]) -> HandPose:
         """The distinct hands (k) that the observations alone lead to from some starts, the best first: those that
         explain them nearly as well as the best. At most as many as are registered to the end."""
@@ -82,7 +93,7 @@ class PictureProblem:
             skeleton=self.kinematics.skeleton,
             shape=shape,
             observations=self.observations,
-            priors=_priors(self.kinematics),
+            priors=self._priors,
         )
         found = solve(problem, starts, _BY_KEYPOINTS)
         kept = [i for i in _distinct(found).tolist() if float(found.cost[i] - found.cost.min()) < _ALTERNATIVE]
@@ -133,7 +144,7 @@ class PictureProblem:
             skeleton=skeleton,
             shape=shape,
             observations=(contour, *self.observations),
-            priors=_priors(self.kinematics),
+            priors=self._priors,
         )
 
     def _with_shape(self, problem: Problem, result: Registered, own: Float[Tensor, "free free"]) -> Registered:
@@ -190,11 +201,8 @@ def _columns(space: PoseSpace) -> list[tuple[int, float]]:
 
 
 @lru_cache(maxsize=4)
-def _priors(kinematics: HandKinematics) -> tuple[Observation, ...]:
-    skeleton = kinematics.skeleton
-    postures = PostureResiduals.of(HandPrior(skeleton, kinematics.shape_space).postures)
-    constraints = ConstraintPrior(constraints=PoseConstraints(skeleton), has_ties=False)
-    return (constraints, PostureDensity(postures=postures))
+def _postures(kinematics: HandKinematics) -> PostureResiduals:
+    return PostureResiduals.of(HandPrior(kinematics.skeleton, kinematics.shape_space).postures)
 
 
 @lru_cache(maxsize=4)

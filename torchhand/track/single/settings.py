@@ -24,6 +24,9 @@ class SinglePoseSettings:
     """How far detected points are believed."""
     schedule: Schedule = (*SEARCH[:-1], replace(SEARCH[-1], gross_m=_FINEST_M))
     """Registration from coarse to fine; the first stage is that of all hypotheses, the others those of the best."""
+    detected_prior_weight: float = 0.0
+    """Weight of the posture prior where a detector tells the posture; 0 or more, 0 leaves it out. Without a detector it
+    is 1."""
     finalists: int = 4
     """Hypotheses that are registered to the end; 1 or more."""
     fits_shape: bool = True
@@ -49,6 +52,8 @@ class SinglePoseSettings:
         require(self.pose_space in POSE_SPACES, "pose_space", f"one of {', '.join(POSE_SPACES)}", self.pose_space)
         for name in ("min_overlap", "min_edges", "alone_overlap", "alone_edges"):
             require(0 <= getattr(self, name) <= 1, name, "0 to 1", getattr(self, name))
+        weight = self.detected_prior_weight
+        require(0 <= weight < float("inf"), "detected_prior_weight", "0 or more and finite", weight)
         counts = (("finalists", 1), ("max_side_px", 64), ("points_per_generator", 2), ("points_per_arc", 4))
         for name, minimum in counts:
             require(getattr(self, name) >= minimum, name, f"{minimum} or more", getattr(self, name))
