@@ -11,8 +11,9 @@ if TYPE_CHECKING:
     import torch
 
     import torchhand.hand
+    from torchhand.detect import HandDetector
     from torchhand.files import load_cameras, load_hand, load_hand_model, load_rig, load_track
-    from torchhand.fit.keypoints import fit_keypoints
+    from torchhand.fit.keypoints import SeenKeypoints, fit_keypoints
     from torchhand.geometry import Camera, assumed_camera
     from torchhand.hand import HandPrior
     from torchhand.runs import fit_hand, settings_of, track
@@ -25,7 +26,9 @@ __all__ = [
     "Camera",
     "Estimate",
     "Hand",
+    "HandDetector",
     "HandPrior",
+    "SeenKeypoints",
     "Tracker",
     "TrackerSettings",
     "TrackerState",
@@ -47,7 +50,9 @@ __all__ = [
 _DOORS = {
     "Camera": "torchhand.geometry",
     "Estimate": "torchhand.track",
+    "HandDetector": "torchhand.detect",
     "HandPrior": "torchhand.hand",
+    "SeenKeypoints": "torchhand.fit.keypoints",
     "Tracker": "torchhand.track",
     "TrackerSettings": "torchhand.track",
     "TrackerState": "torchhand.track",

@@ -13,7 +13,7 @@ from torchhand.files import load_hand_model, load_mesh, models_dir
 from torchhand.files.hands import read_skeleton
 
 FOLDER = models_dir() / "generic_hand"
-PICTURES = ("preview.png", "mesh.png", "prior.png")
+PICTURES = ("preview.png", "mesh.png", "prior.png", "palm.png")
 
 
 @pytest.fixture

@@ -138,6 +138,67 @@ def test_arrays_of_a_detector_in_space_and_in_pictures(tmp_path: Path) -> None:
                 assert float(np.nanmean(result["residual"])) < 6.0
 
 
+def test_several_cameras_with_standard_deviations(tmp_path: Path) -> None:
+    """Two cameras tell the place in their common world; a point that says it is badly known does not count."""
+    _, points = _points("left")
+    cameras, files = [], []
+    for view in range(2):
+        turn = rotation_from_vector(torch.tensor((0.0, 0.9 * view, 0.0), dtype=torch.float64))
+        middle = torch.tensor((0.0, 0.0, 0.5), dtype=torch.float64)
+        one = replace(assumed_camera(640, 480), name=str(view), rotation=turn, translation=middle - turn @ middle)
+        pixels = one.project(torch.from_numpy(points)).numpy()
+        pixels[:, 8] += 60.0
+        std = np.full((len(points), 21), 1.0)
+        std[:, 8] = 200.0
+        cameras.append(one)
+        files.append(tmp_path / f"view_{view}.npz")
+        np.savez(files[-1], points_px=pixels, std_px=std, side="left")
+    save_cameras(cameras, tmp_path / "cameras.json")
+    options = ("--camera", tmp_path / "cameras.json", "--no-fit-shape")
+    assert _run(*files, "--out", tmp_path / "out", *options) == 0
+    with np.load(tmp_path / "out" / "keypoints_fit.npz") as result:
+        error = np.linalg.norm(result["keypoints3d"] - points, axis=-1)
+        assert float(np.delete(error, 8, axis=1).mean()) < 0.004
+        assert float(result["residual"][:, 8].min()) > 30.0
+        assert [entry["name"] for entry in json.loads(str(result["header"]))["camera"]] == ["0", "1"]
+    assert _run(files[0], "--out", tmp_path / "one", *options) == 2
+
+
+def test_intrinsics_of_every_picture(tmp_path: Path) -> None:
+    """Crops of one picture: the same hand at the same place, whatever was cut away; found by the pictures' names."""
+    _, points = _points("right")
+    one, names = assumed_camera(640, 480), np.array([f"{i}.png" for i in range(len(points))])
+    corner = np.array([(0.0, 0.0), (100.0, 40.0), (30.0, 90.0), (60.0, 10.0)])
+    intrinsics = np.repeat(one.intrinsics.numpy()[None], len(points), 0)
+    intrinsics[:, :2, 2] -= corner
+    pixels = one.project(torch.from_numpy(points)).numpy() - corner[:, None]
+    world = points - points.mean(1, keepdims=True)
+    np.savez(tmp_path / "seen.npz", points_px=pixels, world=world, image=names, side="right")
+    np.savez(tmp_path / "cameras.npz", K=intrinsics[::-1], image=names[::-1])
+    options = ("--camera", tmp_path / "cameras.npz", "--no-fit-shape")
+    assert _run(tmp_path / "seen.npz", "--out", tmp_path / "out", *options) == 0
+    with np.load(tmp_path / "out" / "keypoints_fit.npz") as result:
+        assert float(np.linalg.norm(result["keypoints3d"] - points, axis=-1).mean()) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("arrays", "message"),
+    [
+        ({"std_px": np.full((21,), -1.0)}, "std_px: expected numbers above 0"),
+        ({"std_px": np.ones(20)}, "std_px: expected numbers of shape (4, 21) or that without frames"),
+        ({"cov_px": np.zeros((4, 21, 2, 2))}, "cov_px: expected numbers above 0 (covariances: positive definite)"),
+        ({"std_px": np.ones(21), "cov_px": np.ones((21, 2, 2))}, "expected at most one of cov_px and std_px, got both"),
+    ],
+)
+def test_covariances_that_are_none(
+    arrays: dict[str, np.ndarray], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, points = _points("right")
+    np.savez(tmp_path / "seen.npz", points_px=1000 * points[..., :2], **arrays)  # pyright: ignore[reportArgumentType]
+    assert _run(tmp_path / "seen.npz", "--out", tmp_path / "out", "--size", "640x480") == 2
+    assert message in capsys.readouterr().err
+
+
 def test_any_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _, points = _points("right")
     np.save(tmp_path / "mm.npy", 1000 * points)

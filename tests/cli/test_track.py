@@ -557,6 +557,8 @@ def test_a_missing_camera_file(clip: Clip, run: Run, tmp_path: Path) -> None:
         (["--start-points", "50,50,52,52"], ["--start-points: expected wrist and middle fingertip at least 10 px"]),
         (["--side", "both"], ["both", "left"]),
         (["--threads", "0"], ["--threads: expected 1 to 1024, got 0"]),
+        (["--hand-model", "hand_landmarker.task"], ["--hand-model: expected --keypoints mediapipe with it"]),
+        (["--keypoints", "mediapipe", "--hand-model", "none.task"], ["mediapipe"]),
         (["--resume", "--overwrite"], ["at most one of --resume and --overwrite"]),
         (["--start", "-1"], ["start: expected a frame number of 0 or more"]),
     ],

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 _CHESSBOARD_FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+_CHARUCO_SHIFT = 0.0 if int(cv2.__version__.split(".")[0]) >= 5 else 0.5  # px: OpenCV 4 counts from a pixel's corner
 _MIN_CORNERS = 6  # of a ChArUco board that is partly hidden
 _REACH, _MAX_REACH_PX = 0.25, 8  # of the refinement of a corner, relative to a square's side
 _SMALLEST = 3  # squares per side of the smallest board that can be told from clutter
@@ -104,7 +105,7 @@ def find_board(image: UInt8[Tensor, "height width 3"], board: Board) -> BoardCor
     columns, rows = (numbers % (board.columns - 1)).unique(), (numbers // (board.columns - 1)).unique()
     if len(columns) < 2 or len(rows) < 2:  # on one line
         return None
-    return BoardCorners(ids=numbers, points_px=_points(corners))
+    return BoardCorners(ids=numbers, points_px=_points(corners) - _CHARUCO_SHIFT)
 
 
 def other_board(image: UInt8[Tensor, "height width 3"], board: Board) -> str | None:

@@ -78,6 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "preview.png": primitive_preview(model),
         "mesh.png": mesh_preview(model),
         "prior.png": prior_sheet(model),
+        "palm.png": palm_picture(model),
     }
     for name, picture in pictures.items():
         with replacing(folder / name) as temporary:
@@ -105,6 +106,11 @@ def primitive_preview(model: HandModel, *, tile_px: int = _TILE_PX) -> UInt8[Ten
 def mesh_preview(model: HandModel, *, tile_px: int = _TILE_PX) -> UInt8[Tensor, "height width 3"]:
     """The mesh from six sides: palm, back, thumb side, oblique, little finger's side, fingertips."""
     return _sheet(model, MESH_POSTURES, _views(), tile_px, with_mesh=True)
+
+
+def palm_picture(model: HandModel, *, tile_px: int = _TILE_PX) -> UInt8[Tensor, "height width 3"]:
+    """The mesh of the open right hand from the palm: a picture that every detector of hands should know."""
+    return _sheet(model, MESH_POSTURES[:1], _views()[:1], tile_px, with_mesh=True)
 
 
 def prior_sheet(

@@ -72,6 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         request = Request(
             settings=settings_of(CONFIG),
             config=CONFIG,
+            side="right",
             camera=simulated / "cameras.json",
             overwrite=arguments.overwrite,
             seed=arguments.seed,

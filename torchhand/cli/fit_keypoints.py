@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,8 +17,6 @@ from torchhand.files import (
     Detections,
     FittedHand,
     camera_entry,
-    camera_for,
-    load_cameras,
     load_hand_model,
     read_detections,
     save_hand,
@@ -29,7 +27,7 @@ from torchhand.files.results import CONVENTION, HAND_NAME
 from torchhand.fit.keypoints import KeypointFit, KeypointFitSettings, fit_keypoints
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, POSE_SPACES, Side, named_pose_space
-from torchhand.runs import known_hand
+from torchhand.runs import cameras_of_detections, known_hand, seen_keypoints
 
 FIT_NAME = "keypoints_fit.npz"
 _FORMAT = "torchhand keypoints fit 1"
@@ -42,20 +40,22 @@ class Arguments:
     """Fit the hand to keypoints that a detector found: joint angles and one shape from MediaPipe or OpenPose files.
 
     INPUT is JSON of MediaPipe or OpenPose, a folder of OpenPose's *_keypoints.json, or arrays (frames, 21, 2 or 3) as
-    .npy or .npz (points_px and world of MediaPipe, keypoints3d, keypoints2d ...). DIR gets keypoints_fit.npz (pose,
-    pose_std, keypoints3d, residual, status ... per frame) and hand.json (the shape). Points in a picture need --camera,
-    or --size for an assumed field of view.
+    .npy or .npz (points_px and world of MediaPipe, keypoints3d, keypoints2d ...; std_px or cov_px for the points'
+    standard deviations or covariances in the picture). Several INPUTs are those of several cameras. DIR gets
+    keypoints_fit.npz (pose, pose_std, keypoints3d, residual, status ... per frame) and hand.json (the shape). Points in
+    a picture need --camera, or --size for an assumed field of view; points in space beside them (MediaPipe's world
+    landmarks) are used together with them.
 
     Example:
         torchhand fit_keypoints hands.json --out out/hands --side left --size 1280x720
     """
 
-    input: Annotated[Positional[Path], arg(metavar="INPUT")]
-    """File or folder of keypoints."""
+    input: Annotated[Positional[tuple[Path, ...]], arg(metavar="INPUT")]
+    """File or folder of keypoints; one per camera, in the cameras' order."""
     out: Annotated[Path, arg(metavar="DIR")]
     """Folder for the results."""
     camera: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Calibrated camera of the pictures (cameras.json with one entry)."""
+    """Calibrated cameras of the pictures (cameras.json with one entry per INPUT), or an .npz with one K per picture."""
     size: Annotated[str | None, arg(metavar="WxH")] = None
     """Size of the pictures in px, such as 1280x720, where there is no --camera: a field of view is then assumed."""
     side: Literal["left", "right"] | None = None
@@ -65,8 +65,8 @@ class Arguments:
     space: Annotated[str, arg(metavar="NAME")] = "dof27"
     """Free joint angles: dof26, dof27, dof28, dof31 or dof36."""
     points: Literal["auto", "space", "picture"] = "auto"
-    """Points of files with both kinds: those in space (MediaPipe's world landmarks) or in the picture; auto takes the
-    picture's with --camera or --size, else those in space."""
+    """Points of files with both kinds: those in space (MediaPipe's world landmarks) alone, or those in the picture
+    alone; auto takes both with --camera or --size, else those in space."""
     units: Literal["auto", "metres", "px", "normalised", "any"] = "auto"
     """Unit of arrays; any: points in space in an unknown unit, whose scale is fitted at the default hand length."""
     mirrored: bool = False
@@ -86,6 +86,8 @@ class Arguments:
             raise ValueError(f"--space: expected one of {allowed}, got {self.space!r}")
         if self.camera is not None and self.size is not None:
             raise ValueError("--size: expected it only without --camera, whose file tells the size")
+        if not self.input:
+            raise ValueError("INPUT: expected at least one file or folder of keypoints, got none")
 
 
 @command
@@ -94,17 +96,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = parse(Arguments, argv, name="fit_keypoints")
     _check_folder(arguments)
     hand = None if arguments.hand is None else known_hand(arguments.hand)
-    detections = _detections(arguments, hand)
-    camera = _camera(arguments, detections)
-    if camera is not None:
-        detections = detections.in_pixels(camera.width, camera.height)
+    detections = _all_detections(arguments, hand)
+    cameras = _cameras(arguments, detections)
     with threads(arguments.threads):
-        side, fit, note = _fitted(arguments, hand, detections, camera)
+        side, fit, note = _fitted(arguments, hand, detections, cameras)
     if not bool(fit.is_fitted.any()):
         reasons = ", ".join(sorted(set(fit.status_names())))
-        raise InputError(f"{arguments.input}: expected a frame that can be fitted, got none ({reasons})")
-    _save(arguments, hand, detections, camera, side, fit)
-    print(_summary(fit, side, note, camera))
+        raise InputError(f"{arguments.input[0]}: expected a frame that can be fitted, got none ({reasons})")
+    _save(arguments, hand, detections[0], cameras, side, fit)
+    print(_summary(fit, side, note, is_seen=bool(cameras)))
     print(f"saved {arguments.out / FIT_NAME} and {arguments.out / HAND_NAME}")
     return DONE
 
@@ -118,67 +118,79 @@ def _check_folder(arguments: Arguments) -> None:
         raise InputError(f"{out}: holds {' and '.join(old)} already; give another folder, or --overwrite")
 
 
-def _detections(arguments: Arguments, hand: FittedHand | None) -> Detections:
+def _all_detections(arguments: Arguments, hand: FittedHand | None) -> list[Detections]:
+    """What the files hold of one hand."""
     side: Side | None = arguments.side or (None if hand is None else "left" if hand.side == "left" else "right")
+    found = [_detections(arguments, arguments.input[0], side)]
+    found += [_detections(arguments, path, side or found[0].side) for path in arguments.input[1:]]
+    return found
+
+
+def _detections(arguments: Arguments, path: Path, side: Side | None) -> Detections:
     units: dict[str, Units] = {"metres": "metres", "px": "px", "normalised": "normalised", "any": "metres"}
     found = read_detections(
-        arguments.input,
+        path,
         side=side,
         points=arguments.points,
         units=units.get(arguments.units),
         is_mirrored=arguments.mirrored,
     )
-    is_seen = found.picture is not None and (arguments.camera is not None or arguments.size is not None)
-    if found.space is not None and not is_seen:
+    if found.picture is not None and (arguments.camera is not None or arguments.size is not None):
+        return found
+    if found.space is not None:
         found = found.in_space()
-    elif found.space is not None:
-        found = replace(found, space=None)
     if found.units == "metres" and arguments.units != "any":
         palm = np.linalg.norm(found.keypoints[:, 9] - found.keypoints[:, 0], axis=-1)
         palm = palm[np.isfinite(palm)]
         if len(palm) and not _PALM_METRES[0] <= np.median(palm) <= _PALM_METRES[1]:
             raise InputError(
-                f"{arguments.input}: expected metres ({_PALM_METRES[0]:g} to {_PALM_METRES[1]:g} from the wrist to the"
+                f"{path}: expected metres ({_PALM_METRES[0]:g} to {_PALM_METRES[1]:g} from the wrist to the"
                 f" middle knuckle), got {np.median(palm):.4g}; give --units any for another unit, or normalised"
             )
     return found
 
 
-def _camera(arguments: Arguments, detections: Detections) -> Camera | None:
-    if detections.units == "metres":
+def _cameras(arguments: Arguments, detections: Sequence[Detections]) -> list[Camera]:
+    """The cameras of the pictures; none for points in space alone."""
+    if any(found.picture is None for found in detections):
         for name in ("camera", "size"):
             if getattr(arguments, name) is not None:
                 raise InputError(f"--{name}: expected points of a picture with it, got points in space alone")
-        return None
+        if len(detections) > 1:
+            raise InputError(f"{arguments.input[1]}: expected one INPUT of points in space, got {len(detections)}")
+        return []
+    if arguments.units == "any":
+        raise InputError("--units any: expected points in space alone, got those of a picture")
     if arguments.camera is not None:
-        cameras = load_cameras(arguments.camera)
-        return camera_for(arguments.camera, cameras[0].width, cameras[0].height)
+        return cameras_of_detections(arguments.camera, None, detections)
     if arguments.size is None:
-        raise InputError(f"{arguments.input}: holds points of a picture: expected --camera or --size, got neither")
+        raise InputError(f"{arguments.input[0]}: holds points of a picture: expected --camera or --size, got neither")
+    if len(detections) > 1:
+        raise InputError("--size: expected --camera for several cameras, whose places nobody can assume")
     width, _, height = arguments.size.lower().partition("x")
     if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
         raise InputError(f"--size: expected WIDTHxHEIGHT in px such as 1280x720, got {arguments.size!r}")
-    return camera_for(None, int(width), int(height))
+    return cameras_of_detections(None, (int(width), int(height)), detections)
 
 
 def _fitted(
-    arguments: Arguments, hand: FittedHand | None, detections: Detections, camera: Camera | None
+    arguments: Arguments, hand: FittedHand | None, detections: Sequence[Detections], cameras: Sequence[Camera]
 ) -> tuple[Side, KeypointFit, str]:
     """Side, fit, and how the side was decided where nobody named it."""
     model = load_hand_model()
     shape = None
     if hand is not None:
         shape = torch.tensor([hand.values[name] for name in model.shape_space.names], dtype=torch.float64)
-    named: Side | None = arguments.side or detections.side
+    named: Side | None = arguments.side or detections[0].side
     if named is None and hand is not None:
         named = "left" if hand.side == "left" else "right"
     sides: tuple[Side, ...] = ("left", "right") if named is None else (named,)
+    space = None if cameras else torch.from_numpy(detections[0].keypoints)
     fits = [
         fit_keypoints(
             model.kinematics(side, dtype=torch.float64),
-            torch.from_numpy(detections.keypoints),
-            camera=camera,
-            confidence=torch.from_numpy(detections.confidence),
+            seen_keypoints(detections, cameras) if space is None else space,
+            confidence=None if space is None else torch.from_numpy(detections[0].confidence),
             space=named_pose_space(arguments.space),
             shape=shape,
             fit_shape=arguments.fit_shape and hand is None,
@@ -189,11 +201,11 @@ def _fitted(
     if len(sides) == 1:
         return sides[0], fits[0], ""
     errors = [float(fit.residual.square().nanmean()) if bool(fit.is_fitted.any()) else np.inf for fit in fits]
-    best = int(np.argmin(errors))
+    best, is_seen = int(np.argmin(errors)), bool(cameras)
     return (
         sides[best],
         fits[best],
-        f", the better fit ({_mean(fits[best], camera)}, else {_mean(fits[1 - best], camera)})",
+        f", the better fit ({_mean(fits[best], is_seen)}, else {_mean(fits[1 - best], is_seen)})",
     )
 
 
@@ -202,19 +214,19 @@ def _settings(arguments: Arguments) -> KeypointFitSettings:
     return KeypointFitSettings(offset_std=offset_std, fit_scale=arguments.units == "any")
 
 
-def _mean(fit: KeypointFit, camera: Camera | None) -> str:
+def _mean(fit: KeypointFit, is_seen: bool) -> str:
     mean = float(fit.residual.nanmean())
-    return f"{1000 * mean:.2f} mm" if camera is None else f"{mean:.2f} px"
+    return f"{mean:.2f} px" if is_seen else f"{1000 * mean:.2f} mm"
 
 
-def _summary(fit: KeypointFit, side: Side, note: str, camera: Camera | None) -> str:
+def _summary(fit: KeypointFit, side: Side, note: str, *, is_seen: bool) -> str:
     names = fit.status_names()
     left_out = {name: names.count(name) for name in sorted(set(names) - {"fitted"})}
     text = "".join(f", {count} {name}" for name, count in left_out.items())
     scale = "" if fit.scale == 1.0 else f", {fit.scale:.5g} m per unit"
     return (
         f"{names.count('fitted')} of {len(names)} frames fitted{text}; {side} hand{note};"
-        f" mean residual {_mean(fit, camera)}{scale}"
+        f" mean residual {_mean(fit, is_seen)}{scale}"
     )
 
 
@@ -222,7 +234,7 @@ def _save(
     arguments: Arguments,
     hand: FittedHand | None,
     detections: Detections,
-    camera: Camera | None,
+    cameras: Sequence[Camera],
     side: Side,
     fit: KeypointFit,
 ) -> None:
@@ -231,20 +243,20 @@ def _save(
         out.mkdir(parents=True, exist_ok=True)
     provenance = {
         "method": "keypoints",
-        "source": str(arguments.input),
+        "source": ", ".join(map(str, arguments.input)),
         "frames": int(fit.is_fitted.sum()),
         "mean_residual": float(fit.residual.nanmean()),
-        "residual_unit": "m" if camera is None else "px",
+        "residual_unit": "px" if cameras else "m",
         "shape_fitted": arguments.fit_shape and hand is None,
         "std": dict(zip(space.names, fit.shape_std.tolist(), strict=True)),
     }
     header = {
         "format": _FORMAT,
         "torchhand": __version__,
-        "source": str(arguments.input),
+        "source": ", ".join(map(str, arguments.input)),
         "side": side,
         "pose_space": arguments.space,
-        "camera": None if camera is None else camera_entry(camera) | {"is_assumed": camera.is_assumed},
+        "camera": _entry(arguments, cameras),
         "settings": asdict(_settings(arguments)),
     }
     arrays: dict[str, Any] = {
@@ -261,17 +273,27 @@ def _save(
         "offsets": fit.offsets.numpy(),
         "scale": np.array(fit.scale),
         "dof_names": np.array(DOFS),
-        "units": np.array(f"metres, radians; residual {'metres' if camera is None else 'px'}"),
-        "convention": np.array(CONVENTION if camera is not None else _in_own_frame(CONVENTION)),
+        "units": np.array(f"metres, radians; residual {'px' if cameras else 'metres'}"),
+        "convention": np.array(CONVENTION if cameras else _in_own_frame(CONVENTION)),
         "header": np.array(json.dumps(header)),
     }
     if detections.image is not None:
         arrays["image"] = np.array(detections.image)
-    if camera is not None:
-        arrays["keypoints2d"] = camera.project(fit.keypoints).numpy()
+    if len(cameras) == 1:
+        arrays["keypoints2d"] = cameras[0].project(fit.keypoints).numpy()
     with replacing(out / FIT_NAME) as temporary:
         np.savez_compressed(temporary, **arrays)
     save_hand(out / HAND_NAME, space.names, fit.shape.tolist(), side, provenance, units=space.units)
+
+
+def _entry(arguments: Arguments, cameras: Sequence[Camera]) -> Any:
+    """What tells the cameras: an entry, a list of these, or the file of one K per picture."""
+    if not cameras:
+        return None
+    if cameras[0].intrinsics.ndim > 2:
+        return {"file": str(arguments.camera)}
+    entries = [camera_entry(camera) | {"is_assumed": camera.is_assumed} for camera in cameras]
+    return entries[0] if len(entries) == 1 else entries
 
 
 def _in_own_frame(convention: str) -> str:

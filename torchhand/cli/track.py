@@ -12,8 +12,16 @@ from tyro.conf import Positional, UseAppendAction, arg
 from torchhand.cli.command import DONE, STOPPED_BY_USER, WRONG_INPUT, command, parse, threads
 from torchhand.errors import InputError
 from torchhand.files import Track, check_output_folder, sequences_of
-from torchhand.hand import Side
-from torchhand.runs import Request, how_to_go_on, known_hand, settings_of, start_points_of, summary_of, track_sequence
+from torchhand.runs import (
+    Request,
+    how_to_go_on,
+    keypoints_of,
+    known_hand,
+    settings_of,
+    start_points_of,
+    summary_of,
+    track_sequence,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,14 +48,17 @@ class Arguments:
     hand: Annotated[Path | None, arg(metavar="FILE")] = None
     """Known shape of the hand (hand.json), which is then not fitted."""
     side: Literal["left", "right"] | None = None
-    """Which hand; right, or that of --hand."""
+    """Which hand. Without it, that of --hand; else the one that detected keypoints tell of; else right."""
     posture: Annotated[str | None, arg(metavar="NAME")] = None
     """Posture at the start: open, flat, point, fist, victory ..."""
     start_points: Annotated[str | None, arg(metavar="WX,WY,MX,MY")] = None
     """Wrist and middle fingertip in the first picture, px, where the hand is not found by itself."""
-    keypoints: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Keypoints that a detector found in these pictures, which are then used beside the contours: a file that
-    fit_keypoints reads, with points in the picture (and in space, such as MediaPipe's world landmarks)."""
+    keypoints: Annotated[str | None, arg(metavar="mediapipe|FILE")] = None
+    """Detected keypoints that are used beside the contours. mediapipe: MediaPipe runs along (pip install
+    torchhand[mediapipe]), and what it finds is kept in DIR/keypoints.npz. FILE: those of an earlier run, or any file
+    that fit_keypoints reads with points in the picture (and in space, such as MediaPipe's world landmarks)."""
+    hand_model: Annotated[Path | None, arg(metavar="FILE")] = None
+    """hand_landmarker.task for a MediaPipe that carries no models of its own (newer than 0.10.21)."""
     background: Annotated[Path | None, arg(metavar="FILE")] = None
     """Picture of the scene without the hand, for --set silhouette.method=background."""
     start: Annotated[int, arg(metavar="N")] = 0
@@ -112,14 +123,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _request(arguments: Arguments) -> Request:
     settings = settings_of(arguments.config, arguments.changes, arguments.posture)
     hand = None if arguments.hand is None else known_hand(arguments.hand)
-    side: Side = arguments.side or ("left" if hand is not None and hand.side == "left" else "right")
     return Request(
         settings=settings,
         config=arguments.config,
-        side=side,
+        side=arguments.side,
         hand=hand,
         camera=arguments.camera,
-        keypoints=() if arguments.keypoints is None else (arguments.keypoints,),
+        **keypoints_of([] if arguments.keypoints is None else [arguments.keypoints], arguments.hand_model),
         start_points=None if arguments.start_points is None else start_points_of(arguments.start_points),
         background=arguments.background,
         start=arguments.start,

@@ -12,7 +12,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
 from torchhand.errors import InputError
 from torchhand.files import offsets_of
-from torchhand.runs import Request, how_to_go_on, known_hand, settings_of, summary_of, track_rig
+from torchhand.runs import Request, how_to_go_on, keypoints_of, known_hand, settings_of, summary_of, track_rig
 from torchhand.track import TrackerSettings
 
 
@@ -49,9 +49,13 @@ class Arguments:
     hand: Annotated[Path | None, arg(metavar="FILE")] = None
     """Known shape of the hand (hand.json), which is then not fitted."""
     side: Literal["left", "right"] | None = None
-    """Which hand; right, or that of --hand."""
-    keypoints: Annotated[UseAppendAction[tuple[Path, ...]], arg(metavar="FILE")] = ()
-    """Keypoints that a detector found in the pictures of one camera, in the cameras' order; to be given for each."""
+    """Which hand. Without it, that of --hand; else the one that detected keypoints tell of; else right."""
+    keypoints: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="mediapipe|FILE")] = ()
+    """Detected keypoints that are used beside the silhouettes. mediapipe: MediaPipe runs along before every camera (pip
+    install torchhand[mediapipe]), and what it finds is kept in DIR/keypoints_0.npz and so on. FILE: those that were
+    found in the pictures of one camera, in the cameras' order; to be given for each."""
+    hand_model: Annotated[Path | None, arg(metavar="FILE")] = None
+    """hand_landmarker.task for a MediaPipe that carries no models of its own (newer than 0.10.21)."""
     offset: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME=FRAMES")] = ()
     """A camera that started so many frames before the others; may be repeated."""
     start: Annotated[int, arg(metavar="N")] = 0
@@ -99,10 +103,10 @@ def _request(arguments: Arguments) -> Request:
     return Request(
         settings=_settings(arguments),
         config=arguments.config,
-        side=arguments.side or ("left" if hand is not None and hand.side == "left" else "right"),
+        side=arguments.side,
         hand=hand,
         camera=arguments.cameras,
-        keypoints=arguments.keypoints,
+        **keypoints_of(arguments.keypoints, arguments.hand_model),
         unit=arguments.unit,
         masks={"auto": None, "masks": True}.get(arguments.silhouettes, False),
         background=arguments.background,

@@ -1,7 +1,14 @@
 """Everything that touches a disk or a camera device: pictures in, calibrations, settings, results, hand models."""
 
-from torchhand.files.cameras import camera_entry, camera_for, camera_of_entry, load_cameras, save_cameras
-from torchhand.files.detections import Detections, HandDetection, read_detections
+from torchhand.files.cameras import (
+    camera_entry,
+    camera_for,
+    camera_of_entry,
+    camera_per_picture,
+    load_cameras,
+    save_cameras,
+)
+from torchhand.files.detections import DetectionLog, Detections, HandDetection, read_detections, save_detections
 from torchhand.files.disk import configs_dir, find_config, models_dir
 from torchhand.files.hands import FittedHand, load_hand, load_hand_model, load_mesh, save_hand, save_mesh
 from torchhand.files.hull_file import save_hull
@@ -28,6 +35,7 @@ from torchhand.files.rigs import RigFrame, RigSource, load_rig, offsets_of, open
 from torchhand.files.settings import load_settings, save_settings, setting_in
 
 __all__ = [
+    "DetectionLog",
     "Detections",
     "FittedHand",
     "Frame",
@@ -45,6 +53,7 @@ __all__ = [
     "camera_entry",
     "camera_for",
     "camera_of_entry",
+    "camera_per_picture",
     "check_output_folder",
     "configs_dir",
     "find_config",
@@ -63,6 +72,7 @@ __all__ = [
     "read_picture",
     "rig_notes",
     "save_cameras",
+    "save_detections",
     "save_hand",
     "save_hull",
     "save_mesh",

@@ -4,8 +4,9 @@ from torchhand.runs.changes import changes_of
 from torchhand.runs.overlay import overlay_frames
 from torchhand.runs.recording import OneCameraRecording, RecordedFrame, Recording, RigRecording
 from torchhand.runs.records import record_of
-from torchhand.runs.request import Request, known_hand, settings_of, start_points_of
+from torchhand.runs.request import Request, keypoints_of, known_hand, settings_of, start_points_of
 from torchhand.runs.run import Run, Say, header_of
+from torchhand.runs.seen_hands import cameras_of_detections, seen_keypoints
 from torchhand.runs.short import fit_hand, track
 from torchhand.runs.tracking import how_to_go_on, summary_of, track_rig, track_sequence
 
@@ -17,13 +18,16 @@ __all__ = [
     "RigRecording",
     "Run",
     "Say",
+    "cameras_of_detections",
     "changes_of",
     "fit_hand",
     "header_of",
     "how_to_go_on",
+    "keypoints_of",
     "known_hand",
     "overlay_frames",
     "record_of",
+    "seen_keypoints",
     "settings_of",
     "start_points_of",
     "summary_of",

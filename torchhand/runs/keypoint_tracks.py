@@ -1,47 +1,67 @@
-"""Keypoints that a detector found in a recording, read from files and handed out view by view and frame by frame."""
+"""Keypoints of a recording, view by view and frame by frame: what gives them, and those that are read from files."""
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
-import torch
+from jaxtyping import Float
+from torch import Tensor
 
+from torchhand.detect import hand_keypoints
 from torchhand.errors import InputError
 from torchhand.files import read_detections
 from torchhand.geometry import Camera
 from torchhand.hand import Side
+from torchhand.runs.recording import RecordedFrame
 from torchhand.track import HandKeypoints
 
 
-@dataclass(frozen=True, kw_only=True)
-class DetectionFiles:
-    """Files of detected keypoints."""
+@runtime_checkable
+class KeypointSource(Protocol):
+    """What gives the keypoints of a recording's frames."""
 
-    paths: tuple[Path, ...]
-    """One per camera, in their order."""
-    side: Side = "right"
-    """Of the hand that is tracked; those of the other hand are left out."""
+    def hands(
+        self, frame: RecordedFrame, followed_px: Float[Tensor, "views 21 2"] | None
+    ) -> Sequence[HandKeypoints | None]:
+        """The hand of every view. followed_px: keypoints of the hand as last tracked; None before there is one."""
+        ...
+
+
+def with_keypoints(
+    frame: RecordedFrame, source: KeypointSource | None, followed_px: Float[Tensor, "views 21 2"] | None
+) -> RecordedFrame:
+    """The frame with the keypoints of its views; a view whose picture is missing has none."""
+    if source is None:
+        return frame
+    hands = source.hands(frame, followed_px)
+    views = tuple(
+        view if view.is_empty else replace(view, keypoints=seen) for view, seen in zip(frame.views, hands, strict=True)
+    )
+    return replace(frame, views=views)
 
 
 class KeypointTracks:
-    """One file of detections per camera, in the cameras' order.
+    """One file of detections per camera, in the cameras' order (`KeypointSource`).
 
     A file may hold points in the picture, points in space up to a similarity (such as MediaPipe's world landmarks), or
     both; points in space alone cannot be used, as they do not tell where the hand is.
     """
 
-    def __init__(self, files: DetectionFiles, cameras: Sequence[Camera]) -> None:
-        """Raises InputError for files that cannot be read, that hold no points in the picture, or are not one a
-        camera."""
-        paths = files.paths
+    def __init__(self, paths: Sequence[Path], cameras: Sequence[Camera], *, side: Side = "right") -> None:
+        """side: of the hand that is tracked; those of the other side are left out.
+
+        Raises InputError for files that cannot be read, that hold no points in the picture, or are not one a camera.
+        """
         if len(paths) != len(cameras):
             raise InputError(f"--keypoints: expected one file per camera, {len(cameras)}, got {len(paths)}")
-        self._views = [_View(path, camera, files.side) for path, camera in zip(paths, cameras, strict=True)]
+        self._views = [_View(path, camera, side) for path, camera in zip(paths, cameras, strict=True)]
 
-    def hand(self, view: int, frame: int) -> HandKeypoints | None:
-        """What was found in a frame of a view; None where nothing was."""
-        return self._views[view].hand(frame)
+    def hands(
+        self, frame: RecordedFrame, followed_px: Float[Tensor, "views 21 2"] | None
+    ) -> list[HandKeypoints | None]:
+        """What was found in a frame, view by view; None where nothing was."""
+        return [view.hand(frame.index) for view in self._views]
 
 
 class _View:
@@ -55,14 +75,6 @@ class _View:
 
     def hand(self, frame: int) -> HandKeypoints | None:
         seen, in_picture = self._found.at_frame(frame), self._pixels.at_frame(frame)
-        if seen is None or in_picture is None or in_picture.picture is None or in_picture.confidence is None:
+        if seen is None or in_picture is None:
             return None
-        points = torch.from_numpy(in_picture.picture)
-        is_known = points.isfinite().all(-1)
-        if not bool(is_known.any()):
-            return None
-        score = seen.score
-        if math.isnan(score):  # of the hand, where the file tells; else the mean of its points
-            score = float(torch.from_numpy(in_picture.confidence)[is_known].mean())
-        space = None if seen.space is None else torch.from_numpy(seen.space)
-        return HandKeypoints(points_px=points, points=space, score=score)
+        return hand_keypoints(replace(seen, picture=in_picture.picture, confidence=in_picture.confidence))

@@ -13,7 +13,6 @@ from torchhand.files.pictures import PICTURE_SUFFIXES
 from torchhand.files.rigs import mask_paths
 from torchhand.geometry import Camera
 from torchhand.image import BackgroundPlate, learn_background
-from torchhand.runs.keypoint_tracks import DetectionFiles, KeypointTracks
 from torchhand.track import View
 from torchhand.track.multiview import evenly_spaced_frames
 
@@ -79,7 +78,6 @@ class OneCameraRecording:
         source: str | Path,
         camera: Path | None,
         *,
-        detections: DetectionFiles | None = None,
         start: int = 0,
         max_frames: int | None = None,
     ) -> None:
@@ -93,7 +91,6 @@ class OneCameraRecording:
         self.width, self.height = frames.width, frames.height
         try:
             self.cameras = (camera_for(camera, frames.width, frames.height),)
-            self._keypoints = None if detections is None else KeypointTracks(detections, self.cameras)
         except InputError:
             self.close()
             raise
@@ -119,9 +116,7 @@ class OneCameraRecording:
 
     def _frames(self, frames: FrameSource) -> Iterator[RecordedFrame]:
         for frame in frames:
-            keypoints = None if self._keypoints is None else self._keypoints.hand(0, frame.index)
-            image = frame.image
-            view = View() if image is None else View(image=image, keypoints=keypoints)
+            view = View(image=frame.image)
             yield RecordedFrame(
                 index=frame.index, time_s=frame.index / self.fps, views=(view,), problems=(frame.problem,)
             )
@@ -153,7 +148,6 @@ class RigRecording:
         offsets: Mapping[str, int] | None = None,
         start: int = 0,
         max_frames: int | None = None,
-        detections: DetectionFiles | None = None,
     ) -> None:
         """unit: `hand` where it is not known and to be fitted. masks: whether silhouettes are given; where the folder
         holds them if None."""
@@ -166,7 +160,6 @@ class RigRecording:
         self.cameras = load_rig(place, unit=1.0 if fits_unit else unit)  # 1: what a unit is, is not known yet
         if len(self.cameras) < 2:
             raise InputError(f"{place}: expected two cameras or more, got {len(self.cameras)}")
-        self._keypoints = None if detections is None else KeypointTracks(detections, self.cameras)
         self.camera_names = tuple(camera.name for camera in self.cameras)
         has_masks = any(mask_paths(self.folder, len(self.cameras)))
         self.has_masks = has_masks if masks is None else masks
@@ -211,14 +204,7 @@ class RigRecording:
     def _frames(self, source: RigSource) -> Iterator[RecordedFrame]:
         for frame in source:
             masks = frame.masks or (None,) * len(self.cameras)
-            keypoints = [
-                None if self._keypoints is None else self._keypoints.hand(view, frame.index)
-                for view in range(len(self.cameras))
-            ]
-            views = tuple(
-                View(image=image, mask=mask, keypoints=seen)
-                for image, mask, seen in zip(frame.images, masks, keypoints, strict=True)
-            )
+            views = tuple(View(image=image, mask=mask) for image, mask in zip(frame.images, masks, strict=True))
             yield RecordedFrame(index=frame.index, time_s=frame.index / self.fps, views=views, problems=frame.problems)
 
     def _open(self, done: int) -> RigSource:

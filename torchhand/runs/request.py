@@ -1,20 +1,27 @@
 """What a tracking run is asked for, read from texts and files and checked before anything starts."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import hypot, isfinite
 from pathlib import Path
+from typing import Any
 
+from torchhand.detect import HandDetector
 from torchhand.errors import InputError
 from torchhand.files import FittedHand, find_config, load_hand, load_hand_model, load_settings, read_picture, setting_in
 from torchhand.fit.detect import StartPoints
+from torchhand.geometry import Camera
 from torchhand.hand import Side
 from torchhand.image import BackgroundPlate, learn_background
 from torchhand.runs.changes import changes_of
-from torchhand.runs.keypoint_tracks import DetectionFiles
+from torchhand.runs.keypoint_tracks import KeypointTracks
+from torchhand.runs.recording import Recording
+from torchhand.runs.side import find_side
 from torchhand.track import DEFAULTS, TrackerSettings
 
 MIN_START_SPAN_PX = 10.0
+MEDIAPIPE = "mediapipe"
+"""In place of a file of keypoints: the detector runs along."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,13 +31,20 @@ class Request:
     settings: TrackerSettings
     config: str
     """Name of the configuration, as the user gave it."""
-    side: Side = "right"
+    side: Side | None = None
+    """Which hand; None where it is to be found out (`with_side`)."""
+    side_source: str = "given"
+    """How the side is known, for the saved configuration."""
     hand: FittedHand | None = None
     """A known shape, which is then not fitted."""
     camera: Path | None = None
     """Calibration of the camera, or of the rig where that is not in its folder."""
     keypoints: tuple[Path, ...] = ()
     """Files of detected keypoints, one per camera; none where none are used."""
+    has_detector: bool = False
+    """Whether MediaPipe runs along, in place of files."""
+    hand_model: Path | None = None
+    """MediaPipe's hand_landmarker.task; its own models where none is given."""
     background: Path | None = None
     """Picture of the empty scene, or folder of one per camera."""
     start_points: StartPoints | None = None
@@ -48,10 +62,49 @@ class Request:
     has_overlay: bool = True
     seed: int = 0
 
+    def with_side(self, recording: Recording, say: Callable[[str], None]) -> "Request":
+        """The request with a side: the one given, that of the known hand, or the one that the recording shows."""
+        known: Side | None = None if self.hand is None else ("left" if self.hand.side == "left" else "right")
+        found = find_side(
+            self.side or known,
+            recording,
+            keypoints=self.keypoints,
+            has_detector=self.has_detector,
+            hand_model=self.hand_model,
+        )
+        for line in found.notes():
+            say(line)
+        return replace(self, side=found.side, side_source=found.source)
+
     @property
-    def detections(self) -> DetectionFiles | None:
-        """The files of keypoints with the hand that is looked for in them; None where none are used."""
-        return DetectionFiles(paths=self.keypoints, side=self.side) if self.keypoints else None
+    def known_side(self) -> Side:
+        """The side; right where it has not been found out."""
+        return self.side or "right"
+
+    def keypoint_tracks(self, cameras: Sequence[Camera]) -> KeypointTracks | None:
+        """What the files of keypoints hold of the hand; None where none are used."""
+        return KeypointTracks(self.keypoints, cameras, side=self.known_side) if self.keypoints else None
+
+    def detectors(self, cameras: Sequence[Camera]) -> list[HandDetector]:
+        """A detector per camera; none where none runs along. Raises InputError where it cannot be had."""
+        return (
+            [HandDetector(side=self.known_side, hand_model=self.hand_model) for _ in cameras]
+            if self.has_detector
+            else []
+        )
+
+
+def keypoints_of(texts: Sequence[str], hand_model: Path | None) -> dict[str, Any]:
+    """The fields of a request for keypoints: `mediapipe` alone, or files. Raises InputError for both, and for a model
+    without mediapipe."""
+    has_detector = MEDIAPIPE in texts
+    if has_detector and len(texts) > 1:
+        given = ", ".join(texts)
+        raise InputError(f"--keypoints: expected {MEDIAPIPE} alone (for all cameras) or files, got {given}")
+    if hand_model is not None and not has_detector:
+        raise InputError(f"--hand-model: expected --keypoints {MEDIAPIPE} with it")
+    paths = () if has_detector else tuple(Path(text) for text in texts)
+    return {"keypoints": paths, "has_detector": has_detector, "hand_model": hand_model}
 
 
 def settings_of(config: str, changes: Sequence[str] = (), posture: str | None = None) -> TrackerSettings:

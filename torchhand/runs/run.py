@@ -27,6 +27,7 @@ from torchhand.files import (
 from torchhand.files.results import CONFIG_NAME, CONVENTION, HAND_NAME, JSONL_NAME, STATUSES
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS
+from torchhand.runs.keypoint_tracks import KeypointSource, with_keypoints
 from torchhand.runs.recording import RecordedFrame, Recording
 from torchhand.runs.records import record_of
 from torchhand.track import PastFrame, Smoother, Tracker, TrackerSettings, TrackerState, restored_state, saved_state
@@ -54,10 +55,13 @@ class Run:
         *,
         state: TrackerState | None = None,
         metres: float = 1.0,
+        keypoints: KeypointSource | None = None,
     ) -> None:
         """provenance: of the proportions, for hand.json. state: with which to begin. metres: of the recording's
-        unit."""
+        unit. keypoints: what gives those of its frames."""
         self.recording, self.tracker, self.metres = recording, tracker, metres
+        self.keypoints = keypoints
+        self._followed_px: Float[Tensor, "views 21 2"] | None = None
         self.state, self._provenance = state, dict(provenance)
         self._smoother = Smoother(tracker, tracker.settings.smoothing_window_s)
         self._names = tuple(camera.name for camera in recording.cameras)
@@ -71,6 +75,7 @@ class Run:
     def step(self, frame: RecordedFrame) -> tuple[FrameRecord, list[FrameRecord]]:
         """Track one frame; its record, and those of earlier ones that it corrects."""
         started = time.perf_counter()
+        frame = with_keypoints(frame, self.keypoints, self._followed_px)
         state, estimate = self.tracker.step(self.state, frame.views, frame.time_s)
         better = self._smoother.corrections(state, estimate)
         seconds = time.perf_counter() - started
@@ -79,6 +84,8 @@ class Run:
             self._smoother.remember(PastFrame.of(scene, estimate.keypoints, estimate.score))
         self._keep_seconds(frame.index, seconds)
         self.state = state
+        if estimate.keypoints_px is not None:
+            self._followed_px = estimate.keypoints_px
         problems = "; ".join(problem for problem in frame.problems if problem is not None)
         corrected = []
         for earlier in better:
@@ -100,6 +107,7 @@ class Run:
                 if frame.index >= first + done:
                     break
                 row = rows[frame.index]
+                frame = with_keypoints(frame, self.keypoints, self._followed_px)
                 points = torch.from_numpy(track.keypoints3d[row])
                 is_lost = not bool(points.isfinite().all())
                 scene = self.tracker.scene(self.state, frame.views, frame.time_s)
@@ -114,12 +122,14 @@ class Run:
             "state": saved_state(self.state),
             "provenance": json.dumps(self._provenance),
             "metres": self.metres,
+            "followed_px": self._followed_px,
         }
 
     def go_on_from(self, saved: Mapping[str, Any]) -> None:
         """Continue an interrupted run."""
         self.state = restored_state(saved["state"])
         self._provenance = json.loads(saved["provenance"])
+        self._followed_px = saved.get("followed_px")
 
     def save_hand(self, folder: Path, **provenance: Any) -> None:
         """The proportions, once they are known."""

@@ -2,51 +2,67 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Literal
 
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from torchhand.detect import HandDetector
 from torchhand.errors import InputError
 from torchhand.files import load_hand_model, read_picture
 from torchhand.fit.open_hand import OpenHand, fit_open_hand
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import Side
 from torchhand.image import NoRegions, find_open_hand
-from torchhand.runs.keypoint_tracks import DetectionFiles
+from torchhand.runs.detected_tracks import DetectedTracks
+from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks, with_keypoints
 from torchhand.runs.recording import OneCameraRecording
-from torchhand.runs.request import settings_of
+from torchhand.runs.request import MEDIAPIPE, settings_of
+from torchhand.runs.side import find_side
 from torchhand.track import Estimate, Tracker, TrackerSettings
 
 
 def track(
     source: str | Path | int,
     *,
-    side: Side = "right",
+    side: Side | None = None,
     camera: Path | None = None,
     shape: Float[Tensor, "shape"] | None = None,
     settings: TrackerSettings | None = None,
-    keypoints: Path | None = None,
+    keypoints: Path | Literal["mediapipe"] | None = None,
+    hand_model: Path | None = None,
 ) -> Iterator[Estimate]:
     """The estimates of one camera's recording, one per frame, as they are made; poses in the camera's frame.
 
-    source: a video, a folder of pictures, or the number of a webcam. camera: a file of its calibration; else a field of
+    source: a video, a folder of pictures, or the number of a webcam. side: found out from the keypoints where none is
+    given, right without any. camera: a file of its calibration; else a field of
     view is assumed. shape: proportions where they are known, such as those of `fit_hand`; else they are fitted.
-    settings: those of the configuration contour_full where none are given. keypoints: a file of a detector's points.
-    Nothing is corrected backwards; `torchhand track` does that, and keeps the result.
+    settings: those of the configuration contour_full where none are given. keypoints: a file of a detector's points,
+    or MediaPipe itself, with hand_model (hand_landmarker.task) where it has none of its own. Nothing is corrected
+    backwards; `torchhand track` does that, and keeps the result.
 
     Raises InputError for a source, a camera or keypoints that cannot be read.
     """
-    hand = load_hand_model().hand(side=side, dtype=torch.float64)
-    detections = None if keypoints is None else DetectionFiles(paths=(keypoints,), side=side)
     place = str(source) if isinstance(source, int) else Path(source)
-    recording = OneCameraRecording(place, camera, detections=detections)
+    recording = OneCameraRecording(place, camera)
     try:
+        has_detector = keypoints == MEDIAPIPE
+        files = [] if keypoints is None or has_detector else [Path(keypoints)]
+        side = find_side(side, recording, keypoints=files, has_detector=has_detector, hand_model=hand_model).side
+        hand = load_hand_model().hand(side=side, dtype=torch.float64)
+        seen: KeypointSource | None = None
+        if has_detector:
+            seen = DetectedTracks([HandDetector(side=side, hand_model=hand_model)])
+        elif files:
+            seen = KeypointTracks(files, recording.cameras, side=side)
         tracker = Tracker(hand, recording.cameras, settings or settings_of("contour_full"), shape=shape)
-        state = None
+        state, followed_px = None, None
         with recording.opened(0) as frames:
             for frame in frames:
-                state, estimate = tracker.step(state, frame.views, frame.time_s)
+                views = with_keypoints(frame, seen, followed_px).views
+                state, estimate = tracker.step(state, views, frame.time_s)
+                followed_px = followed_px if estimate.keypoints_px is None else estimate.keypoints_px
                 yield estimate
     finally:
         recording.close()

@@ -1,6 +1,8 @@
 """Tracking into a result folder: a sequence of one camera, or a recording of several."""
 
+import contextlib
 import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +12,17 @@ from jaxtyping import Float
 from torch import Tensor
 from tqdm import tqdm
 
+from torchhand.detect import HandDetector
 from torchhand.errors import InputError
 from torchhand.files import FrameRecord, Track, TrackWriter, check_output_folder, load_hand_model, load_track
 from torchhand.files.results import JSONL_NAME, OVERLAY_NAME, STATUSES, UNFINISHED_NAME
 from torchhand.geometry import Camera
 from torchhand.hand import Anthropometry
+from torchhand.runs.detected_tracks import kept_detections
+from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks
 from torchhand.runs.overlay import draw_live, write_overlay
 from torchhand.runs.recording import OneCameraRecording, RecordedFrame, RigRecording, rig_plates
-from torchhand.runs.request import Request, check_start_points, plate_of
+from torchhand.runs.request import MEDIAPIPE, Request, check_start_points, plate_of
 from torchhand.runs.rig_overlay import write_views
 from torchhand.runs.run import CHECKPOINT_EVERY, Run, Say, header_of, track_frames
 from torchhand.track import Keyframe, Tracker, TrackerState
@@ -41,7 +46,6 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
     recording = OneCameraRecording(
         source,
         request.camera,
-        detections=request.detections,
         start=request.start,
         max_frames=request.max_frames,
     )
@@ -49,7 +53,8 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
         check_start_points(request.start_points, recording.width, recording.height)
         method = request.settings.silhouette.method
         plate = plate_of(request.background, method, recording.width, recording.height)
-        hand = load_hand_model().hand(side=request.side, dtype=torch.float64)
+        request = request.with_side(recording, say)
+        hand = load_hand_model().hand(side=request.known_side, dtype=torch.float64)
         tracker = Tracker(
             hand,
             recording.cameras,
@@ -58,8 +63,12 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
             start_points=request.start_points,
             plates=None if plate is None else [plate],
         )
+        files, detectors = request.keypoint_tracks(recording.cameras), request.detectors(recording.cameras)
         run = Run(recording, tracker, _provenance(request, recording.cameras[0]))
-        with _writer(out_dir, recording, request) as writer:
+        with (
+            _writer(out_dir, recording, request, detectors) as writer,
+            _keypoints(files, detectors, writer, recording, request.start, say) as run.keypoints,
+        ):
             for line in recording.notes:
                 say(line)
             done = 0
@@ -110,12 +119,16 @@ def track_rig(folder: Path, out_dir: Path, request: Request, say: Say) -> Track:
         offsets=request.offsets,
         start=request.start,
         max_frames=request.max_frames,
-        detections=request.detections,
     )
+    request = request.with_side(recording, say)
+    files, detectors = request.keypoint_tracks(recording.cameras), request.detectors(recording.cameras)
     for line in recording.notes:
         say(line)
     start = _RigStart(recording, request)
-    with _writer(out_dir, recording, request) as writer:
+    with (
+        _writer(out_dir, recording, request, detectors) as writer,
+        _keypoints(files, detectors, writer, recording, request.start, say) as keypoints,
+    ):
         if writer.resume_point is None:
             run, done = start.begun(say), 0
             run.save_hand(writer.folder)
@@ -124,6 +137,7 @@ def track_rig(folder: Path, out_dir: Path, request: Request, say: Say) -> Track:
             run = Run(recording, start.tracker(float(saved["metres"])), {}, metres=float(saved["metres"]))
             run.go_on_from(saved)
             done = writer.resume_point.last_frame + 1 - request.start
+        run.keypoints = keypoints
         cameras = in_unit(recording.cameras, run.metres)
         run.save_config(writer.folder, _asked(request) | {"masks_given": recording.has_masks}, cameras)
         track_frames(run, writer, done, request.start, say, lambda frame, record: None)
@@ -139,7 +153,7 @@ class _RigStart:
 
     def __init__(self, recording: RigRecording, request: Request) -> None:
         self.recording, self.request, self.settings = recording, request, request.settings
-        self.hand = load_hand_model().hand(side=request.side, dtype=torch.float64)
+        self.hand = load_hand_model().hand(side=request.known_side, dtype=torch.float64)
         self.known = _known_shape(request)
         self.plates = rig_plates(recording, request.background, self.settings.silhouette.method)
 
@@ -210,10 +224,31 @@ def _known_shape(request: Request) -> Float[Tensor, "shape"] | None:
     return None if hand is None else torch.tensor(list(hand.values.values()), dtype=torch.float64)
 
 
-def _writer(out_dir: Path, recording: OneCameraRecording | RigRecording, request: Request) -> TrackWriter:
+@contextlib.contextmanager
+def _keypoints(
+    files: KeypointTracks | None,
+    detectors: Sequence[HandDetector],
+    writer: TrackWriter,
+    recording: OneCameraRecording | RigRecording,
+    start: int,
+    say: Say,
+) -> Iterator[KeypointSource | None]:
+    """Where keypoints come from, if any are used."""
+    if not detectors:
+        yield files
+        return
+    with kept_detections(detectors, writer, recording, start) as detected:
+        yield detected
+        for line in detected.notes():
+            say(line)
+
+
+def _writer(
+    out_dir: Path, recording: OneCameraRecording | RigRecording, request: Request, detectors: Sequence[HandDetector]
+) -> TrackWriter:
     made_with = {
         "hand": None if request.hand is None else request.hand.values,
-        "keypoints": [str(path) for path in request.keypoints],
+        "keypoints": [str(path) for path in request.keypoints] or [detector.name for detector in detectors],
         "start_points": request.start_points,
         "background": None if request.background is None else str(request.background),
         "unit": request.unit,
@@ -224,7 +259,7 @@ def _writer(out_dir: Path, recording: OneCameraRecording | RigRecording, request
     }
     return TrackWriter(
         out_dir,
-        header_of(recording, request.settings, made_with, side=request.side),
+        header_of(recording, request.settings, made_with, side=request.known_side),
         resume=request.resume,
         overwrite=request.overwrite,
         checkpoint_every=CHECKPOINT_EVERY,
@@ -244,9 +279,11 @@ def _asked(request: Request) -> dict[str, Any]:
     """What the user asked for, for config.yaml."""
     return {
         "config": request.config,
+        "side_is": request.side_source,
         "camera": request.camera,
         "hand_given": None if request.hand is None else request.hand.values,
-        "keypoints": [str(path) for path in request.keypoints],
+        "keypoints": [MEDIAPIPE] if request.has_detector else [str(path) for path in request.keypoints],
+        "hand_model": request.hand_model,
         "start_points": request.start_points,
         "background": request.background,
         "unit": request.unit,

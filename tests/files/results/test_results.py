@@ -16,8 +16,9 @@ import pytest
 import torch
 
 from torchhand.errors import InputError
+from torchhand.files.disk import LineFile
 from torchhand.files.results.results import CHECKPOINT_NAME, UNFINISHED_NAME, TrackWriter, check_output_folder
-from torchhand.files.results.track_file import LineFile, load_track
+from torchhand.files.results.track_file import load_track
 from torchhand.files.results.track_record import FrameRecord, TrackHeader
 
 DOFS = tuple(f"dof{i}" for i in range(36))

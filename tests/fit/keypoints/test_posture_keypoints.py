@@ -10,7 +10,7 @@ from torch import Tensor
 from torchhand.files import load_hand_model
 from torchhand.fit import PosedHands, Stage
 from torchhand.fit.keypoints import KeypointSettings, PictureKeypoints, PostureKeypoints, place_hand
-from torchhand.fit.keypoints.posture import _STD, _std_of
+from torchhand.fit.keypoints.posture import _STD
 from torchhand.geometry import Camera, assumed_camera, rotation_from_vector
 from torchhand.hand import FINGERS, JOINT_DOFS, HandKinematics, HandPose, Side, named_pose_space, posture
 from torchhand.hand.limits import clamp_to_limits
@@ -187,10 +187,8 @@ def errors(data_dir: Path) -> list[Tensor]:
     return found
 
 
-@pytest.mark.parametrize("kind", list(_STD))
-def test_the_spread_of_angles_is_that_of_known_hands(kind: str, errors: list[Tensor]) -> None:
-    """The table beside the code, within a third of the median over the recordings."""
-    columns = [i for i, n in enumerate(JOINT_DOFS) if n.endswith(kind) and (n == kind or not n.startswith("thumb"))]
-    assert {_std_of(JOINT_DOFS[i]) for i in columns} == {_STD[kind]}
-    spreads = [float(one[:, columns].square().mean().sqrt()) for one in errors]
-    assert 0.67 < _STD[kind] / float(np.median(spreads)) < 1.5
+@pytest.mark.parametrize("dof", list(_STD))
+def test_the_spread_of_angles_is_that_of_known_hands(dof: str, errors: list[Tensor]) -> None:
+    """The table beside the code, within two fifths of the median over the recordings."""
+    spreads = [float(one[:, JOINT_DOFS.index(dof)].square().mean().sqrt()) for one in errors]
+    assert 0.6 < _STD[dof] / float(np.median(spreads)) < 1.67

@@ -3,6 +3,7 @@
 from torchhand.files.cameras.cameras import camera_entry, camera_for, camera_of_entry, load_cameras, save_cameras
 from torchhand.files.cameras.colmap import colmap_entries
 from torchhand.files.cameras.opencv import OPENCV_SUFFIXES, opencv_entries
+from torchhand.files.cameras.per_picture import camera_per_picture
 from torchhand.files.cameras.plain_text import lens_files, plain_text_entries
 
 __all__ = [
@@ -10,6 +11,7 @@ __all__ = [
     "camera_entry",
     "camera_for",
     "camera_of_entry",
+    "camera_per_picture",
     "colmap_entries",
     "lens_files",
     "load_cameras",

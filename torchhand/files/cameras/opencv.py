@@ -77,7 +77,7 @@ def read_storage(path: Path) -> dict[str, Any]:
     with quiet_opencv(), captured_messages():
         storage = cv2.FileStorage()
         try:
-            is_open = storage.open(text, cv2.FileStorage_READ | cv2.FileStorage_MEMORY)
+            is_open = storage.open(_with_directive(text), cv2.FileStorage_READ | cv2.FileStorage_MEMORY)
         except (cv2.error, SystemError) as error:
             lines = str(error.__cause__ or error).strip().splitlines()
             reason = lines[-1].rpartition("error: ")[2][:120]
@@ -88,6 +88,12 @@ def read_storage(path: Path) -> dict[str, Any]:
         content = {key: _plain(f"{path}: {key}", root.getNode(key)) for key in root.keys()}  # noqa: SIM118
         storage.release()
     return content
+
+
+def _with_directive(text: str) -> str:
+    """YAML with the directive in its first line without which OpenCV 4 takes it for nothing that it knows."""
+    is_marked = text.lstrip().startswith(("%YAML", "<", "{"))
+    return text if is_marked or int(cv2.__version__.split(".")[0]) >= 5 else f"%YAML:1.0\n---\n{text}"
 
 
 def _plain(where: str, node: Any) -> Any:

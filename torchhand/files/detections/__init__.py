@@ -1,11 +1,14 @@
 """Keypoints that other programs detected."""
 
+from torchhand.files.detections.detection_log import DetectionLog, save_detections
 from torchhand.files.detections.formats import read_detections
 from torchhand.files.detections.record import Detections, HandDetection, Units
 
 __all__ = [
+    "DetectionLog",
     "Detections",
     "HandDetection",
     "Units",
     "read_detections",
+    "save_detections",
 ]

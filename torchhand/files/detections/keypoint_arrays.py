@@ -1,6 +1,6 @@
 """Keypoints as numpy arrays: .npy, or .npz under one of the usual names, in space, in pictures, or both."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -55,8 +55,10 @@ def read_keypoint_arrays(
     Without `units`, three columns are metres; two are shares where none is beyond ±2, else px. With normalised or px
     given, a third column (MediaPipe's z) is dropped. Of an .npz, the arrays under usual names (keypoints3d, world,
     keypoints2d, points_px, landmarks ...), one in space and one in pictures, or the only one; also confidence
-    (frames, 21), and for each frame its number (frame), the detector's score, the name of the picture (image), and
-    MediaPipe's name of the hand (label, empty where it found none; see `read_detections` for what it means).
+    (frames, 21), the points' standard deviations in the picture (std_px, of frames and points or of the points) or
+    covariances (cov_px, the same with (2, 2) added), and for each frame its number (frame), the detector's score, the
+    name of the picture (image), and MediaPipe's name of the hand (label, empty where it found none; see
+    `read_detections` for what it means).
     """
     arrays = _arrays(path)
     kinds = _kinds(path, arrays, points, units)
@@ -83,13 +85,14 @@ def read_keypoint_arrays(
         )
         for i in range(count)
     ]
-    return detections_of(
+    found = detections_of(
         f"{path}: {first.name}" if first.name else str(path),
         list(zip(_numbers(path, arrays, count), hands, strict=True)),
         side=side or _side(arrays) or majority_side(labels),
         is_normalised=picture is not None and picture.units == "normalised",
         image=_texts(path, arrays, "image", count),
     )
+    return replace(found, cov_px=_covariances(path, arrays, count))
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:
@@ -181,6 +184,28 @@ def _labels(path: Path, arrays: dict[str, np.ndarray], count: int, is_mirrored: 
         if text.casefold() not in meant:
             raise InputError(f"{path}: label: expected Left, Right or nothing for every frame, got {short(text)}")
     return [meant[text.casefold()] for text in texts]
+
+
+def _covariances(path: Path, arrays: dict[str, np.ndarray], count: int) -> np.ndarray | None:
+    """(frames, 21, 2, 2), px²; None where there are none."""
+    names = [name for name in ("cov_px", "std_px") if name in arrays]
+    if not names:
+        return None
+    if len(names) > 1:
+        raise InputError(f"{path}: expected at most one of cov_px and std_px, got both")
+    name, found = names[0], arrays[names[0]]
+    own = (COUNT, 2, 2) if name == "cov_px" else (COUNT,)
+    if found.shape not in ((count, *own), own) or not _is_numeric(found):
+        expected = f"({count}, {', '.join(map(str, own))}) or that without frames"
+        raise InputError(f"{path}: {name}: expected numbers of shape {expected}, got {found.dtype} of {found.shape}")
+    cov = found.astype(np.float64)
+    if name == "std_px":
+        cov = (np.sign(cov) * cov**2)[..., None, None] * np.eye(2)  # below 0 stays below
+    known = cov[np.isfinite(cov).all((-2, -1))]
+    is_symmetric = np.allclose(known, np.swapaxes(known, -1, -2), rtol=1e-6, atol=0)
+    if not is_symmetric or not (np.linalg.eigvalsh(known) > 0).all():
+        raise InputError(f"{path}: {name}: expected numbers above 0 (covariances: positive definite), got others")
+    return np.broadcast_to(cov, (count, COUNT, 2, 2)).copy()
 
 
 def _texts(path: Path, arrays: dict[str, np.ndarray], name: str, count: int) -> tuple[str, ...] | None:

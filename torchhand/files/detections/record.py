@@ -56,6 +56,8 @@ class Detections:
     is_normalised: bool = False
     image: tuple[str, ...] | None = None
     """Name of each frame's picture, where the file tells."""
+    cov_px: Float64[np.ndarray, "frames 21 2 2"] | None = None
+    """Covariance of every point in the pictures, px²; NaN where the file does not tell, None where it tells none."""
     size: tuple[int, int] | None = None
     """Width and height of the pictures, px, where the file tells."""
 

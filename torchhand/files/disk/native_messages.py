@@ -5,6 +5,7 @@ import os
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 
@@ -25,7 +26,7 @@ class Messages:
 @contextlib.contextmanager
 def quiet_opencv() -> Iterator[None]:
     """OpenCV logs nothing inside the block."""
-    logging = cv2.utils.logging
+    logging: Any = getattr(cv2.utils, "logging", cv2)  # OpenCV 4 has the same two functions at its top level
     before = logging.getLogLevel()
     logging.setLogLevel(_SILENT)
     try:

@@ -9,6 +9,7 @@ from torchhand.files.results.poses_file import (
 from torchhand.files.results.results import (
     CHECKPOINT_NAME,
     CONFIG_NAME,
+    DETECTIONS_NAME,
     HAND_NAME,
     OVERLAY_NAME,
     UNFINISHED_NAME,
@@ -31,6 +32,7 @@ __all__ = [
     "CHECKPOINT_NAME",
     "CONFIG_NAME",
     "CONVENTION",
+    "DETECTIONS_NAME",
     "HAND_NAME",
     "JSONL_NAME",
     "NPZ_NAME",

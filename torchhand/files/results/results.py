@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,15 +13,13 @@ from typing import Any
 import torch
 
 from torchhand.errors import InputError
-from torchhand.files.disk import explained_errors, replacing, short
+from torchhand.files.disk import LineFile, explained_errors, read_lines, replacing, short
 from torchhand.files.results.track_file import (
     JSONL_NAME,
     NPZ_NAME,
-    LineFile,
     keep_last_lines,
     load_track,
     read_header,
-    read_lines,
     write_npz,
 )
 from torchhand.files.results.track_record import FrameRecord, TrackHeader
@@ -32,8 +31,12 @@ CHECKPOINT_NAME = "checkpoint.pt"
 UNFINISHED_NAME = "unfinished"
 """Sub-folder in which a run grows that is to replace an older result."""
 
+DETECTIONS_NAME = "keypoints.jsonl"
+"""What a detector that ran along has found."""
+
 # In the order in which they are moved into place: the result itself last.
-_RESULT_NAMES = (HAND_NAME, CONFIG_NAME, OVERLAY_NAME, CHECKPOINT_NAME, JSONL_NAME, NPZ_NAME)
+_RESULT_NAMES = (HAND_NAME, CONFIG_NAME, OVERLAY_NAME, CHECKPOINT_NAME, DETECTIONS_NAME, JSONL_NAME, NPZ_NAME)
+_DETECTED_ARRAYS = re.compile(r"keypoints(_\d+)?\.npz")  # one per view
 
 State = Mapping[str, Any]
 """Tensors, numbers, texts, None, and lists and dicts of these: what `torch.load(weights_only=True)` takes."""
@@ -180,10 +183,10 @@ class TrackWriter:
         if self.folder == self.out_dir:
             return
         with explained_errors(self.out_dir):
-            for name in _RESULT_NAMES:
+            for name in _result_names(self.folder, self.out_dir):
                 if (self.folder / name).exists():
                     os.replace(self.folder / name, self.out_dir / name)
-                else:  # a file of the old run that the new one does not have
+                elif name in _RESULT_NAMES:  # a file of the old run that the new one does not have
                     (self.out_dir / name).unlink(missing_ok=True)
             with contextlib.suppress(OSError):
                 self.folder.rmdir()  # stays where someone else has put a file there
@@ -193,17 +196,18 @@ class TrackWriter:
         if resume:
             folder = unfinished if (unfinished / JSONL_NAME).exists() else self.out_dir
             entries = [entry.name for entry in folder.iterdir()] if folder.is_dir() else []
-            foreign = [name for name in entries if name not in _RESULT_NAMES and not name.startswith(".")]
+            own = _result_names(folder)
+            foreign = [name for name in entries if name not in own and not name.startswith(".")]
             if foreign and JSONL_NAME not in entries:
                 raise InputError(f"{folder}: cannot be resumed: expected {JSONL_NAME}, found {foreign[0]}")
             return folder
-        has_result = any((self.out_dir / name).exists() for name in _RESULT_NAMES)
+        has_result = any((self.out_dir / name).exists() for name in _result_names(self.out_dir))
         return unfinished if has_result else self.out_dir
 
     def _remove_unfinished(self) -> None:
         """Take away what an earlier run that never ended has left."""
         with explained_errors(self.folder):
-            for name in _RESULT_NAMES:
+            for name in _result_names(self.folder):
                 (self.folder / name).unlink(missing_ok=True)
 
     def _resume(self, path: Path) -> int:
@@ -237,6 +241,12 @@ class TrackWriter:
         with replacing(self.folder / CHECKPOINT_NAME) as temporary, temporary.open("wb") as file:
             torch.save({"last_frame": self._last_frame, "state": dict(state())}, file)
         self._pending_state = None
+
+
+def _result_names(*folders: Path) -> list[str]:
+    """Names of the files that a run may leave in some folders."""
+    entries = {entry.name for folder in folders if folder.is_dir() for entry in folder.iterdir()}
+    return [*sorted(name for name in entries if _DETECTED_ARRAYS.fullmatch(name)), *_RESULT_NAMES]
 
 
 def _load_checkpoint(path: Path) -> ResumePoint | None:

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.fit import (
+    Observation,
     PopulationPrior,
     Problem,
     SharedSolution,
@@ -19,10 +20,12 @@ from torchhand.fit import (
 )
 from torchhand.fit.keypoints.observation import PictureKeypoints
 from torchhand.fit.keypoints.points import Detector
+from torchhand.fit.keypoints.posture import PostureKeypoints
 from torchhand.fit.keypoints.prior import NaturalPosture, NaturalPrior, limit_information, missing_fraction
+from torchhand.fit.keypoints.relative import RelativeKeypoints
 from torchhand.fit.keypoints.settings import KeypointFitSettings
 from torchhand.fit.keypoints.start import start_in_space
-from torchhand.fit.keypoints.views import other_ways, starts_in_picture
+from torchhand.fit.keypoints.views import other_ways, placed_in_pictures, starts_in_picture
 from torchhand.fit.keypoints.world import WorldKeypoints
 from torchhand.hand import DOFS, Anthropometry, HandKinematics, HandPose, PoseSpace, moving_parameters
 from torchhand.hand.limits import AnthropometrySettings, clamp_to_limits
@@ -49,14 +52,35 @@ class KeypointEstimate:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Measured:
+    """Points in the world, or in the pictures of one camera or several; a row for each frame, with enough points."""
+
+    observed: WorldKeypoints | tuple[PictureKeypoints, ...]
+    """With the detector's properties where they are begun with."""
+    coarse_std_px: tuple[Float[Tensor, "frames"], ...] = ()
+    """Standard deviation of points in the pictures of every camera for telling starts apart: not so small that only the
+    nearest of them can be followed."""
+    relative: tuple[RelativeKeypoints, ...] = ()
+    """Points in space along the axes of cameras, beside those in the pictures."""
+    postures: tuple[PostureKeypoints, ...] = ()
+    """Postures of these points; in the order of the cameras that have any."""
+
+    @property
+    def points(self) -> tuple[WorldKeypoints | PictureKeypoints, ...]:
+        """Points whose place is known."""
+        return (self.observed,) if isinstance(self.observed, WorldKeypoints) else self.observed
+
+    def observations(self, detector: Detector) -> tuple[Observation, ...]:
+        """All that was measured, by a detector of known properties."""
+        placed = (replace(one, detector=detector) for one in (*self.points, *self.relative))
+        return (*placed, *self.postures)
+
+
+@dataclass(frozen=True, kw_only=True)
 class KeypointEstimator:
     """One fit's ingredients; every frame has enough points."""
 
-    observed: PictureKeypoints | WorldKeypoints
-    """A row for each frame; with its detector."""
-    coarse_std_px: Float[Tensor, "frames"] | None
-    """Standard deviation of points in pictures for telling starts apart: not so small that only the nearest of them can
-    be followed."""
+    measured: Measured
     space: PoseSpace
     posture: NaturalPosture
     columns: tuple[int, ...]
@@ -65,22 +89,23 @@ class KeypointEstimator:
 
     def estimate(self, shape: Float[Tensor, "shape"]) -> KeypointEstimate:
         """Begins with the given shape. Raises ValueError without frames."""
-        detector = self.observed.detector or Detector.known(shape)
-        if isinstance(self.observed, WorldKeypoints):
-            return self._in_space(self.observed, shape, detector)
-        found = self._in_picture(self.observed, shape, detector)
+        observed = self.measured.observed
+        detector = self.measured.points[0].detector or Detector.known(shape)
+        if isinstance(observed, WorldKeypoints):
+            return self._in_space(observed, shape, detector)
+        found = self._in_picture(observed, shape, detector)
         # A better shape may tell ways of seeing the hand apart that were confused.
         for _ in range(_ROUNDS - 1 if self.columns or len(detector.extra) else 0):
             change = (found.solution.shape - shape) / self._kinematics.shape_space.std.to(shape)
             if not self.columns or float(change[list(self.columns)].abs().mean()) < _MAX_SHAPE_CHANGE:
                 break
             shape = found.solution.shape
-            found = self._in_picture(self.observed, shape, found.detector)
+            found = self._in_picture(observed, shape, found.detector)
         return found
 
     @property
     def _kinematics(self) -> HandKinematics:
-        return self.observed.kinematics
+        return self.measured.points[0].kinematics
 
     @property
     def _natural(self) -> Float[Tensor, "36"]:
@@ -98,19 +123,39 @@ class KeypointEstimator:
             shape = self._sized(shape, float(_middle(size)))
         return self._whole(pose, shape, detector)
 
-    def _in_picture(self, observed: PictureKeypoints, shape: Tensor, detector: Detector) -> KeypointEstimate:
+    def _in_picture(
+        self, observed: tuple[PictureKeypoints, ...], shape: Tensor, detector: Detector
+    ) -> KeypointEstimate:
         """Poses from the best of several starts for every frame.
 
         First with points trusted little, so that far starts are drawn in; a few of the best go on as the noise is. In
         a picture, a digit bent towards the camera may look like one bent away: each is then tried the other way.
         """
-        starts = starts_in_picture(observed, shape, self._natural, self.settings.starts)
+        starts = self._starts(observed, shape)
         fine = self._problem(shape, detector)
-        coarse = replace(fine, observations=(replace(observed, detector=detector, std_px=self.coarse_std_px),))
+        coarse = replace(fine, observations=self._coarse(observed, detector))
         kept = _best(_solved(coarse, starts), _KEPT)
         best = _best(_solved(fine, kept), 1).reshape(-1)
         best = _best(_solved(fine, other_ways(best)), 1).reshape(-1)
         return self._whole(best, shape, detector)
+
+    def _starts(self, observed: tuple[PictureKeypoints, ...], shape: Tensor) -> HandPose:
+        """Poses (frames, starts): those that every picture by itself suggests, and the hands of the points in space."""
+        found = [starts_in_picture(one, shape, self._natural, self.settings.starts) for one in observed]
+        for one, told in zip(self.measured.relative, self.measured.postures, strict=True):
+            turned = replace(told.pose, reference=one.cam_from_world.mT @ told.pose.reference)
+            placed = placed_in_pictures(observed, turned, shape)
+            found.append(HandPose(dofs=placed.dofs[:, None], reference=placed.reference[:, None]))
+        dofs, references = torch.cat([one.dofs for one in found], 1), torch.cat([one.reference for one in found], 1)
+        return HandPose(dofs=dofs, reference=references)
+
+    def _coarse(self, observed: tuple[PictureKeypoints, ...], detector: Detector) -> tuple[Observation, ...]:
+        """What was measured, with points in the pictures that are believed less."""
+        pictures = [
+            replace(one, std_px=std, cov_px=None)
+            for one, std in zip(observed, self.measured.coarse_std_px, strict=True)
+        ]
+        return replace(self.measured, observed=tuple(pictures)).observations(detector)
 
     def _whole(self, pose: HandPose, shape: Tensor, detector: Detector) -> KeypointEstimate:
         """All frames with what they share, from one pose each."""
@@ -135,7 +180,7 @@ class KeypointEstimator:
             space=self.space,
             skeleton=self._kinematics.skeleton,
             shape=shape,
-            observations=(replace(self.observed, detector=detector),),
+            observations=self.measured.observations(detector),
             priors=(NaturalPrior(posture=self.posture, fraction=fraction),) if has_prior else (),
         )
 
@@ -172,12 +217,13 @@ class KeypointEstimator:
         return sized
 
     def _prior_fraction(self) -> Float[Tensor, "frames 36"]:
-        is_in_space, mode = isinstance(self.observed, WorldKeypoints), self.settings.prior
+        is_in_space, mode = isinstance(self.measured.observed, WorldKeypoints), self.settings.prior
         if mode == "auto":
             mode = "where_missing" if is_in_space else "always"
-        confidence = torch.where(self.observed.is_known, 1.0, 0.0).to(self.space.basis)
-        if self.observed.confidence is not None:
-            confidence = confidence * self.observed.confidence
+        confidence = self.space.basis.new_zeros(())
+        for one in self.measured.points:
+            known = one.is_known.to(self.space.basis)
+            confidence = torch.maximum(confidence, known if one.confidence is None else known * one.confidence)
         if mode == "where_missing":
             return missing_fraction(confidence)
         return torch.full_like(confidence[:, :1], 1.0 if mode == "always" else 0.0).repeat(1, len(DOFS))

@@ -9,10 +9,13 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.fit import PosedHands, SharedSolution, SolveStatus, Stage
-from torchhand.fit.keypoints.estimate import KeypointEstimator
+from torchhand.fit.keypoints.estimate import KeypointEstimator, Measured
 from torchhand.fit.keypoints.observation import PictureKeypoints
 from torchhand.fit.keypoints.points import Detector, KeypointSettings, frames_of
+from torchhand.fit.keypoints.posture import PostureKeypoints
 from torchhand.fit.keypoints.prior import natural_posture
+from torchhand.fit.keypoints.relative import RelativeKeypoints
+from torchhand.fit.keypoints.seen import SeenKeypoints
 from torchhand.fit.keypoints.settings import KeypointFitSettings
 from torchhand.fit.keypoints.world import WorldKeypoints
 from torchhand.geometry import Camera
@@ -44,7 +47,8 @@ class KeypointFit:
     keypoints_covariance: Float[Tensor, "*frames 21 3 3"]
     """m², from that of the pose."""
     residual: Float[Tensor, "*frames 21"]
-    """Distance of each measured point from the fitted hand: metres, or px. NaN for missing points."""
+    """Distance of each measured point from the fitted hand: metres, or px (the mean over several cameras). NaN for
+    missing points."""
     status: Int[Tensor, "*frames"]
     """Index into FIT_STATUSES."""
     iterations: Int[Tensor, "*frames"]
@@ -67,7 +71,7 @@ class KeypointFit:
 @torch.no_grad()
 def fit_keypoints(
     kinematics: HandKinematics,
-    keypoints: Float[Tensor, "*frames 21 d"],
+    keypoints: Float[Tensor, "*frames 21 d"] | SeenKeypoints | Sequence[SeenKeypoints],
     *,
     camera: Camera | None = None,
     confidence: Float[Tensor, "*frames 21"] | None = None,
@@ -76,12 +80,15 @@ def fit_keypoints(
     fit_shape: bool | Sequence[str] = False,
     settings: KeypointFitSettings | None = None,
 ) -> KeypointFit:
-    """Pose of every frame, and what all frames share, from keypoints in space (metres) or in pictures (px, `camera`).
+    """Pose of every frame, and what all frames share, from keypoints in space (metres), in pictures (px, `camera`), or
+    of detectors before one camera or several that give both (`SeenKeypoints`, the same frames in each).
 
     Minimises ½ Σ confidence · |point - keypoint|² / noise² (Huber beyond `settings.gross`), plus, where
     `settings.prior` says so, the squared distance from the natural posture in units of its spread. Joint limits hold
     exactly; a DOF that the pose space ties to another stops at its own while the other goes on. All frames are solved
     at once, in the dtype of the kinematics. Points that are not finite or have confidence 0 are missing.
+
+    Points in space beside those in pictures count about their own mean, at the size that fits best, and as a posture.
 
     camera: one, or a batch with one per frame. space: the free DOFs, which must include all six of the root; the 27-DOF
     hand where it is None. shape: the start, the default hand where it is None. fit_shape: True fits all parameters
@@ -95,31 +102,61 @@ def fit_keypoints(
     settings = settings or KeypointFitSettings()
     like = kinematics.default_levers
     space = (space or named_pose_space("dof27")).to(dtype=like.dtype, device=like.device)
-    _check(keypoints, camera, confidence, space, settings.fit_scale)
+    _check_space(space)
     if shape is not None:
         kinematics.shape_space.check(shape)
     shape = kinematics.default_shape if shape is None else shape.to(like)
-    points = keypoints.reshape(-1, 21, keypoints.shape[-1]).to(like)
-    trust = torch.ones_like(points[..., 0]) if confidence is None else confidence.to(points).reshape(-1, 21)
-    is_known = points.isfinite().all(-1) & trust.isfinite() & (trust > 0)
-    points, trust = torch.where(is_known[..., None], points, torch.nan), torch.where(is_known, trust, 0.0)
-    good = ((is_known.sum(-1) >= settings.min_points) & ~_is_one_point(points)).nonzero()[:, 0]
+    views = _views(keypoints, camera, confidence, settings)
+    if views:
+        batch, seen = views[0].batch_shape, [_usable(view.flat(like), settings) for view in views]
+        good = torch.stack([view.points_px.isfinite().any((-2, -1)) for view in seen]).any(0).nonzero()[:, 0]
+        measured = _in_pictures(kinematics, shape, seen, good, settings)
+        count = len(seen[0].points_px)
+    else:
+        assert isinstance(keypoints, Tensor)
+        batch = keypoints.shape[:-2]
+        observed = _in_world(kinematics, keypoints.reshape(-1, 21, 3).to(like), confidence, settings)
+        good, count = _good(observed.points, settings), len(observed.points)
+        measured = Measured(observed=observed.rows(good))
     estimator = KeypointEstimator(
-        observed=_observation(kinematics, points, trust, camera, settings).rows(good),
-        coarse_std_px=None if camera is None else _std_px(points, settings)[1][good],
+        measured=measured,
         space=space,
         posture=natural_posture(dtype=like.dtype, device=like.device),
         columns=_free_columns(kinematics, fit_shape, settings.fit_scale),
         settings=settings,
     )
     if not len(good):
-        return _placed(_nothing(estimator, shape), good, len(points), keypoints.shape[:-2])
-    return _placed(_result(estimator, shape), good, len(points), keypoints.shape[:-2])
+        return _placed(_nothing(estimator, shape), good, count, batch)
+    return _placed(_result(estimator, shape), good, count, batch)
 
 
-def _check(
-    keypoints: Tensor, camera: Camera | None, confidence: Tensor | None, space: PoseSpace, fit_scale: bool
-) -> None:
+def _views(
+    keypoints: "Tensor | SeenKeypoints | Sequence[SeenKeypoints]",
+    camera: Camera | None,
+    confidence: Tensor | None,
+    settings: KeypointFitSettings,
+) -> list[SeenKeypoints]:
+    """What the cameras saw; nothing for points in space."""
+    if isinstance(keypoints, Tensor):
+        _check(keypoints, camera, confidence, settings.fit_scale)
+        if camera is None:
+            return []
+        return [SeenKeypoints(camera=camera, points_px=keypoints, confidence=confidence)]
+    views = [keypoints] if isinstance(keypoints, SeenKeypoints) else list(keypoints)
+    if not views:
+        raise ValueError("keypoints: expected those of at least one camera, got none")
+    if camera is not None or confidence is not None or settings.fit_scale:
+        raise ValueError("camera, confidence, fit_scale: expected none beside SeenKeypoints, which hold their own")
+    for view in views[1:]:
+        if view.batch_shape != views[0].batch_shape:
+            raise ValueError(
+                f"keypoints: expected the same frames for every camera, got {tuple(views[0].batch_shape)} and"
+                f" {tuple(view.batch_shape)}"
+            )
+    return views
+
+
+def _check(keypoints: Tensor, camera: Camera | None, confidence: Tensor | None, fit_scale: bool) -> None:
     dimension = keypoints.shape[-1]
     if keypoints.ndim < 2 or keypoints.shape[-2] != 21 or dimension not in (2, 3):
         raise ValueError(f"keypoints: expected shape (*frames, 21, 2 or 3), got {tuple(keypoints.shape)}")
@@ -140,53 +177,96 @@ def _check(
             raise ValueError(f"confidence: expected shape {expected}, got {got}")
         if bool((confidence < 0).any()):
             raise ValueError(f"confidence: expected 0 or more, got {float(confidence.min()):g}")
+
+
+def _check_space(space: PoseSpace) -> None:
     root = space.basis[:6]
     if not torch.equal(root[:, :6], torch.eye(6).to(root)) or bool(root[:, 6:].any()) or bool(space.constant[:6].any()):
         raise ValueError(f"pose space {space.name!r}: expected one whose first six free parameters are the root's")
 
 
-def _observation(
+def _in_world(
     kinematics: HandKinematics,
-    points: Float[Tensor, "frames 21 d"],
-    trust: Float[Tensor, "frames 21"],
-    camera: Camera | None,
+    points: Float[Tensor, "frames 21 3"],
+    confidence: Tensor | None,
     settings: KeypointFitSettings,
-) -> PictureKeypoints | WorldKeypoints:
+) -> WorldKeypoints:
     """A row for each frame."""
-    loss = RobustLoss(kind="squares", group=points.shape[-1])
-    if math.isfinite(settings.gross):
-        loss = RobustLoss(kind="huber", scale=settings.gross, group=points.shape[-1])
-    detector = replace(
-        Detector.known(points), has_unknown_scale=settings.fit_scale, has_unknown_offsets=settings.offset_std > 0
-    )
-    noise = KeypointSettings(space_std_m=settings.noise, correlation=0.0)
-    if camera is None:
-        return WorldKeypoints(
-            points=points, kinematics=kinematics, settings=noise, confidence=trust, loss=loss, detector=detector
-        )
-    return PictureKeypoints(
-        points_px=points,
+    trust = torch.ones_like(points[..., 0]) if confidence is None else confidence.to(points).reshape(-1, 21)
+    is_known = points.isfinite().all(-1) & trust.isfinite() & (trust > 0)
+    return WorldKeypoints(
+        points=torch.where(is_known[..., None], points, torch.nan),
         kinematics=kinematics,
-        camera=_flat(camera.to(dtype=points.dtype, device=points.device)),
-        settings=noise,
-        confidence=trust,
-        std_px=_std_px(points, settings)[0],
-        loss=loss,
-        detector=detector,
+        settings=KeypointSettings(space_std_m=settings.noise, correlation=0.0),
+        confidence=torch.where(is_known, trust, 0.0),
+        loss=_loss(settings, 3),
+        detector=_detector(points, settings),
     )
 
 
-def _flat(camera: Camera) -> Camera:
-    """One camera, or a batch with one dimension."""
-    batch = camera.intrinsics.shape[:-2]
-    if not batch:
-        return camera
+def _in_pictures(
+    kinematics: HandKinematics,
+    shape: Float[Tensor, "shape"],
+    views: Sequence[SeenKeypoints],
+    good: Int[Tensor, "n"],
+    settings: KeypointFitSettings,
+) -> Measured:
+    """A row for each good frame."""
+    detector, like = _detector(shape, settings), shape
+    pictures, coarse, relative, postures = [], [], [], []
+    for number, view in enumerate(views):
+        std, wide = _std_px(view.points_px, settings)
+        seen = PictureKeypoints(
+            points_px=view.points_px,
+            kinematics=kinematics,
+            camera=view.camera,
+            settings=KeypointSettings(correlation=0.0),
+            view=number,
+            confidence=view.trust,
+            std_px=std,
+            cov_px=view.cov_px,
+            loss=_loss(settings, 2),
+            detector=detector,
+        )
+        pictures.append(seen.rows(good))
+        coarse.append(wide[good])
+        if view.points is None:
+            continue
+        turn = view.camera.rotation.reshape(-1, 3, 3)
+        std_m = like.new_tensor((settings.relative_noise, settings.relative_noise, settings.relative_noise_depth))
+        own = RelativeKeypoints(
+            points=view.points, kinematics=kinematics, cam_from_world=turn, std=std_m, detector=detector
+        ).rows(good)
+        relative.append(own)
+        postures.append(PostureKeypoints.of_points(own.points, kinematics, shape, KeypointSettings()))
+    return Measured(
+        observed=tuple(pictures), coarse_std_px=tuple(coarse), relative=tuple(relative), postures=tuple(postures)
+    )
+
+
+def _usable(view: SeenKeypoints, settings: KeypointFitSettings) -> SeenKeypoints:
+    """Without missing points, and with nothing in the frames of which too little is known."""
+    points = torch.where(view.trust[..., None] > 0, view.points_px, torch.nan)
+    is_bad = torch.ones(len(points), dtype=torch.bool, device=points.device)
+    is_bad[_good(points, settings)] = False
+    return replace(view, points_px=points).without(is_bad)
+
+
+def _good(points: Float[Tensor, "frames 21 d"], settings: KeypointFitSettings) -> Int[Tensor, "n"]:
+    """Frames with enough points, which are not all in one place."""
+    is_known = points.isfinite().all(-1)
+    return ((is_known.sum(-1) >= settings.min_points) & ~_is_one_point(points)).nonzero()[:, 0]
+
+
+def _loss(settings: KeypointFitSettings, dimension: int) -> RobustLoss:
+    if math.isfinite(settings.gross):
+        return RobustLoss(kind="huber", scale=settings.gross, group=dimension)
+    return RobustLoss(kind="squares", group=dimension)
+
+
+def _detector(like: Tensor, settings: KeypointFitSettings) -> Detector:
     return replace(
-        camera,
-        intrinsics=camera.intrinsics.reshape(-1, 3, 3),
-        rotation=camera.rotation.expand(*batch, 3, 3).reshape(-1, 3, 3),
-        translation=camera.translation.expand(*batch, 3).reshape(-1, 3),
-        distortion=camera.distortion.expand(*batch, camera.distortion.shape[-1]).flatten(0, -2),
+        Detector.known(like), has_unknown_scale=settings.fit_scale, has_unknown_offsets=settings.offset_std > 0
     )
 
 
@@ -242,10 +322,12 @@ def _result(estimator: KeypointEstimator, shape: Float[Tensor, "shape"]) -> Keyp
     """The fit of the frames that have enough points."""
     found = estimator.estimate(shape)
     solution, space = found.solution, estimator.space
-    observed = replace(estimator.observed, detector=found.detector)
-    jacobian = PoseJacobian(observed.kinematics, space.basis)
+    observed = tuple(replace(one, detector=found.detector) for one in estimator.measured.points)
+    jacobian = PoseJacobian(observed[0].kinematics, space.basis)
     parts = [
-        _measured(observed.rows(rows), solution.pose[rows], solution, jacobian, solution.covariance[rows])
+        _measured(
+            [one.rows(rows) for one in observed], solution.pose[rows], solution, jacobian, solution.covariance[rows]
+        )
         for rows in (slice(first, first + _AT_ONCE) for first in range(0, len(solution.pose), _AT_ONCE))
     ]
     keypoints, keypoints_covariance, residual = (torch.cat(own) for own in zip(*parts, strict=True))
@@ -274,29 +356,34 @@ def _result(estimator: KeypointEstimator, shape: Float[Tensor, "shape"]) -> Keyp
 
 
 def _measured(
-    observed: PictureKeypoints | WorldKeypoints,
+    observed: Sequence[PictureKeypoints | WorldKeypoints],
     pose: HandPose,
     solution: SharedSolution,
     jacobian: PoseJacobian,
     covariance: Float[Tensor, "k free free"],
 ) -> tuple[Float[Tensor, "k 21 3"], Float[Tensor, "k 21 3 3"], Float[Tensor, "k 21"]]:
-    """Keypoints, their covariances, and the distance of each measured point: metres, or px; NaN for missing ones."""
+    """Keypoints, their covariances, and the distance of each measured point, on average over the cameras: metres, or
+    px; NaN for missing ones."""
     hands = PosedHands(pose=pose, shape=solution.shape)
-    frames = frames_of(observed.kinematics, hands)
+    frames = frames_of(observed[0].kinematics, hands)
     columns = jacobian(pose.dofs, frames).contiguous()
     spread = (columns.flatten(1, 2) @ covariance).unflatten(1, columns.shape[1:3]) @ columns.mT
-    distance = observed.associate(hands, Stage(gross_m=1.0)).distance(hands)
-    return frames.keypoints, spread, torch.where(observed.is_known, distance, torch.nan)
+    missed = []
+    for one in observed:
+        distance = one.associate(hands, Stage(gross_m=1.0)).distance(hands)
+        missed.append(torch.where(one.is_known, distance, torch.nan))
+    return frames.keypoints, spread, torch.stack(missed).nanmean(0)
 
 
 def _nothing(estimator: KeypointEstimator, shape: Float[Tensor, "shape"]) -> KeypointFit:
     """The fit of no frame."""
     free = estimator.space.size
-    detector = estimator.observed.detector
+    observed = estimator.measured.points[0]
+    detector = observed.detector
     assert detector is not None
     std = torch.zeros_like(shape)
     columns = list(estimator.columns)
-    std[columns] = estimator.observed.kinematics.shape_space.std.to(shape)[columns]
+    std[columns] = observed.kinematics.shape_space.std.to(shape)[columns]
     return KeypointFit(
         pose=shape.new_zeros(0, 36),
         pose_std=shape.new_zeros(0, 36),

@@ -37,6 +37,8 @@ class PictureKeypoints:
     """Share of a point's information that is believed, 0 for missing points; all of it where None."""
     std_px: Float[Tensor, "#rows"] | None = None
     """Standard deviation of a point along each axis; None for that of the settings at the hand's distance."""
+    cov_px: Float[Tensor, "#rows 21 2 2"] | None = None
+    """Covariance of every point, in place of that; points where it is NaN have that. None where none is known."""
     loss: RobustLoss | None = None
     """Loss of residuals in standard deviations, evaluated at every hand; None for what each point is trusted at the
     association."""
@@ -63,6 +65,7 @@ class PictureKeypoints:
             camera=self.camera.rows(rows),
             confidence=None if self.confidence is None else self.confidence[rows],
             std_px=None if self.std_px is None else self.std_px[rows],
+            cov_px=None if self.cov_px is None else self.cov_px[rows],
         )
 
     def associate(self, hands: PosedHands, stage: Stage) -> "PictureKeypointFactor":
@@ -78,6 +81,7 @@ class PictureKeypoints:
             std = self.std_px[:, None].to(depth).expand_as(depth)
         if self.loss is None and camera.kind == "pinhole":
             is_known = is_known & (depth > _NEAREST)
+        std, white = self._whitened(std)
         weight = std.square().reciprocal() * (1.0 if self.confidence is None else self.confidence)
         known = torch.where(is_known[..., None], self.points_px.to(depth), 0.0)
         factor = PictureKeypointFactor(
@@ -86,6 +90,7 @@ class PictureKeypoints:
             points=known.expand(len(hands), -1, -1),
             weight=torch.where(is_known, weight, 0.0),
             trust=torch.full_like(std, self.settings.weight),
+            white=None if white is None else white.expand(len(hands), -1, -1, -1),
             view=self.view,
             loss=self.loss,
             detector=self.detector or Detector.known(keypoints),
@@ -94,6 +99,17 @@ class PictureKeypoints:
             return factor
         trust = self.settings.trust(factor.distance(hands), std, self.settings.std_m, stage)
         return replace(factor, trust=trust)
+
+    def _whitened(self, std: Float[Tensor, "k 21"]) -> tuple[Float[Tensor, "k 21"], Float[Tensor, "#k 21 2 2"] | None]:
+        """Standard deviations of the points as one number each, and what makes their errors that much in every
+        direction; None where they are that already."""
+        if self.cov_px is None:
+            return std, None
+        is_told = self.cov_px.isfinite().all((-2, -1)).expand_as(std)
+        cov = torch.where(is_told[..., None, None], self.cov_px.to(std), torch.eye(2).to(std))
+        size = torch.linalg.det(cov).clamp_min(torch.finfo(std.dtype).tiny).pow(0.25)  # geometric mean of the axes
+        white = size[..., None, None] * torch.linalg.inv(torch.linalg.cholesky(cov))
+        return torch.where(is_told, size, std), white
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,6 +127,8 @@ class PictureKeypointFactor:
     view: int
     loss: RobustLoss | None
     detector: Detector
+    white: Float[Tensor, "k 21 2 2"] | None = None
+    """What makes errors equally likely in all directions, of determinant 1; None where they are."""
 
     def distance(self, hands: PosedHands) -> Float[Tensor, "k 21"]:
         """Distance of every point from the hand's keypoint, px; 0 for missing ones."""
@@ -130,7 +148,11 @@ class PictureKeypointFactor:
         shared = None
         if hands.unknowns is not None:
             shared = slopes @ self.detector.shared_jacobian(self.kinematics, hands)
-        found = equations_of_points(pixels - self.points, self.weight * self.trust, self.loss, rows, shared)
+        missed = pixels - self.points
+        if self.white is not None:
+            missed, rows = (self.white @ missed[..., None])[..., 0], self.white @ rows
+            shared = None if shared is None else self.white @ shared
+        found = equations_of_points(missed, self.weight * self.trust, self.loss, rows, shared)
         if self.camera.kind != "pinhole":
             return found
         is_before = ((depth > _NEAREST) | (self.weight == 0)).all(-1)
@@ -149,7 +171,8 @@ class PictureKeypointFactor:
     def rows(self, rows: Int[Tensor, "n"]) -> "PictureKeypointFactor":
         """The rows of some of the hands."""
         own = {name: getattr(self, name)[rows] for name in ("points", "weight", "trust")}
-        return replace(self, camera=self.camera.rows(rows), **own)
+        white = None if self.white is None else self.white[rows]
+        return replace(self, camera=self.camera.rows(rows), white=white, **own)
 
     def explained(self) -> tuple[Explained, ...]:
         """Share of the points that are trusted by half at least; their distance counts for nothing here."""

@@ -5,8 +5,10 @@ their errors go on from one end of a finger to the other. Angles between bones a
 are read as a posture once, and hands are compared with the posture.
 """
 
+import json
 import math
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -23,25 +25,14 @@ _MIN_POINTS = 5  # points that tell how the hand is turned and still something o
 _FREEDOM = 4.0  # degrees of freedom of the t distribution of a finger's errors
 _PER_FINGER = len(JOINT_DOFS) // len(FINGERS)
 
-# Root mean square error in radians of the angles of MediaPipe's world landmarks, read as here, by the ending of the
-# DOF's name: medians over the recordings of tests/fit/keypoints/test_posture_keypoints.py. Others are not read.
-_STD = {
-    "thumb_cmc_fe": 0.25,
-    "thumb_cmc_aa": 0.20,
-    "thumb_mcp_fe": 0.20,
-    "thumb_ip_fe": 0.30,
-    "_mcp_fe": 0.26,
-    "_pip_fe": 0.31,
-    "_dip_fe": 0.40,
-    "_mcp_aa": 0.16,
+# Standard deviations of the angles of MediaPipe's world landmarks, read as here, by DOF (`torchhand measure_detector`).
+# Others are not read.
+_STD: dict[str, float] = {
+    name: entry["std_rad"]
+    for name, entry in json.loads(Path(__file__).with_name("detector_errors.json").read_text(encoding="utf-8"))[
+        "angles"
+    ].items()
 }
-
-
-def _std_of(dof: str) -> float:
-    if dof in _STD:
-        return _STD[dof]
-    endings = [ending for ending in _STD if ending.startswith("_") and dof.endswith(ending)]
-    return _STD[endings[0]] if endings and not dof.startswith("thumb") else math.inf
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +65,7 @@ class PostureKeypoints:
         pose, _ = start_in_space(kinematics, points.nan_to_num(), is_known, shape, natural)
         if world_from_points is not None:
             pose = replace(pose, reference=world_from_points.to(points) @ pose.reference)
-        std = settings.angle_error * points.new_tensor([_std_of(dof) for dof in JOINT_DOFS])
+        std = settings.angle_error * points.new_tensor([_STD.get(dof, math.inf) for dof in JOINT_DOFS])
         is_placed = (palm_weight(is_known) > 0.5).sum(-1, keepdim=True) >= 3
         told = (missing_fraction(is_known.to(points))[:, -len(JOINT_DOFS) :] < 0.5) & is_placed
         return cls(pose=pose, precision=torch.where(told, std.square().reciprocal(), 0.0), view=view)

@@ -19,6 +19,11 @@ class KeypointFitSettings:
     noise_fraction: float = 0.025
     """Standard deviation of a point in a picture as a share of the longer side of the box around the frame's points;
     above 0."""
+    relative_noise: float = 0.008
+    """Standard deviation of a point in space beside pictures (`SeenKeypoints.points`) across the line of sight, metres,
+    where all points of a hand count; above 0."""
+    relative_noise_depth: float = 0.012
+    """The same along the line of sight, metres; above 0."""
     gross: float = 5.0
     """Standard deviations beyond which points count for less (Huber); above 0, infinite for none."""
     prior: str = "auto"
@@ -35,7 +40,7 @@ class KeypointFitSettings:
     """Starts per frame that are followed up for pictures; 1 or more."""
 
     def __post_init__(self) -> None:
-        for name in ("noise", "noise_px", "noise_fraction"):
+        for name in ("noise", "noise_px", "noise_fraction", "relative_noise", "relative_noise_depth"):
             if (value := getattr(self, name)) is not None:
                 require_positive(name, value)
         require(self.gross > 0, "gross", "above 0", self.gross)

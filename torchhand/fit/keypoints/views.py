@@ -1,6 +1,7 @@
 """First poses for 21 points in a picture: rest postures seen from all around, each turned and sized in closed form."""
 
 import math
+from collections.abc import Sequence
 
 import torch
 from jaxtyping import Float
@@ -84,6 +85,31 @@ def starts_in_picture(
     poses = joints[which]
     poses[..., :3] = (world_from_cam @ (root - translation)[..., None]).squeeze(-1)
     return HandPose(dofs=poses, reference=world_from_cam @ cam_from_hand)
+
+
+def placed_in_pictures(pictures: Sequence[PictureKeypoints], pose: HandPose, shape: Float[Tensor, "shape"]) -> HandPose:
+    """Hands (frames) of known rotation and posture where the points of all pictures want them in linear least
+    squares."""
+    arms = pictures[0].kinematics(pose.dofs, shape, root_reference=pose.reference).keypoints - pose.dofs[:, None, :3]
+    eye = torch.eye(3).to(arms)
+    matrix, value = 1e-9 * eye, torch.zeros_like(arms[:, 0])  # cameras that show no depth leave one direction open
+    for one in pictures:
+        camera = one.camera
+        rotation, translation = camera.rotation.to(arms), camera.translation.to(arms)
+        is_pinhole = camera.kind == "pinhole"
+        points = torch.where(one.is_known[..., None], one.points_px, 0.0).to(arms)
+        plane = camera.plane_from_pixels(points)
+        weight = one.is_known.to(arms)[..., None]
+        seen = (arms @ rotation.mT) + (translation if translation.ndim == 1 else translation[:, None])
+        depth = seen[..., 2:] if is_pinhole else torch.ones_like(seen[..., 2:])
+        along = rotation if rotation.ndim == 2 else rotation[:, None]
+        rows = along[..., :2, :] - (plane[..., None] * along[..., 2:, :] if is_pinhole else 0.0)
+        rows = (weight[..., None] * rows).flatten(1, 2)
+        missed = (weight * (plane * depth - seen[..., :2])).flatten(1)
+        matrix, value = matrix + rows.mT @ rows, value + (rows.mT @ missed[..., None])[..., 0]
+    dofs = pose.dofs.clone()
+    dofs[:, :3] = torch.linalg.solve(matrix, value)
+    return HandPose(dofs=dofs, reference=pose.reference)
 
 
 def other_ways(start: HandPose) -> HandPose:

@@ -8,6 +8,7 @@ from torch.nn.functional import grid_sample
 
 from torchhand.image.operations import suits_opencv
 
+_IS_EXACT = int(cv2.__version__.split(".")[0]) >= 5  # OpenCV 4 rounds places to 1/32 px
 _REMAP_ROWS = 16384  # cv2.remap takes fewer than 32767 rows at once
 
 
@@ -26,10 +27,10 @@ def sample_bilinear(
     """Picture at points (x, y) in px, the centre of the first pixel being (0, 0); bilinear.
 
     Points outside the picture (`is_inside`) take the value of the nearest point inside; not finite ones that of the
-    first pixel. Differentiable in picture and points. OpenCV reads float32 pictures on a CPU where no gradient is asked
-    for (3 times faster; before version 5 it rounds places to 1/32 px); `sample_bilinear_torch` is its specification.
+    first pixel. Differentiable in picture and points. OpenCV from version 5 on, which is exact, reads float32 pictures
+    on a CPU where no gradient is asked for (3 times faster); `sample_bilinear_torch` is its specification.
     """
-    if image.dtype != torch.float32 or not suits_opencv(image, points_px):
+    if not _IS_EXACT or image.dtype != torch.float32 or not suits_opencv(image, points_px):
         return sample_bilinear_torch(image, points_px)
     return _sample_bilinear_opencv(image, points_px)
 

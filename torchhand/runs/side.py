@@ -1,0 +1,107 @@
+"""Which hand a recording shows: as the user says, as a detector's labels tell, or as is assumed."""
+
+import itertools
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from torchhand.detect import HandDetector
+from torchhand.files import read_detections
+from torchhand.hand import Side
+from torchhand.runs.recording import Recording
+
+_FRAMES = 30  # labelled frames that are asked
+_WRONG = 0.05
+"""Share of recordings in which a label is wrong throughout, a cautious guess: none of 27 recordings of known sides was,
+and 0.2 % of their 2,700 frames."""
+_ALIKE = 10.0  # frames that err together, and count as one
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundSide:
+    """A side, and how it is known."""
+
+    side: Side
+    source: Literal["given", "inferred", "assumed"]
+    probability: float | None = None
+    """Probability of this side by the detector's labels; None where it gave none."""
+    frames: int = 0
+    """Labels that were counted."""
+
+    def notes(self) -> list[str]:
+        """What the user should know of it."""
+        if self.probability is None:
+            return []
+        if self.source == "inferred":
+            told = (
+                f"a {self.side} hand, with probability {self.probability:.3f} by {self.frames} labels of the detector"
+            )
+            return [f"{told}; --side overrides"]
+        if self.probability < _WRONG:
+            other = "left" if self.side == "right" else "right"
+            told = f"the detector sees a {other} hand, with probability {1 - self.probability:.3f}"
+            return [f"a {self.side} hand was asked for, but {told} by {self.frames} labels"]
+        return []
+
+
+def find_side(
+    given: Side | None,
+    recording: Recording,
+    *,
+    keypoints: Sequence[Path] = (),
+    has_detector: bool = False,
+    hand_model: Path | None = None,
+) -> FoundSide:
+    """The side of the hand in a recording; right where nothing tells.
+
+    given: by the user. keypoints: files of detections. has_detector: whether MediaPipe is to be asked about the first
+    frames; a webcam's frames do not come again, so it is not asked about these.
+
+    Raises InputError for files that cannot be read, and where MediaPipe is to be asked and is not installed.
+    """
+    labels: list[Side | None] = []
+    for path in keypoints:
+        seen = read_detections(path).label
+        labels.extend(itertools.islice((label for label in seen if label is not None), _FRAMES))
+    if has_detector and given is None and not getattr(recording, "is_live", False):
+        labels += _detected(recording, hand_model)
+    told, right = sum(label is not None for label in labels), probability_of_right(labels)
+    if given is not None:
+        own = None if right is None else (right if given == "right" else 1 - right)
+        return FoundSide(side=given, source="given", probability=own, frames=told)
+    if right is None:
+        return FoundSide(side="right", source="assumed")
+    side: Side = "right" if right >= 0.5 else "left"
+    return FoundSide(side=side, source="inferred", probability=max(right, 1 - right), frames=told)
+
+
+def probability_of_right(labels: Sequence[Side | None]) -> float | None:
+    """Probability that the hand is a right one, both sides being equally likely beforehand; None without a label."""
+    counts = Counter(label for label in labels if label is not None)
+    total = counts["left"] + counts["right"]
+    if not total:
+        return None
+    votes = (counts["right"] - counts["left"]) / total * max(1.0, total / _ALIKE)
+    return 1 / (1 + math.exp(-votes * math.log((1 - _WRONG) / _WRONG)))
+
+
+def _detected(recording: Recording, hand_model: Path | None) -> list[Side | None]:
+    """MediaPipe's labels in the first frames of all views."""
+    found: list[Side | None] = []
+    detectors = [HandDetector(hand_model=hand_model) for _ in recording.cameras]
+    try:
+        with recording.opened(0) as frames:
+            for _, frame in zip(range(_FRAMES), frames, strict=False):
+                for view, detector in zip(frame.views, detectors, strict=True):
+                    if view.image is None:
+                        continue
+                    before, hand = detector.other_hands, detector.detect(view.image)
+                    own = None if hand is None else hand.label
+                    found.append("left" if detector.other_hands > before else own)
+    finally:
+        for detector in detectors:
+            detector.close()
+    return found
