@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float
 
 from torchhand.errors import InputError
-from torchhand.files.disk import explained_errors, replacing, short
+from torchhand.files.disk import LineFile, explained_errors, read_lines, replacing, short
 from torchhand.files.results.results import UNFINISHED_NAME, check_output_folder
-from torchhand.files.results.track_file import POSES_NAME, LineFile, read_header, read_lines
+from torchhand.files.results.track_file import POSES_NAME, read_header
 from torchhand.files.results.track_record import OF_PICTURES, FrameRecord, TrackHeader, track_of
 
 POSES_LINES_NAME = "poses.jsonl"

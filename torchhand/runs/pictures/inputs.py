@@ -1,7 +1,7 @@
 """What a run over single pictures reads: the pictures, a camera for each, detected keypoints, silhouettes."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,8 +11,14 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from torchhand.errors import InputError
-from torchhand.files import Detections, HandDetection, camera_for, read_detections, read_picture
-from torchhand.files.disk import opened_arrays
+from torchhand.files import (
+    Detections,
+    HandDetection,
+    camera_for,
+    camera_per_picture,
+    read_detections,
+    read_picture,
+)
 from torchhand.files.pictures import PICTURE_SUFFIXES, natural_key
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import Side
@@ -21,8 +27,8 @@ from torchhand.track import HandKeypoints
 _MASK = "_mask"
 _SIDES: tuple[Side, ...] = ("right", "left")
 
-CameraOf = Callable[[int, str, int, int], Camera]
-"""The camera of a picture: its number, its name, its width and its height, px."""
+CameraOf = Callable[[int, int, int], Camera]
+"""The camera of a picture: its number, its width and its height, px."""
 
 
 def pictures_in(source: Path) -> list[Path]:
@@ -72,37 +78,18 @@ def mask_of(picture: Path, folder: Path | None, size: tuple[int, int]) -> Bool[T
     return mask
 
 
-def cameras_of(path: Path | None, count: int) -> CameraOf:
+def cameras_of(path: Path | None, names: Sequence[str]) -> CameraOf:
     """Cameras from a file: the only one of a cameras.json, or those of an npz with intrinsics K (pictures, 3, 3), by
     the pictures' names where it has them (`image`), else in their order. Without a file a field of view is assumed.
 
-    Raises InputError for a file that holds neither, and for as many intrinsics as there are no pictures (count).
+    Raises InputError for an npz that does not hold the intrinsics of these pictures.
     """
     if path is None or path.suffix.lower() != ".npz":
-        return lambda number, name, width, height: camera_for(path, width, height)
-    with opened_arrays(path, complaint="expected an array file with intrinsics K that can be read") as stored:
-        arrays = {name: stored[name] for name in ("K", "image") if name in stored}
-    given = arrays.get("K")
-    if given is None or given.ndim != 3 or given.shape[1:] != (3, 3) or not np.issubdtype(given.dtype, np.number):
-        got = "none" if given is None else f"{given.dtype} of {given.shape}"
-        raise InputError(f"{path}: K: expected intrinsics of shape (pictures, 3, 3), got {got}")
-    rows = _rows_of_names(path, arrays.get("image"), len(given), count)
-    matrices = given.astype(np.float64)
-
-    def camera(number: int, name: str, width: int, height: int) -> Camera:
-        row = rows.get(name) if rows is not None else number
-        if row is None:
-            raise InputError(f"{path}: image: expected the name {name} among the pictures', it is not there")
-        return _pinhole(f"{path}: K[{row}]", matrices[row], width, height)
-
-    return camera
-
-
-def _pinhole(where: str, matrix: np.ndarray, width: int, height: int) -> Camera:
-    is_good = np.isfinite(matrix).all() and matrix[0, 0] > 0 and matrix[1, 1] > 0
-    if not is_good or matrix[1, 0] != 0 or matrix[2].tolist() != [0.0, 0.0, 1.0]:
-        raise InputError(f"{where}: expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]], got {matrix.tolist()}")
-    return replace(assumed_camera(width, height), intrinsics=torch.from_numpy(matrix), is_assumed=False)
+        return lambda number, width, height: camera_for(path, width, height)
+    intrinsics = camera_per_picture(path, names, len(names)).intrinsics
+    return lambda number, width, height: replace(
+        assumed_camera(width, height), intrinsics=intrinsics[number], is_assumed=False
+    )
 
 
 def _rows_of_names(path: Path, names: np.ndarray | None, rows: int, count: int) -> dict[str, int] | None:

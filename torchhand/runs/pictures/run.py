@@ -68,7 +68,7 @@ class _Pictures:
     def __init__(self, request: PicturesRequest) -> None:
         self.request, self.paths = request, pictures_in(request.source)
         count = len(self.paths)
-        self.camera: CameraOf = cameras_of(request.camera, count)
+        self.camera: CameraOf = cameras_of(request.camera, [path.name for path in self.paths])
         self.keypoints = None
         if request.keypoints is not None:
             self.keypoints = PictureKeypointsFile(request.keypoints, side=request.side, count=count)
@@ -86,7 +86,7 @@ class _Pictures:
         if found is not None and request.side is None:
             side = found[1] or side
         view = View(image=image, mask=mask, keypoints=None if found is None else found[0])
-        return view, self.camera(number, path.name, width, height), side
+        return view, self.camera(number, width, height), side
 
 
 @lru_cache(maxsize=2)
