@@ -69,6 +69,7 @@ from torchhand.image.segmentation import (
     otsu_cr_mask,
     relearn_colours,
     segment,
+    skin_candidates,
     skin_probability,
     touching,
 )
@@ -135,6 +136,7 @@ __all__ = [
     "sample_bilinear",
     "search_edges",
     "segment",
+    "skin_candidates",
     "skin_probability",
     "square_kernel",
     "touching",
