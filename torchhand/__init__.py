@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from torchhand.geometry import Camera, assumed_camera
     from torchhand.hand import HandPrior
     from torchhand.runs import fit_hand, settings_of, track
+    from torchhand.runs.pictures import fit_pose
     from torchhand.track import Estimate, Tracker, TrackerSettings, TrackerState, View
 
 __version__ = "0.1.0"
@@ -36,6 +37,7 @@ __all__ = [
     "assumed_camera",
     "fit_hand",
     "fit_keypoints",
+    "fit_pose",
     "load_cameras",
     "load_hand",
     "load_hand_model",
@@ -58,6 +60,7 @@ _DOORS = {
     "assumed_camera": "torchhand.geometry",
     "fit_hand": "torchhand.runs",
     "fit_keypoints": "torchhand.fit.keypoints",
+    "fit_pose": "torchhand.runs.pictures",
     "load_cameras": "torchhand.files",
     "load_hand": "torchhand.files",
     "load_hand_model": "torchhand.files",

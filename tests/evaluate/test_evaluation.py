@@ -158,9 +158,19 @@ def test_a_hand_that_was_never_found() -> None:
 
 def test_sections_without_their_truth_are_missing() -> None:
     figures = evaluate(perfect([0, 1]), truth(keypoints2d=None, flexion_deg=None))
-    assert set(figures) == {"tracking", "position_mm", "turn_in_space_deg", "status", "uncertainty", "speed"}
+    of_keypoints = {"position_mm", "turn_in_space_deg", "status", "flexion_deg", "uncertainty"}
+    assert set(figures) == {"tracking", *of_keypoints, "speed"}
     figures = evaluate(perfect([0]), truth(keypoints3d=None, keypoints2d=None))
     assert set(figures) == {"tracking", "flexion_deg", "speed"}
+
+
+def test_single_pictures_are_matched_by_name() -> None:
+    names = ("c.png", "a.png", "b.png", "d.png", "e.png", "f.png")
+    named = replace(truth(), image=names)
+    track = replace(perfect([0, 2]), image=np.array(["c.png", "b.png"]), frame=np.array([1, 0]))
+    assert evaluate(track, named)["position_mm"]["frame"]["largest"] < 1e-6
+    with pytest.raises(InputError, match=r"z\.png"):
+        evaluate(replace(track, image=np.array(["c.png", "z.png"])), named)
 
 
 def test_another_sequences_truth_is_refused() -> None:

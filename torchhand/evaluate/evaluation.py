@@ -1,7 +1,7 @@
 """All errors of one tracked sequence, as plain numbers ready for a file or a table."""
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -35,7 +35,7 @@ Figures = dict[str, Any]
 
 
 def evaluate(track: Track, truth: Truth, predicted_mask: MaskOfFrame | None = None) -> Figures:
-    """Judge a sequence; frames are matched by number.
+    """Judge a sequence; frames are matched by number, single pictures by name where both sides have names.
 
     A section that the inputs do not allow is missing. `predicted_mask` gives the hand's silhouette of a frame number
     (None where there is none). Figures of nothing (all frames lost) are NaN.
@@ -43,6 +43,7 @@ def evaluate(track: Track, truth: Truth, predicted_mask: MaskOfFrame | None = No
     Raises:
         InputError: a frame number that the truth does not have: this is another sequence's truth.
     """
+    track = _matched(track, truth)
     rows = track.frame
     if truth.frames is not None and rows.size and not (rows.min() >= 0 and rows.max() < truth.frames):
         outside = int(rows.max()) if rows.max() >= truth.frames else int(rows.min())
@@ -66,6 +67,8 @@ def evaluate(track: Track, truth: Truth, predicted_mask: MaskOfFrame | None = No
         figures["status"] = _status(track, truth.keypoints3d[rows], is_one_camera=track.keypoints2d is not None)
     if truth.flexion_deg is not None:
         figures["flexion_deg"] = _flexion(track, truth.flexion_deg[rows])
+    elif truth.keypoints3d is not None:
+        figures["flexion_deg"] = _flexion(track, flexion_deg(truth.keypoints3d[rows]))
     if truth.mask_files and predicted_mask is not None:
         overlap = _silhouettes(track, truth, predicted_mask)
         if overlap["frames"]:
@@ -81,6 +84,17 @@ def evaluate(track: Track, truth: Truth, predicted_mask: MaskOfFrame | None = No
     ms = 1e3 * track.seconds
     figures["speed"] = {"median_ms_per_frame": median_finite(ms), "largest_ms_per_frame": max_finite(ms)}
     return figures
+
+
+def _matched(track: Track, truth: Truth) -> Track:
+    """The track with its frames numbered as the truth's rows."""
+    if track.image is None or truth.image is None:
+        return track
+    numbers = {name: row for row, name in enumerate(truth.image)}
+    missing = [str(name) for name in track.image if str(name) not in numbers]
+    if missing:
+        raise InputError(f"{truth.source}: image: expected the names of all pictures, {missing[0]} is not among them")
+    return replace(track, frame=np.array([numbers[str(name)] for name in track.image], dtype=np.int64))
 
 
 def _tracking(track: Track, truth: Truth) -> Figures:

@@ -27,6 +27,8 @@ class Truth:
     """Keypoints in the picture, px; one camera only."""
     flexion_deg: Float[np.ndarray, "frames 5 3"] | None = None
     """Degrees between successive bones of thumb, index, middle, ring, little."""
+    image: tuple[str, ...] | None = None
+    """Names of the pictures, where the frames are single ones."""
     mask_files: dict[int, Path] = field(default_factory=dict)
     """Pictures by frame number; the hand is what is not 0."""
 
@@ -45,11 +47,14 @@ def load_truth(path: Path) -> Truth:
         if not mask_files:
             raise InputError(f"{path}: expected truth.npz or masks/ in this folder; neither is there")
         return Truth(source=path, frames=None, mask_files=mask_files)
-    arrays = _known_arrays(file)
+    arrays, names = _known_arrays(file)
     lengths = {key: len(array) for key, array in arrays.items()}
     if len(set(lengths.values())) > 1:
         raise InputError(f"{file}: expected arrays of one length, got {_listed(lengths)}")
-    return Truth(source=file, frames=next(iter(lengths.values())), mask_files=mask_files, **arrays)
+    count = next(iter(lengths.values()))
+    if names is not None and len(names) != count:
+        raise InputError(f"{file}: image: expected {count} names, got {len(names)}")
+    return Truth(source=file, frames=count, image=names, mask_files=mask_files, **arrays)
 
 
 def numbered_pictures(folder: Path) -> dict[int, Path]:
@@ -72,18 +77,20 @@ def load_mask(file: Path) -> Bool[np.ndarray, "height width"]:
     return np.asarray(picture) > 0
 
 
-def _known_arrays(file: Path) -> dict[str, np.ndarray]:
+def _known_arrays(file: Path) -> tuple[dict[str, np.ndarray], tuple[str, ...] | None]:
+    """The arrays, and the names of the pictures where the file has them."""
     complaint = f"expected an npz file with {', '.join(SHAPES)}; it cannot be read as one"
     with opened_arrays(file, complaint=complaint) as stored:
         given = list(stored)
         arrays = {key: np.asarray(stored[key]) for key in SHAPES if key in given}
+        names = tuple(str(name) for name in np.atleast_1d(stored["image"])) if "image" in given else None
     if not arrays:
         raise InputError(f"{file}: expected at least one of {', '.join(SHAPES)}; got {', '.join(given) or 'no key'}")
     for key, array in arrays.items():
         if array.ndim != 3 or array.shape[1:] != SHAPES[key] or not np.issubdtype(array.dtype, np.number):
             wanted = ", ".join(str(size) for size in SHAPES[key])
             raise InputError(f"{file}: {key}: expected numbers of shape (frames, {wanted}), got {array.shape}")
-    return {key: array.astype(np.float64) for key, array in arrays.items()}
+    return {key: array.astype(np.float64) for key, array in arrays.items()}, names
 
 
 def _listed(lengths: dict[str, int]) -> str:

@@ -1,5 +1,11 @@
 """The results of a tracking run: written frame by frame, resumed, read."""
 
+from torchhand.files.results.poses_file import (
+    OVERLAYS_NAME,
+    POSES_LINES_NAME,
+    PictureRecord,
+    PosesWriter,
+)
 from torchhand.files.results.results import (
     CHECKPOINT_NAME,
     CONFIG_NAME,
@@ -11,7 +17,7 @@ from torchhand.files.results.results import (
     TrackWriter,
     check_output_folder,
 )
-from torchhand.files.results.track_file import JSONL_NAME, NPZ_NAME, load_track, write_npz
+from torchhand.files.results.track_file import JSONL_NAME, NPZ_NAME, POSES_NAME, load_track, write_npz
 from torchhand.files.results.track_record import (
     CONVENTION,
     STATUSES,
@@ -30,12 +36,17 @@ __all__ = [
     "HAND_NAME",
     "JSONL_NAME",
     "NPZ_NAME",
+    "OVERLAYS_NAME",
     "OVERLAY_NAME",
+    "POSES_LINES_NAME",
+    "POSES_NAME",
     "STATUSES",
     "UNFINISHED_NAME",
     "UNITS",
     "FrameRecord",
     "FrameStatus",
+    "PictureRecord",
+    "PosesWriter",
     "ResumePoint",
     "Track",
     "TrackHeader",

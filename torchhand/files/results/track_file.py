@@ -12,6 +12,7 @@ from torchhand.files.results.track_record import ARRAY_FIELDS, RESERVED_NAMES, T
 
 JSONL_NAME = "track.jsonl"
 NPZ_NAME = "track.npz"
+POSES_NAME = "poses.npz"
 
 
 def read_header(path: Path) -> tuple[dict[str, Any], int]:
@@ -40,7 +41,7 @@ def keep_last_lines(path: Path) -> None:
 
 
 def load_track(folder: str | Path) -> Track:
-    """The track in a result folder, or that of a track.npz or track.jsonl.
+    """The track in a result folder, or that of a track.npz, poses.npz or track.jsonl.
 
     Of a run that was stopped, the lines of track.jsonl are read where track.npz is missing or holds fewer frames.
 
@@ -53,7 +54,9 @@ def load_track(folder: str | Path) -> Track:
         return _read_jsonl(path)
     npz, jsonl = path / NPZ_NAME, path / JSONL_NAME
     if not npz.is_file() and not jsonl.is_file():
-        raise InputError(f"{path}: expected a folder with {NPZ_NAME} or {JSONL_NAME}, found neither")
+        if (path / POSES_NAME).is_file():
+            return _read_npz(path / POSES_NAME)
+        raise InputError(f"{path}: expected a folder with {NPZ_NAME}, {JSONL_NAME} or {POSES_NAME}, found none")
     if not jsonl.is_file():
         return _read_npz(npz)
     if npz.is_file():
@@ -90,6 +93,7 @@ def _read_npz(path: Path) -> Track:
         return Track(
             dof_names=tuple(arrays["dof_names"].tolist()),
             reason=arrays.get("reason"),
+            image=arrays.get("image"),
             header=json.loads(str(arrays["header"])) if "header" in arrays else {},
             **fields,
         )

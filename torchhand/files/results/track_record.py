@@ -14,7 +14,12 @@ STATUSES: tuple[FrameStatus, ...] = get_args(FrameStatus)
 EMPTY_STATUSES = ("lost", "no_hand")
 """Frames of these hold NaN."""
 ARRAY_FIELDS = ("pose", "pose_std", "keypoints3d", "keypoints2d", "keypoints3d_cov")
-RESERVED_NAMES = ("frame", "status", "seconds", "reason", *ARRAY_FIELDS, "dof_names", "units", "convention", "header")
+OF_PICTURES = ("image", "side", "shape", "shape_names", "K")
+"""What poses.npz has besides: of every picture its name, the hand's side and proportions, the camera's intrinsics."""
+RESERVED_NAMES = (
+    *("frame", "status", "seconds", "reason", *ARRAY_FIELDS, "dof_names", "units", "convention", "header"),
+    *OF_PICTURES,
+)
 """In a line of track.jsonl and in track.npz, every other name is that of a measure."""
 
 TRACK_FORMAT = "torchhand track 1"
@@ -143,13 +148,17 @@ class Track:
     """The records' measures by name; NaN where a record has none of that name."""
     reason: Shaped[np.ndarray, " t"] | None = None
     """The records' reasons; None in tracks that hold none."""
+    image: Shaped[np.ndarray, " t"] | None = None
+    """Names of the pictures, where the frames are single ones."""
 
     def __len__(self) -> int:
         return len(self.frame)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What track.npz holds."""
-        arrays = {name: getattr(self, name) for name in ("frame", "status", *ARRAY_FIELDS, "seconds", "reason")}
+        arrays = {
+            name: getattr(self, name) for name in ("frame", "status", *ARRAY_FIELDS, "seconds", "reason", "image")
+        }
         arrays |= self.measures
         arrays |= {"dof_names": np.array(self.dof_names), "units": np.array(self.units)}
         arrays |= {"convention": np.array(self.convention), "header": np.array(json.dumps(self.header))}

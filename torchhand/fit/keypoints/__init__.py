@@ -7,6 +7,7 @@ from torchhand.fit.keypoints.points import Detector, KeypointSettings
 from torchhand.fit.keypoints.posture import PostureKeypoints
 from torchhand.fit.keypoints.seen import SeenKeypoints
 from torchhand.fit.keypoints.settings import KeypointFitSettings
+from torchhand.fit.keypoints.views import starts_in_picture
 from torchhand.fit.keypoints.world import WorldKeypoints
 
 __all__ = [
@@ -20,4 +21,5 @@ __all__ = [
     "WorldKeypoints",
     "fit_keypoints",
     "place_hand",
+    "starts_in_picture",
 ]

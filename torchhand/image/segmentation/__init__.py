@@ -19,6 +19,7 @@ from torchhand.image.segmentation.components import (
 )
 from torchhand.image.segmentation.silhouette import SilhouetteSettings, segment
 from torchhand.image.segmentation.skin import SkinModel, learn_skin, skin_probability
+from torchhand.image.segmentation.skin_candidates import skin_candidates
 from torchhand.image.segmentation.skin_start import CrSplit, SkinStart, bootstrap_skin, otsu_cr_mask
 
 __all__ = [
@@ -44,6 +45,7 @@ __all__ = [
     "otsu_cr_mask",
     "relearn_colours",
     "segment",
+    "skin_candidates",
     "skin_probability",
     "solidity",
     "touching",

@@ -86,7 +86,7 @@ def bootstrap_skin(image: UInt8[Tensor, "height width 3"], *, max_side_px: int =
         size = (max(1, round(width * scale)), max(1, round(height * scale)))
         pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
     small = torch.from_numpy(pixels)
-    starts = [_grow(small, proposal, rounds) for proposal in _proposals(small)]
+    starts = [_grow(small, proposal, rounds) for proposal in skin_proposals(small)]
     best = max(starts, key=_merit)
     mask = torch.zeros(height, width, dtype=torch.bool)
     if best.has_skin:
@@ -95,14 +95,15 @@ def bootstrap_skin(image: UInt8[Tensor, "height width 3"], *, max_side_px: int =
     return replace(best, mask=mask.to(image.device))
 
 
-def _proposals(image: Tensor) -> list[Tensor]:
+def skin_proposals(image: UInt8[Tensor, "height width 3"]) -> list[Bool[Tensor, "height width"]]:
+    """Otsu's redder half, and the neighbourhoods of the colours that are most frequent and most like skin."""
     chroma = cv2.GaussianBlur(_chroma(image), (3, 3), 0)
     proposals = [otsu_cr_mask(image).mask & torch.from_numpy(_is_believable(chroma))]
     bright = (image.amax(dim=-1) >= 24).to(torch.uint8).numpy()
     histogram = cv2.calcHist([chroma], [0, 1], bright, [256, 256], [0, 256, 0, 256])
     histogram = cv2.GaussianBlur(histogram, (0, 0), 2.5)
     cr, cb = np.meshgrid(np.arange(256.0), np.arange(256.0), indexing="ij")
-    weighed = histogram * _skin_likeness(cr, cb)
+    weighed = histogram * skin_likeness(cr, cb)
     for _ in range(3):
         peak = np.unravel_index(int(weighed.argmax()), weighed.shape)
         if weighed[peak] <= 0.0:
@@ -164,7 +165,7 @@ def _measured(image: Tensor, piece: Tensor, model: SkinModel) -> SkinStart:
 def _objection(start: SkinStart) -> str:
     if not MIN_AREA_FRACTION <= start.area_fraction <= MAX_AREA_FRACTION:
         return f"the skin-coloured piece covers {100 * start.area_fraction:.1f} % of the picture"
-    if _skin_likeness(*start.chroma) == 0.0:
+    if skin_likeness(*start.chroma) == 0.0:
         return f"its colour (Cr {start.chroma[0]:.0f}, Cb {start.chroma[1]:.0f}) is not one of human skin"
     if start.contrast < MIN_CONTRAST:
         return f"its colour differs from the rest by {start.contrast:.1f} levels only"
@@ -174,11 +175,11 @@ def _objection(start: SkinStart) -> str:
 
 
 def _merit(start: SkinStart) -> float:
-    likeness = float(_skin_likeness(*start.chroma))
+    likeness = float(skin_likeness(*start.chroma))
     return float(start.has_skin) + likeness * min(start.separability, 3.0) * (1.0 - start.border_fraction) ** 3
 
 
-def _skin_likeness(cr: np.ndarray | float, cb: np.ndarray | float) -> np.ndarray:
+def skin_likeness(cr: np.ndarray | float, cb: np.ndarray | float) -> np.ndarray:
     """Broad Gaussian of human skin, 1 in its middle, 0 beyond the believable range."""
     square = ((np.asarray(cr) - SKIN_CHROMA[0]) / SKIN_CHROMA_SPREAD[0]) ** 2
     square = square + ((np.asarray(cb) - SKIN_CHROMA[1]) / SKIN_CHROMA_SPREAD[1]) ** 2

@@ -1,6 +1,12 @@
 """What is believed of a followed hand: state, dynamics within the joint limits, weak priors of posture, its report."""
 
-from torchhand.track.belief.estimate import PosedBelief, posed_belief, scale_covariance, unknown_scale_std
+from torchhand.track.belief.estimate import (
+    PosedBelief,
+    posed_belief,
+    posed_gaussian,
+    scale_covariance,
+    unknown_scale_std,
+)
 from torchhand.track.belief.motion import HandMotion
 from torchhand.track.belief.posture import PostureMeasurements, posture_prior
 from torchhand.track.belief.settings import NoiseSettings, PosturePriorSettings
@@ -14,6 +20,7 @@ __all__ = [
     "PostureMeasurements",
     "PosturePriorSettings",
     "posed_belief",
+    "posed_gaussian",
     "posture_prior",
     "scale_covariance",
     "unknown_scale_std",

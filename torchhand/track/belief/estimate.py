@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.geometry import Camera
-from torchhand.hand import KEYPOINTS, HandKinematics, HandPose, PoseJacobian, ShapeSpace
+from torchhand.hand import KEYPOINTS, HandKinematics, HandPose, PoseJacobian, PoseSpace, ShapeSpace
 from torchhand.hand.limits import clamp_to_limits
 from torchhand.track.belief.motion import HandMotion
 from torchhand.track.belief.state import FollowedHand
@@ -49,19 +49,29 @@ def posed_belief(
 
     overconfidence: factor by which the belief's covariance is too small (`UpdateRule.overconfidence`).
     """
-    space = motion.space.about(hand.base)
-    prior = motion.prior(hand)
-    wanted = space.dof(prior.mean)
-    dofs = clamp_to_limits(wanted, motion.skeleton)
-    basis = (dofs == wanted)[:, None] * space.basis  # a tied angle may have stopped at its limit
-    frames = kinematics(dofs, shape, root_reference=hand.reference)
+    space, prior = motion.space.about(hand.base), motion.prior(hand)
+    at = HandPose(dofs=space.dof(prior.mean), reference=hand.reference)
+    return posed_gaussian(at, overconfidence * prior.covariance, space, kinematics, shape)
+
+
+def posed_gaussian(
+    pose: HandPose,
+    covariance: Float[Tensor, "free free"],
+    space: PoseSpace,
+    kinematics: HandKinematics,
+    shape: Float[Tensor, "shape"],
+) -> PosedBelief:
+    """Pose () within the limits and its keypoints, from a covariance of a space's free parameters; the rotation about
+    the pose's reference."""
+    dofs = clamp_to_limits(pose.dofs, kinematics.skeleton)
+    basis = (dofs == pose.dofs)[:, None] * space.basis  # a tied angle may have stopped at its limit
+    frames = kinematics(dofs, shape, root_reference=pose.reference)
     jacobian = _jacobian_of(kinematics)(dofs, frames) @ basis
-    pose = HandPose(dofs=dofs, reference=hand.reference)
-    covariance = overconfidence * prior.covariance
+    limited = HandPose(dofs=dofs, reference=pose.reference)
     return PosedBelief(
-        pose=pose.vector,
+        pose=limited.vector,
         pose_std=(basis @ covariance @ basis.T).diagonal().clamp_min(0).sqrt(),
-        root_rotation=pose.rotation,
+        root_rotation=limited.rotation,
         keypoints=frames.keypoints,
         keypoints_cov=jacobian @ covariance @ jacobian.mT + _centre_covariance().to(dofs),
     )

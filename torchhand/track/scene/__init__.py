@@ -2,7 +2,7 @@
 
 from torchhand.track.scene.agreement import Agreement, SilhouetteComparison, mean_overlap
 from torchhand.track.scene.candidate import Candidate
-from torchhand.track.scene.health import Health, HealthSettings
+from torchhand.track.scene.health import MAX_BEYOND, MIN_KEYPOINTS, Health, HealthSettings
 from torchhand.track.scene.keypoints import SceneKeypoints, detected_hand, parts_of, scene_keypoints
 from torchhand.track.scene.segmentation import (
     Appearances,
@@ -16,6 +16,8 @@ from torchhand.track.scene.update_rule import UpdateRule
 from torchhand.track.scene.views import HandKeypoints, ObservationsOf, Scene, View
 
 __all__ = [
+    "MAX_BEYOND",
+    "MIN_KEYPOINTS",
     "Agreement",
     "Appearances",
     "Candidate",

@@ -13,12 +13,12 @@ from torch import Tensor
 from torchhand.errors import require
 from torchhand.track.scene.candidate import Candidate
 
-_MAX_BEYOND = 0.08
+MAX_BEYOND = 0.08
 """Squares of the hand's length beyond the wrist that are no forearm. One in a hundred simulated right hands has more
 than 0.04 (status_rates.json), one in twenty photographs of hands with sleeves and bare forearms more than 0.074."""
 _MIN_IN_VIEW = 0.35  # share of the contour's points inside the picture, below which there is too little to judge by
 _KEYPOINT_WEIGHT = 0.3  # share of the score that detected keypoints have, where there are any
-_MIN_KEYPOINTS = 0.5  # agreement with detected keypoints, below which a detector found another hand
+MIN_KEYPOINTS = 0.5  # agreement with detected keypoints, below which a detector found another hand
 _RIG_SEARCH_EVERY = 60  # frames from one search of several cameras to the next where they find nothing
 
 
@@ -108,7 +108,7 @@ class Health:
 
     def is_detected_elsewhere(self, candidate: Candidate) -> bool:
         """Whether a detector found another hand than this one."""
-        return candidate.keypoints is not None and candidate.keypoints < _MIN_KEYPOINTS
+        return candidate.keypoints is not None and candidate.keypoints < MIN_KEYPOINTS
 
     def is_failing(self, candidate: Candidate | None) -> bool:
         """Whether the pictures do not bear a hand out."""
@@ -120,7 +120,7 @@ class Health:
 
     def is_found(self, candidate: Candidate) -> bool:
         """Whether a proposed hand is one."""
-        has_arm_only = candidate.agreement.mean_beyond <= _MAX_BEYOND
+        has_arm_only = candidate.agreement.mean_beyond <= MAX_BEYOND
         return not self.is_failing(candidate) and has_arm_only and candidate.overlap >= self.settings.found_overlap
 
     def is_gone(self, candidate: Candidate | None) -> bool:

@@ -1,0 +1,149 @@
+"""The command for single pictures: results, refusals, resuming, replacing."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from tests.studio import StagedHand, Studio
+from torchhand import fit_pose
+from torchhand.cli.evaluate import main as evaluate
+from torchhand.cli.fit_pose import main
+from torchhand.files import load_track
+from torchhand.hand import posture
+from torchhand.track import HandKeypoints
+
+
+def staged(name: str) -> StagedHand:
+    placed = Studio().placed(size=0.8)
+    angles = placed.kinematics.skeleton.within_limits(posture(name)[6:]).to(placed.pose)
+    return replace(placed, pose=torch.cat((placed.pose[:6], angles)))
+
+
+def keypoints_of(placed: StagedHand) -> torch.Tensor:
+    return placed.projector.frames(placed.pose, placed.root_reference).keypoints
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two hands, a wall and a broken file, with keypoints, cameras and the truth, in another order than the names'."""
+    folder = tmp_path_factory.mktemp("pictures")
+    hands = {"b.png": staged("point"), "a.png": staged("fist")}
+    for name, placed in hands.items():
+        cv2.imwrite(str(folder / name), placed.picture().numpy()[..., ::-1])
+    cv2.imwrite(str(folder / "wall.png"), np.full((160, 200, 3), 120, np.uint8))
+    (folder / "z_broken.png").write_bytes(b"\x89PNG broken")
+    names = np.array([*hands, "wall.png", "z_broken.png"])
+    points = [keypoints_of(placed) for placed in hands.values()]
+    nothing = np.full((2, 21, 3), np.nan)
+    world = np.concatenate([np.stack([(one - one.mean(0)).numpy() for one in points]), nothing])
+    px = np.stack([placed.keypoints_px.numpy() for placed in hands.values()])
+    px = np.concatenate([px, nothing[..., :2]])
+    label = np.array(["Left", "Left", "", ""])
+    np.savez(folder / "mediapipe.npz", image=names, points_px=px, world=world, label=label)
+    intrinsics = np.stack([next(iter(hands.values())).camera.intrinsics.numpy()] * 4)
+    truth = np.concatenate([np.stack([one.numpy() for one in points]), nothing])
+    np.savez(folder / "truth.npz", image=names, K=intrinsics, keypoints3d=truth)
+    return folder
+
+
+def run(pictures: Path, out: Path, *extra: str) -> int:
+    files = {"--camera": "truth.npz", "--keypoints": "mediapipe.npz"}
+    given = [text for option, name in files.items() for text in (option, str(pictures / name))]
+    return main([str(pictures), "--out", str(out), *given, *extra])
+
+
+def test_a_folder_is_fitted_judged_resumed_and_replaced(
+    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert run(pictures, out) == 0
+    told = capsys.readouterr()
+    assert "4 pictures: 2 hands, 2 refused" in told.out
+    assert "wall.png: no hand: " in told.err
+    assert "z_broken.png" in told.err
+    with np.load(out / "poses.npz") as stored:
+        poses = dict(stored)
+    assert poses["image"].tolist() == ["a.png", "b.png", "wall.png", "z_broken.png"]
+    assert poses["status"].tolist() == ["tracked", "tracked", "no_hand", "no_hand"]
+    assert poses["side"].tolist()[:2] == ["right", "right"]
+    assert np.isnan(poses["pose"][2:]).all()
+    assert poses["shape"].shape == (4, len(poses["shape_names"]))
+    assert [path.name for path in sorted((out / "overlays").iterdir())] == ["a.png", "b.png", "wall.png"]
+
+    assert evaluate([str(out), str(pictures / "truth.npz")]) == 0
+    assert "flexion" in capsys.readouterr().out
+    track = load_track(out)
+    truth = {"a.png": keypoints_of(staged("fist")), "b.png": keypoints_of(staged("point"))}
+    for row, name in enumerate(("a.png", "b.png")):
+        found = track.keypoints3d[row] - track.keypoints3d[row, 0]
+        wanted = (truth[name] - truth[name][0]).numpy()
+        assert np.linalg.norm(found - wanted, axis=-1).mean() < 0.015
+
+    assert run(pictures, out) == 2
+    assert "--resume" in capsys.readouterr().err
+
+    lines = (out / "poses.jsonl").read_text().splitlines(keepends=True)
+    (out / "poses.jsonl").write_text("".join(lines[:3]) + lines[3][:40])  # as a killed run leaves it
+    (out / "poses.npz").unlink()
+    assert run(pictures, out, "--resume") == 0
+    with np.load(out / "poses.npz") as stored:
+        np.testing.assert_array_equal(stored["pose"], poses["pose"])
+        np.testing.assert_array_equal(stored["image"], poses["image"])
+
+    assert run(pictures, out, "--resume", "--side", "right") == 2
+    assert "cannot be resumed: side" in capsys.readouterr().err
+
+
+def test_a_run_that_is_to_replace_another_leaves_that_until_it_has_ended(
+    pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    wall = str(pictures / "wall.png")
+    assert main([wall, "--out", str(out), "--no-overlays"]) == 0
+    before = (out / "poses.npz").read_bytes()
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr("torchhand.runs.pictures.run._fitted", stop)
+        assert main([wall, "--out", str(out), "--overwrite"]) == 130
+    assert (out / "poses.npz").read_bytes() == before
+    assert "--resume" in capsys.readouterr().err
+    assert main([wall, "--out", str(out), "--overwrite"]) == 0
+    assert not (out / "unfinished").exists()
+    assert (out / "overlays" / "wall.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["missing.png"], "no such file"),
+        (["z_broken.png"], "z_broken.png"),
+        (["wall.png", "--camera", "mediapipe.npz"], "K: expected intrinsics"),
+        (["wall.png", "--keypoints", "missing.npz"], "no such file"),
+        (["wall.png", "--masks", "missing"], "--masks"),
+    ],
+)
+def test_mistakes_are_told_in_one_line(
+    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], text: str
+) -> None:
+    given = [one if one.startswith("--") else str(pictures / one) for one in arguments]
+    assert main([*given, "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert error.startswith("torchhand fit_pose: error: ")
+    assert text in error
+
+
+def test_the_short_way(pictures: Path) -> None:
+    placed = staged("point")
+    points = keypoints_of(placed)
+    seen = HandKeypoints(points_px=placed.keypoints_px, points=points - points.mean(0), score=0.9)
+    found = fit_pose(pictures / "b.png", camera=placed.camera, shape=placed.shape, keypoints=seen)
+    assert found.estimate.status == "tracked"
+    assert found.estimate.keypoints_px is not None
+    assert float((found.estimate.keypoints_px[0] - placed.keypoints_px).norm(dim=-1).mean()) < 4.0

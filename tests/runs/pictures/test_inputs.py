@@ -1,0 +1,98 @@
+"""Inputs of runs over single pictures: which pictures, whose camera, whose keypoints."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from torchhand.errors import InputError
+from torchhand.runs.pictures.inputs import PictureKeypointsFile, cameras_of, mask_of, pictures_in
+
+MATRIX = np.array(((480.0, 0.0, 31.0), (0.0, 470.0, 23.0), (0.0, 0.0, 1.0)))
+
+
+def write(path: Path, *, size: tuple[int, int] = (48, 64), value: int = 90) -> Path:
+    cv2.imwrite(str(path), np.full((*size, 3), value, np.uint8))
+    return path
+
+
+def arrays(path: Path, **own: np.ndarray) -> Path:
+    np.savez(path, **own)  # pyright: ignore[reportArgumentType]
+    return path
+
+
+def test_pictures_come_in_natural_order_without_their_silhouettes(tmp_path: Path) -> None:
+    for name in ("b10.png", "b9.png", "b9_mask.png", "lonely_mask.png", "notes.txt"):
+        write(tmp_path / name) if name.endswith("png") else (tmp_path / name).write_text("")
+    assert [path.name for path in pictures_in(tmp_path)] == ["b9.png", "b10.png", "lonely_mask.png"]
+
+
+@pytest.mark.parametrize("name", ["missing.png", "notes.txt", "empty"])
+def test_sources_without_pictures_are_told(tmp_path: Path, name: str) -> None:
+    (tmp_path / "notes.txt").write_text("")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=name):
+        pictures_in(tmp_path / name)
+
+
+def test_intrinsics_are_matched_by_name(tmp_path: Path) -> None:
+    other = MATRIX + np.array(((20.0, 0, 0), (0, 0, 0), (0, 0, 0)))
+    file = arrays(tmp_path / "truth.npz", K=np.stack((MATRIX, other)), image=np.array(["b.png", "a.png"]))
+    camera = cameras_of(file, ["a.png", "b.png"])(0, 64, 48)
+    assert camera.intrinsics.tolist() == other.tolist()
+    assert (camera.width, camera.height, camera.is_assumed) == (64, 48, False)
+    with pytest.raises(InputError, match=r"c\.png"):
+        cameras_of(file, ["a.png", "c.png"])
+
+
+def test_intrinsics_without_names_are_in_the_pictures_order(tmp_path: Path) -> None:
+    file = arrays(tmp_path / "cameras.npz", K=np.stack((MATRIX, 2 * MATRIX - np.diag((0, 0, 1.0)))))
+    assert float(cameras_of(file, ["b.png", "a.png"])(1, 64, 48).intrinsics[0, 0]) == 960.0
+    with pytest.raises(InputError, match="3 pictures, got 2"):
+        cameras_of(file, ["a.png", "b.png", "c.png"])
+
+
+def keypoints(path: Path, **own: np.ndarray) -> Path:
+    points = np.arange(3 * 21 * 2, dtype=np.float32).reshape(3, 21, 2)
+    return arrays(path, points_px=points, score=np.array((0.9, 0.8, 0.7), np.float32), **own)
+
+
+def test_keypoints_are_matched_by_name_and_tell_the_side(tmp_path: Path) -> None:
+    names, labels = np.array(["a.png", "b.png", "c.png"]), np.array(["Left", "Right", ""])
+    file = PictureKeypointsFile(keypoints(tmp_path / "mp.npz", image=names, label=labels), side=None, count=5)
+    found = file.hand(4, "b.png", 640, 480)
+    assert found is not None
+    hand, side = found
+    assert side == "left"  # MediaPipe's name of a hand in a picture that is no mirror image
+    assert hand.points_px[0].tolist() == [42.0, 43.0]
+    assert hand.score == pytest.approx(0.8)
+    assert (first := file.hand(0, "a.png", 640, 480)) is not None
+    assert first[1] == "right"
+    assert file.hand(0, "missing.png", 640, 480) is None
+    only = PictureKeypointsFile(tmp_path / "mp.npz", side="right", count=5)
+    assert only.hand(1, "b.png", 640, 480) is None
+
+
+def test_keypoints_without_names_are_in_the_pictures_order(tmp_path: Path) -> None:
+    path = keypoints(tmp_path / "mp.npz")
+    found = PictureKeypointsFile(path, side=None, count=3).hand(2, "any.png", 640, 480)
+    assert found is not None
+    assert found[1] is None
+    with pytest.raises(InputError, match="one row for each of 2 pictures"):
+        PictureKeypointsFile(path, side=None, count=2)
+
+
+def test_silhouettes_are_found_by_name(tmp_path: Path) -> None:
+    picture = write(tmp_path / "a.png")
+    masks = tmp_path / "masks"
+    masks.mkdir()
+    write(masks / "a.png", value=255)
+    found = mask_of(picture, masks, (48, 64))
+    assert found is not None
+    assert bool(found.all())
+    assert mask_of(picture, None, (48, 64)) is None
+    with pytest.raises(InputError, match="64x48"):
+        mask_of(picture, masks, (50, 64))
+    with pytest.raises(InputError, match="b_mask"):
+        mask_of(tmp_path / "b.png", masks, (48, 64))

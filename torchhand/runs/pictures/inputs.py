@@ -1,0 +1,163 @@
+"""What a run over single pictures reads: the pictures, a camera for each, detected keypoints, silhouettes."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from torchhand.errors import InputError
+from torchhand.files import (
+    Detections,
+    HandDetection,
+    camera_for,
+    camera_per_picture,
+    read_detections,
+    read_picture,
+)
+from torchhand.files.pictures import PICTURE_SUFFIXES, natural_key
+from torchhand.geometry import Camera, assumed_camera
+from torchhand.hand import Side
+from torchhand.track import HandKeypoints
+
+_MASK = "_mask"
+_SIDES: tuple[Side, ...] = ("right", "left")
+
+CameraOf = Callable[[int, int, int], Camera]
+"""The camera of a picture: its number, its width and its height, px."""
+
+
+def pictures_in(source: Path) -> list[Path]:
+    """One picture, or those of a folder in natural order; NAME_mask beside a picture NAME is the silhouette of that.
+
+    Raises InputError where there is none.
+    """
+    source = source.expanduser()
+    if not source.exists():
+        raise InputError(f"{source}: no such file or folder (expected a picture or a folder of pictures)")
+    if not source.is_dir():
+        if source.suffix.lower() not in PICTURE_SUFFIXES:
+            raise InputError(f"{source}: expected a picture ({', '.join(PICTURE_SUFFIXES)}) or a folder of pictures")
+        return [source]
+    try:
+        found = sorted(source.iterdir(), key=natural_key)
+    except OSError as error:
+        raise InputError(f"{source}: cannot be read ({error.strerror or error})") from error
+    found = [path for path in found if path.suffix.lower() in PICTURE_SUFFIXES and not path.name.startswith(".")]
+    stems = {path.stem for path in found}
+    pictures = [path for path in found if not is_mask_name(path.stem, stems) and path.is_file()]
+    if not pictures:
+        raise InputError(f"{source}: holds no pictures ({', '.join(PICTURE_SUFFIXES)})")
+    return pictures
+
+
+def is_mask_name(stem: str, stems: set[str]) -> bool:
+    """Whether a name is that of another picture's silhouette."""
+    return stem.endswith(_MASK) and stem.removesuffix(_MASK) in stems
+
+
+def mask_of(picture: Path, folder: Path | None, size: tuple[int, int]) -> Bool[Tensor, "height width"] | None:
+    """The silhouette of a picture in a folder: NAME_mask or NAME, bright inside; None without a folder.
+
+    Raises InputError where it is missing, cannot be read, or is of another size (height, width) than the picture.
+    """
+    if folder is None:
+        return None
+    names = [f"{stem}{suffix}" for stem in (picture.stem + _MASK, picture.stem) for suffix in PICTURE_SUFFIXES]
+    paths = [folder / name for name in names if (folder / name).is_file() and folder / name != picture]
+    if not paths:
+        raise InputError(f"{folder}: expected a silhouette {picture.stem}{_MASK}.png or {picture.stem}.png")
+    mask = read_picture(paths[0]).amax(-1) > 127
+    if tuple(mask.shape) != size:
+        got = f"{mask.shape[1]}x{mask.shape[0]}"
+        raise InputError(f"{paths[0]}: expected a silhouette of {size[1]}x{size[0]} px, the picture's, got {got}")
+    return mask
+
+
+def cameras_of(path: Path | None, names: Sequence[str]) -> CameraOf:
+    """Cameras from a file: the only one of a cameras.json, or those of an npz with intrinsics K (pictures, 3, 3), by
+    the pictures' names where it has them (`image`), else in their order. Without a file a field of view is assumed.
+
+    Raises InputError for an npz that does not hold the intrinsics of these pictures.
+    """
+    if path is None or path.suffix.lower() != ".npz":
+        return lambda number, width, height: camera_for(path, width, height)
+    intrinsics = camera_per_picture(path, names, len(names)).intrinsics
+    return lambda number, width, height: replace(
+        assumed_camera(width, height), intrinsics=intrinsics[number], is_assumed=False
+    )
+
+
+def _rows_of_names(path: Path, names: np.ndarray | None, rows: int, count: int) -> dict[str, int] | None:
+    """Rows by the names of pictures; None where they are in the pictures' order."""
+    if names is None:
+        if rows != count:
+            raise InputError(f"{path}: expected one row for each of {count} pictures, or their names, got {rows} rows")
+        return None
+    if names.shape != (rows,):
+        raise InputError(f"{path}: image: expected {rows} names, got an array of shape {names.shape}")
+    return {str(name): row for row, name in enumerate(names)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class _OfSide:
+    """What a file tells of one hand."""
+
+    found: Detections
+    frames: dict[str, int] | None
+    """Numbers of the frames by the pictures' names."""
+
+    def hand(self, number: int, name: str) -> tuple[HandDetection, Detections, int] | None:
+        frame = number if self.frames is None else self.frames.get(name)
+        seen = None if frame is None else self.found.at_frame(frame)
+        return None if seen is None or frame is None else (seen, self.found, frame)
+
+
+class PictureKeypointsFile:
+    """Detected keypoints of single pictures, and which hand they are of."""
+
+    def __init__(self, path: Path, *, side: Side | None, count: int) -> None:
+        """side: of the hands; those of the other hand are left out. None takes what the detector says.
+
+        Raises InputError for a file that cannot be read, holds no points in the pictures, or tells of another number of
+        pictures and not of their names.
+        """
+        self._of_sides: dict[Side, _OfSide] = {}
+        problem: InputError | None = None
+        for own in _SIDES if side is None else (side,):
+            try:
+                found = read_detections(path, side=own)
+            except InputError as error:
+                problem = error
+                continue
+            if found.picture is None:
+                raise InputError(f"{path}: expected points in the picture, got points in space alone")
+            names = None if found.image is None else np.array(found.image)
+            rows = _rows_of_names(path, names, len(found), count)
+            frames = None if rows is None else {name: int(found.frame[row]) for name, row in rows.items()}
+            self._of_sides[own] = _OfSide(found=found, frames=frames)
+        if problem is not None and not self._of_sides:
+            raise problem
+
+    def hand(self, number: int, name: str, width: int, height: int) -> tuple[HandKeypoints, Side | None] | None:
+        """The hand of a picture and its side where the file tells; None where none was found."""
+        for own in self._of_sides.values():
+            if (seen := own.hand(number, name)) is not None:
+                hand, found, frame = seen
+                in_pixels = found.in_pixels(width, height).at_frame(frame)
+                if in_pixels is None or in_pixels.picture is None or in_pixels.confidence is None:
+                    continue
+                points = torch.from_numpy(in_pixels.picture)
+                is_known = points.isfinite().all(-1)
+                if not bool(is_known.any()):
+                    continue
+                score = hand.score
+                if math.isnan(score):  # of the hand, where the file tells; else the mean of its points
+                    score = float(torch.from_numpy(in_pixels.confidence)[is_known].mean())
+                space = None if hand.space is None else torch.from_numpy(hand.space)
+                return HandKeypoints(points_px=points, points=space, score=score), hand.label
+        return None

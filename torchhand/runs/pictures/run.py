@@ -1,0 +1,208 @@
+"""A run over single pictures: each by itself into one result folder, refusals told, resumable."""
+
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import UInt8
+from torch import Tensor
+from tqdm import tqdm
+
+import torchhand
+from torchhand.draw import draw_overlay
+from torchhand.errors import InputError
+from torchhand.files import FittedHand, Track, TrackHeader, load_hand_model, load_track, read_picture
+from torchhand.files.disk import replacing
+from torchhand.files.results import CONVENTION, POSES_NAME, PictureRecord, PosesWriter
+from torchhand.geometry import Camera
+from torchhand.hand import DOFS, HandPose, Side
+from torchhand.runs import record_of
+from torchhand.runs.pictures.inputs import (
+    CameraOf,
+    PictureKeypointsFile,
+    cameras_of,
+    mask_of,
+    pictures_in,
+)
+from torchhand.runs.pictures.sources import pose_sources
+from torchhand.track import Estimate, View
+from torchhand.track.single import SinglePose, SinglePoseFitter, SinglePoseSettings
+from torchhand.view import HandProjector
+
+Say = Callable[[str], None]
+"""Tells the user something on one line."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PicturesRequest:
+    """What is asked for."""
+
+    source: Path
+    """A picture, or a folder of pictures."""
+    settings: SinglePoseSettings
+    side: Side | None = None
+    """Which hand; None for what the detector says, and right where nothing tells."""
+    hand: FittedHand | None = None
+    """Known proportions; None for those that each picture shows."""
+    camera: Path | None = None
+    keypoints: Path | None = None
+    masks: Path | None = None
+    """Folder of silhouettes."""
+    resume: bool = False
+    overwrite: bool = False
+    has_overlays: bool = True
+
+
+class _Pictures:
+    """The inputs of a run, picture by picture."""
+
+    def __init__(self, request: PicturesRequest) -> None:
+        self.request, self.paths = request, pictures_in(request.source)
+        count = len(self.paths)
+        self.camera: CameraOf = cameras_of(request.camera, [path.name for path in self.paths])
+        self.keypoints = None
+        if request.keypoints is not None:
+            self.keypoints = PictureKeypointsFile(request.keypoints, side=request.side, count=count)
+        if request.masks is not None and not request.masks.is_dir():
+            raise InputError(f"--masks: expected a folder of silhouettes, got {request.masks}")
+
+    def view(self, number: int) -> tuple[View, Camera, Side]:
+        """One picture with what is known of it. Raises InputError where it cannot be read."""
+        path, request = self.paths[number], self.request
+        image = read_picture(path)
+        height, width = int(image.shape[0]), int(image.shape[1])
+        mask = mask_of(path, request.masks, (height, width))
+        side: Side = request.side or "right"
+        found = None if self.keypoints is None else self.keypoints.hand(number, path.name, width, height)
+        if found is not None and request.side is None:
+            side = found[1] or side
+        view = View(image=image, mask=mask, keypoints=None if found is None else found[0])
+        return view, self.camera(number, width, height), side
+
+
+@lru_cache(maxsize=2)
+def single_pose_fitter(side: Side, settings: SinglePoseSettings) -> SinglePoseFitter:
+    """The fitter of a side with all sources of first poses that there are."""
+    kinematics = load_hand_model().kinematics(side, dtype=torch.float64)
+    return SinglePoseFitter(kinematics, settings, sources=pose_sources(kinematics))
+
+
+def fit_pictures(request: PicturesRequest, out_dir: Path, say: Say) -> Track:
+    """The hands of all pictures, written into a folder; those that are refused are told with the reason.
+
+    Raises InputError for inputs that are wrong, among them a single picture that cannot be read.
+    """
+    pictures = _Pictures(request)
+    if not request.source.is_dir():
+        pictures.view(0)  # its mistakes are the user's
+    model = load_hand_model()
+    header = _header(request)
+    with (
+        PosesWriter(
+            out_dir, header, model.shape_space.names, resume=request.resume, overwrite=request.overwrite
+        ) as writer,
+        tqdm(total=len(pictures.paths), desc="pictures", unit="picture", disable=not sys.stderr.isatty()) as bar,
+    ):
+        for number, path in enumerate(pictures.paths):
+            if path.name not in writer.done:
+                record = _fitted(pictures, number, writer.overlays if request.has_overlays else None)
+                writer.append(record)
+                if record.hand.status != "tracked":
+                    say(f"{path.name}: no hand: {record.hand.reason}")
+            bar.update()
+    return load_track(out_dir / POSES_NAME)
+
+
+def _fitted(pictures: _Pictures, number: int, overlays: Path | None) -> PictureRecord:
+    """The record of one picture, and its overlay."""
+    request, path, started = pictures.request, pictures.paths[number], time.perf_counter()
+    try:
+        view, camera, side = pictures.view(number)
+    except InputError as error:
+        estimate = Estimate(status="no_hand", time_s=0.0, reason=str(error))
+        return _record(number, path, estimate, None, None, request.side or "right", started)
+    shape = None
+    if request.hand is not None:
+        shape = torch.tensor(list(request.hand.values.values()), dtype=torch.float64)
+    found = single_pose_fitter(side, request.settings)(view, camera, shape=shape)
+    record = _record(number, path, found.estimate, found, camera, side, started)
+    if overlays is not None and view.image is not None:
+        _save_overlay(overlays / f"{path.stem}.png", view.image, found, camera, side, number)
+    return record
+
+
+def _record(
+    number: int,
+    path: Path,
+    estimate: Estimate,
+    found: SinglePose | None,
+    camera: Camera | None,
+    side: Side,
+    started: float,
+) -> PictureRecord:
+    hand = record_of(number, estimate, ("picture",), seconds=time.perf_counter() - started)
+    modes = math.nan if found is None or not found.modes else float(found.modes)
+    names = load_hand_model().shape_space.names
+    has_hand = found is not None and estimate.pose is not None
+    return PictureRecord(
+        image=path.name,
+        hand=replace(hand, measures={**hand.measures, "modes": modes}),
+        side=side,
+        shape=found.shape.numpy() if found is not None and has_hand else np.full(len(names), math.nan),
+        intrinsics=np.full((3, 3), math.nan) if camera is None else camera.intrinsics.double().numpy(),
+    )
+
+
+def _save_overlay(
+    path: Path, image: UInt8[Tensor, "height width 3"], found: SinglePose, camera: Camera, side: Side, number: int
+) -> None:
+    kinematics = load_hand_model().kinematics(side, dtype=torch.float64)
+    eye, zero = torch.eye(3, dtype=torch.float64), torch.zeros(3, dtype=torch.float64)
+    here = replace(camera.to(dtype=torch.float64), rotation=eye, translation=zero)
+    estimate = found.estimate
+    pose = None if estimate.pose is None else HandPose.of(estimate.pose).normalized()
+    picture = draw_overlay(
+        image,
+        HandProjector(kinematics, here, found.shape),
+        None if pose is None else pose.dofs,
+        None if pose is None else pose.reference,
+        status=estimate.status,
+        frame=number,
+        keypoints_px=None if estimate.keypoints_px is None else estimate.keypoints_px[0],
+        iou=estimate.overlap,
+    )
+    with replacing(path) as temporary:
+        if not cv2.imwrite(str(temporary), cv2.cvtColor(picture.numpy(), cv2.COLOR_RGB2BGR)):
+            raise InputError(f"{path}: cannot be written")
+
+
+def _header(request: PicturesRequest) -> TrackHeader:
+    """What must be equal in a run that is to be resumed."""
+
+    def text(path: Path | None) -> str | None:
+        return None if path is None else str(path)
+
+    made_with: Mapping[str, Any] = {
+        "torchhand": torchhand.__version__,
+        "settings": asdict(request.settings),
+        "keypoints": text(request.keypoints),
+        "masks": text(request.masks),
+        "hand": None if request.hand is None else dict(request.hand.values),
+    }
+    return TrackHeader(
+        dof_names=DOFS,
+        source=str(request.source),
+        side=request.side or "each picture's own",
+        camera={"file": text(request.camera), "is_assumed": request.camera is None},
+        convention=CONVENTION,
+        made_with=json.loads(json.dumps(made_with, default=str), parse_constant=str),  # JSON knows no infinity
+    )

@@ -1,0 +1,35 @@
+"""The short way: the hand of one picture in one call."""
+
+from pathlib import Path
+
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from torchhand.files import read_picture
+from torchhand.geometry import Camera, assumed_camera
+from torchhand.hand import Side
+from torchhand.runs.pictures.run import single_pose_fitter
+from torchhand.track import HandKeypoints, View
+from torchhand.track.single import SinglePose, SinglePoseSettings
+
+
+def fit_pose(
+    picture: str | Path | UInt8[Tensor, "height width 3"],
+    *,
+    side: Side = "right",
+    camera: Camera | None = None,
+    shape: Float[Tensor, "shape"] | None = None,
+    keypoints: HandKeypoints | None = None,
+    settings: SinglePoseSettings | None = None,
+) -> SinglePose:
+    """The hand in one picture (a file, or RGB), in any posture; `estimate.status` is `no_hand` where it is refused.
+
+    camera: in whose frame the pose is; a field of view is assumed where none is given. shape: proportions where they
+    are known; else those that the outline shows, in the size of the average hand. keypoints: those of a detector.
+
+    Raises InputError where the picture cannot be read.
+    """
+    image = picture if isinstance(picture, Tensor) else read_picture(Path(picture))
+    camera = camera or assumed_camera(image.shape[1], image.shape[0])
+    fitter = single_pose_fitter(side, settings or SinglePoseSettings())
+    return fitter(View(image=image, keypoints=keypoints), camera, shape=shape)

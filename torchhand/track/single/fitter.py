@@ -1,0 +1,288 @@
+"""The hand in a single picture, in any posture: silhouettes, hypotheses, registration, and whether it is one at all."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import cv2
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from torchhand.fit.keypoints import starts_in_picture
+from torchhand.geometry import Camera
+from torchhand.hand import HandKinematics, HandPose
+from torchhand.numerics import single_threaded
+from torchhand.track.belief import posed_gaussian, scale_covariance, unknown_scale_std
+from torchhand.track.knowledge import Estimate
+from torchhand.track.scene import (
+    MAX_BEYOND,
+    MIN_KEYPOINTS,
+    Agreement,
+    HandKeypoints,
+    Scene,
+    SceneKeypoints,
+    SilhouetteComparison,
+    View,
+    detected_hand,
+    scene_keypoints,
+)
+from torchhand.track.single.registration import PictureProblem, Registered
+from torchhand.track.single.settings import SinglePoseSettings
+from torchhand.track.single.silhouette import oval_overlap, silhouette_at, silhouettes_by_skin
+
+_CHECK_SIDE_PX = 320  # of the reduced pictures in which silhouettes are compared
+_OVAL = 0.93  # intersection over union with an ellipse, beyond which an outline alone shows nothing of a hand
+_TURNED = 6  # sides from which keypoints are taken to be seen
+_ROUNDS = 2  # of colours learned at the hand and registration on what has them
+
+Picture = UInt8[Tensor, "height width 3"]
+PoseSource = Callable[[Bool[Tensor, "height width"], Picture | None, Camera, Float[Tensor, "shape"]], HandPose]
+"""First poses (k), in the camera's frame, of a hand of a shape whose silhouette, perhaps with a forearm, is given."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SinglePose:
+    """What one picture tells of the hand in it."""
+
+    estimate: Estimate
+    """`tracked`, or `no_hand` with the reason; in the camera's frame."""
+    shape: Float[Tensor, "shape"]
+    """Proportions: those given, or as the picture shows them."""
+    modes: int = 0
+    """Number of different hands that explain the picture about as well; 0 without a hand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Judged:
+    """A registered hand, and how it agrees with the silhouette that it was registered on."""
+
+    hand: Registered
+    mask: Bool[Tensor, "height width"]
+    agreement: Agreement
+    objection: str
+    """Why it is no hand; empty where it is one."""
+
+    @property
+    def quality(self) -> float:
+        """For hands on different silhouettes, whose costs are not comparable."""
+        return self.agreement.overlap * self.hand.edges - float(bool(self.objection))
+
+
+class SinglePoseFitter:
+    """Estimates the hand of a known side in single pictures, each by itself.
+
+    Computes in float64 on the CPU, on the calling thread alone.
+    """
+
+    def __init__(
+        self,
+        kinematics: HandKinematics,
+        settings: SinglePoseSettings | None = None,
+        *,
+        sources: Sequence[PoseSource] = (),
+    ) -> None:
+        """kinematics: float64. sources: of first poses where detected keypoints do not tell or are wrong."""
+        self.kinematics, self.settings, self._sources = kinematics, settings or SinglePoseSettings(), tuple(sources)
+
+    @torch.inference_mode()
+    @single_threaded()
+    def __call__(self, view: View, camera: Camera, *, shape: Float[Tensor, "shape"] | None = None) -> SinglePose:
+        """The hand in a view: a picture or a silhouette, and detected keypoints where there are some.
+
+        shape: proportions where they are known. A hand that the picture does not bear out is refused.
+        Raises ValueError for a view without picture and silhouette, or of another size than the camera's.
+        """
+        work = _Work.of(view, camera, self.settings.max_side_px)
+        known = self.kinematics.default_shape if shape is None else shape.double()
+        best = self._with_keypoints(work, known, shape is not None)
+        if best is None or best.objection:
+            best = self._better(best, self._alone(work, known, shape is not None))
+        if best is None:
+            return _refused("nothing in the picture has the colours of skin and a believable size", known)
+        if best.objection:
+            return _refused(best.objection, known)
+        return self._result(best, work, view, camera.to(dtype=torch.float64), is_shape_known=shape is not None)
+
+    def _with_keypoints(self, work: "_Work", shape: Tensor, is_shape_known: bool) -> _Judged | None:
+        """The hand that detected keypoints tell of, which the outline chooses among those that explain them."""
+        starts = work.by_keypoints(self.kinematics, self.settings, shape)
+        if starts is None:
+            return None
+        found = self._problem(work).of_keypoints(starts, shape)
+        return self._refined(work, found, shape, is_shape_known) if len(found) else None
+
+    def _alone(self, work: "_Work", shape: Tensor, is_shape_known: bool) -> _Judged | None:
+        """The hand of the first silhouette that one explains, of all that the picture may show, the likeliest first."""
+        best: _Judged | None = None
+        masks = [work.mask] if work.mask is not None else [] if work.image is None else silhouettes_by_skin(work.image)
+        for mask in masks:
+            parts = [source(mask, work.image, work.camera, shape) for source in self._sources]
+            starts = HandPose.cat(parts) if parts else None
+            if starts is None or not len(starts):
+                continue
+            best = self._better(best, self._registered(work, mask, starts, shape, is_shape_known=True))
+            if best is not None and not best.objection:
+                break
+        if best is None or work.mask is not None or work.image is None:
+            return best
+        return self._better(best, self._refined(work, best.hand.pose.reshape(1), shape, is_shape_known))
+
+    def _refined(self, work: "_Work", starts: HandPose, shape: Tensor, is_shape_known: bool) -> _Judged | None:
+        """A hand registered on what has the colours that it has where it is placed, over and over; the first of the
+        starts (k) tells where."""
+        best: _Judged | None = None
+        pose = starts[0]
+        for turn in range(_ROUNDS):
+            mask = work.mask
+            if mask is None and work.image is not None:
+                mask = silhouette_at(work.image, pose, self.kinematics, work.camera, shape)
+            if mask is None or not bool(mask.any()):
+                break
+            is_last = turn == _ROUNDS - 1 or work.mask is not None
+            found = self._registered(work, mask, starts, shape, is_shape_known=is_shape_known or not is_last)
+            best = found or best
+            if found is None or is_last:
+                break
+            pose = found.hand.pose
+            starts = HandPose.cat((pose.reshape(1), starts))
+        return best
+
+    def _registered(
+        self, work: "_Work", mask: Tensor, starts: HandPose, shape: Tensor, *, is_shape_known: bool
+    ) -> _Judged | None:
+        hand = self._problem(work).registered(starts, mask, work.image, shape, is_shape_known=is_shape_known)
+        if hand is None:
+            return None
+        compare = SilhouetteComparison(self.kinematics, (work.camera,), hand.shape, side_px=_CHECK_SIDE_PX)
+        agreement = compare(hand.pose, work.scene(mask))
+        by_keypoints = work.seen(self.kinematics, self.settings).agreement(hand.pose, hand.shape)
+        is_detected = by_keypoints is not None and by_keypoints >= MIN_KEYPOINTS
+        objection = self._objection(hand, agreement, is_detected=is_detected)
+        if not objection and not is_detected and oval_overlap(mask) > _OVAL:
+            objection = "what has its colours is a plain oval, which a face may be as well"
+        return _Judged(hand=hand, mask=mask, agreement=agreement, objection=objection)
+
+    def _problem(self, work: "_Work") -> PictureProblem:
+        return PictureProblem(
+            kinematics=self.kinematics,
+            camera=work.camera,
+            settings=self.settings,
+            observations=work.seen(self.kinematics, self.settings).observations,
+        )
+
+    def _objection(self, hand: Registered, agreement: Agreement, *, is_detected: bool) -> str:
+        s = self.settings
+        told = f"overlap {agreement.overlap:.2f}, {hand.edges:.0%} of the outline explained"
+        overlap, edges = (s.min_overlap, s.min_edges) if is_detected else (s.alone_overlap, s.alone_edges)
+        if agreement.overlap < overlap or hand.edges < edges:
+            return f"no hand explains what has its colours ({told})"
+        if agreement.mean_beyond > MAX_BEYOND and not is_detected:
+            return f"what follows beyond the wrist is no forearm ({told})"
+        return ""
+
+    @staticmethod
+    def _better(one: _Judged | None, other: _Judged | None) -> _Judged | None:
+        if one is None or other is None:
+            return one or other
+        return other if other.quality > one.quality else one
+
+    def _result(self, best: _Judged, work: "_Work", view: View, camera: Camera, *, is_shape_known: bool) -> SinglePose:
+        hand, agreement = best.hand, best.agreement
+        space = PictureProblem(kinematics=self.kinematics, camera=camera, settings=self.settings).space
+        at = hand.pose.normalized()
+        posed = posed_gaussian(at, hand.covariance, space.about(at.dofs), self.kinematics, hand.shape)
+        scale_std = unknown_scale_std(self.kinematics.shape_space, camera, is_shape_known=is_shape_known)
+        estimate = Estimate(
+            status="tracked",
+            time_s=0.0,
+            pose=posed.pose,
+            pose_std=posed.pose_std,
+            keypoints=posed.keypoints,
+            keypoints_px=camera.project(posed.keypoints)[None],
+            keypoints_cov=posed.keypoints_cov + scale_covariance(posed.keypoints, scale_std),
+            overlaps=agreement.overlaps,
+            overlap=agreement.overlap,
+            unexplained=agreement.most_unexplained,
+            edges=hand.edges,
+            score=best.quality,
+            views=1,
+        )
+        return SinglePose(estimate=estimate, shape=hand.shape, modes=hand.modes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Work:
+    """A view as it is worked on: not larger than is needed."""
+
+    camera: Camera
+    """float64, the world's frame its own."""
+    image: Tensor | None
+    mask: Tensor | None
+    keypoints: HandKeypoints | None
+
+    @cached_property
+    def plain(self) -> Scene:
+        """Without a silhouette by colours."""
+        return self.scene(self.mask)
+
+    @classmethod
+    def of(cls, view: View, camera: Camera, max_side_px: int) -> "_Work":
+        for name, picture in (("image", view.image), ("mask", view.mask)):
+            if picture is not None and picture.shape[:2] != (camera.height, camera.width):
+                got = f"{picture.shape[1]}×{picture.shape[0]} px"
+                raise ValueError(
+                    f"view.{name}: expected {camera.width}×{camera.height} px as the camera says, got {got}"
+                )
+        if view.image is None and view.mask is None:
+            raise ValueError("view: expected a picture or a silhouette, got neither")
+        here = replace(
+            camera.to(dtype=torch.float64),
+            rotation=torch.eye(3, dtype=torch.float64),
+            translation=torch.zeros(3, dtype=torch.float64),
+        )
+        scale = max_side_px / max(camera.width, camera.height)
+        if scale >= 1:
+            return cls(camera=here, image=view.image, mask=view.mask, keypoints=view.keypoints)
+        small = here.resized(scale)
+        size = (small.width, small.height)
+        image = None if view.image is None else _shrunk(view.image, size)
+        mask = None if view.mask is None else _shrunk(255 * view.mask.to(torch.uint8), size) > 127
+        return cls(camera=small, image=image, mask=mask, keypoints=_scaled(view.keypoints, scale))
+
+    def scene(self, mask: Tensor | None) -> Scene:
+        return Scene(
+            views=(View(image=self.image, mask=mask, keypoints=self.keypoints),),
+            masks=(mask,),
+            probabilities=(None,),
+            time_s=0.0,
+        )
+
+    def seen(self, kinematics: HandKinematics, settings: SinglePoseSettings) -> SceneKeypoints:
+        """Detected keypoints and the posture that they tell."""
+        return scene_keypoints(self.plain, (self.camera,), kinematics, settings.keypoints)
+
+    def by_keypoints(self, kinematics: HandKinematics, settings: SinglePoseSettings, shape: Tensor) -> HandPose | None:
+        """Hands (k) where detected keypoints are: as these alone tell it, and in that posture seen from other sides,
+        for points in a picture do not tell near from far."""
+        detected = detected_hand(self.plain, (self.camera,), kinematics, settings.keypoints, shape)
+        if detected is None:
+            return None
+        seen = self.seen(kinematics, settings)
+        turned = [starts_in_picture(one, shape, detected.dofs, _TURNED).reshape(-1) for one in seen.pictures]
+        return HandPose.cat((detected.reshape(1), *turned))
+
+
+def _shrunk(picture: Tensor, size: tuple[int, int]) -> Tensor:
+    return torch.from_numpy(cv2.resize(picture.cpu().contiguous().numpy(), size, interpolation=cv2.INTER_AREA))
+
+
+def _scaled(keypoints: HandKeypoints | None, scale: float) -> HandKeypoints | None:
+    if keypoints is None:
+        return None
+    points_px = (keypoints.points_px + 0.5) * scale - 0.5
+    return HandKeypoints(points_px=points_px, points=keypoints.points, score=keypoints.score)
+
+
+def _refused(reason: str, shape: Tensor) -> SinglePose:
+    return SinglePose(estimate=Estimate(status="no_hand", time_s=0.0, reason=reason), shape=shape)

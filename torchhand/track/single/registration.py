@@ -1,0 +1,210 @@
+"""Many hypotheses of one hand in one picture, registered in one batch, and what they leave open."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from torchhand.fit import (
+    ConstraintPrior,
+    Observation,
+    PostureResiduals,
+    Problem,
+    SharedUnknowns,
+    Solutions,
+    Stage,
+    solve,
+    solve_shared,
+)
+from torchhand.fit import PosturePrior as PostureDensity
+from torchhand.fit.contour import CONTOUR, ContourObservation, picture_contours
+from torchhand.fit.keypoints import PostureKeypoints
+from torchhand.geometry import Camera
+from torchhand.hand import (
+    DOFS,
+    Anthropometry,
+    HandKinematics,
+    HandPose,
+    HandPrior,
+    PoseConstraints,
+    PoseSpace,
+    named_pose_space,
+)
+from torchhand.track.single.settings import SinglePoseSettings
+from torchhand.view import HandProjector, PrimitiveContours, outline_table
+
+_BY_KEYPOINTS = (Stage(gross_m=0.03, rounds=2, iterations=8), Stage(gross_m=0.01, rounds=1, iterations=8))
+_ALTERNATIVE = 20.0  # nats: hands that explain keypoints worse by more cannot be saved by an outline
+_SAME_RAD = 0.1  # largest difference of an angle with which two hypotheses are one
+_SHOWN = ("hand_breadth", "thumb_proximal", "index_proximal", "middle_proximal", "ring_proximal", "little_proximal")
+"""Proportions that one outline shows; the rest follows the mean of people."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Registered:
+    """A hand registered in a picture, with what other hypotheses leave open."""
+
+    pose: HandPose
+    """(), in the camera's frame."""
+    shape: Float[Tensor, "shape"]
+    covariance: Float[Tensor, "free free"]
+    """Covariance of the free parameters, of the mixture of all hypotheses that explain the picture: each by its cost;
+    the rotation is a left perturbation of the pose."""
+    edges: float
+    """Share of the picture's contour on which the hand's lies."""
+    cost: float
+    """Nats."""
+    modes: int
+    """Number of different hands that explain the picture, weighed by their likelihood (exponential of the entropy,
+    rounded)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PictureProblem:
+    """One picture's silhouette and what else is known of the hand in it."""
+
+    kinematics: HandKinematics
+    camera: Camera
+    settings: SinglePoseSettings
+    observations: tuple[Observation, ...] = ()
+    """Detected keypoints, where there are any."""
+
+    @property
+    def space(self) -> PoseSpace:
+        return named_pose_space(self.settings.pose_space)
+
+    @property
+    def _priors(self) -> tuple[Observation, ...]:
+        """What is believed of postures: less where a detector tells the posture of this hand."""
+        is_told = any(isinstance(one, PostureKeypoints) for one in self.observations)
+        weight = self.settings.detected_prior_weight if is_told else 1.0
+        constraints = ConstraintPrior(constraints=PoseConstraints(self.kinematics.skeleton), has_ties=weight == 0)
+        if weight == 0:
+            return (constraints,)
+        return (constraints, PostureDensity(postures=_postures(self.kinematics), weight=weight))
+
+    def of_keypoints(self, starts: HandPose, shape: Float[Tensor, "shape"]) -> HandPose:
+        """The distinct hands (k) that the observations alone lead to from some starts, the best first: those that
+        explain them nearly as well as the best. At most as many as are registered to the end."""
+        problem = Problem(
+            space=self.space,
+            skeleton=self.kinematics.skeleton,
+            shape=shape,
+            observations=self.observations,
+            priors=self._priors,
+        )
+        found = solve(problem, starts, _BY_KEYPOINTS)
+        kept = [i for i in _distinct(found).tolist() if float(found.cost[i] - found.cost.min()) < _ALTERNATIVE]
+        return found.pose[torch.tensor(kept[: self.settings.finalists], dtype=torch.long)]
+
+    def registered(
+        self,
+        starts: HandPose,
+        mask: Bool[Tensor, "height width"],
+        image: Tensor | None,
+        shape: Float[Tensor, "shape"],
+        *,
+        is_shape_known: bool,
+    ) -> Registered | None:
+        """The best of the hands that are reached from some starts (k); None where the silhouette has no outline, and
+        where none of them is in sight."""
+        s = self.settings
+        problem = self._problem(mask, image, shape)
+        if problem.observations[0].is_empty:
+            return None
+        if len(starts) > s.finalists:
+            rough = solve(problem, starts, s.schedule[:1])
+            starts = rough.pose[rough.cost.argsort()[: s.finalists]]
+        found = solve(problem, starts, s.schedule)
+        if not bool(found.is_sound.any()):
+            return None
+        best, covariance, modes = mixture(found, self.space)
+        result = Registered(
+            pose=best.pose,
+            shape=shape,
+            covariance=covariance,
+            edges=float(best.explained_by(CONTOUR).fraction),
+            cost=float(best.cost),
+            modes=modes,
+        )
+        return result if is_shape_known or not s.fits_shape else self._with_shape(problem, result, best.covariance)
+
+    def _problem(self, mask: Tensor, image: Tensor | None, shape: Tensor) -> Problem:
+        s, skeleton = self.settings, self.kinematics.skeleton
+        table = outline_table(s.points_per_generator, s.points_per_arc, without=("palm_wrist",))
+        contour = ContourObservation(
+            picture=picture_contours(mask, s.schedule, s.contour, image=image),
+            contours=PrimitiveContours(HandProjector(self.kinematics, self.camera, shape), table),
+            settings=s.contour,
+        )
+        return Problem(
+            space=self.space,
+            skeleton=skeleton,
+            shape=shape,
+            observations=(contour, *self.observations),
+            priors=self._priors,
+        )
+
+    def _with_shape(self, problem: Problem, result: Registered, own: Float[Tensor, "free free"]) -> Registered:
+        """The same hand with the proportions that its outline shows; what the hypotheses leave open stays open."""
+        names, population = self.kinematics.shape_space.names, _population(self.kinematics)
+        unknown = SharedUnknowns.of_shape(population, tuple(names.index(name) for name in _SHOWN))
+        stage = replace(self.settings.schedule[-1], rounds=1)
+        found = solve_shared(replace(problem, shared=unknown), result.pose.reshape(1), (stage,))
+        contour = next(one for one in found.explained if one.name == CONTOUR)
+        if not bool(found.covariance[0].isfinite().all()):
+            return result
+        return replace(
+            result,
+            pose=found.pose[0],
+            shape=found.shape,
+            covariance=found.covariance[0] + result.covariance - own,
+            edges=float(contour.fraction),
+        )
+
+
+def mixture(found: Solutions, space: PoseSpace) -> tuple[Solutions, Float[Tensor, "free free"], int]:
+    """The best hypothesis, the covariance of all of them about it, and how many different ones there are.
+
+    Hypotheses that ended at the same hand count once. Each has the weight exp(-cost), and adds its own covariance and
+    the square of its way from the best.
+    """
+    kept = _distinct(found)
+    weight = torch.softmax(-found.cost[kept], 0)
+    best = found.select(int(kept[0]))
+    steps = torch.stack([best.pose.step_to(found.pose[int(i)]) for i in kept])
+    free = steps[:, [i for i, _ in _columns(space)]] / steps.new_tensor([factor for _, factor in _columns(space)])
+    own = found.covariance[kept]
+    is_known = own.isfinite().flatten(1).all(-1)
+    spread = torch.where(is_known[:, None, None], own, best.covariance) + free[:, :, None] * free[:, None, :]
+    covariance = (weight[:, None, None] * spread).sum(0)
+    entropy = -(weight * weight.clamp_min(1e-12).log()).sum()
+    return best, covariance, round(float(entropy.exp()))
+
+
+def _distinct(found: Solutions) -> Int[Tensor, "kept"]:
+    """Hypotheses that differ, the best first."""
+    kept: list[int] = []
+    for i in found.cost.argsort().tolist():
+        is_new = all(float(found.pose[i].step_to(found.pose[j])[3:].abs().max()) > _SAME_RAD for j in kept)
+        if bool(found.cost[i].isfinite()) and is_new:
+            kept.append(i)
+    return torch.tensor(kept)
+
+
+def _columns(space: PoseSpace) -> list[tuple[int, float]]:
+    """DOF that each free parameter is named after, and its factor."""
+    rows = [DOFS.index(name) for name in space.free_names]
+    return [(row, float(space.basis[row, column])) for column, row in enumerate(rows)]
+
+
+@lru_cache(maxsize=4)
+def _postures(kinematics: HandKinematics) -> PostureResiduals:
+    return PostureResiduals.of(HandPrior(kinematics.skeleton, kinematics.shape_space).postures)
+
+
+@lru_cache(maxsize=4)
+def _population(kinematics: HandKinematics) -> Anthropometry:
+    return Anthropometry(kinematics.shape_space)
