@@ -3,17 +3,20 @@
 from torchhand.propose.channels import CHANNELS, gaussian_blur_of, network_channels
 from torchhand.propose.hypotheses import HandHypotheses, Silhouette, propose_hands
 from torchhand.propose.network import ProposalNetwork, ViewedHands
+from torchhand.propose.posture import LearnedPosture, learned_posture
 from torchhand.propose.views import SIDE_PX, SquareViews, palm_middle, views_towards
 
 __all__ = [
     "CHANNELS",
     "SIDE_PX",
     "HandHypotheses",
+    "LearnedPosture",
     "ProposalNetwork",
     "Silhouette",
     "SquareViews",
     "ViewedHands",
     "gaussian_blur_of",
+    "learned_posture",
     "network_channels",
     "palm_middle",
     "propose_hands",

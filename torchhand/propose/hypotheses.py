@@ -134,19 +134,7 @@ class _SeenHands:
     def closer_views(self) -> SquareViews:
         """A view of the likeliest hand of each view, upright."""
         best = self.weight.argmax(-1)
-        points = _chosen(self.keypoints, best)
-        points = torch.cat((points[..., :2], points[..., 2:].clamp_min(0.02)), -1)
-        middle = points.mean(-2)
-        fingers = _chosen(self.rotation, best)[..., 1]
-        turned = views_towards(middle, fingers, torch.ones_like(middle[..., 0])).cam_from_view
-        seen = points @ turned
-        plane = seen[..., :2] / seen[..., 2:].clamp_min(0.02)
-        low, high = plane.amin(-2), plane.amax(-2)
-        centre = torch.cat((0.5 * (low + high), torch.ones_like(low[..., :1])), -1)
-        half = 0.5 * (high - low).amax(-1) + _SKIN * self.length / middle[..., 2].clamp_min(0.02)
-        at = (turned @ centre[..., None]).squeeze(-1)
-        found = views_towards(at, fingers, _CLOSER * half)
-        return SquareViews(cam_from_view=found.cam_from_view.float(), reach=found.reach.float())
+        return views_of_hands(_chosen(self.keypoints, best), _chosen(self.rotation, best)[..., 1], self.length)
 
     def likeliest(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
         """Poses in the world and their weights, those that are alike joined."""
@@ -162,19 +150,55 @@ class _SeenHands:
         return torch.cat((place, torch.zeros_like(place), joints), -1), reference, weights
 
 
+def views_of_hands(
+    points: Float[Tensor, "*batch 21 3"], fingers: Float[Tensor, "*batch 3"], length: Float[Tensor, ""]
+) -> SquareViews:
+    """A view of each hand that it fills, upright.
+
+    points: keypoints in the camera's frame. fingers: direction there from the wrist to the fingers. length: of the
+    hand, metres.
+    """
+    points = torch.cat((points[..., :2], points[..., 2:].clamp_min(0.02)), -1)
+    middle = points.mean(-2)
+    turned = views_towards(middle, fingers, torch.ones_like(middle[..., 0])).cam_from_view
+    seen = points @ turned
+    plane = seen[..., :2] / seen[..., 2:].clamp_min(0.02)
+    low, high = plane.amin(-2), plane.amax(-2)
+    centre = torch.cat((0.5 * (low + high), torch.ones_like(low[..., :1])), -1)
+    half = 0.5 * (high - low).amax(-1) + _SKIN * length / middle[..., 2].clamp_min(0.02)
+    at = (turned @ centre[..., None]).squeeze(-1)
+    found = views_towards(at, fingers, _CLOSER * half)
+    return SquareViews(cam_from_view=found.cam_from_view.float(), reach=found.reach.float())
+
+
 def sampled_channels(silhouette: Silhouette, views: SquareViews) -> Float[Tensor, "views channels side side"]:
     """What the network sees of a picture in some views."""
-    mask, camera, image = silhouette.mask, silhouette.camera, silhouette.image
-    grey = torch.full(mask.shape, 0.5) if image is None else image.float() @ torch.tensor(_GREY) / 255
-    height, width = mask.shape
+    mask, camera = silhouette.mask, silhouette.camera
     plane = views.plane(_FINE * SIDE_PX)
     pixels = camera.to(dtype=torch.float32).pixels_from_plane(plane)
+    rows, columns = _seen_part(pixels, mask)
+    mask, image = mask[rows, columns], silhouette.image
+    grey = torch.full(mask.shape, 0.5) if image is None else image[rows, columns].float() @ torch.tensor(_GREY) / 255
+    height, width = mask.shape
+    pixels = pixels - torch.tensor((columns.start, rows.start))
     grid = (2 * pixels + 1) / torch.tensor((width, height)) - 1
     grid = torch.where(plane.abs().amax(-1, keepdim=True) < _FAR, grid, _FAR).clamp(-_FAR, _FAR)
     picture = torch.stack((mask.float(), grey, torch.ones_like(grey))).expand(len(grid), -1, -1, -1)
     fine = functional.grid_sample(picture, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
     share, level, known = functional.avg_pool2d(fine, _FINE).unbind(1)
     return network_channels(share, level, known)
+
+
+def _seen_part(pixels: Float[Tensor, "views rows columns 2"], mask: Tensor) -> tuple[slice, slice]:
+    """Rows and columns of a picture that hold all that is sampled of it; some where nothing is."""
+    height, width = mask.shape
+    inside = pixels.nan_to_num(0.0, posinf=_FAR, neginf=-_FAR).flatten(0, -2)
+    low, high = inside.amin(0).floor() - 1, inside.amax(0).ceil() + 2
+    left, right = (int(x.clamp(0, width)) for x in (low[0], high[0]))
+    top, bottom = (int(x.clamp(0, height)) for x in (low[1], high[1]))
+    if right <= left or bottom <= top:
+        return slice(0, height), slice(0, width)
+    return slice(top, bottom), slice(left, right)
 
 
 def _first_views(silhouette: Silhouette) -> SquareViews | None:

@@ -39,6 +39,8 @@ from torchhand.track.settings import TrackerSettings
 from torchhand.track.unscented import UnscentedUpdate, UnscentedUpdateSettings
 from torchhand.view import OutlineTable, outline_table
 
+_ROOT = 6
+
 
 @dataclass(frozen=True, kw_only=True)
 class Assembly:
@@ -59,6 +61,8 @@ class Assembly:
     takes_proposals: bool
     """Whether proposals come as candidates of the tracker's own update rule."""
     keypoint_settings: KeypointSettings
+    has_learned_posture: bool = False
+    """Whether a network tells the posture of the followed hand."""
 
     def keypoints(self, scene: Scene) -> SceneKeypoints:
         """What detectors found in a scene."""
@@ -174,6 +178,7 @@ def _of_one_camera(
         health=Health(settings=s.health),
         takes_proposals=False,
         keypoint_settings=s.keypoints,
+        has_learned_posture=s.learned_posture and here.kind == "pinhole" and bool(own.motion.space.basis[_ROOT:].any()),
     )
 
 

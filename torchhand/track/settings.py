@@ -49,6 +49,9 @@ class TrackerSettings:
     learned_proposals: bool = True
     """Whether a trained network proposes hands in any posture to one pinhole camera, where the posture of the start is
     not found or leaves something unexplained."""
+    learned_posture: bool = True
+    """Whether that network also tells the joint angles of a hand that is followed by one pinhole camera, picture by
+    picture."""
     rig: RigSettings = field(default_factory=RigSettings)
     """Several cameras: the hull of the silhouettes, in which a hand is found whatever the update rule."""
     smoothing_window_s: float = 0.0

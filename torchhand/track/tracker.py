@@ -21,7 +21,7 @@ from torchhand.track.assembly import Assembly, assembled
 from torchhand.track.belief import FollowedHand, posed_belief, scale_covariance, unknown_scale_std
 from torchhand.track.knowledge import Estimate, TrackerState
 from torchhand.track.proposals import Proposals, ProposalSource, Proposed
-from torchhand.track.scene import Candidate, HandKeypoints, ObservationsOf, Scene, View
+from torchhand.track.scene import Candidate, HandKeypoints, ObservationsOf, Scene, View, observed_posture
 from torchhand.track.settings import TrackerSettings
 
 _BEST_KEPT = 0.99  # share of the best score that outlasts a frame
@@ -112,7 +112,8 @@ class Tracker:
         )
         followed = None
         if state.hand is not None and predicted is not None and state.shape is not None:
-            followed = self._parts.rule.follow(state.hand, predicted, scene, state.shape)
+            seen = self._with_posture(scene, predicted, state.shape)
+            followed = self._parts.rule.follow(state.hand, predicted, seen, state.shape)
             followed = self._compared_with_keypoints(followed, scene, state.shape)
         state, search = self._searched(state, followed, predicted, scene)
         return self._adopted(state, search, predicted, scene)
@@ -162,6 +163,14 @@ class Tracker:
         further = () if self._observations is None else tuple(self._observations(scene))
         keypoints = self._parts.keypoints(scene).observations if self._parts.takes_proposals else ()
         return replace(scene, observations=(*further, *keypoints))
+
+    def _with_posture(self, scene: Scene, predicted: FollowedHand, shape: Tensor) -> Scene:
+        """The scene with the posture that the network sees where the hand is expected."""
+        if not self._parts.has_learned_posture:
+            return scene
+        pose = self._parts.motion.pose(predicted).normalized()
+        seen = observed_posture(scene, self._parts.cameras[0], self.kinematics, pose, shape)
+        return scene if seen is None else replace(scene, observations=(*scene.observations, seen))
 
     def _started(self, state: TrackerState | None) -> TrackerState:
         if state is not None:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.fit import PosedHands, Stage, grey
-from torchhand.fit.keypoints import KeypointSettings
+from torchhand.fit.keypoints import KeypointSettings, PostureKeypoints
 from torchhand.geometry import Camera
 from torchhand.hand import HandFrames, HandKinematics, HandPose
 from torchhand.numerics import Gaussian, observed_points, update
@@ -163,7 +163,7 @@ class UnscentedUpdate:
         edges = self._edges(before, frames, projectors, scene)
         if not any(edges):
             return _Measured(hand=hand)
-        is_told = bool(scene_keypoints(scene, self.cameras, self.kinematics, self.keypoints).postures)
+        is_told = self._is_told(scene)
         prior = self._prior.value(hand.reference, hand.start_reference)
         stack = _Stack()
         for one in edges:
@@ -186,6 +186,11 @@ class UnscentedUpdate:
         return self._judged(
             edges, result.used, replace(hand, belief=result.state), float(result.nis), int(result.count)
         )
+
+    def _is_told(self, scene: Scene) -> bool:
+        """Whether something else than edges tells the posture: keypoints in space, or the learned posture."""
+        seen = scene_keypoints(scene, self.cameras, self.kinematics, self.keypoints)
+        return bool(seen.postures) or any(isinstance(one, PostureKeypoints) for one in scene.observations)
 
     def _judged(
         self,

@@ -1,0 +1,67 @@
+"""A hand that closes, seen from its back: its outline hardly tells, the network does."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+
+from tests.steps import right_hand, run
+from torchhand.hand import DOFS, posture
+from torchhand.runs import settings_of
+from torchhand.track import Tracker
+
+FRAMES = 15
+FLEXIONS = torch.tensor(
+    [not name.startswith("thumb") and name.endswith(("mcp_fe", "pip_fe", "dip_fe")) for name in DOFS]
+)
+
+
+def _missed_deg(studio: Any, *, learned: bool) -> float:
+    """Mean error of the fingers' flexion in the last frames, when the hand is closed to three quarters."""
+    placed = studio.placed(size=0.7, view="back", camera=studio.camera(320, 240))
+    images, closed = [], placed.pose
+    for frame in range(FRAMES):
+        part = 0.75 * min(1.0, frame / (FRAMES - 5))
+        closed = placed.pose.clone()
+        closed[6:] = (1 - part) * posture("open")[6:] + part * posture("fist")[6:]
+        images.append(replace(placed, pose=closed).picture(seed=frame))
+    settings = replace(settings_of("contour_full"), learned_posture=learned)
+    _, estimates = run(Tracker(right_hand(), placed.camera, settings, shape=placed.shape), images)
+    assert all(one.pose is not None for one in estimates)
+    missed = [(one.pose - closed)[FLEXIONS].abs().mean() for one in estimates[-3:] if one.pose is not None]
+    return float(torch.rad2deg(torch.stack(missed).mean()))
+
+
+def test_fingers_that_close_are_followed_with_the_network(studio: Any) -> None:
+    with_network, without = (_missed_deg(studio, learned=learned) for learned in (True, False))
+    assert with_network < 15
+    assert with_network < 0.75 * without
+
+
+def test_orthographic_cameras_and_rigid_hands_do_without(studio: Any) -> None:
+    placed = studio.placed(size=0.7, camera=studio.camera(320, 240, kind="orthographic"))
+    images = [placed.picture(seed=seed) for seed in range(3)]
+    own, other = (
+        run(
+            Tracker(right_hand(), placed.camera, replace(settings_of("contour_full"), learned_posture=learned)), images
+        )[1]
+        for learned in (True, False)
+    )
+    assert [one.status for one in own] == ["tracked"] * 3
+    for one, same in zip(own, other, strict=True):
+        assert one.pose is not None
+        assert same.pose is not None
+        torch.testing.assert_close(one.pose, same.pose, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("name", ["contour_planar", "contour_planar_scale"])
+def test_planar_configurations_do_not_ask_it(name: str, studio: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any) -> None:
+        raise AssertionError("the network was asked")
+
+    monkeypatch.setattr("torchhand.track.tracker.observed_posture", refuse)
+    placed = studio.placed(size=0.7, camera=studio.camera(320, 240))
+    tracker = Tracker(right_hand(), placed.camera, settings_of(name), shape=placed.shape)
+    _, estimates = run(tracker, [placed.picture(seed=seed) for seed in range(3)])
+    assert [one.status for one in estimates] == ["tracked"] * 3

@@ -1,0 +1,74 @@
+"""What the network tells of the posture of a hand whose place and direction are known roughly: one view, no search."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.hand import JOINT_DOFS, HandKinematics, HandPose
+from torchhand.propose.hypotheses import Silhouette, sampled_channels, views_of_hands
+from torchhand.propose.network import ProposalNetwork
+
+# Root mean square errors in degrees of the mean angles, by the ending of the DOF's name: medians over the sequences of
+# another maker's hand that `torchhand learn_proposals --evaluate` was given (`models/proposals/README.md`).
+_STD_DEG = {
+    "thumb_cmc_fe": 9.0,
+    "thumb_cmc_aa": 5.0,
+    "thumb_mcp_fe": 21.0,
+    "thumb_mcp_aa": 9.0,
+    "thumb_ip_fe": 13.0,
+    "_cmc_fe": 2.0,
+    "_mcp_fe": 11.0,
+    "_mcp_aa": 10.0,
+    "_pip_fe": 12.0,
+    "_dip_fe": 7.0,
+}
+_OTHER_STD_DEG = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnedPosture:
+    """Joint angles as the network sees them in one picture."""
+
+    joints: Float[Tensor, "30"]
+    """Mean of the hypotheses, radians, in the order of JOINT_DOFS."""
+    variance: Float[Tensor, "30"]
+    """Of the hypotheses about it, and of the network's errors, radians²."""
+
+
+def learned_posture(
+    network: ProposalNetwork,
+    silhouette: Silhouette,
+    kinematics: HandKinematics,
+    pose: HandPose,
+    shape: Float[Tensor, "shape"],
+) -> LearnedPosture:
+    """The posture of the hand that stands about where `pose` () in the world has it, seen upright and filling the view.
+
+    Raises ValueError for a camera that is no pinhole camera.
+    """
+    if silhouette.camera.kind != "pinhole":
+        raise ValueError(f"camera: expected a pinhole camera, got {silhouette.camera.kind}")
+    frames = kinematics(pose.dofs[None], shape, root_reference=pose.reference[None])
+    to_cam, place = silhouette.camera.rotation.to(pose.dofs), silhouette.camera.translation.to(pose.dofs)
+    points = frames.keypoints @ to_cam.mT + place
+    fingers = (to_cam @ pose.rotation)[:, 1][None]
+    length = shape[kinematics.shape_space.names.index("hand_length")]
+    views = views_of_hands(points, fingers, length)
+    channels = sampled_channels(silhouette, views)
+    found = network(channels.flip(-1) if kinematics.side == "left" else channels)
+    weight = found.log_weight[0].exp().to(pose.dofs)[:, None]
+    weight = weight / weight.sum()
+    joints = found.joints[0].to(pose.dofs)
+    mean = (weight * joints).sum(0)
+    spread = (weight * (joints - mean).square()).sum(0)
+    return LearnedPosture(joints=mean, variance=spread + _error_variance().to(spread))
+
+
+def _error_variance() -> Float[Tensor, "30"]:
+    std = []
+    for name in JOINT_DOFS:
+        ending = name if name in _STD_DEG else name[name.index("_") :]
+        std.append(_STD_DEG.get(ending, _OTHER_STD_DEG))
+    return torch.deg2rad(torch.tensor(std, dtype=torch.float64)).square()
