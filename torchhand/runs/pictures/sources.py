@@ -3,7 +3,7 @@
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.files import load_proposal_network, models_dir
+from torchhand.files import load_proposal_network
 from torchhand.fit.detect import align_posture
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandKinematics, HandPose, posture
@@ -38,4 +38,4 @@ def pose_sources(kinematics: HandKinematics) -> tuple[PoseSource, ...]:
         seen = Silhouette(mask=mask, camera=camera, image=image)
         return propose_hands(load_proposal_network(), (seen,), kinematics, shape, count=_OF_NETWORK).pose[0]
 
-    return (learned,) if (models_dir() / "proposals" / "network.npz").is_file() else (by_named_postures,)
+    return (learned,)
