@@ -27,6 +27,9 @@ class PostureMeasurements:
     """Beliefs that hold for every posture; the others say that a hand stays like that of the start, for want of
     anything that tells."""
 
+    is_rest: Bool[Tensor, "rows"]
+    """Beliefs that flexions stay those of the start."""
+
     def value(self, reference: Float[Tensor, "3 3"], start_reference: Float[Tensor, "3 3"]) -> Float[Tensor, "rows"]:
         """Values that the prior expects of a hand whose rotation is a left perturbation of `reference`, radians.
 
@@ -48,6 +51,7 @@ def posture_prior(space: PoseSpace, settings: PosturePriorSettings, *, has_tilt:
     rows: list[Tensor] = []
     variances: list[float] = []
     ties: list[bool] = []
+    rests: list[bool] = []
     tilts: list[tuple[int, int]] = []
     names = space.free_names
     for i, name in enumerate(names):
@@ -68,7 +72,9 @@ def posture_prior(space: PoseSpace, settings: PosturePriorSettings, *, has_tilt:
             std = settings.side_std_rad
         else:
             std = settings.rest_std_rad
-        ties.append(name.endswith("_dip_fe") and middle_joint in names)
+        is_tie = name.endswith("_dip_fe") and middle_joint in names
+        ties.append(is_tie)
+        rests.append(name.endswith("_fe") and not is_tie)
         rows.append(row)
         variances.append(std**2)
     matrix = torch.stack(rows) if rows else torch.zeros(0, len(names), dtype=torch.float64)
@@ -77,4 +83,5 @@ def posture_prior(space: PoseSpace, settings: PosturePriorSettings, *, has_tilt:
         variance=torch.tensor(variances, dtype=torch.float64),
         tilts=tuple(tilts),
         is_tie=torch.tensor(ties, dtype=torch.bool),
+        is_rest=torch.tensor(rests, dtype=torch.bool),
     )

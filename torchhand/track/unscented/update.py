@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.fit import PosedHands, Stage, grey
@@ -163,14 +163,14 @@ class UnscentedUpdate:
         edges = self._edges(before, frames, projectors, scene)
         if not any(edges):
             return _Measured(hand=hand)
-        is_told = self._is_told(scene)
+        by_points = bool(scene_keypoints(scene, self.cameras, self.kinematics, self.keypoints).postures)
         prior = self._prior.value(hand.reference, hand.start_reference)
         stack = _Stack()
         for one in edges:
             if one is not None:
-                variance = one.variance + one.surface_variance if is_told else one.variance
+                variance = one.variance + one.surface_variance if by_points else one.variance
                 stack.add(one.predicted, one.value, variance, one.is_found)
-        is_believed = self._prior.is_tie if is_told else torch.ones_like(prior, dtype=torch.bool)
+        is_believed = self._believed(scene, by_points=by_points)
         stack.add(candidates @ self._prior.matrix.T, prior, self._prior.variance, is_believed)
         predicted, value, variance, valid = stack.joined()
         result = update(
@@ -187,10 +187,13 @@ class UnscentedUpdate:
             edges, result.used, replace(hand, belief=result.state), float(result.nis), int(result.count)
         )
 
-    def _is_told(self, scene: Scene) -> bool:
-        """Whether something else than edges tells the posture: keypoints in space, or the learned posture."""
-        seen = scene_keypoints(scene, self.cameras, self.kinematics, self.keypoints)
-        return bool(seen.postures) or any(isinstance(one, PostureKeypoints) for one in scene.observations)
+    def _believed(self, scene: Scene, *, by_points: bool) -> Bool[Tensor, "rows"]:
+        """Which beliefs of the weak posture prior count: all where edges alone tell the posture; no resting angles
+        where the network tells them too; the ties alone where detected points do."""
+        if by_points:
+            return self._prior.is_tie
+        is_learned = any(isinstance(one, PostureKeypoints) for one in scene.observations)
+        return ~self._prior.is_rest if is_learned else torch.ones_like(self._prior.is_rest)
 
     def _judged(
         self,
