@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float
 
 from torchhand.errors import InputError
-from torchhand.files.disk import LineFile, explained_errors, read_lines, replacing, short
-from torchhand.files.results.results import UNFINISHED_NAME, check_output_folder
-from torchhand.files.results.track_file import POSES_NAME, read_header
+from torchhand.files.disk import LineFile, explained_errors, read_lines, replacing
+from torchhand.files.results.results import UNFINISHED_NAME, check_output_folder, header_to_resume
+from torchhand.files.results.track_file import POSES_NAME
 from torchhand.files.results.track_record import OF_PICTURES, FrameRecord, TrackHeader, track_of
 
 POSES_LINES_NAME = "poses.jsonl"
@@ -142,16 +142,9 @@ class PosesWriter:
 
     def _resumed(self, path: Path) -> int:
         """Find the pictures that are done; returns how many bytes of the file stay."""
-        with path.open("rb") as file:
-            if not file.readline().endswith(b"\n"):
-                return 0  # stopped while it wrote its very first line
-        header, size = read_header(path)
-        for key, value in self._header.items():
-            if header.get(key) != value:
-                raise InputError(
-                    f"{path}: cannot be resumed: {key} was {short(header.get(key))}, is now {short(value)};"
-                    " give the same options as before, or --overwrite"
-                )
+        size = header_to_resume(path, self._header)
+        if not size:
+            return 0
         done: list[str] = []
         for i, (record, end) in enumerate(read_lines(path)):
             if i > 0:

@@ -212,16 +212,9 @@ class TrackWriter:
 
     def _resume(self, path: Path) -> int:
         """Find the point to go on from; returns how many bytes of the file stay."""
-        with path.open("rb") as file:
-            if not file.readline().endswith(b"\n"):
-                return 0  # stopped while it wrote its very first line
-        header, size = read_header(path)
-        for key, value in self._header.items():
-            if header.get(key) != value:
-                raise InputError(
-                    f"{path}: cannot be resumed: {_difference(key, header.get(key), value)};"
-                    " give the same options as before, or --overwrite"
-                )
+        size = header_to_resume(path, self._header)
+        if not size:
+            return 0
         checkpoint = _load_checkpoint(self.folder / CHECKPOINT_NAME)
         if checkpoint is None:
             return size
@@ -256,6 +249,24 @@ def _load_checkpoint(path: Path) -> ResumePoint | None:
         return ResumePoint(last_frame=content["last_frame"], state=content["state"])
     except Exception:  # the reader raises whatever it stumbles over
         return None
+
+
+def header_to_resume(path: Path, header: Mapping[str, Any]) -> int:
+    """Bytes of the first line of an interrupted run's lines; 0 where it was stopped while it wrote that one.
+
+    Raises InputError where the run was begun with another header than the given one.
+    """
+    with path.open("rb") as file:
+        if not file.readline().endswith(b"\n"):
+            return 0
+    before, size = read_header(path)
+    for key, value in header.items():
+        if before.get(key) != value:
+            raise InputError(
+                f"{path}: cannot be resumed: {_difference(key, before.get(key), value)};"
+                " give the same options as before, or --overwrite"
+            )
+    return size
 
 
 def _difference(key: str, before: Any, now: Any) -> str:
