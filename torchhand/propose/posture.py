@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.geometry import rotation_from_vector, vector_from_rotation
 from torchhand.hand import JOINT_DOFS, HandKinematics, HandPose
 from torchhand.propose.hypotheses import Silhouette, mirrored_hands, sampled_channels, views_of_hands
 from torchhand.propose.network import ProposalNetwork
@@ -30,6 +31,8 @@ _DIRECTION_STD = math.radians(30.0)
 """Of the direction of the best of the eight hypotheses, as measured there on one view of held-out simulated hands and on
 pictures (11° to 27°), with a margin."""
 
+_UNTOLD = 0.1  # share of pictures in which no hypothesis is about the hand
+
 
 @dataclass(frozen=True, kw_only=True)
 class LearnedPosture:
@@ -47,9 +50,22 @@ class LearnedPosture:
     def direction_agreement(self, rotation: Float[Tensor, "3 3"]) -> Float[Tensor, ""]:
         """How far the hypotheses bear out a direction of the hand (world_from_hand): their mean, by probability, of
         exp(-θ² / 2σ²), θ the angle between theirs and it and σ the network's own error; 0 to 1."""
+        return self._shares(rotation).sum()
+
+    def direction_near(self, rotation: Float[Tensor, "3 3"]) -> tuple[Float[Tensor, "3 3"], Float[Tensor, ""]]:
+        """Direction (world_from_hand) of the hypotheses about a hand of some direction, and its inverse variance,
+        radians⁻²: those of one component of the mixture as expectation maximization sees it, next to which all far
+        hypotheses count as if they told nothing."""
+        share = self._shares(rotation)
+        turns = vector_from_rotation(self.rotation @ rotation.to(self.rotation).mT)
+        mean = (share[:, None] * turns).sum(0) / share.sum().clamp_min(_UNTOLD)
+        trust = share.sum() / (share.sum() + _UNTOLD)
+        return rotation_from_vector(mean) @ rotation.to(self.rotation), trust / _DIRECTION_STD**2
+
+    def _shares(self, rotation: Float[Tensor, "3 3"]) -> Float[Tensor, "k"]:
         cosine = 0.5 * ((self.rotation * rotation.to(self.rotation)).sum((-2, -1)) - 1)
         angle = cosine.clamp(-1, 1).arccos()
-        return (self.weight * (-0.5 * (angle / _DIRECTION_STD).square()).exp()).sum()
+        return self.weight * (-0.5 * (angle / _DIRECTION_STD).square()).exp()
 
 
 def learned_posture(

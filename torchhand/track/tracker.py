@@ -28,7 +28,7 @@ from torchhand.track.scene import (
     ObservationsOf,
     Scene,
     View,
-    posture_observation,
+    learned_observations,
     seen_posture,
 )
 from torchhand.track.settings import TrackerSettings
@@ -126,7 +126,7 @@ class Tracker:
             told = (
                 scene
                 if seen is None
-                else replace(scene, observations=(*scene.observations, posture_observation(seen, pose)))
+                else replace(scene, observations=(*scene.observations, *learned_observations(seen, pose)))
             )
             followed = self._parts.rule.follow(state.hand, predicted, told, state.shape)
             followed = self._judged_otherwise(followed, scene, state.shape, seen)

@@ -5,9 +5,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.files import load_proposal_network
+from torchhand.fit import GaussianPrior, Observation
 from torchhand.fit.keypoints import PostureKeypoints
 from torchhand.geometry import Camera
-from torchhand.hand import DOFS, JOINT_DOFS, HandKinematics, HandPose
+from torchhand.hand import DOFS, JOINT_DOFS, HandKinematics, HandPose, named_pose_space
 from torchhand.propose import LearnedPosture, Silhouette, learned_posture
 from torchhand.track.scene.views import Scene
 
@@ -23,9 +24,22 @@ def seen_posture(
     return learned_posture(load_proposal_network(), seen, kinematics, pose, shape)
 
 
-def posture_observation(seen: LearnedPosture, pose: HandPose) -> PostureKeypoints:
-    """The joint angles that were seen, as an observation of the hand near a pose ()."""
-    dofs = torch.cat((pose.dofs.new_zeros(len(DOFS) - len(JOINT_DOFS)), seen.joints))
-    return PostureKeypoints(
-        pose=HandPose(dofs=dofs[None], reference=pose.rotation[None]), precision=seen.variance.reciprocal()[None]
+def learned_observations(seen: LearnedPosture, pose: HandPose) -> tuple[Observation, Observation]:
+    """The joint angles and the direction that were seen, as observations of the hand near a pose ()."""
+    none, rotation = pose.dofs.new_zeros(len(DOFS) - len(JOINT_DOFS)), pose.rotation
+    direction, precision = seen.direction_near(rotation)
+    space = named_pose_space("dof27")
+    information = torch.zeros(space.size, space.size, dtype=none.dtype)
+    turns = [space.free_names.index(name) for name in ("root_rx", "root_ry", "root_rz")]
+    information[turns, turns] = precision.to(none)
+    return (
+        PostureKeypoints(
+            pose=HandPose(dofs=torch.cat((none, seen.joints))[None], reference=rotation[None]),
+            precision=seen.variance.reciprocal()[None],
+        ),
+        GaussianPrior(
+            pose=HandPose(dofs=pose.dofs.new_zeros(len(DOFS)), reference=direction),
+            information=information,
+            space=space,
+        ),
     )
