@@ -28,6 +28,7 @@ from torchhand.track.scene import (
     ObservationsOf,
     Scene,
     View,
+    credible_posture,
     learned_observations,
     seen_posture,
 )
@@ -121,15 +122,7 @@ class Tracker:
         )
         followed = None
         if state.hand is not None and predicted is not None and state.shape is not None:
-            pose = self._parts.motion.pose(predicted).normalized()
-            seen = self._seen_posture(scene, pose, state.shape)
-            told = (
-                scene
-                if seen is None
-                else replace(scene, observations=(*scene.observations, *learned_observations(seen, pose)))
-            )
-            followed = self._parts.rule.follow(state.hand, predicted, told, state.shape)
-            followed = self._judged_otherwise(followed, scene, state.shape, seen)
+            followed = self._followed(state.hand, predicted, scene, state.shape)
         state, search = self._searched(state, followed, predicted, scene)
         return self._adopted(state, search, predicted, scene)
 
@@ -178,6 +171,19 @@ class Tracker:
         further = () if self._observations is None else tuple(self._observations(scene))
         keypoints = self._parts.keypoints(scene).observations if self._parts.takes_proposals else ()
         return replace(scene, observations=(*further, *keypoints))
+
+    def _followed(self, hand: FollowedHand, predicted: FollowedHand, scene: Scene, shape: Tensor) -> Candidate | None:
+        """The prediction corrected by the scene, and by what the network sees where the hand is expected: fingers that
+        are bent otherwise are put there first, unless a detector tells of them."""
+        motion = self._parts.motion
+        pose = motion.pose(predicted).normalized()
+        seen, told = self._seen_posture(scene, pose, shape), scene
+        if seen is not None:
+            told = replace(scene, observations=(*scene.observations, *learned_observations(seen, pose)))
+            if not self._parts.keypoints(scene).observations:
+                predicted = motion.put(predicted, *credible_posture(seen, pose, motion.space.free_names))
+        found = self._parts.rule.follow(hand, predicted, told, shape)
+        return self._judged_otherwise(found, scene, shape, seen)
 
     def _seen_posture(self, scene: Scene, pose: HandPose, shape: Tensor) -> LearnedPosture | None:
         """What the network sees where a hand is expected."""
