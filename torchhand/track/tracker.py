@@ -37,6 +37,7 @@ from torchhand.track.settings import TrackerSettings
 _BEST_KEPT = 0.99  # share of the best score that outlasts a frame
 _DECLINE = 0.03  # score less than at best, from which on a followed hand is fitted once more with larger steps
 _SURE_EDGES = 0.85  # share of the edges that a whole hand explains at least
+_DIRECTION_KEPT = 0.8  # share of the direction's agreement that outlasts a frame
 _TOLD = 0.01  # score that a hand may have less which the network bears out
 _REFIT_EVERY = 10  # frames from one such fit to the next at least
 
@@ -230,13 +231,18 @@ class Tracker:
     def _judged_otherwise(
         self, found: Candidate | None, scene: Scene, shape: Tensor, seen: LearnedPosture | None = None
     ) -> Candidate | None:
-        """A candidate with what detected keypoints say of it, and the network: `seen`, or what it sees there now."""
+        """A candidate with what detected keypoints say of it, and the network: `seen`, or what it sees there now. Of a
+        hand that is followed the latter is a mean over the last frames, for a fist looks much alike from either side."""
         if found is None:
             return None
         keypoints = self._parts.keypoints(scene).agreement(found.pose, shape)
         seen = self._seen_posture(scene, found.pose.normalized(), shape) if seen is None else seen
-        direction = None if seen is None else float(seen.direction_agreement(found.rotation))
-        return replace(found, keypoints=keypoints, direction=direction)
+        if seen is None:
+            return replace(found, keypoints=keypoints)
+        direction, before = float(seen.direction_agreement(found.rotation)), found.hand.direction
+        if before is not None:
+            direction = _DIRECTION_KEPT * before + (1 - _DIRECTION_KEPT) * direction
+        return replace(found, keypoints=keypoints, direction=direction, hand=replace(found.hand, direction=direction))
 
     def _unseen(self, state: TrackerState, predicted: FollowedHand | None) -> tuple[TrackerState, Estimate]:
         """The step over a time of which nothing was seen: after `health.patience` in a row the track is given up."""
