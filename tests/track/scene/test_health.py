@@ -55,10 +55,12 @@ def test_a_hand_seldom_leaps_unless_it_is_lost() -> None:
     nearer = _seen(pose=replace(POSE, dofs=away))
     poor = _seen(agreement=Agreement.of_overlaps(torch.tensor([0.8], dtype=torch.float64)))
     lost = _seen(agreement=Agreement.of_overlaps(torch.tensor([0.4], dtype=torch.float64)))
-    assert HEALTH.better(poor, replace(nearer, pose=POSE), None) is not poor
-    assert HEALTH.better(poor, nearer, None) is poor
-    assert HEALTH.better(lost, nearer, None) is nearer
-    assert Health(settings=HEALTH.settings.for_rig()).better(poor, nearer, None) is nearer
+    facing = POSE.rotation
+    assert HEALTH.better(poor, replace(nearer, pose=POSE), facing) is not poor
+    assert HEALTH.better(poor, nearer, facing) is poor
+    assert HEALTH.better(poor, nearer, None) is nearer  # none is followed yet
+    assert HEALTH.better(lost, nearer, facing) is nearer
+    assert Health(settings=HEALTH.settings.for_rig()).better(poor, nearer, facing) is nearer
 
 
 def test_a_detector_is_believed_before_the_network() -> None:

@@ -168,9 +168,9 @@ class Health:
         else:
             first_score, second_score = self.score(first), self.score(second)
         margin = self.settings.better_by
-        if is_elsewhere and not self.is_failing(first):
-            margin += self.settings.moved_by
         if facing is not None:
+            if is_elsewhere and not self.is_failing(first):
+                margin += self.settings.moved_by
             traces = [float((facing * one.rotation).sum()) for one in (first, second)]
             margin += self.settings.turned_by * max(0.0, traces[0] - traces[1]) / 4  # of half a turn: 4
         return second if second_score > first_score + margin else first
