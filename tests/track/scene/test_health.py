@@ -51,7 +51,7 @@ def test_it_does_not_say_where_the_hand_is() -> None:
 
 def test_a_hand_seldom_leaps_unless_much_speaks_for_it() -> None:
     away = POSE.dofs.clone()
-    away[2] = 0.2
+    away[2] = -0.2
     nearer = _seen(pose=replace(POSE, dofs=away))
     poor = _seen(agreement=Agreement.of_overlaps(torch.tensor([0.86], dtype=torch.float64)))
     lost = _seen(agreement=Agreement.of_overlaps(torch.tensor([0.4], dtype=torch.float64)))
@@ -60,6 +60,7 @@ def test_a_hand_seldom_leaps_unless_much_speaks_for_it() -> None:
     assert HEALTH.better(poor, nearer, facing) is poor
     assert HEALTH.better(poor, nearer, None) is nearer  # none is followed yet
     assert HEALTH.better(lost, nearer, facing) is nearer
+    assert HEALTH.better(replace(poor, pose=nearer.pose), SOUND, facing) is SOUND  # back from the arm
     assert Health(settings=HEALTH.settings.for_rig()).better(poor, nearer, facing) is nearer
 
 

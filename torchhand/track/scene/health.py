@@ -52,9 +52,9 @@ class HealthSettings:
     turned_by: float = 0.12
     """By how much more it must be higher where it is turned by half a turn, which a hand seldom does from one picture
     to the next; less for smaller turns; 0 to 1."""
-    moved_by: float = 0.1
-    """By how much more it must be higher where it lies half a hand's length away or more from a followed hand: an arm
-    looks much like a hand that is nearer; 0 to 1."""
+    nearer_by: float = 0.1
+    """By how much more it must be higher where it lies half a hand's length away or more from a followed hand, and
+    nearer to the camera: a hand with its arm looks much like a hand that is nearer; 0 to 1."""
     search_every: int = 5
     """Frames from one search without any guess to the next where the last one found a hand; 1 or more."""
     search_at_most_every: int = 5
@@ -78,7 +78,7 @@ class HealthSettings:
         return replace(
             self,
             max_unexplained=float("inf"),
-            moved_by=0.0,
+            nearer_by=0.0,
             searches_when_failing=False,
             search_at_most_every=max(self.search_at_most_every, _RIG_SEARCH_EVERY),
         )
@@ -91,7 +91,7 @@ class HealthSettings:
             "edge_weight",
             "memory",
         )
-        for name in (*shares, "max_score_drop", "better_by", "turned_by", "moved_by"):
+        for name in (*shares, "max_score_drop", "better_by", "turned_by", "nearer_by"):
             require(0 <= getattr(self, name) <= 1, f"health.{name}", "0 to 1", getattr(self, name))
         require(self.max_unexplained >= 0, "health.max_unexplained", "0 or more", self.max_unexplained)
         for name in ("patience", "search_every"):
@@ -169,7 +169,7 @@ class Health:
             first_score, second_score = self.score(first), self.score(second)
         margin = self.settings.better_by
         if facing is not None:
-            margin += self.settings.moved_by * is_elsewhere
+            margin += self.settings.nearer_by * (is_elsewhere and bool(second.palm[2] < first.palm[2]))
             traces = [float((facing * one.rotation).sum()) for one in (first, second)]
             margin += self.settings.turned_by * max(0.0, traces[0] - traces[1]) / 4  # of half a turn: 4
         return second if second_score > first_score + margin else first
