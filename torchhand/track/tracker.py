@@ -17,11 +17,21 @@ from torchhand.geometry import Camera
 from torchhand.hand import Hand, HandPose
 from torchhand.image import BackgroundPlate
 from torchhand.numerics import single_threaded
+from torchhand.propose import LearnedPosture
 from torchhand.track.assembly import Assembly, assembled
 from torchhand.track.belief import FollowedHand, posed_belief, scale_covariance, unknown_scale_std
 from torchhand.track.knowledge import Estimate, TrackerState
 from torchhand.track.proposals import Proposals, ProposalSource, Proposed
-from torchhand.track.scene import Candidate, HandKeypoints, ObservationsOf, Scene, View, observed_posture
+from torchhand.track.scene import (
+    Candidate,
+    HandKeypoints,
+    ObservationsOf,
+    Scene,
+    View,
+    credible_posture,
+    learned_observations,
+    seen_posture,
+)
 from torchhand.track.settings import TrackerSettings
 
 _BEST_KEPT = 0.99  # share of the best score that outlasts a frame
@@ -112,9 +122,7 @@ class Tracker:
         )
         followed = None
         if state.hand is not None and predicted is not None and state.shape is not None:
-            seen = self._with_posture(scene, predicted, state.shape)
-            followed = self._parts.rule.follow(state.hand, predicted, seen, state.shape)
-            followed = self._compared_with_keypoints(followed, scene, state.shape)
+            followed = self._followed(state.hand, predicted, scene, state.shape)
         state, search = self._searched(state, followed, predicted, scene)
         return self._adopted(state, search, predicted, scene)
 
@@ -137,7 +145,7 @@ class Tracker:
     def candidate(self, pose: HandPose, scene: Scene, shape: Float[Tensor, "shape"]) -> Candidate | None:
         """A hand near a pose as the update rule finds it in a scene, whatever is followed; None where it finds none."""
         found = self._parts.rule.begin(pose, None, scene, shape)
-        return self._compared_with_keypoints(found, scene, shape)
+        return self._judged_otherwise(found, scene, shape)
 
     @torch.inference_mode()
     def at_rest(self, hand: FollowedHand) -> FollowedHand:
@@ -164,13 +172,24 @@ class Tracker:
         keypoints = self._parts.keypoints(scene).observations if self._parts.takes_proposals else ()
         return replace(scene, observations=(*further, *keypoints))
 
-    def _with_posture(self, scene: Scene, predicted: FollowedHand, shape: Tensor) -> Scene:
-        """The scene with the posture that the network sees where the hand is expected."""
+    def _followed(self, hand: FollowedHand, predicted: FollowedHand, scene: Scene, shape: Tensor) -> Candidate | None:
+        """The prediction corrected by the scene, and by what the network sees where the hand is expected: fingers that
+        are bent otherwise are put there first, unless a detector tells of them."""
+        motion = self._parts.motion
+        pose = motion.pose(predicted).normalized()
+        seen, told = self._seen_posture(scene, pose, shape), scene
+        if seen is not None:
+            told = replace(scene, observations=(*scene.observations, *learned_observations(seen, pose)))
+            if not self._parts.keypoints(scene).observations:
+                predicted = motion.put(predicted, *credible_posture(seen, pose, motion.space.free_names))
+        found = self._parts.rule.follow(hand, predicted, told, shape)
+        return self._judged_otherwise(found, scene, shape, seen)
+
+    def _seen_posture(self, scene: Scene, pose: HandPose, shape: Tensor) -> LearnedPosture | None:
+        """What the network sees where a hand is expected."""
         if not self._parts.has_learned_posture:
-            return scene
-        pose = self._parts.motion.pose(predicted).normalized()
-        seen = observed_posture(scene, self._parts.cameras[0], self.kinematics, pose, shape)
-        return scene if seen is None else replace(scene, observations=(*scene.observations, seen))
+            return None
+        return seen_posture(scene, self._parts.cameras[0], self.kinematics, pose, shape)
 
     def _started(self, state: TrackerState | None) -> TrackerState:
         if state is not None:
@@ -199,11 +218,16 @@ class Tracker:
         moved = HandKeypoints(points_px=used.pixels_from_plane(points), points=seen.points, score=seen.score)
         return replace(view, keypoints=moved)
 
-    def _compared_with_keypoints(self, found: Candidate | None, scene: Scene, shape: Tensor) -> Candidate | None:
-        """A candidate with what detected keypoints say of it."""
+    def _judged_otherwise(
+        self, found: Candidate | None, scene: Scene, shape: Tensor, seen: LearnedPosture | None = None
+    ) -> Candidate | None:
+        """A candidate with what detected keypoints say of it, and the network: `seen`, or what it sees there now."""
         if found is None:
             return None
-        return replace(found, keypoints=self._parts.keypoints(scene).agreement(found.pose, shape))
+        keypoints = self._parts.keypoints(scene).agreement(found.pose, shape)
+        seen = self._seen_posture(scene, found.pose.normalized(), shape) if seen is None else seen
+        direction = None if seen is None else float(seen.direction_agreement(found.rotation))
+        return replace(found, keypoints=keypoints, direction=direction)
 
     def _unseen(self, state: TrackerState, predicted: FollowedHand | None) -> tuple[TrackerState, Estimate]:
         """The step over a time of which nothing was seen: after `health.patience` in a row the track is given up."""
@@ -276,11 +300,11 @@ class Tracker:
         if shape is None:
             return None
         if proposed.candidate is not None and self._parts.takes_proposals:
-            return self._compared_with_keypoints(proposed.candidate, scene, shape)
+            return self._judged_otherwise(proposed.candidate, scene, shape)
         if proposed.appearance is not None:  # the first hand: the scene has been segmented without its colours
             scene = self._observed(self._parts.segmentation.scene(scene.views, (proposed.appearance,), scene.time_s))
         begun = self._parts.rule.begin(proposed.pose, proposed.covariance, scene, shape)
-        return self._compared_with_keypoints(begun, scene, shape)
+        return self._judged_otherwise(begun, scene, shape)
 
     # ------------------------------------------------------------------ what follows
 

@@ -1,27 +1,69 @@
-"""The posture that a trained network sees in one camera's picture, as an observation of the hand that is followed."""
+"""The posture and the direction that a trained network sees in one camera's picture of a hand near a known place."""
+
+from collections.abc import Sequence
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.files import load_proposal_network
+from torchhand.fit import GaussianPrior, Observation
 from torchhand.fit.keypoints import PostureKeypoints
 from torchhand.geometry import Camera
-from torchhand.hand import DOFS, JOINT_DOFS, HandKinematics, HandPose
-from torchhand.propose import Silhouette, learned_posture
+from torchhand.hand import DOFS, FINGERS, JOINT_DOFS, HandKinematics, HandPose, named_pose_space
+from torchhand.propose import LearnedPosture, Silhouette, learned_posture
+from torchhand.track.scene.keypoints import parts_of
 from torchhand.track.scene.views import Scene
 
+_CREDIBLE = (
+    2.2  # root mean square deviation of a finger's two or three flexions, standard deviations: 1 % by chance (χ²)
+)
 
-def observed_posture(
+
+def seen_posture(
     scene: Scene, camera: Camera, kinematics: HandKinematics, pose: HandPose, shape: Float[Tensor, "shape"]
-) -> PostureKeypoints | None:
-    """Joint angles of the hand near a pose () in the only view of a scene; None without a silhouette."""
+) -> LearnedPosture | None:
+    """What the network sees of the hand near a pose () in the only view of a scene; None without a silhouette."""
     plane, image = scene.plane(0), scene.views[0].image
     if plane is None or not bool((mask := plane > 0.5).any()):
         return None
     seen = Silhouette(mask=mask, camera=camera, image=image)
-    found = learned_posture(load_proposal_network(), seen, kinematics, pose, shape)
-    dofs = torch.cat((pose.dofs.new_zeros(len(DOFS) - len(JOINT_DOFS)), found.joints))
-    return PostureKeypoints(
-        pose=HandPose(dofs=dofs[None], reference=pose.rotation[None]), precision=found.variance.reciprocal()[None]
+    return learned_posture(load_proposal_network(), seen, kinematics, pose, shape)
+
+
+def learned_observations(seen: LearnedPosture, pose: HandPose) -> tuple[Observation, Observation]:
+    """The joint angles and the direction that were seen, as observations of the hand near a pose ()."""
+    none, rotation = pose.dofs.new_zeros(len(DOFS) - len(JOINT_DOFS)), pose.rotation
+    direction, precision = seen.direction_near(rotation)
+    space = named_pose_space("dof27")
+    information = torch.zeros(space.size, space.size, dtype=none.dtype)
+    turns = [space.free_names.index(name) for name in ("root_rx", "root_ry", "root_rz")]
+    information[turns, turns] = precision.to(none)
+    return (
+        PostureKeypoints(
+            pose=HandPose(dofs=torch.cat((none, seen.joints))[None], reference=rotation[None]),
+            precision=seen.variance.reciprocal()[None],
+        ),
+        GaussianPrior(
+            pose=HandPose(dofs=pose.dofs.new_zeros(len(DOFS)), reference=direction),
+            information=information,
+            space=space,
+        ),
     )
+
+
+def credible_posture(
+    seen: LearnedPosture, pose: HandPose, free_names: Sequence[str]
+) -> tuple[HandPose, Bool[Tensor, "free"]]:
+    """The hand at a pose () with the angles that were seen, and which free parameters are of fingers that are bent there
+    by more than an error of the network explains."""
+    joints = pose.dofs[-len(JOINT_DOFS) :]
+    deviation = (joints - seen.joints).square() / seen.variance
+    parts = [[JOINT_DOFS.index(name) for name in JOINT_DOFS if _is_flexion_of(finger, name)] for finger in FINGERS]
+    is_far = torch.stack([deviation[rows].mean().sqrt() > _CREDIBLE for rows in parts])
+    is_put = torch.cat((torch.zeros_like(is_far[:1]), is_far))[parts_of(free_names)]
+    return HandPose(dofs=torch.cat((pose.dofs[: -len(JOINT_DOFS)], seen.joints)), reference=pose.reference), is_put
+
+
+def _is_flexion_of(finger: str, name: str) -> bool:
+    return name.startswith(finger) and name.endswith(("_mcp_fe", "_pip_fe", "_dip_fe", "_ip_fe"))
