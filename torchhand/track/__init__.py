@@ -13,20 +13,33 @@ from typing import Any
 from torchhand.track.knowledge import Estimate, Keyframe, TrackerState, restored_state, saved_state
 from torchhand.track.scene import HandKeypoints, View
 from torchhand.track.settings import DEFAULTS, TrackerSettings
-from torchhand.track.smoothing import PastFrame, Smoother
+from torchhand.track.smoothing import (
+    BackwardPass,
+    HandPath,
+    PastFrame,
+    PosedHand,
+    Smoother,
+    combined_hand,
+    path_weights,
+)
 from torchhand.track.tracker import Tracker
 
 __all__ = [
     "DEFAULTS",
+    "BackwardPass",
     "Estimate",
     "HandKeypoints",
+    "HandPath",
     "Keyframe",
     "PastFrame",
+    "PosedHand",
     "Smoother",
     "Tracker",
     "TrackerSettings",
     "TrackerState",
     "View",
+    "combined_hand",
+    "path_weights",
     "restored_state",
     "saved_state",
 ]
