@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -42,8 +43,9 @@ class TwoPasses:
             array[~known] = 0.0 if name == "seconds" else np.nan
             arrays[name] = array
         measures = {name: np.where(known, values[places], np.nan) for name, values in backward.measures.items()}
-        whole = replace(backward, frame=forward.frame, status=forward.status, measures=measures, **arrays)
-        return cls(forward=forward, backward=whole)
+        unused: dict[str, Any] = {"keypoints2d": None, "reason": None}
+        own = {"frame": forward.frame, "status": forward.status, "measures": measures}
+        return cls(forward=forward, backward=replace(backward, **own, **unused, **arrays))
 
     @property
     def has_hands(self) -> tuple[Bool[np.ndarray, " t"], Bool[np.ndarray, " t"]]:

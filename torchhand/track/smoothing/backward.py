@@ -27,6 +27,7 @@ _NATS = 40.0
 the silhouettes, in the posture that the network sees, in detected keypoints. By a logistic regression of which hand is
 nearer to the truth, where the two passes lead to different ones (`rom_back`, `rom_side`, `rom_palm`, `free`, `flexion`
 and `jump` with and without keypoints: 30 to 60 for each, within its error)."""
+_NEAR_M = 0.01  # mean distance of keypoints, up to which a view of one hand shows another as well
 _HELD = 1e-6  # radians and metres by which a pose may differ from what a track can reach
 
 
@@ -89,7 +90,7 @@ class BackwardPass:
     @torch.inference_mode()
     @single_threaded()
     def _evidence(self, poses: Sequence[HandPose], scene: Scene) -> list[float]:
-        """Of hands in one scene, all judged by what the network sees where any of them is."""
+        """Of two hands in one scene, both judged by what the network sees where either is."""
         parts, shape = self._tracker.parts, self._shape
         learned = SceneKeypoints(pictures=(), postures=tuple(self._postures(poses, scene)))
         told = (parts.keypoints(scene), learned)
@@ -100,11 +101,13 @@ class BackwardPass:
         return found
 
     def _postures(self, poses: Sequence[HandPose], scene: Scene) -> Iterator[PostureKeypoints]:
-        """What the network sees where each of some hands is."""
+        """What the network sees where each of some hands is; those near the first one are seen in the same view."""
         parts = self._tracker.parts
         if not parts.has_learned_posture:
             return
-        for pose in poses:
+        points = [parts.kinematics(one.dofs, self._shape, root_reference=one.reference).keypoints for one in poses]
+        apart = [float((own - points[0]).norm(dim=-1).mean()) for own in points]
+        for pose in (one for one, off in zip(poses, apart, strict=True) if off == 0.0 or off > _NEAR_M):
             seen = seen_posture(scene, parts.cameras[0], parts.kinematics, pose, self._shape)
             told = () if seen is None else learned_observations(seen, pose)
             yield from (one for one in told if isinstance(one, PostureKeypoints))

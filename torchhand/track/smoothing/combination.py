@@ -9,7 +9,9 @@ from torch import Tensor
 
 from torchhand.hand import HandKinematics, HandPose
 
-_FAR_M = 0.020  # mean distance of keypoints beyond which the mean of two hands is no hand that anything speaks for
+_FAR_M = 0.020
+"""Mean distance of keypoints about their common middle, beyond which the mean of two hands is none that anything speaks
+for. Between two places there always is one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +44,7 @@ def combined_hand(
     first = hands[int(weights.argmax())]
     at = HandPose.of(first.pose)
     missed = torch.stack([at.step_to(HandPose.of(hand.pose)) for hand in hands])
-    apart = torch.stack([(hand.keypoints - first.keypoints).norm(dim=-1).mean() for hand in hands])
+    apart = torch.stack([(_centred(hand) - _centred(first)).norm(dim=-1).mean() for hand in hands])
     near = torch.where(apart <= _FAR_M, weights, 0.0)
     mean = (near / near.sum()) @ missed
     pose = at.retract(mean)
@@ -56,3 +58,7 @@ def combined_hand(
         keypoints=keypoints,
         keypoints_cov=(weights[:, None, None, None] * covariance).sum(0),
     )
+
+
+def _centred(hand: PosedHand) -> Float[Tensor, "21 3"]:
+    return hand.keypoints - hand.keypoints.mean(0)
