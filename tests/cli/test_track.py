@@ -186,7 +186,9 @@ def test_the_last_line_sums_up(clip: Clip, run: Run, tmp_path: Path) -> None:
 
 def test_an_assumed_camera_is_said_once_and_saved(clip: Clip, run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    outcome = run(clip.frames, "--out", out, "--max-frames", "1", "--no-overlay", "--config", "contour_planar")
+    outcome = run(
+        clip.frames, "--out", out, "--max-frames", "1", "--no-overlay", "--config", "contour_planar", "--causal"
+    )
     assert outcome.code == 0
     assert outcome.err.count("\n") == 1
     assert "a field of view is assumed" in outcome.err
@@ -248,7 +250,7 @@ def test_a_folder_of_videos_gives_one_result_each_and_one_bad_video_stops_no_oth
             for picture in clip.pictures[:2]:
                 video.write(torch.from_numpy(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)))
     (videos / "b.mp4").write_bytes(b"no video")
-    outcome = run(videos, "--out", tmp_path / "out", "--config", "contour_planar", "--no-overlay")
+    outcome = run(videos, "--out", tmp_path / "out", "--config", "contour_planar", "--no-overlay", "--causal")
     assert outcome.code == 2
     assert outcome.err.count("\n") == 2
     assert outcome.err.count("a field of view is assumed") == 1
@@ -316,7 +318,16 @@ def test_the_distance_map_tracker_is_chosen_saved_and_resumed(
     clip: Clip, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    options = ["--camera", clip.camera, "--config", "distance_abduction", "--no-overlay", "--max-frames", "6"]
+    options = [
+        "--camera",
+        clip.camera,
+        "--config",
+        "distance_abduction",
+        "--no-overlay",
+        "--max-frames",
+        "6",
+        "--causal",
+    ]
     assert run(clip.frames, "--out", whole, *options).code == 0
     track = load_track(whole / "track.npz")
     assert track.status.tolist() == ["tracked"] * 6
@@ -506,7 +517,7 @@ def test_a_container_that_promises_too_much(clip: Clip, run: Run, tmp_path: Path
         writer.write(picture)
     writer.release()
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    outcome = run(path, "--out", tmp_path / "out", "--camera", clip.camera, "--config", "contour_planar")
+    outcome = run(path, "--out", tmp_path / "out", "--camera", clip.camera, "--config", "contour_planar", "--causal")
     assert outcome.code == 0
     assert outcome.err.count("\n") == 1
     assert f"{path}: the container promises {FRAMES} frames" in outcome.err
@@ -739,7 +750,7 @@ def test_a_full_disk_under_the_overlay_keeps_the_track(
 
     monkeypatch.setattr("torchhand.runs.tracking.write_overlay", full)
     out = tmp_path / "out"
-    options = ["--camera", clip.camera, "--config", "contour_planar", "--max-frames", "2"]
+    options = ["--camera", clip.camera, "--config", "contour_planar", "--max-frames", "2", "--causal"]
     _assert_refused(run(clip.frames, "--out", out, *options), "overlay.mp4: No space left on device")
     assert load_track(out / "track.npz").frame.tolist() == [0, 1]
     monkeypatch.undo()

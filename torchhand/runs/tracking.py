@@ -18,7 +18,6 @@ from torchhand.files import FrameRecord, Track, TrackWriter, check_output_folder
 from torchhand.files.results import JSONL_NAME, OVERLAY_NAME, STATUSES, UNFINISHED_NAME
 from torchhand.geometry import Camera
 from torchhand.hand import Anthropometry
-from torchhand.runs.backward import smooth_frames
 from torchhand.runs.detected_tracks import kept_detections
 from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks
 from torchhand.runs.overlay import draw_live, write_overlay
@@ -26,6 +25,7 @@ from torchhand.runs.recording import OneCameraRecording, RecordedFrame, RigRecor
 from torchhand.runs.request import MEDIAPIPE, Request, check_start_points, plate_of
 from torchhand.runs.rig_overlay import write_views
 from torchhand.runs.run import CHECKPOINT_EVERY, Run, Say, header_of, track_frames
+from torchhand.runs.second_pass import smooth_frames
 from torchhand.track import Keyframe, Tracker, TrackerState
 from torchhand.track.multiview import HandInitialization, Initialization, in_unit, initialize
 from torchhand.track.scene import ViewSilhouettes

@@ -8,7 +8,7 @@ import torch
 
 from torchhand.files import Track, load_hand_model
 from torchhand.hand import DOFS, HandKinematics
-from torchhand.runs.backward.joined import TwoPasses, joined_records
+from torchhand.runs.records import TwoPasses, joined_records
 
 FRAMES = 8
 BEND = DOFS.index("middle_pip_fe")

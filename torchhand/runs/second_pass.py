@@ -9,10 +9,17 @@ from tqdm import tqdm
 
 from torchhand.files import Track, TrackWriter, load_track
 from torchhand.files.results import BACKWARD_NAME, JSONL_NAME
-from torchhand.runs.backward.joined import EVIDENCE, EVIDENCE_BEFORE, IS_NEW, IS_SURE, TwoPasses, joined_records
-from torchhand.runs.backward.reversed_frames import reversed_frames
 from torchhand.runs.keypoint_tracks import with_keypoints
-from torchhand.runs.records import record_of
+from torchhand.runs.recording import reversed_frames
+from torchhand.runs.records import (
+    EVIDENCE,
+    EVIDENCE_BEFORE,
+    IS_NEW,
+    IS_SURE,
+    TwoPasses,
+    joined_records,
+    record_of,
+)
 from torchhand.runs.run import Run, Say
 from torchhand.track import BackwardPass
 
