@@ -39,6 +39,16 @@ def test_one_that_it_sees_from_that_side_is_better() -> None:
     assert HEALTH.score(_seen(direction=0.6)) == HEALTH.score(_seen(direction=0.9))  # either is as good as any
 
 
+def test_it_does_not_say_where_the_hand_is() -> None:
+    """Something else that looks like a hand from its side, such as an arm, is none for that."""
+    turned = _seen(direction=0.02)
+    away = POSE.dofs.clone()
+    away[2] = 0.2
+    elsewhere = _seen(direction=0.9, pose=replace(POSE, dofs=away))
+    assert HEALTH.score(elsewhere) > HEALTH.score(turned) + 0.2
+    assert HEALTH.better(turned, elsewhere, None) is turned
+
+
 def test_a_detector_is_believed_before_the_network() -> None:
     told = _seen(direction=0.02, keypoints=0.9)
     assert not HEALTH.is_degraded(told, 0.0)

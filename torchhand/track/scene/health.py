@@ -22,6 +22,7 @@ MIN_KEYPOINTS = 0.5  # agreement with detected keypoints, below which a detector
 _DIRECTION_WEIGHT = 0.3  # share of the score that the network's view of the direction has, where there is one
 _SURE_DIRECTION = 0.3  # agreement with that view which is as good as any: half of its hypotheses within its error
 _MIN_DIRECTION = 0.12  # agreement below which it is in doubt
+_ONE_PLACE_M = 0.1  # between the palms of two hands that are the same hand otherwise held: half a hand's length
 _RIG_SEARCH_EVERY = 60  # frames from one search of several cameras to the next where they find nothing
 
 
@@ -153,14 +154,19 @@ class Health:
         self, first: Candidate | None, second: Candidate | None, facing: Float[Tensor, "3 3"] | None
     ) -> Candidate | None:
         """The second where it explains enough more than the first: the more, the farther it is turned away from
-        `facing` (world_from_hand as expected), for a hand and its mirror image look nearly alike."""
+        `facing` (world_from_hand as expected), for a hand and its mirror image look nearly alike. The network's view of
+        the direction decides between hands at one place; it says nothing of where the hand is."""
         if first is None or second is None:
             return first or second
+        if float((first.palm - second.palm).norm()) > _ONE_PLACE_M:
+            first_score, second_score = (self.score(replace(one, direction=None)) for one in (first, second))
+        else:
+            first_score, second_score = self.score(first), self.score(second)
         margin = self.settings.better_by
         if facing is not None:
             traces = [float((facing * one.rotation).sum()) for one in (first, second)]
             margin += self.settings.turned_by * max(0.0, traces[0] - traces[1]) / 4  # of half a turn: 4
-        return second if self.score(second) > self.score(first) + margin else first
+        return second if second_score > first_score + margin else first
 
     def usual(self, candidate: Candidate, before: float) -> float:
         """The usual score after one more frame."""
