@@ -27,6 +27,7 @@ _NATS = 40.0
 the silhouettes, in the posture that the network sees, in detected keypoints. By a logistic regression of which hand is
 nearer to the truth, where the two passes lead to different ones (`rom_back`, `rom_side`, `rom_palm`, `free`, `flexion`
 and `jump` with and without keypoints: 30 to 60 for each, within its error)."""
+_SAME_M = 0.003  # mean distance of keypoints, up to which two hands are taken for one: no pass is better
 _NEAR_M = 0.01  # mean distance of keypoints, up to which a view of one hand shows another as well
 _HELD = 1e-6  # radians and metres by which a pose may differ from what a track can reach
 
@@ -71,11 +72,16 @@ class BackwardPass:
             self._state = replace(self._state, hand=self._begun(before), time_s=None)
         self._state, estimate = self._tracker.step(self._state, views, -time_s)
         estimate = replace(estimate, time_s=time_s)
-        if estimate.pose is None or before is None:
+        if estimate.keypoints is None or estimate.pose is None or before is None:
             return SecondEstimate(estimate=estimate)
+        if float((estimate.keypoints - self._keypoints(before)).norm(dim=-1).mean()) < _SAME_M:
+            return SecondEstimate(estimate=estimate, evidence=0.0, evidence_before=0.0)
         scene = self._tracker.scene(self._state, views, -time_s)
         here, there = self._evidence([HandPose.of(estimate.pose).normalized(), before], scene)
         return SecondEstimate(estimate=estimate, evidence=here, evidence_before=there)
+
+    def _keypoints(self, pose: HandPose) -> Float[Tensor, "21 3"]:
+        return self._tracker.kinematics(pose.dofs, self._shape, root_reference=pose.reference).keypoints
 
     @torch.inference_mode()
     def _begun(self, pose: HandPose) -> FollowedHand:
@@ -105,7 +111,7 @@ class BackwardPass:
         parts = self._tracker.parts
         if not parts.has_learned_posture:
             return
-        points = [parts.kinematics(one.dofs, self._shape, root_reference=one.reference).keypoints for one in poses]
+        points = [self._keypoints(pose) for pose in poses]
         apart = [float((own - points[0]).norm(dim=-1).mean()) for own in points]
         for pose in (one for one, off in zip(poses, apart, strict=True) if off == 0.0 or off > _NEAR_M):
             seen = seen_posture(scene, parts.cameras[0], parts.kinematics, pose, self._shape)
