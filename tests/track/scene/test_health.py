@@ -49,6 +49,20 @@ def test_it_does_not_say_where_the_hand_is() -> None:
     assert HEALTH.better(turned, elsewhere, None) is turned
 
 
+def test_a_hand_seldom_leaps_unless_it_is_lost() -> None:
+    away = POSE.dofs.clone()
+    away[2] = 0.2
+    nearer = _seen(pose=replace(POSE, dofs=away))
+    poor = _seen(agreement=Agreement.of_overlaps(torch.tensor([0.8], dtype=torch.float64)))
+    lost = _seen(agreement=Agreement.of_overlaps(torch.tensor([0.4], dtype=torch.float64)))
+    facing = POSE.rotation
+    assert HEALTH.better(poor, replace(nearer, pose=POSE), facing) is not poor
+    assert HEALTH.better(poor, nearer, facing) is poor
+    assert HEALTH.better(poor, nearer, None) is nearer  # none is followed yet
+    assert HEALTH.better(lost, nearer, facing) is nearer
+    assert Health(settings=HEALTH.settings.for_rig()).better(poor, nearer, facing) is nearer
+
+
 def test_a_detector_is_believed_before_the_network() -> None:
     told = _seen(direction=0.02, keypoints=0.9)
     assert not HEALTH.is_degraded(told, 0.0)

@@ -52,6 +52,9 @@ class HealthSettings:
     turned_by: float = 0.12
     """By how much more it must be higher where it is turned by half a turn, which a hand seldom does from one picture
     to the next; less for smaller turns; 0 to 1."""
+    moved_by: float = 0.2
+    """By how much more it must be higher where it lies half a hand's length away or more, unless the followed hand is
+    failing: an arm looks much like a hand that is nearer; 0 to 1."""
     search_every: int = 5
     """Frames from one search without any guess to the next where the last one found a hand; 1 or more."""
     search_at_most_every: int = 5
@@ -70,11 +73,12 @@ class HealthSettings:
         return self.search_every if has_found else min(max(2 * after, 1), self.search_at_most_every)
 
     def for_rig(self) -> "HealthSettings":
-        """For several cameras: what one view leaves unexplained the others decide, and a search without a guess takes
-        seconds, so that it comes the less often the longer it finds nothing."""
+        """For several cameras: what one view leaves unexplained the others decide, as they do how far a hand is; and a
+        search without a guess takes seconds, so that it comes the less often the longer it finds nothing."""
         return replace(
             self,
             max_unexplained=float("inf"),
+            moved_by=0.0,
             searches_when_failing=False,
             search_at_most_every=max(self.search_at_most_every, _RIG_SEARCH_EVERY),
         )
@@ -87,7 +91,7 @@ class HealthSettings:
             "edge_weight",
             "memory",
         )
-        for name in (*shares, "max_score_drop", "better_by", "turned_by"):
+        for name in (*shares, "max_score_drop", "better_by", "turned_by", "moved_by"):
             require(0 <= getattr(self, name) <= 1, f"health.{name}", "0 to 1", getattr(self, name))
         require(self.max_unexplained >= 0, "health.max_unexplained", "0 or more", self.max_unexplained)
         for name in ("patience", "search_every"):
@@ -158,12 +162,15 @@ class Health:
         the direction decides between hands at one place; it says nothing of where the hand is."""
         if first is None or second is None:
             return first or second
-        if float((first.palm - second.palm).norm()) > _ONE_PLACE_M:
+        is_elsewhere = float((first.palm - second.palm).norm()) > _ONE_PLACE_M
+        if is_elsewhere:
             first_score, second_score = (self.score(replace(one, direction=None)) for one in (first, second))
         else:
             first_score, second_score = self.score(first), self.score(second)
         margin = self.settings.better_by
         if facing is not None:
+            if is_elsewhere and not self.is_failing(first):
+                margin += self.settings.moved_by
             traces = [float((facing * one.rotation).sum()) for one in (first, second)]
             margin += self.settings.turned_by * max(0.0, traces[0] - traces[1]) / 4  # of half a turn: 4
         return second if second_score > first_score + margin else first
