@@ -92,6 +92,28 @@ def test_the_errors_are_printed_and_saved(
         assert re.search(pattern, text), pattern
 
 
+def test_another_result_in_place_of_a_truth_is_compared_joint_by_joint(
+    result_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with np.load(result_dir / "track.npz") as stored:
+        arrays = dict(stored)
+    arrays["dof_names"] = np.array(DOFS)
+    np.savez(result_dir / "track.npz", **arrays)  # type: ignore[arg-type]
+    other = tmp_path / "other"
+    other.mkdir()
+    arrays["pose"] = arrays["pose"].copy()
+    arrays["pose"][:2, DOFS.index("middle_pip_fe")] += 5.0  # radians; √2 of them is the combined deviation
+    np.savez(other / "track.npz", **arrays)  # type: ignore[arg-type]
+    assert main([str(result_dir), str(other)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    [middle] = [line.split() for line in lines if line.startswith("middle_pip_fe")]
+    assert middle == ["middle_pip_fe", "50.0%", "143.2", "286.5"]
+    assert "4 frames with a hand in both results, 0 in one alone" in lines
+    figures = json.loads((result_dir / "stability.json").read_text())["stability"]
+    assert figures["joints"]["middle_pip_fe"]["fraction_apart"] == 0.5
+    assert figures["whole"]["fraction_apart"] == pytest.approx(2 / (4 * 30))
+
+
 def test_without_a_truth_the_range_of_motion_is_told(
     simulated: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:

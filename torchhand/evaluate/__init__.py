@@ -8,7 +8,6 @@ from torchhand.evaluate.nees import Consistency, consistency, normalised_errors_
 from torchhand.evaluate.planar_motion import PlanarMotionErrors, planar_motion_errors
 from torchhand.evaluate.pose_errors import PoseErrors, pose_errors
 from torchhand.evaluate.positions import WRIST, aligned_errors, joint_errors, root_relative_errors
-from torchhand.evaluate.range_of_motion import JointRange, range_of_motion
 from torchhand.evaluate.timing import (
     PROC,
     THREAD_VARIABLES,
@@ -20,6 +19,7 @@ from torchhand.evaluate.timing import (
 )
 from torchhand.evaluate.tracked_silhouettes import MaskOfFrame, tracked_projector, tracked_silhouettes
 from torchhand.evaluate.truth import Truth, load_mask, load_truth, numbered_pictures
+from torchhand.evaluate.without_truth import JointRange, JointStability, Stability, range_of_motion, stability
 
 __all__ = [
     "MIDDLE_MCP",
@@ -29,10 +29,12 @@ __all__ = [
     "Consistency",
     "Continuity",
     "JointRange",
+    "JointStability",
     "MaskOfFrame",
     "PlanarMotionErrors",
     "PoseErrors",
     "Similarity",
+    "Stability",
     "Timing",
     "Truth",
     "aligned_errors",
@@ -52,6 +54,7 @@ __all__ = [
     "pose_errors",
     "range_of_motion",
     "root_relative_errors",
+    "stability",
     "time_interleaved",
     "tracked_projector",
     "tracked_silhouettes",

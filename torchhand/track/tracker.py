@@ -418,6 +418,11 @@ class Tracker:
         )
 
     @property
+    def parts(self) -> Assembly:
+        """What it is made of."""
+        return self._parts
+
+    @property
     def own_cameras(self) -> tuple[Camera, ...]:
         """The cameras in the tracker's world, as they take pictures."""
         return self._parts.own_cameras

@@ -7,9 +7,11 @@ from torchhand.files.results.poses_file import (
     PosesWriter,
 )
 from torchhand.files.results.results import (
+    BACKWARD_NAME,
     CHECKPOINT_NAME,
     CONFIG_NAME,
     DETECTIONS_NAME,
+    FORWARD_NAME,
     HAND_NAME,
     OVERLAY_NAME,
     UNFINISHED_NAME,
@@ -29,10 +31,12 @@ from torchhand.files.results.track_record import (
 )
 
 __all__ = [
+    "BACKWARD_NAME",
     "CHECKPOINT_NAME",
     "CONFIG_NAME",
     "CONVENTION",
     "DETECTIONS_NAME",
+    "FORWARD_NAME",
     "HAND_NAME",
     "JSONL_NAME",
     "NPZ_NAME",

@@ -3,11 +3,11 @@
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
-from jaxtyping import Float, Float64, Int, Shaped
+from jaxtyping import Bool, Float, Float64, Int, Shaped
 
 FrameStatus = Literal["tracked", "lost", "recovered", "no_hand"]
 STATUSES: tuple[FrameStatus, ...] = get_args(FrameStatus)
@@ -115,6 +115,11 @@ class FrameRecord:
             reason=reason,
         )
 
+    def with_measures(self, more: Mapping[str, float | None]) -> "FrameRecord":
+        """The record with further measures; None is unknown."""
+        known = {name: math.nan if value is None else float(value) for name, value in more.items()}
+        return replace(self, measures={**self.measures, **known})
+
     def as_json(self) -> str:
         """One line of strict JSON without its end: numbers exact to the last bit, whatever is not finite as null."""
         content: dict[str, Any] = {"frame": self.frame, "status": self.status, "seconds": self.seconds}
@@ -153,6 +158,11 @@ class Track:
 
     def __len__(self) -> int:
         return len(self.frame)
+
+    @property
+    def has_hand(self) -> Bool[np.ndarray, " t"]:
+        """Frames with an estimate."""
+        return np.asarray(np.isfinite(self.pose).all(1))
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What track.npz holds."""
