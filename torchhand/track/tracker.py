@@ -21,6 +21,7 @@ from torchhand.track.assembly import Assembly, assembled
 from torchhand.track.belief import FollowedHand, posed_belief, scale_covariance, unknown_scale_std
 from torchhand.track.knowledge import Estimate, TrackerState
 from torchhand.track.proposals import Proposals, ProposalSource, Proposed
+from torchhand.track.quality import FingerEvidence, Told
 from torchhand.track.scene import Candidate, HandKeypoints, ObservationsOf, Scene, View, observed_posture
 from torchhand.track.settings import TrackerSettings
 
@@ -74,6 +75,7 @@ class Tracker:
         self.known_shape = known
         self._observations = observations
         self.kinematics = self._parts.kinematics
+        self._evidence = FingerEvidence(self.kinematics, self._parts.cameras)
         self._scale_std = 0.0
         if len(self.cameras) == 1:
             space = self.kinematics.shape_space
@@ -110,13 +112,13 @@ class Tracker:
             frames_since_search=state.frames_since_search + 1,
             frames_since_refit=state.frames_since_refit + 1,
         )
-        followed = None
+        followed, seen = None, scene
         if state.hand is not None and predicted is not None and state.shape is not None:
             seen = self._with_posture(scene, predicted, state.shape)
             followed = self._parts.rule.follow(state.hand, predicted, seen, state.shape)
             followed = self._compared_with_keypoints(followed, scene, state.shape)
         state, search = self._searched(state, followed, predicted, scene)
-        return self._adopted(state, search, predicted, scene)
+        return self._adopted(state, search, predicted, seen if search.proposed is None else scene)
 
     @torch.inference_mode()
     @single_threaded()
@@ -130,7 +132,7 @@ class Tracker:
         found = self._parts.rule.follow(hand, predicted, scene, state.shape)
         if found is None or self._parts.health.is_failing(found):
             return None
-        return found.hand, self._estimate("tracked", found, state, scene.time_s)
+        return found.hand, self._estimate("tracked", found, state, scene)
 
     @torch.inference_mode()
     @single_threaded()
@@ -171,6 +173,12 @@ class Tracker:
         pose = self._parts.motion.pose(predicted).normalized()
         seen = observed_posture(scene, self._parts.cameras[0], self.kinematics, pose, shape)
         return scene if seen is None else replace(scene, observations=(*scene.observations, seen))
+
+    def _about(self, hand: FollowedHand, scene: Scene, state: TrackerState) -> Scene:
+        """The scene of a hand that was found anew, as if it had been followed."""
+        if scene.plane(0) is None and len(self.cameras) == 1:  # of the first hand, which brought its colours
+            scene = self._observed(self._parts.segmentation.scene(scene.views, state.appearance, scene.time_s))
+        return scene if state.shape is None else self._with_posture(scene, hand, state.shape)
 
     def _started(self, state: TrackerState | None) -> TrackerState:
         if state is not None:
@@ -293,7 +301,9 @@ class Tracker:
             return self._without(state, search, predicted)
         was_lost = state.has_started and predicted is None
         state = self._remembered(state, search.proposed, best, scene, is_new=is_new)
-        estimate = self._estimate("recovered" if was_lost else "tracked", best, state, scene.time_s)
+        if is_new:
+            scene = self._about(best.hand, scene, state)
+        estimate = self._estimate("recovered" if was_lost else "tracked", best, state, scene)
         return state, replace(estimate, is_new=is_new)
 
     def _remembered(
@@ -353,14 +363,21 @@ class Tracker:
         assert state.time_s is not None
         return Estimate(status=status, time_s=state.time_s, reason=reason)
 
-    def _estimate(self, status: FrameStatus, found: Candidate, state: TrackerState, time_s: float) -> Estimate:
+    def _estimate(self, status: FrameStatus, found: Candidate, state: TrackerState, scene: Scene) -> Estimate:
         assert state.shape is not None
         factor = self._parts.rule.overconfidence
         posed = posed_belief(found.hand, self._parts.motion, self.kinematics, state.shape, overconfidence=factor)
         inside = found.inside
+        told = Told(
+            pose=found.pose,
+            shape=state.shape,
+            tip_std=posed.tip_std,
+            agreement=found.agreement,
+            keypoints=self._parts.keypoints(scene),
+        )
         return Estimate(
             status=status,
-            time_s=time_s,
+            time_s=scene.time_s,
             pose=posed.pose,
             pose_std=posed.pose_std,
             keypoints=posed.keypoints,
@@ -372,6 +389,7 @@ class Tracker:
             edges=found.edges,
             inside=inside,
             nis=found.nis,
+            evidence=self._evidence(told, scene),
             score=self._parts.health.score(found),
             views=found.agreement.views,
         )

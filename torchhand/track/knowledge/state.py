@@ -88,6 +88,8 @@ class Estimate:
     """Share of the skin inside the hull of all silhouettes; None without a hull."""
     nis: float | None = None
     """Normalised innovation squared per accepted measurement; None where it means nothing."""
+    evidence: Float[Tensor, "5 evidence"] | None = None
+    """What speaks for each finger, thumb to little: columns of `torchhand.track.quality.EVIDENCE`."""
     score: float = 0.0
     """How much of the pictures is explained, 0 to 1."""
     views: int = 0
