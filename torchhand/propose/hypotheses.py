@@ -108,7 +108,7 @@ class _SeenHands:
         is_left = kinematics.side == "left"
         with torch.no_grad():
             found = network(channels.flip(-1) if is_left else channels)
-        found = _mirrored(found) if is_left else found
+        found = mirrored_hands(found) if is_left else found
         joints, turn, place, size, weight = (
             getattr(found, name).unflatten(0, batch).to(like)
             for name in ("joints", "rotation", "place", "log_size", "log_weight")
@@ -235,7 +235,7 @@ def _stacked(views: Sequence[SquareViews]) -> SquareViews:
     )
 
 
-def _mirrored(found: ViewedHands) -> ViewedHands:
+def mirrored_hands(found: ViewedHands) -> ViewedHands:
     """The left hands whose mirror images in the view's plane x = 0 are given."""
     across, in_hand = torch.tensor((-1.0, 1.0, 1.0)), torch.tensor((1.0, 1.0, -1.0))
     return ViewedHands(

@@ -1,13 +1,15 @@
 """What the network tells of the posture of a hand whose place and direction are known roughly: one view, no search."""
 
+import math
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.geometry import rotation_from_vector, vector_from_rotation
 from torchhand.hand import JOINT_DOFS, HandKinematics, HandPose
-from torchhand.propose.hypotheses import Silhouette, sampled_channels, views_of_hands
+from torchhand.propose.hypotheses import Silhouette, mirrored_hands, sampled_channels, views_of_hands
 from torchhand.propose.network import ProposalNetwork
 
 # Root mean square errors in degrees of the mean angles, by the ending of the DOF's name: medians over the sequences of
@@ -25,6 +27,11 @@ _STD_DEG = {
     "_dip_fe": 7.0,
 }
 _OTHER_STD_DEG = 10.0
+_DIRECTION_STD = math.radians(30.0)
+"""Of the direction of the best of the eight hypotheses, as measured there on one view of held-out simulated hands and on
+pictures (11° to 27°), with a margin."""
+
+_UNTOLD = 0.1  # share of pictures in which no hypothesis is about the hand
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +42,30 @@ class LearnedPosture:
     """Mean of the hypotheses, radians, in the order of JOINT_DOFS."""
     variance: Float[Tensor, "30"]
     """Of the hypotheses about it, and of the network's errors, radians²."""
+    rotation: Float[Tensor, "k 3 3"]
+    """world_from_hand of every hypothesis."""
+    weight: Float[Tensor, "k"]
+    """Probabilities of the hypotheses; they sum to 1."""
+
+    def direction_agreement(self, rotation: Float[Tensor, "3 3"]) -> Float[Tensor, ""]:
+        """How far the hypotheses bear out a direction of the hand (world_from_hand): their mean, by probability, of
+        exp(-θ² / 2σ²), θ the angle between theirs and it and σ the network's own error; 0 to 1."""
+        return self._shares(rotation).sum()
+
+    def direction_near(self, rotation: Float[Tensor, "3 3"]) -> tuple[Float[Tensor, "3 3"], Float[Tensor, ""]]:
+        """Direction (world_from_hand) of the hypotheses about a hand of some direction, and its inverse variance,
+        radians⁻²: those of one component of the mixture as expectation maximization sees it, next to which all far
+        hypotheses count as if they told nothing."""
+        share = self._shares(rotation)
+        turns = vector_from_rotation(self.rotation @ rotation.to(self.rotation).mT)
+        mean = (share[:, None] * turns).sum(0) / share.sum().clamp_min(_UNTOLD)
+        trust = share.sum() / (share.sum() + _UNTOLD)
+        return rotation_from_vector(mean) @ rotation.to(self.rotation), trust / _DIRECTION_STD**2
+
+    def _shares(self, rotation: Float[Tensor, "3 3"]) -> Float[Tensor, "k"]:
+        cosine = 0.5 * ((self.rotation * rotation.to(self.rotation)).sum((-2, -1)) - 1)
+        angle = cosine.clamp(-1, 1).arccos()
+        return self.weight * (-0.5 * (angle / _DIRECTION_STD).square()).exp()
 
 
 def learned_posture(
@@ -44,7 +75,7 @@ def learned_posture(
     pose: HandPose,
     shape: Float[Tensor, "shape"],
 ) -> LearnedPosture:
-    """The posture of the hand that stands about where `pose` () in the world has it, seen upright and filling the view.
+    """The posture and the direction of the hand that stands about where `pose` () in the world has it, seen upright and filling the view.
 
     Raises ValueError for a camera that is no pinhole camera.
     """
@@ -57,13 +88,21 @@ def learned_posture(
     length = shape[kinematics.shape_space.names.index("hand_length")]
     views = views_of_hands(points, fingers, length)
     channels = sampled_channels(silhouette, views)
-    found = network(channels.flip(-1) if kinematics.side == "left" else channels)
-    weight = found.log_weight[0].exp().to(pose.dofs)[:, None]
-    weight = weight / weight.sum()
+    is_left = kinematics.side == "left"
+    found = network(channels.flip(-1) if is_left else channels)
+    found = mirrored_hands(found) if is_left else found
+    share = found.log_weight[0].to(pose.dofs).softmax(-1)
+    weight = share[:, None]
     joints = found.joints[0].to(pose.dofs)
     mean = (weight * joints).sum(0)
     spread = (weight * (joints - mean).square()).sum(0)
-    return LearnedPosture(joints=mean, variance=spread + _error_variance().to(spread))
+    world_from_view = to_cam.mT @ views.cam_from_view[0].to(pose.dofs)
+    return LearnedPosture(
+        joints=mean,
+        variance=spread + _error_variance().to(spread),
+        rotation=world_from_view @ found.rotation[0].to(pose.dofs),
+        weight=share,
+    )
 
 
 def _error_variance() -> Float[Tensor, "30"]:

@@ -17,12 +17,21 @@ from torchhand.geometry import Camera
 from torchhand.hand import Hand, HandPose
 from torchhand.image import BackgroundPlate
 from torchhand.numerics import single_threaded
+from torchhand.propose import LearnedPosture
 from torchhand.track.assembly import Assembly, assembled
 from torchhand.track.belief import FollowedHand, posed_belief, scale_covariance, unknown_scale_std
 from torchhand.track.knowledge import Estimate, TrackerState
 from torchhand.track.proposals import Proposals, ProposalSource, Proposed
 from torchhand.track.quality import FingerEvidence, Told
-from torchhand.track.scene import Candidate, HandKeypoints, ObservationsOf, Scene, View, observed_posture
+from torchhand.track.scene import (
+    Candidate,
+    HandKeypoints,
+    ObservationsOf,
+    Scene,
+    View,
+    learned_observations,
+    seen_posture,
+)
 from torchhand.track.settings import TrackerSettings
 
 _BEST_KEPT = 0.99  # share of the best score that outlasts a frame
@@ -112,13 +121,19 @@ class Tracker:
             frames_since_search=state.frames_since_search + 1,
             frames_since_refit=state.frames_since_refit + 1,
         )
-        followed, seen = None, scene
+        followed = None
         if state.hand is not None and predicted is not None and state.shape is not None:
-            seen = self._with_posture(scene, predicted, state.shape)
-            followed = self._parts.rule.follow(state.hand, predicted, seen, state.shape)
-            followed = self._compared_with_keypoints(followed, scene, state.shape)
+            pose = self._parts.motion.pose(predicted).normalized()
+            seen = self._seen_posture(scene, pose, state.shape)
+            told = (
+                scene
+                if seen is None
+                else replace(scene, observations=(*scene.observations, *learned_observations(seen, pose)))
+            )
+            followed = self._parts.rule.follow(state.hand, predicted, told, state.shape)
+            followed = self._judged_otherwise(followed, scene, state.shape, seen)
         state, search = self._searched(state, followed, predicted, scene)
-        return self._adopted(state, search, predicted, seen if search.proposed is None else scene)
+        return self._adopted(state, search, predicted, scene)
 
     @torch.inference_mode()
     @single_threaded()
@@ -139,7 +154,7 @@ class Tracker:
     def candidate(self, pose: HandPose, scene: Scene, shape: Float[Tensor, "shape"]) -> Candidate | None:
         """A hand near a pose as the update rule finds it in a scene, whatever is followed; None where it finds none."""
         found = self._parts.rule.begin(pose, None, scene, shape)
-        return self._compared_with_keypoints(found, scene, shape)
+        return self._judged_otherwise(found, scene, shape)
 
     @torch.inference_mode()
     def at_rest(self, hand: FollowedHand) -> FollowedHand:
@@ -166,19 +181,17 @@ class Tracker:
         keypoints = self._parts.keypoints(scene).observations if self._parts.takes_proposals else ()
         return replace(scene, observations=(*further, *keypoints))
 
-    def _with_posture(self, scene: Scene, predicted: FollowedHand, shape: Tensor) -> Scene:
-        """The scene with the posture that the network sees where the hand is expected."""
+    def _seen_posture(self, scene: Scene, pose: HandPose, shape: Tensor) -> LearnedPosture | None:
+        """What the network sees where a hand is expected."""
         if not self._parts.has_learned_posture:
-            return scene
-        pose = self._parts.motion.pose(predicted).normalized()
-        seen = observed_posture(scene, self._parts.cameras[0], self.kinematics, pose, shape)
-        return scene if seen is None else replace(scene, observations=(*scene.observations, seen))
+            return None
+        return seen_posture(scene, self._parts.cameras[0], self.kinematics, pose, shape)
 
-    def _about(self, hand: FollowedHand, scene: Scene, state: TrackerState) -> Scene:
-        """The scene of a hand that was found anew, as if it had been followed."""
-        if scene.plane(0) is None and len(self.cameras) == 1:  # of the first hand, which brought its colours
-            scene = self._observed(self._parts.segmentation.scene(scene.views, state.appearance, scene.time_s))
-        return scene if state.shape is None else self._with_posture(scene, hand, state.shape)
+    def _segmented(self, scene: Scene, state: TrackerState) -> Scene:
+        """The scene with the silhouette by the colours that the first hand has brought only now."""
+        if scene.plane(0) is not None or len(self.cameras) > 1:
+            return scene
+        return self._parts.segmentation.scene(scene.views, state.appearance, scene.time_s)
 
     def _started(self, state: TrackerState | None) -> TrackerState:
         if state is not None:
@@ -207,11 +220,16 @@ class Tracker:
         moved = HandKeypoints(points_px=used.pixels_from_plane(points), points=seen.points, score=seen.score)
         return replace(view, keypoints=moved)
 
-    def _compared_with_keypoints(self, found: Candidate | None, scene: Scene, shape: Tensor) -> Candidate | None:
-        """A candidate with what detected keypoints say of it."""
+    def _judged_otherwise(
+        self, found: Candidate | None, scene: Scene, shape: Tensor, seen: LearnedPosture | None = None
+    ) -> Candidate | None:
+        """A candidate with what detected keypoints say of it, and the network: `seen`, or what it sees there now."""
         if found is None:
             return None
-        return replace(found, keypoints=self._parts.keypoints(scene).agreement(found.pose, shape))
+        keypoints = self._parts.keypoints(scene).agreement(found.pose, shape)
+        seen = self._seen_posture(scene, found.pose.normalized(), shape) if seen is None else seen
+        direction = None if seen is None else float(seen.direction_agreement(found.rotation))
+        return replace(found, keypoints=keypoints, direction=direction, learned=seen)
 
     def _unseen(self, state: TrackerState, predicted: FollowedHand | None) -> tuple[TrackerState, Estimate]:
         """The step over a time of which nothing was seen: after `health.patience` in a row the track is given up."""
@@ -284,11 +302,11 @@ class Tracker:
         if shape is None:
             return None
         if proposed.candidate is not None and self._parts.takes_proposals:
-            return self._compared_with_keypoints(proposed.candidate, scene, shape)
+            return self._judged_otherwise(proposed.candidate, scene, shape)
         if proposed.appearance is not None:  # the first hand: the scene has been segmented without its colours
             scene = self._observed(self._parts.segmentation.scene(scene.views, (proposed.appearance,), scene.time_s))
         begun = self._parts.rule.begin(proposed.pose, proposed.covariance, scene, shape)
-        return self._compared_with_keypoints(begun, scene, shape)
+        return self._judged_otherwise(begun, scene, shape)
 
     # ------------------------------------------------------------------ what follows
 
@@ -301,8 +319,6 @@ class Tracker:
             return self._without(state, search, predicted)
         was_lost = state.has_started and predicted is None
         state = self._remembered(state, search.proposed, best, scene, is_new=is_new)
-        if is_new:
-            scene = self._about(best.hand, scene, state)
         estimate = self._estimate("recovered" if was_lost else "tracked", best, state, scene)
         return state, replace(estimate, is_new=is_new)
 
@@ -374,6 +390,8 @@ class Tracker:
             tip_std=posed.tip_std,
             agreement=found.agreement,
             keypoints=self._parts.keypoints(scene),
+            learned=found.learned,
+            direction=found.direction,
         )
         return Estimate(
             status=status,
@@ -389,7 +407,7 @@ class Tracker:
             edges=found.edges,
             inside=inside,
             nis=found.nis,
-            evidence=self._evidence(told, scene),
+            evidence=self._evidence(told, self._segmented(scene, state)),
             score=self._parts.health.score(found),
             views=found.agreement.views,
         )

@@ -11,10 +11,10 @@ from torch import Tensor
 
 from torchhand.fit import PosedHands, Stage, grey
 from torchhand.fit.contour import hand_length_px, is_in_picture, is_outer
-from torchhand.fit.keypoints import PostureKeypoints
 from torchhand.geometry import Camera
 from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, FINGERS, JOINT_DOFS, HandKinematics, HandPose
 from torchhand.image import EdgeSettings, search_edges
+from torchhand.propose import LearnedPosture
 from torchhand.track.scene import Agreement, Scene, SceneKeypoints
 from torchhand.view import HandProjector, OutlineTable, outline_table
 
@@ -28,6 +28,8 @@ EVIDENCE = (
     "no_points",
     "posture",
     "learned",
+    "learned_spread",
+    "direction",
     "no_learned",
     "overlap",
     "unexplained",
@@ -39,8 +41,10 @@ shares of the contour of the middle and distal phalanx that lie on the hand's ou
 silhouette there; inner_found, inner_missed: the same of what is seen before the palm or another finger, by edges of the
 grey levels; the rest is hidden. points, posture, learned: ln(1 + d²) of the finger's difference from a detector's
 points in the pictures, from the posture of its points in space and from the posture that the network sees, d in root
-mean square standard deviations; 0 without them, and then no_points and no_learned are 1. overlap: of the hand.
-unexplained: logarithm of the hand's area that the model leaves out, over 0.002 squares of its length."""
+mean square standard deviations; learned_spread: logarithm of the spread of the network's hypotheses about the finger's
+angles; direction: logarithm of how far these bear out the hand's direction. All of them are 0 where there is nothing,
+and then no_points and no_learned are 1. overlap: of the hand. unexplained: ln(1 + a / 0.002) of the area a of the hand
+that the model leaves out, in squares of its length."""
 
 _PARTS = ("middle", "distal", "pip", "dip", "tip")
 _THUMB_PARTS = ("proximal", "distal", "ip", "tip")
@@ -50,6 +54,7 @@ _OUTER_REACH, _INNER_REACH = 0.025, 0.015  # shares of the hand's length: half l
 _MIN_REACH_PX = 2.0
 _SPREAD_M = 0.01
 _SPECK = 0.002
+_MIN_DIRECTION = 0.02
 _COMPARED = Stage(gross_m=0.01)
 _TIPS = (slice(2, 5), slice(6, 9), slice(10, 13), slice(14, 17), slice(18, 21))
 
@@ -65,6 +70,10 @@ class Told:
     """Standard deviation of every fingertip about the wrist, metres."""
     agreement: Agreement
     keypoints: SceneKeypoints
+    learned: LearnedPosture | None = None
+    """What the network sees there."""
+    direction: float | None = None
+    """How far it bears out the hand's direction."""
 
 
 class FingerEvidence:
@@ -82,11 +91,6 @@ class FingerEvidence:
         points = [one.associate(hands, _COMPARED).deviation(hands)[0] for one in told.keypoints.pictures]
         in_pictures = [torch.stack([one[tips].square().nanmean().sqrt() for tips in _TIPS]) for one in points]
         postures = [one.deviation(joints)[0] for one in told.keypoints.postures]
-        learned = [
-            one.deviation(joints)[0]
-            for one in scene.observations
-            if isinstance(one, PostureKeypoints) and not any(one is other for other in told.keypoints.postures)
-        ]
         unexplained = math.log1p(told.agreement.most_unexplained / _SPECK)
         columns = [
             (told.tip_std.clamp_min(1e-4) / _SPREAD_M).log(),
@@ -94,8 +98,7 @@ class FingerEvidence:
             _difference(in_pictures),
             torch.full((len(FINGERS),), float(not in_pictures)),
             _difference(postures),
-            _difference(learned),
-            torch.full((len(FINGERS),), float(not learned)),
+            *_learned(told, joints[0]).unbind(-1),
             torch.full((len(FINGERS),), told.agreement.overlap),
             torch.full((len(FINGERS),), unexplained),
         ]
@@ -149,6 +152,18 @@ def _difference(deviations: Sequence[Tensor]) -> Float[Tensor, "5"]:
     if not deviations:
         return torch.zeros(len(FINGERS))
     return torch.stack([one.square().log1p() for one in deviations]).nanmean(0).nan_to_num()
+
+
+def _learned(told: Told, joints: Float[Tensor, "30"]) -> Float[Tensor, "5 4"]:
+    """What the network says of each finger: difference, spread, direction of the hand, and whether it says nothing."""
+    if told.learned is None:
+        return joints.new_tensor((0.0, 0.0, 0.0, 1.0)).repeat(len(FINGERS), 1)
+    variance = told.learned.variance
+    missed = (joints - told.learned.joints).square() / variance
+    per_finger = (missed, variance)
+    deviation, spread = (one.unflatten(-1, (len(FINGERS), -1)).mean(-1) for one in per_finger)
+    direction = torch.full_like(spread, math.log(max(told.direction or 0.0, _MIN_DIRECTION)))
+    return torch.stack((deviation.log1p(), 0.5 * spread.log(), direction, torch.zeros_like(spread)), -1)
 
 
 def _finger_of(name: str) -> int | None:

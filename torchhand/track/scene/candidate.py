@@ -6,6 +6,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.hand import HandPose
+from torchhand.propose import LearnedPosture
 from torchhand.track.belief import FollowedHand
 from torchhand.track.scene.agreement import Agreement
 
@@ -27,6 +28,11 @@ class Candidate:
     """Share of the skin inside the hull of all silhouettes; None where there is no hull."""
     keypoints: float | None = None
     """How far the hand is the one that a detector found, 0 to 1; None where it found none."""
+    direction: float | None = None
+    """How far a network that looks where the hand is bears out its direction, 0 to 1
+    (`LearnedPosture.direction_agreement`); None where none was asked."""
+    learned: LearnedPosture | None = None
+    """What that network sees there; None where none was asked."""
     cost: float = 0.0
     """Cost in nats, comparable between candidates of one scene; 0 where the update has none."""
     is_sound: bool = True

@@ -19,6 +19,9 @@ than 0.04 (status_rates.json), one in twenty photographs of hands with sleeves a
 _MIN_IN_VIEW = 0.35  # share of the contour's points inside the picture, below which there is too little to judge by
 _KEYPOINT_WEIGHT = 0.3  # share of the score that detected keypoints have, where there are any
 MIN_KEYPOINTS = 0.5  # agreement with detected keypoints, below which a detector found another hand
+_DIRECTION_WEIGHT = 0.3  # share of the score that the network's view of the direction has, where there is one
+_SURE_DIRECTION = 0.3  # agreement with that view which is as good as any: half of its hypotheses within its error
+_MIN_DIRECTION = 0.12  # agreement below which it is in doubt
 _RIG_SEARCH_EVERY = 60  # frames from one search of several cameras to the next where they find nothing
 
 
@@ -102,13 +105,21 @@ class Health:
         """How much of the pictures a candidate explains, 0 to 1."""
         weight = self.settings.edge_weight
         own = (1 - weight) * candidate.overlap + weight * candidate.edges
-        if candidate.keypoints is None:
-            return own
-        return (1 - _KEYPOINT_WEIGHT) * own + _KEYPOINT_WEIGHT * candidate.keypoints
+        if candidate.keypoints is not None:
+            return (1 - _KEYPOINT_WEIGHT) * own + _KEYPOINT_WEIGHT * candidate.keypoints
+        if candidate.direction is not None:
+            share = min(1.0, candidate.direction / _SURE_DIRECTION)
+            return (1 - _DIRECTION_WEIGHT) * own + _DIRECTION_WEIGHT * share
+        return own
 
     def is_detected_elsewhere(self, candidate: Candidate) -> bool:
         """Whether a detector found another hand than this one."""
         return candidate.keypoints is not None and candidate.keypoints < MIN_KEYPOINTS
+
+    def is_turned(self, candidate: Candidate) -> bool:
+        """Whether a network sees the hand from another side, and no detector tells otherwise."""
+        is_doubted = candidate.direction is not None and candidate.direction < _MIN_DIRECTION
+        return candidate.keypoints is None and is_doubted
 
     def is_failing(self, candidate: Candidate | None) -> bool:
         """Whether the pictures do not bear a hand out."""
@@ -133,7 +144,7 @@ class Health:
         s = self.settings
         if candidate is None or self.is_failing(candidate) or not candidate.is_sound:
             return True
-        if self.is_detected_elsewhere(candidate):
+        if self.is_detected_elsewhere(candidate) or self.is_turned(candidate):
             return True
         has_dropped = self.score(candidate) < usual - s.max_score_drop
         return has_dropped or candidate.agreement.most_unexplained > s.max_unexplained
