@@ -7,8 +7,6 @@ from torchhand.evaluate.alignment import fit_similarity
 from torchhand.hand import KEYPOINTS
 
 WRIST = 0
-PALM = [i for i, name in enumerate(KEYPOINTS) if name == "wrist" or (name.endswith("_mcp") and "thumb" not in name)]
-"""Keypoints that no finger moves: the wrist and the knuckles of the four fingers."""
 TIPS = [i for i, name in enumerate(KEYPOINTS) if name.endswith("_tip")]
 
 
@@ -40,7 +38,21 @@ def aligned_errors(
 def fingertip_errors(
     estimate: Float[np.ndarray, "*batch 21 3"], truth: Float[np.ndarray, "*batch 21 3"]
 ) -> Float[np.ndarray, "*batch 5"]:
-    """Distances of the fingertips, thumb to little, after each estimate was moved rigidly onto its truth by the palm:
-    what is wrong with the fingers, wherever the hand is. NaN where a keypoint of the palm or the tip is."""
-    moved = fit_similarity(estimate[..., PALM, :], truth[..., PALM, :], with_scale=False).apply(estimate[..., TIPS, :])
-    return joint_errors(moved, truth[..., TIPS, :])
+    """Distances of the fingertips, thumb to little, after each estimate was moved rigidly onto its truth: what is wrong
+    with the fingers, wherever the hand is and however it is turned. All keypoints are laid over one another, for two
+    hand models place the joints of the palm some millimetres apart, which would turn a hand that is held by these
+    alone. NaN where a keypoint is."""
+    moved = fit_similarity(estimate, truth, with_scale=False).apply(estimate)
+    return joint_errors(moved, truth)[..., TIPS]
+
+
+def fingertip_distances(
+    estimate: Float[np.ndarray, "*batch 21 3"], truth: Float[np.ndarray, "*batch 21 3"], *, is_one_camera: bool
+) -> Float[np.ndarray, "*batch 5"]:
+    """Distances of the fingertips from where they are: for one camera, in whose frame they are, across the line of
+    sight at the depth of the truth; for several in space."""
+    own, real = estimate[..., TIPS, :], truth[..., TIPS, :]
+    if not is_one_camera:
+        return joint_errors(own, real)
+    across = own[..., :2] / own[..., 2:] - real[..., :2] / real[..., 2:]
+    return np.linalg.norm(across * real[..., 2:], axis=-1)

@@ -22,7 +22,7 @@ from torchhand.track.assembly import Assembly, assembled
 from torchhand.track.belief import FollowedHand, posed_belief, scale_covariance, unknown_scale_std
 from torchhand.track.knowledge import Estimate, TrackerState
 from torchhand.track.proposals import Proposals, ProposalSource, Proposed
-from torchhand.track.quality import FingerEvidence, Told
+from torchhand.track.quality import FingerEvidence, Told, qualities
 from torchhand.track.scene import (
     Candidate,
     HandKeypoints,
@@ -393,6 +393,8 @@ class Tracker:
             learned=found.learned,
             direction=found.direction,
         )
+        evidence = self._evidence(told, self._segmented(scene, state))
+        quality, fingers = qualities(evidence, "contour" if self.settings.method == "contour" else "distance")
         return Estimate(
             status=status,
             time_s=scene.time_s,
@@ -407,7 +409,9 @@ class Tracker:
             edges=found.edges,
             inside=inside,
             nis=found.nis,
-            evidence=self._evidence(told, self._segmented(scene, state)),
+            quality=quality,
+            finger_quality=fingers,
+            evidence=evidence,
             score=self._parts.health.score(found),
             views=found.agreement.views,
         )

@@ -5,27 +5,40 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.files import load_hand_model
+from torchhand.fit import Appearance, learn_appearance
 from torchhand.geometry import Camera, assumed_camera, rotation_from_vector
-from torchhand.hand import DOFS, JOINT_DOFS, POSTURES, HandKinematics, posture
+from torchhand.hand import DOFS, JOINT_DOFS, POSTURES, HandKinematics, HandPose, posture
+from torchhand.image import dilate, disc_kernel, intersection_over_union, touching
 from torchhand.numerics import ease
 from torchhand.signs import load_signs
-from torchhand.simulate import SKIN_TONES, Motion, SceneSettings, facing, hand_length, render_sequence, sample_shape
+from torchhand.simulate import (
+    SKIN_TONES,
+    Motion,
+    RenderedFrame,
+    SceneSettings,
+    facing,
+    hand_length,
+    render_sequence,
+    sample_shape,
+)
 from torchhand.track import HandKeypoints, View
 
-WIDTH, HEIGHT = 480, 360
+WIDTH, HEIGHT = 320, 240
 FPS = 30.0
 _ROOT = len(DOFS) - len(JOINT_DOFS)
 _BACKGROUNDS = ("plain", "dark", "wall", "clutter")
-_SIZES = (0.45, 0.7)  # length of the hand, shares of the picture's height
+_SIZES = (0.5, 0.8)  # length of the hand, shares of the picture's height
 _MIDDLE = 0.48  # of a hand, share of its length from the wrist
 _SIDE_DEG = 80.0  # turn about the hand's own axis, to either side
 _TILT_DEG, _TURN_DEG = 30.0, 60.0  # towards the camera, and in the picture
 _SWAY_DEG = 15.0  # turn in the course of a sequence
 _WOBBLE = 0.12  # radians: standard deviation of known postures' angles
+_SHAPE_ERROR = 0.5  # of a fitted shape, shares of the spread of people
+_SEPARABLE = 0.8  # intersection over union of the hand by colour and the hand itself
 _PRIOR = 0.4  # share of the postures that comes from the prior; the others are named postures and signs
 
 # A detector's errors, about the medians over joints of detector_errors.json (`torchhand measure_detector`).
@@ -45,12 +58,21 @@ class SimulatedFrame:
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedSequence:
+    """A hand in motion before one camera."""
+
     camera: Camera
+    shape: Float[Tensor, "shape"]
+    """Proportions as a tracker may have fitted them."""
+    start: HandPose
+    """Pose in the first picture."""
+    appearance: Appearance
+    """Colours of hand and arm against the rest in the first picture, as a tracker learns them."""
     frames: tuple[SimulatedFrame, ...]
 
 
-def sequence(generator: torch.Generator, frames: int, *, has_detector: bool) -> SimulatedSequence:
-    """A right hand of a random person goes from one posture to another and a part of the way back."""
+def sequence(generator: torch.Generator, frames: int, *, has_detector: bool) -> SimulatedSequence | None:
+    """A right hand of a random person goes from one posture to another and a part of the way back; None where its
+    colours do not tell it from its background."""
     hand = load_hand_model().hand(side="right", dtype=torch.float64)
     kinematics = hand.kinematics
     camera = replace(assumed_camera(WIDTH, HEIGHT, horizontal_fov_deg=50.0), is_assumed=False)
@@ -66,16 +88,39 @@ def sequence(generator: torch.Generator, frames: int, *, has_detector: bool) -> 
         blur_px=0.7,
     )
     rendered = list(render_sequence(kinematics, motion, camera, look, generator, shape=shape, hand=hand))
+    appearance = _appearance(rendered[0])
+    if appearance is None:
+        return None
+    error = sample_shape(kinematics.shape_space, generator) - kinematics.default_shape
+    believed = (shape + _SHAPE_ERROR * error).clamp(kinematics.shape_space.lower, kinematics.shape_space.upper)
     seen: list[HandKeypoints | None] = [None] * frames
     if has_detector:
         seen = list(_detections(kinematics, motion, camera, shape, generator))
     return SimulatedSequence(
         camera=camera,
+        shape=believed,
+        start=HandPose.of(motion.poses[0], motion.root_reference),
+        appearance=appearance,
         frames=tuple(
             SimulatedFrame(view=View(image=one.image, keypoints=points), keypoints=one.keypoints_cam)
             for one, points in zip(rendered, seen, strict=True)
         ),
     )
+
+
+def _appearance(first: RenderedFrame) -> Appearance | None:
+    """Colours of the hand; what is near it or beyond the wrist is not its background."""
+    height, width = first.mask.shape
+    around = dilate(first.mask, disc_kernel(max(1, round(0.05 * height))))
+    wrist, knuckle = first.keypoints_px[0], first.keypoints_px[9]
+    x, y = torch.arange(width), torch.arange(height)[:, None]
+    is_beyond = (x - wrist[0]) * (knuckle - wrist)[0] + (y - wrist[1]) * (knuckle - wrist)[1] < 0
+    skin = learn_appearance(first.image, first.mask, ~around & ~is_beyond, 1)
+    if skin is None:
+        return None
+    seen = touching(skin.probability(first.image) > 0.5, first.mask)
+    is_told = float(intersection_over_union(seen, first.mask, ~is_beyond)) >= _SEPARABLE
+    return skin if is_told else None
 
 
 def _motion(
@@ -90,7 +135,7 @@ def _motion(
     reference = in_picture @ towards @ about @ facing("palm" if _choice(2, generator) else "back")
     along = ease(torch.linspace(0, 1.6, frames, dtype=torch.float64).clamp(0, 1))
     along = along - 0.5 * ease((torch.linspace(0, 1.6, frames, dtype=torch.float64) - 1).clamp(0, 1) / 0.6)
-    first, last = (_posture(kinematics, generator) for _ in range(2))
+    first, last = (drawn_posture(kinematics, generator) for _ in range(2))
     joints = kinematics.skeleton.within_limits(torch.lerp(first, last, along[:, None]))
     sway = math.radians(_SWAY_DEG) * torch.randn(3, generator=generator, dtype=torch.float64)
     turns = along[:, None] * sway
@@ -105,7 +150,8 @@ def _motion(
     return Motion(name="postures", poses=poses, root_reference=reference, fps=FPS)
 
 
-def _posture(kinematics: HandKinematics, generator: torch.Generator) -> Float[Tensor, "30"]:
+def drawn_posture(kinematics: HandKinematics, generator: torch.Generator) -> Float[Tensor, "30"]:
+    """Joint angles of the prior, or near those of a named posture or a sign; not yet within the limits."""
     if _between(0.0, 1.0, generator) < _PRIOR:
         drawn, _ = load_hand_model().prior().sample(1, generator)
         return drawn[0, _ROOT:].double()
@@ -126,7 +172,8 @@ def _detections(
     def errors(*size: int) -> Tensor:
         """Standard normal, most of it the same in all frames."""
         constant, changing = (
-            torch.randn(*parts, generator=generator, dtype=torch.float64) for parts in (size, (len(motion.poses), *size))
+            torch.randn(*parts, generator=generator, dtype=torch.float64)
+            for parts in (size, (len(motion.poses), *size))
         )
         return math.sqrt(_CONSTANT) * constant + math.sqrt(1 - _CONSTANT) * changing
 
