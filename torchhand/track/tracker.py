@@ -29,6 +29,7 @@ from torchhand.track.scene import (
     ObservationsOf,
     Scene,
     View,
+    credible_posture,
     learned_observations,
     seen_posture,
 )
@@ -37,6 +38,8 @@ from torchhand.track.settings import TrackerSettings
 _BEST_KEPT = 0.99  # share of the best score that outlasts a frame
 _DECLINE = 0.03  # score less than at best, from which on a followed hand is fitted once more with larger steps
 _SURE_EDGES = 0.85  # share of the edges that a whole hand explains at least
+_DIRECTION_KEPT = 0.8  # share of the direction's agreement that outlasts a frame
+_TOLD = 0.01  # score that a hand may have less which the network bears out
 _REFIT_EVERY = 10  # frames from one such fit to the next at least
 
 
@@ -123,15 +126,7 @@ class Tracker:
         )
         followed = None
         if state.hand is not None and predicted is not None and state.shape is not None:
-            pose = self._parts.motion.pose(predicted).normalized()
-            seen = self._seen_posture(scene, pose, state.shape)
-            told = (
-                scene
-                if seen is None
-                else replace(scene, observations=(*scene.observations, *learned_observations(seen, pose)))
-            )
-            followed = self._parts.rule.follow(state.hand, predicted, told, state.shape)
-            followed = self._judged_otherwise(followed, scene, state.shape, seen)
+            followed = self._followed(state.hand, predicted, scene, state.shape)
         state, search = self._searched(state, followed, predicted, scene)
         return self._adopted(state, search, predicted, scene)
 
@@ -181,6 +176,27 @@ class Tracker:
         keypoints = self._parts.keypoints(scene).observations if self._parts.takes_proposals else ()
         return replace(scene, observations=(*further, *keypoints))
 
+    def _followed(self, hand: FollowedHand, predicted: FollowedHand, scene: Scene, shape: Tensor) -> Candidate | None:
+        """The prediction corrected by the scene, and by what the network sees where the hand is expected. Where fingers
+        are bent otherwise, and no detector tells of them, also the prediction with these put there: whichever explains
+        the scene, the latter where both do."""
+        motion, rule = self._parts.motion, self._parts.rule
+        pose = motion.pose(predicted).normalized()
+        seen = self._seen_posture(scene, pose, shape)
+        if seen is None:
+            return self._judged_otherwise(rule.follow(hand, predicted, scene, shape), scene, shape)
+        told = replace(scene, observations=(*scene.observations, *learned_observations(seen, pose)))
+        found = self._judged_otherwise(rule.follow(hand, predicted, told, shape), scene, shape, seen)
+        put, is_put = credible_posture(seen, pose, motion.space.free_names)
+        if self._parts.keypoints(scene).observations or not bool(is_put.any()):
+            return found
+        other = rule.follow(hand, motion.put(predicted, put, is_put), told, shape)
+        other = self._judged_otherwise(other, scene, shape, seen)
+        if found is None or other is None:
+            return found or other
+        score = self._parts.health.score
+        return other if score(other) > score(found) - _TOLD else found
+
     def _seen_posture(self, scene: Scene, pose: HandPose, shape: Tensor) -> LearnedPosture | None:
         """What the network sees where a hand is expected."""
         if not self._parts.has_learned_posture:
@@ -223,13 +239,19 @@ class Tracker:
     def _judged_otherwise(
         self, found: Candidate | None, scene: Scene, shape: Tensor, seen: LearnedPosture | None = None
     ) -> Candidate | None:
-        """A candidate with what detected keypoints say of it, and the network: `seen`, or what it sees there now."""
+        """A candidate with what detected keypoints say of it, and the network: `seen`, or what it sees there now. Of a
+        hand that is followed the latter is a mean over the last frames, for a fist looks much alike from either side."""
         if found is None:
             return None
         keypoints = self._parts.keypoints(scene).agreement(found.pose, shape)
         seen = self._seen_posture(scene, found.pose.normalized(), shape) if seen is None else seen
-        direction = None if seen is None else float(seen.direction_agreement(found.rotation))
-        return replace(found, keypoints=keypoints, direction=direction, learned=seen)
+        if seen is None:
+            return replace(found, keypoints=keypoints)
+        direction, before = float(seen.direction_agreement(found.rotation)), found.hand.direction
+        if before is not None:
+            direction = _DIRECTION_KEPT * before + (1 - _DIRECTION_KEPT) * direction
+        hand = replace(found.hand, direction=direction)
+        return replace(found, keypoints=keypoints, direction=direction, learned=seen, hand=hand)
 
     def _unseen(self, state: TrackerState, predicted: FollowedHand | None) -> tuple[TrackerState, Estimate]:
         """The step over a time of which nothing was seen: after `health.patience` in a row the track is given up."""

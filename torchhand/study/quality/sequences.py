@@ -26,6 +26,7 @@ from torchhand.simulate import (
     sample_shape,
 )
 from torchhand.track import HandKeypoints, View
+from torchhand.track.belief import centre_std
 
 WIDTH, HEIGHT = 320, 240
 FPS = 30.0
@@ -41,10 +42,11 @@ _SHAPE_ERROR = 0.5  # of a fitted shape, shares of the spread of people
 _SEPARABLE = 0.8  # intersection over union of the hand by colour and the hand itself
 _PRIOR = 0.4  # share of the postures that comes from the prior; the others are named postures and signs
 
-# A detector's errors, about the medians over joints of detector_errors.json (`torchhand measure_detector`).
-_POINT_STD_M, _ANGLE_STD = 0.0035, 0.33
+# A detector's errors: of points in all (offset and deviation) and of angles, about the means over joints of
+# detector_errors.json (`torchhand measure_detector`).
+_POINT_STD_M, _ANGLE_STD = 0.005, 0.31
 _CONSTANT = 0.7  # share of their variance that a sequence has throughout
-_UNEVEN = 0.5  # standard deviation of the logarithm of a finger's own factor: some fingers are seen wrongly
+_UNEVEN = 0.7  # standard deviation of the logarithm of a finger's own factor: some fingers are seen wrongly
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +55,7 @@ class SimulatedFrame:
 
     view: View
     keypoints: Float[Tensor, "21 3"]
-    """Metres, in the camera's frame."""
+    """Metres, in the camera's frame; as another hand model would place them under the same skin."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,13 +98,14 @@ def sequence(generator: torch.Generator, frames: int, *, has_detector: bool) -> 
     seen: list[HandKeypoints | None] = [None] * frames
     if has_detector:
         seen = list(_detections(kinematics, motion, camera, shape, generator))
+    offset = torch.randn(21, 3, generator=generator, dtype=torch.float64) * centre_std()[:, None]
     return SimulatedSequence(
         camera=camera,
         shape=believed,
         start=HandPose.of(motion.poses[0], motion.root_reference),
         appearance=appearance,
         frames=tuple(
-            SimulatedFrame(view=View(image=one.image, keypoints=points), keypoints=one.keypoints_cam)
+            SimulatedFrame(view=View(image=one.image, keypoints=points), keypoints=one.keypoints_cam + offset)
             for one, points in zip(rendered, seen, strict=True)
         ),
     )

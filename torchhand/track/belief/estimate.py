@@ -85,11 +85,16 @@ def posed_gaussian(
     )
 
 
+def centre_std() -> Float[Tensor, "21"]:
+    """Metres along each axis that another model's joint centres differ by."""
+    std = [_CENTRE_STD_M.get(name, _CENTRE_STD_M.get(name.split("_")[-1], _OTHER_CENTRE_STD_M)) for name in KEYPOINTS]
+    return torch.tensor(std, dtype=torch.float64)
+
+
 @lru_cache(maxsize=1)
 def _centre_covariance() -> Float[Tensor, "21 3 3"]:
-    """Square metres: what another model's joint centres differ by."""
-    std = [_CENTRE_STD_M.get(name, _CENTRE_STD_M.get(name.split("_")[-1], _OTHER_CENTRE_STD_M)) for name in KEYPOINTS]
-    return torch.tensor(std, dtype=torch.float64).square()[:, None, None] * torch.eye(3, dtype=torch.float64)
+    """Square metres: of the same."""
+    return centre_std().square()[:, None, None] * torch.eye(3, dtype=torch.float64)
 
 
 @lru_cache(maxsize=8)

@@ -5,7 +5,7 @@ from functools import cached_property
 from typing import Literal
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.fit import free_bounds
@@ -125,6 +125,16 @@ class HandMotion:
         turn = vector_from_rotation(pose.rotation @ hand.reference.mT)
         dofs = torch.cat((pose.dofs[:3], turn, pose.dofs[6:]))
         return self.space.about(hand.base).own(dofs)
+
+    def put(self, hand: FollowedHand, pose: HandPose, is_put: Bool[Tensor, "free"]) -> FollowedHand:
+        """A hand with some of its parameters as a pose has them, because what was believed of them is no longer
+        credible (a manoeuvre): they are as uncertain as they moved."""
+        count = self.space.size
+        missed = torch.where(is_put, self.free_of(hand, pose) - hand.belief.mean[:count], 0.0)
+        mean, covariance = hand.belief.mean.clone(), hand.belief.covariance.clone()
+        mean[:count] += missed
+        covariance.diagonal()[:count] += missed.square()
+        return replace(hand, belief=Gaussian(mean, covariance))
 
     def begun(self, hand: FollowedHand, pose: HandPose, covariance: Float[Tensor, "free free"]) -> FollowedHand:
         """The hand at a fitted pose, its rates forgotten."""

@@ -26,5 +26,7 @@ class FollowedHand:
     """Spectral density of the process noise as learned so far; None where it is not learned."""
     dt_s: float = 0.0
     """Time step of the last prediction, seconds."""
+    direction: float | None = None
+    """How far a network bore out the direction of the hand lately, 0 to 1; None where it was not asked."""
     frames: int = 0
     """Frames since the hand was found."""

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 
+import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
@@ -27,6 +28,7 @@ explains every oval, so that faces would be hands. Ovals on necks have 0.93; nin
 posture, with their forearms, have less than 0.89, closed fists have more."""
 _MIN_OVERLAP = 0.9  # of the first hand with the silhouette by its colours
 _STARTS = 2  # registered hands whose colours are learned in the first picture
+_TURNED = 0.5  # cosine of the angle between hands of different directions at most
 _MIN_FOUND = 0.8  # share of the first hand's contour on edges
 _RESTARTS = 3  # registered hands that a followed one is compared with
 
@@ -77,11 +79,18 @@ class LearnedHands:
         return self._first(found, image)
 
     def _registered(self, seen: Silhouette, shape: Tensor) -> Solutions:
-        """Registered hypotheses, the cheapest first."""
+        """Registered hypotheses: the cheapest, the cheapest of those that are turned away from it, then the rest by
+        their cost."""
         hands = propose_hands(load_proposal_network(), (seen,), self.kinematics, shape)
         found = self._registration(seen, hands.pose[0], shape, weight=hands.weight[0])
         order = found.cost.argsort()
-        return found.rows(order[found.cost[order].isfinite()])
+        order = order[found.cost[order].isfinite()]
+        rotation = found.pose.rotation[order]
+        cosine = 0.5 * ((rotation * rotation[:1]).sum((-2, -1)) - 1)
+        rank = torch.arange(len(order))
+        is_turned = cosine < _TURNED
+        rank[is_turned & (is_turned.cumsum(0) == 1)] = 0
+        return found.rows(order[rank.argsort(stable=True)])
 
     def _first(self, found: Solutions, image: Tensor) -> Proposals:
         """The first hand with its colours, as it is refitted to the silhouette by these."""

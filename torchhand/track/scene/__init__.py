@@ -4,7 +4,7 @@ from torchhand.track.scene.agreement import Agreement, SilhouetteComparison, mea
 from torchhand.track.scene.candidate import Candidate
 from torchhand.track.scene.health import MAX_BEYOND, MIN_KEYPOINTS, Health, HealthSettings
 from torchhand.track.scene.keypoints import SceneKeypoints, detected_hand, parts_of, scene_keypoints
-from torchhand.track.scene.learned_posture import learned_observations, seen_posture
+from torchhand.track.scene.learned_posture import credible_posture, learned_observations, seen_posture
 from torchhand.track.scene.segmentation import (
     Appearances,
     ColourSegmentation,
@@ -40,6 +40,7 @@ __all__ = [
     "UpdateRule",
     "View",
     "ViewSilhouettes",
+    "credible_posture",
     "detected_hand",
     "learned_observations",
     "mean_overlap",

@@ -1,16 +1,23 @@
 """The posture and the direction that a trained network sees in one camera's picture of a hand near a known place."""
 
+from collections.abc import Sequence
+
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.files import load_proposal_network
 from torchhand.fit import GaussianPrior, Observation
 from torchhand.fit.keypoints import PostureKeypoints
 from torchhand.geometry import Camera
-from torchhand.hand import DOFS, JOINT_DOFS, HandKinematics, HandPose, named_pose_space
+from torchhand.hand import DOFS, FINGERS, JOINT_DOFS, HandKinematics, HandPose, named_pose_space
 from torchhand.propose import LearnedPosture, Silhouette, learned_posture
+from torchhand.track.scene.keypoints import parts_of
 from torchhand.track.scene.views import Scene
+
+_CREDIBLE = (
+    2.2  # root mean square deviation of a finger's two or three flexions, standard deviations: 1 % by chance (χ²)
+)
 
 
 def seen_posture(
@@ -43,3 +50,20 @@ def learned_observations(seen: LearnedPosture, pose: HandPose) -> tuple[Observat
             space=space,
         ),
     )
+
+
+def credible_posture(
+    seen: LearnedPosture, pose: HandPose, free_names: Sequence[str]
+) -> tuple[HandPose, Bool[Tensor, "free"]]:
+    """The hand at a pose () with the angles that were seen, and which free parameters are of fingers that are bent there
+    by more than an error of the network explains."""
+    joints = pose.dofs[-len(JOINT_DOFS) :]
+    deviation = (joints - seen.joints).square() / seen.variance
+    parts = [[JOINT_DOFS.index(name) for name in JOINT_DOFS if _is_flexion_of(finger, name)] for finger in FINGERS]
+    is_far = torch.stack([deviation[rows].mean().sqrt() > _CREDIBLE for rows in parts])
+    is_put = torch.cat((torch.zeros_like(is_far[:1]), is_far))[parts_of(free_names)]
+    return HandPose(dofs=torch.cat((pose.dofs[: -len(JOINT_DOFS)], seen.joints)), reference=pose.reference), is_put
+
+
+def _is_flexion_of(finger: str, name: str) -> bool:
+    return name.startswith(finger) and name.endswith(("_mcp_fe", "_pip_fe", "_dip_fe", "_ip_fe"))

@@ -134,19 +134,12 @@ class UnscentedUpdate:
 
     def _relocated(self, hand: FollowedHand, seen: SceneKeypoints, detected: HandPose, shape: Tensor) -> FollowedHand:
         """A hand with those parts as detected that differ from the detected ones by more than an error of the detector
-        explains: what was believed of them is no longer credible (a manoeuvre). They are as uncertain as they moved,
-        and are put there at once because a far finger is no linear matter: what bends towards the camera hardly moves
-        at first."""
+        explains, which are put there at once: a far finger is no linear matter, what bends towards the camera hardly
+        moves at first."""
         is_lost = seen.deviation(self.motion.pose(hand), shape) > _CREDIBLE
         if not bool(is_lost.any()):
             return hand
-        count = self.motion.space.size
-        missed = self.motion.free_of(hand, detected) - hand.belief.mean[:count]
-        missed = torch.where(is_lost[self._parts_of_free], missed, 0.0)
-        mean, covariance = hand.belief.mean.clone(), hand.belief.covariance.clone()
-        mean[:count] += missed
-        covariance.diagonal()[:count] += missed.square()
-        return replace(hand, belief=Gaussian(mean, covariance))
+        return self.motion.put(hand, detected, is_lost[self._parts_of_free])
 
     def _updated(self, before: _Measured, scene: Scene, shape: Tensor) -> _Measured:
         """One measurement update with fresh edges of all views, further observations and the weak posture prior.
