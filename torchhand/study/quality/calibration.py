@@ -23,6 +23,8 @@ _EDGES = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
 def calibrated(samples: Sequence[FingerSample]) -> dict[str, Any]:
     """Models of a finger and of a hand, for quality.json: bias, weights, and their figures on sequences that they were
     not fitted to. Raises ValueError where too few fingers are right or wrong."""
+    if len(samples) < _MIN_SAMPLES:
+        raise ValueError(f"samples: expected {_MIN_SAMPLES} or more, got {len(samples)}")
     evidence = torch.stack([one.evidence for one in samples])
     is_right = torch.stack([one.error_m for one in samples]) <= TIP_M
     is_hand_right = torch.tensor([one.farthest_m for one in samples]) <= TIP_M
