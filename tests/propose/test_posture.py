@@ -4,8 +4,10 @@ from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 
 from torchhand.files import load_proposal_network
+from torchhand.geometry import rotation_from_vector
 from torchhand.hand import JOINT_DOFS, HandPose
 from torchhand.propose import LearnedPosture, Silhouette, learned_posture
 
@@ -54,6 +56,36 @@ def test_left_hands_are_right_ones_in_the_mirror(studio: Any) -> None:
         for one in (right, left)
     ]
     assert float((seen[0].joints - seen[1].joints).abs().mean()) < 0.05
+
+
+def _turned(rotation: Tensor, about: int, angle: float) -> Tensor:
+    """A hand turned about one of its own axes: 0 out of the back or the palm's plane, 1 the fingers, 2 the thumb."""
+    axis = torch.zeros(3, dtype=rotation.dtype)
+    axis[about] = angle
+    return rotation @ rotation_from_vector(axis)
+
+
+def test_the_direction_is_told(studio: Any) -> None:
+    for side in ("right", "left"):
+        placed = studio.placed(size=0.8, view="back", side=side)
+        true = HandPose(dofs=placed.pose, reference=placed.root_reference).rotation
+        found = _seen(placed)
+        assert float(found.weight.sum()) == pytest.approx(1, abs=1e-6)
+        assert float(found.direction_agreement(true)) > 0.4, side
+        assert float(found.direction_agreement(_turned(true, 1, torch.pi))) < 0.12, side
+
+
+def test_the_direction_near_a_hand_is_that_of_the_hypotheses_about_it() -> None:
+    eye = torch.eye(3, dtype=torch.float64)
+    near, far = _turned(eye, 2, 0.3), _turned(eye, 1, 3.0)
+    nothing = torch.zeros(30, dtype=torch.float64)
+    weight = torch.tensor((0.7, 0.3), dtype=torch.float64)
+    found = LearnedPosture(joints=nothing, variance=nothing + 1, rotation=torch.stack((near, far)), weight=weight)
+    direction, precision = found.direction_near(eye)
+    torch.testing.assert_close(direction, near, rtol=0, atol=1e-2)
+    nowhere, none = found.direction_near(_turned(eye, 0, 2.0))
+    assert float(none) < 0.2 * float(precision)
+    assert bool(nowhere.isfinite().all())
 
 
 def test_what_the_network_is_unsure_of_has_the_larger_variance(studio: Any) -> None:

@@ -28,8 +28,8 @@ _STD_DEG = {
 }
 _OTHER_STD_DEG = 10.0
 _DIRECTION_STD = math.radians(30.0)
-"""Of the direction of the best of the eight hypotheses, as measured there on one view of held-out simulated hands and on
-pictures (11° to 27°), with a margin."""
+"""Of the direction of the best of the eight hypotheses, as measured there on one view of held-out simulated hands and
+on pictures (11° to 27°), with a margin."""
 
 _UNTOLD = 0.1  # share of pictures in which no hypothesis is about the hand
 
@@ -75,7 +75,8 @@ def learned_posture(
     pose: HandPose,
     shape: Float[Tensor, "shape"],
 ) -> LearnedPosture:
-    """The posture and the direction of the hand that stands about where `pose` () in the world has it, seen upright and filling the view.
+    """The posture and the direction of the hand that stands about where `pose` () in the world has it, seen upright and
+    filling the view.
 
     Raises ValueError for a camera that is no pinhole camera.
     """

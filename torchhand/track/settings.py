@@ -50,8 +50,8 @@ class TrackerSettings:
     """Whether a trained network proposes hands in any posture to one pinhole camera, where the posture of the start is
     not found or leaves something unexplained."""
     learned_posture: bool = True
-    """Whether that network also tells the joint angles of a hand that is followed by one pinhole camera, picture by
-    picture."""
+    """Whether that network also tells the joint angles and the direction of a hand that is followed by one pinhole
+    camera, picture by picture; a hand that it sees from another side is in doubt."""
     rig: RigSettings = field(default_factory=RigSettings)
     """Several cameras: the hull of the silhouettes, in which a hand is found whatever the update rule."""
     smoothing_window_s: float = 0.0

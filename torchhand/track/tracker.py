@@ -239,8 +239,10 @@ class Tracker:
     def _judged_otherwise(
         self, found: Candidate | None, scene: Scene, shape: Tensor, seen: LearnedPosture | None = None
     ) -> Candidate | None:
-        """A candidate with what detected keypoints say of it, and the network: `seen`, or what it sees there now. Of a
-        hand that is followed the latter is a mean over the last frames, for a fist looks much alike from either side."""
+        """A candidate with what detected keypoints say of it, and the network: `seen`, or what it sees there now.
+
+        Of a hand that is followed the latter is a mean over the last frames, for a fist looks much alike from either
+        side."""
         if found is None:
             return None
         keypoints = self._parts.keypoints(scene).agreement(found.pose, shape)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand import DOFS, named_pose_space
+from torchhand.hand import DOFS, HandPose, named_pose_space
 from torchhand.numerics import Gaussian, MotionModel
 from torchhand.track.belief import FollowedHand, HandMotion, NoiseSettings
 
@@ -90,3 +90,20 @@ def test_an_unseen_hand_goes_on_at_its_speed_and_grows_uncertain(studio: Any) ->
     assert float(motion.pose(after).dofs[0] - placed.pose[0]) == pytest.approx(0.3)
     assert bool((after.belief.covariance.diagonal() > hand.belief.covariance.diagonal()).any())
     assert after.frames == hand.frames + 1
+
+
+def test_parameters_that_are_put_elsewhere_are_as_uncertain_as_they_moved(studio: Any) -> None:
+    placed = studio.placed(size=0.8)
+    motion = _motion(placed, "dof27")
+    hand = motion.started(HandPose(dofs=placed.pose, reference=placed.root_reference))
+    bent = motion.pose(hand).dofs.clone()
+    names = ("index_pip_fe", "middle_pip_fe")
+    rows = [DOFS.index(name) for name in names]
+    bent[rows] += 0.8
+    is_put = torch.tensor([name == names[0] for name in motion.space.free_names])
+    moved = motion.put(hand, HandPose(dofs=bent, reference=hand.reference), is_put)
+    change = (motion.pose(moved).dofs - motion.pose(hand).dofs)[rows]
+    torch.testing.assert_close(change, change.new_tensor((0.8, 0.0)))
+    variance = (moved.belief.covariance - hand.belief.covariance).diagonal()[: motion.space.size]
+    torch.testing.assert_close(variance[is_put], variance.new_tensor([0.8**2]))
+    assert not bool(variance[~is_put].any())

@@ -3,7 +3,13 @@
 from torchhand.track.scene.agreement import Agreement, SilhouetteComparison, mean_overlap
 from torchhand.track.scene.candidate import Candidate
 from torchhand.track.scene.health import MAX_BEYOND, MIN_KEYPOINTS, Health, HealthSettings
-from torchhand.track.scene.keypoints import SceneKeypoints, detected_hand, parts_of, scene_keypoints
+from torchhand.track.scene.keypoints import (
+    SceneKeypoints,
+    detected_hand,
+    parts_of,
+    scene_keypoints,
+    with_further_postures,
+)
 from torchhand.track.scene.learned_posture import credible_posture, learned_observations, seen_posture
 from torchhand.track.scene.segmentation import (
     Appearances,
@@ -47,4 +53,5 @@ __all__ = [
     "parts_of",
     "scene_keypoints",
     "seen_posture",
+    "with_further_postures",
 ]

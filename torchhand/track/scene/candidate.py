@@ -10,6 +10,8 @@ from torchhand.propose import LearnedPosture
 from torchhand.track.belief import FollowedHand
 from torchhand.track.scene.agreement import Agreement
 
+_PALM_M = 0.05  # from the wrist to the middle of the palm
+
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
@@ -43,6 +45,11 @@ class Candidate:
     @property
     def overlap(self) -> float:
         return self.agreement.overlap
+
+    @property
+    def palm(self) -> Float[Tensor, "3"]:
+        """About the middle of the palm, metres."""
+        return self.pose.dofs[:3] + _PALM_M * self.rotation[:, 1]
 
     @property
     def rotation(self) -> Float[Tensor, "3 3"]:

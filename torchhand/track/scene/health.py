@@ -22,6 +22,7 @@ MIN_KEYPOINTS = 0.5  # agreement with detected keypoints, below which a detector
 _DIRECTION_WEIGHT = 0.3  # share of the score that the network's view of the direction has, where there is one
 _SURE_DIRECTION = 0.3  # agreement with that view which is as good as any: half of its hypotheses within its error
 _MIN_DIRECTION = 0.12  # agreement below which it is in doubt
+_ONE_PLACE_M = 0.1  # between the palms of two hands that are the same hand otherwise held: half a hand's length
 _RIG_SEARCH_EVERY = 60  # frames from one search of several cameras to the next where they find nothing
 
 
@@ -51,6 +52,9 @@ class HealthSettings:
     turned_by: float = 0.12
     """By how much more it must be higher where it is turned by half a turn, which a hand seldom does from one picture
     to the next; less for smaller turns; 0 to 1."""
+    moved_by: float = 0.2
+    """By how much more it must be higher where it lies half a hand's length away or more, unless the followed hand is
+    failing: an arm looks much like a hand that is nearer; 0 to 1."""
     search_every: int = 5
     """Frames from one search without any guess to the next where the last one found a hand; 1 or more."""
     search_at_most_every: int = 5
@@ -69,11 +73,12 @@ class HealthSettings:
         return self.search_every if has_found else min(max(2 * after, 1), self.search_at_most_every)
 
     def for_rig(self) -> "HealthSettings":
-        """For several cameras: what one view leaves unexplained the others decide, and a search without a guess takes
-        seconds, so that it comes the less often the longer it finds nothing."""
+        """For several cameras: what one view leaves unexplained the others decide, as they do how far a hand is; and a
+        search without a guess takes seconds, so that it comes the less often the longer it finds nothing."""
         return replace(
             self,
             max_unexplained=float("inf"),
+            moved_by=0.0,
             searches_when_failing=False,
             search_at_most_every=max(self.search_at_most_every, _RIG_SEARCH_EVERY),
         )
@@ -86,7 +91,7 @@ class HealthSettings:
             "edge_weight",
             "memory",
         )
-        for name in (*shares, "max_score_drop", "better_by", "turned_by"):
+        for name in (*shares, "max_score_drop", "better_by", "turned_by", "moved_by"):
             require(0 <= getattr(self, name) <= 1, f"health.{name}", "0 to 1", getattr(self, name))
         require(self.max_unexplained >= 0, "health.max_unexplained", "0 or more", self.max_unexplained)
         for name in ("patience", "search_every"):
@@ -153,14 +158,22 @@ class Health:
         self, first: Candidate | None, second: Candidate | None, facing: Float[Tensor, "3 3"] | None
     ) -> Candidate | None:
         """The second where it explains enough more than the first: the more, the farther it is turned away from
-        `facing` (world_from_hand as expected), for a hand and its mirror image look nearly alike."""
+        `facing` (world_from_hand as expected), for a hand and its mirror image look nearly alike. The network's view of
+        the direction decides between hands at one place; it says nothing of where the hand is."""
         if first is None or second is None:
             return first or second
+        is_elsewhere = float((first.palm - second.palm).norm()) > _ONE_PLACE_M
+        if is_elsewhere:
+            first_score, second_score = (self.score(replace(one, direction=None)) for one in (first, second))
+        else:
+            first_score, second_score = self.score(first), self.score(second)
         margin = self.settings.better_by
         if facing is not None:
+            if is_elsewhere and not self.is_failing(first):
+                margin += self.settings.moved_by
             traces = [float((facing * one.rotation).sum()) for one in (first, second)]
             margin += self.settings.turned_by * max(0.0, traces[0] - traces[1]) / 4  # of half a turn: 4
-        return second if self.score(second) > self.score(first) + margin else first
+        return second if second_score > first_score + margin else first
 
     def usual(self, candidate: Candidate, before: float) -> float:
         """The usual score after one more frame."""

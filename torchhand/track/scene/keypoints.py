@@ -1,7 +1,7 @@
 """Detected keypoints of a scene as observations of the hand, and the hand that they alone tell of."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
@@ -101,6 +101,12 @@ def _made(
     return SceneKeypoints(pictures=tuple(pictures), postures=tuple(postures))
 
 
+def with_further_postures(seen: SceneKeypoints, scene: Scene) -> SceneKeypoints:
+    """Detected keypoints, and postures among the scene's further observations, such as a network's."""
+    further = tuple(one for one in scene.observations if isinstance(one, PostureKeypoints))
+    return replace(seen, postures=(*seen.postures, *further)) if seen.pictures else seen
+
+
 def detected_hand(
     scene: Scene,
     cameras: Sequence[Camera],
@@ -108,12 +114,12 @@ def detected_hand(
     settings: KeypointSettings,
     shape: Float[Tensor, "shape"],
 ) -> HandPose | None:
-    """The hand that the detected points of all views tell of; computed once for a scene. None without any, and where
-    none fits them."""
-    seen = scene_keypoints(scene, cameras, kinematics, settings)
+    """The hand that the detected points of all views tell of, together with further postures; computed once for a
+    scene. None without any points, and where none fits them."""
+    seen = with_further_postures(scene_keypoints(scene, cameras, kinematics, settings), scene)
 
     def placed() -> HandPose | None:
         found = place_hand(seen.pictures, seen.postures, kinematics, shape)
         return None if found is None or not bool(found.cost.isfinite()) else found.pose.normalized()
 
-    return scene.once(("detected", tuple(shape.tolist())), placed)
+    return scene.once(("detected", len(seen.postures), tuple(shape.tolist())), placed)

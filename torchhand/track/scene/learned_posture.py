@@ -15,9 +15,7 @@ from torchhand.propose import LearnedPosture, Silhouette, learned_posture
 from torchhand.track.scene.keypoints import parts_of
 from torchhand.track.scene.views import Scene
 
-_CREDIBLE = (
-    2.2  # root mean square deviation of a finger's two or three flexions, standard deviations: 1 % by chance (χ²)
-)
+_CREDIBLE = 2.2  # root mean square deviation of a finger's flexions, standard deviations: at most 1 % by chance (χ²)
 
 
 def seen_posture(
@@ -55,12 +53,12 @@ def learned_observations(seen: LearnedPosture, pose: HandPose) -> tuple[Observat
 def credible_posture(
     seen: LearnedPosture, pose: HandPose, free_names: Sequence[str]
 ) -> tuple[HandPose, Bool[Tensor, "free"]]:
-    """The hand at a pose () with the angles that were seen, and which free parameters are of fingers that are bent there
-    by more than an error of the network explains."""
+    """The hand at a pose () with the angles that were seen, and which free parameters are of fingers whose angles there
+    differ from these by more than an error of the network explains."""
     joints = pose.dofs[-len(JOINT_DOFS) :]
     deviation = (joints - seen.joints).square() / seen.variance
-    parts = [[JOINT_DOFS.index(name) for name in JOINT_DOFS if _is_flexion_of(finger, name)] for finger in FINGERS]
-    is_far = torch.stack([deviation[rows].mean().sqrt() > _CREDIBLE for rows in parts])
+    flexions = [[i for i, name in enumerate(JOINT_DOFS) if _is_flexion_of(finger, name)] for finger in FINGERS]
+    is_far = torch.stack([deviation[rows].mean().sqrt() > _CREDIBLE for rows in flexions])
     is_put = torch.cat((torch.zeros_like(is_far[:1]), is_far))[parts_of(free_names)]
     return HandPose(dofs=torch.cat((pose.dofs[: -len(JOINT_DOFS)], seen.joints)), reference=pose.reference), is_put
 

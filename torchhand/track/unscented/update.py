@@ -21,6 +21,7 @@ from torchhand.track.scene import (
     detected_hand,
     parts_of,
     scene_keypoints,
+    with_further_postures,
 )
 from torchhand.track.unscented.edges import ContourVisibility, EdgeMeasurement, EdgeSearch, Planes
 from torchhand.track.unscented.observations import corrected_by
@@ -121,7 +122,8 @@ class UnscentedUpdate:
         seen, detected = scene_keypoints(*where), detected_hand(*where, shape)
         if detected is None:
             return hand
-        s, count, hand = self.settings, self.motion.space.size, self._relocated(hand, seen, detected, shape)
+        s, count = self.settings, self.motion.space.size
+        hand = self._relocated(hand, with_further_postures(seen, scene), detected, shape)
         candidates = observed_points(hand.belief, s.transform, count)
         poses = HandPose.of(self.motion.space.about(hand.base).dof(candidates), hand.reference)
         posed, stack = PosedHands(pose=poses, shape=shape), _Stack()
@@ -133,7 +135,7 @@ class UnscentedUpdate:
         return self.motion.limited(replace(hand, belief=result.state))
 
     def _relocated(self, hand: FollowedHand, seen: SceneKeypoints, detected: HandPose, shape: Tensor) -> FollowedHand:
-        """A hand with those parts as detected that differ from the detected ones by more than an error of the detector
+        """A hand with those parts as detected that differ from all that is told of them by more than an error
         explains, which are put there at once: a far finger is no linear matter, what bends towards the camera hardly
         moves at first."""
         is_lost = seen.deviation(self.motion.pose(hand), shape) > _CREDIBLE

@@ -1,0 +1,69 @@
+"""What a candidate is worth beside the areas that it explains: detected points, and the network's view of its side."""
+
+from dataclasses import replace
+from typing import Any
+
+import torch
+
+from torchhand.hand import HandPose
+from torchhand.numerics import Gaussian
+from torchhand.track.belief import FollowedHand
+from torchhand.track.scene import Agreement, Candidate, Health, HealthSettings
+
+HEALTH = Health(settings=HealthSettings())
+POSE = HandPose(dofs=torch.zeros(36, dtype=torch.float64), reference=torch.eye(3, dtype=torch.float64))
+NOTHING = Gaussian(torch.zeros(1, dtype=torch.float64), torch.eye(1, dtype=torch.float64))
+SOUND = Candidate(
+    hand=FollowedHand(belief=NOTHING, base=POSE.dofs, reference=POSE.reference, start_reference=POSE.reference),
+    pose=POSE,
+    agreement=Agreement.of_overlaps(torch.tensor([0.95], dtype=torch.float64)),
+    edges=0.9,
+)
+
+
+def _seen(**told: Any) -> Candidate:
+    return replace(SOUND, **told)
+
+
+def test_a_hand_that_the_network_sees_from_another_side_is_in_doubt() -> None:
+    assert not HEALTH.is_degraded(SOUND, 0.0)
+    assert not HEALTH.is_degraded(_seen(direction=0.5), 0.0)
+    assert HEALTH.is_degraded(_seen(direction=0.02), 0.0)
+    assert not HEALTH.is_failing(_seen(direction=0.02))
+
+
+def test_one_that_it_sees_from_that_side_is_better() -> None:
+    turned, right = _seen(direction=0.02), _seen(direction=0.5)
+    assert HEALTH.score(right) > HEALTH.score(turned) + 0.2
+    assert HEALTH.better(turned, right, None) is right
+    assert HEALTH.score(_seen(direction=0.6)) == HEALTH.score(_seen(direction=0.9))  # either is as good as any
+
+
+def test_it_does_not_say_where_the_hand_is() -> None:
+    """Something else that looks like a hand from its side, such as an arm, is none for that."""
+    turned = _seen(direction=0.02)
+    away = POSE.dofs.clone()
+    away[2] = 0.2
+    elsewhere = _seen(direction=0.9, pose=replace(POSE, dofs=away))
+    assert HEALTH.score(elsewhere) > HEALTH.score(turned) + 0.2
+    assert HEALTH.better(turned, elsewhere, None) is turned
+
+
+def test_a_hand_seldom_leaps_unless_it_is_lost() -> None:
+    away = POSE.dofs.clone()
+    away[2] = 0.2
+    nearer = _seen(pose=replace(POSE, dofs=away))
+    poor = _seen(agreement=Agreement.of_overlaps(torch.tensor([0.8], dtype=torch.float64)))
+    lost = _seen(agreement=Agreement.of_overlaps(torch.tensor([0.4], dtype=torch.float64)))
+    facing = POSE.rotation
+    assert HEALTH.better(poor, replace(nearer, pose=POSE), facing) is not poor
+    assert HEALTH.better(poor, nearer, facing) is poor
+    assert HEALTH.better(poor, nearer, None) is nearer  # none is followed yet
+    assert HEALTH.better(lost, nearer, facing) is nearer
+    assert Health(settings=HEALTH.settings.for_rig()).better(poor, nearer, facing) is nearer
+
+
+def test_a_detector_is_believed_before_the_network() -> None:
+    told = _seen(direction=0.02, keypoints=0.9)
+    assert not HEALTH.is_degraded(told, 0.0)
+    assert HEALTH.score(told) == HEALTH.score(_seen(keypoints=0.9))
