@@ -45,9 +45,9 @@ class Arguments:
     pictures: int = 120
     """Simulated hands per configuration."""
     empty: int = 0
-    """Pictures that show faces, portraits, arms, walls, tables, furniture, textures and other things but no hand: in how
-    many a tracker's first frame and `fit_pose` report one is counted instead, and the rest of FILE kept; some seconds a
-    picture."""
+    """Pictures that show faces, portraits, arms, walls, tables, furniture, textures and other things but no hand: in
+    how many a tracker's first frame and `fit_pose` report one is counted instead, and the rest of FILE kept; some
+    seconds a picture."""
     seed: int = 0
     """Seed of everything that is random."""
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from torchhand.fit.keypoints import starts_in_picture
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics, HandPose
+from torchhand.image import GREY, is_grey
 from torchhand.numerics import single_threaded
 from torchhand.track.belief import posed_gaussian, scale_covariance, unknown_scale_std
 from torchhand.track.knowledge import Estimate
@@ -101,7 +102,9 @@ class SinglePoseFitter:
         if best is None or best.objection:
             best = self._better(best, self._alone(work, known, shape is not None))
         if best is None:
-            return _refused("nothing in the picture has the colours of skin and a believable size", known)
+            colourless = work.mask is None and work.image is not None and is_grey(work.image)
+            nothing = "nothing in the picture has the colours of skin and a believable size"
+            return _refused(GREY if colourless else nothing, known)
         if best.objection:
             return _refused(best.objection, known)
         return self._result(best, work, view, camera.to(dtype=torch.float64), is_shape_known=shape is not None)
