@@ -175,6 +175,8 @@ def table(figures: dict[str, Any]) -> str:
             ("tracked, but a tip over 20 mm off", f"{wrong['fraction_tracked_with_a_tip_beyond_20mm']:.1%} of frames")
         )
         lines.append(("lost, but there is a hand", f"{wrong['fraction_with_a_hand_but_lost']:.1%} of frames"))
+    if "quality" in figures:
+        lines += _quality_lines(figures["quality"])
     if "silhouette" in figures:
         overlap = figures["silhouette"]
         text = f"median {overlap['median_iou']:.3f}, smallest {overlap['smallest_iou']:.3f}"
@@ -191,6 +193,18 @@ def table(figures: dict[str, Any]) -> str:
         lines.append(("compute time per frame", f"median {figures['speed']['median_ms_per_frame']:.2f} ms"))
     width = max(len(label) for label, _ in lines)
     return "\n".join(f"{label:<{width}}  {text}" for label, text in lines)
+
+
+def _quality_lines(quality: dict[str, Any]) -> list[tuple[str, str]]:
+    lines = []
+    for key, label, unit in (("fingers", "fingers", "a tip over 20 mm off"), ("frames", "frames", "any tip")):
+        one = quality[key]
+        kinds = [kind for kind in ("determined", "undetermined") if one[kind]]
+        parts = [f"{one[f'fraction_of_{kind}_wrong']:.1%} of {one[kind]} {kind}" for kind in kinds]
+        area = one["area_under_curve"]
+        told = "" if math.isnan(area) else f"; told apart {area:.2f} (chance 0.5)"
+        lines.append((f"{label} by their quality, {unit}", ", ".join(parts) + told))
+    return lines
 
 
 def _by_joint(joints: dict[str, dict[str, float]]) -> str:

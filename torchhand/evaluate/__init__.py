@@ -4,10 +4,17 @@ from torchhand.evaluate.alignment import Similarity, fit_similarity
 from torchhand.evaluate.angles import flexion_deg, without_offset
 from torchhand.evaluate.continuity import Continuity, continuity
 from torchhand.evaluate.evaluation import MIDDLE_MCP, evaluate
-from torchhand.evaluate.nees import Consistency, consistency, normalised_errors_squared
+from torchhand.evaluate.nees import Consistency, area_under_curve, consistency, normalised_errors_squared
 from torchhand.evaluate.planar_motion import PlanarMotionErrors, planar_motion_errors
 from torchhand.evaluate.pose_errors import PoseErrors, pose_errors
-from torchhand.evaluate.positions import WRIST, aligned_errors, joint_errors, root_relative_errors
+from torchhand.evaluate.positions import (
+    WRIST,
+    aligned_errors,
+    fingertip_distances,
+    fingertip_errors,
+    joint_errors,
+    root_relative_errors,
+)
 from torchhand.evaluate.timing import (
     PROC,
     THREAD_VARIABLES,
@@ -38,9 +45,12 @@ __all__ = [
     "Timing",
     "Truth",
     "aligned_errors",
+    "area_under_curve",
     "consistency",
     "continuity",
     "evaluate",
+    "fingertip_distances",
+    "fingertip_errors",
     "fit_similarity",
     "flexion_deg",
     "joint_errors",

@@ -18,12 +18,21 @@ from torchhand.evaluate.angles import (
 )
 from torchhand.evaluate.continuity import continuity
 from torchhand.evaluate.finite import is_finite_set, max_finite, mean_finite, median_finite, rms_finite
-from torchhand.evaluate.nees import consistency, fraction_in_band
+from torchhand.evaluate.nees import area_under_curve, consistency, fraction_in_band
 from torchhand.evaluate.planar_motion import planar_motion_errors
-from torchhand.evaluate.positions import WRIST, aligned_errors, joint_errors, root_relative_errors
+from torchhand.evaluate.positions import (
+    TIPS,
+    WRIST,
+    aligned_errors,
+    fingertip_distances,
+    fingertip_errors,
+    joint_errors,
+    root_relative_errors,
+)
 from torchhand.evaluate.tracked_silhouettes import MaskOfFrame
 from torchhand.evaluate.truth import Truth, load_mask
 from torchhand.files import Track
+from torchhand.files.results import DETERMINED
 from torchhand.hand import FINGERS, KEYPOINTS
 from torchhand.image import hand_region, intersection_over_union
 
@@ -64,6 +73,8 @@ def evaluate(track: Track, truth: Truth, predicted_mask: MaskOfFrame | None = No
         if motion is not None:
             figures["planar_motion"] = motion
     if truth.keypoints3d is not None:
+        if track.finger_quality is not None:
+            figures["quality"] = _quality(track, track.finger_quality, truth.keypoints3d[rows])
         figures["status"] = _status(track, truth.keypoints3d[rows], is_one_camera=track.keypoints2d is not None)
     if truth.flexion_deg is not None:
         figures["flexion_deg"] = _flexion(track, truth.flexion_deg[rows])
@@ -113,18 +124,47 @@ def _tracking(track: Track, truth: Truth) -> Figures:
 def _status(track: Track, true: Float[np.ndarray, "frames 21 3"], *, is_one_camera: bool) -> Figures:
     """How often the status is wrong: frames with an estimate whose worst fingertip is more than 20 mm from the truth,
     for one camera across the line of sight; and frames with a hand that were given up."""
-    tips = np.array([i for i, name in enumerate(KEYPOINTS) if name.endswith("_tip")])
-    own, real = track.keypoints3d[:, tips], true[:, tips]
-    if is_one_camera:
-        across = own[..., :2] / own[..., 2:] - real[..., :2] / real[..., 2:]
-        distance = MM_PER_M * np.linalg.norm(across * real[..., 2:], axis=-1)
-    else:
-        distance = MM_PER_M * np.linalg.norm(own - real, axis=-1)
-    has_hand, has_estimate = np.isfinite(real).all((1, 2)), np.isfinite(distance).all(1)
+    distance = MM_PER_M * fingertip_distances(track.keypoints3d, true, is_one_camera=is_one_camera)
+    has_hand, has_estimate = (np.asarray(np.isfinite(one).all(axis=1)) for one in (true[:, TIPS, 0], distance))
     off = distance[has_estimate].max(1) > GOOD_FRAME_MM
     return {
         "fraction_tracked_with_a_tip_beyond_20mm": float(off.mean()) if off.size else math.nan,
         "fraction_with_a_hand_but_lost": float((~has_estimate[has_hand]).mean()) if has_hand.any() else math.nan,
+    }
+
+
+def _quality(track: Track, quality: Float[np.ndarray, "frames 5"], true: Float[np.ndarray, "frames 21 3"]) -> Figures:
+    """How often fingers that were called determined were wrong, and those that were not; a finger is wrong whose tip is
+    more than 20 mm off once the hands are laid over one another. The same of frames by their quality, wrong as
+    `_status` has it."""
+    fingers = MM_PER_M * fingertip_errors(track.keypoints3d, true)
+    is_one_camera = track.keypoints2d is not None
+    hands = MM_PER_M * fingertip_distances(track.keypoints3d, true, is_one_camera=is_one_camera).max(-1)
+    whole = track.measures.get("quality", np.full(len(track), np.nan))
+    return {
+        "fingers": _told_apart(quality, fingers > GOOD_FRAME_MM, np.isfinite(fingers)),
+        "each_finger": {
+            name: _told_apart(quality[:, i], fingers[:, i] > GOOD_FRAME_MM, np.isfinite(fingers[:, i]))
+            for i, name in enumerate(FINGERS)
+        },
+        "frames": _told_apart(whole, hands > GOOD_FRAME_MM, np.isfinite(hands)),
+    }
+
+
+def _told_apart(quality: np.ndarray, is_wrong: np.ndarray, is_known: np.ndarray) -> Figures:
+    """Numbers of those of high and low quality, the shares of these that are wrong, the mean quality of all, and the
+    probability that a right one has a higher quality than a wrong one (area under the ROC curve)."""
+    known = is_known & np.isfinite(quality)
+    told, wrong = torch.from_numpy(quality[known]), torch.from_numpy(is_wrong[known])
+    is_high = told >= DETERMINED
+    return {
+        "determined": int(is_high.sum()),
+        "fraction_of_determined_wrong": float(wrong[is_high].double().mean()),
+        "undetermined": int((~is_high).sum()),
+        "fraction_of_undetermined_wrong": float(wrong[~is_high].double().mean()),
+        "mean_quality": float(told.mean()) if len(told) else math.nan,
+        "fraction_right": float((~wrong).double().mean()),
+        "area_under_curve": area_under_curve(told, ~wrong),
     }
 
 

@@ -22,6 +22,7 @@ from torchhand.files.results.results import (
 from torchhand.files.results.track_file import JSONL_NAME, NPZ_NAME, POSES_NAME, load_track, write_npz
 from torchhand.files.results.track_record import (
     CONVENTION,
+    DETERMINED,
     STATUSES,
     UNITS,
     FrameRecord,
@@ -36,6 +37,7 @@ __all__ = [
     "CONFIG_NAME",
     "CONVENTION",
     "DETECTIONS_NAME",
+    "DETERMINED",
     "FORWARD_NAME",
     "HAND_NAME",
     "JSONL_NAME",
