@@ -26,7 +26,7 @@ from torchhand.evaluate import (
     tracked_projector,
     tracked_silhouettes,
 )
-from torchhand.files import Track, load_track
+from torchhand.files import Detections, Track, load_track, read_detections
 from torchhand.files.disk import write_text
 from torchhand.files.results import HAND_NAME, JSONL_NAME, NPZ_NAME
 
@@ -58,6 +58,9 @@ class Arguments:
     truth: Annotated[Positional[Path | None], arg(metavar="TRUTH")] = None
     """Folder with truth.npz (keypoints3d, keypoints2d, flexion_deg; any may be missing) and masks/, or the file; or
     another result folder."""
+    keypoints: Annotated[Path | None, arg(metavar="FILE")] = None
+    """A detector's points in space, which are judged by themselves beside the result: a file that `torchhand track
+    --keypoints` takes."""
     out: Annotated[Path | None, arg(metavar="FILE")] = None
     """File for the figures; if not given, DIR/evaluation.json; DIR/stability.json for another result, and
     DIR/range_of_motion.json without a truth."""
@@ -82,7 +85,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     else:
         name, truth = "evaluation.json", load_truth(arguments.truth)
         with threads(1):
-            figures = evaluate(track, truth, _silhouettes(arguments.directory, track, truth))
+            masks = _silhouettes(arguments.directory, track, truth)
+            figures = evaluate(track, truth, masks, _detections(arguments.keypoints, track))
         print(table(figures))
     out = arguments.out or arguments.directory / name
     write_text(out, json.dumps(_without_nan(figures), indent=2) + "\n")
@@ -107,6 +111,16 @@ def stability_table(found: Stability) -> str:
         lines.append(f"{name:<{width}}  {share:>10}  {one.median_deg:>6.1f}  {one.percentile95_deg:>15.1f}")
     lines.append(f"{found.frames} frames with a hand in both results, {found.frames_in_one} in one alone")
     return "\n".join(lines)
+
+
+def _detections(path: Path | None, track: Track) -> Detections | None:
+    """Raises InputError for a file without points in space."""
+    if path is None:
+        return None
+    found = read_detections(path)
+    if found.space is None:
+        raise InputError(f"--keypoints: expected points in space, such as MediaPipe's world landmarks; {path} has none")
+    return found
 
 
 def _silhouettes(directory: Path, track: Track, truth: Truth) -> MaskOfFrame | None:
@@ -169,6 +183,11 @@ def table(figures: dict[str, Any]) -> str:
         (low, high), (true_low, true_high) = angles["range"], angles["true_range"]
         text = f"{low:.0f}° to {high:.0f}° (truth {true_low:.0f}° to {true_high:.0f}°)"
         lines.append(("flexion of a finger over MCP, PIP and DIP", text))
+    if "detector" in figures:
+        alone = figures["detector"]
+        angles, (low, high) = alone["flexion_deg"], alone["flexion_deg"]["range"]
+        text = f"flexion mean {angles['mean']:.2f}°, {low:.0f}° to {high:.0f}°, PA {alone['aligned_mm']['mean']:.2f} mm"
+        lines.append((f"the detector alone, in {alone['frames']} frames", text))
     if "status" in figures:
         wrong = figures["status"]
         lines.append(

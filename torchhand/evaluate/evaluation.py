@@ -31,7 +31,7 @@ from torchhand.evaluate.positions import (
 )
 from torchhand.evaluate.tracked_silhouettes import MaskOfFrame
 from torchhand.evaluate.truth import Truth, load_mask
-from torchhand.files import Track
+from torchhand.files import Detections, Track
 from torchhand.files.results import DETERMINED
 from torchhand.hand import FINGERS, KEYPOINTS
 from torchhand.image import hand_region, intersection_over_union
@@ -43,11 +43,14 @@ MM_PER_M = 1000.0
 Figures = dict[str, Any]
 
 
-def evaluate(track: Track, truth: Truth, predicted_mask: MaskOfFrame | None = None) -> Figures:
+def evaluate(
+    track: Track, truth: Truth, predicted_mask: MaskOfFrame | None = None, detections: Detections | None = None
+) -> Figures:
     """Judge a sequence; frames are matched by number, single pictures by name where both sides have names.
 
     A section that the inputs do not allow is missing. `predicted_mask` gives the hand's silhouette of a frame number
-    (None where there is none). Figures of nothing (all frames lost) are NaN.
+    (None where there is none). `detections`: points in space of a detector, which are judged by themselves on the same
+    frames. Figures of nothing (all frames lost) are NaN.
 
     Raises:
         InputError: a frame number that the truth does not have: this is another sequence's truth.
@@ -76,10 +79,13 @@ def evaluate(track: Track, truth: Truth, predicted_mask: MaskOfFrame | None = No
         if track.finger_quality is not None:
             figures["quality"] = _quality(track, track.finger_quality, truth.keypoints3d[rows])
         figures["status"] = _status(track, truth.keypoints3d[rows], is_one_camera=track.keypoints2d is not None)
-    if truth.flexion_deg is not None:
-        figures["flexion_deg"] = _flexion(track, truth.flexion_deg[rows])
-    elif truth.keypoints3d is not None:
-        figures["flexion_deg"] = _flexion(track, flexion_deg(truth.keypoints3d[rows]))
+    true_flexion = truth.flexion_deg
+    if true_flexion is None and truth.keypoints3d is not None:
+        true_flexion = flexion_deg(truth.keypoints3d)
+    if true_flexion is not None:
+        figures["flexion_deg"] = _flexion(track.keypoints3d, true_flexion[rows])
+    if detections is not None and truth.keypoints3d is not None and true_flexion is not None:
+        figures["detector"] = _detector(track, detections, truth.keypoints3d[rows], true_flexion[rows])
     if truth.mask_files and predicted_mask is not None:
         overlap = _silhouettes(track, truth, predicted_mask)
         if overlap["frames"]:
@@ -235,8 +241,28 @@ def _turns_in_space(track: Track, true: Float[np.ndarray, "frames 21 3"]) -> Fig
     }
 
 
-def _flexion(track: Track, true_deg: Float[np.ndarray, "frames 5 3"]) -> Figures:
-    own_deg = flexion_deg(track.keypoints3d)
+def _detector(
+    track: Track,
+    detections: Detections,
+    true: Float[np.ndarray, "frames 21 3"],
+    true_deg: Float[np.ndarray, "frames 5 3"],
+) -> Figures:
+    """A detector's points in space by themselves, in the frames of a track: what does not depend on where they are."""
+    unknown = np.full((len(KEYPOINTS), 3), np.nan)
+    if track.image is not None and detections.image is not None:
+        found = [detections.in_picture(str(name)) for name in track.image]
+    else:
+        found = [detections.at_frame(int(number)) for number in track.frame]
+    points = np.stack([unknown if one is None or one.space is None else one.space for one in found])
+    return {
+        "frames": int(is_finite_set(points).sum()),
+        "aligned_mm": _summary(MM_PER_M * aligned_errors(points, true)),
+        "flexion_deg": _flexion(points, true_deg),
+    }
+
+
+def _flexion(points: Float[np.ndarray, "frames 21 3"], true_deg: Float[np.ndarray, "frames 5 3"]) -> Figures:
+    own_deg = flexion_deg(points)
     errors = own_deg - true_deg
     return {
         "mean": mean_finite(np.abs(without_offset(errors))),
