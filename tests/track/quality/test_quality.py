@@ -12,9 +12,9 @@ from torchhand.geometry import assumed_camera
 from torchhand.hand import DOFS, FINGERS, HandPose, posture
 from torchhand.image import dilate, disc_kernel
 from torchhand.simulate import Motion, SceneSettings, facing, render_sequence
+from torchhand.track import TrackerSettings
 from torchhand.track.quality import EVIDENCE, FingerEvidence, LogisticModel, Told, hand_evidence, qualities
 from torchhand.track.scene import Agreement, HandKeypoints, Scene, View, scene_keypoints
-from torchhand.track.settings import TrackerSettings
 
 KINEMATICS = load_hand_model().kinematics("right", dtype=torch.float64)
 CAMERA = replace(assumed_camera(320, 240, horizontal_fov_deg=50.0), is_assumed=False).to(dtype=torch.float64)

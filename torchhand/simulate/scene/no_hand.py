@@ -9,7 +9,7 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-from torchhand.simulate.scene.backgrounds import BACKGROUNDS
+from torchhand.simulate.scene.backgrounds import BACKGROUNDS, BackgroundKind
 
 NoHandKind = Literal["face", "portrait", "arm", "wall", "table", "furniture", "texture", "things"]
 
@@ -42,9 +42,9 @@ class _Canvas:
         self.width, self.height, self.chance = width, height, chance
         self.pixels = np.zeros((height, width, 3), np.float64)
 
-    def behind(self, *names: str) -> None:
+    def behind(self, *names: BackgroundKind) -> None:
         """One of the backgrounds of simulated hands, or a plain colour."""
-        some = [name for name in BACKGROUNDS if not names or name in names]
+        some: list[BackgroundKind] = [name for name in BACKGROUNDS if not names or name in names]
         pick = some[int(self.chance.integers(len(some)))]
         self.pixels[:] = BACKGROUNDS[pick](self.width, self.height, self.chance)
         if self.chance.random() < 0.5:
