@@ -24,6 +24,7 @@ _FRACTIONS = (
     "max_score_drop",
     "better_by",
     "turned_by",
+    "moved_by",
 )
 _PRIOR = ("rest_std_rad", "side_std_rad", "tie_std_rad", "tilt_std_rad")
 

@@ -52,9 +52,9 @@ class HealthSettings:
     turned_by: float = 0.12
     """By how much more it must be higher where it is turned by half a turn, which a hand seldom does from one picture
     to the next; less for smaller turns; 0 to 1."""
-    moved_by: float = 0.2
-    """By how much more it must be higher where it lies half a hand's length away or more, unless the followed hand is
-    failing: an arm looks much like a hand that is nearer; 0 to 1."""
+    moved_by: float = 0.1
+    """By how much more it must be higher where it lies half a hand's length away or more from a followed hand: an arm
+    looks much like a hand that is nearer; 0 to 1."""
     search_every: int = 5
     """Frames from one search without any guess to the next where the last one found a hand; 1 or more."""
     search_at_most_every: int = 5
@@ -169,8 +169,7 @@ class Health:
             first_score, second_score = self.score(first), self.score(second)
         margin = self.settings.better_by
         if facing is not None:
-            if is_elsewhere and not self.is_failing(first):
-                margin += self.settings.moved_by
+            margin += self.settings.moved_by * is_elsewhere
             traces = [float((facing * one.rotation).sum()) for one in (first, second)]
             margin += self.settings.turned_by * max(0.0, traces[0] - traces[1]) / 4  # of half a turn: 4
         return second if second_score > first_score + margin else first
