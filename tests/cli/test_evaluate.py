@@ -92,6 +92,28 @@ def test_the_errors_are_printed_and_saved(
         assert re.search(pattern, text), pattern
 
 
+def test_another_result_in_place_of_a_truth_is_compared_joint_by_joint(
+    result_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with np.load(result_dir / "track.npz") as stored:
+        arrays = dict(stored)
+    arrays["dof_names"] = np.array(DOFS)
+    np.savez(result_dir / "track.npz", **arrays)  # type: ignore[arg-type]
+    other = tmp_path / "other"
+    other.mkdir()
+    arrays["pose"] = arrays["pose"].copy()
+    arrays["pose"][:2, DOFS.index("middle_pip_fe")] += 5.0  # radians; √2 of them is the combined deviation
+    np.savez(other / "track.npz", **arrays)  # type: ignore[arg-type]
+    assert main([str(result_dir), str(other)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    [middle] = [line.split() for line in lines if line.startswith("middle_pip_fe")]
+    assert middle == ["middle_pip_fe", "50.0%", "143.2", "286.5"]
+    assert "4 frames with a hand in both results, 0 in one alone" in lines
+    figures = json.loads((result_dir / "stability.json").read_text())["stability"]
+    assert figures["joints"]["middle_pip_fe"]["fraction_apart"] == 0.5
+    assert figures["whole"]["fraction_apart"] == pytest.approx(2 / (4 * 30))
+
+
 def test_without_a_truth_the_range_of_motion_is_told(
     simulated: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -283,3 +305,37 @@ def test_the_truth_as_its_own_result_has_no_error(data_dir: Path, result_dir: Pa
     assert figures["planar_motion"]["displacement_largest_px"] == pytest.approx(0.0, abs=1e-9)
     assert figures["flexion_deg"]["raw_mean"] == pytest.approx(0.0, abs=1e-9)
     assert figures["tracking"]["share_largest_error_below_20mm"] == 1.0
+
+
+def _detections(path: Path, points: np.ndarray) -> str:
+    np.savez(path, keypoints=points, units="metres")
+    return str(path)
+
+
+def test_a_detector_is_judged_beside_the_result(
+    result_dir: Path, truth_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Points of another origin, size and direction are as right as the truth; one frame has none."""
+    with np.load(truth_dir / "truth.npz") as truth:
+        points = truth["keypoints3d"]
+    turn = rotation_from_vector(torch.tensor([0.3, -0.2, 0.9], dtype=torch.float64)).numpy()
+    exact = 1.2 * (points - points[:, :1]) @ turn.T
+    exact[2] = np.nan
+    assert main([str(result_dir), str(truth_dir), "--keypoints", _detections(tmp_path / "exact.npz", exact)]) == 0
+    assert "the detector alone, in 4 frames" in capsys.readouterr().out
+    figures = json.loads((result_dir / "evaluation.json").read_text())["detector"]
+    assert figures["aligned_mm"]["mean"] == pytest.approx(0, abs=1e-6)
+    assert figures["flexion_deg"]["raw_mean"] == pytest.approx(0, abs=1e-6)
+    wrong = exact.copy()
+    wrong[1:, 8] += [0.02, 0.0, 0.0]
+    assert main([str(result_dir), str(truth_dir), "--keypoints", _detections(tmp_path / "wrong.npz", wrong)]) == 0
+    assert json.loads((result_dir / "evaluation.json").read_text())["detector"]["aligned_mm"]["mean"] > 0.3
+
+
+def test_points_of_pictures_alone_are_refused_beside_a_result(
+    result_dir: Path, truth_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "picture.npz"
+    np.savez(file, keypoints=np.full((FRAMES, 21, 2), 5.0), units="px")
+    assert main([str(result_dir), str(truth_dir), "--keypoints", str(file)]) == 2
+    assert "--keypoints: expected points in space" in capsys.readouterr().err

@@ -55,6 +55,10 @@ class Clip:
 
     @property
     def options(self) -> list[str]:
+        return [*self.with_second_pass, "--causal"]
+
+    @property
+    def with_second_pass(self) -> list[str]:
         return ["--camera", str(self.camera), "--config", "contour_planar", "--no-overlay"]
 
 
@@ -88,7 +92,7 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Clip:
     pictures = [cv2.cvtColor(frame.image.numpy(), cv2.COLOR_RGB2BGR) for frame in rendered]
     save_cameras([camera], folder / "cameras.json")
     made = Clip(_write_folder(folder / "frames", pictures), pictures, folder / "cameras.json", folder / "result")
-    options = ["--camera", str(made.camera), "--config", "contour_planar"]
+    options = ["--camera", str(made.camera), "--config", "contour_planar", "--causal"]
     assert main([str(made.frames), "--out", str(made.result), *options]) == 0
     return made
 
@@ -166,6 +170,7 @@ def test_the_saved_settings_are_a_configuration(clip: Clip) -> None:
     assert run["seed"] == 0
     assert run["input"] == str(clip.frames)
     assert run["camera_is_assumed"] is False
+    assert run["causal"] is True
 
 
 def test_the_last_line_sums_up(clip: Clip, run: Run, tmp_path: Path) -> None:
@@ -181,7 +186,9 @@ def test_the_last_line_sums_up(clip: Clip, run: Run, tmp_path: Path) -> None:
 
 def test_an_assumed_camera_is_said_once_and_saved(clip: Clip, run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    outcome = run(clip.frames, "--out", out, "--max-frames", "1", "--no-overlay", "--config", "contour_planar")
+    outcome = run(
+        clip.frames, "--out", out, "--max-frames", "1", "--no-overlay", "--config", "contour_planar", "--causal"
+    )
     assert outcome.code == 0
     assert outcome.err.count("\n") == 1
     assert "a field of view is assumed" in outcome.err
@@ -243,7 +250,7 @@ def test_a_folder_of_videos_gives_one_result_each_and_one_bad_video_stops_no_oth
             for picture in clip.pictures[:2]:
                 video.write(torch.from_numpy(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)))
     (videos / "b.mp4").write_bytes(b"no video")
-    outcome = run(videos, "--out", tmp_path / "out", "--config", "contour_planar", "--no-overlay")
+    outcome = run(videos, "--out", tmp_path / "out", "--config", "contour_planar", "--no-overlay", "--causal")
     assert outcome.code == 2
     assert outcome.err.count("\n") == 2
     assert outcome.err.count("a field of view is assumed") == 1
@@ -311,7 +318,16 @@ def test_the_distance_map_tracker_is_chosen_saved_and_resumed(
     clip: Clip, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    options = ["--camera", clip.camera, "--config", "distance_abduction", "--no-overlay", "--max-frames", "6"]
+    options = [
+        "--camera",
+        clip.camera,
+        "--config",
+        "distance_abduction",
+        "--no-overlay",
+        "--max-frames",
+        "6",
+        "--causal",
+    ]
     assert run(clip.frames, "--out", whole, *options).code == 0
     track = load_track(whole / "track.npz")
     assert track.status.tolist() == ["tracked"] * 6
@@ -349,6 +365,61 @@ def test_a_finished_run_goes_on_further(clip: Clip, run: Run, tmp_path: Path) ->
     assert _lines_without_seconds(out) == _lines_without_seconds(clip.result)
     assert run(clip.frames, "--out", out, "--resume", *clip.options).code == 0  # nothing is left to do
     assert _lines_without_seconds(out) == _lines_without_seconds(clip.result)
+
+
+# ---------------------------------------------------------------------------------------- the second pass
+
+
+@pytest.fixture(scope="module")
+def smoothed(clip: Clip, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `track` makes of the clip in two passes; for reading only."""
+    out = tmp_path_factory.mktemp("smoothed") / "out"
+    assert main([str(clip.frames), "--out", str(out), *clip.with_second_pass]) == 0
+    return out
+
+
+def test_a_recording_is_corrected_backwards_and_its_forward_pass_is_kept(clip: Clip, smoothed: Path) -> None:
+    assert {path.name for path in smoothed.iterdir()} == RESULT_NAMES - {"overlay.mp4"} | {"forward.jsonl"}
+    forward, causal, track = (load_track(path) for path in (smoothed / "forward.jsonl", clip.result, smoothed))
+    np.testing.assert_array_equal(forward.pose, causal.pose)
+    np.testing.assert_array_equal(forward.keypoints3d_cov, causal.keypoints3d_cov)
+    assert track.frame.tolist() == list(range(FRAMES))
+    assert len((smoothed / "track.jsonl").read_text().splitlines()) == 1 + FRAMES
+    off = np.linalg.norm(track.keypoints3d - forward.keypoints3d, axis=-1).mean(-1)
+    assert (off[:-1] > 0).all()
+    assert np.median(off) < 0.005
+    assert (track.seconds > forward.seconds).all()
+    assert set(track.measures) == set(forward.measures)
+    assert yaml.safe_load((smoothed / "config.yaml").read_text())["run"]["causal"] is False
+
+
+def test_the_second_pass_is_told_on_one_line(clip: Clip, run: Run, tmp_path: Path) -> None:
+    outcome = run(clip.frames, "--out", tmp_path / "out", "--max-frames", "2", *clip.with_second_pass)
+    assert outcome.code == 0
+    assert outcome.err.count("\n") == 1
+    assert "second pass" in outcome.err
+    assert "--causal" in outcome.err
+
+
+@pytest.mark.parametrize("steps", [6, FRAMES, FRAMES + 4], ids=["forwards", "between", "backwards"])
+def test_a_run_that_is_stopped_in_either_pass_ends_as_if_it_had_not_been(
+    clip: Clip, smoothed: Path, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, steps: int
+) -> None:
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch:
+        _stop_after(patch, steps, KeyboardInterrupt())
+        assert run(clip.frames, "--out", out, *clip.with_second_pass).code == 130
+    assert len(load_track(out)) == min(steps, FRAMES)
+    assert run(clip.frames, "--out", out, "--resume", *clip.with_second_pass).code == 0
+    assert {path.name for path in out.iterdir()} == {path.name for path in smoothed.iterdir()}
+    assert _lines_without_seconds(out) == _lines_without_seconds(smoothed)
+
+
+def test_a_finished_run_of_two_passes_goes_on_further(clip: Clip, smoothed: Path, run: Run, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert run(clip.frames, "--out", out, "--max-frames", "4", *clip.with_second_pass).code == 0
+    assert run(clip.frames, "--out", out, "--resume", *clip.with_second_pass).code == 0
+    assert _lines_without_seconds(out) == _lines_without_seconds(smoothed)
 
 
 class _Webcam(FrameSource):
@@ -446,7 +517,7 @@ def test_a_container_that_promises_too_much(clip: Clip, run: Run, tmp_path: Path
         writer.write(picture)
     writer.release()
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    outcome = run(path, "--out", tmp_path / "out", "--camera", clip.camera, "--config", "contour_planar")
+    outcome = run(path, "--out", tmp_path / "out", "--camera", clip.camera, "--config", "contour_planar", "--causal")
     assert outcome.code == 0
     assert outcome.err.count("\n") == 1
     assert f"{path}: the container promises {FRAMES} frames" in outcome.err
@@ -679,7 +750,7 @@ def test_a_full_disk_under_the_overlay_keeps_the_track(
 
     monkeypatch.setattr("torchhand.runs.tracking.write_overlay", full)
     out = tmp_path / "out"
-    options = ["--camera", clip.camera, "--config", "contour_planar", "--max-frames", "2"]
+    options = ["--camera", clip.camera, "--config", "contour_planar", "--max-frames", "2", "--causal"]
     _assert_refused(run(clip.frames, "--out", out, *options), "overlay.mp4: No space left on device")
     assert load_track(out / "track.npz").frame.tolist() == [0, 1]
     monkeypatch.undo()

@@ -6,7 +6,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchhand.draw.overlay import CONTOUR_COLOUR, KEYPOINT_COLOUR, STATUS_COLOURS, draw_overlay, overlay_size
+from torchhand.draw.overlay import (
+    CONTOUR_COLOUR,
+    KEYPOINT_COLOUR,
+    STATUS_COLOURS,
+    UNDETERMINED_COLOUR,
+    draw_overlay,
+    overlay_size,
+)
 from torchhand.draw.second_view import PAPER
 from torchhand.files import load_hand_model
 from torchhand.geometry import assumed_camera
@@ -143,3 +150,24 @@ def test_a_hand_half_behind_the_camera_is_drawn_without_failing() -> None:
 def test_an_unknown_status_is_named() -> None:
     with pytest.raises(ValueError, match="status: expected one of tracked, recovered, lost, no_hand, got 'found'"):
         draw_overlay(_picture(), _projector(), None, None, status="found", frame=0)
+
+
+def test_fingers_that_are_not_determined_are_grey_and_told() -> None:
+    projector, pose, reference = _projector(), _pose(), facing("back")
+    points = projector.camera.project(projector.frames(pose, reference).keypoints)
+    both = [
+        draw_overlay(
+            _picture(), projector, pose, reference, status="tracked", frame=0, keypoints_px=points, undetermined=fingers
+        )[:HEIGHT, :WIDTH]
+        for fingers in ((), ("index",))
+    ]
+    x, y = points[8].round().long().tolist()
+    tip = (slice(y - 6, y + 7), slice(x - 6, x + 7))
+    for colour in (CONTOUR_COLOUR, KEYPOINT_COLOUR):
+        assert _near(both[0][tip], colour, 110).any()
+        assert not _near(both[1][tip], colour, 60).any()
+    assert _near(both[1][tip], UNDETERMINED_COLOUR, 40).sum() > 5
+    other = tuple(slice(int(v) - 6, int(v) + 7) for v in points[20].flip(0))
+    assert torch.equal(both[0][other], both[1][other])
+    legend = both[1][-16:, :120] != both[0][-16:, :120]
+    assert legend.any()

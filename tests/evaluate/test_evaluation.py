@@ -208,3 +208,20 @@ def test_masks_are_compared_in_front_of_the_wrist(tmp_path: Path) -> None:
     assert "silhouette" not in evaluate(perfect([0, 1]), known, lambda _: None)
     with pytest.raises(InputError, match=r"0000.png: expected a mask of 10x20 pixels, got 40x20"):
         evaluate(perfect([0, 1]), known, lambda _: hand[:, :10])
+
+
+def test_qualities_are_judged_by_what_was_wrong() -> None:
+    """The index is 50 mm off in frames 0 to 2; it was called undetermined in 0 and 1, and wrongly so in 3."""
+    track = perfect([0, 1, 2, 3, 4, 5])
+    points = track.keypoints3d.copy()
+    points[:3, 8, 0] += 0.05
+    quality = np.full((6, 5), 0.9)
+    quality[[0, 1, 3], 1] = 0.2
+    told = evaluate(replace(track, keypoints3d=points, finger_quality=quality), truth())["quality"]
+    assert told["fingers"]["undetermined"] == 3
+    assert told["fingers"]["fraction_of_undetermined_wrong"] == pytest.approx(2 / 3)
+    assert told["fingers"]["determined"] == 27
+    assert told["fingers"]["fraction_of_determined_wrong"] == pytest.approx(1 / 27)
+    # Of the nine pairs of a right and a wrong index, four are in order and four are tied.
+    assert told["each_finger"]["index"]["area_under_curve"] == pytest.approx((4 + 0.5 * 4) / 9)
+    assert "quality" not in evaluate(track, truth())

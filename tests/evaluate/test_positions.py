@@ -1,9 +1,17 @@
 """Position errors of hands moved by known amounts."""
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
-from torchhand.evaluate.positions import aligned_errors, joint_errors, root_relative_errors
+from torchhand.evaluate.alignment import fit_similarity
+from torchhand.evaluate.positions import (
+    aligned_errors,
+    fingertip_distances,
+    fingertip_errors,
+    joint_errors,
+    root_relative_errors,
+)
 
 
 def hand(*batch: int) -> np.ndarray:
@@ -48,3 +56,25 @@ def test_lost_frames_are_nan() -> None:
     estimate[1] = np.nan
     for errors in (joint_errors, root_relative_errors, aligned_errors):
         assert np.isnan(errors(estimate, truth)).all(axis=-1).tolist() == [False, True, False]
+
+
+def test_fingertips_are_judged_wherever_the_hand_is() -> None:
+    """A hand that is moved and turned has no wrong finger; one whose index is elsewhere has that one."""
+    generator = np.random.default_rng(0)
+    points = generator.normal(0, 0.05, (21, 3))
+    turn = fit_similarity(points, generator.normal(0, 1, (21, 3)), with_scale=False).rotation
+    moved = points @ turn.T + (0.1, -0.2, 0.3)
+    assert fingertip_errors(moved, points).max() < 1e-12
+    moved[8] += turn @ (0.0, 0.03, 0.0)
+    errors = fingertip_errors(moved, points)
+    assert errors[1] > 0.02
+    assert np.delete(errors, 1).max() < 0.01
+
+
+def test_one_camera_does_not_judge_along_the_line_of_sight() -> None:
+    points = np.random.default_rng(0).normal(0, 0.05, (2, 21, 3)) + (0, 0, 0.5)
+    farther = 1.1 * points
+    assert fingertip_distances(farther, points, is_one_camera=True).max() < 1e-12
+    assert fingertip_distances(farther, points, is_one_camera=False).min() > 0.04
+    aside = points + (0.03, 0, 0)
+    assert fingertip_distances(aside, points, is_one_camera=True) == pytest.approx(0.03)

@@ -1,4 +1,4 @@
-"""Measure a tracked sequence: against its truth, or by itself the range of motion; print and save them."""
+"""Measure a tracked sequence: against its truth, against another result, or by itself; print and save the figures."""
 
 import json
 import math
@@ -13,19 +13,22 @@ from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.errors import InputError
 from torchhand.evaluate import (
     JointRange,
+    JointStability,
     MaskOfFrame,
+    Stability,
     Truth,
     evaluate,
     load_mask,
     load_truth,
     numbered_pictures,
     range_of_motion,
+    stability,
     tracked_projector,
     tracked_silhouettes,
 )
-from torchhand.files import Track, load_track
+from torchhand.files import Detections, Track, load_track, read_detections
 from torchhand.files.disk import write_text
-from torchhand.files.results import HAND_NAME
+from torchhand.files.results import HAND_NAME, JSONL_NAME, NPZ_NAME
 
 TABLE = (
     ("position_mm", "frame", "joint position (camera or world frame)", "mm"),
@@ -39,11 +42,13 @@ TABLE = (
 class Arguments:
     """Measure a tracked sequence, print the figures and save them.
 
-    With a truth: the errors. Without one: the range of motion, per joint the smallest and the largest angle of the
-    tracked frames, each with its standard deviation.
+    With a truth: the errors. With another result of the same recording: how far the joint angles differ, and how many
+    by more than three of their combined standard deviations. Without either: the range of motion, per joint the
+    smallest and the largest angle of the tracked frames, each with its standard deviation.
 
     Examples:
         torchhand evaluate out/planar_open data/synthetic/planar_open
+        torchhand evaluate out/clip out/clip_encoded_again
         torchhand evaluate out/clip
     """
 
@@ -51,9 +56,14 @@ class Arguments:
     """Result folder of `torchhand track` or `torchhand fit_pose`. The silhouettes judged are drawn from its track and
     hand.json; if it has masks/, one picture per frame number, these are judged instead."""
     truth: Annotated[Positional[Path | None], arg(metavar="TRUTH")] = None
-    """Folder with truth.npz (keypoints3d, keypoints2d, flexion_deg; any may be missing) and masks/, or the file."""
+    """Folder with truth.npz (keypoints3d, keypoints2d, flexion_deg; any may be missing) and masks/, or the file; or
+    another result folder."""
+    keypoints: Annotated[Path | None, arg(metavar="FILE")] = None
+    """A detector's points in space, which are judged by themselves beside the result: a file that `torchhand track
+    --keypoints` takes."""
     out: Annotated[Path | None, arg(metavar="FILE")] = None
-    """File for the figures; if not given, DIR/evaluation.json, or DIR/range_of_motion.json without a truth."""
+    """File for the figures; if not given, DIR/evaluation.json; DIR/stability.json for another result, and
+    DIR/range_of_motion.json without a truth."""
 
 
 @command
@@ -68,15 +78,49 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(range_table(ranges))
         name = "range_of_motion.json"
         figures: dict[str, Any] = {"range_of_motion_deg": {name: asdict(one) for name, one in ranges.items()}}
+    elif _is_result(arguments.truth):
+        name, found = "stability.json", stability(track, load_track(arguments.truth))
+        print(stability_table(found))
+        figures = {"stability": asdict(found)}
     else:
         name, truth = "evaluation.json", load_truth(arguments.truth)
         with threads(1):
-            figures = evaluate(track, truth, _silhouettes(arguments.directory, track, truth))
+            masks = _silhouettes(arguments.directory, track, truth)
+            figures = evaluate(track, truth, masks, _detections(arguments.keypoints, track))
         print(table(figures))
     out = arguments.out or arguments.directory / name
     write_text(out, json.dumps(_without_nan(figures), indent=2) + "\n")
     print(f"saved {out}")
     return DONE
+
+
+def _is_result(folder: Path) -> bool:
+    """Whether it holds a track in place of a truth."""
+    names = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
+    return "truth.npz" not in names and not names.isdisjoint((NPZ_NAME, JSONL_NAME))
+
+
+def stability_table(found: Stability) -> str:
+    """The differences as text, one line per joint, all together last."""
+    title = "joint angle (degrees)"
+    rows: dict[str, JointStability] = {**found.joints, "all": found.whole}
+    width = max(map(len, (*rows, title)))
+    lines = [f"{title:<{width}}  {'over 3 std':>10}  {'median':>6}  {'95th percentile':>15}"]
+    for name, one in rows.items():
+        share = f"{one.fraction_apart:.1%}"
+        lines.append(f"{name:<{width}}  {share:>10}  {one.median_deg:>6.1f}  {one.percentile95_deg:>15.1f}")
+    lines.append(f"{found.frames} frames with a hand in both results, {found.frames_in_one} in one alone")
+    return "\n".join(lines)
+
+
+def _detections(path: Path | None, track: Track) -> Detections | None:
+    """Raises InputError for a file without points in space."""
+    if path is None:
+        return None
+    found = read_detections(path)
+    if found.space is None:
+        raise InputError(f"--keypoints: expected points in space, such as MediaPipe's world landmarks; {path} has none")
+    return found
 
 
 def _silhouettes(directory: Path, track: Track, truth: Truth) -> MaskOfFrame | None:
@@ -139,12 +183,19 @@ def table(figures: dict[str, Any]) -> str:
         (low, high), (true_low, true_high) = angles["range"], angles["true_range"]
         text = f"{low:.0f}° to {high:.0f}° (truth {true_low:.0f}° to {true_high:.0f}°)"
         lines.append(("flexion of a finger over MCP, PIP and DIP", text))
+    if "detector" in figures:
+        alone = figures["detector"]
+        angles, (low, high) = alone["flexion_deg"], alone["flexion_deg"]["range"]
+        text = f"flexion mean {angles['mean']:.2f}°, {low:.0f}° to {high:.0f}°, PA {alone['aligned_mm']['mean']:.2f} mm"
+        lines.append((f"the detector alone, in {alone['frames']} frames", text))
     if "status" in figures:
         wrong = figures["status"]
         lines.append(
             ("tracked, but a tip over 20 mm off", f"{wrong['fraction_tracked_with_a_tip_beyond_20mm']:.1%} of frames")
         )
         lines.append(("lost, but there is a hand", f"{wrong['fraction_with_a_hand_but_lost']:.1%} of frames"))
+    if "quality" in figures:
+        lines += _quality_lines(figures["quality"])
     if "silhouette" in figures:
         overlap = figures["silhouette"]
         text = f"median {overlap['median_iou']:.3f}, smallest {overlap['smallest_iou']:.3f}"
@@ -161,6 +212,18 @@ def table(figures: dict[str, Any]) -> str:
         lines.append(("compute time per frame", f"median {figures['speed']['median_ms_per_frame']:.2f} ms"))
     width = max(len(label) for label, _ in lines)
     return "\n".join(f"{label:<{width}}  {text}" for label, text in lines)
+
+
+def _quality_lines(quality: dict[str, Any]) -> list[tuple[str, str]]:
+    lines = []
+    for key, label, unit in (("fingers", "fingers", "a tip over 20 mm off"), ("frames", "frames", "any tip")):
+        one = quality[key]
+        kinds = [kind for kind in ("determined", "undetermined") if one[kind]]
+        parts = [f"{one[f'fraction_of_{kind}_wrong']:.1%} of {one[kind]} {kind}" for kind in kinds]
+        area = one["area_under_curve"]
+        told = "" if math.isnan(area) else f"; told apart {area:.2f} (chance 0.5)"
+        lines.append((f"{label} by their quality, {unit}", ", ".join(parts) + told))
+    return lines
 
 
 def _by_joint(joints: dict[str, dict[str, float]]) -> str:

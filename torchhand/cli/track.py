@@ -61,6 +61,9 @@ class Arguments:
     """hand_landmarker.task for a MediaPipe that carries no models of its own (newer than 0.10.21)."""
     background: Annotated[Path | None, arg(metavar="FILE")] = None
     """Picture of the scene without the hand, for --set silhouette.method=background."""
+    causal: bool = False
+    """Estimate every frame from this and earlier ones alone, as a webcam's. Else a recording is followed a second time,
+    from its end to its beginning: that takes as long again."""
     start: Annotated[int, arg(metavar="N")] = 0
     """First frame, counted from 0."""
     max_frames: Annotated[int | None, arg(metavar="N")] = None
@@ -132,6 +135,7 @@ def _request(arguments: Arguments) -> Request:
         **keypoints_of([] if arguments.keypoints is None else [arguments.keypoints], arguments.hand_model),
         start_points=None if arguments.start_points is None else start_points_of(arguments.start_points),
         background=arguments.background,
+        is_causal=arguments.causal,
         start=arguments.start,
         max_frames=arguments.max_frames,
         resume=arguments.resume,

@@ -58,6 +58,8 @@ class Arguments:
     """hand_landmarker.task for a MediaPipe that carries no models of its own (newer than 0.10.21)."""
     offset: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME=FRAMES")] = ()
     """A camera that started so many frames before the others; may be repeated."""
+    causal: bool = False
+    """Estimate every frame from this and earlier ones alone. Else frames are estimated again by what comes after."""
     start: Annotated[int, arg(metavar="N")] = 0
     """First frame, counted from 0."""
     max_frames: Annotated[int | None, arg(metavar="N")] = None
@@ -111,6 +113,7 @@ def _request(arguments: Arguments) -> Request:
         masks={"auto": None, "masks": True}.get(arguments.silhouettes, False),
         background=arguments.background,
         offsets=offsets_of(arguments.offset),
+        is_causal=arguments.causal,
         start=arguments.start,
         max_frames=arguments.max_frames,
         resume=arguments.resume,

@@ -1,5 +1,6 @@
 """What the tracker saw, in one picture: the model's contour over the frame, the pose from a second view beside it."""
 
+from collections.abc import Collection
 from dataclasses import replace
 from functools import lru_cache
 
@@ -10,7 +11,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from torchhand.draw.second_view import PAPER, draw_second_view
-from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES
+from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, KEYPOINTS
 from torchhand.view import HandProjector, OutlineTable, outline_table
 
 STATUS_COLOURS = {
@@ -22,6 +23,8 @@ STATUS_COLOURS = {
 """RGB of the word."""
 CONTOUR_COLOUR = (40, 255, 60)
 KEYPOINT_COLOUR = (255, 220, 40)
+UNDETERMINED_COLOUR = (200, 200, 200)
+"""Of the dashed contour and the hollow dots of a finger that is not determined."""
 
 _PER_GENERATOR = 12
 _PER_ARC = 25
@@ -48,12 +51,14 @@ def draw_overlay(
     frame: int,
     keypoints_px: Float[Tensor, "21 2"] | None = None,
     iou: float | None = None,
+    undetermined: Collection[str] = (),
 ) -> UInt8[Tensor, "overlay_height overlay_width 3"]:
     """One frame of the overlay video, RGB, of `overlay_size`.
 
     Left the picture with the visible contours of the model, and its keypoints as dots where they are given; right the
     hand from a second view. Without a pose (lost, no hand): the picture and the status only. `status` is one of
-    STATUS_COLOURS; `iou` is written beside it. The pose is in the projector's dtype.
+    STATUS_COLOURS; `iou` is written beside it. The pose is in the projector's dtype. undetermined: names of FINGERS;
+    these are dashed and grey, their keypoints hollow, and a line below tells so.
     """
     if status not in STATUS_COLOURS:
         raise ValueError(f"status: expected one of {', '.join(STATUS_COLOURS)}, got {status!r}")
@@ -64,15 +69,17 @@ def draw_overlay(
     picture = canvas[:height, :width]
     picture[:] = image.cpu().numpy()
     if pose is not None and root_reference is not None:
-        draw_contour(picture, projector, pose, root_reference)
+        draw_contour(picture, projector, pose, root_reference, undetermined)
         side = _panel_side(height)
         view = draw_second_view(projector, pose, root_reference, min(side, _LARGEST_CAST)).cpu().numpy()
         view = cv2.resize(view, (side, side), interpolation=cv2.INTER_CUBIC)
         top = (total_height - side) // 2
         canvas[top : top + side, width : width + side] = view
     if keypoints_px is not None:
-        _draw_dots(picture, keypoints_px)
+        _draw_dots(picture, keypoints_px, undetermined)
     write_line(picture, frame, status, iou)
+    if undetermined and pose is not None:
+        write_undetermined(picture, undetermined)
     return torch.from_numpy(canvas)
 
 
@@ -93,27 +100,42 @@ def _line_table(dtype: torch.dtype) -> OutlineTable:
 
 
 def draw_contour(
-    picture: np.ndarray, projector: HandProjector, pose: Float[Tensor, "36"], root_reference: Float[Tensor, "3 3"]
+    picture: np.ndarray,
+    projector: HandProjector,
+    pose: Float[Tensor, "36"],
+    root_reference: Float[Tensor, "3 3"],
+    undetermined: Collection[str] = (),
 ) -> None:
-    """Draws a line between neighbouring points of a run that are both visible, in place."""
+    """Draws a line between neighbouring points of a run that are both visible, in place; every other one, in grey, for
+    the fingers that are named."""
     contour = projector.contour(pose, root_reference, _line_table(pose.dtype))
     far = 4.0 * max(picture.shape[:2])
     points = contour.points_px.nan_to_num(0.0).clamp(-far, far)
     split = 2 * len(CONE_NAMES) * _PER_GENERATOR
-    lines = []
-    for run, length in ((slice(None, split), _PER_GENERATOR), (slice(split, None), _PER_ARC)):
+    lines: dict[bool, list[Tensor]] = {False: [], True: []}
+    cones, balls = [name for name in CONE_NAMES for _ in range(2)], list(ELLIPSOID_NAMES)
+    for names, run, length in ((cones, slice(None, split), _PER_GENERATOR), (balls, slice(split, None), _PER_ARC)):
         along, visible = points[run].unflatten(0, (-1, length)), contour.visible[run].unflatten(0, (-1, length))
         both = visible[:, 1:] & visible[:, :-1]
-        lines.append(torch.stack((along[:, :-1][both], along[:, 1:][both]), 1))
-    corners = _fixed_point(torch.cat(lines))
+        is_open = torch.tensor([name.split("_")[0] in undetermined for name in names])
+        is_dash = torch.arange(both.shape[1]) // 2 % 2 == 0
+        for is_dashed, drawn in ((False, both & ~is_open[:, None]), (True, both & is_open[:, None] & is_dash)):
+            lines[is_dashed].append(torch.stack((along[:, :-1][drawn], along[:, 1:][drawn]), 1))
     thickness = 1 + picture.shape[0] // 700
-    cv2.polylines(picture, list(corners), False, CONTOUR_COLOUR, thickness, cv2.LINE_AA, _SHIFT)
+    for is_dashed, colour in ((False, CONTOUR_COLOUR), (True, UNDETERMINED_COLOUR)):
+        corners = _fixed_point(torch.cat(lines[is_dashed]))
+        cv2.polylines(picture, list(corners), False, colour, thickness, cv2.LINE_AA, _SHIFT)
 
 
-def _draw_dots(picture: np.ndarray, keypoints_px: Tensor) -> None:
+def _draw_dots(picture: np.ndarray, keypoints_px: Tensor, undetermined: Collection[str]) -> None:
     radius = max(1, round(picture.shape[0] / 240)) << _SHIFT
-    for x, y in _fixed_point(keypoints_px[keypoints_px.isfinite().all(-1)].clamp(-1e4, 1e4)).tolist():
-        cv2.circle(picture, (x, y), radius, KEYPOINT_COLOUR, -1, cv2.LINE_AA, _SHIFT)
+    is_known = keypoints_px.isfinite().all(-1).tolist()
+    places = _fixed_point(keypoints_px.nan_to_num().clamp(-1e4, 1e4)).tolist()
+    for name, known, (x, y) in zip(KEYPOINTS, is_known, places, strict=True):
+        if known:
+            is_open = name.split("_")[0] in undetermined
+            colour, inside = (UNDETERMINED_COLOUR, 1) if is_open else (KEYPOINT_COLOUR, -1)
+            cv2.circle(picture, (x, y), radius + (is_open << _SHIFT), colour, inside, cv2.LINE_AA, _SHIFT)
 
 
 def _fixed_point(points_px: Tensor) -> np.ndarray:
@@ -136,3 +158,13 @@ def write_line(picture: np.ndarray, frame: int, status: str, iou: float | None) 
     for (word, colour), (length, _) in zip(words, sizes, strict=True):
         cv2.putText(picture, word, (x, baseline), font, scale, colour, 1, cv2.LINE_AA)
         x += length + gap
+
+
+def write_undetermined(picture: np.ndarray, fingers: Collection[str]) -> None:
+    """The legend of dashed fingers, on a dark strip at the lower left."""
+    height, words = picture.shape[0], f"dashed: {', '.join(fingers)} not determined"
+    font, scale = cv2.FONT_HERSHEY_SIMPLEX, max(0.35, height / 1000)
+    (length, high), gap = cv2.getTextSize(words, font, scale, 1)[0], round(12 * scale)
+    strip = picture[height - high - 2 * gap :, : length + 2 * gap]
+    strip[:] = strip // 4
+    cv2.putText(picture, words, (gap, height - gap), font, scale, UNDETERMINED_COLOUR, 1, cv2.LINE_AA)

@@ -1,7 +1,7 @@
 """What the tracker of several cameras saw, in one picture: every view with the model's contour over it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import cv2
 import numpy as np
@@ -47,11 +47,12 @@ class ViewsOverlay:
         frame: int,
         overlaps: Sequence[float] | None = None,
         problems: Sequence[str | None] | None = None,
+        undetermined: Collection[str] = (),
     ) -> UInt8[Tensor, "overlay_height overlay_width 3"]:
         """One frame, RGB, of `size`.
 
         pose: with the root's whole rotation vector, world frame; None where the hand is lost. overlaps: of every view,
-        NaN where unknown. problems: why a view has no picture.
+        NaN where unknown. problems: why a view has no picture. undetermined: names of FINGERS that are drawn dashed.
 
         Raises ValueError for a status that is not one of STATUS_COLOURS.
         """
@@ -69,7 +70,7 @@ class ViewsOverlay:
             else:
                 tile[:] = cv2.resize(image.cpu().numpy(), (camera.width, camera.height), interpolation=cv2.INTER_AREA)
             if pose is not None:
-                draw_contour(tile, projector, pose, identity)
+                draw_contour(tile, projector, pose, identity, undetermined)
             overlap = math.nan if overlaps is None else overlaps[view]
             write_line(tile, frame, status, overlap if math.isfinite(overlap) else None)
             _write(tile, camera.name, low=True)

@@ -4,11 +4,17 @@ from torchhand.evaluate.alignment import Similarity, fit_similarity
 from torchhand.evaluate.angles import flexion_deg, without_offset
 from torchhand.evaluate.continuity import Continuity, continuity
 from torchhand.evaluate.evaluation import MIDDLE_MCP, evaluate
-from torchhand.evaluate.nees import Consistency, consistency, normalised_errors_squared
+from torchhand.evaluate.nees import Consistency, area_under_curve, consistency, normalised_errors_squared
 from torchhand.evaluate.planar_motion import PlanarMotionErrors, planar_motion_errors
 from torchhand.evaluate.pose_errors import PoseErrors, pose_errors
-from torchhand.evaluate.positions import WRIST, aligned_errors, joint_errors, root_relative_errors
-from torchhand.evaluate.range_of_motion import JointRange, range_of_motion
+from torchhand.evaluate.positions import (
+    WRIST,
+    aligned_errors,
+    fingertip_distances,
+    fingertip_errors,
+    joint_errors,
+    root_relative_errors,
+)
 from torchhand.evaluate.timing import (
     PROC,
     THREAD_VARIABLES,
@@ -20,6 +26,7 @@ from torchhand.evaluate.timing import (
 )
 from torchhand.evaluate.tracked_silhouettes import MaskOfFrame, tracked_projector, tracked_silhouettes
 from torchhand.evaluate.truth import Truth, load_mask, load_truth, numbered_pictures
+from torchhand.evaluate.without_truth import JointRange, JointStability, Stability, range_of_motion, stability
 
 __all__ = [
     "MIDDLE_MCP",
@@ -29,16 +36,21 @@ __all__ = [
     "Consistency",
     "Continuity",
     "JointRange",
+    "JointStability",
     "MaskOfFrame",
     "PlanarMotionErrors",
     "PoseErrors",
     "Similarity",
+    "Stability",
     "Timing",
     "Truth",
     "aligned_errors",
+    "area_under_curve",
     "consistency",
     "continuity",
     "evaluate",
+    "fingertip_distances",
+    "fingertip_errors",
     "fit_similarity",
     "flexion_deg",
     "joint_errors",
@@ -52,6 +64,7 @@ __all__ = [
     "pose_errors",
     "range_of_motion",
     "root_relative_errors",
+    "stability",
     "time_interleaved",
     "tracked_projector",
     "tracked_silhouettes",

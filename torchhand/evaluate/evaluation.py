@@ -18,12 +18,21 @@ from torchhand.evaluate.angles import (
 )
 from torchhand.evaluate.continuity import continuity
 from torchhand.evaluate.finite import is_finite_set, max_finite, mean_finite, median_finite, rms_finite
-from torchhand.evaluate.nees import consistency, fraction_in_band
+from torchhand.evaluate.nees import area_under_curve, consistency, fraction_in_band
 from torchhand.evaluate.planar_motion import planar_motion_errors
-from torchhand.evaluate.positions import WRIST, aligned_errors, joint_errors, root_relative_errors
+from torchhand.evaluate.positions import (
+    TIPS,
+    WRIST,
+    aligned_errors,
+    fingertip_distances,
+    fingertip_errors,
+    joint_errors,
+    root_relative_errors,
+)
 from torchhand.evaluate.tracked_silhouettes import MaskOfFrame
 from torchhand.evaluate.truth import Truth, load_mask
-from torchhand.files import Track
+from torchhand.files import Detections, Track
+from torchhand.files.results import DETERMINED
 from torchhand.hand import FINGERS, KEYPOINTS
 from torchhand.image import hand_region, intersection_over_union
 
@@ -34,11 +43,14 @@ MM_PER_M = 1000.0
 Figures = dict[str, Any]
 
 
-def evaluate(track: Track, truth: Truth, predicted_mask: MaskOfFrame | None = None) -> Figures:
+def evaluate(
+    track: Track, truth: Truth, predicted_mask: MaskOfFrame | None = None, detections: Detections | None = None
+) -> Figures:
     """Judge a sequence; frames are matched by number, single pictures by name where both sides have names.
 
     A section that the inputs do not allow is missing. `predicted_mask` gives the hand's silhouette of a frame number
-    (None where there is none). Figures of nothing (all frames lost) are NaN.
+    (None where there is none). `detections`: points in space of a detector, which are judged by themselves on the same
+    frames. Figures of nothing (all frames lost) are NaN.
 
     Raises:
         InputError: a frame number that the truth does not have: this is another sequence's truth.
@@ -64,11 +76,16 @@ def evaluate(track: Track, truth: Truth, predicted_mask: MaskOfFrame | None = No
         if motion is not None:
             figures["planar_motion"] = motion
     if truth.keypoints3d is not None:
+        if track.finger_quality is not None:
+            figures["quality"] = _quality(track, track.finger_quality, truth.keypoints3d[rows])
         figures["status"] = _status(track, truth.keypoints3d[rows], is_one_camera=track.keypoints2d is not None)
-    if truth.flexion_deg is not None:
-        figures["flexion_deg"] = _flexion(track, truth.flexion_deg[rows])
-    elif truth.keypoints3d is not None:
-        figures["flexion_deg"] = _flexion(track, flexion_deg(truth.keypoints3d[rows]))
+    true_flexion = truth.flexion_deg
+    if true_flexion is None and truth.keypoints3d is not None:
+        true_flexion = flexion_deg(truth.keypoints3d)
+    if true_flexion is not None:
+        figures["flexion_deg"] = _flexion(track.keypoints3d, true_flexion[rows])
+    if detections is not None and truth.keypoints3d is not None and true_flexion is not None:
+        figures["detector"] = _detector(track, detections, truth.keypoints3d[rows], true_flexion[rows])
     if truth.mask_files and predicted_mask is not None:
         overlap = _silhouettes(track, truth, predicted_mask)
         if overlap["frames"]:
@@ -113,18 +130,47 @@ def _tracking(track: Track, truth: Truth) -> Figures:
 def _status(track: Track, true: Float[np.ndarray, "frames 21 3"], *, is_one_camera: bool) -> Figures:
     """How often the status is wrong: frames with an estimate whose worst fingertip is more than 20 mm from the truth,
     for one camera across the line of sight; and frames with a hand that were given up."""
-    tips = np.array([i for i, name in enumerate(KEYPOINTS) if name.endswith("_tip")])
-    own, real = track.keypoints3d[:, tips], true[:, tips]
-    if is_one_camera:
-        across = own[..., :2] / own[..., 2:] - real[..., :2] / real[..., 2:]
-        distance = MM_PER_M * np.linalg.norm(across * real[..., 2:], axis=-1)
-    else:
-        distance = MM_PER_M * np.linalg.norm(own - real, axis=-1)
-    has_hand, has_estimate = np.isfinite(real).all((1, 2)), np.isfinite(distance).all(1)
+    distance = MM_PER_M * fingertip_distances(track.keypoints3d, true, is_one_camera=is_one_camera)
+    has_hand, has_estimate = (np.asarray(np.isfinite(one).all(axis=1)) for one in (true[:, TIPS, 0], distance))
     off = distance[has_estimate].max(1) > GOOD_FRAME_MM
     return {
         "fraction_tracked_with_a_tip_beyond_20mm": float(off.mean()) if off.size else math.nan,
         "fraction_with_a_hand_but_lost": float((~has_estimate[has_hand]).mean()) if has_hand.any() else math.nan,
+    }
+
+
+def _quality(track: Track, quality: Float[np.ndarray, "frames 5"], true: Float[np.ndarray, "frames 21 3"]) -> Figures:
+    """How often fingers that were called determined were wrong, and those that were not; a finger is wrong whose tip is
+    more than 20 mm off once the hands are laid over one another. The same of frames by their quality, wrong as
+    `_status` has it."""
+    fingers = MM_PER_M * fingertip_errors(track.keypoints3d, true)
+    is_one_camera = track.keypoints2d is not None
+    hands = MM_PER_M * fingertip_distances(track.keypoints3d, true, is_one_camera=is_one_camera).max(-1)
+    whole = track.measures.get("quality", np.full(len(track), np.nan))
+    return {
+        "fingers": _told_apart(quality, fingers > GOOD_FRAME_MM, np.isfinite(fingers)),
+        "each_finger": {
+            name: _told_apart(quality[:, i], fingers[:, i] > GOOD_FRAME_MM, np.isfinite(fingers[:, i]))
+            for i, name in enumerate(FINGERS)
+        },
+        "frames": _told_apart(whole, hands > GOOD_FRAME_MM, np.isfinite(hands)),
+    }
+
+
+def _told_apart(quality: np.ndarray, is_wrong: np.ndarray, is_known: np.ndarray) -> Figures:
+    """Numbers of those of high and low quality, the shares of these that are wrong, the mean quality of all, and the
+    probability that a right one has a higher quality than a wrong one (area under the ROC curve)."""
+    known = is_known & np.isfinite(quality)
+    told, wrong = torch.from_numpy(quality[known]), torch.from_numpy(is_wrong[known])
+    is_high = told >= DETERMINED
+    return {
+        "determined": int(is_high.sum()),
+        "fraction_of_determined_wrong": float(wrong[is_high].double().mean()),
+        "undetermined": int((~is_high).sum()),
+        "fraction_of_undetermined_wrong": float(wrong[~is_high].double().mean()),
+        "mean_quality": float(told.mean()) if len(told) else math.nan,
+        "fraction_right": float((~wrong).double().mean()),
+        "area_under_curve": area_under_curve(told, ~wrong),
     }
 
 
@@ -195,8 +241,28 @@ def _turns_in_space(track: Track, true: Float[np.ndarray, "frames 21 3"]) -> Fig
     }
 
 
-def _flexion(track: Track, true_deg: Float[np.ndarray, "frames 5 3"]) -> Figures:
-    own_deg = flexion_deg(track.keypoints3d)
+def _detector(
+    track: Track,
+    detections: Detections,
+    true: Float[np.ndarray, "frames 21 3"],
+    true_deg: Float[np.ndarray, "frames 5 3"],
+) -> Figures:
+    """A detector's points in space by themselves, in the frames of a track: what does not depend on where they are."""
+    unknown = np.full((len(KEYPOINTS), 3), np.nan)
+    if track.image is not None and detections.image is not None:
+        found = [detections.in_picture(str(name)) for name in track.image]
+    else:
+        found = [detections.at_frame(int(number)) for number in track.frame]
+    points = np.stack([unknown if one is None or one.space is None else one.space for one in found])
+    return {
+        "frames": int(is_finite_set(points).sum()),
+        "aligned_mm": _summary(MM_PER_M * aligned_errors(points, true)),
+        "flexion_deg": _flexion(points, true_deg),
+    }
+
+
+def _flexion(points: Float[np.ndarray, "frames 21 3"], true_deg: Float[np.ndarray, "frames 5 3"]) -> Figures:
+    own_deg = flexion_deg(points)
     errors = own_deg - true_deg
     return {
         "mean": mean_finite(np.abs(without_offset(errors))),

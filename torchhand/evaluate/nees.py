@@ -1,10 +1,12 @@
-"""Is the covariance honest? The normalised estimation error squared against the chi-square distribution."""
+"""The normalised estimation error squared against the chi-square distribution; how well probabilities tell apart."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
 
 from torchhand.numerics import chi_square_quantile, mean_chi_square_band
 
@@ -57,6 +59,16 @@ def fraction_in_band(
     highest = chi_square_quantile(0.95, dof).numpy()[np.maximum(rank, 1) - 1]
     is_known = rank > 0
     return (is_known & (np.nan_to_num(nees, nan=np.inf) <= highest)).astype(float), is_known.astype(float)
+
+
+def area_under_curve(told: Float[Tensor, "n"], is_right: Bool[Tensor, "n"]) -> float:
+    """Probability that a right one was told a higher probability than a wrong one; ties count half. NaN where there are
+    none of either."""
+    right, wrong = told[is_right], told[~is_right].sort().values
+    if not len(right) or not len(wrong):
+        return math.nan
+    below = torch.searchsorted(wrong, right, right=False) + torch.searchsorted(wrong, right, right=True)
+    return float(below.double().mean()) / (2 * len(wrong))
 
 
 def consistency(

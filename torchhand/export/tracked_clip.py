@@ -111,6 +111,9 @@ def clip_of_track(
         kept = known[(np.searchsorted(number[known], frame, side="right") - 1).clip(0)]
     is_own = number[kept] == frame
     std = np.where(is_own[:, None], track.pose_std[kept], np.nan)
+    quality = None
+    if track.finger_quality is not None:
+        quality = torch.from_numpy(np.where(is_own[:, None], track.finger_quality[kept], np.nan).astype(np.float64))
     said = dict(zip(number.tolist(), track.status.tolist(), strict=True))
     return MotionClip(
         model=model,
@@ -121,6 +124,7 @@ def clip_of_track(
         frame=tuple(int(f) for f in frame),
         held=tuple(int(f) for f in frame[~is_own]),
         pose_std=torch.from_numpy(std.astype(np.float64)),
+        finger_quality=quality,
         status=tuple(str(said.get(int(f), "missing")) for f in frame),
         name=name,
         up=up,

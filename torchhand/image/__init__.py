@@ -47,6 +47,7 @@ from torchhand.image.operations import (
     square_kernel,
 )
 from torchhand.image.segmentation import (
+    GREY,
     BackgroundPlate,
     ColourModel,
     Component,
@@ -61,6 +62,7 @@ from torchhand.image.segmentation import (
     components,
     fill_holes,
     foreground_probability,
+    is_grey,
     largest_component,
     learn_background,
     learn_colours,
@@ -76,6 +78,7 @@ from torchhand.image.segmentation import (
 )
 
 __all__ = [
+    "GREY",
     "BackgroundPlate",
     "Boundary",
     "ColourModel",
@@ -119,6 +122,7 @@ __all__ = [
     "gradient",
     "hand_region",
     "intersection_over_union",
+    "is_grey",
     "is_inside",
     "label_pieces",
     "largest_component",

@@ -3,7 +3,7 @@
 from torchhand.runs.changes import changes_of
 from torchhand.runs.overlay import overlay_frames
 from torchhand.runs.recording import OneCameraRecording, RecordedFrame, Recording, RigRecording
-from torchhand.runs.records import record_of
+from torchhand.runs.records import record_of, undetermined_fingers
 from torchhand.runs.request import Request, keypoints_of, known_hand, settings_of, start_points_of
 from torchhand.runs.run import Run, Say, header_of
 from torchhand.runs.seen_hands import cameras_of_detections, seen_keypoints
@@ -34,4 +34,5 @@ __all__ = [
     "track",
     "track_rig",
     "track_sequence",
+    "undetermined_fingers",
 ]

@@ -42,6 +42,12 @@ class DetectedTracks:
             self._has_found |= hand is not None
         return found
 
+    def rewind(self) -> None:
+        """From now on what was found is told again. Raises ValueError where nothing was kept."""
+        if self._log is None:
+            raise ValueError("detections: expected a log of what was found")
+        self._log.recall()
+
     def catch_up(self, recording: Recording, done: int) -> None:
         """Show new detectors the first `done` frames: what they find depends on the pictures before."""
         with (

@@ -27,6 +27,10 @@ class KeypointSource(Protocol):
         """The hand of every view. followed_px: keypoints of the hand as last tracked; None before there is one."""
         ...
 
+    def rewind(self) -> None:
+        """Get ready to give the same hands again, in any order of the frames."""
+        ...
+
 
 def with_keypoints(
     frame: RecordedFrame, source: KeypointSource | None, followed_px: Float[Tensor, "views 21 2"] | None
@@ -62,6 +66,9 @@ class KeypointTracks:
     ) -> list[HandKeypoints | None]:
         """What was found in a frame, view by view; None where nothing was."""
         return [view.hand(frame.index) for view in self._views]
+
+    def rewind(self) -> None:
+        """Files can be read in any order."""
 
 
 class _View:

@@ -14,6 +14,7 @@ from tqdm import tqdm
 from torchhand.draw import draw_overlay, overlay_size
 from torchhand.files import FrameRecord, Track, open_source, write_video
 from torchhand.runs.recording import OneCameraRecording, RecordedFrame
+from torchhand.runs.records import undetermined_fingers
 from torchhand.view import HandProjector
 
 Draw = Callable[[HandProjector | None, RecordedFrame, FrameRecord], None]
@@ -41,6 +42,7 @@ def overlay_frames(
                 pose=track.pose[row],
                 keypoints_px=None if track.keypoints2d is None else track.keypoints2d[row],
                 overlap=float(overlaps[row]),
+                finger_quality=None if track.finger_quality is None else track.finger_quality[row],
             )
 
 
@@ -79,6 +81,7 @@ def draw_live(path: Path | None, recording: OneCameraRecording) -> Iterator[Draw
                 pose=record.pose,
                 keypoints_px=record.keypoints2d,
                 overlap=record.measures.get("overlap", float("nan")),
+                finger_quality=record.finger_quality,
             )
             video.write(picture)
 
@@ -98,6 +101,7 @@ def _drawn(
     pose: np.ndarray,
     keypoints_px: np.ndarray | None,
     overlap: float,
+    finger_quality: np.ndarray | None,
 ) -> UInt8[Tensor, "overlay_height overlay_width 3"]:
     has_pose = bool(np.isfinite(pose).all())
     return draw_overlay(
@@ -109,4 +113,5 @@ def _drawn(
         frame=frame,
         keypoints_px=torch.tensor(keypoints_px, dtype=torch.float64) if has_pose and keypoints_px is not None else None,
         iou=overlap if np.isfinite(overlap) else None,
+        undetermined=undetermined_fingers(finger_quality),
     )

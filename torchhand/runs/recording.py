@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -16,6 +17,7 @@ from torchhand.image import BackgroundPlate, learn_background
 from torchhand.track import View
 from torchhand.track.multiview import evenly_spaced_frames
 
+_MEMORY_BYTES = 2**28  # of the pictures that are held at once where a recording is read backwards
 _UNKNOWN_LENGTH = 300  # frames among which samples are taken where nobody knows how many there are
 
 
@@ -68,6 +70,21 @@ class Recording(Protocol):
     def warnings(self) -> Sequence[str]:
         """What reading to the end has shown."""
         ...
+
+
+def reversed_frames(recording: Recording, count: int) -> Iterator[RecordedFrame]:
+    """The first `count` frames, the last one first.
+
+    Containers are not trusted to seek: the frames are read in order, as many at a time as fit into a part of the
+    memory that does not grow with the recording, and those before them are skipped.
+    """
+    size = sum(3 * camera.width * camera.height for camera in recording.cameras)
+    chunk = max(1, _MEMORY_BYTES // size)
+    for begin in reversed(range(0, count, chunk)):
+        with recording.opened(begin) as frames:
+            held = list(islice(frames, min(chunk, count - begin)))
+        while held:
+            yield held.pop()
 
 
 class OneCameraRecording:

@@ -55,6 +55,8 @@ class Request:
     """Rig: whether silhouettes are given; where it holds them if None."""
     offsets: Mapping[str, int] = field(default_factory=dict)
     """Rig: frames by which cameras started before the others, by name."""
+    is_causal: bool = False
+    """Whether every frame is estimated from this and earlier ones alone."""
     start: int = 0
     max_frames: int | None = None
     resume: bool = False
@@ -75,6 +77,10 @@ class Request:
         for line in found.notes():
             say(line)
         return replace(self, side=found.side, side_source=found.source)
+
+    def causal(self) -> "Request":
+        """The request without anything that corrects earlier frames."""
+        return replace(self, is_causal=True, settings=replace(self.settings, smoothing_window_s=0.0))
 
     @property
     def known_side(self) -> Side:

@@ -15,6 +15,7 @@ from torchhand.files import Track, write_video
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics
 from torchhand.runs.recording import RigRecording
+from torchhand.runs.records import undetermined_fingers
 
 
 def view_frames(
@@ -37,6 +38,7 @@ def view_frames(
                 frame=frame.index,
                 overlaps=overlaps[row].tolist(),
                 problems=frame.problems,
+                undetermined=undetermined_fingers(None if track.finger_quality is None else track.finger_quality[row]),
             )
 
 

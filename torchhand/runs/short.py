@@ -38,9 +38,10 @@ def track(
     source: a video, a folder of pictures, or the number of a webcam. side: found out from the keypoints where none is
     given, right without any. camera: a file of its calibration; else a field of
     view is assumed. shape: proportions where they are known, such as those of `fit_hand`; else they are fitted.
-    settings: those of the configuration contour_full where none are given. keypoints: a file of a detector's points,
-    or MediaPipe itself, with hand_model (hand_landmarker.task) where it has none of its own. Nothing is corrected
-    backwards; `torchhand track` does that, and keeps the result.
+    settings: those of the configuration contour_full where none are given. keypoints: a file of a detector's points, or
+    MediaPipe itself, with hand_model (hand_landmarker.task) where it has none of its own. Causal: every estimate is
+    made from its frame and earlier ones alone; `torchhand track` corrects those of a recording backwards, and keeps the
+    result.
 
     Raises InputError for a source, a camera or keypoints that cannot be read.
     """

@@ -25,6 +25,7 @@ from torchhand.runs.recording import OneCameraRecording, RecordedFrame, RigRecor
 from torchhand.runs.request import MEDIAPIPE, Request, check_start_points, plate_of
 from torchhand.runs.rig_overlay import write_views
 from torchhand.runs.run import CHECKPOINT_EVERY, Run, Say, header_of, track_frames
+from torchhand.runs.second_pass import smooth_frames
 from torchhand.track import Keyframe, Tracker, TrackerState
 from torchhand.track.multiview import HandInitialization, Initialization, in_unit, initialize
 from torchhand.track.scene import ViewSilhouettes
@@ -40,6 +41,7 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
     and on the way where the disk refuses or a picture has another size; what is tracked by then stays.
     """
     is_webcam = isinstance(source, str)
+    request = request.causal() if is_webcam or request.is_causal else request
     if is_webcam and request.resume:
         raise InputError(f"webcam {source}: cannot be resumed: expected a video or a folder with --resume")
     check_output_folder(out_dir, resume=request.resume, overwrite=request.overwrite)
@@ -79,6 +81,8 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
             run.save_config(writer.folder, _asked(request) | used, recording.cameras)
             run.save_hand(writer.folder)
             _follow(run, recording, writer, done, request, say)
+            if not request.is_causal:
+                smooth_frames(run, writer, say)
             track, projector = load_track(writer.folder), _projector(run)
             if request.has_overlay and not is_webcam and len(track):
                 write_overlay(writer.folder / OVERLAY_NAME, track, projector, source, recording.fps)
@@ -111,6 +115,7 @@ def track_rig(folder: Path, out_dir: Path, request: Request, say: Say) -> Track:
     the disk refuses; what is tracked by then stays.
     """
     check_output_folder(out_dir, resume=request.resume, overwrite=request.overwrite)
+    request = request.causal() if request.is_causal else request
     recording = RigRecording(
         folder,
         cameras=request.camera,
@@ -141,6 +146,8 @@ def track_rig(folder: Path, out_dir: Path, request: Request, say: Say) -> Track:
         cameras = in_unit(recording.cameras, run.metres)
         run.save_config(writer.folder, _asked(request) | {"masks_given": recording.has_masks}, cameras)
         track_frames(run, writer, done, request.start, say, lambda frame, record: None)
+        if not request.is_causal and not request.settings.smoothing_window_s:
+            smooth_frames(run, writer, say)
         track, shape = load_track(writer.folder), run.shape
         if request.has_overlay and len(track) and shape is not None:
             kinematics = run.tracker.kinematics
@@ -254,6 +261,7 @@ def _writer(
         "unit": request.unit,
         "masks": isinstance(recording, RigRecording) and recording.has_masks,
         "offsets": dict(request.offsets),
+        "causal": request.is_causal,
         "start": request.start,
         "seed": request.seed,
     }
@@ -288,6 +296,7 @@ def _asked(request: Request) -> dict[str, Any]:
         "background": request.background,
         "unit": request.unit,
         "offsets": dict(request.offsets),
+        "causal": request.is_causal,
         "start": request.start,
         "max_frames": request.max_frames,
         "seed": request.seed,

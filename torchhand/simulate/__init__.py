@@ -22,11 +22,14 @@ from torchhand.simulate.rig_writer import RigRecord, render_rig, write_rig_seque
 from torchhand.simulate.rigs import named_rig, stage_camera
 from torchhand.simulate.scene import (
     BACKGROUNDS,
+    NO_HAND,
     SKIN_TONES,
+    NoHandKind,
     RenderedFrame,
     SceneSettings,
     background_picture,
     noisy_mask,
+    picture_without_hand,
     render_sequence,
 )
 from torchhand.simulate.writer import write_sequence
@@ -34,11 +37,13 @@ from torchhand.simulate.writer import write_sequence
 __all__ = [
     "BACKGROUNDS",
     "GLOVE_COLUMNS",
+    "NO_HAND",
     "SCRIPTS",
     "SKIN_TONES",
     "VIEWS",
     "GloveRecording",
     "Motion",
+    "NoHandKind",
     "RenderedFrame",
     "RigRecord",
     "SceneSettings",
@@ -50,6 +55,7 @@ __all__ = [
     "named_rig",
     "noisy_mask",
     "parse_pose",
+    "picture_without_hand",
     "posed_motion",
     "read_glove",
     "recorded_motion",

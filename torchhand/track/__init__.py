@@ -10,7 +10,9 @@ from collections.abc import Iterator
 from types import ModuleType
 from typing import Any
 
+from torchhand.track.backward import BackwardPass
 from torchhand.track.knowledge import Estimate, Keyframe, TrackerState, restored_state, saved_state
+from torchhand.track.paths import HandPath, PosedHand, combined_hand, path_weights
 from torchhand.track.scene import HandKeypoints, View
 from torchhand.track.settings import DEFAULTS, TrackerSettings
 from torchhand.track.smoothing import PastFrame, Smoother
@@ -18,15 +20,20 @@ from torchhand.track.tracker import Tracker
 
 __all__ = [
     "DEFAULTS",
+    "BackwardPass",
     "Estimate",
     "HandKeypoints",
+    "HandPath",
     "Keyframe",
     "PastFrame",
+    "PosedHand",
     "Smoother",
     "Tracker",
     "TrackerSettings",
     "TrackerState",
     "View",
+    "combined_hand",
+    "path_weights",
     "restored_state",
     "saved_state",
 ]

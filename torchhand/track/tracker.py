@@ -22,6 +22,7 @@ from torchhand.track.assembly import Assembly, assembled
 from torchhand.track.belief import FollowedHand, posed_belief, scale_covariance, unknown_scale_std
 from torchhand.track.knowledge import Estimate, TrackerState
 from torchhand.track.proposals import Proposals, ProposalSource, Proposed
+from torchhand.track.quality import FingerEvidence, Told, qualities
 from torchhand.track.scene import (
     Candidate,
     HandKeypoints,
@@ -86,6 +87,7 @@ class Tracker:
         self.known_shape = known
         self._observations = observations
         self.kinematics = self._parts.kinematics
+        self._evidence = FingerEvidence(self.kinematics, self._parts.cameras)
         self._scale_std = 0.0
         if len(self.cameras) == 1:
             space = self.kinematics.shape_space
@@ -140,7 +142,7 @@ class Tracker:
         found = self._parts.rule.follow(hand, predicted, scene, state.shape)
         if found is None or self._parts.health.is_failing(found):
             return None
-        return found.hand, self._estimate("tracked", found, state, scene.time_s)
+        return found.hand, self._estimate("tracked", found, state, scene)
 
     @torch.inference_mode()
     @single_threaded()
@@ -201,6 +203,12 @@ class Tracker:
             return None
         return seen_posture(scene, self._parts.cameras[0], self.kinematics, pose, shape)
 
+    def _segmented(self, scene: Scene, state: TrackerState) -> Scene:
+        """The scene with the silhouette by the colours that the first hand has brought only now."""
+        if scene.plane(0) is not None or len(self.cameras) > 1:
+            return scene
+        return self._parts.segmentation.scene(scene.views, state.appearance, scene.time_s)
+
     def _started(self, state: TrackerState | None) -> TrackerState:
         if state is not None:
             return state
@@ -244,7 +252,8 @@ class Tracker:
         direction, before = float(seen.direction_agreement(found.rotation)), found.hand.direction
         if before is not None:
             direction = _DIRECTION_KEPT * before + (1 - _DIRECTION_KEPT) * direction
-        return replace(found, keypoints=keypoints, direction=direction, hand=replace(found.hand, direction=direction))
+        hand = replace(found.hand, direction=direction)
+        return replace(found, keypoints=keypoints, direction=direction, learned=seen, hand=hand)
 
     def _unseen(self, state: TrackerState, predicted: FollowedHand | None) -> tuple[TrackerState, Estimate]:
         """The step over a time of which nothing was seen: after `health.patience` in a row the track is given up."""
@@ -334,7 +343,7 @@ class Tracker:
             return self._without(state, search, predicted)
         was_lost = state.has_started and predicted is None
         state = self._remembered(state, search.proposed, best, scene, is_new=is_new)
-        estimate = self._estimate("recovered" if was_lost else "tracked", best, state, scene.time_s)
+        estimate = self._estimate("recovered" if was_lost else "tracked", best, state, scene)
         return state, replace(estimate, is_new=is_new)
 
     def _remembered(
@@ -394,14 +403,25 @@ class Tracker:
         assert state.time_s is not None
         return Estimate(status=status, time_s=state.time_s, reason=reason)
 
-    def _estimate(self, status: FrameStatus, found: Candidate, state: TrackerState, time_s: float) -> Estimate:
+    def _estimate(self, status: FrameStatus, found: Candidate, state: TrackerState, scene: Scene) -> Estimate:
         assert state.shape is not None
         factor = self._parts.rule.overconfidence
         posed = posed_belief(found.hand, self._parts.motion, self.kinematics, state.shape, overconfidence=factor)
         inside = found.inside
+        told = Told(
+            pose=found.pose,
+            shape=state.shape,
+            tip_std=posed.tip_std,
+            agreement=found.agreement,
+            keypoints=self._parts.keypoints(scene),
+            learned=found.learned,
+            direction=found.direction,
+        )
+        evidence = self._evidence(told, self._segmented(scene, state))
+        quality, fingers = qualities(evidence, "contour" if self.settings.method == "contour" else "distance")
         return Estimate(
             status=status,
-            time_s=time_s,
+            time_s=scene.time_s,
             pose=posed.pose,
             pose_std=posed.pose_std,
             keypoints=posed.keypoints,
@@ -413,9 +433,17 @@ class Tracker:
             edges=found.edges,
             inside=inside,
             nis=found.nis,
+            quality=quality,
+            finger_quality=fingers,
+            evidence=evidence,
             score=self._parts.health.score(found),
             views=found.agreement.views,
         )
+
+    @property
+    def parts(self) -> Assembly:
+        """What it is made of."""
+        return self._parts
 
     @property
     def own_cameras(self) -> tuple[Camera, ...]:

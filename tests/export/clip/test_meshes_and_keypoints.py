@@ -16,7 +16,7 @@ from torchhand.export.clip.keypoint_file import write_keypoints
 from torchhand.export.clip.mesh_frames import write_mesh_frames
 from torchhand.export.clip.motion_clip import MotionClip
 from torchhand.files import read_detections
-from torchhand.hand import DOFS, JOINT_DOFS, KEYPOINTS
+from torchhand.hand import DOFS, FINGERS, JOINT_DOFS, KEYPOINTS
 
 
 @pytest.mark.parametrize(("suffix", "rounding"), [("obj", 1e-9), ("ply", 1e-7)])
@@ -79,12 +79,16 @@ def test_angles_as_a_table_with_what_is_known_of_each(clip: MotionClip, tmp_path
     """Lost frames keep their line, with no number that was not measured."""
     std = torch.deg2rad(torch.arange(36, dtype=torch.float64)).expand(7, -1).clone()
     status = ("tracked",) * 3 + ("lost",) + ("recovered",) + ("tracked",) * 2
-    write_angles(replace(clip, pose_std=std, status=status, held=(3,)), tmp_path / "angles.csv")
+    quality = torch.arange(35, dtype=torch.float64).reshape(7, 5) / 35
+    clip = replace(clip, pose_std=std, finger_quality=quality, status=status, held=(3,))
+    write_angles(clip, tmp_path / "angles.csv")
     with (tmp_path / "angles.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["status"] for row in rows] == list(status)
     assert [float(row["time"]) for row in rows] == [t / 25 for t in range(7)]
     for t, row in enumerate(rows):
+        told = [row[f"{finger}_quality"] for finger in FINGERS]
+        assert told == ([""] * 5 if t == 3 else [f"{value:.4f}" for value in quality[t].tolist()])
         for name in JOINT_DOFS:
             value, spread = row[f"{name}_deg"], row[f"{name}_std_deg"]
             if t == 3:

@@ -485,3 +485,28 @@ def test_a_line_file_cuts_off_what_comes_after_its_size(tmp_path: Path):
     lines.sync()
     lines.close()
     assert path.read_text() == "one\nzwei\n"
+
+
+def test_qualities_of_fingers_are_kept_where_there_are_some(tmp_path: Path):
+    """In both files; lost frames hold NaN, and a track of which nobody told them has none."""
+    quality = np.array((0.9, 0.1, 1.0, 0.25, 1e-9))
+    with TrackWriter(tmp_path / "out", _header(), checkpoint_every=5) as writer:
+        tracker = _Tracker()
+        for frame in range(2, 7):
+            record = tracker.step(frame)
+            if record.status == "tracked":
+                record = replace(record, finger_quality=quality, measures={"quality": 0.5})
+            writer.append(record, tracker.state)
+    for name in ("track.npz", "track.jsonl"):
+        track = load_track(tmp_path / "out" / name)
+        assert track.finger_quality is not None
+        assert np.isnan(track.finger_quality[3]).all()
+        np.testing.assert_array_equal(track.finger_quality[[0, 1, 2, 4]], np.tile(quality, (4, 1)))
+        assert track.measures["quality"][0] == 0.5
+    _run(tmp_path / "old", 6)
+    assert load_track(tmp_path / "old").finger_quality is None
+
+
+def test_a_lost_frame_has_no_qualities():
+    with pytest.raises(ValueError, match="finger_quality: expected NaN"):
+        replace(FrameRecord.empty(0, "lost", dofs=36, seconds=0.0), finger_quality=np.ones(5))

@@ -47,3 +47,12 @@ def test_gradient_in_points_and_picture(generator: torch.Generator) -> None:
 def test_inside_ends_at_the_outer_pixel_centres() -> None:
     points = torch.tensor([[0.0, 0.0], [9.0, 4.0], [9.01, 4.0], [-0.01, 0.0], [float("nan"), 1.0]])
     assert is_inside(points, 10, 5).tolist() == [True, True, False, False, False]
+
+
+@pytest.mark.parametrize("shape", [(40_000, 2), (2, 33_000, 2), (33_000, 3, 2)])
+def test_any_number_of_points_is_read(shape: tuple[int, ...]) -> None:
+    """A contour may have more points than OpenCV reads at once, along either axis."""
+    generator = torch.Generator().manual_seed(0)
+    picture = torch.rand((1, 20, 30), generator=generator)
+    points = 18.0 * torch.rand(shape, generator=generator)
+    assert torch.allclose(sample_bilinear(picture, points), sample_bilinear_torch(picture, points), rtol=0, atol=1e-5)

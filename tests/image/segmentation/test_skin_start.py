@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchhand.image.segmentation.skin_start import bootstrap_skin, otsu_cr_mask
+from torchhand.image.segmentation.skin_start import bootstrap_skin, is_grey, otsu_cr_mask
 
 WALLS = {"grey": (140, 140, 140), "lilac": (150, 145, 160), "greenish": (120, 128, 118), "dark": (25, 25, 27)}
 SKINS = {"pale": (225, 175, 155), "brown": (140, 95, 72), "dark": (90, 58, 44), "pink": (215, 140, 120)}
@@ -88,3 +88,16 @@ def test_otsu_measures_match_their_definition(generator: torch.Generator) -> Non
     inside, outside = cr[split.mask], cr[~split.mask]
     assert split.contrast == pytest.approx(float(inside.mean() - outside.mean()), abs=0.1)
     assert float((split.mask & truth).sum()) > 0.98 * float(truth.sum())
+
+
+def test_a_grey_picture_is_called_grey(generator: torch.Generator) -> None:
+    """Not one of skin's size that is missing: the user can do something about it. A dull but coloured one is not."""
+    image, _ = scene(WALLS["grey"], SKINS["pink"], generator)
+    grey = image.double().mean(-1, keepdim=True).round().to(torch.uint8).expand(-1, -1, 3).contiguous()
+    start = bootstrap_skin(grey)
+    assert is_grey(grey)
+    assert not start.has_skin
+    assert start.reason.startswith("the picture is grey")
+    assert not is_grey(image)
+    wall, _ = scene((205, 160, 140), None, generator)
+    assert "grey" not in bootstrap_skin(wall).reason

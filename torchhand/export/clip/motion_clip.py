@@ -48,6 +48,9 @@ class MotionClip:
     """Names of the poses' columns: DOFS."""
     pose_std: Float64[Tensor, "frames 36"] | None = None
     """Standard deviations of the poses, where they are known; NaN in frames without an estimate."""
+    finger_quality: Float64[Tensor, "frames 5"] | None = None
+    """Probability that each fingertip is right, thumb to little, where it is known; NaN in frames without an
+    estimate."""
     status: tuple[str, ...] = ()
     """What the tracker said of each frame; empty where nothing was tracked."""
 
@@ -127,6 +130,7 @@ class MotionClip:
             frame=(frame,),
             held=tuple({frame} & set(self.held)),
             pose_std=None if self.pose_std is None else self.pose_std[rows],
+            finger_quality=None if self.finger_quality is None else self.finger_quality[rows],
             status=self.status[rows],
         )
 

@@ -33,12 +33,16 @@ class DetectionLog:
         self._lines = LineFile(path, size=size)
 
     def holds(self, view: int, frame: int) -> bool:
-        """Whether an earlier run has looked for the hand in a frame of a view."""
+        """Whether the hand was looked for in a frame of a view: by an earlier run, or before the last recall."""
         return (view, frame) in self._earlier
 
     def hand(self, view: int, frame: int) -> HandDetection | None:
-        """What an earlier run found; None where it found nothing."""
+        """What was found then; None where nothing was."""
         return self._earlier.get((view, frame))
+
+    def recall(self) -> None:
+        """Hold all that this run has found too."""
+        self._earlier |= {place: hand for place, hand, _ in _lines(self._lines.path)}
 
     def append(self, view: int, frame: int, hand: HandDetection | None) -> None:
         """Add a frame of a view."""

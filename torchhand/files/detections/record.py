@@ -97,6 +97,10 @@ class Detections:
         """The hand in the frame of a number; None where the file has no such frame, or no hand in it."""
         return self._at(self._rows_of_frames.get(number))
 
+    def in_picture(self, name: str) -> HandDetection | None:
+        """The hand in the picture of a name; None where the file has no such picture, or no hand in it."""
+        return self._at(self.image.index(name) if self.image is not None and name in self.image else None)
+
     @cached_property
     def _rows_of_frames(self) -> dict[int, int]:
         return {int(number): row for row, number in enumerate(self.frame)}

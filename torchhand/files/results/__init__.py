@@ -7,9 +7,11 @@ from torchhand.files.results.poses_file import (
     PosesWriter,
 )
 from torchhand.files.results.results import (
+    BACKWARD_NAME,
     CHECKPOINT_NAME,
     CONFIG_NAME,
     DETECTIONS_NAME,
+    FORWARD_NAME,
     HAND_NAME,
     OVERLAY_NAME,
     UNFINISHED_NAME,
@@ -20,6 +22,7 @@ from torchhand.files.results.results import (
 from torchhand.files.results.track_file import JSONL_NAME, NPZ_NAME, POSES_NAME, load_track, write_npz
 from torchhand.files.results.track_record import (
     CONVENTION,
+    DETERMINED,
     STATUSES,
     UNITS,
     FrameRecord,
@@ -29,10 +32,13 @@ from torchhand.files.results.track_record import (
 )
 
 __all__ = [
+    "BACKWARD_NAME",
     "CHECKPOINT_NAME",
     "CONFIG_NAME",
     "CONVENTION",
     "DETECTIONS_NAME",
+    "DETERMINED",
+    "FORWARD_NAME",
     "HAND_NAME",
     "JSONL_NAME",
     "NPZ_NAME",

@@ -4,7 +4,8 @@ import contextlib
 import json
 import os
 import re
-from collections.abc import Callable, Mapping
+import shutil
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -34,8 +35,16 @@ UNFINISHED_NAME = "unfinished"
 DETECTIONS_NAME = "keypoints.jsonl"
 """What a detector that ran along has found."""
 
+FORWARD_NAME = "forward.jsonl"
+"""The lines of a forward pass that was corrected backwards: from these a run that is resumed goes on."""
+BACKWARD_NAME = "backward.jsonl"
+"""The lines of a backward pass that is under way."""
+
 # In the order in which they are moved into place: the result itself last.
-_RESULT_NAMES = (HAND_NAME, CONFIG_NAME, OVERLAY_NAME, CHECKPOINT_NAME, DETECTIONS_NAME, JSONL_NAME, NPZ_NAME)
+_RESULT_NAMES = (
+    *(HAND_NAME, CONFIG_NAME, OVERLAY_NAME, CHECKPOINT_NAME, DETECTIONS_NAME, FORWARD_NAME, BACKWARD_NAME),
+    *(JSONL_NAME, NPZ_NAME),
+)
 _DETECTED_ARRAYS = re.compile(r"keypoints(_\d+)?\.npz")  # one per view
 
 State = Mapping[str, Any]
@@ -72,9 +81,10 @@ def check_output_folder(out_dir: str | Path, *, resume: bool = False, overwrite:
 class TrackWriter:
     """Writes the result folder of one sequence; use it as a context manager around the whole run.
 
-    track.jsonl grows by a line per frame, and by one for each that is corrected: a frame's last line counts. Leaving
-    the block well leaves one line per frame and writes track.npz from them. Leaving it by an exception (Ctrl-C, a full
-    disk) keeps the lines, and writes track.npz from them where the disk allows.
+    track.jsonl grows by a line per frame, and by one for each that is corrected: a frame's last line counts. What a
+    backward pass corrects is kept as it was in forward.jsonl. Leaving the block well leaves one line per frame and
+    writes track.npz from them. Leaving it by an exception (Ctrl-C, a full disk) keeps the lines, and writes track.npz
+    from them where the disk allows.
 
     Where the folder already holds a result (`overwrite`), the new run grows in the sub-folder `unfinished`, and its
     files take the place of the old ones only when the block ends well with at least one frame. Everything else that
@@ -146,6 +156,30 @@ class TrackWriter:
         self._write(record)
         self._has_corrections = True
 
+    def keep_forward(self) -> None:
+        """Keep the lines of all frames as they are, before they are corrected by a backward pass: a run that is stopped
+        in it, or resumed after it, goes on from these."""
+        if self._pending_state is not None:
+            self._save_checkpoint(self._pending_state)
+        self._lines.sync()
+        with replacing(self.folder / FORWARD_NAME) as temporary:
+            shutil.copyfile(self.folder / JSONL_NAME, temporary)
+
+    @contextlib.contextmanager
+    def lines_beside(self, name: str) -> Iterator[LineFile]:
+        """A new file of lines with the same header, which `load_track` reads by its path."""
+        lines = LineFile(self.folder / name, size=0)
+        try:
+            lines.append(json.dumps(self._header, allow_nan=False))
+            yield lines
+        finally:
+            lines.close()
+
+    def drop(self, name: str) -> None:
+        """Take such a file away."""
+        with explained_errors(self.folder):
+            (self.folder / name).unlink(missing_ok=True)
+
     def _write(self, record: FrameRecord) -> None:
         if len(record.pose) != len(self._header["dof_names"]):
             raise ValueError(f"pose: expected {len(self._header['dof_names'])} DOFs, got {len(record.pose)}")
@@ -215,6 +249,10 @@ class TrackWriter:
         size = header_to_resume(path, self._header)
         if not size:
             return 0
+        forward = self.folder / FORWARD_NAME
+        if forward.exists():
+            with explained_errors(self.folder):
+                os.replace(forward, path)
         checkpoint = _load_checkpoint(self.folder / CHECKPOINT_NAME)
         if checkpoint is None:
             return size

@@ -8,7 +8,14 @@ import numpy as np
 
 from torchhand.errors import InputError
 from torchhand.files.disk import opened_arrays, read_lines, replacing
-from torchhand.files.results.track_record import ARRAY_FIELDS, RESERVED_NAMES, TRACK_FORMAT, Track, track_of
+from torchhand.files.results.track_record import (
+    ARRAY_FIELDS,
+    MISSING_FIELDS,
+    RESERVED_NAMES,
+    TRACK_FORMAT,
+    Track,
+    track_of,
+)
 
 JSONL_NAME = "track.jsonl"
 NPZ_NAME = "track.npz"
@@ -87,7 +94,7 @@ def _read_npz(path: Path) -> Track:
         arrays = dict(stored)
     try:
         fields: dict[str, Any] = {name: arrays[name] for name in ("frame", "status", "seconds")}
-        fields |= {name: arrays.get(name) if name == "keypoints2d" else arrays[name] for name in ARRAY_FIELDS}
+        fields |= {name: arrays.get(name) if name in MISSING_FIELDS else arrays[name] for name in ARRAY_FIELDS}
         fields |= {name: str(arrays[name]) for name in ("units", "convention")}
         fields["measures"] = {name: array for name, array in arrays.items() if name not in RESERVED_NAMES}
         return Track(

@@ -3,17 +3,21 @@
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
-from jaxtyping import Float, Float64, Int, Shaped
+from jaxtyping import Bool, Float, Float64, Int, Shaped
 
 FrameStatus = Literal["tracked", "lost", "recovered", "no_hand"]
 STATUSES: tuple[FrameStatus, ...] = get_args(FrameStatus)
 EMPTY_STATUSES = ("lost", "no_hand")
 """Frames of these hold NaN."""
-ARRAY_FIELDS = ("pose", "pose_std", "keypoints3d", "keypoints2d", "keypoints3d_cov")
+ARRAY_FIELDS = ("pose", "pose_std", "keypoints3d", "keypoints2d", "keypoints3d_cov", "finger_quality")
+MISSING_FIELDS = ("keypoints2d", "finger_quality")
+"""Those that a track may lack."""
+DETERMINED = 0.5
+"""Quality from which on a finger is called determined: it is more likely right than wrong."""
 OF_PICTURES = ("image", "side", "shape", "shape_names", "K")
 """What poses.npz has besides: of every picture its name, the hand's side and proportions, the camera's intrinsics."""
 RESERVED_NAMES = (
@@ -29,7 +33,7 @@ CONVENTION = (
     " rotation vector of length pi at most, whose sign may change from frame to frame where it is pi; flexion is"
     " positive; keypoints: wrist, then thumb, index, middle, ring, little from base to tip"
 )
-_KEYPOINTS = 21
+_KEYPOINTS, _FINGERS = 21, 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +76,9 @@ class FrameRecord:
     """Covariances of the keypoints in space, m²."""
     seconds: float
     """Compute time of the frame."""
+    finger_quality: Float[np.ndarray, "5"] | None = None
+    """Probability that each fingertip, thumb to little, is where it is said to be (`Track.finger_quality`); None where
+    nobody tells."""
     measures: Mapping[str, float] = field(default_factory=dict)
     """Further numbers by name, such as how well the model fits; NaN where unknown. The same names in every frame."""
     reason: str | None = None
@@ -111,9 +118,15 @@ class FrameRecord:
             keypoints2d=np.full((_KEYPOINTS, 2), nan) if has_keypoints2d else None,
             keypoints3d_cov=np.full((_KEYPOINTS, 3, 3), nan),
             seconds=seconds,
+            finger_quality=np.full(_FINGERS, nan),
             measures=measures or {},
             reason=reason,
         )
+
+    def with_measures(self, more: Mapping[str, float | None]) -> "FrameRecord":
+        """The record with further measures; None is unknown."""
+        known = {name: math.nan if value is None else float(value) for name, value in more.items()}
+        return replace(self, measures={**self.measures, **known})
 
     def as_json(self) -> str:
         """One line of strict JSON without its end: numbers exact to the last bit, whatever is not finite as null."""
@@ -144,6 +157,9 @@ class Track:
     convention: str
     header: Mapping[str, Any]
     """The first line of track.jsonl."""
+    finger_quality: Float64[np.ndarray, "t 5"] | None = None
+    """Probability that each fingertip, thumb to little, lies within 20 mm of where it is, once the two hands are laid
+    over one another; None in tracks that tell none."""
     measures: Mapping[str, Float64[np.ndarray, " t"]] = field(default_factory=dict)
     """The records' measures by name; NaN where a record has none of that name."""
     reason: Shaped[np.ndarray, " t"] | None = None
@@ -153,6 +169,11 @@ class Track:
 
     def __len__(self) -> int:
         return len(self.frame)
+
+    @property
+    def has_hand(self) -> Bool[np.ndarray, " t"]:
+        """Frames with an estimate."""
+        return np.asarray(np.isfinite(self.pose).all(1))
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What track.npz holds."""
@@ -172,7 +193,7 @@ def track_of(header: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> Tr
     """
     dof_names = tuple(header["dof_names"])
     shapes = {"pose": (len(dof_names),), "pose_std": (len(dof_names),), "keypoints3d": (_KEYPOINTS, 3)}
-    shapes |= {"keypoints2d": (_KEYPOINTS, 2), "keypoints3d_cov": (_KEYPOINTS, 3, 3)}
+    shapes |= {"keypoints2d": (_KEYPOINTS, 2), "keypoints3d_cov": (_KEYPOINTS, 3, 3), "finger_quality": (_FINGERS,)}
     columns: dict[str, list[Any]] = {name: [] for name in ("frame", "status", "seconds", *ARRAY_FIELDS)}
     reasons: list[str | None] = []
     measures: dict[str, list[float]] = {}
@@ -186,19 +207,20 @@ def track_of(header: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> Tr
         reasons.append(row.get("reason"))
         for name, column in columns.items():
             # np.float64 of None is NaN; arrays are made row by row because they are far smaller than lists of numbers.
-            is_array = name in ARRAY_FIELDS and row[name] is not None
-            column.append(np.asarray(row[name], dtype=np.float64).reshape(shapes[name]) if is_array else row[name])
+            value = row.get(name) if name in MISSING_FIELDS else row[name]
+            is_array = name in ARRAY_FIELDS and value is not None
+            column.append(np.asarray(value, dtype=np.float64).reshape(shapes[name]) if is_array else value)
     last = {int(frame): place for place, frame in enumerate(columns["frame"])}
     if list(last) != sorted(last) or len(last) < len(reasons):
         places = [last[frame] for frame in sorted(last)]
         columns = {name: [column[place] for place in places] for name, column in columns.items()}
         measures = {name: [values[place] for place in places] for name, values in measures.items()}
         reasons = [reasons[place] for place in places]
-    has_keypoints2d = not any(array is None for array in columns["keypoints2d"])
+    missing = [name for name in MISSING_FIELDS if any(array is None for array in columns[name])]
     arrays: dict[str, Any] = {
         name: np.stack(columns[name]) if columns[name] else np.empty((0, *shape))
         for name, shape in shapes.items()
-        if name != "keypoints2d" or has_keypoints2d
+        if name not in missing
     }
     return Track(
         frame=np.array(columns["frame"], dtype=np.int64),
@@ -210,7 +232,7 @@ def track_of(header: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> Tr
         header=header,
         measures={name: np.array(values, dtype=np.float64) for name, values in measures.items()},
         reason=np.array([reason or "" for reason in reasons], np.str_) if any(r is not None for r in reasons) else None,
-        **{"keypoints2d": None, **arrays},
+        **{**dict.fromkeys(missing), **arrays},
     )
 
 

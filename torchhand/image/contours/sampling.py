@@ -1,5 +1,7 @@
 """Reading a picture between its pixels."""
 
+import itertools
+
 import cv2
 import torch
 from jaxtyping import Bool, Float
@@ -9,7 +11,7 @@ from torch.nn.functional import grid_sample
 from torchhand.image.operations import suits_opencv
 
 _IS_EXACT = int(cv2.__version__.split(".")[0]) >= 5  # OpenCV 4 rounds places to 1/32 px
-_REMAP_ROWS = 16384  # cv2.remap takes fewer than 32767 rows at once
+_REMAP_SIDE = 16384  # cv2.remap takes fewer than 32767 rows and columns at once
 
 
 def is_inside(points_px: Float[Tensor, "*batch 2"], width: int, height: int) -> Bool[Tensor, "*batch"]:
@@ -55,7 +57,7 @@ def _sample_bilinear_opencv(image: Tensor, points_px: Tensor) -> Tensor:
     y = points[..., 1].clamp(0, height - 1).contiguous().numpy()
     values = image.new_empty((image.shape[0], *x.shape))
     for plane, target in zip(image.detach().contiguous().numpy(), values.numpy(), strict=True):
-        for first in range(0, len(x), _REMAP_ROWS):
-            rows = slice(first, first + _REMAP_ROWS)
-            target[rows] = cv2.remap(plane, x[rows], y[rows], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        for top, left in itertools.product(*(range(0, length, _REMAP_SIDE) for length in x.shape)):
+            part = (slice(top, top + _REMAP_SIDE), slice(left, left + _REMAP_SIDE))
+            target[part] = cv2.remap(plane, x[part], y[part], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return values.reshape(image.shape[0], *points_px.shape[:-1])

@@ -20,9 +20,17 @@ from torchhand.image.segmentation.components import (
 from torchhand.image.segmentation.silhouette import SilhouetteSettings, segment
 from torchhand.image.segmentation.skin import SkinModel, learn_skin, skin_probability
 from torchhand.image.segmentation.skin_candidates import skin_candidates
-from torchhand.image.segmentation.skin_start import CrSplit, SkinStart, bootstrap_skin, otsu_cr_mask
+from torchhand.image.segmentation.skin_start import (
+    GREY,
+    CrSplit,
+    SkinStart,
+    bootstrap_skin,
+    is_grey,
+    otsu_cr_mask,
+)
 
 __all__ = [
+    "GREY",
     "BackgroundPlate",
     "ColourModel",
     "Component",
@@ -37,6 +45,7 @@ __all__ = [
     "components",
     "fill_holes",
     "foreground_probability",
+    "is_grey",
     "largest_component",
     "learn_background",
     "learn_colours",

@@ -61,6 +61,15 @@ class SkinStart:
     """Share of the picture's outermost pixels that belong to the piece: large for a wall or a table."""
 
 
+GREY = (
+    "the picture is grey: without colours a hand is not told from its surroundings; give detected keypoints"
+    " (--keypoints), or the empty scene (--set silhouette.method=background --background EMPTY.png)"
+)
+"""Said of pictures that have no colour."""
+_NO_COLOUR = 128.0  # of Cr and Cb
+_MAX_CHROMA, _COLOURLESS = 4.0, 0.995  # levels that chroma differs from none in that share of a grey picture at most
+
+
 def otsu_cr_mask(image: UInt8[Tensor, "height width 3"]) -> CrSplit:
     """Redder half of a picture by Otsu's threshold on Cr. It always splits: look at `contrast`."""
     cr = _chroma(image)[..., 0]
@@ -92,7 +101,15 @@ def bootstrap_skin(image: UInt8[Tensor, "height width 3"], *, max_side_px: int =
     if best.has_skin:
         skin = skin_probability(image.cpu(), best.model) > 0.5
         mask = fill_holes(largest_component(clean(skin)), max_area=max(1, skin.numel() // 500))
+    elif is_grey(small):
+        best = replace(best, reason=GREY)
     return replace(best, mask=mask.to(image.device))
+
+
+def is_grey(image: UInt8[Tensor, "height width 3"]) -> bool:
+    """Whether a picture has no colour but for what compression leaves of noise: skin cannot be told in it."""
+    chroma = _chroma(image).astype(np.float64) - _NO_COLOUR
+    return bool(np.quantile(np.abs(chroma).max(-1), _COLOURLESS) <= _MAX_CHROMA)
 
 
 def skin_proposals(image: UInt8[Tensor, "height width 3"]) -> list[Bool[Tensor, "height width"]]:

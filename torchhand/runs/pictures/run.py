@@ -25,7 +25,7 @@ from torchhand.files.disk import replacing
 from torchhand.files.results import CONVENTION, POSES_NAME, PictureRecord, PosesWriter
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandPose, Side
-from torchhand.runs import record_of
+from torchhand.runs import record_of, undetermined_fingers
 from torchhand.runs.pictures.inputs import (
     CameraOf,
     PictureKeypointsFile,
@@ -179,6 +179,7 @@ def _save_overlay(
         frame=number,
         keypoints_px=None if estimate.keypoints_px is None else estimate.keypoints_px[0],
         iou=estimate.overlap,
+        undetermined=undetermined_fingers(None if estimate.finger_quality is None else estimate.finger_quality.numpy()),
     )
     with replacing(path) as temporary:
         if not cv2.imwrite(str(temporary), cv2.cvtColor(picture.numpy(), cv2.COLOR_RGB2BGR)):

@@ -2,6 +2,7 @@
 
 from torchhand.track.belief.estimate import (
     PosedBelief,
+    centre_std,
     posed_belief,
     posed_gaussian,
     scale_covariance,
@@ -19,6 +20,7 @@ __all__ = [
     "PosedBelief",
     "PostureMeasurements",
     "PosturePriorSettings",
+    "centre_std",
     "posed_belief",
     "posed_gaussian",
     "posture_prior",

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.geometry import Camera
-from torchhand.hand import KEYPOINTS, HandKinematics, HandPose, PoseJacobian, PoseSpace, ShapeSpace
+from torchhand.hand import DOFS, JOINT_DOFS, KEYPOINTS, HandKinematics, HandPose, PoseJacobian, PoseSpace, ShapeSpace
 from torchhand.hand.limits import clamp_to_limits
 from torchhand.track.belief.motion import HandMotion
 from torchhand.track.belief.state import FollowedHand
@@ -19,6 +19,9 @@ _OTHER_CENTRE_STD_M = 0.004
 along an axis between ours and another maker's, the surface being known to a millimetre: `torchhand track_multiview` on
 `mv_static`, then `torchhand evaluate`, which prints them joint by joint. Joints that happen to agree better there are
 not believed to do so in every model."""
+
+_TIPS = [i for i, name in enumerate(KEYPOINTS) if name.endswith("_tip")]
+_ROOT = len(DOFS) - len(JOINT_DOFS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +38,9 @@ class PosedBelief:
     """Keypoints, metres."""
     keypoints_cov: Float[Tensor, "21 3 3"]
     """Square metres: of the belief, and of joint centres within the flesh, which no filter knows."""
+    tip_std: Float[Tensor, "5"]
+    """Standard deviation of every fingertip, thumb to little, about the wrist as the joints leave it open, metres: root
+    of the sum over the three axes."""
 
 
 def posed_belief(
@@ -66,7 +72,8 @@ def posed_gaussian(
     dofs = clamp_to_limits(pose.dofs, kinematics.skeleton)
     basis = (dofs == pose.dofs)[:, None] * space.basis  # a tied angle may have stopped at its limit
     frames = kinematics(dofs, shape, root_reference=pose.reference)
-    jacobian = _jacobian_of(kinematics)(dofs, frames) @ basis
+    moved = _jacobian_of(kinematics)(dofs, frames)
+    jacobian, bent = moved @ basis, moved[_TIPS, :, _ROOT:] @ basis[_ROOT:]
     limited = HandPose(dofs=dofs, reference=pose.reference)
     return PosedBelief(
         pose=limited.vector,
@@ -74,14 +81,20 @@ def posed_gaussian(
         root_rotation=limited.rotation,
         keypoints=frames.keypoints,
         keypoints_cov=jacobian @ covariance @ jacobian.mT + _centre_covariance().to(dofs),
+        tip_std=((bent @ covariance) * bent).sum((-2, -1)).clamp_min(0).sqrt(),
     )
+
+
+def centre_std() -> Float[Tensor, "21"]:
+    """Metres along each axis that another model's joint centres differ by."""
+    std = [_CENTRE_STD_M.get(name, _CENTRE_STD_M.get(name.split("_")[-1], _OTHER_CENTRE_STD_M)) for name in KEYPOINTS]
+    return torch.tensor(std, dtype=torch.float64)
 
 
 @lru_cache(maxsize=1)
 def _centre_covariance() -> Float[Tensor, "21 3 3"]:
-    """Square metres: what another model's joint centres differ by."""
-    std = [_CENTRE_STD_M.get(name, _CENTRE_STD_M.get(name.split("_")[-1], _OTHER_CENTRE_STD_M)) for name in KEYPOINTS]
-    return torch.tensor(std, dtype=torch.float64).square()[:, None, None] * torch.eye(3, dtype=torch.float64)
+    """Square metres: of the same."""
+    return centre_std().square()[:, None, None] * torch.eye(3, dtype=torch.float64)
 
 
 @lru_cache(maxsize=8)

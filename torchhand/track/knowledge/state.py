@@ -88,6 +88,14 @@ class Estimate:
     """Share of the skin inside the hull of all silhouettes; None without a hull."""
     nis: float | None = None
     """Normalised innovation squared per accepted measurement; None where it means nothing."""
+    quality: float | None = None
+    """Probability that no fingertip is more than 20 mm from where it is, as `torchhand evaluate` judges the status: for
+    one camera across the line of sight, for several in space."""
+    finger_quality: Float[Tensor, "5"] | None = None
+    """Probability that each fingertip, thumb to little, lies within 20 mm of where it is, once the two hands are laid
+    over one another; below `torchhand.files.results.DETERMINED` the finger is not determined."""
+    evidence: Float[Tensor, "5 evidence"] | None = None
+    """What these probabilities are made of: columns of `torchhand.track.quality.EVIDENCE`."""
     score: float = 0.0
     """How much of the pictures is explained, 0 to 1."""
     views: int = 0

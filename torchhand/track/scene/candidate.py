@@ -6,6 +6,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.hand import HandPose
+from torchhand.propose import LearnedPosture
 from torchhand.track.belief import FollowedHand
 from torchhand.track.scene.agreement import Agreement
 
@@ -32,6 +33,8 @@ class Candidate:
     direction: float | None = None
     """How far a network that looks where the hand is bears out its direction, 0 to 1
     (`LearnedPosture.direction_agreement`); None where none was asked."""
+    learned: LearnedPosture | None = None
+    """What that network sees there; None where none was asked."""
     cost: float = 0.0
     """Cost in nats, comparable between candidates of one scene; 0 where the update has none."""
     is_sound: bool = True

@@ -12,9 +12,11 @@ from torch import Tensor
 from torchhand.fit.keypoints import starts_in_picture
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics, HandPose
+from torchhand.image import GREY, is_grey
 from torchhand.numerics import single_threaded
 from torchhand.track.belief import posed_gaussian, scale_covariance, unknown_scale_std
 from torchhand.track.knowledge import Estimate
+from torchhand.track.quality import FingerEvidence, Told, qualities
 from torchhand.track.scene import (
     MAX_BEYOND,
     MIN_KEYPOINTS,
@@ -26,6 +28,7 @@ from torchhand.track.scene import (
     View,
     detected_hand,
     scene_keypoints,
+    seen_posture,
 )
 from torchhand.track.single.registration import PictureProblem, Registered
 from torchhand.track.single.settings import SinglePoseSettings
@@ -64,7 +67,7 @@ class _Judged:
     """Why it is no hand; empty where it is one."""
 
     @property
-    def quality(self) -> float:
+    def score(self) -> float:
         """For hands on different silhouettes, whose costs are not comparable."""
         return self.agreement.overlap * self.hand.edges - float(bool(self.objection))
 
@@ -99,7 +102,9 @@ class SinglePoseFitter:
         if best is None or best.objection:
             best = self._better(best, self._alone(work, known, shape is not None))
         if best is None:
-            return _refused("nothing in the picture has the colours of skin and a believable size", known)
+            colourless = work.mask is None and work.image is not None and is_grey(work.image)
+            nothing = "nothing in the picture has the colours of skin and a believable size"
+            return _refused(GREY if colourless else nothing, known)
         if best.objection:
             return _refused(best.objection, known)
         return self._result(best, work, view, camera.to(dtype=torch.float64), is_shape_known=shape is not None)
@@ -185,7 +190,7 @@ class SinglePoseFitter:
     def _better(one: _Judged | None, other: _Judged | None) -> _Judged | None:
         if one is None or other is None:
             return one or other
-        return other if other.quality > one.quality else one
+        return other if other.score > one.score else one
 
     def _result(self, best: _Judged, work: "_Work", view: View, camera: Camera, *, is_shape_known: bool) -> SinglePose:
         hand, agreement = best.hand, best.agreement
@@ -193,6 +198,8 @@ class SinglePoseFitter:
         at = hand.pose.normalized()
         posed = posed_gaussian(at, hand.covariance, space.about(at.dofs), self.kinematics, hand.shape)
         scale_std = unknown_scale_std(self.kinematics.shape_space, camera, is_shape_known=is_shape_known)
+        evidence = self._evidence(best, work, posed.tip_std)
+        quality, fingers = qualities(evidence, "single")
         estimate = Estimate(
             status="tracked",
             time_s=0.0,
@@ -205,10 +212,29 @@ class SinglePoseFitter:
             overlap=agreement.overlap,
             unexplained=agreement.most_unexplained,
             edges=hand.edges,
-            score=best.quality,
+            quality=quality,
+            finger_quality=fingers,
+            evidence=evidence,
+            score=best.score,
             views=1,
         )
         return SinglePose(estimate=estimate, shape=hand.shape, modes=hand.modes)
+
+    def _evidence(self, best: _Judged, work: "_Work", tip_std: Float[Tensor, "5"]) -> Float[Tensor, "5 evidence"]:
+        hand, scene, camera = best.hand, work.scene(best.mask), work.camera
+        pose, learned = hand.pose.normalized(), None
+        if camera.kind == "pinhole":
+            learned = seen_posture(scene, camera, self.kinematics, pose, hand.shape)
+        told = Told(
+            pose=pose,
+            shape=hand.shape,
+            tip_std=tip_std,
+            agreement=best.agreement,
+            keypoints=work.seen(self.kinematics, self.settings),
+            learned=learned,
+            direction=None if learned is None else float(learned.direction_agreement(pose.rotation)),
+        )
+        return FingerEvidence(self.kinematics, (camera,))(told, scene)
 
 
 @dataclass(frozen=True, kw_only=True)

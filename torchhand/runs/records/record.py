@@ -3,11 +3,14 @@
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from torchhand.files import FrameRecord
-from torchhand.hand import DOFS
+from torchhand.files.results import DETERMINED
+from torchhand.hand import DOFS, FINGERS
 from torchhand.track import Estimate
 
-MEASURES = ("overlap", "edges", "inside", "unexplained", "nis", "score")
+MEASURES = ("quality", "overlap", "edges", "inside", "unexplained", "nis", "score")
 """Numbers of every frame that tell how far the estimate can be trusted, as `Estimate` explains them."""
 
 
@@ -26,6 +29,7 @@ def record_of(
         "pose_std": estimate.pose_std,
         "keypoints3d": estimate.keypoints,
         "keypoints3d_cov": estimate.keypoints_cov,
+        "finger_quality": estimate.finger_quality,
     }
     known = {name: array.double().cpu().numpy() for name, array in arrays.items() if array is not None}
     if len(known) < len(arrays):
@@ -36,7 +40,7 @@ def record_of(
             dofs=len(DOFS),
             seconds=seconds,
             has_keypoints2d=not is_rig,
-            measures=measures | {"score": math.nan},
+            measures=measures | {"quality": math.nan, "score": math.nan},
             reason=reason,
         )
     pixels = None
@@ -45,6 +49,13 @@ def record_of(
     return FrameRecord(
         frame=index, status=estimate.status, keypoints2d=pixels, seconds=seconds, measures=measures, reason="", **known
     )
+
+
+def undetermined_fingers(finger_quality: np.ndarray | None) -> list[str]:
+    """Names of the fingers whose quality says that they are not determined; none where it says nothing."""
+    if finger_quality is None:
+        return []
+    return [name for name, quality in zip(FINGERS, finger_quality, strict=True) if quality < DETERMINED]
 
 
 def _number(value: float | None) -> float:

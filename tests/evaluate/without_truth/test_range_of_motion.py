@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from torchhand.errors import InputError
-from torchhand.evaluate.range_of_motion import range_of_motion
+from torchhand.evaluate.without_truth.range_of_motion import range_of_motion
 from torchhand.files import Track
 from torchhand.hand import DOFS
 

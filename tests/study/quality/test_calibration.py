@@ -1,0 +1,63 @@
+"""Models of qualities: fitted ones are the likeliest, their figures are of what they were not fitted to."""
+
+import pytest
+import torch
+
+from torchhand.runs import settings_of
+from torchhand.study.quality import FingerSample, calibrated, collect, figures
+from torchhand.study.quality.calibration import fitted, held_out
+from torchhand.track.quality import EVIDENCE
+
+
+def _drawn(count: int, weights: torch.Tensor, bias: float) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(1)
+    evidence = torch.randn(count, len(weights), generator=generator, dtype=torch.float64) * torch.tensor(
+        (1.0, 3.0, 0.2)
+    )
+    chance = torch.rand(count, generator=generator, dtype=torch.float64)
+    return evidence, chance < torch.sigmoid(bias + evidence @ weights)
+
+
+def test_the_model_that_drew_the_samples_is_found() -> None:
+    weights = torch.tensor((1.0, -0.5, 4.0), dtype=torch.float64)
+    evidence, is_right = _drawn(20_000, weights, 0.7)
+    model = fitted(evidence, is_right)
+    assert model.bias == pytest.approx(0.7, abs=0.06)
+    assert torch.allclose(model.weights, weights, atol=0.15)
+
+
+def test_what_is_held_out_has_taught_nothing() -> None:
+    """Right and wrong by chance cannot be told apart in sequences that were not fitted to, however few there are."""
+    generator = torch.Generator().manual_seed(2)
+    evidence = torch.randn(400, 30, generator=generator, dtype=torch.float64)
+    is_right = torch.rand(400, generator=generator) < 0.5
+    group = torch.arange(400) // 4
+    assert figures(fitted(evidence, is_right)(evidence), is_right)["auc"] > 0.6
+    assert abs(figures(held_out(evidence, is_right, group), is_right)["auc"] - 0.5) < 0.1
+
+
+def test_figures_count_by_interval() -> None:
+    told = torch.tensor((0.05, 0.6, 0.7, 0.95, 1.0), dtype=torch.float64)
+    is_right = torch.tensor((False, True, False, True, True))
+    found = figures(told, is_right)
+    assert found["mean_right_number"] == {
+        "0 to 0.1": [0.05, 0.0, 1],
+        "0.5 to 0.75": [0.65, 0.5, 2],
+        "0.9 to 1": [0.975, 1.0, 2],
+    }
+    assert found["right"] == 0.6
+    assert found["auc"] == pytest.approx(5 / 6, abs=1e-3)
+
+
+def test_too_few_samples_are_refused() -> None:
+    one = FingerSample(evidence=torch.zeros(5, len(EVIDENCE)), error_m=torch.zeros(5), farthest_m=0.0, sequence=0)
+    with pytest.raises(ValueError, match="expected"):
+        calibrated([one])
+
+
+def test_collected_samples_are_of_tracked_hands() -> None:
+    """One sequence, twice: the same, and of a size that a tracked hand may have."""
+    first, again = (next(iter(collect(settings_of("contour_full"), 1, 0))) for _ in range(2))
+    assert len(first) > 3
+    assert all(torch.equal(one.evidence, other.evidence) for one, other in zip(first, again, strict=True))
+    assert all(0 < float(one.error_m.max()) < 0.3 for one in first)

@@ -1,0 +1,202 @@
+"""Simulated hands that close and open before one camera, from all sides, and what a detector may see of them."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.files import load_hand_model
+from torchhand.fit import Appearance, learn_appearance
+from torchhand.geometry import Camera, assumed_camera, rotation_from_vector
+from torchhand.hand import DOFS, JOINT_DOFS, POSTURES, HandKinematics, HandPose, posture
+from torchhand.image import dilate, disc_kernel, intersection_over_union, touching
+from torchhand.numerics import ease
+from torchhand.signs import load_signs
+from torchhand.simulate import (
+    SKIN_TONES,
+    Motion,
+    RenderedFrame,
+    SceneSettings,
+    facing,
+    hand_length,
+    render_sequence,
+    sample_shape,
+)
+from torchhand.track import HandKeypoints, View
+from torchhand.track.belief import centre_std
+
+WIDTH, HEIGHT = 320, 240
+FPS = 30.0
+_ROOT = len(DOFS) - len(JOINT_DOFS)
+_BACKGROUNDS = ("plain", "dark", "wall", "clutter")
+_SIZES = (0.5, 0.8)  # length of the hand, shares of the picture's height
+_MIDDLE = 0.48  # of a hand, share of its length from the wrist
+_SIDE_DEG = 80.0  # turn about the hand's own axis, to either side
+_TILT_DEG, _TURN_DEG = 30.0, 60.0  # towards the camera, and in the picture
+_SWAY_DEG = 15.0  # turn in the course of a sequence
+_WOBBLE = 0.12  # radians: standard deviation of known postures' angles
+_SHAPE_ERROR = 0.5  # of a fitted shape, shares of the spread of people
+_SEPARABLE = 0.8  # intersection over union of the hand by colour and the hand itself
+_PRIOR = 0.4  # share of the postures that comes from the prior; the others are named postures and signs
+
+# A detector's errors: of points in all (offset and deviation) and of angles, about the means over joints of
+# detector_errors.json (`torchhand measure_detector`).
+_POINT_STD_M, _ANGLE_STD = 0.005, 0.31
+_CONSTANT = 0.7  # share of their variance that a sequence has throughout
+_UNEVEN = 0.7  # standard deviation of the logarithm of a finger's own factor: some fingers are seen wrongly
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedFrame:
+    """One picture, with the truth."""
+
+    view: View
+    keypoints: Float[Tensor, "21 3"]
+    """Metres, in the camera's frame; as another hand model would place them under the same skin."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedSequence:
+    """A hand in motion before one camera."""
+
+    camera: Camera
+    shape: Float[Tensor, "shape"]
+    """Proportions as a tracker may have fitted them."""
+    start: HandPose
+    """Pose in the first picture."""
+    appearance: Appearance
+    """Colours of hand and arm against the rest in the first picture, as a tracker learns them."""
+    frames: tuple[SimulatedFrame, ...]
+
+
+def sequence(generator: torch.Generator, frames: int, *, has_detector: bool) -> SimulatedSequence | None:
+    """A right hand of a random person goes from one posture to another and a part of the way back; None where its
+    colours do not tell it from its background."""
+    hand = load_hand_model().hand(side="right", dtype=torch.float64)
+    kinematics = hand.kinematics
+    camera = replace(assumed_camera(WIDTH, HEIGHT, horizontal_fov_deg=50.0), is_assumed=False)
+    shape = sample_shape(kinematics.shape_space, generator)
+    motion = _motion(kinematics, camera, hand_length(kinematics, shape), frames, generator)
+    tones = list(SKIN_TONES)
+    look = SceneSettings(
+        background=_BACKGROUNDS[_choice(len(_BACKGROUNDS), generator)],
+        skin=tones[_choice(len(tones), generator)],
+        forearm=_choice(3, generator) > 0,
+        surface="mesh",
+        supersampling=1,
+        blur_px=0.7,
+    )
+    rendered = list(render_sequence(kinematics, motion, camera, look, generator, shape=shape, hand=hand))
+    appearance = _appearance(rendered[0])
+    if appearance is None:
+        return None
+    error = sample_shape(kinematics.shape_space, generator) - kinematics.default_shape
+    believed = (shape + _SHAPE_ERROR * error).clamp(kinematics.shape_space.lower, kinematics.shape_space.upper)
+    seen: list[HandKeypoints | None] = [None] * frames
+    if has_detector:
+        seen = list(_detections(kinematics, motion, camera, shape, generator))
+    offset = torch.randn(21, 3, generator=generator, dtype=torch.float64) * centre_std()[:, None]
+    return SimulatedSequence(
+        camera=camera,
+        shape=believed,
+        start=HandPose.of(motion.poses[0], motion.root_reference),
+        appearance=appearance,
+        frames=tuple(
+            SimulatedFrame(view=View(image=one.image, keypoints=points), keypoints=one.keypoints_cam + offset)
+            for one, points in zip(rendered, seen, strict=True)
+        ),
+    )
+
+
+def _appearance(first: RenderedFrame) -> Appearance | None:
+    """Colours of the hand; what is near it or beyond the wrist is not its background."""
+    height, width = first.mask.shape
+    around = dilate(first.mask, disc_kernel(max(1, round(0.05 * height))))
+    wrist, knuckle = first.keypoints_px[0], first.keypoints_px[9]
+    x, y = torch.arange(width), torch.arange(height)[:, None]
+    is_beyond = (x - wrist[0]) * (knuckle - wrist)[0] + (y - wrist[1]) * (knuckle - wrist)[1] < 0
+    skin = learn_appearance(first.image, first.mask, ~around & ~is_beyond, 1)
+    if skin is None:
+        return None
+    seen = touching(skin.probability(first.image) > 0.5, first.mask)
+    is_told = float(intersection_over_union(seen, first.mask, ~is_beyond)) >= _SEPARABLE
+    return skin if is_told else None
+
+
+def _motion(
+    kinematics: HandKinematics, camera: Camera, length: float, frames: int, generator: torch.Generator
+) -> Motion:
+    turn, tilt, side = (
+        math.radians(most) * _between(-1.0, 1.0, generator) for most in (_TURN_DEG, _TILT_DEG, _SIDE_DEG)
+    )
+    in_picture = rotation_from_vector(torch.tensor((0.0, 0.0, turn), dtype=torch.float64))
+    towards = rotation_from_vector(torch.tensor((tilt, 0.0, 0.0), dtype=torch.float64))
+    about = rotation_from_vector(torch.tensor((0.0, side, 0.0), dtype=torch.float64))
+    reference = in_picture @ towards @ about @ facing("palm" if _choice(2, generator) else "back")
+    along = ease(torch.linspace(0, 1.6, frames, dtype=torch.float64).clamp(0, 1))
+    along = along - 0.5 * ease((torch.linspace(0, 1.6, frames, dtype=torch.float64) - 1).clamp(0, 1) / 0.6)
+    first, last = (drawn_posture(kinematics, generator) for _ in range(2))
+    joints = kinematics.skeleton.within_limits(torch.lerp(first, last, along[:, None]))
+    sway = math.radians(_SWAY_DEG) * torch.randn(3, generator=generator, dtype=torch.float64)
+    turns = along[:, None] * sway
+    size = _between(*_SIZES, generator)
+    focal = float(camera.intrinsics[0, 0])
+    ahead = focal * length / (size * camera.height)
+    aside = 0.08 * ahead * camera.height / focal * torch.randn(2, generator=generator, dtype=torch.float64).clamp(-1, 1)
+    middle = torch.cat((aside, aside.new_tensor((ahead,))))
+    lever = reference @ torch.tensor((0.0, _MIDDLE * length, 0.0), dtype=torch.float64)
+    root = middle - (rotation_from_vector(turns) @ lever[:, None]).squeeze(-1)
+    poses = torch.cat((root, turns, joints), -1)
+    return Motion(name="postures", poses=poses, root_reference=reference, fps=FPS)
+
+
+def drawn_posture(kinematics: HandKinematics, generator: torch.Generator) -> Float[Tensor, "30"]:
+    """Joint angles of the prior, or near those of a named posture or a sign; not yet within the limits."""
+    if _between(0.0, 1.0, generator) < _PRIOR:
+        drawn, _ = load_hand_model().prior().sample(1, generator)
+        return drawn[0, _ROOT:].double()
+    known = [*(posture(name)[_ROOT:] for name in POSTURES), *load_signs().values()]
+    own = known[_choice(len(known), generator)].double()
+    return own + _WOBBLE * torch.randn(len(own), generator=generator, dtype=torch.float64)
+
+
+def _detections(
+    kinematics: HandKinematics,
+    motion: Motion,
+    camera: Camera,
+    shape: Float[Tensor, "shape"],
+    generator: torch.Generator,
+) -> Iterator[HandKeypoints]:
+    """What a detector sees: points in the picture, and points in space of a hand whose joints are bent otherwise."""
+
+    def errors(*size: int) -> Tensor:
+        """Standard normal, most of it the same in all frames."""
+        constant, changing = (
+            torch.randn(*parts, generator=generator, dtype=torch.float64)
+            for parts in (size, (len(motion.poses), *size))
+        )
+        return math.sqrt(_CONSTANT) * constant + math.sqrt(1 - _CONSTANT) * changing
+
+    factor = (_UNEVEN * torch.randn(5, generator=generator, dtype=torch.float64)).exp()
+    of_points = torch.cat((factor.new_ones(1), factor.repeat_interleave(4)))
+    bent = _ANGLE_STD * errors(len(JOINT_DOFS)) * factor.repeat_interleave(len(JOINT_DOFS) // 5)
+    shifted = _POINT_STD_M * errors(21, 2) * of_points[:, None]
+    focal = float(camera.intrinsics[0, 0])
+    for pose, angles, shift in zip(motion.poses, bent, shifted, strict=True):
+        true = kinematics(pose, shape, root_reference=motion.root_reference).keypoints
+        joints = kinematics.skeleton.within_limits(pose[_ROOT:] + angles)
+        other = torch.cat((pose[:_ROOT], joints))
+        space = kinematics(other, shape, root_reference=motion.root_reference).keypoints
+        points_px = camera.project(true) + focal / float(pose[2]) * shift
+        yield HandKeypoints(points_px=points_px, points=space - space[:1])
+
+
+def _choice(count: int, generator: torch.Generator) -> int:
+    return int(torch.randint(0, count, (), generator=generator))
+
+
+def _between(low: float, high: float, generator: torch.Generator) -> float:
+    return low + (high - low) * float(torch.rand((), generator=generator, dtype=torch.float64))

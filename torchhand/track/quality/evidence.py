@@ -1,0 +1,195 @@
+"""What the pictures, the belief, a network and a detector say of each finger of an estimated hand."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchhand.fit import PosedHands, Stage, grey
+from torchhand.fit.contour import hand_length_px, is_in_picture, is_outer
+from torchhand.geometry import Camera
+from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, FINGERS, JOINT_DOFS, HandKinematics, HandPose
+from torchhand.image import EdgeSettings, search_edges
+from torchhand.propose import LearnedPosture
+from torchhand.track.scene import Agreement, Scene, SceneKeypoints
+from torchhand.view import HandProjector, OutlineTable, outline_table
+
+EVIDENCE = (
+    "spread",
+    "outer_found",
+    "outer_missed",
+    "inner_found",
+    "inner_missed",
+    "points",
+    "no_points",
+    "posture",
+    "learned",
+    "learned_spread",
+    "direction",
+    "no_learned",
+    "overlap",
+    "unexplained",
+)
+"""Columns of the evidence, each of one finger of one estimate.
+
+spread: logarithm of the standard deviation of the fingertip about the wrist, in centimetres. outer_found, outer_missed:
+shares of the contour of the middle and distal phalanx that lie on the hand's outline, with and without an edge of the
+silhouette there; inner_found, inner_missed: the same of what is seen before the palm or another finger, by edges of the
+grey levels; the rest is hidden. points, posture, learned: ln(1 + d²) of the finger's difference from a detector's
+points in the pictures, from the posture of its points in space and from the posture that the network sees, d in root
+mean square standard deviations; learned_spread: logarithm of the spread of the network's hypotheses about the finger's
+angles; direction: logarithm of how far these bear out the hand's direction. All of them are 0 where there is nothing,
+and then no_points and no_learned are 1. overlap: of the hand. unexplained: ln(1 + a / 0.002) of the area a of the hand
+that the model leaves out, in squares of its length."""
+
+_PARTS = ("middle", "distal", "pip", "dip", "tip")
+_THUMB_PARTS = ("proximal", "distal", "ip", "tip")
+_OUTER = EdgeSettings(polarity="inside_bright", min_strength=0.2, choose="nearest")
+_INNER = EdgeSettings(min_strength=0.04, choose="nearest")
+_OUTER_REACH, _INNER_REACH = 0.025, 0.015  # shares of the hand's length: half lengths of the searches
+_MIN_REACH_PX = 2.0
+_SPREAD_M = 0.01
+_SPECK = 0.002
+_MIN_DIRECTION = 0.02
+_COMPARED = Stage(gross_m=0.01)
+_TIPS = (slice(2, 5), slice(6, 9), slice(10, 13), slice(14, 17), slice(18, 21))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Told:
+    """What is known of one estimated hand."""
+
+    pose: HandPose
+    """(), in the world."""
+    shape: Float[Tensor, "shape"]
+    tip_std: Float[Tensor, "5"]
+    """Standard deviation of every fingertip about the wrist, metres."""
+    agreement: Agreement
+    keypoints: SceneKeypoints
+    learned: LearnedPosture | None = None
+    """What the network sees there."""
+    direction: float | None = None
+    """How far it bears out the hand's direction."""
+
+
+class FingerEvidence:
+    """Gathers the evidence of estimates of one hand in the views of a rig."""
+
+    def __init__(self, kinematics: HandKinematics, cameras: Sequence[Camera]) -> None:
+        """cameras: as they see the scene's silhouettes."""
+        self.kinematics, self.cameras = kinematics, tuple(cameras)
+        self._made: tuple[Tensor, list[HandProjector]] | None = None
+
+    def __call__(self, told: Told, scene: Scene) -> Float[Tensor, "5 evidence"]:
+        """A row for each finger, thumb to little, in the columns of EVIDENCE."""
+        hands = PosedHands(pose=told.pose.reshape(1), shape=told.shape)
+        joints = hands.pose.dofs[:, -len(JOINT_DOFS) :]
+        points = [one.associate(hands, _COMPARED).deviation(hands)[0] for one in told.keypoints.pictures]
+        in_pictures = [torch.stack([one[tips].square().nanmean().sqrt() for tips in _TIPS]) for one in points]
+        postures = [one.deviation(joints)[0] for one in told.keypoints.postures]
+        unexplained = math.log1p(told.agreement.most_unexplained / _SPECK)
+        columns = [
+            (told.tip_std.clamp_min(1e-4) / _SPREAD_M).log(),
+            *self._borne_out(told, scene).unbind(-1),
+            _difference(in_pictures),
+            torch.full((len(FINGERS),), float(not in_pictures)),
+            _difference(postures),
+            *_learned(told, joints[0]).unbind(-1),
+            torch.full((len(FINGERS),), told.agreement.overlap),
+            torch.full((len(FINGERS),), unexplained),
+        ]
+        return torch.stack([column.to(told.tip_std) for column in columns], -1)
+
+    def _borne_out(self, told: Told, scene: Scene) -> Float[Tensor, "5 4"]:
+        """Shares of each finger's contour in all views: outer found and missed, inner found and missed."""
+        counts = torch.zeros(len(FINGERS), 4, dtype=torch.float64)
+        total = 0.0
+        for view, projector in enumerate(self._projectors(told.shape)):
+            plane = scene.plane(view)
+            if plane is None:
+                continue
+            counts += self._in_view(projector, told, plane, self._grey(scene, view))
+            total += 1.0
+        return counts / (_points_of_fingers() * max(1.0, total))[:, None]
+
+    def _in_view(
+        self, projector: HandProjector, told: Told, plane: Tensor, levels: Tensor | None
+    ) -> Float[Tensor, "5 4"]:
+        """Numbers of each finger's contour points in one view."""
+        camera, pose = projector.camera, told.pose
+        contour = projector.contour(pose.dofs, pose.reference, _table())
+        seen = contour.visible & is_in_picture(contour.points_px, camera)
+        points, normals, finger = contour.points_px[seen], contour.normals[seen], _finger_of_point()[seen]
+        in_cam = torch.cat((camera.cam_from_world(pose.dofs[:3]), pose.dofs[3:]))
+        length_px = hand_length_px(camera, self.kinematics, in_cam, told.shape)
+        outer = is_outer(projector.silhouette(pose.dofs, pose.reference), points, normals, length_px)
+        found = torch.zeros_like(outer)
+        searches = ((outer, plane, _OUTER, _OUTER_REACH), (~outer, levels, _INNER, _INNER_REACH))
+        for which, picture, how, reach in searches:
+            if picture is not None and bool(which.any()):
+                how = replace(how, half_length_px=max(_MIN_REACH_PX, reach * length_px))
+                found[which] = search_edges(picture, points[which], normals[which], how).found
+        kind = 2 * (~outer).long() + (~found).long()
+        return torch.bincount(4 * finger + kind, minlength=4 * len(FINGERS)).reshape(-1, 4).double()
+
+    @staticmethod
+    def _grey(scene: Scene, view: int) -> Tensor | None:
+        image = scene.views[view].image
+        return None if image is None else scene.once(("grey", view), lambda: grey(image))
+
+    def _projectors(self, shape: Tensor) -> list[HandProjector]:
+        if self._made is None or self._made[0] is not shape:
+            self._made = (shape, [HandProjector(self.kinematics, camera, shape) for camera in self.cameras])
+        return self._made[1]
+
+
+def _difference(deviations: Sequence[Tensor]) -> Float[Tensor, "5"]:
+    """ln(1 + d²) of the mean over those that are known; 0 where none is."""
+    if not deviations:
+        return torch.zeros(len(FINGERS))
+    return torch.stack([one.square().log1p() for one in deviations]).nanmean(0).nan_to_num()
+
+
+def _learned(told: Told, joints: Float[Tensor, "30"]) -> Float[Tensor, "5 4"]:
+    """What the network says of each finger: difference, spread, direction of the hand, and whether it says nothing."""
+    if told.learned is None:
+        return joints.new_tensor((0.0, 0.0, 0.0, 1.0)).repeat(len(FINGERS), 1)
+    variance = told.learned.variance
+    missed = (joints - told.learned.joints).square() / variance
+    per_finger = (missed, variance)
+    deviation, spread = (one.unflatten(-1, (len(FINGERS), -1)).mean(-1) for one in per_finger)
+    direction = torch.full_like(spread, math.log(max(told.direction or 0.0, _MIN_DIRECTION)))
+    return torch.stack((deviation.log1p(), 0.5 * spread.log(), direction, torch.zeros_like(spread)), -1)
+
+
+def _finger_of(name: str) -> int | None:
+    finger, _, part = name.partition("_")
+    parts = _THUMB_PARTS if finger == "thumb" else _PARTS
+    return FINGERS.index(finger) if finger in FINGERS and part in parts else None
+
+
+@lru_cache(maxsize=1)
+def _table() -> OutlineTable:
+    """Points of the fingers' last two phalanges alone."""
+    with torch.inference_mode(False):  # kept for callers in any mode
+        names = (*CONE_NAMES, *ELLIPSOID_NAMES)
+        without = tuple(name for name in names if _finger_of(name) is None)
+        return outline_table(8, 10, without=without)
+
+
+@lru_cache(maxsize=1)
+def _finger_of_point() -> Int[Tensor, "points"]:
+    with torch.inference_mode(False):
+        fingers = [_finger_of(name) for name in (*CONE_NAMES, *ELLIPSOID_NAMES)]
+        return torch.tensor([-1 if one is None else one for one in fingers])[_table().primitive]
+
+
+@lru_cache(maxsize=1)
+def _points_of_fingers() -> Float[Tensor, "5"]:
+    """Number of points that each finger has at all."""
+    with torch.inference_mode(False):
+        return torch.bincount(_finger_of_point(), minlength=len(FINGERS)).double()
