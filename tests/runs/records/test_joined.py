@@ -129,3 +129,16 @@ def test_frames_that_the_second_pass_did_not_look_at_stay_as_they_are(kinematics
     assert [record.seconds for record in records] == [0.5, 0.5, 1.0, 1.0, 1.0, 1.0, 0.5, 0.5]
     np.testing.assert_array_equal(records[0].pose, forward.pose[0])
     assert [record.status for record in records[5:]] == ["tracked", "lost", "lost"]
+
+
+def test_qualities_of_fingers_are_means_as_the_passes_are_believed(kinematics: HandKinematics) -> None:
+    forward, backward = (
+        replace(track, finger_quality=np.full((FRAMES, 5), quality))
+        for track, quality in ((_track(kinematics, 0.1), 0.2), (_second(kinematics, 0.1), 0.6))
+    )
+    weights = TwoPasses.of(forward, backward).weights()
+    for record, weight in zip(_joined(kinematics, forward, backward), weights, strict=True):
+        np.testing.assert_allclose(record.finger_quality, np.full(5, float(0.2 * weight[0] + 0.6 * weight[1])))
+    lost = replace(_second(kinematics, 0.1, tuple(range(FRAMES))), finger_quality=np.full((FRAMES, 5), np.nan))
+    for record in _joined(kinematics, forward, lost):
+        np.testing.assert_array_equal(record.finger_quality, np.full(5, 0.2))

@@ -8,7 +8,7 @@ from torchhand.runs.records.joined import (
     TwoPasses,
     joined_records,
 )
-from torchhand.runs.records.record import MEASURES, record_of
+from torchhand.runs.records.record import MEASURES, record_of, undetermined_fingers
 
 __all__ = [
     "EVIDENCE",
@@ -19,4 +19,5 @@ __all__ = [
     "TwoPasses",
     "joined_records",
     "record_of",
+    "undetermined_fingers",
 ]

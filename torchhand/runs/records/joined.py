@@ -101,7 +101,7 @@ def joined_records(
 ) -> Iterator[FrameRecord]:
     """The records of all frames. camera: that of the pictures; None where there are several.
 
-    `seconds` is the time of both passes, and measures are means of both as the passes are believed.
+    `seconds` is the time of both passes; measures and qualities are means of both as the passes are believed.
     """
     was, then = passes.has_hands
     weights = passes.weights()
@@ -125,6 +125,7 @@ def joined_records(
             keypoints3d_cov=hand.keypoints_cov.numpy(),
             keypoints2d=None if camera is None else camera.project(hand.keypoints).numpy(),
             seconds=seconds,
+            finger_quality=_mean_of_fingers([(one.finger_quality, row, w) for one, w in used]),
             measures={name: _mean([(one.measures[name][row], w) for one, w in used]) for name in forward.measures},
             reason="",
         )
@@ -160,6 +161,7 @@ def _unchanged(track: Track, row: int, status: FrameStatus, seconds: float) -> F
         keypoints3d_cov=track.keypoints3d_cov[row],
         keypoints2d=None if track.keypoints2d is None else track.keypoints2d[row],
         seconds=seconds,
+        finger_quality=None if track.finger_quality is None else track.finger_quality[row],
         measures={name: float(values[row]) for name, values in track.measures.items()},
         reason=None if track.reason is None else str(track.reason[row]),
     )
@@ -172,6 +174,17 @@ def _hand(track: Track, row: int) -> PosedHand:
         keypoints=torch.from_numpy(track.keypoints3d[row]),
         keypoints_cov=torch.from_numpy(track.keypoints3d_cov[row]),
     )
+
+
+def _mean_of_fingers(
+    weighted: list[tuple[Float[np.ndarray, "t 5"] | None, int, float]],
+) -> Float[np.ndarray, "5"] | None:
+    """Of the rows of tracks that have qualities of fingers; None where none has."""
+    known = [(values[row], weight) for values, row, weight in weighted if values is not None]
+    if not known:
+        return None
+    fingers = range(len(known[0][0]))
+    return np.array([_mean([(float(values[i]), weight) for values, weight in known]) for i in fingers])
 
 
 def _mean(weighted: list[tuple[float, float]]) -> float:
