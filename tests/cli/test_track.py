@@ -156,7 +156,9 @@ def test_a_run_leaves_the_whole_result(clip: Clip) -> None:
     assert (track.seconds > 0).all()
     assert (track.measures["overlap"] > 0.85).all()
     assert ((track.measures["edges"] > 0) & (track.measures["edges"] <= 1)).all()
-    assert set(track.measures) == {"nis", "overlap", "edges", "inside", "unexplained", "score"}
+    assert set(track.measures) == {"nis", "overlap", "edges", "inside", "unexplained", "score", "quality"}
+    assert track.finger_quality is not None
+    assert ((track.finger_quality > 0) & (track.finger_quality < 1)).all()
     assert np.isnan(track.measures["inside"]).all()  # one camera has no hull
     with open_source(clip.result / "overlay.mp4") as video:
         assert len(list(video)) == FRAMES
