@@ -42,6 +42,22 @@ def test_an_open_hand_starts_as_it_did(studio: Any) -> None:
         assert torch.equal(own.pose, other.pose)
 
 
+def test_a_rigid_hand_is_not_found_again_in_another_posture(studio: Any) -> None:
+    """Trackers that hold the posture look for that of the first hand alone."""
+    camera = studio.camera(320, 240)
+    shown, other = (studio.placed(size=0.8, posed=posed, view="back", camera=camera) for posed in ("open", "point"))
+    gone = torch.zeros_like(shown.picture(seed=1)) + shown.picture(seed=1)[0, 0]
+    images = [shown.picture(seed=1), *[gone] * 5, *[other.picture(seed=seed) for seed in range(2, 8)]]
+    statuses = {}
+    for pose_space in ("planar_scale", "dof26"):
+        settings = replace(SETTINGS, pose_space=pose_space)
+        _, estimates = run(Tracker(right_hand(), camera, settings, shape=shown.shape), images)
+        statuses[pose_space] = [one.status for one in estimates]
+    assert statuses["planar_scale"][0] == statuses["dof26"][0] == "tracked"
+    assert "recovered" in statuses["dof26"][6:]
+    assert set(statuses["planar_scale"][6:]) <= {"lost", "no_hand"}
+
+
 def test_skin_that_is_no_hand_is_none(studio: Any) -> None:
     """An ellipse like a face, and a bar like an arm, in the colours of a hand."""
     placed = studio.placed(size=0.8, camera=studio.camera(320, 240))

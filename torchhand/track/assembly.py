@@ -105,6 +105,11 @@ class _Ingredients:
     motion: HandMotion
     table: OutlineTable
 
+    @property
+    def moves_joints(self) -> bool:
+        """Whether the pose space has joint angles."""
+        return bool(self.motion.space.basis[_ROOT:].any())
+
     def rule(self, cameras: Sequence[Camera]) -> UpdateRule:
         """An update rule that needs no hull."""
         s = self.settings
@@ -163,6 +168,7 @@ def _of_one_camera(
                 fit=s.fit,
                 silhouette=s.silhouette,
                 can_start=start_points is None,
+                can_restart=own.moves_joints,
                 plate=plate,
                 known_shape=shape,
             ),
@@ -178,7 +184,7 @@ def _of_one_camera(
         health=Health(settings=s.health),
         takes_proposals=False,
         keypoint_settings=s.keypoints,
-        has_learned_posture=s.learned_posture and here.kind == "pinhole" and bool(own.motion.space.basis[_ROOT:].any()),
+        has_learned_posture=s.learned_posture and here.kind == "pinhole" and own.moves_joints,
     )
 
 

@@ -50,6 +50,8 @@ class LearnedHands:
     silhouette: SilhouetteSettings
     can_start: bool = True
     """Whether the first hand may come from here; not where the user said where it is."""
+    can_restart: bool = True
+    """Whether later hands may; not where the posture is held, which is that of the first hand."""
     plate: BackgroundPlate | None = None
     known_shape: Float[Tensor, "shape"] | None = None
 
@@ -64,7 +66,8 @@ class LearnedHands:
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """Some hands; none in frames in which no search was due."""
         image = scene.views[0].image
-        is_due = state.frames_since_search == 0 and (self.can_start or state.has_started)
+        may_propose = self.can_restart if state.has_started else self.can_start
+        is_due = state.frames_since_search == 0 and may_propose
         if image is None or not is_due:
             return Proposals()
         mask = self._mask(scene, image, state)
