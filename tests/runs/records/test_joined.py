@@ -142,3 +142,21 @@ def test_qualities_of_fingers_are_means_as_the_passes_are_believed(kinematics: H
     lost = replace(_second(kinematics, 0.1, tuple(range(FRAMES))), finger_quality=np.full((FRAMES, 5), np.nan))
     for record in _joined(kinematics, forward, lost):
         np.testing.assert_array_equal(record.finger_quality, np.full(5, 0.2))
+
+
+def test_frames_of_the_second_pass_are_told_by_their_numbers(kinematics: HandKinematics) -> None:
+    """It need not have looked at all frames."""
+    forward = replace(_track(kinematics, 0.1), finger_quality=np.full((FRAMES, 5), 0.2))
+    qualities = np.linspace(0.3, 0.9, FRAMES)
+    whole = replace(_second(kinematics, 0.1), finger_quality=qualities[:, None] * np.ones(5))
+    rows = np.arange(3, FRAMES)
+    arrays = ("frame", "status", "pose", "pose_std", "keypoints3d", "keypoints3d_cov", "seconds", "finger_quality")
+    later = replace(
+        whole,
+        **{name: getattr(whole, name)[rows] for name in (*arrays, "reason")},
+        measures={name: values[rows] for name, values in whole.measures.items()},
+    )
+    weights = TwoPasses.of(forward, later).weights()
+    for row, record in enumerate(_joined(kinematics, forward, later)):
+        expected = 0.2 if row < 3 else float(0.2 * weights[row, 0] + qualities[row] * weights[row, 1])
+        np.testing.assert_allclose(record.finger_quality, np.full(5, expected))

@@ -37,11 +37,12 @@ class TwoPasses:
         rows = {int(frame): row for row, frame in enumerate(backward.frame)}
         places = [rows.get(int(frame), -1) for frame in forward.frame]
         known = np.array(places) >= 0
-        arrays: dict[str, np.ndarray | None] = {}
-        for name in ("pose", "pose_std", "keypoints3d", "keypoints3d_cov", "seconds"):
-            array = getattr(backward, name)[places]
-            array[~known] = 0.0 if name == "seconds" else np.nan
-            arrays[name] = array
+        arrays: dict[str, np.ndarray] = {}
+        for name in ("pose", "pose_std", "keypoints3d", "keypoints3d_cov", "finger_quality", "seconds"):
+            values = getattr(backward, name)
+            if values is not None:
+                arrays[name] = values[places]
+                arrays[name][~known] = 0.0 if name == "seconds" else np.nan
         measures = {name: np.where(known, values[places], np.nan) for name, values in backward.measures.items()}
         unused: dict[str, Any] = {"keypoints2d": None, "reason": None}
         own = {"frame": forward.frame, "status": forward.status, "measures": measures}
