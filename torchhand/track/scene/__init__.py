@@ -10,7 +10,12 @@ from torchhand.track.scene.keypoints import (
     scene_keypoints,
     with_further_postures,
 )
-from torchhand.track.scene.learned_posture import credible_posture, learned_observations, seen_posture
+from torchhand.track.scene.learned_posture import (
+    credible_posture,
+    learned_observations,
+    seen_posture,
+    seen_presence,
+)
 from torchhand.track.scene.segmentation import (
     Appearances,
     ColourSegmentation,
@@ -53,5 +58,6 @@ __all__ = [
     "parts_of",
     "scene_keypoints",
     "seen_posture",
+    "seen_presence",
     "with_further_postures",
 ]

@@ -6,12 +6,12 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.files import load_proposal_network
+from torchhand.files import load_presence_network, load_proposal_network
 from torchhand.fit import GaussianPrior, Observation
 from torchhand.fit.keypoints import PostureKeypoints
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, FINGERS, JOINT_DOFS, HandKinematics, HandPose, named_pose_space
-from torchhand.propose import LearnedPosture, Silhouette, learned_posture
+from torchhand.propose import LearnedPosture, Silhouette, hand_presence, learned_posture
 from torchhand.track.scene.keypoints import parts_of
 from torchhand.track.scene.views import Scene
 
@@ -22,14 +22,27 @@ def seen_posture(
     scene: Scene, camera: Camera, kinematics: HandKinematics, pose: HandPose, shape: Float[Tensor, "shape"]
 ) -> LearnedPosture | None:
     """What the network sees of the hand near a pose () in the only view of a scene; None without a silhouette."""
-    plane, image = scene.plane(0), scene.views[0].image
+    seen = _silhouette(scene, camera)
+    return None if seen is None else learned_posture(load_proposal_network(), seen, kinematics, pose, shape)
+
+
+def seen_presence(
+    scene: Scene, camera: Camera, kinematics: HandKinematics, pose: HandPose, shape: Float[Tensor, "shape"]
+) -> float | None:
+    """Logarithm of how much likelier a hand at a pose () in the only view of a scene is than something else there, as a
+    network sees it; None without a silhouette."""
+    seen = _silhouette(scene, camera)
+    return None if seen is None else float(hand_presence(load_presence_network(), seen, kinematics, pose, shape))
+
+
+def _silhouette(scene: Scene, camera: Camera) -> Silhouette | None:
+    plane = scene.plane(0)
     if plane is None or not bool((mask := plane > 0.5).any()):
         return None
-    seen = Silhouette(mask=mask, camera=camera, image=image)
-    return learned_posture(load_proposal_network(), seen, kinematics, pose, shape)
+    return Silhouette(mask=mask, camera=camera, image=scene.views[0].image)
 
 
-def learned_observations(seen: LearnedPosture, pose: HandPose) -> tuple[Observation, Observation]:
+def learned_observations(seen: LearnedPosture, pose: HandPose) -> tuple[PostureKeypoints, Observation]:
     """The joint angles and the direction that were seen, as observations of the hand near a pose ()."""
     none, rotation = pose.dofs.new_zeros(len(DOFS) - len(JOINT_DOFS)), pose.rotation
     direction, precision = seen.direction_near(rotation)
