@@ -86,6 +86,13 @@ def vector_from_rotation(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor,
     return factor[..., None] * vector
 
 
+def cosine_between(
+    first: Float[Tensor, "*#batch 3 3"], second: Float[Tensor, "*#batch 3 3"]
+) -> Float[Tensor, "*batch"]:
+    """Cosine of the angle of the rotation that leads from one to the other; rounding may take it past 1."""
+    return 0.5 * ((first * second).sum((-2, -1)) - 1)
+
+
 def left_jacobian(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """J with exp(v + dv) = exp(J dv) exp(v) to first order."""
     _, second, third = exponential_coefficients((vector * vector).sum(-1))

@@ -9,13 +9,13 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchhand.fit import PosedHands, Stage, grey
+from torchhand.fit import PosedHands, Stage
 from torchhand.fit.contour import hand_length_px, is_in_picture, is_outer
 from torchhand.geometry import Camera
 from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, FINGERS, JOINT_DOFS, HandKinematics, HandPose
 from torchhand.image import EdgeSettings, search_edges
 from torchhand.propose import LearnedPosture
-from torchhand.track.scene import Agreement, Scene, SceneKeypoints
+from torchhand.track.scene import Agreement, Scene, SceneKeypoints, deviations_of_digits
 from torchhand.view import HandProjector, OutlineTable, outline_table
 
 EVIDENCE = (
@@ -56,7 +56,6 @@ _SPREAD_M = 0.01
 _SPECK = 0.002
 _MIN_DIRECTION = 0.02
 _COMPARED = Stage(gross_m=0.01)
-_TIPS = (slice(2, 5), slice(6, 9), slice(10, 13), slice(14, 17), slice(18, 21))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +88,7 @@ class FingerEvidence:
         hands = PosedHands(pose=told.pose.reshape(1), shape=told.shape)
         joints = hands.pose.dofs[:, -len(JOINT_DOFS) :]
         points = [one.associate(hands, _COMPARED).deviation(hands)[0] for one in told.keypoints.pictures]
-        in_pictures = [torch.stack([one[tips].square().nanmean().sqrt() for tips in _TIPS]) for one in points]
+        in_pictures = [deviations_of_digits(one) for one in points]
         postures = [one.deviation(joints)[0] for one in told.keypoints.postures]
         unexplained = math.log1p(told.agreement.most_unexplained / _SPECK)
         columns = [
@@ -112,7 +111,7 @@ class FingerEvidence:
             plane = scene.plane(view)
             if plane is None:
                 continue
-            counts += self._in_view(projector, told, plane, self._grey(scene, view))
+            counts += self._in_view(projector, told, plane, scene.grey(view))
             total += 1.0
         return counts / (_points_of_fingers() * max(1.0, total))[:, None]
 
@@ -135,11 +134,6 @@ class FingerEvidence:
                 found[which] = search_edges(picture, points[which], normals[which], how).found
         kind = 2 * (~outer).long() + (~found).long()
         return torch.bincount(4 * finger + kind, minlength=4 * len(FINGERS)).reshape(-1, 4).double()
-
-    @staticmethod
-    def _grey(scene: Scene, view: int) -> Tensor | None:
-        image = scene.views[view].image
-        return None if image is None else scene.once(("grey", view), lambda: grey(image))
 
     def _projectors(self, shape: Tensor) -> list[HandProjector]:
         if self._made is None or self._made[0] is not shape:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import torch
 from jaxtyping import Float, Int
@@ -13,8 +14,9 @@ from torchhand.geometry import Camera
 from torchhand.hand import FINGERS, JOINT_DOFS, HandKinematics, HandPose
 from torchhand.track.scene.views import Scene
 
-_POINTS = ((0, 1, 5, 9, 13, 17), *((first + 1, first + 2, first + 3) for first in (1, 5, 9, 13, 17)))
-"""Keypoints of the palm and of each digit."""
+_PALM = (0, 1, 5, 9, 13, 17)
+_DIGITS = torch.tensor([[first + 1, first + 2, first + 3] for first in _PALM[1:]])
+"""Keypoints beyond the palm, digit by digit."""
 _COMPARED = Stage(gross_m=0.01)
 
 
@@ -37,8 +39,8 @@ class SceneKeypoints:
         known."""
         hands = PosedHands(pose=pose.reshape(1), shape=shape)
         points = [one.associate(hands, _COMPARED).deviation(hands)[0] for one in self.pictures]
-        parts = [torch.stack([one[list(part)].square().nanmean().sqrt() for part in _POINTS]) for one in points]
-        found = torch.stack(parts).nan_to_num().amax(0) if parts else pose.dofs.new_zeros(len(_POINTS))
+        parts = [torch.cat((_rms(one[None, list(_PALM)]), deviations_of_digits(one))) for one in points]
+        found = torch.stack(parts).nan_to_num().amax(0) if parts else pose.dofs.new_zeros(1 + len(_DIGITS))
         if self.postures:
             joints = hands.pose.dofs[:, -len(JOINT_DOFS) :]
             digits = torch.stack([one.deviation(joints)[0] for one in self.postures])
@@ -55,11 +57,22 @@ class SceneKeypoints:
         return sum(shares) / len(shares) if shares else None
 
 
-def parts_of(dofs: Sequence[str]) -> Int[Tensor, "dofs"]:
+def deviations_of_digits(points: Float[Tensor, "21"]) -> Float[Tensor, "5"]:
+    """Root mean squares of the known deviations of each digit's points; NaN where none is known."""
+    return _rms(points[_DIGITS])
+
+
+def _rms(values: Float[Tensor, "k n"]) -> Float[Tensor, "k"]:
+    return values.square().nanmean(-1).sqrt()
+
+
+@lru_cache(maxsize=8)
+def parts_of(dofs: tuple[str, ...]) -> Int[Tensor, "dofs"]:
     """Which part of the hand (as `SceneKeypoints.deviation` has them) a degree of freedom moves: 0 the whole, then
     digits."""
     names = [name.split("_")[0] for name in dofs]
-    return torch.tensor([1 + FINGERS.index(name) if name in FINGERS else 0 for name in names], dtype=torch.long)
+    with torch.inference_mode(False):  # kept for callers in any mode
+        return torch.tensor([1 + FINGERS.index(name) if name in FINGERS else 0 for name in names], dtype=torch.long)
 
 
 def scene_keypoints(
