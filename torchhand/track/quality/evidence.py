@@ -120,12 +120,14 @@ class FingerEvidence:
     ) -> Float[Tensor, "5 4"]:
         """Numbers of each finger's contour points in one view."""
         camera, pose = projector.camera, told.pose
-        contour = projector.contour(pose.dofs, pose.reference, _table())
+        primitives = projector.primitives_cam(projector.frames(pose.dofs, pose.reference))
+        generators = projector.generators_of(primitives)
+        contour = projector.contour_of(primitives, _table(), generators)
         seen = contour.visible & is_in_picture(contour.points_px, camera)
         points, normals, finger = contour.points_px[seen], contour.normals[seen], _finger_of_point()[seen]
         in_cam = torch.cat((camera.cam_from_world(pose.dofs[:3]), pose.dofs[3:]))
         length_px = hand_length_px(camera, self.kinematics, in_cam, told.shape)
-        outer = is_outer(projector.silhouette(pose.dofs, pose.reference), points, normals, length_px)
+        outer = is_outer(projector.silhouette_of(primitives, generators), points, normals, length_px)
         found = torch.zeros_like(outer)
         searches = ((outer, plane, _OUTER, _OUTER_REACH), (~outer, levels, _INNER, _INNER_REACH))
         for which, picture, how, reach in searches:
