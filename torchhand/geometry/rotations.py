@@ -26,9 +26,7 @@ def exponential_coefficients(
     is_small, safe, angle = _safe_angle(angle_squared)
     sine = angle.sin()
     first = torch.where(is_small, 1 - angle_squared / 6 * (1 - angle_squared / 20), sine / angle)
-    third = torch.where(
-        is_small, 1 / 6 - angle_squared / 120 * (1 - angle_squared / 42), (angle - sine) / (safe * angle)
-    )
+    third = _third_coefficient(angle_squared, is_small, safe, angle, sine)
     return first, _second_coefficient(angle_squared, is_small, safe, angle), third
 
 
@@ -42,6 +40,11 @@ def _safe_angle(angle_squared: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 def _second_coefficient(angle_squared: Tensor, is_small: Tensor, safe: Tensor, angle: Tensor) -> Tensor:
     half_sine = (0.5 * angle).sin()  # 1 - cos a = 2 sin²(a/2) keeps its digits at small angles
     return torch.where(is_small, 0.5 - angle_squared / 24 * (1 - angle_squared / 30), 2 * half_sine**2 / safe)
+
+
+def _third_coefficient(angle_squared: Tensor, is_small: Tensor, safe: Tensor, angle: Tensor, sine: Tensor) -> Tensor:
+    series = 1 / 6 - angle_squared / 120 * (1 - angle_squared / 42)
+    return torch.where(is_small, series, (angle - sine) / (safe * angle))
 
 
 def rotation_from_vector(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
@@ -106,7 +109,10 @@ def cosine_between(
 
 def left_jacobian(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """J with exp(v + dv) = exp(J dv) exp(v) to first order."""
-    _, second, third = exponential_coefficients((vector * vector).sum(-1))
+    squared = (vector * vector).sum(-1)
+    is_small, safe, angle = _safe_angle(squared)
+    second = _second_coefficient(squared, is_small, safe, angle)
+    third = _third_coefficient(squared, is_small, safe, angle, angle.sin())
     cross = skew(vector)
     identity = torch.eye(3, dtype=vector.dtype, device=vector.device)
     return identity + second[..., None, None] * cross + third[..., None, None] * (cross @ cross)

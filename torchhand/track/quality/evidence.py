@@ -9,7 +9,6 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchhand.fit import PosedHands, Stage
 from torchhand.fit.contour import hand_length_px, is_in_picture, is_outer
 from torchhand.geometry import Camera
 from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, FINGERS, JOINT_DOFS, HandKinematics, HandPose
@@ -55,7 +54,6 @@ _MIN_REACH_PX = 2.0
 _SPREAD_M = 0.01
 _SPECK = 0.002
 _MIN_DIRECTION = 0.02
-_COMPARED = Stage(gross_m=0.01)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,10 +83,8 @@ class FingerEvidence:
 
     def __call__(self, told: Told, scene: Scene) -> Float[Tensor, "5 evidence"]:
         """A row for each finger, thumb to little, in the columns of EVIDENCE."""
-        hands = PosedHands(pose=told.pose.reshape(1), shape=told.shape)
-        joints = hands.pose.dofs[:, -len(JOINT_DOFS) :]
-        points = [one.associate(hands, _COMPARED).deviation(hands)[0] for one in told.keypoints.pictures]
-        in_pictures = [deviations_of_digits(one) for one in points]
+        joints = told.pose.dofs[None, -len(JOINT_DOFS) :]
+        in_pictures = [deviations_of_digits(one) for one in told.keypoints.deviations(told.pose, told.shape)]
         postures = [one.deviation(joints)[0] for one in told.keypoints.postures]
         unexplained = math.log1p(told.agreement.most_unexplained / _SPECK)
         columns = [
