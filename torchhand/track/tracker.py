@@ -24,6 +24,7 @@ from torchhand.track.knowledge import Estimate, TrackerState
 from torchhand.track.proposals import Proposals, ProposalSource, Proposed
 from torchhand.track.quality import FingerEvidence, Told, qualities
 from torchhand.track.scene import (
+    Appearances,
     Candidate,
     HandKeypoints,
     ObservationsOf,
@@ -88,6 +89,7 @@ class Tracker:
         self._observations = observations
         self.kinematics = self.parts.kinematics
         self._evidence = FingerEvidence(self.kinematics, self.parts.cameras)
+        self._last: tuple[Appearances, Scene] | None = None
         self._scale_std = 0.0
         if len(self.cameras) == 1:
             space = self.kinematics.shape_space
@@ -117,6 +119,7 @@ class Tracker:
         views = [self._undistorted(view, index) for index, view in enumerate(views)]
         looks = state.appearance or self.parts.segmentation.initial_appearances(views)
         scene = self._observed(self.parts.segmentation.scene(views, looks, time_s))
+        self._last = (looks, scene)
         scene = replace(scene, guesses=tuple(one.pose for one in state.keyframes if one.is_of(time_s)))
         state = replace(
             state,
@@ -165,8 +168,12 @@ class Tracker:
     @torch.inference_mode()
     @single_threaded()
     def scene(self, state: TrackerState, views: Sequence[View], time_s: float) -> Scene:
-        """What `step` sees in the views of one time."""
+        """What `step` sees in the views of one time; the scene of its last call where views and colours are those."""
         own = [self._undistorted(view, index) for index, view in enumerate(views)]
+        if self._last is not None:
+            looks, scene = self._last
+            if looks is state.appearance and scene.time_s == time_s and _are_same(scene.views, own):
+                return scene
         return self._observed(self.parts.segmentation.scene(own, state.appearance, time_s))
 
     def _observed(self, scene: Scene) -> Scene:
@@ -448,3 +455,10 @@ class Tracker:
     def pose_of(self, state: TrackerState) -> HandPose | None:
         """Where a state's hand is believed to be; None while there is none."""
         return None if state.hand is None else self.parts.motion.pose(state.hand)
+
+
+def _are_same(some: Sequence[View], others: Sequence[View]) -> bool:
+    """Whether views are the very same pictures, masks and keypoints."""
+    fields = ("image", "mask", "keypoints")
+    pairs = zip(some, others, strict=True)
+    return all(getattr(one, name) is getattr(other, name) for one, other in pairs for name in fields)
