@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.geometry import rotation_from_vector, vector_from_rotation
+from torchhand.geometry import cosine_between, rotation_from_vector, vector_from_rotation
 from torchhand.hand import JOINT_DOFS, HandKinematics, HandPose
 from torchhand.propose.hypotheses import Silhouette, mirrored_hands, sampled_channels, views_of_hands
 from torchhand.propose.network import ProposalNetwork
@@ -64,8 +65,7 @@ class LearnedPosture:
         return rotation_from_vector(mean) @ rotation.to(self.rotation), trust / _DIRECTION_STD**2
 
     def _shares(self, rotation: Float[Tensor, "3 3"]) -> Float[Tensor, "k"]:
-        cosine = 0.5 * ((self.rotation * rotation.to(self.rotation)).sum((-2, -1)) - 1)
-        angle = cosine.clamp(-1, 1).arccos()
+        angle = cosine_between(self.rotation, rotation.to(self.rotation)).clamp(-1, 1).arccos()
         return self.weight * (-0.5 * (angle / _DIRECTION_STD).square()).exp()
 
 
@@ -118,9 +118,11 @@ def channels_about(
     return (channels.flip(-1) if kinematics.side == "left" else channels), views
 
 
+@lru_cache(maxsize=1)
 def _error_variance() -> Float[Tensor, "30"]:
     std = []
     for name in JOINT_DOFS:
         ending = name if name in _STD_DEG else name[name.index("_") :]
         std.append(_STD_DEG.get(ending, _OTHER_STD_DEG))
-    return torch.deg2rad(torch.tensor(std, dtype=torch.float64)).square()
+    with torch.inference_mode(False):  # kept for callers in any mode
+        return torch.deg2rad(torch.tensor(std, dtype=torch.float64)).square()

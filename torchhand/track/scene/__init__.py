@@ -6,6 +6,7 @@ from torchhand.track.scene.health import MAX_BEYOND, MIN_KEYPOINTS, Health, Heal
 from torchhand.track.scene.keypoints import (
     SceneKeypoints,
     detected_hand,
+    deviations_of_digits,
     parts_of,
     scene_keypoints,
     with_further_postures,
@@ -53,6 +54,7 @@ __all__ = [
     "ViewSilhouettes",
     "credible_posture",
     "detected_hand",
+    "deviations_of_digits",
     "learned_observations",
     "mean_overlap",
     "parts_of",
