@@ -66,10 +66,14 @@ class Run:
         self._smoother = Smoother(tracker, tracker.settings.smoothing_window_s)
         self._names = tuple(camera.name for camera in recording.cameras)
         self._seconds: dict[int, float] = {}
+        self.recorded_shape: Float[Tensor, "shape"] | None = None
+        """Proportions fitted over the whole recording, which replace those of the first hand."""
 
     @property
     def shape(self) -> Float[Tensor, "shape"] | None:
         """The proportions, where they are known."""
+        if self.recorded_shape is not None:
+            return self.recorded_shape
         return self.tracker.known_shape if self.state is None else self.state.shape
 
     def step(self, frame: RecordedFrame) -> tuple[FrameRecord, list[FrameRecord]]:

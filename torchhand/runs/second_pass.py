@@ -2,13 +2,18 @@
 
 import sys
 import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
+from jaxtyping import Bool
+from torch import Tensor
 from tqdm import tqdm
 
 from torchhand.files import Track, TrackWriter, load_track
 from torchhand.files.results import BACKWARD_NAME, JSONL_NAME
+from torchhand.hand import HandPose
 from torchhand.runs.keypoint_tracks import with_keypoints
 from torchhand.runs.recording import reversed_frames
 from torchhand.runs.records import (
@@ -21,7 +26,15 @@ from torchhand.runs.records import (
     record_of,
 )
 from torchhand.runs.run import Run, Say
-from torchhand.track import BackwardPass
+from torchhand.track import (
+    BackwardPass,
+    FollowedFrame,
+    Tracker,
+    can_tell_shape,
+    recorded_shape,
+    reshaped_pose,
+    spread_frames,
+)
 
 
 def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
@@ -34,6 +47,7 @@ def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
     if run.state is None or run.shape is None or not forward.has_hand.any():
         return
     writer.keep_forward()
+    forward = _with_one_shape(run, writer, forward, say)
     say("second pass: the hand is followed back from the last frame to the first (--causal does without)")
     _follow_back(run, writer, forward)
     passes = TwoPasses.of(forward, load_track(writer.folder / BACKWARD_NAME))
@@ -44,9 +58,68 @@ def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
     writer.drop(BACKWARD_NAME)
 
 
+def _with_one_shape(run: Run, writer: TrackWriter, forward: Track, say: Say) -> Track:
+    """The first pass with the proportions that well-spread frames tell, where frames that were held out bear these out;
+    hand.json tells where they come from."""
+    tracker, state = run.tracker, run.state
+    assert state is not None
+    assert state.shape is not None
+    count = tracker.settings.shape_frames
+    if not count or not can_tell_shape(tracker):
+        return forward
+    rows = spread_frames(torch.from_numpy(forward.pose), torch.from_numpy(_is_good(forward)), count)
+    say(f"proportions: fitted over {len(rows)} frames (--set shape_frames=0 keeps those of the first hand)")
+    found = recorded_shape(tracker, state, _followed_frames(run, forward, rows))
+    if found is None or not found.cost < found.cost_before:
+        return forward
+    run.recorded_shape = found.shape
+    names = tracker.kinematics.shape_space.names
+    run.save_hand(
+        writer.folder,
+        method="fit over the frames of the recording",
+        frames=[int(forward.frame[row]) for row in rows],
+        std=dict(zip(names, found.shape_std.tolist(), strict=True)),
+        nats_per_frame_held_out={"before": found.cost_before, "with these": found.cost},
+    )
+    return _reshaped(forward, tracker, state.shape, found.shape)
+
+
+def _is_good(track: Track) -> Bool[np.ndarray, " t"]:
+    """Frames in which the hand is followed at least as well as in half of them."""
+    overlap = np.where(track.status == "tracked", track.measures["overlap"], np.nan)
+    return overlap >= np.nanmedian(overlap) if np.isfinite(overlap).any() else np.zeros(len(track), dtype=bool)
+
+
+def _followed_frames(run: Run, track: Track, rows: Sequence[int]) -> Iterator[FollowedFrame]:
+    """Frames of a recording in their order, with what a detector found in them."""
+    if run.keypoints is not None:
+        run.keypoints.rewind()
+    wanted = {int(track.frame[row]): row for row in rows}
+    with run.recording.opened(0) as frames:
+        for frame in frames:
+            if (row := wanted.pop(frame.index, None)) is not None:
+                views = with_keypoints(frame, run.keypoints, None).views
+                yield FollowedFrame(views=views, time_s=frame.time_s, pose=torch.from_numpy(track.pose[row]))
+            if not wanted:
+                return
+
+
+def _reshaped(track: Track, tracker: Tracker, before: Tensor, shape: Tensor) -> Track:
+    """A track of one camera with the hands of another shape in the place of its own, the joint angles as they were."""
+    kinematics, [camera] = tracker.kinematics, tracker.own_cameras
+    pose, keypoints = track.pose.copy(), track.keypoints3d.copy()
+    for row in np.flatnonzero(track.has_hand):
+        moved = reshaped_pose(torch.from_numpy(track.pose[row]), kinematics, before, shape)
+        hand = HandPose.of(moved).normalized()
+        pose[row] = moved.numpy()
+        keypoints[row] = kinematics(hand.dofs, shape, root_reference=hand.reference).keypoints.numpy()
+    in_picture = camera.project(torch.from_numpy(keypoints)).numpy()
+    return replace(track, pose=pose, keypoints3d=keypoints, keypoints2d=in_picture)
+
+
 def _follow_back(run: Run, writer: TrackWriter, forward: Track) -> None:
     assert run.state is not None
-    recording, follower = run.recording, BackwardPass(run.tracker, run.state)
+    recording, follower = run.recording, BackwardPass(run.tracker, replace(run.state, shape=run.shape))
     names = [camera.name for camera in recording.cameras]
     rows = {int(frame): row for row, frame in enumerate(forward.frame)}
     has_hand = forward.has_hand

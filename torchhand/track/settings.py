@@ -54,6 +54,9 @@ class TrackerSettings:
     camera, picture by picture; a hand that it sees from another side is in doubt."""
     rig: RigSettings = field(default_factory=RigSettings)
     """Several cameras: the hull of the silhouettes, in which a hand is found whatever the update rule."""
+    shape_frames: int = 16
+    """Frames of one camera's recording, well spread, over which the proportions are fitted once it was followed; a
+    quarter of them only judge the result. 0 keeps the proportions of the first hand."""
     smoothing_window_s: float = 0.0
     """How far a hand that was found anew is followed back, to correct the frames before, seconds; 0 or more."""
     check_side_px: int = 320
@@ -64,7 +67,12 @@ class TrackerSettings:
     def __post_init__(self) -> None:
         require(self.pose_space in POSE_SPACES, "pose_space", f"one of {', '.join(POSE_SPACES)}", self.pose_space)
         require(self.posture in POSTURES, "posture", f"one of {', '.join(POSTURES)}", self.posture)
-        for name, minimum in (("points_per_generator", 2), ("points_per_arc", 4), ("check_side_px", 64)):
+        for name, minimum in (
+            ("points_per_generator", 2),
+            ("points_per_arc", 4),
+            ("shape_frames", 0),
+            ("check_side_px", 64),
+        ):
             require(getattr(self, name) >= minimum, name, f"{minimum} or more", getattr(self, name))
         require(0 <= self.search_overlap <= 1, "search_overlap", "0 to 1", self.search_overlap)
         has_window = 0 <= self.smoothing_window_s < float("inf")
