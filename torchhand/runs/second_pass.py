@@ -44,44 +44,43 @@ def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
     that is stopped here and resumed does the second pass anew and ends with the same.
     """
     forward = load_track(writer.folder / JSONL_NAME)
-    if run.state is None or run.shape is None or not forward.has_hand.any():
+    if run.state is None or run.state.shape is None or not forward.has_hand.any():
         return
     writer.keep_forward()
-    forward = _with_one_shape(run, writer, forward, say)
+    _adopt_shape_of_recording(run, forward, say)
     say("second pass: the hand is followed back from the last frame to the first (--causal does without)")
     _follow_back(run, writer, forward)
+    if run.shape is not run.state.shape:
+        forward = _reshaped(forward, run.tracker, run.state.shape, run.shape)
     passes = TwoPasses.of(forward, load_track(writer.folder / BACKWARD_NAME))
     cameras = run.tracker.own_cameras
     camera = cameras[0] if len(cameras) == 1 else None
     for record in joined_records(passes, run.tracker.kinematics, run.shape, camera):
         writer.correct(record)
+    run.save_hand(writer.folder)
     writer.drop(BACKWARD_NAME)
 
 
-def _with_one_shape(run: Run, writer: TrackWriter, forward: Track, say: Say) -> Track:
-    """The first pass with the proportions that well-spread frames tell, where frames that were held out bear these out;
-    hand.json tells where they come from."""
+def _adopt_shape_of_recording(run: Run, forward: Track, say: Say) -> None:
+    """Proportions that well-spread frames tell, where frames that were held out bear these out."""
     tracker, state = run.tracker, run.state
     assert state is not None
-    assert state.shape is not None
     count = tracker.settings.shape_frames
     if not count or not can_tell_shape(tracker):
-        return forward
+        return
     rows = spread_frames(torch.from_numpy(forward.pose), torch.from_numpy(_is_good(forward)), count)
     say(f"proportions: fitted over {len(rows)} frames (--set shape_frames=0 keeps those of the first hand)")
     found = recorded_shape(tracker, state, _followed_frames(run, forward, rows))
     if found is None or not found.cost < found.cost_before:
-        return forward
-    run.recorded_shape = found.shape
+        return
     names = tracker.kinematics.shape_space.names
-    run.save_hand(
-        writer.folder,
-        method="fit over the frames of the recording",
+    run.adopt(
+        found.shape,
+        method="fit over frames of the recording",
         frames=[int(forward.frame[row]) for row in rows],
-        std=dict(zip(names, found.shape_std.tolist(), strict=True)),
-        nats_per_frame_held_out={"before": found.cost_before, "with these": found.cost},
+        std={name: std for name, std in zip(names, found.shape_std.tolist(), strict=True) if std > 0},
+        held_out_nats_per_frame={"first_hand": found.cost_before, "this": found.cost},
     )
-    return _reshaped(forward, tracker, state.shape, found.shape)
 
 
 def _is_good(track: Track) -> Bool[np.ndarray, " t"]:
@@ -119,7 +118,7 @@ def _reshaped(track: Track, tracker: Tracker, before: Tensor, shape: Tensor) -> 
 
 def _follow_back(run: Run, writer: TrackWriter, forward: Track) -> None:
     assert run.state is not None
-    recording, follower = run.recording, BackwardPass(run.tracker, replace(run.state, shape=run.shape))
+    recording, follower = run.recording, BackwardPass(run.tracker, run.state, shape=run.shape)
     names = [camera.name for camera in recording.cameras]
     rows = {int(frame): row for row, frame in enumerate(forward.frame)}
     has_hand = forward.has_hand

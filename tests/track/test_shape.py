@@ -1,0 +1,160 @@
+"""Proportions over frames of a recording: which frames, what they tell, and hands of another shape in their place."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from tests.studio import StagedHand, Studio
+from torchhand.files import load_hand_model
+from torchhand.geometry import rotation_from_vector
+from torchhand.hand import HandKinematics, HandPose
+from torchhand.runs import settings_of
+from torchhand.track import (
+    FollowedFrame,
+    Tracker,
+    TrackerState,
+    View,
+    can_tell_shape,
+    recorded_shape,
+    reshaped_pose,
+    spread_frames,
+)
+
+POSTURES = ("open", "flat", "point", "open", "flat", "point", "open", "flat")
+
+
+def tracker_of(studio: Studio, config: str = "contour_full", shape: Tensor | None = None) -> Tracker:
+    settings = replace(settings_of(config), learned_posture=False, learned_proposals=False)
+    hand = load_hand_model().hand(side="right", dtype=torch.float64)
+    return Tracker(hand, studio.camera(), settings, shape=shape)
+
+
+def whole_vector(hand: StagedHand) -> Tensor:
+    """The pose with the root's whole rotation vector."""
+    return HandPose.of(hand.pose, hand.root_reference).vector
+
+
+@pytest.fixture(scope="module")
+def kinematics(studio: Studio) -> HandKinematics:
+    return studio.kinematics()
+
+
+@pytest.fixture(scope="module")
+def person(kinematics: HandKinematics) -> Tensor:
+    """Fingers that are thicker than most, and longer."""
+    space = kinematics.shape_space
+    is_other = [("radius" in name or name.endswith(("_proximal", "_middle"))) for name in space.names]
+    return space.default + torch.where(torch.tensor(is_other), 1.5 * space.std, 0.0)
+
+
+# ---------------------------------------------------------------------------------------- which frames
+
+
+def test_chosen_frames_are_good_and_differ_more_than_any_other_choice_one_by_one() -> None:
+    generator = torch.Generator().manual_seed(2)
+    whole = 0.1 * torch.randn(40, 36, generator=generator, dtype=torch.float64)
+    whole[20:30, 6:] += 2.0  # another posture
+    whole[30:, 5] += 1.5  # another direction
+    is_good = torch.ones(40, dtype=torch.bool)
+    is_good[::3] = False
+    whole[0] = torch.nan  # a frame without a hand
+    rows = spread_frames(whole, is_good, 6)
+    assert rows == sorted(set(rows))
+    assert all(bool(is_good[row]) for row in rows)
+    assert {1} <= set(rows)
+    assert {row // 10 for row in rows} >= {0, 2, 3}
+    assert len(spread_frames(whole, is_good, 100)) == int(is_good.sum())
+    assert spread_frames(whole, torch.zeros_like(is_good), 6) == []
+
+
+def test_frames_of_a_hand_that_rests_are_spread_over_time() -> None:
+    rows = spread_frames(torch.zeros(31, 36, dtype=torch.float64), torch.ones(31, dtype=torch.bool), 4)
+    assert rows[0] == 0
+    assert rows[-1] == 30
+    assert max(b - a for a, b in zip(rows, rows[1:], strict=False)) <= 15
+
+
+# ---------------------------------------------------------------------------------------- what they tell
+
+
+def frames_of(studio: Studio, shape: Tensor) -> list[FollowedFrame]:
+    """A hand of a shape in several postures, which were followed to some degrees and millimetres."""
+    generator, found = torch.Generator().manual_seed(4), []
+    for index, posed in enumerate(POSTURES):
+        hand = studio.placed(view="back", posed=posed, shape=shape, angle_deg=8.0 * index, size=0.7)
+        followed = whole_vector(hand)
+        followed[6:] += 0.03 * torch.randn(30, generator=generator, dtype=torch.float64)
+        found.append(FollowedFrame(views=(View(mask=hand.mask),), time_s=index / 30, pose=followed))
+    return found
+
+
+def test_proportions_come_nearer_to_those_of_the_person(
+    studio: Studio, kinematics: HandKinematics, person: Tensor
+) -> None:
+    space, before = kinematics.shape_space, kinematics.default_shape
+    found = recorded_shape(tracker_of(studio), TrackerState(shape=before), frames_of(studio, person))
+    assert found is not None
+    assert found.cost < found.cost_before
+    length = space.names.index("hand_length")
+    assert found.shape[length] == before[length]
+    assert found.shape_std[length] == 0
+    is_radius = torch.tensor(["pip_radius" in name or "dip_radius" in name for name in space.names])
+    missed, missed_before = (
+        ((one - person) / space.std)[is_radius].square().mean().sqrt() for one in (found.shape, before)
+    )
+    assert missed < 0.6 * missed_before
+    others = torch.arange(len(before)) != length
+    assert bool((found.shape_std[others] > 0).all())
+    assert bool((found.shape_std <= 1.05 * space.std).all())  # no less is known than of anybody
+
+
+def test_proportions_that_are_right_are_hardly_changed(studio: Studio, kinematics: HandKinematics) -> None:
+    space, before = kinematics.shape_space, kinematics.default_shape
+    found = recorded_shape(tracker_of(studio), TrackerState(shape=before), frames_of(studio, before))
+    assert found is not None
+    assert float(((found.shape - before) / space.std).square().mean().sqrt()) < 0.5
+
+
+def test_too_few_frames_tell_nothing(studio: Studio, kinematics: HandKinematics) -> None:
+    state, frames = TrackerState(shape=kinematics.default_shape), frames_of(studio, kinematics.default_shape)
+    empty = replace(frames[0], views=(View(mask=torch.zeros_like(frames[0].views[0].mask)),))
+    assert recorded_shape(tracker_of(studio), state, [*frames[:3], empty]) is None
+    assert recorded_shape(tracker_of(studio), state, []) is None
+
+
+def test_given_proportions_and_stiff_fingers_are_not_fitted(studio: Studio, person: Tensor) -> None:
+    assert can_tell_shape(tracker_of(studio))
+    assert not can_tell_shape(tracker_of(studio, shape=person))
+    assert not can_tell_shape(tracker_of(studio, "contour_planar"))
+
+
+# ---------------------------------------------------------------------------------------- hands of another shape
+
+
+def test_a_hand_of_another_shape_keeps_its_angles_and_lies_nearest(
+    studio: Studio, kinematics: HandKinematics, person: Tensor
+) -> None:
+    pose, default = whole_vector(studio.placed(posed="point", angle_deg=50.0)), kinematics.default_shape
+    moved = reshaped_pose(pose, kinematics, default, person)
+    torch.testing.assert_close(moved[6:], pose[6:], rtol=0, atol=0)
+    target = kinematics(pose, default).keypoints
+
+    def missed(one: Tensor) -> float:
+        return float((kinematics(one, person).keypoints - target).square().sum())
+
+    assert missed(moved) < missed(pose)
+    generator = torch.Generator().manual_seed(1)
+    for _ in range(20):
+        step = 1e-3 * torch.randn(6, generator=generator, dtype=torch.float64)
+        hand = HandPose.of(moved).normalized()
+        turned = replace(hand, reference=rotation_from_vector(step[3:]) @ hand.reference).vector
+        turned[:3] += step[:3]
+        assert missed(turned) > missed(moved)
+
+
+def test_a_hand_of_the_same_shape_stays(studio: Studio, kinematics: HandKinematics) -> None:
+    pose = whole_vector(studio.placed(angle_deg=-120.0))
+    same = reshaped_pose(pose, kinematics, kinematics.default_shape, kinematics.default_shape)
+    torch.testing.assert_close(same, pose, rtol=0, atol=1e-9)
