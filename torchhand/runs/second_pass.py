@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from torch import Tensor
 from tqdm import tqdm
 
@@ -44,35 +44,36 @@ def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
     that is stopped here and resumed does the second pass anew and ends with the same.
     """
     forward = load_track(writer.folder / JSONL_NAME)
-    if run.state is None or run.state.shape is None or not forward.has_hand.any():
+    before = None if run.state is None else run.state.shape
+    if before is None or not forward.has_hand.any():
         return
     writer.keep_forward()
-    _adopt_shape_of_recording(run, forward, say)
+    shape = _adopted_shape(run, forward, before, say)
     say("second pass: the hand is followed back from the last frame to the first (--causal does without)")
     _follow_back(run, writer, forward)
-    if run.shape is not run.state.shape:
-        forward = _reshaped(forward, run.tracker, run.state.shape, run.shape)
+    if shape is not before:
+        forward = _reshaped(forward, run.tracker, before, shape)
     passes = TwoPasses.of(forward, load_track(writer.folder / BACKWARD_NAME))
     cameras = run.tracker.own_cameras
     camera = cameras[0] if len(cameras) == 1 else None
-    for record in joined_records(passes, run.tracker.kinematics, run.shape, camera):
+    for record in joined_records(passes, run.tracker.kinematics, shape, camera):
         writer.correct(record)
-    run.save_hand(writer.folder)
+    if shape is not before:
+        run.save_hand(writer.folder)
     writer.drop(BACKWARD_NAME)
 
 
-def _adopt_shape_of_recording(run: Run, forward: Track, say: Say) -> None:
-    """Proportions that well-spread frames tell, where frames that were held out bear these out."""
-    tracker, state = run.tracker, run.state
-    assert state is not None
-    count = tracker.settings.shape_frames
-    if not count or not can_tell_shape(tracker):
-        return
+def _adopted_shape(run: Run, forward: Track, before: Tensor, say: Say) -> Float[Tensor, "shape"]:
+    """Proportions that well-spread frames tell, which the run adopts, where frames that were held out bear these out;
+    else those before."""
+    tracker, state, count = run.tracker, run.state, run.tracker.settings.shape_frames
+    if state is None or not count or not can_tell_shape(tracker):
+        return before
     rows = spread_frames(torch.from_numpy(forward.pose), torch.from_numpy(_is_good(forward)), count)
     say(f"proportions: fitted over {len(rows)} frames (--set shape_frames=0 keeps those of the first hand)")
     found = recorded_shape(tracker, state, _followed_frames(run, forward, rows))
     if found is None or not found.cost < found.cost_before:
-        return
+        return before
     names = tracker.kinematics.shape_space.names
     run.adopt(
         found.shape,
@@ -81,6 +82,7 @@ def _adopt_shape_of_recording(run: Run, forward: Track, say: Say) -> None:
         std={name: std for name, std in zip(names, found.shape_std.tolist(), strict=True) if std > 0},
         held_out_nats_per_frame={"first_hand": found.cost_before, "this": found.cost},
     )
+    return found.shape
 
 
 def _is_good(track: Track) -> Bool[np.ndarray, " t"]:

@@ -56,7 +56,8 @@ class TrackerSettings:
     """Several cameras: the hull of the silhouettes, in which a hand is found whatever the update rule."""
     shape_frames: int = 16
     """Frames of one camera's recording, well spread, over which the proportions are fitted once it was followed; a
-    quarter of them only judge the result. 0 keeps the proportions of the first hand."""
+    quarter of them only judge the result. 0 keeps the proportions of the first hand, as the presets do for methods with
+    which it has not been measured."""
     smoothing_window_s: float = 0.0
     """How far a hand that was found anew is followed back, to correct the frames before, seconds; 0 or more."""
     check_side_px: int = 320
@@ -84,12 +85,14 @@ _CONTOUR = TrackerSettings()
 _DISTANCE = TrackerSettings(
     method="distance",
     update=ExtendedUpdateSettings(),
+    shape_frames=0,
     motion=MotionModel(order=1, velocity_decay_s=0.15),  # parameters and velocities (Ouhaddi and Horain 1998)
     noise=NoiseSettings(translation=4.0, rotation=20.0, angle=30.0),
 )
 _HULL = TrackerSettings(
     method="hull",
     update=None,
+    shape_frames=0,
     pose_space="dof28",
     motion=MotionModel(order=1, velocity_decay_s=0.1),
     noise=NoiseSettings(translation=2.0, rotation=30.0, angle=120.0),
