@@ -10,8 +10,7 @@ from torch import Tensor
 from tests.studio import StagedHand, Studio
 from torchhand.files import load_hand_model
 from torchhand.fit import Stage
-from torchhand.geometry import rotation_from_vector
-from torchhand.hand import HandKinematics, HandPose
+from torchhand.hand import DOFS, HandKinematics, HandPose
 from torchhand.runs import settings_of
 from torchhand.track import (
     FollowedFrame,
@@ -20,7 +19,7 @@ from torchhand.track import (
     View,
     can_tell_shape,
     recorded_shape,
-    reshaped_pose,
+    reshaped_poses,
     spread_frames,
 )
 from torchhand.track.unscented import UnscentedUpdate
@@ -98,8 +97,8 @@ def frames_of(studio: Studio, shape: Tensor) -> list[FollowedFrame]:
 def test_frames_that_are_independent_tell_the_proportions_of_the_person(
     studio: Studio, kinematics: HandKinematics, person: Tensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(UnscentedUpdate, "overconfidence", 0.1)  # ten times as many frames as there are
-    monkeypatch.setattr("torchhand.track.shape._SCHEDULE", (Stage(gross_m=0.0075, rounds=1, iterations=3),))
+    monkeypatch.setattr(UnscentedUpdate, "overconfidence", 1.0)  # simulated pictures have no errors in common
+    monkeypatch.setattr("torchhand.track.shape._SCHEDULE", (Stage(gross_m=0.0075, rounds=1, iterations=2),))
     space, before = kinematics.shape_space, kinematics.default_shape
     found = recorded_shape(tracker_of(studio), TrackerState(shape=before), frames_of(studio, person))
     assert found is not None
@@ -107,7 +106,7 @@ def test_frames_that_are_independent_tell_the_proportions_of_the_person(
     length = space.names.index("hand_length")
     is_radius = torch.tensor([name.endswith(("pip_radius", "dip_radius")) for name in space.names])
     thickness, expected, default = (space.metres(one)[is_radius].mean() for one in (found.shape, person, before))
-    assert abs(thickness - expected) < 0.5 * abs(default - expected)
+    assert abs(thickness - expected) < 0.7 * abs(default - expected)
     assert found.shape[length] == before[length]  # one camera cannot tell it
     assert found.shape_std[length] == 0
     others = torch.arange(len(before)) != length
@@ -130,28 +129,27 @@ def test_given_proportions_and_stiff_fingers_are_not_fitted(studio: Studio, pers
 # ---------------------------------------------------------------------------------------- hands of another shape
 
 
-def test_a_hand_of_another_shape_keeps_its_angles_and_lies_nearest(
+def test_a_hand_of_another_shape_lies_where_the_first_one_did_and_bends_as_it_did(
     studio: Studio, kinematics: HandKinematics, person: Tensor
 ) -> None:
-    pose, default = whole_vector(studio.placed(posed="point", angle_deg=50.0)), kinematics.default_shape
-    moved = reshaped_pose(pose, kinematics, default, person)
-    torch.testing.assert_close(moved[6:], pose[6:], rtol=0, atol=0)
-    target = kinematics(pose, default).keypoints
+    motion, default = tracker_of(studio).parts.motion, kinematics.default_shape
+    poses = torch.stack([whole_vector(studio.placed(posed=posed, angle_deg=50.0)) for posed in ("open", "point")])
+    moved = reshaped_poses(poses, motion, kinematics, default, person)
+    target = kinematics(poses, default).keypoints
 
-    def missed(one: Tensor) -> float:
-        return float((kinematics(one, person).keypoints - target).square().sum())
+    def missed(some: Tensor) -> Tensor:
+        return (kinematics(some, person).keypoints - target).square().sum((-2, -1)).sqrt()
 
-    assert missed(moved) < missed(pose)
-    generator = torch.Generator().manual_seed(1)
-    for _ in range(20):
-        step = 1e-3 * torch.randn(6, generator=generator, dtype=torch.float64)
-        hand = HandPose.of(moved).normalized()
-        turned = replace(hand, reference=rotation_from_vector(step[3:]) @ hand.reference).vector
-        turned[:3] += step[:3]
-        assert missed(turned) > missed(moved)
+    assert bool((missed(moved) < 0.8 * missed(poses)).all())
+    free = torch.tensor([name in motion.space.free_names for name in DOFS])
+    assert float((moved - poses)[:, free][:, 6:].abs().max()) < 0.1  # radians
+    assert float((moved - poses)[:, ~free].abs().max()) < 1e-3
+    for pose, alone in zip(poses, moved, strict=True):
+        single = reshaped_poses(pose[None], motion, kinematics, default, person)
+        torch.testing.assert_close(single[0], alone, rtol=0, atol=1e-9)
 
 
 def test_a_hand_of_the_same_shape_stays(studio: Studio, kinematics: HandKinematics) -> None:
-    pose = whole_vector(studio.placed(angle_deg=-120.0))
-    same = reshaped_pose(pose, kinematics, kinematics.default_shape, kinematics.default_shape)
+    pose, shape = whole_vector(studio.placed(angle_deg=-120.0))[None], kinematics.default_shape
+    same = reshaped_poses(pose, tracker_of(studio).parts.motion, kinematics, shape, shape)
     torch.testing.assert_close(same, pose, rtol=0, atol=1e-9)

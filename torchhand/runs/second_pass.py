@@ -13,7 +13,6 @@ from tqdm import tqdm
 
 from torchhand.files import Track, TrackWriter, load_track
 from torchhand.files.results import BACKWARD_NAME, JSONL_NAME
-from torchhand.hand import HandPose
 from torchhand.runs.keypoint_tracks import with_keypoints
 from torchhand.runs.recording import reversed_frames
 from torchhand.runs.records import (
@@ -32,7 +31,7 @@ from torchhand.track import (
     Tracker,
     can_tell_shape,
     recorded_shape,
-    reshaped_pose,
+    reshaped_poses,
     spread_frames,
 )
 
@@ -106,14 +105,11 @@ def _followed_frames(run: Run, track: Track, rows: Sequence[int]) -> Iterator[Fo
 
 
 def _reshaped(track: Track, tracker: Tracker, before: Tensor, shape: Tensor) -> Track:
-    """A track of one camera with the hands of another shape in the place of its own, the joint angles as they were."""
-    kinematics, [camera] = tracker.kinematics, tracker.own_cameras
+    """A track of one camera with the hands of another shape in the place of its own."""
+    kinematics, [camera], rows = tracker.kinematics, tracker.own_cameras, np.flatnonzero(track.has_hand)
     pose, keypoints = track.pose.copy(), track.keypoints3d.copy()
-    for row in np.flatnonzero(track.has_hand):
-        moved = reshaped_pose(torch.from_numpy(track.pose[row]), kinematics, before, shape)
-        hand = HandPose.of(moved).normalized()
-        pose[row] = moved.numpy()
-        keypoints[row] = kinematics(hand.dofs, shape, root_reference=hand.reference).keypoints.numpy()
+    moved = reshaped_poses(torch.from_numpy(pose[rows]), tracker.parts.motion, kinematics, before, shape)
+    pose[rows], keypoints[rows] = moved.numpy(), kinematics(moved, shape).keypoints.numpy()
     in_picture = camera.project(torch.from_numpy(keypoints)).numpy()
     return replace(track, pose=pose, keypoints3d=keypoints, keypoints2d=in_picture)
 

@@ -20,7 +20,7 @@ from torchhand.track.shape import (
     RecordedShape,
     can_tell_shape,
     recorded_shape,
-    reshaped_pose,
+    reshaped_poses,
     spread_frames,
 )
 from torchhand.track.smoothing import PastFrame, Smoother
@@ -46,7 +46,7 @@ __all__ = [
     "combined_hand",
     "path_weights",
     "recorded_shape",
-    "reshaped_pose",
+    "reshaped_poses",
     "restored_state",
     "saved_state",
     "spread_frames",

@@ -20,7 +20,7 @@ from torchhand.track.scene import (
     learned_observations,
     seen_posture,
 )
-from torchhand.track.shape import reshaped_pose
+from torchhand.track.shape import reshaped_poses
 from torchhand.track.tracker import Tracker
 
 _NATS = 40.0
@@ -90,8 +90,9 @@ class BackwardPass:
         """A pose of the first pass as one of the hand that is followed back."""
         if self._shape is self._shape_before:
             return before
-        moved = reshaped_pose(before.vector, self._tracker.kinematics, self._shape_before, self._shape)
-        return HandPose.of(moved).normalized()
+        parts = self._tracker.parts
+        moved = reshaped_poses(before.vector[None], parts.motion, parts.kinematics, self._shape_before, self._shape)
+        return HandPose.of(moved[0]).normalized()
 
     def _keypoints(self, pose: HandPose, shape: Float[Tensor, "shape"]) -> Float[Tensor, "21 3"]:
         return self._tracker.kinematics(pose.dofs, shape, root_reference=pose.reference).keypoints

@@ -4,6 +4,7 @@ The picture in which a hand is found gives first proportions. Over well-spread f
 the same observations tell more of them: contours, detected keypoints, and the posture that a network sees.
 """
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -14,20 +15,30 @@ from torch import Tensor
 from torchhand.fit import (
     ConstraintPrior,
     FrameObservations,
+    GaussianPrior,
     Observation,
     PosturePrior,
     PostureResiduals,
     Problem,
     SharedUnknowns,
     Stage,
+    solve,
     solve_shared,
 )
 from torchhand.fit.contour import ContourObservation, ContourSettings, picture_contours
-from torchhand.fit.keypoints import limit_information
-from torchhand.geometry import vector_from_rotation
-from torchhand.hand import FINGERS, Anthropometry, HandKinematics, HandPose, HandPrior, PoseConstraints
+from torchhand.fit.keypoints import KeypointSettings, WorldKeypoints, limit_information
+from torchhand.hand import (
+    FINGERS,
+    Anthropometry,
+    HandKinematics,
+    HandPose,
+    HandPrior,
+    PoseConstraints,
+    named_pose_space,
+)
 from torchhand.image import clean, fill_holes, touching
-from torchhand.numerics import single_threaded
+from torchhand.numerics import RobustLoss, single_threaded
+from torchhand.track.belief import HandMotion
 from torchhand.track.extended import ExtendedUpdateSettings
 from torchhand.track.knowledge import TrackerState
 from torchhand.track.scene import Scene, View, learned_observations, scene_keypoints, seen_posture
@@ -39,6 +50,10 @@ _SCHEDULE = (Stage(gross_m=0.0075, rounds=2, iterations=4),)
 _HELD_OUT = 4  # every fourth frame judges the shape that the others gave
 _TURN = 0.7  # radians of joint angles that a radian of the hand's own turn is worth, when frames are told apart
 _TIME = 1.0  # radians that the recording's length is worth
+_KEYPOINTS, _SQUARES = KeypointSettings(space_std_m=0.003, correlation=0.0), RobustLoss(kind="squares")
+"""How far the keypoints of a hand of another shape may lie from those before."""
+_NEAR = (Stage(gross_m=0.03, rounds=2, iterations=6),)
+_KEPT_RAD, _HELD_RAD = 0.1, 1e-3  # standard deviations of its angles about those before: that move, and that do not
 _HOLE_PX = 50  # largest hole of a silhouette that is filled, square px
 
 
@@ -123,22 +138,33 @@ def recorded_shape(tracker: Tracker, state: TrackerState, frames: Iterable[Follo
     return RecordedShape(shape=found.shape, shape_std=found.shape_std, cost=costs[1], cost_before=costs[0])
 
 
-def reshaped_pose(
-    pose: Float[Tensor, "36"], kinematics: HandKinematics, before: Float[Tensor, "shape"], shape: Float[Tensor, "shape"]
-) -> Float[Tensor, "36"]:
-    """The pose of a hand of another shape with the same joint angles, placed where its keypoints lie nearest to those
-    of the hand before (least squares; Kabsch 1976)."""
-    hand = HandPose.of(pose).normalized()
-    old, new = (kinematics(hand.dofs, one, root_reference=hand.reference).keypoints for one in (before, shape))
-    middle_old, middle_new = old.mean(0), new.mean(0)
-    left, _, right = torch.linalg.svd((old - middle_old).mT @ (new - middle_new))
-    sign = torch.ones_like(left[0])
-    sign[-1] = torch.linalg.det(left @ right).sign()
-    turn = (left * sign) @ right  # the turn that takes the new keypoints nearest to the old ones
-    dofs = hand.dofs.clone()
-    dofs[:3] = turn @ (hand.dofs[:3] - middle_new) + middle_old
-    dofs[3:6] = vector_from_rotation(turn @ hand.rotation)
-    return dofs
+def reshaped_poses(
+    poses: Float[Tensor, "frames 36"],
+    motion: HandMotion,
+    kinematics: HandKinematics,
+    before: Float[Tensor, "shape"],
+    shape: Float[Tensor, "shape"],
+) -> Float[Tensor, "frames 36"]:
+    """Poses of a hand of another shape that lie where those of the hand before did, as far as its angles stay as they
+    were: maximum a posteriori by its keypoints, of which another outline follows more than the angles. Angles that do
+    not move while a hand is followed stay. Poses have the root's whole rotation vector."""
+    hands, space = HandPose.of(poses).normalized(), named_pose_space("dof36")
+    points = kinematics(hands.dofs, before, root_reference=hands.reference).keypoints
+    std = poses.new_tensor([_angle_std(name, motion.space.free_names) for name in space.free_names])
+    problem = Problem(
+        space=space,
+        skeleton=kinematics.skeleton,
+        shape=shape,
+        observations=(WorldKeypoints(points=points, kinematics=kinematics, settings=_KEYPOINTS, loss=_SQUARES),),
+        priors=(GaussianPrior.of_std(hands, std, space),),
+    )
+    return solve(problem, hands, _NEAR).pose.vector
+
+
+def _angle_std(name: str, free_names: Sequence[str]) -> float:
+    if name.startswith("root_"):
+        return math.inf
+    return _KEPT_RAD if name in free_names else _HELD_RAD
 
 
 @dataclass(frozen=True, kw_only=True)
