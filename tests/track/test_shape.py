@@ -115,7 +115,7 @@ def test_frames_that_are_independent_tell_the_proportions_of_the_person(
 
 def test_too_few_frames_tell_nothing(studio: Studio, kinematics: HandKinematics) -> None:
     state, frames = TrackerState(shape=kinematics.default_shape), frames_of(studio, kinematics.default_shape)
-    empty = replace(frames[0], views=(View(mask=torch.zeros_like(frames[0].views[0].mask)),))
+    empty = replace(frames[0], views=(View(mask=torch.zeros(HEIGHT, WIDTH, dtype=torch.bool)),))
     assert recorded_shape(tracker_of(studio), state, [*frames[:2], empty, frames[3]]) is None
     assert recorded_shape(tracker_of(studio), state, []) is None
 
