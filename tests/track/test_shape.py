@@ -98,7 +98,7 @@ def test_frames_that_are_independent_tell_the_proportions_of_the_person(
     studio: Studio, kinematics: HandKinematics, person: Tensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(UnscentedUpdate, "overconfidence", 1.0)  # simulated pictures have no errors in common
-    monkeypatch.setattr("torchhand.track.shape._SCHEDULE", (Stage(gross_m=0.0075, rounds=1, iterations=2),))
+    monkeypatch.setattr("torchhand.track.shape._SCHEDULE", (Stage(gross_m=0.0075, rounds=1, iterations=3),))
     space, before = kinematics.shape_space, kinematics.default_shape
     found = recorded_shape(tracker_of(studio), TrackerState(shape=before), frames_of(studio, person))
     assert found is not None
