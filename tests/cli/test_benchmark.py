@@ -22,7 +22,7 @@ from torchhand.evaluate import PROC, THREAD_VARIABLES, Timing, memory_growth, ti
 from torchhand.files import load_hand_model
 from torchhand.geometry import assumed_camera
 from torchhand.hand import BONES
-from torchhand.track import Estimate, Tracker, TrackerState
+from torchhand.track import Estimate, Tracker, TrackerState, View
 
 benchmark_tracking = importlib.import_module("torchhand.cli.benchmarks.tracking")  # the door's name is the function
 KEYS = {"name", "ours_ms", "peer", "peer_ms", "ratio", "repeats", "unit", "value", "must", "aim", "meets", "details"}
@@ -154,19 +154,22 @@ def test_a_trackers_speed_is_that_of_its_steps(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     camera = assumed_camera(16, 16)
-    pictures = [torch.zeros(16, 16, 3, dtype=torch.uint8)] * 7
-    monkeypatch.setattr(benchmark_tracking, "_simulated", lambda *args: (camera, pictures))
+    views = [View(image=torch.zeros(16, 16, 3, dtype=torch.uint8))] * 7
+    monkeypatch.setattr(benchmark_tracking, "_simulated", lambda *args: (camera, views))
     monkeypatch.setattr(Tracker, "step", _step_that_loses_every_third)
     [entry] = _run(tmp_path / "figures.json", "--only", "track_planar_360x288")["entries"]
     assert (entry["unit"], entry["must"], entry["aim"]) == ("frames/s", 60.0, 150.0)
     assert entry["value"] == pytest.approx(1e3 / entry["ours_ms"])
     assert (entry["peer"], entry["ratio"]) == (None, None)
     assert (entry["details"]["frames"], entry["details"]["tracked"]) == (6, 4)
+    assert 0 < entry["details"]["cpu_ms_per_frame"] < 1e3
     assert "only 4 of 6 frames were tracked" in capsys.readouterr().out
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["track_planar_360x288", "track_full_640x480"])
+@pytest.mark.parametrize(
+    "name", ["track_planar_360x288", "track_full_640x480", "track_full_twice_points_640x480", "track_distance_640x480"]
+)
 def test_the_trackers_follow_what_they_are_timed_on(name: str, tmp_path: Path) -> None:
     [entry] = _run(tmp_path / "figures.json", "--only", name)["entries"]
     assert entry["details"]["tracked"] == entry["details"]["frames"] > 10

@@ -1,5 +1,6 @@
 """The command for single pictures: results, refusals, resuming, replacing."""
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -127,6 +128,7 @@ def test_a_run_that_is_to_replace_another_leaves_that_until_it_has_ended(
         (["wall.png", "--camera", "mediapipe.npz"], "K: expected intrinsics"),
         (["wall.png", "--keypoints", "missing.npz"], "no such file"),
         (["wall.png", "--masks", "missing"], "--masks"),
+        (["wall.png", "--hand-model", "hand_landmarker.task"], "--hand-model: expected --keypoints mediapipe"),
     ],
 )
 def test_mistakes_are_told_in_one_line(
@@ -147,3 +149,12 @@ def test_the_short_way(pictures: Path) -> None:
     assert found.estimate.status == "tracked"
     assert found.estimate.keypoints_px is not None
     assert float((found.estimate.keypoints_px[0] - placed.keypoints_px).norm(dim=-1).mean()) < 4.0
+
+
+def test_a_detector_that_is_not_installed_is_told_with_the_way_to_have_it(
+    pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "mediapipe", None)
+    assert main([str(pictures), "--out", str(tmp_path / "out"), "--keypoints", "mediapipe"]) == 2
+    assert "pip install torchhand[mediapipe]" in capsys.readouterr().err.splitlines()[-1]
+    assert not (tmp_path / "out").exists()

@@ -11,9 +11,10 @@ import torch
 from tests.studio import StagedHand
 from torchhand.cli import learn_proposals
 from torchhand.cli.learn_proposals import main
-from torchhand.files import load_hand_model, load_proposal_network, save_cameras
+from torchhand.files import load_hand_model, load_presence_network, load_proposal_network, save_cameras
 from torchhand.geometry import assumed_camera
 from torchhand.hand import posture
+from torchhand.learn.presence import PresenceTraining
 from torchhand.learn.proposals import ProposalTraining
 from torchhand.simulate import facing
 
@@ -24,6 +25,7 @@ def few_views() -> Iterator[None]:
     small = ProposalTraining(held_out=6, width=2, batch=4, hypotheses=3)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(learn_proposals, "ProposalTraining", lambda: small)
+        patch.setattr(learn_proposals, "PresenceTraining", lambda: PresenceTraining(held_out=6, width=2, batch=4))
         yield
 
 
@@ -63,6 +65,15 @@ def test_a_training_leaves_a_network_that_can_be_measured(tmp_path: Path, capsys
     again = tmp_path / "again.npz"
     assert main(["--out", str(again), "--steps", "3", "--hands", "8"]) == 0
     assert again.read_bytes() == out.read_bytes()
+
+
+def test_a_training_leaves_a_network_of_presence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "new" / "presence.npz"
+    assert main(["--presence", str(out), "--steps", "3", "--hands", "8"]) == 0
+    assert load_presence_network(out).sizes == {"width": 2, "hidden": 96}
+    told = capsys.readouterr().out
+    assert "step 3: loss" in told
+    assert "% of held-out hands" in told
 
 
 def test_the_shipped_network_is_measured_on_a_sequence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from torchhand.geometry.rotations import (
+    cosine_between,
     left_jacobian,
     rotation_from_columns,
     rotation_from_vector,
@@ -109,3 +110,10 @@ def test_rotations_from_columns() -> None:
     cross = torch.linalg.cross(columns[:, :3], columns[:, 3:])
     torch.testing.assert_close(torch.nn.functional.normalize(cross, dim=-1), rotation[..., 2])
     assert torch.autograd.gradcheck(rotation_from_columns, columns[:3].requires_grad_())
+
+
+def test_the_cosine_between_rotations_is_that_of_the_turn_from_one_to_the_other(generator: torch.Generator) -> None:
+    vectors = _vectors(generator)
+    first = rotation_from_vector(_vectors(generator))
+    found = cosine_between(rotation_from_vector(vectors) @ first, first)
+    torch.testing.assert_close(found, vectors.norm(dim=-1).cos(), atol=1e-14, rtol=0)

@@ -113,3 +113,23 @@ def test_time_runs_backwards_for_the_motion_only(
     ]
     assert len(apart) == FRAMES
     assert np.median(apart) < 0.003
+
+
+def test_the_scene_of_a_step_is_made_once(
+    tracker: Tracker, scene: tuple, forward: tuple[TrackerState, list[Estimate]]
+) -> None:
+    views, state = scene[0], forward[0]
+    known, _ = tracker.step(state, views[0], FRAMES / FPS)
+    own = tracker.scene(known, views[0], FRAMES / FPS)
+    before = tracker.parts.segmentation.scene(views[0], known.appearance, FRAMES / FPS)
+    plane = before.plane(0)
+    assert plane is not None
+    own_plane = own.plane(0)
+    assert own_plane is not None
+    assert torch.equal(own_plane, plane)
+    assert tracker.scene(known, views[0], FRAMES / FPS) is own
+    other = tracker.scene(known, views[1], FRAMES / FPS)  # other pictures, the same time
+    other_plane = other.plane(0)
+    assert other_plane is not None
+    assert not torch.equal(other_plane, plane)
+    assert tracker.scene(known, views[0], 1 + FRAMES / FPS).time_s == 1 + FRAMES / FPS

@@ -44,7 +44,7 @@ def _begun(placed: Any, pose: HandPose) -> tuple[Tracker, TrackerState]:
     """A tracker and its state after it was put on a picture at a pose, whatever is there."""
     tracker = Tracker(right_hand(), placed.camera, settings_of("contour_full"), shape=placed.shape)
     state, _ = run(tracker, [placed.picture(seed=0)])
-    return tracker, replace(state, hand=tracker._parts.motion.started(pose))
+    return tracker, replace(state, hand=tracker.parts.motion.started(pose))
 
 
 def test_a_hand_that_is_held_the_wrong_way_round_is_turned(studio: Any) -> None:

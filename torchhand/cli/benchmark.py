@@ -15,6 +15,7 @@ from tyro.conf import arg
 import torchhand
 from torchhand.cli.benchmarks import (
     Figure,
+    TrackingCase,
     filter_update,
     fit_hand_bones,
     keypoints_to_pose,
@@ -64,6 +65,12 @@ Name = Literal[
     "octree_level8",
     "track_planar_360x288",
     "track_full_640x480",
+    "track_full_points_640x480",
+    "track_full_twice_640x480",
+    "track_full_twice_points_640x480",
+    "track_full_without_network_640x480",
+    "track_distance_640x480",
+    "track_distance_points_640x480",
     "track_views_640x480",
     "track_memory",
     "track_views_memory",
@@ -71,6 +78,16 @@ Name = Literal[
     "pose_stream",
     "pose_stream_recorded",
 ]
+TRACKED: dict[Name, TrackingCase] = {
+    "track_full_640x480": TrackingCase(config="contour_full"),
+    "track_full_points_640x480": TrackingCase(config="contour_full", has_points=True),
+    "track_full_twice_640x480": TrackingCase(config="contour_full", passes=2),
+    "track_full_twice_points_640x480": TrackingCase(config="contour_full", has_points=True, passes=2),
+    "track_full_without_network_640x480": TrackingCase(config="contour_full", has_network=False),
+    "track_distance_640x480": TrackingCase(config="distance_full"),
+    "track_distance_points_640x480": TrackingCase(config="distance_full", has_points=True),
+}
+"""Trackers of 27 degrees of freedom; "twice" is with the second pass, whose time counts for the same frames."""
 SLOW: tuple[Name, ...] = ("track_memory", "track_views_memory", "fit_hand_bones")
 
 
@@ -92,8 +109,10 @@ class Arguments:
     """Measure these alone: kinematics_forward, kinematics_forward_backward, kinematics_compiled, skinning_forward_4096,
     skinning_gradients_64, skinning_gradients_1024, mesh_silhouettes, mesh_volume, pose_projection, keypoints_to_pose,
     filter_update, registration, registration_many, lm_iteration_jacfwd, lm_iteration_pypose, octree_level7,
-    octree_level8, track_planar_360x288, track_full_640x480, track_views_640x480, track_memory, track_views_memory,
-    fit_hand_bones, pose_stream, pose_stream_recorded."""
+    octree_level8, track_planar_360x288, track_full_640x480, track_full_points_640x480, track_full_twice_640x480,
+    track_full_twice_points_640x480, track_full_without_network_640x480, track_distance_640x480,
+    track_distance_points_640x480, track_views_640x480, track_memory, track_views_memory, fit_hand_bones, pose_stream,
+    pose_stream_recorded."""
     recording: Annotated[tuple[Path, ...], arg(metavar="FILE")] = ()
     """Recordings of a sensing glove (rows of 7 time columns and 23 angles), which pose_stream_recorded needs."""
     everything: Annotated[bool, arg(name="all")] = False
@@ -179,11 +198,15 @@ _MEASURES: dict[Name, Callable[[str, int | None], Figure]] = {
     "octree_level7": partial(octree, level=7, must=25.0, aim=12.0),
     "octree_level8": partial(octree, level=8, must=45.0, aim=25.0),
     "track_planar_360x288": partial(
-        tracking, config="contour_planar", motion="planar", size=(360, 288), frames=40, must=60.0, aim=150.0
+        tracking,
+        case=TrackingCase(config="contour_planar", motion="planar", size=(360, 288), frames=40),
+        must=60.0,
+        aim=150.0,
     ),
-    "track_full_640x480": partial(
-        tracking, config="contour_full", motion="free", size=(640, 480), frames=20, must=20.0, aim=60.0
-    ),
+    **{
+        name: partial(tracking, case=case, must=25.0 / case.passes, aim=60.0 / case.passes)
+        for name, case in TRACKED.items()
+    },
     "track_views_640x480": partial(track_views, must=15.0, aim=30.0),
     "track_memory": track_memory,
     "track_views_memory": track_views_memory,

@@ -12,7 +12,7 @@ from tyro.conf import Positional, arg
 from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
 from torchhand.files import Track
 from torchhand.files.results import POSES_NAME
-from torchhand.runs import known_hand
+from torchhand.runs import keypoints_of, known_hand
 from torchhand.runs.pictures import PicturesRequest, fit_pictures
 from torchhand.track.single import SinglePoseSettings
 
@@ -33,10 +33,13 @@ class Arguments:
     """Picture, or folder of pictures of any sizes."""
     out: Annotated[Path, arg(metavar="DIR")]
     """Folder for the results."""
-    keypoints: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Keypoints that a detector found in these pictures: a file that fit_keypoints reads, with points in the picture
-    (and in space, such as MediaPipe's world landmarks). Rows belong to pictures by name where the file has names
-    (`image`), else by order."""
+    keypoints: Annotated[str | None, arg(metavar="mediapipe|FILE")] = None
+    """Detected keypoints. mediapipe: MediaPipe looks at every picture (pip install torchhand[mediapipe]). FILE: what a
+    detector found in these pictures, in a file that fit_keypoints reads, with points in the picture (and in space, such
+    as MediaPipe's world landmarks); rows belong to pictures by name where the file has names (`image`), else by
+    order."""
+    hand_model: Annotated[Path | None, arg(metavar="FILE")] = None
+    """hand_landmarker.task for a MediaPipe that carries no models of its own (newer than 0.10.21)."""
     hand: Annotated[Path | None, arg(metavar="FILE")] = None
     """Known shape of the hand (hand.json); else every picture's proportions are fitted."""
     side: Literal["left", "right"] | None = None
@@ -68,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         side=arguments.side or of_hand,
         hand=hand,
         camera=arguments.camera,
-        keypoints=arguments.keypoints,
+        **keypoints_of([] if arguments.keypoints is None else [arguments.keypoints], arguments.hand_model),
         masks=arguments.masks,
         resume=arguments.resume,
         overwrite=arguments.overwrite,

@@ -1,10 +1,11 @@
-"""Train the network that proposes hands in any posture for a silhouette, on simulated hands alone; measure it."""
+"""Train the network that proposes hands in any posture for a silhouette, on simulated hands alone; measure it. And the
+one that tells hands from other things."""
 
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import torch
 from tqdm import tqdm
@@ -13,8 +14,20 @@ from tyro.conf import arg
 import torchhand
 from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
 from torchhand.errors import InputError
-from torchhand.files import load_hand_model, load_proposal_network, save_proposal_network
+from torchhand.files import (
+    load_hand_model,
+    load_proposal_network,
+    save_presence_network,
+    save_proposal_network,
+)
 from torchhand.files.disk import explained_errors
+from torchhand.learn.presence import (
+    PresenceTraining,
+    new_presence_network,
+    presence_figures,
+    thing_pool,
+    train_presence,
+)
 from torchhand.learn.proposals import (
     ProposalFigures,
     ProposalTraining,
@@ -28,6 +41,8 @@ from torchhand.learn.proposals import (
 )
 from torchhand.propose import ProposalNetwork
 
+Training = TypeVar("Training", ProposalTraining, PresenceTraining)
+
 REPORTS = 30  # along the training
 _VIEWS = 7  # seed of the views of held-out hands
 
@@ -38,8 +53,9 @@ class Arguments:
 
     Hands of the prior, of the signs and of mixtures of them are rendered from all sides, with forearms, ragged masks,
     random lights and picture edges; the network learns several weighted hypotheses for each view. FILE gets it, and is
-    written anew at every report. Without --out the network of --network is only measured. The same arguments give the
-    same network on the same machine.
+    written anew at every report. Without --out the network of --network is only measured. --presence trains another
+    network, which tells hands from heads, limbs, furniture, lumps, boxes and spots. The same arguments give the same
+    networks on the same machine.
 
     Example:
         torchhand learn_proposals --out network.npz --evaluate data/synthetic/free
@@ -47,6 +63,8 @@ class Arguments:
 
     out: Annotated[Path | None, arg(metavar="FILE")] = None
     """File for the network, .npz."""
+    presence: Annotated[Path | None, arg(metavar="FILE")] = None
+    """File for the network that tells hands from other things, .npz."""
     network: Annotated[Path | None, arg(metavar="FILE")] = None
     """Network to measure, without --out; the shipped one if not given."""
     evaluate: Annotated[tuple[Path, ...], arg(metavar="FOLDER")] = ()
@@ -85,8 +103,10 @@ def main(argv: Sequence[str] | None = None) -> int:
                 return STOPPED_BY_USER
         else:
             network = load_proposal_network(arguments.network)
-            if not pictures:
-                raise InputError("expected --out FILE to train, or --evaluate FOLDER to measure")
+            if not pictures and arguments.presence is None:
+                raise InputError("expected --out or --presence FILE to train, or --evaluate FOLDER to measure")
+        if arguments.presence is not None:
+            _presence(arguments, arguments.presence)
         kinematics = model.kinematics(arguments.side, dtype=torch.float64)
         rows: list[tuple[str, ProposalFigures]] = []
         for folder, some in pictures:
@@ -101,9 +121,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _trained(arguments: Arguments, out: Path) -> ProposalNetwork:
     """Render, train and measure on held-out hands."""
-    settings, model = _settings(arguments), load_hand_model()
-    with explained_errors(out):
-        out.parent.mkdir(parents=True, exist_ok=True)
+    settings, model = _settings(arguments, ProposalTraining()), load_hand_model()
+    _make_folder(out)
     hidden = not sys.stderr.isatty()
     with tqdm(total=settings.hands + settings.held_out, desc="rendering", unit="hand", disable=hidden) as bar:
         generators = (torch.Generator().manual_seed(settings.seed + number) for number in range(2))
@@ -128,10 +147,41 @@ def _trained(arguments: Arguments, out: Path) -> ProposalNetwork:
     return load_proposal_network(out)
 
 
-def _settings(arguments: Arguments) -> ProposalTraining:
+def _presence(arguments: Arguments, out: Path) -> None:
+    """Render hands and things, train on most of them and measure on the rest."""
+    settings, model = _settings(arguments, PresenceTraining()), load_hand_model()
+    _make_folder(out)
+    hidden, count = not sys.stderr.isatty(), settings.hands + settings.held_out
+    with tqdm(total=2 * count, desc="rendering", unit="picture", disable=hidden) as bar:
+        generators = [torch.Generator().manual_seed(settings.seed + number) for number in (2, 3)]
+        hands = hand_pool(model, count, generators[0], bar.update)
+        things = thing_pool(count, generators[1], bar.update)
+    network, own = new_presence_network(settings), slice(0, settings.hands)
+    provenance = {"torchhand": torchhand.__version__, "command": "learn_proposals", "settings": asdict(settings)}
+    with tqdm(total=settings.steps, desc="learning", unit="step", disable=hidden) as bar:
+        reports = train_presence(
+            network, hands.rows(own), things.rows(own), settings, report_every=max(1, settings.steps // REPORTS)
+        )
+        for step, loss in reports:
+            save_presence_network(out, network, {**provenance, "step": step})
+            bar.update(step - bar.n)
+            print(f"step {step}: loss {loss:.3f}", flush=True)
+    rest, generator = slice(settings.hands, None), torch.Generator().manual_seed(_VIEWS)
+    told = presence_figures(network, hands.rows(rest), things.rows(rest), generator)
+    for threshold, (hands_missed, things_taken) in told.items():
+        print(f"above {threshold:g}: {1 - hands_missed:.1%} of held-out hands, {things_taken:.1%} of held-out things")
+    print(f"saved {out}")
+
+
+def _make_folder(out: Path) -> None:
+    with explained_errors(out):
+        out.parent.mkdir(parents=True, exist_ok=True)
+
+
+def _settings(arguments: Arguments, settings: Training) -> Training:
     names = ("steps", "hands", "seed")
     given = {name: value for name in names if (value := getattr(arguments, name)) is not None}
     try:
-        return replace(ProposalTraining(), **given)
+        return replace(settings, **given)
     except ValueError as error:
         raise InputError(f"--{error}") from error

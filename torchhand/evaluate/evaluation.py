@@ -21,7 +21,6 @@ from torchhand.evaluate.finite import is_finite_set, max_finite, mean_finite, me
 from torchhand.evaluate.nees import area_under_curve, consistency, fraction_in_band
 from torchhand.evaluate.planar_motion import planar_motion_errors
 from torchhand.evaluate.positions import (
-    TIPS,
     WRIST,
     aligned_errors,
     fingertip_distances,
@@ -33,7 +32,7 @@ from torchhand.evaluate.tracked_silhouettes import MaskOfFrame
 from torchhand.evaluate.truth import Truth, load_mask
 from torchhand.files import Detections, Track
 from torchhand.files.results import DETERMINED
-from torchhand.hand import FINGERS, KEYPOINTS
+from torchhand.hand import FINGERS, KEYPOINTS, TIPS
 from torchhand.image import hand_region, intersection_over_union
 
 MIDDLE_MCP = 9
@@ -131,7 +130,7 @@ def _status(track: Track, true: Float[np.ndarray, "frames 21 3"], *, is_one_came
     """How often the status is wrong: frames with an estimate whose worst fingertip is more than 20 mm from the truth,
     for one camera across the line of sight; and frames with a hand that were given up."""
     distance = MM_PER_M * fingertip_distances(track.keypoints3d, true, is_one_camera=is_one_camera)
-    has_hand, has_estimate = (np.asarray(np.isfinite(one).all(axis=1)) for one in (true[:, TIPS, 0], distance))
+    has_hand, has_estimate = (np.asarray(np.isfinite(one).all(axis=1)) for one in (true[:, list(TIPS), 0], distance))
     off = distance[has_estimate].max(1) > GOOD_FRAME_MM
     return {
         "fraction_tracked_with_a_tip_beyond_20mm": float(off.mean()) if off.size else math.nan,

@@ -4,10 +4,9 @@ import numpy as np
 from jaxtyping import Float
 
 from torchhand.evaluate.alignment import fit_similarity
-from torchhand.hand import KEYPOINTS
+from torchhand.hand import TIPS
 
 WRIST = 0
-TIPS = [i for i, name in enumerate(KEYPOINTS) if name.endswith("_tip")]
 
 
 def joint_errors(
@@ -43,7 +42,7 @@ def fingertip_errors(
     hand models place the joints of the palm some millimetres apart, which would turn a hand that is held by these
     alone. NaN where a keypoint is."""
     moved = fit_similarity(estimate, truth, with_scale=False).apply(estimate)
-    return joint_errors(moved, truth)[..., TIPS]
+    return joint_errors(moved, truth)[..., list(TIPS)]
 
 
 def fingertip_distances(
@@ -51,7 +50,8 @@ def fingertip_distances(
 ) -> Float[np.ndarray, "*batch 5"]:
     """Distances of the fingertips from where they are: for one camera, in whose frame they are, across the line of
     sight at the depth of the truth; for several in space."""
-    own, real = estimate[..., TIPS, :], truth[..., TIPS, :]
+    tips = list(TIPS)
+    own, real = estimate[..., tips, :], truth[..., tips, :]
     if not is_one_camera:
         return joint_errors(own, real)
     across = own[..., :2] / own[..., 2:] - real[..., :2] / real[..., 2:]

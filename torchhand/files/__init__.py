@@ -15,9 +15,11 @@ from torchhand.files.hands import (
     load_hand,
     load_hand_model,
     load_mesh,
+    load_presence_network,
     load_proposal_network,
     save_hand,
     save_mesh,
+    save_presence_network,
     save_proposal_network,
 )
 from torchhand.files.hull_file import save_hull
@@ -70,6 +72,7 @@ __all__ = [
     "load_hand",
     "load_hand_model",
     "load_mesh",
+    "load_presence_network",
     "load_proposal_network",
     "load_rig",
     "load_settings",
@@ -86,6 +89,7 @@ __all__ = [
     "save_hand",
     "save_hull",
     "save_mesh",
+    "save_presence_network",
     "save_proposal_network",
     "save_settings",
     "sequences_of",

@@ -58,10 +58,6 @@ class Problem:
         return free_bounds(self._own_space, self.skeleton)
 
     @cached_property
-    def _inverse(self) -> Float[Tensor, "free 36"]:
-        return torch.linalg.pinv(self.space.basis)
-
-    @cached_property
     def _rotation_columns(self) -> Int[Tensor, "rotations"]:
         names = self.space.free_names
         own = [names.index(name) for name in _ROTATIONS if name in names]
@@ -69,7 +65,7 @@ class Problem:
 
     def values_of(self, pose: HandPose) -> Float[Tensor, "k free"]:
         """Free parameters of poses with zero rotation vectors, put into the space and its bounds."""
-        values = (pose.dofs - self._own_space.constant) @ self._inverse.T
+        values = (pose.dofs - self._own_space.constant) @ self.space.inverse.T
         return values.clamp(*self.bounds)
 
     def dofs_of(self, values: Float[Tensor, "k free"]) -> tuple[Float[Tensor, "k 36"], Bool[Tensor, "k 36"]]:

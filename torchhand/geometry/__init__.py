@@ -35,6 +35,7 @@ from torchhand.geometry.rig import (
     suspected_reading,
 )
 from torchhand.geometry.rotations import (
+    cosine_between,
     exponential_coefficients,
     left_jacobian,
     rotation_from_columns,
@@ -58,6 +59,7 @@ __all__ = [
     "cone",
     "conic_of_quadric",
     "continuous",
+    "cosine_between",
     "cross",
     "distort",
     "distortion_jacobian",

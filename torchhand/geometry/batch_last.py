@@ -49,7 +49,7 @@ def compose(left: Float[Tensor, "#k 3 3 #n"], right: Float[Tensor, "#k 3 c #n"])
     return torch.addcmul(product, columns[2], rows[2])
 
 
-def cross(left: Float[Tensor, "#k 3 #n"], right: Float[Tensor, "#k 3 #n"]) -> Float[Tensor, "k 3 n"]:
-    """Cross product."""
+def cross(left: Float[Tensor, "#k 3 *#n"], right: Float[Tensor, "#k 3 *#n"]) -> Float[Tensor, "k 3 *n"]:
+    """Cross product; for any number of batch dimensions."""
     (ax, ay, az), (bx, by, bz) = left.unbind(1), right.unbind(1)
     return torch.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), 1)

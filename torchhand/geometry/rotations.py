@@ -23,22 +23,36 @@ def exponential_coefficients(
 
     exp(v) = I + first [v] + second [v]²; its left Jacobian is I + second [v] + third [v]².
     """
+    is_small, safe, angle = _safe_angle(angle_squared)
+    sine = angle.sin()
+    first = torch.where(is_small, 1 - angle_squared / 6 * (1 - angle_squared / 20), sine / angle)
+    third = _third_coefficient(angle_squared, is_small, safe, angle, sine)
+    return first, _second_coefficient(angle_squared, is_small, safe, angle), third
+
+
+def _safe_angle(angle_squared: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Whether angles are small; their squares and they themselves, 1 where they are."""
     is_small = angle_squared < _SMALL_ANGLE_SQUARED
     safe = torch.where(is_small, torch.ones_like(angle_squared), angle_squared)
-    angle = safe.sqrt()
-    sine = angle.sin()
+    return is_small, safe, safe.sqrt()
+
+
+def _second_coefficient(angle_squared: Tensor, is_small: Tensor, safe: Tensor, angle: Tensor) -> Tensor:
     half_sine = (0.5 * angle).sin()  # 1 - cos a = 2 sin²(a/2) keeps its digits at small angles
-    first = torch.where(is_small, 1 - angle_squared / 6 * (1 - angle_squared / 20), sine / angle)
-    second = torch.where(is_small, 0.5 - angle_squared / 24 * (1 - angle_squared / 30), 2 * half_sine**2 / safe)
-    third = torch.where(
-        is_small, 1 / 6 - angle_squared / 120 * (1 - angle_squared / 42), (angle - sine) / (safe * angle)
-    )
-    return first, second, third
+    return torch.where(is_small, 0.5 - angle_squared / 24 * (1 - angle_squared / 30), 2 * half_sine**2 / safe)
+
+
+def _third_coefficient(angle_squared: Tensor, is_small: Tensor, safe: Tensor, angle: Tensor, sine: Tensor) -> Tensor:
+    series = 1 / 6 - angle_squared / 120 * (1 - angle_squared / 42)
+    return torch.where(is_small, series, (angle - sine) / (safe * angle))
 
 
 def rotation_from_vector(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """Rotation by |vector| radians about vector (Rodrigues); smooth everywhere, zero included."""
-    first, second, _ = exponential_coefficients((vector * vector).sum(-1))
+    squared = (vector * vector).sum(-1)
+    is_small, safe, angle = _safe_angle(squared)
+    first = torch.where(is_small, 1 - squared / 6 * (1 - squared / 20), angle.sin() / angle)
+    second = _second_coefficient(squared, is_small, safe, angle)
     cross = skew(vector)
     identity = torch.eye(3, dtype=vector.dtype, device=vector.device)
     return identity + first[..., None, None] * cross + second[..., None, None] * (cross @ cross)
@@ -86,9 +100,19 @@ def vector_from_rotation(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor,
     return factor[..., None] * vector
 
 
+def cosine_between(
+    first: Float[Tensor, "*#batch 3 3"], second: Float[Tensor, "*#batch 3 3"]
+) -> Float[Tensor, "*batch"]:
+    """Cosine of the angle of the rotation that leads from one to the other; rounding may take it past 1."""
+    return 0.5 * ((first * second).sum((-2, -1)) - 1)
+
+
 def left_jacobian(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """J with exp(v + dv) = exp(J dv) exp(v) to first order."""
-    _, second, third = exponential_coefficients((vector * vector).sum(-1))
+    squared = (vector * vector).sum(-1)
+    is_small, safe, angle = _safe_angle(squared)
+    second = _second_coefficient(squared, is_small, safe, angle)
+    third = _third_coefficient(squared, is_small, safe, angle, angle.sin())
     cross = skew(vector)
     identity = torch.eye(3, dtype=vector.dtype, device=vector.device)
     return identity + second[..., None, None] * cross + third[..., None, None] * (cross @ cross)

@@ -4,6 +4,7 @@ from torchhand.propose.channels import CHANNELS, gaussian_blur_of, network_chann
 from torchhand.propose.hypotheses import HandHypotheses, Silhouette, propose_hands
 from torchhand.propose.network import ProposalNetwork, ViewedHands
 from torchhand.propose.posture import LearnedPosture, learned_posture
+from torchhand.propose.presence import PresenceNetwork, hand_presence
 from torchhand.propose.views import SIDE_PX, SquareViews, palm_middle, views_towards
 
 __all__ = [
@@ -11,11 +12,13 @@ __all__ = [
     "SIDE_PX",
     "HandHypotheses",
     "LearnedPosture",
+    "PresenceNetwork",
     "ProposalNetwork",
     "Silhouette",
     "SquareViews",
     "ViewedHands",
     "gaussian_blur_of",
+    "hand_presence",
     "learned_posture",
     "network_channels",
     "palm_middle",

@@ -59,14 +59,9 @@ class ProposalNetwork(nn.Module):
         self.register_buffer("lower", skeleton.lower[free].float(), persistent=False)
         self.register_buffer("upper", skeleton.upper[free].float(), persistent=False)
         self.outputs = (_ROTATION, len(free), _PLACE, 1, 1)
-        channels = (width, 2 * width, 4 * width, 8 * width)
-        layers: list[nn.Module] = [*_convolution(CHANNELS, channels[0], 5, stride=2)]
-        for before, after in itertools.pairwise(channels):
-            layers += [*_convolution(before, after, 3, stride=2), _Block(after)]
-        self.picture = nn.Sequential(*layers)
-        last = SIDE_PX // 16
+        self.picture, seen = picture_layers(width)
         self.summary = nn.Sequential(
-            nn.Flatten(), nn.Linear(channels[-1] * last * last, hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU()
+            nn.Flatten(), nn.Linear(seen, hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU()
         )
         self.heads = nn.Linear(hidden, hypotheses * sum(self.outputs))
 
@@ -84,6 +79,16 @@ class ProposalNetwork(nn.Module):
             spread=_LEAST_SPREAD + (_MOST_SPREAD - _LEAST_SPREAD) * torch.sigmoid(spread.squeeze(-1)),
             log_weight=weight.squeeze(-1).log_softmax(-1),
         )
+
+
+def picture_layers(width: int) -> tuple[nn.Sequential, int]:
+    """Four stages of convolutions of a view, each at half the size and with twice the channels of the one before, from
+    `width` on; and how many numbers come out."""
+    channels = (width, 2 * width, 4 * width, 8 * width)
+    layers: list[nn.Module] = [*_convolution(CHANNELS, channels[0], 5, stride=2)]
+    for before, after in itertools.pairwise(channels):
+        layers += [*_convolution(before, after, 3, stride=2), _Block(after)]
+    return nn.Sequential(*layers), channels[-1] * (SIDE_PX // 16) ** 2
 
 
 class _Block(nn.Module):

@@ -2,15 +2,17 @@
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.geometry import rotation_from_vector, vector_from_rotation
+from torchhand.geometry import cosine_between, rotation_from_vector, vector_from_rotation
 from torchhand.hand import JOINT_DOFS, HandKinematics, HandPose
 from torchhand.propose.hypotheses import Silhouette, mirrored_hands, sampled_channels, views_of_hands
 from torchhand.propose.network import ProposalNetwork
+from torchhand.propose.views import SquareViews
 
 # Root mean square errors in degrees of the mean angles, by the ending of the DOF's name: medians over the sequences of
 # another maker's hand that `torchhand learn_proposals --evaluate` was given (`models/proposals/README.md`).
@@ -63,8 +65,7 @@ class LearnedPosture:
         return rotation_from_vector(mean) @ rotation.to(self.rotation), trust / _DIRECTION_STD**2
 
     def _shares(self, rotation: Float[Tensor, "3 3"]) -> Float[Tensor, "k"]:
-        cosine = 0.5 * ((self.rotation * rotation.to(self.rotation)).sum((-2, -1)) - 1)
-        angle = cosine.clamp(-1, 1).arccos()
+        angle = cosine_between(self.rotation, rotation.to(self.rotation)).clamp(-1, 1).arccos()
         return self.weight * (-0.5 * (angle / _DIRECTION_STD).square()).exp()
 
 
@@ -80,6 +81,31 @@ def learned_posture(
 
     Raises ValueError for a camera that is no pinhole camera.
     """
+    channels, views = channels_about(silhouette, kinematics, pose, shape)
+    found = network(channels)
+    found = mirrored_hands(found) if kinematics.side == "left" else found
+    share = found.log_weight[0].to(pose.dofs).softmax(-1)
+    weight = share[:, None]
+    joints = found.joints[0].to(pose.dofs)
+    mean = (weight * joints).sum(0)
+    spread = (weight * (joints - mean).square()).sum(0)
+    world_from_view = silhouette.camera.rotation.to(pose.dofs).mT @ views.cam_from_view[0].to(pose.dofs)
+    return LearnedPosture(
+        joints=mean,
+        variance=spread + _error_variance().to(spread),
+        rotation=world_from_view @ found.rotation[0].to(pose.dofs),
+        weight=share,
+    )
+
+
+def channels_about(
+    silhouette: Silhouette, kinematics: HandKinematics, pose: HandPose, shape: Float[Tensor, "shape"]
+) -> tuple[Float[Tensor, "1 channels side side"], SquareViews]:
+    """What a network sees about a hand at `pose` () in the world, upright and filling the view, a left one in the
+    mirror; and that view.
+
+    Raises ValueError for a camera that is no pinhole camera.
+    """
     if silhouette.camera.kind != "pinhole":
         raise ValueError(f"camera: expected a pinhole camera, got {silhouette.camera.kind}")
     frames = kinematics(pose.dofs[None], shape, root_reference=pose.reference[None])
@@ -89,26 +115,14 @@ def learned_posture(
     length = shape[kinematics.shape_space.names.index("hand_length")]
     views = views_of_hands(points, fingers, length)
     channels = sampled_channels(silhouette, views)
-    is_left = kinematics.side == "left"
-    found = network(channels.flip(-1) if is_left else channels)
-    found = mirrored_hands(found) if is_left else found
-    share = found.log_weight[0].to(pose.dofs).softmax(-1)
-    weight = share[:, None]
-    joints = found.joints[0].to(pose.dofs)
-    mean = (weight * joints).sum(0)
-    spread = (weight * (joints - mean).square()).sum(0)
-    world_from_view = to_cam.mT @ views.cam_from_view[0].to(pose.dofs)
-    return LearnedPosture(
-        joints=mean,
-        variance=spread + _error_variance().to(spread),
-        rotation=world_from_view @ found.rotation[0].to(pose.dofs),
-        weight=share,
-    )
+    return (channels.flip(-1) if kinematics.side == "left" else channels), views
 
 
+@lru_cache(maxsize=1)
 def _error_variance() -> Float[Tensor, "30"]:
     std = []
     for name in JOINT_DOFS:
         ending = name if name in _STD_DEG else name[name.index("_") :]
         std.append(_STD_DEG.get(ending, _OTHER_STD_DEG))
-    return torch.deg2rad(torch.tensor(std, dtype=torch.float64)).square()
+    with torch.inference_mode(False):  # kept for callers in any mode
+        return torch.deg2rad(torch.tensor(std, dtype=torch.float64)).square()

@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from torchhand.draw import draw_overlay, overlay_size
 from torchhand.files import FrameRecord, Track, open_source, write_video
+from torchhand.numerics import single_threaded
 from torchhand.runs.recording import OneCameraRecording, RecordedFrame
 from torchhand.runs.records import undetermined_fingers
 from torchhand.view import HandProjector
@@ -92,6 +93,8 @@ def _black(width: int, height: int) -> UInt8[Tensor, "height width 3"]:
     return torch.zeros(height, width, 3, dtype=torch.uint8)
 
 
+@torch.inference_mode()
+@single_threaded()
 def _drawn(
     image: UInt8[Tensor, "height width 3"],
     projector: HandProjector,

@@ -24,6 +24,7 @@ from torchhand.track.knowledge import Estimate, TrackerState
 from torchhand.track.proposals import Proposals, ProposalSource, Proposed
 from torchhand.track.quality import FingerEvidence, Told, qualities
 from torchhand.track.scene import (
+    Appearances,
     Candidate,
     HandKeypoints,
     ObservationsOf,
@@ -83,11 +84,12 @@ class Tracker:
         self.settings = settings or TrackerSettings()
         self.cameras = (cameras,) if isinstance(cameras, Camera) else tuple(cameras)
         known = None if shape is None else shape.double()
-        self._parts: Assembly = assembled(hand, self.cameras, self.settings, known, start_points, plates)
+        self.parts: Assembly = assembled(hand, self.cameras, self.settings, known, start_points, plates)
         self.known_shape = known
         self._observations = observations
-        self.kinematics = self._parts.kinematics
-        self._evidence = FingerEvidence(self.kinematics, self._parts.cameras)
+        self.kinematics = self.parts.kinematics
+        self._evidence = FingerEvidence(self.kinematics, self.parts.cameras)
+        self._last: tuple[Appearances, Scene] | None = None
         self._scale_std = 0.0
         if len(self.cameras) == 1:
             space = self.kinematics.shape_space
@@ -111,12 +113,13 @@ class Tracker:
         self._check(views, state, time_s)
         dt_s = self.settings.nominal_dt_s if state.time_s is None else time_s - state.time_s
         state = replace(state, time_s=time_s)
-        predicted = None if state.hand is None else self._parts.motion.predicted(state.hand, dt_s)
+        predicted = None if state.hand is None else self.parts.motion.predicted(state.hand, dt_s)
         if all(view.is_empty for view in views):
             return self._unseen(state, predicted)
         views = [self._undistorted(view, index) for index, view in enumerate(views)]
-        looks = state.appearance or self._parts.segmentation.initial_appearances(views)
-        scene = self._observed(self._parts.segmentation.scene(views, looks, time_s))
+        looks = state.appearance or self.parts.segmentation.initial_appearances(views)
+        scene = self._observed(self.parts.segmentation.scene(views, looks, time_s))
+        self._last = (looks, scene)
         scene = replace(scene, guesses=tuple(one.pose for one in state.keyframes if one.is_of(time_s)))
         state = replace(
             state,
@@ -138,9 +141,9 @@ class Tracker:
         """A hand in another scene, with nothing else looked for; None where it does not fit there."""
         if state.shape is None:
             return None
-        predicted = self._parts.motion.predicted(hand, abs(dt_s))
-        found = self._parts.rule.follow(hand, predicted, scene, state.shape)
-        if found is None or self._parts.health.is_failing(found):
+        predicted = self.parts.motion.predicted(hand, abs(dt_s))
+        found = self.parts.rule.follow(hand, predicted, scene, state.shape)
+        if found is None or self.parts.health.is_failing(found):
             return None
         return found.hand, self._estimate("tracked", found, state, scene)
 
@@ -148,14 +151,14 @@ class Tracker:
     @single_threaded()
     def candidate(self, pose: HandPose, scene: Scene, shape: Float[Tensor, "shape"]) -> Candidate | None:
         """A hand near a pose as the update rule finds it in a scene, whatever is followed; None where it finds none."""
-        found = self._parts.rule.begin(pose, None, scene, shape)
-        return self._judged_otherwise(found, scene, shape)
+        found = self.parts.rule.begin(pose, None, scene, shape)
+        return self._with_agreements(found, scene, shape)
 
     @torch.inference_mode()
     def at_rest(self, hand: FollowedHand) -> FollowedHand:
         """The same hand with rates of which nothing is known, from where it can be followed into either time."""
-        prior = self._parts.motion.prior(hand)
-        return replace(hand, belief=self._parts.motion.at_rest(prior.mean, prior.covariance))
+        prior = self.parts.motion.prior(hand)
+        return replace(hand, belief=self.parts.motion.at_rest(prior.mean, prior.covariance))
 
     def is_sure(self, estimate: Estimate) -> bool:
         """Whether so much is explained that there is a hand, and no arm or half a hand."""
@@ -165,54 +168,58 @@ class Tracker:
     @torch.inference_mode()
     @single_threaded()
     def scene(self, state: TrackerState, views: Sequence[View], time_s: float) -> Scene:
-        """What `step` sees in the views of one time."""
+        """What `step` sees in the views of one time; the scene of its last call where views and colours are those."""
         own = [self._undistorted(view, index) for index, view in enumerate(views)]
-        return self._observed(self._parts.segmentation.scene(own, state.appearance, time_s))
+        if self._last is not None:
+            looks, scene = self._last
+            if looks is state.appearance and scene.time_s == time_s and _are_same(scene.views, own):
+                return scene
+        return self._observed(self.parts.segmentation.scene(own, state.appearance, time_s))
 
     def _observed(self, scene: Scene) -> Scene:
         """The scene with further observations, among which are detected keypoints where the update rule does not look
         for these by itself."""
         further = () if self._observations is None else tuple(self._observations(scene))
-        keypoints = self._parts.keypoints(scene).observations if self._parts.takes_proposals else ()
+        keypoints = self.parts.keypoints(scene).observations if self.parts.takes_proposals else ()
         return replace(scene, observations=(*further, *keypoints))
 
     def _followed(self, hand: FollowedHand, predicted: FollowedHand, scene: Scene, shape: Tensor) -> Candidate | None:
         """The prediction corrected by the scene, and by what the network sees where the hand is expected. Where fingers
         are bent otherwise, and no detector tells of them, also the prediction with these put there: whichever explains
         the scene, the latter where both do."""
-        motion, rule = self._parts.motion, self._parts.rule
+        motion, rule = self.parts.motion, self.parts.rule
         pose = motion.pose(predicted).normalized()
         seen = self._seen_posture(scene, pose, shape)
         if seen is None:
-            return self._judged_otherwise(rule.follow(hand, predicted, scene, shape), scene, shape)
+            return self._with_agreements(rule.follow(hand, predicted, scene, shape), scene, shape)
         told = replace(scene, observations=(*scene.observations, *learned_observations(seen, pose)))
-        found = self._judged_otherwise(rule.follow(hand, predicted, told, shape), scene, shape, seen)
+        found = self._with_agreements(rule.follow(hand, predicted, told, shape), scene, shape, seen)
         put, is_put = credible_posture(seen, pose, motion.space.free_names)
-        if self._parts.keypoints(scene).observations or not bool(is_put.any()):
+        if self.parts.keypoints(scene).observations or not bool(is_put.any()):
             return found
         other = rule.follow(hand, motion.put(predicted, put, is_put), told, shape)
-        other = self._judged_otherwise(other, scene, shape, seen)
+        other = self._with_agreements(other, scene, shape, seen)
         if found is None or other is None:
             return found or other
-        score = self._parts.health.score
+        score = self.parts.health.score
         return other if score(other) > score(found) - _TOLD else found
 
     def _seen_posture(self, scene: Scene, pose: HandPose, shape: Tensor) -> LearnedPosture | None:
         """What the network sees where a hand is expected."""
-        if not self._parts.has_learned_posture:
+        if not self.parts.has_learned_posture:
             return None
-        return seen_posture(scene, self._parts.cameras[0], self.kinematics, pose, shape)
+        return seen_posture(scene, self.parts.cameras[0], self.kinematics, pose, shape)
 
     def _segmented(self, scene: Scene, state: TrackerState) -> Scene:
         """The scene with the silhouette by the colours that the first hand has brought only now."""
         if scene.plane(0) is not None or len(self.cameras) > 1:
             return scene
-        return self._parts.segmentation.scene(scene.views, state.appearance, scene.time_s)
+        return self.parts.segmentation.scene(scene.views, state.appearance, scene.time_s)
 
     def _started(self, state: TrackerState | None) -> TrackerState:
         if state is not None:
             return state
-        return TrackerState(shape=self.known_shape, search_after=self._parts.health.settings.first_search_after)
+        return TrackerState(shape=self.known_shape, search_after=self.parts.health.settings.first_search_after)
 
     def _check(self, views: Sequence[View], state: TrackerState, time_s: float) -> None:
         if len(views) != len(self.cameras):
@@ -228,7 +235,7 @@ class Tracker:
 
     def _undistorted(self, view: View, index: int) -> View:
         """With its keypoints as the camera without distortion would see them."""
-        given, used = self.cameras[index], self._parts.cameras[index]
+        given, used = self.cameras[index], self.parts.cameras[index]
         if view.keypoints is None or not given.has_distortion or used.has_distortion:
             return view
         points = given.plane_from_pixels(view.keypoints.points_px.to(used.intrinsics))
@@ -236,7 +243,7 @@ class Tracker:
         moved = HandKeypoints(points_px=used.pixels_from_plane(points), points=seen.points, score=seen.score)
         return replace(view, keypoints=moved)
 
-    def _judged_otherwise(
+    def _with_agreements(
         self, found: Candidate | None, scene: Scene, shape: Tensor, seen: LearnedPosture | None = None
     ) -> Candidate | None:
         """A candidate with what detected keypoints say of it, and the network: `seen`, or what it sees there now.
@@ -245,7 +252,7 @@ class Tracker:
         side."""
         if found is None:
             return None
-        keypoints = self._parts.keypoints(scene).agreement(found.pose, shape)
+        keypoints = self.parts.keypoints(scene).agreement(found.pose, shape)
         seen = self._seen_posture(scene, found.pose.normalized(), shape) if seen is None else seen
         if seen is None:
             return replace(found, keypoints=keypoints)
@@ -269,11 +276,11 @@ class Tracker:
 
         A source is not asked again about a hand that it was asked about already.
         """
-        health = self._parts.health
+        health = self.parts.health
         search = _Search(best=followed, proposed=None, has_foreground=followed is not None, reason="")
         facing = None if predicted is None else predicted.reference
         asked: dict[type, Candidate | None] = {}
-        for source in self._parts.sources:
+        for source in self.parts.sources:
             kind = type(source)
             if not self._is_due(source, search.best, state) or (kind in asked and asked[kind] is search.best):
                 continue
@@ -288,7 +295,7 @@ class Tracker:
         return state, search
 
     def _is_due(self, source: ProposalSource, best: Candidate | None, state: TrackerState) -> bool:
-        health, occasion = self._parts.health, source.occasion
+        health, occasion = self.parts.health, source.occasion
         if occasion == "always":
             return True
         if not health.is_degraded(best, state.usual_score):
@@ -303,7 +310,7 @@ class Tracker:
         self, search: _Search, proposals: Proposals, facing: Tensor | None, scene: Scene, state: TrackerState
     ) -> tuple[_Search, bool]:
         """The better of the best hand so far and the proposed ones, and whether any of these is a hand at all."""
-        health, has_found = self._parts.health, False
+        health, has_found = self.parts.health, False
         has_foreground = search.has_foreground or proposals.has_foreground
         best, chosen, reason = search.best, search.proposed, proposals.reason or search.reason
         for proposed in proposals.hands:
@@ -325,19 +332,19 @@ class Tracker:
         shape = state.shape if proposed.shape is None else proposed.shape
         if shape is None:
             return None
-        if proposed.candidate is not None and self._parts.takes_proposals:
-            return self._judged_otherwise(proposed.candidate, scene, shape)
+        if proposed.candidate is not None and self.parts.takes_proposals:
+            return self._with_agreements(proposed.candidate, scene, shape)
         if proposed.appearance is not None:  # the first hand: the scene has been segmented without its colours
-            scene = self._observed(self._parts.segmentation.scene(scene.views, (proposed.appearance,), scene.time_s))
-        begun = self._parts.rule.begin(proposed.pose, proposed.covariance, scene, shape)
-        return self._judged_otherwise(begun, scene, shape)
+            scene = self._observed(self.parts.segmentation.scene(scene.views, (proposed.appearance,), scene.time_s))
+        begun = self.parts.rule.begin(proposed.pose, proposed.covariance, scene, shape)
+        return self._with_agreements(begun, scene, shape)
 
     # ------------------------------------------------------------------ what follows
 
     def _adopted(
         self, state: TrackerState, search: _Search, predicted: FollowedHand | None, scene: Scene
     ) -> tuple[TrackerState, Estimate]:
-        health, best, is_new = self._parts.health, search.best, search.proposed is not None
+        health, best, is_new = self.parts.health, search.best, search.proposed is not None
         is_bad = best is None or (not health.is_found(best) if is_new else health.is_failing(best))
         if best is None or is_bad:
             return self._without(state, search, predicted)
@@ -349,7 +356,7 @@ class Tracker:
     def _remembered(
         self, state: TrackerState, proposed: Proposed | None, best: Candidate, scene: Scene, *, is_new: bool
     ) -> TrackerState:
-        health, here = self._parts.health, self._parts.health.score(best)
+        health, here = self.parts.health, self.parts.health.score(best)
         if proposed is not None and not state.has_started:
             look = () if proposed.appearance is None else (proposed.appearance,)
             state = replace(
@@ -371,10 +378,10 @@ class Tracker:
     def _with_colours(self, state: TrackerState, best: Candidate, scene: Scene) -> TrackerState:
         """Colours learned from a scene that bears the hand out, where it is time for them."""
         every, count = self.settings.colours.every, state.frames_since_colours + 1
-        is_sure = not self._parts.health.is_degraded(best, state.usual_score)
+        is_sure = not self.parts.health.is_degraded(best, state.usual_score)
         if not is_sure or every == 0 or count < every or state.shape is None:
             return replace(state, frames_since_colours=count if is_sure else state.frames_since_colours)
-        looks = self._parts.segmentation.learned(state.appearance, best.pose, state.shape, scene)
+        looks = self.parts.segmentation.learned(state.appearance, best.pose, state.shape, scene)
         return replace(state, appearance=looks, frames_since_colours=0)
 
     def _without(
@@ -385,7 +392,7 @@ class Tracker:
         hand = predicted
         if best is not None and not is_new and predicted is not None:
             kept = best.hand if best.if_failing is None else best.if_failing
-            hand = None if self._parts.health.is_gone(best) else replace(kept, failures=predicted.failures)
+            hand = None if self.parts.health.is_gone(best) else replace(kept, failures=predicted.failures)
         status: FrameStatus = "lost" if state.has_started and search.has_foreground else "no_hand"
         reason = search.reason
         if best is not None and not is_new:
@@ -405,15 +412,15 @@ class Tracker:
 
     def _estimate(self, status: FrameStatus, found: Candidate, state: TrackerState, scene: Scene) -> Estimate:
         assert state.shape is not None
-        factor = self._parts.rule.overconfidence
-        posed = posed_belief(found.hand, self._parts.motion, self.kinematics, state.shape, overconfidence=factor)
+        factor = self.parts.rule.overconfidence
+        posed = posed_belief(found.hand, self.parts.motion, self.kinematics, state.shape, overconfidence=factor)
         inside = found.inside
         told = Told(
             pose=found.pose,
             shape=state.shape,
             tip_std=posed.tip_std,
             agreement=found.agreement,
-            keypoints=self._parts.keypoints(scene),
+            keypoints=self.parts.keypoints(scene),
             learned=found.learned,
             direction=found.direction,
         )
@@ -425,7 +432,7 @@ class Tracker:
             pose=posed.pose,
             pose_std=posed.pose_std,
             keypoints=posed.keypoints,
-            keypoints_px=torch.stack([camera.project(posed.keypoints) for camera in self._parts.own_cameras]),
+            keypoints_px=torch.stack([camera.project(posed.keypoints) for camera in self.parts.own_cameras]),
             keypoints_cov=posed.keypoints_cov + scale_covariance(posed.keypoints, self._scale_std),
             overlaps=found.agreement.overlaps,
             overlap=found.overlap,
@@ -436,20 +443,22 @@ class Tracker:
             quality=quality,
             finger_quality=fingers,
             evidence=evidence,
-            score=self._parts.health.score(found),
+            score=self.parts.health.score(found),
             views=found.agreement.views,
         )
 
     @property
-    def parts(self) -> Assembly:
-        """What it is made of."""
-        return self._parts
-
-    @property
     def own_cameras(self) -> tuple[Camera, ...]:
         """The cameras in the tracker's world, as they take pictures."""
-        return self._parts.own_cameras
+        return self.parts.own_cameras
 
     def pose_of(self, state: TrackerState) -> HandPose | None:
         """Where a state's hand is believed to be; None while there is none."""
-        return None if state.hand is None else self._parts.motion.pose(state.hand)
+        return None if state.hand is None else self.parts.motion.pose(state.hand)
+
+
+def _are_same(some: Sequence[View], others: Sequence[View]) -> bool:
+    """Whether views are the very same pictures, masks and keypoints."""
+    fields = ("image", "mask", "keypoints")
+    pairs = zip(some, others, strict=True)
+    return all(getattr(one, name) is getattr(other, name) for one, other in pairs for name in fields)

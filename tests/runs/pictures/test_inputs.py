@@ -1,14 +1,22 @@
 """Inputs of runs over single pictures: which pictures, whose camera, whose keypoints."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import torch
+from torch import Tensor
 
+from torchhand.detect import Landmarks
 from torchhand.errors import InputError
-from torchhand.runs.pictures.inputs import PictureKeypointsFile, cameras_of, mask_of, pictures_in
+from torchhand.files import HandDetection
+from torchhand.hand import Side
+from torchhand.runs.pictures.inputs import PictureDetector, PictureKeypointsFile, cameras_of, mask_of, pictures_in
 
+IMAGE = torch.zeros(480, 640, 3, dtype=torch.uint8)
 MATRIX = np.array(((480.0, 0.0, 31.0), (0.0, 470.0, 23.0), (0.0, 0.0, 1.0)))
 
 
@@ -61,26 +69,65 @@ def keypoints(path: Path, **own: np.ndarray) -> Path:
 def test_keypoints_are_matched_by_name_and_tell_the_side(tmp_path: Path) -> None:
     names, labels = np.array(["a.png", "b.png", "c.png"]), np.array(["Left", "Right", ""])
     file = PictureKeypointsFile(keypoints(tmp_path / "mp.npz", image=names, label=labels), side=None, count=5)
-    found = file.hand(4, "b.png", 640, 480)
+    found = file.hand(4, "b.png", IMAGE)
     assert found is not None
     hand, side = found
     assert side == "left"  # MediaPipe's name of a hand in a picture that is no mirror image
     assert hand.points_px[0].tolist() == [42.0, 43.0]
     assert hand.score == pytest.approx(0.8)
-    assert (first := file.hand(0, "a.png", 640, 480)) is not None
+    assert (first := file.hand(0, "a.png", IMAGE)) is not None
     assert first[1] == "right"
-    assert file.hand(0, "missing.png", 640, 480) is None
+    assert file.hand(0, "missing.png", IMAGE) is None
     only = PictureKeypointsFile(tmp_path / "mp.npz", side="right", count=5)
-    assert only.hand(1, "b.png", 640, 480) is None
+    assert only.hand(1, "b.png", IMAGE) is None
 
 
 def test_keypoints_without_names_are_in_the_pictures_order(tmp_path: Path) -> None:
     path = keypoints(tmp_path / "mp.npz")
-    found = PictureKeypointsFile(path, side=None, count=3).hand(2, "any.png", 640, 480)
+    found = PictureKeypointsFile(path, side=None, count=3).hand(2, "any.png", IMAGE)
     assert found is not None
     assert found[1] is None
     with pytest.raises(InputError, match="one row for each of 2 pictures"):
         PictureKeypointsFile(path, side=None, count=2)
+
+
+def _detected(x: float, side: Side, score: float) -> HandDetection:
+    return HandDetection(picture=np.full((21, 2), x), space=None, confidence=None, label=side, score=score)
+
+
+@dataclass
+class Following:
+    """A `Landmarker` that finds a hand in the first picture that it is given, and in later ones what it saw before."""
+
+    name: str = "following"
+    opened: int = 0
+
+    def open(self, hands: int) -> Landmarks:
+        self.opened += 1
+
+        class Found:
+            last: Sequence[HandDetection] = ()
+
+            def detect(self, image: Tensor) -> Sequence[HandDetection]:
+                x = float(image[0, 0, 0])
+                self.last = self.last or (_detected(x, "left", 0.7), _detected(x + 1, "right", 0.9))[:hands]
+                return self.last
+
+            def close(self) -> None: ...
+
+        return Found()
+
+
+def test_a_detector_sees_every_picture_by_itself() -> None:
+    landmarker = Following()
+    cases: list[tuple[Side | None, Side, int]] = [(None, "right", 1), ("right", "right", 1), ("left", "left", 0)]
+    for own, side, further in cases:
+        detector = PictureDetector(side=own, hand_model=None, landmarker=landmarker)
+        for level in (10, 20):
+            found = detector.hand(0, "a.png", IMAGE + level)
+            assert found is not None
+            assert (found[1], float(found[0].points_px[3, 0])) == (side, level + further)
+    assert landmarker.opened == 6
 
 
 def test_silhouettes_are_found_by_name(tmp_path: Path) -> None:

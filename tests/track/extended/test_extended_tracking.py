@@ -54,7 +54,7 @@ def test_a_moving_hand_is_followed(film: Any, followed: Any) -> None:
 
 def test_the_filter_learns_rates_and_noise(followed: Any) -> None:
     tracker, state, estimates = followed
-    motion, hand = tracker._parts.motion, state.hand
+    motion, hand = tracker.parts.motion, state.hand
     count = motion.space.size
     assert hand.belief.mean.shape == (2 * count,)  # parameters and velocities
     assert float(hand.belief.mean[count:].abs().max()) > 0.01
@@ -70,7 +70,7 @@ def test_the_filter_learns_rates_and_noise(followed: Any) -> None:
 
 def test_only_free_parameters_move(followed: Any) -> None:
     tracker, _, estimates = followed
-    free = tracker._parts.motion.space.free_names
+    free = tracker.parts.motion.space.free_names
     frozen = [i for i, name in enumerate(DOFS) if name not in free and not name.startswith("root_r")]
     for estimate in estimates[1:]:
         torch.testing.assert_close(estimate.pose[frozen], estimates[0].pose[frozen], atol=1e-12, rtol=0)

@@ -23,7 +23,7 @@ def test_the_skin_that_is_registered_is_that_of_the_hand_given(studio: Any) -> N
     widths = []
     for own, dtype in ((model, torch.float64), (larger, torch.float64), (model, torch.float32)):
         hand = own.hand(side=placed.kinematics.side, dtype=dtype)
-        rule = Tracker(hand, placed.camera, settings, shape=placed.shape)._parts.rule
+        rule = Tracker(hand, placed.camera, settings, shape=placed.shape).parts.rule
         assert isinstance(rule, ExtendedUpdate)
         (contours,) = rule._for(placed.shape).contours
         seen = contours.visible(HandPose.stack([pose]), probe_distance_px=2.0)

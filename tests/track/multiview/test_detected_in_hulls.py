@@ -42,7 +42,7 @@ def test_points_of_all_views_pull_the_fingertip(config: str, rig_hand, rig, scen
     tips = []
     for seen in (keypoints, told):
         tracker = Tracker(rig_hand, rig, settings_of(config), shape=rig_hand.kinematics.default_shape)
-        hand = tracker._parts.motion.started(at)
+        hand = tracker.parts.motion.started(at)
         state = TrackerState(shape=rig_hand.kinematics.default_shape, hand=hand, has_started=True)
         for frame in range(2):
             state, estimate = tracker.step(state, _views(rig, masks, seen), frame * FRAME_S)

@@ -49,7 +49,7 @@ def test_a_fingertip_on_a_ray_from_aside(config: str, cameras: int, rig_hand, ri
     def distance(**further) -> float:
         """Of the fingertip from the ray after two frames, metres."""
         tracker = Tracker(rig_hand, rig[:cameras], settings_of(config), shape=kinematics.default_shape, **further)
-        state = TrackerState(shape=kinematics.default_shape, hand=tracker._parts.motion.started(at), has_started=True)
+        state = TrackerState(shape=kinematics.default_shape, hand=tracker.parts.motion.started(at), has_started=True)
         places: list[Tensor] = []
         for frame in range(2):
             state, estimate = tracker.step(state, [View(mask=mask) for mask in masks], frame * FRAME_S)

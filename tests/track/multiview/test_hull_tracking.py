@@ -77,7 +77,7 @@ def test_estimate_is_consistent(run, rig, rig_hand):
 
 
 def test_moving_hand_gets_a_speed(run, tracker):
-    hand, space = run[-1][0].hand, tracker._parts.motion.space
+    hand, space = run[-1][0].hand, tracker.parts.motion.space
     column = space.free_names.index("root_tx")
     assert float(hand.belief.mean[space.size + column]) == pytest.approx(0.09, abs=0.05)
 

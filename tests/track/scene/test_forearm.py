@@ -35,7 +35,7 @@ def _candidate(hand: StagedHand, mask: Tensor) -> Candidate:
     tracker = Tracker(right_hand(), hand.camera, TrackerSettings(pose_space="planar_scale"), shape=hand.shape)
     scene = Scene(views=(View(mask=mask),), masks=(mask,), probabilities=(mask.float(),), time_s=0.0)
     with torch.inference_mode():
-        found = tracker._parts.rule.begin(HandPose.of(hand.pose, hand.root_reference), None, scene, hand.shape)
+        found = tracker.parts.rule.begin(HandPose.of(hand.pose, hand.root_reference), None, scene, hand.shape)
     assert found is not None
     return found
 

@@ -144,6 +144,37 @@ def test_an_open_hand_is_found_alone() -> None:
     assert float(away.mean()) < 0.04 * placed.length_px
 
 
+def test_what_looks_like_something_else_is_refused_unless_a_detector_tells_of_it() -> None:
+    """No view is so much likelier that of a hand."""
+    placed, strict = staged("open"), SinglePoseSettings(alone_presence=1e3)
+    alone = SinglePoseFitter(Studio().kinematics(), strict, sources=(aligned,))
+    view = View(image=placed.picture())
+    refused = alone(view, placed.camera, shape=placed.shape).estimate
+    assert refused.status == "no_hand"
+    assert "looks like something else than a hand" in refused.reason
+    seen = replace(view, keypoints=detected(placed))
+    assert alone(seen, placed.camera, shape=placed.shape).estimate.status == "tracked"
+    with pytest.raises(ValueError, match="alone_presence: expected a number below infinity"):
+        SinglePoseSettings(alone_presence=float("inf"))
+
+
+def test_the_network_s_view_corrects_a_detector_that_tells_a_fist_half_open() -> None:
+    """Hardly anything of the outline of a fist shows its fingers; where no network can be asked they stay as told."""
+    fist = staged("fist")
+    half = replace(fist, pose=torch.cat((fist.pose[:6], 0.6 * fist.pose[6:])))
+    view = View(image=fist.picture(), keypoints=replace(detected(fist), points=detected(half).points))
+    fitters = fitter(), _WithoutNetwork(Studio().kinematics())
+    found = [one(view, fist.camera, shape=fist.shape).estimate.pose for one in fitters]
+    assert found[0] is not None
+    assert found[1] is not None
+    assert float(found[0][FLEXIONS].mean()) > float(found[1][FLEXIONS].mean()) + 0.02
+
+
+class _WithoutNetwork(SinglePoseFitter):
+    def _by_network(self, *_: Any) -> tuple[()]:
+        return ()
+
+
 def solutions(pose: HandPose, cost: list[float]) -> Solutions:
     space, count = named_pose_space("dof28"), len(cost)
     return Solutions(

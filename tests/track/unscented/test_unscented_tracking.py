@@ -406,7 +406,7 @@ def test_a_correction_that_turns_the_hand_over_must_explain_more(film: Any, foll
     at = tracker.pose_of(states[1])
     assert at is not None
     assert state.shape is not None
-    own = first._parts.rule.begin(at, torch.eye(6, dtype=torch.float64) * 1e-6, scene, state.shape)
+    own = first.parts.rule.begin(at, torch.eye(6, dtype=torch.float64) * 1e-6, scene, state.shape)
     assert own is not None
     turn = torch.diag(torch.tensor((-1.0, 1.0, -1.0), dtype=torch.float64))
     for rotation, more, takes_over in (
@@ -430,5 +430,5 @@ def _with_proposal(tracker: Tracker, candidate: Any, state: TrackerState, image:
             proposed = Proposed(pose=candidate.pose, covariance=None, candidate=candidate)
             return Proposals(hands=(proposed,), has_foreground=True)
 
-    tracker._parts = replace(tracker._parts, sources=(Source(),), takes_proposals=True)
+    tracker.parts = replace(tracker.parts, sources=(Source(),), takes_proposals=True)
     return run(tracker, [image], state)[1][0]

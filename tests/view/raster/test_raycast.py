@@ -1,5 +1,6 @@
 """The ray caster against all rays with all primitives, dense sampling, a sphere, and the polygon silhouette."""
 
+import importlib
 import math
 from dataclasses import replace
 from typing import Any
@@ -188,3 +189,16 @@ def test_shade_lights_what_faces_the_light(scene: Any) -> None:
     grey = shade(cast)
     assert bool((grey[~cast.mask] == 128).all())
     assert math.isclose(float(cast.normal[cast.mask].norm(dim=-1).mean()), 1.0, abs_tol=1e-12)
+
+
+def test_rays_that_are_not_held_together_meet_the_same(scene: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = scene.camera("pinhole", lens=0, width=60, height=45)
+    projector = scene.projector(camera, "right")
+    world = scene.primitives(projector, *scene.pose(torch.Generator().manual_seed(0)))
+    together = raycast(world, camera)
+    module = importlib.import_module("torchhand.view.raster.raycast")  # the door's name is the function
+    monkeypatch.setattr(module, "_RAYS_AT_ONCE", 100)
+    apart = raycast(world, camera)
+    assert together.mask.any()
+    for name in ("depth", "part", "normal"):
+        assert torch.equal(getattr(apart, name), getattr(together, name)), name

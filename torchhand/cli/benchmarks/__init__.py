@@ -9,11 +9,12 @@ from torchhand.cli.benchmarks.multiview import track_views, track_views_memory
 from torchhand.cli.benchmarks.registration import many_hypotheses, one_registration
 from torchhand.cli.benchmarks.runs import own_environment
 from torchhand.cli.benchmarks.stream import recorded_poses, recorded_stream, synthetic_stream
-from torchhand.cli.benchmarks.tracking import filter_update, track_memory, tracking
+from torchhand.cli.benchmarks.tracking import TrackingCase, filter_update, track_memory, tracking
 from torchhand.cli.benchmarks.volume import frame_cameras, octree
 
 __all__ = [
     "Figure",
+    "TrackingCase",
     "filter_update",
     "fit_hand_bones",
     "frame_cameras",

@@ -1,7 +1,9 @@
 """Measures of `torchhand benchmark` on tracking: the filter's update, frames per second, memory."""
 
+import statistics
+import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -9,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import UInt8
 from torch import Tensor
 
 from torchhand.cli.benchmarks.figures import Figure, against_peer, peer_module
@@ -19,12 +20,13 @@ from torchhand.geometry import Camera, assumed_camera
 from torchhand.numerics import Gaussian, UnscentedSettings, sigma_points, update
 from torchhand.runs import settings_of
 from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
-from torchhand.track import Tracker, TrackerState, View
+from torchhand.track import BackwardPass, HandKeypoints, Tracker, TrackerState, View
 
 STATE, OBSERVED, MEASUREMENTS = 81, 27, 800
 FOV_DEG = 48.0
 MEMORY_SIZE_PX, MEMORY_FRAMES, MEMORY_RENDERED = (1280, 720), 621, 40
 MEMORY_MUST_MIB = 1536.0
+_POINT_ERROR_M = 0.005
 FILTER_ROUNDS, TRACKING_ROUNDS = 15, 5
 """Repeats unless --repeats says otherwise."""
 
@@ -76,47 +78,67 @@ def _filterpy_update(
     return run
 
 
-def _simulated(motion: str, size: tuple[int, int], frames: int, scene: SceneSettings) -> tuple[Camera, list[Tensor]]:
-    """A camera and the pictures of a hand before a plain wall."""
+@dataclass(frozen=True, kw_only=True)
+class TrackingCase:
+    """What a tracker is timed on."""
+
+    config: str
+    motion: str = "free"
+    size: tuple[int, int] = (640, 480)
+    frames: int = 20
+    has_network: bool = True
+    """Whether a network tells the posture of the followed hand."""
+    has_points: bool = False
+    """Whether a detector's points come with the pictures."""
+    passes: int = 1
+    """1, or 2 with the pass from the last frame to the first."""
+
+
+def _simulated(motion: str, size: tuple[int, int], frames: int, scene: SceneSettings) -> tuple[Camera, list[View]]:
+    """A camera and the views of a hand before a plain wall, with the points of a detector that errs by 5 mm."""
     kinematics = load_hand_model().kinematics(dtype=torch.float64)
     camera = replace(assumed_camera(*size, horizontal_fov_deg=FOV_DEG), is_assumed=False)
     generator = torch.Generator().manual_seed(0)
     course = scripted_motion(motion, frames, kinematics, camera, generator, fps=FRAMES_PER_SECOND)
-    rendered = render_sequence(kinematics, course, camera, scene, generator)
-    return camera, [frame.image for frame in with_bar(rendered, frames, "rendering")]
+    rendered = list(with_bar(render_sequence(kinematics, course, camera, scene, generator), frames, "rendering"))
+    views = []
+    for frame in rendered:
+        points = frame.keypoints_cam + _POINT_ERROR_M * torch.randn(21, 3, generator=generator, dtype=torch.float64)
+        seen = HandKeypoints(points_px=camera.pixels_from_plane(camera.plane_from_cam(points)), points=points)
+        views.append(View(image=frame.image, keypoints=seen))
+    return camera, views
 
 
-def tracking(
-    name: str,
-    repeats: int | None,
-    *,
-    config: str,
-    motion: str,
-    size: tuple[int, int],
-    frames: int,
-    must: float,
-    aim: float,
-) -> Figure:
+def tracking(name: str, repeats: int | None, *, case: TrackingCase, must: float, aim: float) -> Figure:
     """Frames per second of the tracker's steps alone: the pictures are there, the start is made."""
-    camera, pictures = _simulated(motion, size, frames, SceneSettings())
-    tracker = Tracker(load_hand_model().hand(dtype=torch.float64), camera, settings_of(config))
-    start, _ = tracker.step(None, [View(image=pictures[0])], 0.0)
-    return speed_figure(
-        name,
-        partial(_track_all, tracker, start, pictures[1:]),
-        repeats or TRACKING_ROUNDS,
-        must=must,
-        aim=aim,
-        details={"config": config, "motion": motion},
-    )
+    camera, views = _simulated(case.motion, case.size, case.frames, SceneSettings())
+    views = views if case.has_points else [replace(view, keypoints=None) for view in views]
+    settings = settings_of(case.config)
+    settings = settings if case.has_network else replace(settings, learned_posture=False)
+    tracker = Tracker(load_hand_model().hand(dtype=torch.float64), camera, settings)
+    start, _ = tracker.step(None, views[:1], 0.0)
+    spent: list[float] = []
+    run = partial(_track_all, tracker, start, views[1:], case.passes, spent)
+    figure = speed_figure(name, run, repeats or TRACKING_ROUNDS, must=must, aim=aim, details=asdict(case))
+    cpu_ms = 1e3 * statistics.median(spent) / (len(views) - 1)
+    return replace(figure, details=figure.details | {"cpu_ms_per_frame": cpu_ms})
 
 
-def _track_all(tracker: Tracker, start: TrackerState, pictures: Sequence[UInt8[Tensor, "height width 3"]]) -> list[str]:
-    state, statuses = start, []
-    for index, picture in enumerate(pictures, 1):
-        state, estimate = tracker.step(state, [View(image=picture)], index / FRAMES_PER_SECOND)
-        statuses.append(estimate.status)
-    return statuses
+def _track_all(
+    tracker: Tracker, start: TrackerState, views: Sequence[View], passes: int, spent: list[float]
+) -> list[str]:
+    """Statuses of all frames; the seconds of CPU time are added to `spent`."""
+    began = time.process_time()
+    state, found = start, []
+    for index, view in enumerate(views, 1):
+        state, estimate = tracker.step(state, [view], index / FRAMES_PER_SECOND)
+        found.append(estimate)
+    if passes == 2:
+        second = BackwardPass(tracker, state)
+        for index in range(len(views), 0, -1):
+            second.step(views[index - 1 : index], index / FRAMES_PER_SECOND, found[index - 1].pose)
+    spent.append(time.process_time() - began)
+    return [estimate.status for estimate in found]
 
 
 def track_memory(name: str, repeats: int | None) -> Figure:
@@ -127,7 +149,8 @@ def track_memory(name: str, repeats: int | None) -> Figure:
 
 def _long_video(folder: Path) -> list[str]:
     """Written into a folder; the command that tracks it."""
-    camera, pictures = _simulated("planar", MEMORY_SIZE_PX, MEMORY_RENDERED, SceneSettings(supersampling=1))
+    camera, views = _simulated("planar", MEMORY_SIZE_PX, MEMORY_RENDERED, SceneSettings(supersampling=1))
+    pictures = [view.image for view in views if view.image is not None]
     video, (width, height) = folder / "hand.mp4", MEMORY_SIZE_PX
     save_cameras([camera], folder / "cameras.json")
     with write_video(video, width=width, height=height, fps=FRAMES_PER_SECOND) as writer:

@@ -182,7 +182,15 @@ class PictureKeypointFactor:
     def _projected(
         self, hands: PosedHands
     ) -> tuple[Float[Tensor, "k 21 2"], Float[Tensor, "k 21 2 3"], Float[Tensor, "k 21"]]:
-        """Pixels of the keypoints, their derivative in the places in the world, and the depths."""
+        """Pixels of the keypoints, their derivative in the places in the world, and the depths; computed once for the
+        hands that points are associated with."""
+        camera, detector = self.camera, self.detector
+        kept = hands.once(("projected", id(camera), id(detector)), lambda: (camera, detector, self._projection(hands)))
+        return kept[2]  # what is kept with it holds the numbers of the key
+
+    def _projection(
+        self, hands: PosedHands
+    ) -> tuple[Float[Tensor, "k 21 2"], Float[Tensor, "k 21 2 3"], Float[Tensor, "k 21"]]:
         camera = self.camera
         in_cam = camera.cam_from_world(self.detector.keypoints(self.kinematics, hands))
         plane = in_cam[..., :2]

@@ -1,6 +1,7 @@
 """A hand placed by detected keypoints alone: no prediction, no silhouette, one camera or several."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -10,7 +11,7 @@ from torchhand.fit import Problem, Solutions, Stage, solve
 from torchhand.fit.keypoints.observation import PictureKeypoints
 from torchhand.fit.keypoints.posture import PostureKeypoints
 from torchhand.fit.keypoints.prior import NaturalPrior, natural_posture
-from torchhand.fit.keypoints.views import starts_in_picture
+from torchhand.fit.keypoints.views import placed_in_pictures, starts_in_picture
 from torchhand.hand import DOFS, JOINT_DOFS, HandKinematics, HandPose, named_pose_space
 
 _SPACE = named_pose_space("dof26")  # what points tell of, whatever is followed
@@ -39,7 +40,7 @@ def place_hand(
     told = [one for one in postures if not one.is_empty]
     missing = shape.new_ones(1, len(DOFS))
     if told:
-        starts = HandPose.cat([_placed(one.pose, pictures, kinematics, shape) for one in told])
+        starts = HandPose.cat([_placed(one.pose, pictures, shape) for one in told])
         is_open = torch.stack([one.precision for one in told]).amax((0, 1)) == 0
         missing[:, -len(JOINT_DOFS) :] = is_open.to(missing)
     else:
@@ -56,30 +57,10 @@ def place_hand(
     return solutions.select(solutions.best)
 
 
-def _placed(
-    pose: HandPose, pictures: Sequence[PictureKeypoints], kinematics: HandKinematics, shape: Float[Tensor, "shape"]
-) -> HandPose:
-    """Hands of known rotation and posture where the points of all pictures want them in linear least squares."""
-    arms = kinematics(pose.dofs, shape, root_reference=pose.reference).keypoints - pose.dofs[:, None, :3]
-    matrices, values = [], []
-    for one in pictures:
-        camera, rotation = one.camera, one.camera.rotation.to(arms)
-        plane = camera.plane_from_pixels(one.points_px.nan_to_num().to(arms))
-        weight = one.is_known.to(arms)[..., None]
-        seen = arms @ rotation.mT + camera.translation.to(arms)
-        depth = seen[..., 2:] if camera.kind == "pinhole" else torch.ones_like(seen[..., 2:])
-        slope = plane[..., None] if camera.kind == "pinhole" else torch.zeros_like(plane[..., None])
-        rows = rotation[:2] - slope * rotation[2]
-        matrices.append((weight[..., None] * rows).flatten(1, 2).expand(len(arms), -1, -1))
-        values.append((weight * (plane * depth - seen[..., :2])).flatten(1))
-    matrix, value = torch.cat(matrices, 1), torch.cat(values, 1)
-    # A little of everything: cameras that show no depth leave one direction open.
-    place = torch.linalg.solve(
-        matrix.mT @ matrix + 1e-9 * torch.eye(3).to(arms), (matrix.mT @ value[..., None]).squeeze(-1)
-    )
-    dofs = pose.dofs.clone()
-    dofs[:, :3] = _before(place, pictures[0])
-    return HandPose(dofs=dofs, reference=pose.reference)
+def _placed(pose: HandPose, pictures: Sequence[PictureKeypoints], shape: Float[Tensor, "shape"]) -> HandPose:
+    """Hands of known rotation and posture where the points of all pictures want them, before the first camera."""
+    placed = placed_in_pictures(pictures, pose, shape)
+    return replace(placed, dofs=torch.cat((_before(placed.dofs[:, :3], pictures[0]), placed.dofs[:, 3:]), -1))
 
 
 def _before(place: Float[Tensor, "k 3"], picture: PictureKeypoints) -> Float[Tensor, "k 3"]:

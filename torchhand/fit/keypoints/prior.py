@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import torch
 from jaxtyping import Float, Int
@@ -84,8 +84,14 @@ class NaturalPrior:
         return ()
 
 
+@lru_cache(maxsize=4)
 def natural_posture(*, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu") -> NaturalPosture:
     """Half-open, with independent angles but for the end joints of the fingers, which follow the middle ones."""
+    with torch.inference_mode(False):  # kept for callers in any mode
+        return _natural_posture(dtype, device)
+
+
+def _natural_posture(dtype: torch.dtype, device: torch.device | str) -> NaturalPosture:
     mean, precision = torch.zeros(len(DOFS), dtype=dtype), torch.zeros(len(DOFS), len(DOFS), dtype=dtype)
     for i, dof in enumerate(DOFS):
         if i >= _ROOT:
@@ -125,8 +131,13 @@ def points_of_dofs() -> tuple[tuple[int, ...], ...]:
 
 def missing_fraction(confidence: Float[Tensor, "*frames 21"]) -> Float[Tensor, "*frames 36"]:
     """1 for the DOFs of which a keypoint is missing (confidence 0), falling to 0 as the least confidence rises to 1."""
-    columns = [
-        1 - confidence[..., list(points)].amin(-1).clamp(0, 1) if points else torch.zeros_like(confidence[..., 0])
-        for points in points_of_dofs()
-    ]
-    return torch.stack(columns, -1)
+    joints = 1 - confidence[..., _needed_points().to(confidence.device)].amin(-1).clamp(0, 1)
+    return torch.nn.functional.pad(joints, (_ROOT, 0))
+
+
+@lru_cache(maxsize=1)
+def _needed_points() -> Int[Tensor, "30 4"]:
+    """`points_of_dofs` of the joint angles as one table; where there are fewer, the last one stands several times."""
+    table = [(*points, *points[-1:] * (4 - len(points))) for points in points_of_dofs()[_ROOT:]]
+    with torch.inference_mode(False):
+        return torch.tensor(table)

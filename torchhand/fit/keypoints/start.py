@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand import BONES, DOFS, FINGERS, JOINT_DOFS, HandKinematics, HandPose
+from torchhand.hand import BONES, DOFS, FINGERS, JOINT_DOFS, HandKinematics, HandPose, Skeleton
 
 PALM = (0, 5, 9, 13, 17)
 """Wrist and knuckles: they move as one body but for the slight bend of the palm."""
@@ -71,7 +71,8 @@ def start_in_space(
 
 
 class _DigitAngles:
-    """Angles of the five digits from points in the frame of a right hand, joint after joint."""
+    """Angles of the five digits from points in the frame of a right hand, joint after joint; fingers of like joints
+    together."""
 
     def __init__(self, kinematics: HandKinematics, points: Tensor, joints: Tensor) -> None:
         self.skeleton = kinematics.skeleton.to(dtype=points.dtype, device=points.device)
@@ -79,31 +80,37 @@ class _DigitAngles:
         self.joints = joints.clone()
 
     def found(self) -> Tensor:
-        for finger_number, finger in enumerate(FINGERS):
-            chain = self.points[:, 1 + 4 * finger_number : 5 + 4 * finger_number]
-            bones = (chain[:, 1:] - chain[:, :-1]).unbind(1)
-            if finger == "thumb":
-                frame = self._ball(finger, "cmc", "metacarpal", None, bones[0], bones[1:])
-                frame = self._ball(finger, "mcp", "proximal", frame, bones[1], bones[2:])
-                self._hinge(finger, "ip", "distal", frame, bones[2])
-                continue
-            frame = self._turned(f"{finger}_metacarpal", None)
-            frame = self._ball(finger, "mcp", "proximal", frame, bones[0], bones[1:])
-            frame = self._hinge(finger, "pip", "middle", frame, bones[1])
-            self._hinge(finger, "dip", "distal", frame, bones[2])
+        chains = self.points[:, 1:].unflatten(1, (len(FINGERS), 4))
+        bones = chains[:, :, 1:] - chains[:, :, :-1]
+        thumb, along = FINGERS[:1], bones[:, :1].unbind(2)
+        frame = self._ball(thumb, "cmc", "metacarpal", None, along[0], along[1:])
+        frame = self._ball(thumb, "mcp", "proximal", frame, along[1], along[2:])
+        self._hinge(thumb, "ip", "distal", frame, along[2])
+        fingers, along = FINGERS[1:], bones[:, 1:].unbind(2)
+        frame = self._turned(fingers, "metacarpal", None)
+        frame = self._ball(fingers, "mcp", "proximal", frame, along[0], along[1:])
+        frame = self._hinge(fingers, "pip", "middle", frame, along[1])
+        self._hinge(fingers, "dip", "distal", frame, along[2])
         return self.joints
 
     def _ball(
-        self, finger: str, joint: str, bone: str, parent: Tensor | None, along: Tensor, beyond: tuple[Tensor, ...]
+        self,
+        digits: tuple[str, ...],
+        joint: str,
+        bone: str,
+        parent: Tensor | None,
+        along: Tensor,
+        beyond: tuple[Tensor, ...],
     ) -> Tensor:
         """Abduction outside flexion: the bone's direction (-sin fe, cos fe cos aa, ± cos fe sin aa).
 
         The further the joint is bent, the less the direction tells of the abduction; then the plane in which the next
         bones bend does, whose normal is the flexion axis (0, ∓sin aa, cos aa).
         """
-        abduction, flexion = JOINT_DOFS.index(f"{finger}_{joint}_aa"), JOINT_DOFS.index(f"{finger}_{joint}_fe")
-        side = torch.sign(self.skeleton.axis[abduction, 0])
-        rest = self._rest(f"{finger}_{bone}", parent)
+        abduction, flexion = ([JOINT_DOFS.index(f"{one}_{joint}_{kind}") for one in digits] for kind in ("aa", "fe"))
+        axis = self.skeleton.axis[abduction]
+        side = torch.sign(axis[:, 0])
+        rest = self._rest(digits, bone, parent)
         x, y, z = self._unit(rest, along).unbind(-1)
         far = torch.stack([torch.where(b.isfinite(), b, 0.0) for b in beyond]).sum(0)
         normal = torch.linalg.cross(self._unit(rest, along), self._unit(rest, far))
@@ -112,32 +119,39 @@ class _DigitAngles:
         cosine = forwards * y + upwards * normal[..., 2]
         sine = side * (forwards * z - upwards * normal[..., 1])
         self._set(abduction, torch.atan2(sine, cosine))
-        turned = rotation_from_vector(-self.joints[:, abduction, None] * self.skeleton.axis[abduction])
+        turned = rotation_from_vector(-self.joints[:, abduction, None] * axis)
         x, y, _ = (turned @ torch.stack((x, y, z), -1)[..., None]).squeeze(-1).unbind(-1)
         self._set(flexion, torch.atan2(-x, y))
-        return self._turned(f"{finger}_{bone}", parent)
+        return self._turned(digits, bone, parent)
 
-    def _hinge(self, finger: str, joint: str, bone: str, parent: Tensor, along: Tensor) -> Tensor:
-        x, y, _ = self._unit(self._rest(f"{finger}_{bone}", parent), along).unbind(-1)
-        self._set(JOINT_DOFS.index(f"{finger}_{joint}_fe"), torch.atan2(-x, y))
-        return self._turned(f"{finger}_{bone}", parent)
+    def _hinge(self, digits: tuple[str, ...], joint: str, bone: str, parent: Tensor, along: Tensor) -> Tensor:
+        x, y, _ = self._unit(self._rest(digits, bone, parent), along).unbind(-1)
+        self._set([JOINT_DOFS.index(f"{one}_{joint}_fe") for one in digits], torch.atan2(-x, y))
+        return self._turned(digits, bone, parent)
 
-    def _set(self, angle: int, value: Tensor) -> None:
-        within = value.clamp(self.skeleton.lower[angle], self.skeleton.upper[angle])
-        self.joints[:, angle] = torch.where(value.isfinite(), within, self.joints[:, angle])
+    def _set(self, angles: list[int], value: Tensor) -> None:
+        within = value.clamp(self.skeleton.lower[angles], self.skeleton.upper[angles])
+        self.joints[:, angles] = torch.where(value.isfinite(), within, self.joints[:, angles])
 
-    def _rest(self, bone: str, parent: Tensor | None) -> Tensor:
-        rest = self.skeleton.rest_rotation[BONES.index(bone)]
+    def _rest(self, digits: tuple[str, ...], bone: str, parent: Tensor | None) -> Tensor:
+        rest = self.skeleton.rest_rotation[[BONES.index(f"{one}_{bone}") for one in digits]]
         return rest if parent is None else parent @ rest
 
     def _unit(self, frame: Tensor, vector: Tensor) -> Tensor:
         local = (frame.mT @ vector[..., None]).squeeze(-1)
         return local / local.norm(dim=-1, keepdim=True)
 
-    def _turned(self, bone: str, parent: Tensor | None) -> Tensor:
+    def _turned(self, digits: tuple[str, ...], bone: str, parent: Tensor | None) -> Tensor:
         """hand_from_bone with the angles found so far."""
-        rotation = self._rest(bone, parent)
-        own = [i for i in range(len(JOINT_DOFS)) if self.skeleton.bone[i] == BONES.index(bone)]
-        for i in sorted(own, key=lambda i: self.skeleton.order[i]):
-            rotation = rotation @ rotation_from_vector(self.joints[:, i, None] * self.skeleton.axis[i])
+        rotation = self._rest(digits, bone, parent)
+        own = [_angles_of(self.skeleton, BONES.index(f"{one}_{bone}")) for one in digits]
+        for angles in zip(*own, strict=True):
+            which = list(angles)
+            rotation = rotation @ rotation_from_vector(self.joints[:, which, None] * self.skeleton.axis[which])
         return rotation
+
+
+def _angles_of(skeleton: Skeleton, bone: int) -> list[int]:
+    """Angles that turn a bone, in the order in which they do."""
+    own = [i for i in range(len(JOINT_DOFS)) if skeleton.bone[i] == bone]
+    return sorted(own, key=lambda i: skeleton.order[i])

@@ -24,7 +24,17 @@ from torchhand.hand.kinematics.pose import (
 )
 from torchhand.hand.kinematics.shape import TIP_DEPTH, ShapeSpace, bone_offsets, joint_positions, linear_map
 from torchhand.hand.kinematics.sided_skeleton import sided_skeleton
-from torchhand.hand.kinematics.skeleton import BONES, DOFS, FINGERS, JOINT_DOFS, KEYPOINTS, PARENTS, ROOT_DOFS, Skeleton
+from torchhand.hand.kinematics.skeleton import (
+    BONES,
+    DOFS,
+    FINGERS,
+    JOINT_DOFS,
+    KEYPOINTS,
+    PARENTS,
+    ROOT_DOFS,
+    TIPS,
+    Skeleton,
+)
 
 __all__ = [
     "BONES",
@@ -40,6 +50,7 @@ __all__ = [
     "POSE_SPACES",
     "POSTURES",
     "ROOT_DOFS",
+    "TIPS",
     "TIP_DEPTH",
     "HandFrames",
     "HandKinematics",

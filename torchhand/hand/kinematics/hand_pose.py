@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 from jaxtyping import Float, Int
@@ -69,9 +70,7 @@ class HandPose:
 
     def normalized(self) -> "HandPose":
         """The same hands with zero rotation vectors."""
-        keep = torch.ones(len(DOFS), dtype=self.dofs.dtype, device=self.dofs.device)
-        keep[3:_ROOT] = 0
-        return HandPose(dofs=self.dofs * keep, reference=self.rotation)
+        return HandPose(dofs=self.dofs * _but_rotation().to(self.dofs), reference=self.rotation)
 
     def retract(self, step: Float[Tensor, "*#batch 36"]) -> "HandPose":
         """The hands after a step: translations and angles added, the rotation a left perturbation (world axes)."""
@@ -102,3 +101,12 @@ class HandPose:
     def to(self, like: Tensor) -> "HandPose":
         """The poses in the dtype and on the device of a tensor."""
         return HandPose(dofs=self.dofs.to(like), reference=self.reference.to(like))
+
+
+@lru_cache(maxsize=1)
+def _but_rotation() -> Float[Tensor, "36"]:
+    """1 for all DOFs but those of the rotation vector."""
+    with torch.inference_mode(False):  # kept for callers in any mode
+        keep = torch.ones(len(DOFS), dtype=torch.float64)
+        keep[3:_ROOT] = 0
+        return keep

@@ -123,8 +123,7 @@ class PoseJacobian:
         shift = (root[:3]).expand(_POINTS, 3, -1)[..., None]
         about = torch.einsum("ikn,kc->icn", spin, root[3:])
         lever = keypoints - position[:1]
-        turned = [cross(about[None, :, c], lever) for c in range(about.shape[1])]
-        return shift + torch.stack(turned, 2)
+        return shift + cross(about[None], lever[:, :, None])
 
 
 def keypoint_jacobian(

@@ -2,9 +2,10 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchhand.geometry import rotation_from_vector
@@ -33,9 +34,14 @@ class PoseSpace:
         """The full pose of the free parameters."""
         return free @ self.basis.T + self.constant
 
+    @property
+    def inverse(self) -> Float[Tensor, "free 36"]:
+        """Pseudo-inverse of the basis."""
+        return torch.linalg.pinv(self.basis) if self.basis.requires_grad else _pseudo_inverse(self.basis)
+
     def free(self, dof: Float[Tensor, "*batch 36"]) -> Float[Tensor, "*batch free"]:
         """The free parameters whose pose is nearest (least squares); exact for poses in the space."""
-        return (dof - self.constant) @ torch.linalg.pinv(self.basis).T
+        return (dof - self.constant) @ self.inverse.T
 
     def own(self, dof: Float[Tensor, "*batch 36"]) -> Float[Tensor, "*batch free"]:
         """The free parameters as read off the DOFs that they are named after, whatever the tied ones are.
@@ -43,10 +49,7 @@ class PoseSpace:
         What `free` gives for poses in the space; of one whose tied angles have stopped at their limits the free angles
         are kept, where least squares would shift them. Raises ValueError for a parameter that no DOF is named after.
         """
-        for name in self.free_names:
-            if name not in DOFS:
-                raise ValueError(f"free parameter {name!r} is not named after a DOF; allowed: {', '.join(DOFS)}")
-        rows = torch.tensor([DOFS.index(name) for name in self.free_names], device=self.basis.device)
+        rows = _rows_of(self.free_names).to(self.basis.device)
         own = self.basis[rows].diagonal()
         return (dof - self.constant)[..., rows] / own
 
@@ -82,6 +85,23 @@ def pose_space(
         basis[DOFS.index(dof), free.index(source)] = factor
         constant[DOFS.index(dof)] = offset
     return PoseSpace(name=name, free_names=free, basis=basis, constant=constant)
+
+
+@lru_cache(maxsize=64)
+def _rows_of(free_names: tuple[str, ...]) -> Int[Tensor, "free"]:
+    """The DOFs that parameters are named after. Raises ValueError for one that no DOF is named after."""
+    for name in free_names:
+        if name not in DOFS:
+            raise ValueError(f"free parameter {name!r} is not named after a DOF; allowed: {', '.join(DOFS)}")
+    with torch.inference_mode(False):  # kept for callers in any mode
+        return torch.tensor([DOFS.index(name) for name in free_names])
+
+
+@lru_cache(maxsize=16)
+def _pseudo_inverse(basis: Float[Tensor, "36 free"]) -> Float[Tensor, "free 36"]:
+    """Computed once for a basis, which all spaces through other poses have in common."""
+    with torch.inference_mode(False):
+        return torch.linalg.pinv(basis)
 
 
 def _unknown(dof: str) -> ValueError:

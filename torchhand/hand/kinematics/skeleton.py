@@ -40,6 +40,9 @@ KEYPOINTS = (
 )
 """Twenty-one keypoints: wrist, then thumb, index, middle, ring, little from base to tip."""
 
+TIPS = tuple(i for i, name in enumerate(KEYPOINTS) if name.endswith("_tip"))
+"""Places of the fingertips among them."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Skeleton:

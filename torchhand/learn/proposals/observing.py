@@ -4,14 +4,14 @@ import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 from torch.nn import functional
 
 from torchhand.learn.proposals.rendering import FIRST_OF_FOREARM, HAND, HAND_SHARE, LAST_OF_FOREARM, RenderedHands
 from torchhand.propose import SIDE_PX, SquareViews, gaussian_blur_of, network_channels, views_towards
 
-_WIDE = 0.4  # share of views about a whole silhouette, turned anyhow; the others hold the hand upright
+_WIDE = 0.4
 _ROLL = math.radians(18)  # standard deviation of their turn
 _NO_FOREARM, _NO_GREY = 0.3, 0.3  # shares
 _SHIFT, _WIDE_SHIFT = 0.07, 0.3  # of the middle, over half the hand's size: standard deviation; largest
@@ -32,20 +32,17 @@ class SeenHands:
     log_size: Float[Tensor, "hands"]
 
 
-def seen_hands(hands: RenderedHands, generator: torch.Generator) -> SeenHands:
-    """Each hand in a random view, with the errors of a random segmentation under random lights."""
-    views = _views(hands, generator)
+def seen_hands(hands: RenderedHands, generator: torch.Generator, *, wide: float = _WIDE) -> SeenHands:
+    """Each hand in a random view, with the errors of a random segmentation under random lights.
+
+    wide: share of the views that are about a whole silhouette, turned anyhow; the others hold the hand upright.
+    """
+    views = _views(hands, generator, wide)
     view_from_cam = views.cam_from_view.mT
     palm = (view_from_cam @ hands.palm[..., None]).squeeze(-1)
     grid = views.plane(SIDE_PX) / hands.reach[:, None, None, None]
-    grid = grid.clamp(-2, 2)
-    silhouette = _sampled(_visible(hands, generator)[:, None].float(), grid)[:, 0]
-    known = _known(len(hands), generator)
-    mask = _ragged(silhouette, generator)
-    grey = _shaded(hands, grid, generator)
-    is_grey = _uniform(generator, len(hands), 1, 1) > _NO_GREY
     return SeenHands(
-        channels=network_channels(mask * known, torch.where(is_grey, grey, 0.5), known),
+        channels=observed_channels(_visible(hands, generator), hands.depth, hands.normal, grid, generator),
         rotation=view_from_cam @ hands.rotation,
         joints=hands.joints,
         place=palm[:, :2] / palm[:, 2:] / views.reach[:, None],
@@ -53,9 +50,34 @@ def seen_hands(hands: RenderedHands, generator: torch.Generator) -> SeenHands:
     )
 
 
-def _views(hands: RenderedHands, generator: torch.Generator) -> SquareViews:
+def observed_channels(
+    visible: Bool[Tensor, "n height width"],
+    depth: UInt8[Tensor, "n height width"],
+    normal: UInt8[Tensor, "n 2 height width"],
+    grid: Float[Tensor, "n side side 2"],
+    generator: torch.Generator,
+    *,
+    albedo: Float[Tensor, "n height width"] | None = None,
+) -> Float[Tensor, "n channels side side"]:
+    """What a network sees of rendered things through a random segmentation and under random lights.
+
+    depth, normal: as in `RenderedHands`. grid: where each pixel of the view lies in the picture, -1 to 1. albedo:
+    brightness under equal light; 1 all over if None.
+    """
+    grid = grid.clamp(-2, 2)
+    silhouette = _sampled(visible[:, None].float(), grid)[:, 0]
+    known = _known(len(visible), generator)
+    mask = _ragged(silhouette, generator)
+    grey = _shaded(depth, normal, grid, generator)
+    if albedo is not None:
+        grey = (grey * _sampled(albedo[:, None], grid)[:, 0]).clamp(0, 1)
+    is_grey = _uniform(generator, len(visible), 1, 1) > _NO_GREY
+    return network_channels(mask * known, torch.where(is_grey, grey, 0.5), known)
+
+
+def _views(hands: RenderedHands, generator: torch.Generator, wide: float) -> SquareViews:
     count, half = len(hands), HAND_SHARE * hands.reach
-    is_wide = _uniform(generator, count) < _WIDE
+    is_wide = _uniform(generator, count) < wide
     shift = torch.where(
         is_wide[:, None],
         _WIDE_SHIFT * (2 * _uniform(generator, count, 2) - 1),
@@ -108,11 +130,14 @@ def _known(count: int, generator: torch.Generator) -> Float[Tensor, "n side side
 
 
 def _shaded(
-    hands: RenderedHands, grid: Float[Tensor, "n side side 2"], generator: torch.Generator
+    depth: UInt8[Tensor, "n height width"],
+    normal: UInt8[Tensor, "n 2 height width"],
+    grid: Float[Tensor, "n side side 2"],
+    generator: torch.Generator,
 ) -> Float[Tensor, "n side side"]:
     """Grey levels 0 to 1 under a random light: diffuse, darker in creases and along edges in depth, with noise."""
-    count = len(hands)
-    stored = torch.cat((hands.depth[:, None], hands.normal), 1).float() / 127.5 - 1
+    count = len(depth)
+    stored = torch.cat((depth[:, None], normal), 1).float() / 127.5 - 1
     depth, x, y = _sampled(stored, grid).unbind(1)
     z = -(1 - x.square() - y.square()).clamp_min(0).sqrt()
     light = torch.randn(count, 3, 1, 1, generator=generator) * torch.tensor((0.7, 0.7, 0.3))[:, None, None]

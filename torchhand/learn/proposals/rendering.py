@@ -133,11 +133,11 @@ def _picture(
     seen = rasterize(points.contiguous(), faces, camera, labels, is_closed=True)
     depth = ((seen.depth - palm) / _DEPTH_RANGE).clamp(-1, 1)
     normal = seen.normal[..., :2].movedim(-1, 0)
-    return seen.part.clamp_min(0).to(torch.uint8), _bytes(depth), _bytes(normal)
+    return seen.part.clamp_min(0).to(torch.uint8), stored_bytes(depth), stored_bytes(normal)
 
 
-def _bytes(values: Tensor) -> UInt8[Tensor, "*shape"]:
-    """-1 to 1 as 0 to 255."""
+def stored_bytes(values: Tensor) -> UInt8[Tensor, "*shape"]:
+    """-1 to 1 as 0 to 255, as pictures of depth and normals are kept."""
     return (127.5 * (values + 1)).round().to(torch.uint8)
 
 

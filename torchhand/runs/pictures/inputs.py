@@ -4,12 +4,14 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, UInt8
 from torch import Tensor
 
+from torchhand.detect import Landmarker, MediaPipe, chosen_hand, hand_keypoints
 from torchhand.errors import InputError
 from torchhand.files import (
     Detections,
@@ -25,6 +27,7 @@ from torchhand.hand import Side
 from torchhand.track import HandKeypoints
 
 _MASK = "_mask"
+_HANDS = 2  # that a detector looks for
 _SIDES: tuple[Side, ...] = ("right", "left")
 
 CameraOf = Callable[[int, int, int], Camera]
@@ -117,8 +120,47 @@ class _OfSide:
         return None if seen is None or frame is None else (seen, self.found, frame)
 
 
-class PictureKeypointsFile:
+@runtime_checkable
+class PictureKeypoints(Protocol):
     """Detected keypoints of single pictures, and which hand they are of."""
+
+    def hand(
+        self, number: int, name: str, image: UInt8[Tensor, "height width 3"]
+    ) -> tuple[HandKeypoints, Side | None] | None:
+        """The hand of a picture (its number and its file's name) and its side where that is told; None where none was
+        found."""
+        ...
+
+
+class PictureDetector:
+    """MediaPipe on every picture by itself."""
+
+    def __init__(self, *, side: Side | None, hand_model: Path | None, landmarker: Landmarker | None = None) -> None:
+        """side: of the hands; None takes that of which MediaPipe is surest. landmarker: another program in its place.
+
+        Raises InputError where MediaPipe is not installed or cannot read the model.
+        """
+        self._side: Side | None = side
+        self._landmarker = landmarker or MediaPipe(hand_model)
+        self.name = self._landmarker.name
+        """Program, version and model: the same name gives the same numbers."""
+
+    def hand(
+        self, number: int, name: str, image: UInt8[Tensor, "height width 3"]
+    ) -> tuple[HandKeypoints, Side | None] | None:
+        landmarks = self._landmarker.open(_HANDS)  # anew: what it finds depends on the pictures before
+        hands = landmarks.detect(image)
+        landmarks.close()
+        if self._side is not None:
+            chosen = chosen_hand(hands, self._side)
+        else:
+            chosen = max(hands, key=lambda hand: hand.score, default=None)
+        keypoints = hand_keypoints(chosen)
+        return None if chosen is None or keypoints is None else (keypoints, chosen.label)
+
+
+class PictureKeypointsFile:
+    """Keypoints from a file, as `PictureKeypoints`."""
 
     def __init__(self, path: Path, *, side: Side | None, count: int) -> None:
         """side: of the hands; those of the other hand are left out. None takes what the detector says.
@@ -143,8 +185,10 @@ class PictureKeypointsFile:
         if problem is not None and not self._of_sides:
             raise problem
 
-    def hand(self, number: int, name: str, width: int, height: int) -> tuple[HandKeypoints, Side | None] | None:
-        """The hand of a picture and its side where the file tells; None where none was found."""
+    def hand(
+        self, number: int, name: str, image: UInt8[Tensor, "height width 3"]
+    ) -> tuple[HandKeypoints, Side | None] | None:
+        height, width = int(image.shape[0]), int(image.shape[1])
         for own in self._of_sides.values():
             if (seen := own.hand(number, name)) is not None:
                 hand, found, frame = seen

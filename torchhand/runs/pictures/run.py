@@ -28,6 +28,8 @@ from torchhand.hand import DOFS, HandPose, Side
 from torchhand.runs import record_of, undetermined_fingers
 from torchhand.runs.pictures.inputs import (
     CameraOf,
+    PictureDetector,
+    PictureKeypoints,
     PictureKeypointsFile,
     cameras_of,
     mask_of,
@@ -54,7 +56,12 @@ class PicturesRequest:
     hand: FittedHand | None = None
     """Known proportions; None for those that each picture shows."""
     camera: Path | None = None
-    keypoints: Path | None = None
+    keypoints: tuple[Path, ...] = ()
+    """The file of detected keypoints, where there is one."""
+    has_detector: bool = False
+    """Whether MediaPipe looks at the pictures, in place of a file."""
+    hand_model: Path | None = None
+    """MediaPipe's hand_landmarker.task; its own models where none is given."""
     masks: Path | None = None
     """Folder of silhouettes."""
     resume: bool = False
@@ -69,9 +76,11 @@ class _Pictures:
         self.request, self.paths = request, pictures_in(request.source)
         count = len(self.paths)
         self.camera: CameraOf = cameras_of(request.camera, [path.name for path in self.paths])
-        self.keypoints = None
-        if request.keypoints is not None:
-            self.keypoints = PictureKeypointsFile(request.keypoints, side=request.side, count=count)
+        self.keypoints: PictureKeypoints | None = None
+        if request.has_detector:
+            self.keypoints = PictureDetector(side=request.side, hand_model=request.hand_model)
+        elif request.keypoints:
+            self.keypoints = PictureKeypointsFile(request.keypoints[0], side=request.side, count=count)
         if request.masks is not None and not request.masks.is_dir():
             raise InputError(f"--masks: expected a folder of silhouettes, got {request.masks}")
 
@@ -82,7 +91,7 @@ class _Pictures:
         height, width = int(image.shape[0]), int(image.shape[1])
         mask = mask_of(path, request.masks, (height, width))
         side: Side = request.side or "right"
-        found = None if self.keypoints is None else self.keypoints.hand(number, path.name, width, height)
+        found = None if self.keypoints is None else self.keypoints.hand(number, path.name, image)
         if found is not None and request.side is None:
             side = found[1] or side
         view = View(image=image, mask=mask, keypoints=None if found is None else found[0])
@@ -105,7 +114,7 @@ def fit_pictures(request: PicturesRequest, out_dir: Path, say: Say) -> Track:
     if not request.source.is_dir():
         pictures.view(0)  # its mistakes are the user's
     model = load_hand_model()
-    header = _header(request)
+    header = _header(request, pictures.keypoints)
     with (
         PosesWriter(
             out_dir, header, model.shape_space.names, resume=request.resume, overwrite=request.overwrite
@@ -186,7 +195,7 @@ def _save_overlay(
             raise InputError(f"{path}: cannot be written")
 
 
-def _header(request: PicturesRequest) -> TrackHeader:
+def _header(request: PicturesRequest, keypoints: PictureKeypoints | None) -> TrackHeader:
     """What must be equal in a run that is to be resumed."""
 
     def text(path: Path | None) -> str | None:
@@ -195,7 +204,7 @@ def _header(request: PicturesRequest) -> TrackHeader:
     made_with: Mapping[str, Any] = {
         "torchhand": torchhand.__version__,
         "settings": asdict(request.settings),
-        "keypoints": text(request.keypoints),
+        "keypoints": keypoints.name if isinstance(keypoints, PictureDetector) else [str(p) for p in request.keypoints],
         "masks": text(request.masks),
         "hand": None if request.hand is None else dict(request.hand.values),
     }

@@ -8,7 +8,17 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.geometry import Camera
-from torchhand.hand import DOFS, JOINT_DOFS, KEYPOINTS, HandKinematics, HandPose, PoseJacobian, PoseSpace, ShapeSpace
+from torchhand.hand import (
+    DOFS,
+    JOINT_DOFS,
+    KEYPOINTS,
+    TIPS,
+    HandKinematics,
+    HandPose,
+    PoseJacobian,
+    PoseSpace,
+    ShapeSpace,
+)
 from torchhand.hand.limits import clamp_to_limits
 from torchhand.track.belief.motion import HandMotion
 from torchhand.track.belief.state import FollowedHand
@@ -20,7 +30,6 @@ along an axis between ours and another maker's, the surface being known to a mil
 `mv_static`, then `torchhand evaluate`, which prints them joint by joint. Joints that happen to agree better there are
 not believed to do so in every model."""
 
-_TIPS = [i for i, name in enumerate(KEYPOINTS) if name.endswith("_tip")]
 _ROOT = len(DOFS) - len(JOINT_DOFS)
 
 
@@ -73,7 +82,7 @@ def posed_gaussian(
     basis = (dofs == pose.dofs)[:, None] * space.basis  # a tied angle may have stopped at its limit
     frames = kinematics(dofs, shape, root_reference=pose.reference)
     moved = _jacobian_of(kinematics)(dofs, frames)
-    jacobian, bent = moved @ basis, moved[_TIPS, :, _ROOT:] @ basis[_ROOT:]
+    jacobian, bent = moved @ basis, moved[list(TIPS), :, _ROOT:] @ basis[_ROOT:]
     limited = HandPose(dofs=dofs, reference=pose.reference)
     return PosedBelief(
         pose=limited.vector,

@@ -33,6 +33,16 @@ def kind_of(name: str) -> Kind:
 
 
 @dataclass(frozen=True, kw_only=True)
+class _About:
+    """What depends on the pose that the free parameters of a track are changes from."""
+
+    space: PoseSpace
+    lower: Float[Tensor, "state"]
+    """Lower bounds of the parameters and of their rates, which have none."""
+    upper: Float[Tensor, "state"]
+
+
+@dataclass(frozen=True, kw_only=True)
 class HandMotion:
     """The dynamics of one hand in a pose space, within its joint limits.
 
@@ -66,6 +76,24 @@ class HandMotion:
     def _is_rotation(self) -> Tensor:
         return torch.tensor([kind == "rotation" for kind in self.kinds])
 
+    @cached_property
+    def _last_about(self) -> "list[tuple[Tensor, _About]]":
+        return []
+
+    def _about(self, base: Float[Tensor, "36"]) -> "_About":
+        """Space and bounds of a track, whose hands have one base: made once for it."""
+        kept = self._last_about
+        if not kept or kept[0][0] is not base:
+            kept[:] = [(base, self._made_about(base))]
+        return kept[0][1]
+
+    def _made_about(self, base: Float[Tensor, "36"]) -> "_About":
+        space = self.space.about(base)
+        rates = (0, len(self.spread) - space.size)
+        lower, upper = free_bounds(space, self.skeleton)
+        pad = torch.nn.functional.pad
+        return _About(space=space, lower=pad(lower, rates, value=-torch.inf), upper=pad(upper, rates, value=torch.inf))
+
     def process_noise(self, dt_s: float, density: Float[Tensor, "free"] | None = None) -> Float[Tensor, "n n"]:
         """Covariance that a time step adds; the nominal density where none is given."""
         return self.model.process_noise(_rounded(dt_s), self.density if density is None else density)
@@ -82,7 +110,7 @@ class HandMotion:
 
     def pose(self, hand: FollowedHand) -> HandPose:
         """What a hand is believed to be, within the limits; its rotation vector is about the hand's reference."""
-        wanted = self.space.about(hand.base).dof(hand.belief.mean[: self.space.size])
+        wanted = self._about(hand.base).space.dof(hand.belief.mean[: self.space.size])
         return HandPose(dofs=clamp_to_limits(wanted, self.skeleton), reference=hand.reference)
 
     def prior(self, hand: FollowedHand) -> Gaussian:
@@ -93,9 +121,8 @@ class HandMotion:
     def limited(self, hand: FollowedHand) -> FollowedHand:
         """Joint limits kept; the root's rotation moved from the belief's mean into the reference."""
         count, belief = self.space.size, hand.belief
-        lower, upper = torch.full_like(belief.mean, -torch.inf), torch.full_like(belief.mean, torch.inf)
-        lower[:count], upper[:count] = free_bounds(self.space.about(hand.base), self.skeleton)
-        mean, is_bound = mode_in_box(belief, lower, upper)
+        about = self._about(hand.base)
+        mean, is_bound = mode_in_box(belief, about.lower, about.upper)
         blocks = mean.reshape(-1, count).clone()
         blocks[1:] = torch.where(is_bound[:count], 0.0, blocks[1:])
         kept = replace(hand, belief=Gaussian(blocks.flatten(), belief.covariance))
@@ -124,7 +151,7 @@ class HandMotion:
         """A pose in the parameters of a hand's belief."""
         turn = vector_from_rotation(pose.rotation @ hand.reference.mT)
         dofs = torch.cat((pose.dofs[:3], turn, pose.dofs[6:]))
-        return self.space.about(hand.base).own(dofs)
+        return self._about(hand.base).space.own(dofs)
 
     def put(self, hand: FollowedHand, pose: HandPose, is_put: Bool[Tensor, "free"]) -> FollowedHand:
         """A hand with some of its parameters as a pose has them, because what was believed of them is no longer

@@ -11,7 +11,7 @@ from torchhand.files import load_proposal_network
 from torchhand.fit import Appearance, Solutions
 from torchhand.fit.detect import FitSettings, NoStart, segment_hand, start_at_pose
 from torchhand.fit.proposals import ProposalRegistration
-from torchhand.geometry import Camera
+from torchhand.geometry import Camera, cosine_between
 from torchhand.hand import HandKinematics, HandPose
 from torchhand.image import BackgroundPlate, SilhouetteSettings, solidity
 from torchhand.propose import Silhouette, propose_hands
@@ -89,9 +89,8 @@ class LearnedHands:
         order = found.cost.argsort()
         order = order[found.cost[order].isfinite()]
         rotation = found.pose.rotation[order]
-        cosine = 0.5 * ((rotation * rotation[:1]).sum((-2, -1)) - 1)
         rank = torch.arange(len(order))
-        is_turned = cosine < _TURNED
+        is_turned = cosine_between(rotation, rotation[:1]) < _TURNED
         rank[is_turned & (is_turned.cumsum(0) == 1)] = 0
         return found.rows(order[rank.argsort(stable=True)])
 

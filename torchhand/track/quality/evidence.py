@@ -9,13 +9,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchhand.fit import PosedHands, Stage, grey
 from torchhand.fit.contour import hand_length_px, is_in_picture, is_outer
 from torchhand.geometry import Camera
 from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, FINGERS, JOINT_DOFS, HandKinematics, HandPose
 from torchhand.image import EdgeSettings, search_edges
 from torchhand.propose import LearnedPosture
-from torchhand.track.scene import Agreement, Scene, SceneKeypoints
+from torchhand.track.scene import Agreement, Scene, SceneKeypoints, deviations_of_digits
 from torchhand.view import HandProjector, OutlineTable, outline_table
 
 EVIDENCE = (
@@ -55,8 +54,6 @@ _MIN_REACH_PX = 2.0
 _SPREAD_M = 0.01
 _SPECK = 0.002
 _MIN_DIRECTION = 0.02
-_COMPARED = Stage(gross_m=0.01)
-_TIPS = (slice(2, 5), slice(6, 9), slice(10, 13), slice(14, 17), slice(18, 21))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,10 +83,8 @@ class FingerEvidence:
 
     def __call__(self, told: Told, scene: Scene) -> Float[Tensor, "5 evidence"]:
         """A row for each finger, thumb to little, in the columns of EVIDENCE."""
-        hands = PosedHands(pose=told.pose.reshape(1), shape=told.shape)
-        joints = hands.pose.dofs[:, -len(JOINT_DOFS) :]
-        points = [one.associate(hands, _COMPARED).deviation(hands)[0] for one in told.keypoints.pictures]
-        in_pictures = [torch.stack([one[tips].square().nanmean().sqrt() for tips in _TIPS]) for one in points]
+        joints = told.pose.dofs[None, -len(JOINT_DOFS) :]
+        in_pictures = [deviations_of_digits(one) for one in told.keypoints.deviations(told.pose, told.shape)]
         postures = [one.deviation(joints)[0] for one in told.keypoints.postures]
         unexplained = math.log1p(told.agreement.most_unexplained / _SPECK)
         columns = [
@@ -112,7 +107,7 @@ class FingerEvidence:
             plane = scene.plane(view)
             if plane is None:
                 continue
-            counts += self._in_view(projector, told, plane, self._grey(scene, view))
+            counts += self._in_view(projector, told, plane, scene.grey(view))
             total += 1.0
         return counts / (_points_of_fingers() * max(1.0, total))[:, None]
 
@@ -121,12 +116,14 @@ class FingerEvidence:
     ) -> Float[Tensor, "5 4"]:
         """Numbers of each finger's contour points in one view."""
         camera, pose = projector.camera, told.pose
-        contour = projector.contour(pose.dofs, pose.reference, _table())
+        primitives = projector.primitives_cam(projector.frames(pose.dofs, pose.reference))
+        generators = projector.generators_of(primitives)
+        contour = projector.contour_of(primitives, _table(), generators)
         seen = contour.visible & is_in_picture(contour.points_px, camera)
         points, normals, finger = contour.points_px[seen], contour.normals[seen], _finger_of_point()[seen]
         in_cam = torch.cat((camera.cam_from_world(pose.dofs[:3]), pose.dofs[3:]))
         length_px = hand_length_px(camera, self.kinematics, in_cam, told.shape)
-        outer = is_outer(projector.silhouette(pose.dofs, pose.reference), points, normals, length_px)
+        outer = is_outer(projector.silhouette_of(primitives, generators), points, normals, length_px)
         found = torch.zeros_like(outer)
         searches = ((outer, plane, _OUTER, _OUTER_REACH), (~outer, levels, _INNER, _INNER_REACH))
         for which, picture, how, reach in searches:
@@ -135,11 +132,6 @@ class FingerEvidence:
                 found[which] = search_edges(picture, points[which], normals[which], how).found
         kind = 2 * (~outer).long() + (~found).long()
         return torch.bincount(4 * finger + kind, minlength=4 * len(FINGERS)).reshape(-1, 4).double()
-
-    @staticmethod
-    def _grey(scene: Scene, view: int) -> Tensor | None:
-        image = scene.views[view].image
-        return None if image is None else scene.once(("grey", view), lambda: grey(image))
 
     def _projectors(self, shape: Tensor) -> list[HandProjector]:
         if self._made is None or self._made[0] is not shape:

@@ -6,11 +6,17 @@ from torchhand.track.scene.health import MAX_BEYOND, MIN_KEYPOINTS, Health, Heal
 from torchhand.track.scene.keypoints import (
     SceneKeypoints,
     detected_hand,
+    deviations_of_digits,
     parts_of,
     scene_keypoints,
     with_further_postures,
 )
-from torchhand.track.scene.learned_posture import credible_posture, learned_observations, seen_posture
+from torchhand.track.scene.learned_posture import (
+    credible_posture,
+    learned_observations,
+    seen_posture,
+    seen_presence,
+)
 from torchhand.track.scene.segmentation import (
     Appearances,
     ColourSegmentation,
@@ -48,10 +54,12 @@ __all__ = [
     "ViewSilhouettes",
     "credible_posture",
     "detected_hand",
+    "deviations_of_digits",
     "learned_observations",
     "mean_overlap",
     "parts_of",
     "scene_keypoints",
     "seen_posture",
+    "seen_presence",
     "with_further_postures",
 ]

@@ -1,7 +1,8 @@
 """Detected keypoints of a scene as observations of the hand, and the hand that they alone tell of."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
+from functools import lru_cache
 
 import torch
 from jaxtyping import Float, Int
@@ -13,8 +14,9 @@ from torchhand.geometry import Camera
 from torchhand.hand import FINGERS, JOINT_DOFS, HandKinematics, HandPose
 from torchhand.track.scene.views import Scene
 
-_POINTS = ((0, 1, 5, 9, 13, 17), *((first + 1, first + 2, first + 3) for first in (1, 5, 9, 13, 17)))
-"""Keypoints of the palm and of each digit."""
+_PALM = (0, 1, 5, 9, 13, 17)
+_DIGITS = torch.tensor([[first + 1, first + 2, first + 3] for first in _PALM[1:]])
+"""Keypoints beyond the palm, digit by digit."""
 _COMPARED = Stage(gross_m=0.01)
 
 
@@ -27,6 +29,20 @@ class SceneKeypoints:
     postures: tuple[PostureKeypoints, ...]
     """Postures of the views whose detector gives points in space."""
 
+    kept: dict[tuple[int, int], tuple[HandPose, Tensor, list[Tensor]]] = field(
+        default_factory=dict, repr=False, compare=False
+    )
+
+    def deviations(self, pose: HandPose, shape: Float[Tensor, "shape"]) -> list[Float[Tensor, "21"]]:
+        """Distance of every point of each picture from those of a hand (), standard deviations; NaN for missing points.
+        Computed once for a pose."""
+        key = (id(pose), id(shape))
+        if key not in self.kept:
+            hands = PosedHands(pose=pose.reshape(1), shape=shape)
+            found = [one.associate(hands, _COMPARED).deviation(hands)[0] for one in self.pictures]
+            self.kept[key] = (pose, shape, found)  # both are kept, so that no others have their numbers
+        return self.kept[key][2]
+
     @property
     def observations(self) -> tuple[PictureKeypoints | PostureKeypoints, ...]:
         return (*self.pictures, *self.postures)
@@ -35,12 +51,11 @@ class SceneKeypoints:
         """How far the palm and the five digits of a hand lie from the detector's, in root mean square standard
         deviations: the largest over pictures and the smallest over postures, whichever is more. 0 where nothing is
         known."""
-        hands = PosedHands(pose=pose.reshape(1), shape=shape)
-        points = [one.associate(hands, _COMPARED).deviation(hands)[0] for one in self.pictures]
-        parts = [torch.stack([one[list(part)].square().nanmean().sqrt() for part in _POINTS]) for one in points]
-        found = torch.stack(parts).nan_to_num().amax(0) if parts else pose.dofs.new_zeros(len(_POINTS))
+        points = self.deviations(pose, shape)
+        parts = [torch.cat((_rms(one[None, list(_PALM)]), deviations_of_digits(one))) for one in points]
+        found = torch.stack(parts).nan_to_num().amax(0) if parts else pose.dofs.new_zeros(1 + len(_DIGITS))
         if self.postures:
-            joints = hands.pose.dofs[:, -len(JOINT_DOFS) :]
+            joints = pose.dofs[None, -len(JOINT_DOFS) :]
             digits = torch.stack([one.deviation(joints)[0] for one in self.postures])
             found[1:] = torch.maximum(found[1:], digits.nan_to_num().amin(0))
         return found
@@ -48,18 +63,28 @@ class SceneKeypoints:
     def agreement(self, pose: HandPose, shape: Float[Tensor, "shape"]) -> float | None:
         """How far a hand is the detector's, 0 to 1: mean over the points in the pictures and over the fingers of the
         postures of 1 / (1 + d² / 4), d in root mean square standard deviations. None where nothing was detected."""
-        hands = PosedHands(pose=pose.reshape(1), shape=shape)
-        found = [one.associate(hands, _COMPARED).deviation(hands)[0] for one in self.pictures]
-        found += [one.deviation(hands.pose.dofs[:, -len(JOINT_DOFS) :])[0] for one in self.postures]
+        joints = pose.dofs[None, -len(JOINT_DOFS) :]
+        found = self.deviations(pose, shape) + [one.deviation(joints)[0] for one in self.postures]
         shares = [float((1 / (1 + one[one.isfinite()] ** 2 / 4)).mean()) for one in found if bool(one.isfinite().any())]
         return sum(shares) / len(shares) if shares else None
 
 
-def parts_of(dofs: Sequence[str]) -> Int[Tensor, "dofs"]:
+def deviations_of_digits(points: Float[Tensor, "21"]) -> Float[Tensor, "5"]:
+    """Root mean squares of the known deviations of each digit's points; NaN where none is known."""
+    return _rms(points[_DIGITS])
+
+
+def _rms(values: Float[Tensor, "k n"]) -> Float[Tensor, "k"]:
+    return values.square().nanmean(-1).sqrt()
+
+
+@lru_cache(maxsize=8)
+def parts_of(dofs: tuple[str, ...]) -> Int[Tensor, "dofs"]:
     """Which part of the hand (as `SceneKeypoints.deviation` has them) a degree of freedom moves: 0 the whole, then
     digits."""
     names = [name.split("_")[0] for name in dofs]
-    return torch.tensor([1 + FINGERS.index(name) if name in FINGERS else 0 for name in names], dtype=torch.long)
+    with torch.inference_mode(False):  # kept for callers in any mode
+        return torch.tensor([1 + FINGERS.index(name) if name in FINGERS else 0 for name in names], dtype=torch.long)
 
 
 def scene_keypoints(
@@ -104,7 +129,7 @@ def _made(
 def with_further_postures(seen: SceneKeypoints, scene: Scene) -> SceneKeypoints:
     """Detected keypoints, and postures among the scene's further observations, such as a network's."""
     further = tuple(one for one in scene.observations if isinstance(one, PostureKeypoints))
-    return replace(seen, postures=(*seen.postures, *further)) if seen.pictures else seen
+    return SceneKeypoints(pictures=seen.pictures, postures=(*seen.postures, *further)) if seen.pictures else seen
 
 
 def detected_hand(

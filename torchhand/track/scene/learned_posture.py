@@ -1,41 +1,59 @@
 """The posture and the direction that a trained network sees in one camera's picture of a hand near a known place."""
 
-from collections.abc import Sequence
+from functools import lru_cache
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.files import load_proposal_network
+from torchhand.files import load_presence_network, load_proposal_network
 from torchhand.fit import GaussianPrior, Observation
 from torchhand.fit.keypoints import PostureKeypoints
 from torchhand.geometry import Camera
-from torchhand.hand import DOFS, FINGERS, JOINT_DOFS, HandKinematics, HandPose, named_pose_space
-from torchhand.propose import LearnedPosture, Silhouette, learned_posture
+from torchhand.hand import DOFS, FINGERS, JOINT_DOFS, HandKinematics, HandPose, PoseSpace, named_pose_space
+from torchhand.propose import LearnedPosture, Silhouette, hand_presence, learned_posture
 from torchhand.track.scene.keypoints import parts_of
 from torchhand.track.scene.views import Scene
 
+_BENDING = ("_mcp_fe", "_pip_fe", "_dip_fe", "_ip_fe")
 _CREDIBLE = 2.2  # root mean square deviation of a finger's flexions, standard deviations: at most 1 % by chance (χ²)
+
+_FLEXIONS = [
+    [i for i, name in enumerate(JOINT_DOFS) if name.startswith(finger) and name.endswith(_BENDING)]
+    for finger in FINGERS
+]
 
 
 def seen_posture(
     scene: Scene, camera: Camera, kinematics: HandKinematics, pose: HandPose, shape: Float[Tensor, "shape"]
 ) -> LearnedPosture | None:
     """What the network sees of the hand near a pose () in the only view of a scene; None without a silhouette."""
-    plane, image = scene.plane(0), scene.views[0].image
+    seen = _silhouette(scene, camera)
+    return None if seen is None else learned_posture(load_proposal_network(), seen, kinematics, pose, shape)
+
+
+def seen_presence(
+    scene: Scene, camera: Camera, kinematics: HandKinematics, pose: HandPose, shape: Float[Tensor, "shape"]
+) -> float | None:
+    """Logarithm of how much likelier a hand at a pose () in the only view of a scene is than something else there, as a
+    network sees it; None without a silhouette."""
+    seen = _silhouette(scene, camera)
+    return None if seen is None else float(hand_presence(load_presence_network(), seen, kinematics, pose, shape))
+
+
+def _silhouette(scene: Scene, camera: Camera) -> Silhouette | None:
+    plane = scene.plane(0)
     if plane is None or not bool((mask := plane > 0.5).any()):
         return None
-    seen = Silhouette(mask=mask, camera=camera, image=image)
-    return learned_posture(load_proposal_network(), seen, kinematics, pose, shape)
+    return Silhouette(mask=mask, camera=camera, image=scene.views[0].image)
 
 
-def learned_observations(seen: LearnedPosture, pose: HandPose) -> tuple[Observation, Observation]:
+def learned_observations(seen: LearnedPosture, pose: HandPose) -> tuple[PostureKeypoints, Observation]:
     """The joint angles and the direction that were seen, as observations of the hand near a pose ()."""
     none, rotation = pose.dofs.new_zeros(len(DOFS) - len(JOINT_DOFS)), pose.rotation
     direction, precision = seen.direction_near(rotation)
-    space = named_pose_space("dof27")
+    space, turns = _space()
     information = torch.zeros(space.size, space.size, dtype=none.dtype)
-    turns = [space.free_names.index(name) for name in ("root_rx", "root_ry", "root_rz")]
     information[turns, turns] = precision.to(none)
     return (
         PostureKeypoints(
@@ -51,17 +69,20 @@ def learned_observations(seen: LearnedPosture, pose: HandPose) -> tuple[Observat
 
 
 def credible_posture(
-    seen: LearnedPosture, pose: HandPose, free_names: Sequence[str]
+    seen: LearnedPosture, pose: HandPose, free_names: tuple[str, ...]
 ) -> tuple[HandPose, Bool[Tensor, "free"]]:
     """The hand at a pose () with the angles that were seen, and which free parameters are of fingers whose angles there
     differ from these by more than an error of the network explains."""
     joints = pose.dofs[-len(JOINT_DOFS) :]
     deviation = (joints - seen.joints).square() / seen.variance
-    flexions = [[i for i, name in enumerate(JOINT_DOFS) if _is_flexion_of(finger, name)] for finger in FINGERS]
-    is_far = torch.stack([deviation[rows].mean().sqrt() > _CREDIBLE for rows in flexions])
+    is_far = torch.stack([deviation[rows].mean() for rows in _FLEXIONS]).sqrt() > _CREDIBLE
     is_put = torch.cat((torch.zeros_like(is_far[:1]), is_far))[parts_of(free_names)]
     return HandPose(dofs=torch.cat((pose.dofs[: -len(JOINT_DOFS)], seen.joints)), reference=pose.reference), is_put
 
 
-def _is_flexion_of(finger: str, name: str) -> bool:
-    return name.startswith(finger) and name.endswith(("_mcp_fe", "_pip_fe", "_dip_fe", "_ip_fe"))
+@lru_cache(maxsize=1)
+def _space() -> tuple[PoseSpace, list[int]]:
+    """The space in which a direction is told, and the places of the root's rotation in it."""
+    with torch.inference_mode(False):  # kept for callers in any mode
+        space = named_pose_space("dof27")
+    return space, [space.free_names.index(name) for name in ("root_rx", "root_ry", "root_rz")]

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from torchhand.fit import Observation, mask_plane
+from torchhand.fit import Observation, grey, mask_plane
 from torchhand.hand import HandPose
 
 T = TypeVar("T")
@@ -71,6 +71,11 @@ class Scene:
         if probability is not None or mask is None:
             return probability
         return self.once(("plane", view), lambda: mask_plane(mask))
+
+    def grey(self, view: int) -> Float[Tensor, "height width"] | None:
+        """Grey levels of one view's picture, 0..1; None where there is no picture."""
+        image = self.views[view].image
+        return None if image is None else self.once(("grey", view), lambda: grey(image))
 
     def without(self, view: int) -> "Scene":
         """The scene without one view."""

@@ -1,5 +1,6 @@
 """The hand in a single picture, in any posture: silhouettes, hypotheses, registration, and whether it is one at all."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -9,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from torchhand.fit.keypoints import starts_in_picture
+from torchhand.fit.keypoints import PostureKeypoints, starts_in_picture
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics, HandPose
 from torchhand.image import GREY, is_grey
@@ -27,8 +28,10 @@ from torchhand.track.scene import (
     SilhouetteComparison,
     View,
     detected_hand,
+    learned_observations,
     scene_keypoints,
     seen_posture,
+    seen_presence,
 )
 from torchhand.track.single.registration import PictureProblem, Registered
 from torchhand.track.single.settings import SinglePoseSettings
@@ -37,6 +40,10 @@ from torchhand.track.single.silhouette import oval_overlap, silhouette_at, silho
 _CHECK_SIDE_PX = 320  # of the reduced pictures in which silhouettes are compared
 _OVAL = 0.93  # intersection over union with an ellipse, beyond which an outline alone shows nothing of a hand
 _TURNED = 6  # sides from which keypoints are taken to be seen
+_NETWORK_WORTH = 0.1
+"""Share of the information that the network's angles have on pictures of rendered hands, beside a detector's on
+photographs: of 27 signs by six people 81 % are named by the nearest neighbour over the angles of both with it, 79 % by
+the detector's alone and 43 % by the network's alone."""
 _ROUNDS = 2  # of colours learned at the hand and registration on what has them
 
 Picture = UInt8[Tensor, "height width 3"]
@@ -156,7 +163,9 @@ class SinglePoseFitter:
     def _registered(
         self, work: "_Work", mask: Tensor, starts: HandPose, shape: Tensor, *, is_shape_known: bool
     ) -> _Judged | None:
-        hand = self._problem(work).registered(starts, mask, work.image, shape, is_shape_known=is_shape_known)
+        further = self._by_network(work, mask, starts[0].normalized(), shape)
+        problem = self._problem(work, further)
+        hand = problem.registered(starts, mask, work.image, shape, is_shape_known=is_shape_known)
         if hand is None:
             return None
         compare = SilhouetteComparison(self.kinematics, (work.camera,), hand.shape, side_px=_CHECK_SIDE_PX)
@@ -166,14 +175,26 @@ class SinglePoseFitter:
         objection = self._objection(hand, agreement, is_detected=is_detected)
         if not objection and not is_detected and oval_overlap(mask) > _OVAL:
             objection = "what has its colours is a plain oval, which a face may be as well"
+        if not objection and not is_detected:
+            objection = self._otherwise(hand, mask, work)
         return _Judged(hand=hand, mask=mask, agreement=agreement, objection=objection)
 
-    def _problem(self, work: "_Work") -> PictureProblem:
+    def _by_network(self, work: "_Work", mask: Tensor, near: HandPose, shape: Tensor) -> tuple[PostureKeypoints, ...]:
+        """Beside a detector's posture: that which the network sees in the silhouette of the hand near a pose ()."""
+        if work.camera.kind != "pinhole" or not work.seen(self.kinematics, self.settings).postures:
+            return ()
+        seen = seen_posture(work.scene(mask), work.camera, self.kinematics, near, shape)
+        if seen is None:
+            return ()
+        posture = learned_observations(seen, near)[0]
+        return (replace(posture, precision=_NETWORK_WORTH * posture.precision),)
+
+    def _problem(self, work: "_Work", further: tuple[PostureKeypoints, ...] = ()) -> PictureProblem:
         return PictureProblem(
             kinematics=self.kinematics,
             camera=work.camera,
             settings=self.settings,
-            observations=work.seen(self.kinematics, self.settings).observations,
+            observations=(*work.seen(self.kinematics, self.settings).observations, *further),
         )
 
     def _objection(self, hand: Registered, agreement: Agreement, *, is_detected: bool) -> str:
@@ -185,6 +206,16 @@ class SinglePoseFitter:
         if agreement.mean_beyond > MAX_BEYOND and not is_detected:
             return f"what follows beyond the wrist is no forearm ({told})"
         return ""
+
+    def _otherwise(self, hand: Registered, mask: Tensor, work: "_Work") -> str:
+        """The objection that what is there looks like something else than a hand; empty where it does not."""
+        if work.camera.kind != "pinhole":
+            return ""
+        pose = hand.pose.normalized()
+        presence = seen_presence(work.scene(mask), work.camera, self.kinematics, pose, hand.shape)
+        if presence is None or presence >= self.settings.alone_presence:
+            return ""
+        return f"what has its colours looks like something else than a hand ({math.exp(-presence):.2g} to 1)"
 
     @staticmethod
     def _better(one: _Judged | None, other: _Judged | None) -> _Judged | None:

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.fit import PosedHands, Stage, grey
+from torchhand.fit import PosedHands, Stage
 from torchhand.fit.keypoints import KeypointSettings, PostureKeypoints
 from torchhand.geometry import Camera
 from torchhand.hand import HandFrames, HandKinematics, HandPose
@@ -231,12 +231,10 @@ class UnscentedUpdate:
         return found
 
     def _planes(self, scene: Scene, view: int) -> Planes | None:
-        s, plane, image = self.settings, scene.plane(view), scene.views[view].image
+        s, plane = self.settings, scene.plane(view)
         if plane is None:
             return None
-        luminance = None
-        if image is not None and (s.edges_in == "grey" or s.inner_weight > 0):
-            luminance = scene.once(("grey", view), lambda: grey(image))
+        luminance = scene.grey(view) if s.edges_in == "grey" or s.inner_weight > 0 else None
         outer = luminance if s.edges_in == "grey" and luminance is not None else plane
         return Planes(outer=outer, inner=luminance if s.inner_weight > 0 else None)
 

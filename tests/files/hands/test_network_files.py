@@ -11,8 +11,13 @@ import torch
 from torchhand.errors import InputError
 from torchhand.files.disk import models_dir
 from torchhand.files.hands.hand_model import load_hand_model
-from torchhand.files.hands.proposal_file import load_proposal_network, save_proposal_network
-from torchhand.propose import CHANNELS, SIDE_PX, ProposalNetwork
+from torchhand.files.hands.network_files import (
+    load_presence_network,
+    load_proposal_network,
+    save_presence_network,
+    save_proposal_network,
+)
+from torchhand.propose import CHANNELS, SIDE_PX, PresenceNetwork, ProposalNetwork
 
 SHIPPED = models_dir() / "proposals"
 
@@ -79,18 +84,38 @@ def test_networks_of_other_versions_are_refused(stored: Path, key: str, value: A
         load_proposal_network(_changed(stored, header=np.array(json.dumps(header))))
 
 
+def test_a_presence_network_comes_back_and_is_taken_for_no_other(
+    stored: Path, tmp_path: Path, generator: torch.Generator
+) -> None:
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        network = PresenceNetwork(width=2, hidden=4).eval()
+    save_presence_network(tmp_path / "presence.npz", network, {"why": "test"})
+    views = torch.randn(4, CHANNELS, SIDE_PX, SIDE_PX, generator=generator)
+    with torch.no_grad():
+        own, found = network(views), load_presence_network(tmp_path / "presence.npz")(views)
+    torch.testing.assert_close(found, own, atol=5e-3, rtol=0)
+    with pytest.raises(InputError, match="expected a proposal network"):
+        load_proposal_network(tmp_path / "presence.npz")
+    with pytest.raises(InputError, match="expected a presence network"):
+        load_presence_network(stored)
+
+
 def test_a_missing_file_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"none\.npz: cannot be read"):
         load_proposal_network(tmp_path / "none.npz")
 
 
-def test_the_shipped_network_is_small_documented_and_was_trained_by_the_command() -> None:
-    file = SHIPPED / "network.npz"
-    assert file.stat().st_size <= 8_000_000
-    with np.load(file) as arrays:
-        header = json.loads(str(arrays["header"]))
-    settings = header["provenance"]["settings"]
-    assert header["provenance"]["step"] == settings["steps"], "an unfinished training"
+def test_the_shipped_networks_are_small_documented_and_were_trained_by_the_command() -> None:
     text = (SHIPPED / "README.md").read_text(encoding="utf-8")
-    assert "torchhand learn_proposals --out" in text
-    assert load_proposal_network().sizes["hypotheses"] == settings["hypotheses"]
+    sizes = {}
+    for name, option in (("network.npz", "--out"), ("presence.npz", "--presence")):
+        with np.load(SHIPPED / name) as arrays:
+            header = json.loads(str(arrays["header"]))
+        settings = header["provenance"]["settings"]
+        assert header["provenance"]["step"] == settings["steps"], "an unfinished training"
+        assert f"torchhand learn_proposals {option}" in text
+        sizes[name] = settings
+    assert sum(file.stat().st_size for file in SHIPPED.glob("*.npz")) <= 8_000_000
+    assert load_proposal_network().sizes["hypotheses"] == sizes["network.npz"]["hypotheses"]
+    assert load_presence_network().sizes["width"] == sizes["presence.npz"]["width"]
