@@ -31,6 +31,7 @@ from torchhand.files import (
     save_hand,
     write_video,
 )
+from torchhand.fit import Stage
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import DOFS
 from torchhand.runs import settings_of
@@ -422,6 +423,33 @@ def test_a_finished_run_of_two_passes_goes_on_further(clip: Clip, smoothed: Path
     assert run(clip.frames, "--out", out, "--max-frames", "4", *clip.with_second_pass).code == 0
     assert run(clip.frames, "--out", out, "--resume", *clip.with_second_pass).code == 0
     assert _lines_without_seconds(out) == _lines_without_seconds(smoothed)
+
+
+def test_one_shape_for_the_whole_recording_and_again_where_it_is_resumed(
+    clip: Clip, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    monkeypatch.setattr("torchhand.track.shape._SCHEDULE", (Stage(gross_m=0.0075, rounds=1, iterations=1),))
+    plain = ["--camera", clip.camera, "--config", "contour_full", "--no-overlay", "--max-frames", "7"]
+    settings = ("shape_frames=4", "learned_posture=false", "learned_proposals=false")
+    options = [*plain, *(word for setting in settings for word in ("--set", setting))]
+    outcome = run(clip.frames, "--out", whole, *options)
+    assert outcome.code == 0
+    assert "proportions: fitted over 4 frames" in outcome.err
+    hand, first = json.loads((whole / "hand.json").read_text()), json.loads((clip.result / "hand.json").read_text())
+    told = hand["provenance"]
+    assert told["held_out_nats_per_frame"]["this"] < told["held_out_nats_per_frame"]["first_hand"]
+    assert len(told["frames"]) == 4
+    assert "hand_length" not in told["std"]  # which one camera cannot tell
+    assert hand["shape"]["hand_breadth"] != first["shape"]["hand_breadth"]
+    track, kinematics = load_track(whole), load_hand_model().kinematics(dtype=torch.float64)
+    shape = torch.tensor(list(hand["shape"].values()), dtype=torch.float64)
+    keypoints = kinematics(torch.from_numpy(track.pose), shape).keypoints  # every hand is one of this shape
+    np.testing.assert_allclose(track.keypoints3d, keypoints.numpy(), rtol=0, atol=1e-6)
+    shutil.copytree(whole, parts)  # a run that is resumed fits the shape anew, by the first pass
+    assert run(clip.frames, "--out", parts, "--resume", *options).code == 0
+    assert _lines_without_seconds(parts) == _lines_without_seconds(whole)
+    assert (parts / "hand.json").read_bytes() == (whole / "hand.json").read_bytes()
 
 
 class _Webcam(FrameSource):

@@ -31,7 +31,12 @@ _PRIOR = ("rest_std_rad", "side_std_rad", "tie_std_rad", "tilt_std_rad")
 CASES = [
     *[
         (TrackerSettings, name, minimum - 1, f"{name}: expected {minimum} or more, got {minimum - 1}")
-        for name, minimum in {"points_per_generator": 2, "points_per_arc": 4, "check_side_px": 64}.items()
+        for name, minimum in {
+            "points_per_generator": 2,
+            "points_per_arc": 4,
+            "shape_frames": 0,
+            "check_side_px": 64,
+        }.items()
     ],
     (TrackerSettings, "search_overlap", 1.5, "search_overlap: expected 0 to 1, got 1.5"),
     (TrackerSettings, "smoothing_window_s", -1.0, "smoothing_window_s: expected 0 or more and finite, got -1.0"),

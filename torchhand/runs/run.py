@@ -66,10 +66,13 @@ class Run:
         self._smoother = Smoother(tracker, tracker.settings.smoothing_window_s)
         self._names = tuple(camera.name for camera in recording.cameras)
         self._seconds: dict[int, float] = {}
+        self._recorded_shape: Float[Tensor, "shape"] | None = None
 
     @property
     def shape(self) -> Float[Tensor, "shape"] | None:
         """The proportions, where they are known."""
+        if self._recorded_shape is not None:
+            return self._recorded_shape
         return self.tracker.known_shape if self.state is None else self.state.shape
 
     def step(self, frame: RecordedFrame) -> tuple[FrameRecord, list[FrameRecord]]:
@@ -130,6 +133,12 @@ class Run:
         self.state = restored_state(saved["state"])
         self._provenance = json.loads(saved["provenance"])
         self._followed_px = saved.get("followed_px")
+
+    def adopt(self, shape: Float[Tensor, "shape"], **provenance: Any) -> None:
+        """Put proportions that were fitted over the recording in the place of those of the first hand; `save_hand`
+        tells of them."""
+        self._recorded_shape = shape
+        self._provenance |= provenance
 
     def save_hand(self, folder: Path, **provenance: Any) -> None:
         """The proportions, once they are known."""

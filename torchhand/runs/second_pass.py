@@ -2,9 +2,13 @@
 
 import sys
 import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
 from tqdm import tqdm
 
 from torchhand.files import Track, TrackWriter, load_track
@@ -21,7 +25,15 @@ from torchhand.runs.records import (
     record_of,
 )
 from torchhand.runs.run import Run, Say
-from torchhand.track import BackwardPass
+from torchhand.track import (
+    BackwardPass,
+    FollowedFrame,
+    Tracker,
+    can_tell_shape,
+    recorded_shape,
+    reshaped_poses,
+    spread_frames,
+)
 
 
 def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
@@ -31,22 +43,80 @@ def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
     that is stopped here and resumed does the second pass anew and ends with the same.
     """
     forward = load_track(writer.folder / JSONL_NAME)
-    if run.state is None or run.shape is None or not forward.has_hand.any():
+    before = None if run.state is None else run.state.shape
+    if before is None or not forward.has_hand.any():
         return
     writer.keep_forward()
+    shape = _adopted_shape(run, forward, before, say)
     say("second pass: the hand is followed back from the last frame to the first (--causal does without)")
     _follow_back(run, writer, forward)
+    if shape is not before:
+        forward = _reshaped(forward, run.tracker, before, shape)
     passes = TwoPasses.of(forward, load_track(writer.folder / BACKWARD_NAME))
     cameras = run.tracker.own_cameras
     camera = cameras[0] if len(cameras) == 1 else None
-    for record in joined_records(passes, run.tracker.kinematics, run.shape, camera):
+    for record in joined_records(passes, run.tracker.kinematics, shape, camera):
         writer.correct(record)
+    if shape is not before:
+        run.save_hand(writer.folder)
     writer.drop(BACKWARD_NAME)
+
+
+def _adopted_shape(run: Run, forward: Track, before: Tensor, say: Say) -> Float[Tensor, "shape"]:
+    """Proportions that well-spread frames tell, which the run adopts, where frames that were held out bear these out;
+    else those before."""
+    tracker, state, count = run.tracker, run.state, run.tracker.settings.shape_frames
+    if state is None or not count or not can_tell_shape(tracker):
+        return before
+    rows = spread_frames(torch.from_numpy(forward.pose), torch.from_numpy(_is_good(forward)), count)
+    say(f"proportions: fitted over {len(rows)} frames (--set shape_frames=0 keeps those of the first hand)")
+    found = recorded_shape(tracker, state, _followed_frames(run, forward, rows))
+    if found is None or not found.cost < found.cost_before:
+        return before
+    names = tracker.kinematics.shape_space.names
+    run.adopt(
+        found.shape,
+        method="fit over frames of the recording",
+        frames=[int(forward.frame[row]) for row in rows],
+        std={name: std for name, std in zip(names, found.shape_std.tolist(), strict=True) if std > 0},
+        held_out_nats_per_frame={"first_hand": found.cost_before, "this": found.cost},
+    )
+    return found.shape
+
+
+def _is_good(track: Track) -> Bool[np.ndarray, " t"]:
+    """Frames in which the hand is followed at least as well as in half of them."""
+    overlap = np.where(track.status == "tracked", track.measures["overlap"], np.nan)
+    return overlap >= np.nanmedian(overlap) if np.isfinite(overlap).any() else np.zeros(len(track), dtype=bool)
+
+
+def _followed_frames(run: Run, track: Track, rows: Sequence[int]) -> Iterator[FollowedFrame]:
+    """Frames of a recording in their order, with what a detector found in them."""
+    if run.keypoints is not None:
+        run.keypoints.rewind()
+    wanted = {int(track.frame[row]): row for row in rows}
+    with run.recording.opened(0) as frames:
+        for frame in frames:
+            if (row := wanted.pop(frame.index, None)) is not None:
+                views = with_keypoints(frame, run.keypoints, None).views
+                yield FollowedFrame(views=views, time_s=frame.time_s, pose=torch.from_numpy(track.pose[row]))
+            if not wanted:
+                return
+
+
+def _reshaped(track: Track, tracker: Tracker, before: Tensor, shape: Tensor) -> Track:
+    """A track of one camera with the hands of another shape in the place of its own."""
+    kinematics, [camera], rows = tracker.kinematics, tracker.own_cameras, np.flatnonzero(track.has_hand)
+    pose, keypoints = track.pose.copy(), track.keypoints3d.copy()
+    moved = reshaped_poses(torch.from_numpy(pose[rows]), tracker.parts.motion, kinematics, before, shape)
+    pose[rows], keypoints[rows] = moved.numpy(), kinematics(moved, shape).keypoints.numpy()
+    in_picture = camera.project(torch.from_numpy(keypoints)).numpy()
+    return replace(track, pose=pose, keypoints3d=keypoints, keypoints2d=in_picture)
 
 
 def _follow_back(run: Run, writer: TrackWriter, forward: Track) -> None:
     assert run.state is not None
-    recording, follower = run.recording, BackwardPass(run.tracker, run.state)
+    recording, follower = run.recording, BackwardPass(run.tracker, run.state, shape=run.shape)
     names = [camera.name for camera in recording.cameras]
     rows = {int(frame): row for row, frame in enumerate(forward.frame)}
     has_hand = forward.has_hand

@@ -15,6 +15,14 @@ from torchhand.track.knowledge import Estimate, Keyframe, TrackerState, restored
 from torchhand.track.paths import HandPath, PosedHand, combined_hand, path_weights
 from torchhand.track.scene import HandKeypoints, View
 from torchhand.track.settings import DEFAULTS, TrackerSettings
+from torchhand.track.shape import (
+    FollowedFrame,
+    RecordedShape,
+    can_tell_shape,
+    recorded_shape,
+    reshaped_poses,
+    spread_frames,
+)
 from torchhand.track.smoothing import PastFrame, Smoother
 from torchhand.track.tracker import Tracker
 
@@ -22,20 +30,26 @@ __all__ = [
     "DEFAULTS",
     "BackwardPass",
     "Estimate",
+    "FollowedFrame",
     "HandKeypoints",
     "HandPath",
     "Keyframe",
     "PastFrame",
     "PosedHand",
+    "RecordedShape",
     "Smoother",
     "Tracker",
     "TrackerSettings",
     "TrackerState",
     "View",
+    "can_tell_shape",
     "combined_hand",
     "path_weights",
+    "recorded_shape",
+    "reshaped_poses",
     "restored_state",
     "saved_state",
+    "spread_frames",
 ]
 
 

@@ -20,6 +20,7 @@ from torchhand.track.scene import (
     learned_observations,
     seen_posture,
 )
+from torchhand.track.shape import reshaped_poses
 from torchhand.track.tracker import Tracker
 
 _NATS = 40.0
@@ -52,17 +53,20 @@ class BackwardPass:
     no hand it takes that of the first pass; where that has none either, nothing is looked for: the first pass did.
     """
 
-    def __init__(self, tracker: Tracker, state: TrackerState) -> None:
-        """state: of the tracker after the last frame of the first pass. Raises ValueError where it knows no
-        proportions, which is where no hand was ever found."""
+    def __init__(self, tracker: Tracker, state: TrackerState, *, shape: Float[Tensor, "shape"] | None = None) -> None:
+        """state: of the tracker after the last frame of the first pass. shape: proportions of the hand that is followed
+        back, where they are not those of the first pass. Raises ValueError where the state knows no proportions, which
+        is where no hand was ever found."""
         if state.shape is None:
             raise ValueError("state: expected one of a tracker that has found a hand")
-        self._tracker, self._shape, self._last = tracker, state.shape, state.hand
+        self._tracker, self._shape_before, self._last = tracker, state.shape, state.hand
+        self._shape = state.shape if shape is None else shape
         mirrored = tuple(replace(one, time_s=-one.time_s) for one in state.keyframes)
-        self._state = replace(state, time_s=None, hand=None, keyframes=mirrored)
-        self._comparison = SilhouetteComparison(
-            tracker.kinematics, tracker.parts.cameras, state.shape, side_px=tracker.settings.check_side_px
-        )
+        self._state = replace(state, time_s=None, hand=None, keyframes=mirrored, shape=self._shape)
+        self._comparisons = [
+            SilhouetteComparison(tracker.kinematics, tracker.parts.cameras, one, side_px=tracker.settings.check_side_px)
+            for one in (self._shape, self._shape_before)
+        ]
 
     def step(self, views: Sequence[View], time_s: float, pose: Float[Tensor, "36"] | None) -> SecondEstimate:
         """The frame before that of the last call. pose: of the first pass, with the root's whole rotation vector; None
@@ -71,19 +75,27 @@ class BackwardPass:
         if self._state.hand is None:
             if before is None:
                 return SecondEstimate(estimate=Estimate(status="no_hand", time_s=time_s, reason="nothing to follow"))
-            self._state = replace(self._state, hand=self._begun(before), time_s=None)
+            self._state = replace(self._state, hand=self._begun(self._reshaped(before)), time_s=None)
         self._state, estimate = self._tracker.step(self._state, views, -time_s)
         estimate = replace(estimate, time_s=time_s)
         if estimate.keypoints is None or estimate.pose is None or before is None:
             return SecondEstimate(estimate=estimate)
-        if float((estimate.keypoints - self._keypoints(before)).norm(dim=-1).mean()) < _SAME_M:
+        if float((estimate.keypoints - self._keypoints(before, self._shape_before)).norm(dim=-1).mean()) < _SAME_M:
             return SecondEstimate(estimate=estimate, evidence=0.0, evidence_before=0.0)
         scene = self._tracker.scene(self._state, views, -time_s)
         here, there = self._evidence([HandPose.of(estimate.pose).normalized(), before], scene)
         return SecondEstimate(estimate=estimate, evidence=here, evidence_before=there)
 
-    def _keypoints(self, pose: HandPose) -> Float[Tensor, "21 3"]:
-        return self._tracker.kinematics(pose.dofs, self._shape, root_reference=pose.reference).keypoints
+    def _reshaped(self, before: HandPose) -> HandPose:
+        """A pose of the first pass as one of the hand that is followed back."""
+        if self._shape is self._shape_before:
+            return before
+        parts = self._tracker.parts
+        moved = reshaped_poses(before.vector[None], parts.motion, parts.kinematics, self._shape_before, self._shape)
+        return HandPose.of(moved[0]).normalized()
+
+    def _keypoints(self, pose: HandPose, shape: Float[Tensor, "shape"]) -> Float[Tensor, "21 3"]:
+        return self._tracker.kinematics(pose.dofs, shape, root_reference=pose.reference).keypoints
 
     @torch.inference_mode()
     def _begun(self, pose: HandPose) -> FollowedHand:
@@ -98,15 +110,16 @@ class BackwardPass:
     @torch.inference_mode()
     @single_threaded()
     def _evidence(self, poses: Sequence[HandPose], scene: Scene) -> list[float]:
-        """Of two hands in one scene, both judged by what the network sees where either is."""
-        parts, shape = self._tracker.parts, self._shape
+        """Of two hands in one scene, that of this pass and that of the first one with its own proportions, both judged
+        by what the network sees where either is."""
+        parts, shapes = self._tracker.parts, (self._shape, self._shape_before)
         learned = SceneKeypoints(pictures=(), postures=tuple(self._postures(poses, scene)))
         told = (parts.keypoints(scene), learned)
         found = []
-        for pose in poses:
+        for pose, shape, comparison in zip(poses, shapes, self._comparisons, strict=True):
             shares = [one.agreement(pose, shape) for one in told]
             told_nats = _NATS * sum(share for share in shares if share is not None)
-            found.append(_OVERLAP_NATS * self._comparison(pose, scene).overlap + told_nats)
+            found.append(_OVERLAP_NATS * comparison(pose, scene).overlap + told_nats)
         return found
 
     def _postures(self, poses: Sequence[HandPose], scene: Scene) -> Iterator[PostureKeypoints]:
@@ -114,7 +127,7 @@ class BackwardPass:
         parts = self._tracker.parts
         if not parts.has_learned_posture:
             return
-        points = [self._keypoints(pose) for pose in poses]
+        points = [self._keypoints(*one) for one in zip(poses, (self._shape, self._shape_before), strict=True)]
         apart = [float((own - points[0]).norm(dim=-1).mean()) for own in points]
         for pose in (one for one, off in zip(poses, apart, strict=True) if off == 0.0 or off > _NEAR_M):
             seen = seen_posture(scene, parts.cameras[0], parts.kinematics, pose, self._shape)

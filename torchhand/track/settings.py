@@ -54,6 +54,10 @@ class TrackerSettings:
     camera, picture by picture; a hand that it sees from another side is in doubt."""
     rig: RigSettings = field(default_factory=RigSettings)
     """Several cameras: the hull of the silhouettes, in which a hand is found whatever the update rule."""
+    shape_frames: int = 16
+    """Frames of one camera's recording, well spread, over which the proportions are fitted once it was followed; a
+    quarter of them only judge the result. 0 keeps the proportions of the first hand, as the presets do for methods with
+    which it has not been measured."""
     smoothing_window_s: float = 0.0
     """How far a hand that was found anew is followed back, to correct the frames before, seconds; 0 or more."""
     check_side_px: int = 320
@@ -64,7 +68,12 @@ class TrackerSettings:
     def __post_init__(self) -> None:
         require(self.pose_space in POSE_SPACES, "pose_space", f"one of {', '.join(POSE_SPACES)}", self.pose_space)
         require(self.posture in POSTURES, "posture", f"one of {', '.join(POSTURES)}", self.posture)
-        for name, minimum in (("points_per_generator", 2), ("points_per_arc", 4), ("check_side_px", 64)):
+        for name, minimum in (
+            ("points_per_generator", 2),
+            ("points_per_arc", 4),
+            ("shape_frames", 0),
+            ("check_side_px", 64),
+        ):
             require(getattr(self, name) >= minimum, name, f"{minimum} or more", getattr(self, name))
         require(0 <= self.search_overlap <= 1, "search_overlap", "0 to 1", self.search_overlap)
         has_window = 0 <= self.smoothing_window_s < float("inf")
@@ -76,12 +85,14 @@ _CONTOUR = TrackerSettings()
 _DISTANCE = TrackerSettings(
     method="distance",
     update=ExtendedUpdateSettings(),
+    shape_frames=0,
     motion=MotionModel(order=1, velocity_decay_s=0.15),  # parameters and velocities (Ouhaddi and Horain 1998)
     noise=NoiseSettings(translation=4.0, rotation=20.0, angle=30.0),
 )
 _HULL = TrackerSettings(
     method="hull",
     update=None,
+    shape_frames=0,
     pose_space="dof28",
     motion=MotionModel(order=1, velocity_decay_s=0.1),
     noise=NoiseSettings(translation=2.0, rotation=30.0, angle=120.0),
