@@ -29,7 +29,7 @@ posture, with their forearms, have less than 0.89, closed fists have more."""
 _MIN_OVERLAP = 0.9  # of the first hand with the silhouette by its colours
 _STARTS = 2  # registered hands whose colours are learned in the first picture
 _TURNED = 0.5  # cosine of the angle between hands of different directions at most
-_MIN_PRESENCE = 2.5  # of the first hand: logarithm of how much likelier its view is than one of something else
+_MIN_PRESENCE = 2.0  # of the first hand: logarithm of how much likelier its view is than one of something else
 _MIN_FOUND = 0.8  # share of the first hand's contour on edges
 _RESTARTS = 3  # registered hands that a followed one is compared with
 

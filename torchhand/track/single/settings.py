@@ -50,7 +50,7 @@ class SinglePoseSettings:
     """The same as `min_overlap` of a hand that its outline alone tells of; 0 to 1."""
     alone_edges: float = 0.65
     """The same as `min_edges` of a hand that its outline alone tells of; 0 to 1."""
-    alone_presence: float = 2.5
+    alone_presence: float = 2.0
     """Smallest logarithm of how much likelier a view of such a hand is than one of something else, as a network sees
     it; minus infinity asks it nothing."""
     max_side_px: int = 640
