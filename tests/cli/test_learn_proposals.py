@@ -88,7 +88,7 @@ def test_the_shipped_network_is_measured_on_a_sequence(tmp_path: Path, capsys: p
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        ([], "expected --out FILE to train, or --evaluate FOLDER to measure"),
+        ([], "expected --out or --presence FILE to train, or --evaluate FOLDER to measure"),
         (["--out", "a.npz", "--network", "b.npz"], "expected at most one of --out and --network"),
         (["--out", "a.npz", "--steps", "0"], "--steps: expected 1 to"),
         (["--evaluate", "nowhere"], "nowhere: expected a folder with truth.npz"),

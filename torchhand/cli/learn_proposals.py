@@ -1,5 +1,4 @@
-"""Train the network that proposes hands in any posture for a silhouette, on simulated hands alone; measure it. And the
-one that tells hands from other things."""
+"""Train the network that proposes hands in any posture for a silhouette, on simulated hands alone; measure it."""
 
 import sys
 from collections.abc import Sequence

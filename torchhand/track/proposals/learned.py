@@ -7,14 +7,14 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.files import load_presence_network, load_proposal_network
+from torchhand.files import load_proposal_network
 from torchhand.fit import Appearance, Solutions
 from torchhand.fit.detect import FitSettings, NoStart, segment_hand, start_at_pose
 from torchhand.fit.proposals import ProposalRegistration
 from torchhand.geometry import Camera, cosine_between
 from torchhand.hand import HandKinematics, HandPose
 from torchhand.image import BackgroundPlate, SilhouetteSettings, solidity
-from torchhand.propose import Silhouette, hand_presence, propose_hands
+from torchhand.propose import Silhouette, propose_hands
 from torchhand.track.knowledge import TrackerState
 from torchhand.track.proposals.keypoints import shows_proportions
 from torchhand.track.proposals.protocol import Occasion, Proposals, Proposed
@@ -29,7 +29,6 @@ posture, with their forearms, have less than 0.89, closed fists have more."""
 _MIN_OVERLAP = 0.9  # of the first hand with the silhouette by its colours
 _STARTS = 2  # registered hands whose colours are learned in the first picture
 _TURNED = 0.5  # cosine of the angle between hands of different directions at most
-_MIN_PRESENCE = 2.0  # of the first hand: logarithm of how much likelier its view is than one of something else
 _MIN_FOUND = 0.8  # share of the first hand's contour on edges
 _RESTARTS = 3  # registered hands that a followed one is compared with
 
@@ -80,7 +79,7 @@ class LearnedHands:
         if state.has_started:
             hands = tuple(Proposed(pose=found.pose[i]) for i in range(min(_RESTARTS, len(found.cost))))
             return Proposals(hands=hands, has_foreground=True)
-        return self._first(found, image, seen)
+        return self._first(found, image)
 
     def _registered(self, seen: Silhouette, shape: Tensor) -> Solutions:
         """Registered hypotheses: the cheapest, the cheapest of those that are turned away from it, then the rest by
@@ -95,8 +94,8 @@ class LearnedHands:
         rank[is_turned & (is_turned.cumsum(0) == 1)] = 0
         return found.rows(order[rank.argsort(stable=True)])
 
-    def _first(self, found: Solutions, image: Tensor, seen: Silhouette) -> Proposals:
-        """The first hand with its colours, as it is refitted to the silhouette by these, where it looks like one."""
+    def _first(self, found: Solutions, image: Tensor) -> Proposals:
+        """The first hand with its colours, as it is refitted to the silhouette by these."""
         shape = self.kinematics.default_shape if self.known_shape is None else self.known_shape
         where = (self.kinematics, self.camera, shape, self.table)
         hands = []
@@ -107,9 +106,6 @@ class LearnedHands:
             if isinstance(start, NoStart) or start.overlap < _MIN_OVERLAP or start.fit.found_fraction < _MIN_FOUND:
                 continue
             fitted = HandPose.of(start.fit.pose, start.fit.root_reference)
-            presence = hand_presence(load_presence_network(), seen, self.kinematics, fitted, start.fit.shape)
-            if float(presence) < _MIN_PRESENCE:
-                continue
             hands.append(Proposed(pose=fitted, shape=start.fit.shape, appearance=start.appearance))
         reason = "" if hands else "no proposed hand fits the silhouette"
         return Proposals(hands=tuple(hands), reason=reason, has_foreground=True)
