@@ -14,6 +14,7 @@ from torchhand.draw import paint_spelling
 from torchhand.errors import InputError
 from torchhand.export import FORMATS, ExportOptions, FormatName, MotionClip, format_of
 from torchhand.files import load_hand, load_hand_model
+from torchhand.files.disk import expanded
 from torchhand.hand import HandModel, Side
 from torchhand.signs import SpellingSettings, check_text, load_signs, sign_joints, spell
 
@@ -74,7 +75,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         settings = SpellingSettings(fps=arguments.fps, seconds_per_sign=arguments.seconds)
     except ValueError as error:
         raise InputError(f"--{str(error).replace('seconds_per_sign', 'seconds')}") from error
-    target = arguments.to.expanduser()
+    target = expanded(arguments.to)
     kind = None if _is_video(arguments, target) else format_of(target, arguments.format)
     if target.is_dir():
         raise InputError(f"--to: expected a file, got the folder {target}")
@@ -135,7 +136,7 @@ def _hand_of(arguments: Arguments, model: HandModel) -> tuple[Side, torch.Tensor
     if arguments.hand is None:
         return arguments.side or "right", None
     space = model.shape_space
-    fitted = load_hand(arguments.hand.expanduser(), space.names)
+    fitted = load_hand(expanded(arguments.hand), space.names)
     shape = torch.tensor([fitted.values[name] for name in space.names], dtype=torch.float64)
     try:
         space.check(shape)

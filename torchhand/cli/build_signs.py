@@ -15,7 +15,7 @@ from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.draw import HandPainter, contact_sheet, draw_trace, spelling_camera, write_sign
 from torchhand.errors import InputError
 from torchhand.files import load_hand_model, models_dir
-from torchhand.files.disk import replacing
+from torchhand.files.disk import expanded, replacing
 from torchhand.hand import KEYPOINTS, HandModel
 from torchhand.signs import SIGNS, SIGNS_NAME, TRACERS, load_signs, save_signs, solve_signs, standing_pose, traced_poses
 
@@ -45,7 +45,7 @@ class Arguments:
 def main(argv: Sequence[str] | None = None) -> int:
     """Solve, save, draw."""
     arguments = parse(Arguments, argv, name="build_signs")
-    folder = models_dir() / "generic_hand" if arguments.out is None else arguments.out.expanduser()
+    folder = models_dir() / "generic_hand" if arguments.out is None else expanded(arguments.out)
     if not folder.is_dir():
         raise InputError(f"--out: expected an existing folder, got {folder}")
     model = load_hand_model()

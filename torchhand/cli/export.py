@@ -10,6 +10,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.errors import InputError
 from torchhand.export import ExportOptions, FormatName, MotionClip, format_of, load_clip
+from torchhand.files.disk import expanded
 from torchhand.files.results import CHECKPOINT_NAME, CONFIG_NAME, HAND_NAME, JSONL_NAME, NPZ_NAME, OVERLAY_NAME
 
 _MAX_NAMED = 3
@@ -61,7 +62,7 @@ class Arguments:
 def main(argv: Sequence[str] | None = None) -> int:
     """Write one file, or one per frame."""
     arguments = parse(Arguments, argv, name="export")
-    target = arguments.to.expanduser()
+    target = expanded(arguments.to)
     kind = format_of(target, arguments.format)
     if target.is_dir():
         raise InputError(f"--to: expected a file, got the folder {target}")
@@ -90,10 +91,10 @@ def _only(arguments: Arguments, clip: MotionClip) -> MotionClip:
 
 
 def _check_free(arguments: Arguments, files: Sequence[Path]) -> None:
-    result = arguments.result.expanduser()
+    result = expanded(arguments.result)
     folder = result if result.is_dir() else result.parent
     kept = {result.resolve(), *((folder / name).resolve() for name in RESULT_NAMES)}
-    kept |= {arguments.hand.expanduser().resolve()} if arguments.hand is not None else set()
+    kept |= {expanded(arguments.hand).resolve()} if arguments.hand is not None else set()
     for file in files:
         if file.resolve() in kept:
             raise InputError(f"--to: expected a name other than those of the result, got {file}")

@@ -12,6 +12,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 from torchhand.cli.command import DONE, STOPPED_BY_USER, WRONG_INPUT, command, parse, threads
 from torchhand.errors import InputError
 from torchhand.files import Track, check_output_folder, sequences_of
+from torchhand.files.disk import expanded
 from torchhand.runs import (
     Request,
     how_to_go_on,
@@ -92,7 +93,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = parse(Arguments, argv, name="track")
     request = _request(arguments)
     sequences = sequences_of(arguments.input)
-    has_videos = Path(arguments.input).expanduser().is_dir() and Path(sequences[0][1]).is_file()
+    has_videos = expanded(arguments.input).is_dir() and Path(sequences[0][1]).is_file()
     jobs = [(name, source, arguments.out / name if has_videos else arguments.out) for name, source in sequences]
     for _, _, out_dir in jobs:
         check_output_folder(out_dir, resume=request.resume, overwrite=request.overwrite)

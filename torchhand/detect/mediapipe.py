@@ -9,8 +9,9 @@ searching every picture anew finds 88), is twice as fast, and is the same in eve
 
 import hashlib
 import importlib
+import os
 import weakref
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -22,11 +23,12 @@ from torch import Tensor
 from torchhand.detect.landmarks import Landmarks
 from torchhand.errors import InputError
 from torchhand.files import HandDetection, models_dir, read_picture
-from torchhand.files.disk import captured_messages
+from torchhand.files.disk import expanded
 from torchhand.hand import Side
 
 _KNOWN = "palm.png"
 """A right hand, in the folder of the model of which it is a picture."""
+_ERRORS_ALONE = "2"  # of glog's levels
 _STEP_MS = 33
 """From one picture to the next, for an interface that wants times; they change nothing."""
 
@@ -39,7 +41,7 @@ class MediaPipe:
 
         Raises InputError where MediaPipe is not installed, has no models of its own, or cannot read the given one.
         """
-        package, self._model = _package(), None if hand_model is None else hand_model.expanduser()
+        package, self._model = _package(), None if hand_model is None else expanded(hand_model)
         version = str(getattr(package, "__version__", "of unknown version"))
         if self._model is None:
             if getattr(package, "solutions", None) is None:
@@ -118,25 +120,16 @@ class _Tasks:
         self._graph.close()
 
 
-class _Quiet:
-    """Landmarks whose program prints nothing when it is opened and when it sees its first picture."""
+class _Closing:
+    """Landmarks that are closed at the latest before the interpreter is taken down."""
 
-    def __init__(self, make: Callable[[], Landmarks]) -> None:
-        with captured_messages():
-            self._landmarks = make()
-        self._has_begun = False
-        self.close = weakref.finalize(self, self._landmarks.close)  # at the latest before the interpreter is taken down
-
-    def detect(self, image: UInt8[Tensor, "height width 3"]) -> Sequence[HandDetection]:
-        if self._has_begun:
-            return self._landmarks.detect(image)
-        self._has_begun = True
-        with captured_messages():
-            return self._landmarks.detect(image)
+    def __init__(self, landmarks: Landmarks) -> None:
+        self.detect = landmarks.detect
+        self.close = weakref.finalize(self, landmarks.close)
 
 
 def _opened(model: Path | None, hands: int, sides: Mapping[str, Side]) -> Landmarks:
-    return _Quiet(lambda: _Solutions(hands, sides) if model is None else _Tasks(model, hands, sides))
+    return _Closing(_Solutions(hands, sides) if model is None else _Tasks(model, hands, sides))
 
 
 @lru_cache(maxsize=8)
@@ -178,10 +171,15 @@ def _array(image: UInt8[Tensor, "height width 3"]) -> np.ndarray:
 
 
 def _package() -> Any:
-    """The package. Raises InputError where it cannot be had."""
+    """The package. Raises InputError where it cannot be had.
+
+    It and TensorFlow Lite in it log to the terminal, at levels that they take from the environment when they are first
+    loaded. Levels that the user has set stay.
+    """
+    for name in ("GLOG_minloglevel", "TF_CPP_MIN_LOG_LEVEL"):
+        os.environ.setdefault(name, _ERRORS_ALONE)
     try:
-        with captured_messages():
-            return importlib.import_module("mediapipe")
+        return importlib.import_module("mediapipe")
     except ImportError as error:
         raise InputError(
             f"mediapipe is not installed here ({error}): expected it for --keypoints mediapipe; pip install"

@@ -11,6 +11,7 @@ from torchhand.errors import InputError
 from torchhand.export.clip import MotionClip, Up, rest_clip
 from torchhand.export.stream import clip_of_stream
 from torchhand.files import Track, load_hand, load_hand_model, load_track, open_source
+from torchhand.files.disk import expanded
 from torchhand.files.pictures import ASSUMED_FPS
 from torchhand.files.results import HAND_NAME
 from torchhand.hand import DOFS, HandModel, Side
@@ -39,7 +40,7 @@ def load_clip(
 
     Raises InputError naming the file and what is wrong with it; a track without a single estimate is refused.
     """
-    path = Path(path).expanduser()
+    path = expanded(path)
     model = model or load_hand_model()
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
@@ -60,7 +61,7 @@ def load_clip(
         )
     folder = path if path.is_dir() else path.parent
     track = load_track(path)
-    side, shape = _hand_of(folder / HAND_NAME if hand is None else Path(hand).expanduser(), model)
+    side, shape = _hand_of(folder / HAND_NAME if hand is None else expanded(hand), model)
     return clip_of_track(
         track,
         model,

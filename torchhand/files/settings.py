@@ -11,13 +11,14 @@ import yaml
 
 from torchhand import __version__
 from torchhand.errors import InputError
-from torchhand.files.disk import short, suggestion, write_text
+from torchhand.files.disk import read_plain_file, read_yaml, short, suggestion, write_text
 
 Settings = TypeVar("Settings")
 
 RUN_KEY = "run"
 """Top-level key of a saved file that tells how it was made; skipped when such a file is loaded again."""
 COMMAND_LINE = "command line"
+_LARGEST_BYTES = 1 << 20
 
 
 def load_settings(
@@ -55,32 +56,12 @@ def save_settings(settings: Any, path: str | Path, extra: Mapping[str, Any] | No
     write_text(Path(path), yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
 
 
-class _Loader(yaml.SafeLoader):
-    """Safe YAML that refuses a key given twice."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: set[str] = set()
-        for key_node, _ in node.value:
-            key = str(getattr(key_node, "value", ""))
-            if key in seen:
-                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} is given twice", key_node.start_mark)
-            seen.add(key)
-        return super().construct_mapping(node, deep)
-
-
 def _read_yaml(path: Path) -> dict[str, Any]:
     try:
-        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+        text = read_plain_file(path, largest=_LARGEST_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: expected a YAML text file in UTF-8, got something else") from error
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f", line {mark.line + 1}" if mark else ""
-        raise InputError(f"{path}{line}: is no valid YAML ({getattr(error, 'problem', None) or error})") from error
+    content = read_yaml(text, str(path))
     if content is None:
         return {}
     if not isinstance(content, dict):

@@ -3,9 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
-import yaml
-
 from torchhand.errors import InputError
+from torchhand.files.disk import read_yaml, short
 
 
 def changes_of(texts: Sequence[str], example: str) -> dict[str, Any]:
@@ -16,9 +15,9 @@ def changes_of(texts: Sequence[str], example: str) -> dict[str, Any]:
         if not is_given or not key:
             raise InputError(f"--set: expected KEY=VALUE such as {example}, got {change!r}")
         try:
-            changes[key] = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            raise InputError(f"--set {key}: expected a value as in YAML, got {text!r}") from error
+            changes[key] = read_yaml(text, f"--set {key}")
+        except InputError as error:
+            raise InputError(f"--set {key}: expected a value as in YAML, got {short(text)}") from error
     for key in changes:
         inside = next((other for other in changes if other.startswith(f"{key}.")), None)
         if inside is not None:

@@ -10,6 +10,7 @@ from typing import Protocol, runtime_checkable
 
 from torchhand.errors import InputError
 from torchhand.files import FrameSource, RigSource, camera_for, load_rig, open_rig, open_source, read_picture, rig_notes
+from torchhand.files.disk import expanded
 from torchhand.files.pictures import PICTURE_SUFFIXES
 from torchhand.files.rigs import mask_paths
 from torchhand.geometry import Camera
@@ -168,7 +169,7 @@ class RigRecording:
     ) -> None:
         """unit: `hand` where it is not known and to be fitted. masks: whether silhouettes are given; where the folder
         holds them if None."""
-        self.folder, self._offsets, self.start, self.max_frames = folder.expanduser(), offsets or {}, start, max_frames
+        self.folder, self._offsets, self.start, self.max_frames = expanded(folder), offsets or {}, start, max_frames
         self.source, self.name = str(self.folder), self.folder.name
         place = self.folder if cameras is None else cameras
         if not self.folder.is_dir():

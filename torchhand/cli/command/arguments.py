@@ -3,6 +3,7 @@
 import contextlib
 import inspect
 import io
+import sys
 from collections.abc import Iterator, Sequence
 from typing import TypeVar
 
@@ -11,6 +12,7 @@ import tyro
 
 from torchhand.cli.command.guard import WRONG_INPUT
 from torchhand.errors import InputError
+from torchhand.files.disk import check_name
 
 Arguments = TypeVar("Arguments")
 
@@ -24,8 +26,12 @@ def parse(kind: type[Arguments], argv: Sequence[str] | None, *, name: str) -> Ar
     """Read the command line into a record (a dataclass, whose docstring is the text of `--help`).
 
     Raises:
-        InputError: the command line does not fit the record, or the record's own range check (ValueError) refuses it.
+        InputError: a word is empty or no UTF-8, the command line does not fit the record, or the record's own range check (ValueError) refuses it.
     """
+    for word in sys.argv[1:] if argv is None else argv:
+        if not word:
+            raise InputError("expected a value, got an empty argument")  # as a path it would mean the current folder
+        check_name(word)
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):

@@ -10,6 +10,7 @@ from torch import Tensor
 from torchhand.cli.simulations.order import DEFAULT_FOV_DEG, DEFAULT_FRAMES, Arguments
 from torchhand.errors import InputError
 from torchhand.files import load_cameras, load_hand, load_hand_model
+from torchhand.files.pictures import size_problem
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import Hand, HandKinematics, HandModel, ShapeSpace, Side
 from torchhand.simulate import (
@@ -92,6 +93,8 @@ def camera_of(arguments: Arguments) -> Camera:
         if len(cameras) != 1:
             names = ", ".join(camera.name for camera in cameras)
             raise InputError(f"{arguments.camera}: expected one camera, got {len(cameras)} ({names})")
+        if problem := size_problem(cameras[0].width, cameras[0].height):
+            raise InputError(f"{arguments.camera}: {problem}")
         place = {"rotation": torch.eye(3, dtype=torch.float64), "translation": torch.zeros(3, dtype=torch.float64)}
         return replace(cameras[0], **place)
     width, height = arguments.size_px

@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import torch
 
 from torchhand.errors import InputError
 from torchhand.files import load_rig
+from torchhand.files.disk import expanded
+from torchhand.files.pictures import size_problem
 from torchhand.geometry import Camera
 from torchhand.simulate import RenderedFrame, RigRecord, named_rig, noisy_mask
 from torchhand.simulate.rigs import FOV_DEG, SIZE_PX
@@ -19,13 +20,17 @@ def rig_cameras(text: str, *, size: tuple[int, int] | None = None, fov_deg: floa
     size (px), fov_deg: of the cameras of a named rig, where the user wants others. Raises InputError naming what is
     wrong.
     """
-    path = Path(text).expanduser()
+    path = expanded(text)
     if not path.exists() and path.name == text and not path.suffix:
         return named_rig(text, size=size or SIZE_PX, fov_deg=fov_deg or FOV_DEG)
     for option, value in (("--size", size), ("--fov-deg", fov_deg)):
         if value is not None:
             raise InputError(f"{option}: expected a named rig with it; the cameras of {path} have their own")
-    return load_rig(path)
+    cameras = load_rig(path)
+    for camera in cameras:
+        if problem := size_problem(camera.width, camera.height):
+            raise InputError(f"{path}: {camera.name}: {problem}")
+    return cameras
 
 
 def with_mask_noise(frame: RenderedFrame, std_px: float, generator: torch.Generator) -> RenderedFrame:

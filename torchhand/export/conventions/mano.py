@@ -18,6 +18,10 @@ from torchhand.files.disk import opened_arrays, replacing
 from torchhand.hand import HandModel, Side
 from torchhand.hand.conventions import MANO_JOINTS, BoneFit, ManoPose, mano_of_pose, pose_of_mano
 
+_READ = (
+    *("hand_pose", "global_orient", "wrist", "poses", "trans", "joint_names", "is_rhand", "flat_hand_mean"),
+    *("fps", "frame", "up"),
+)
 _SHAPES = {"global_orient": 3, "hand_pose": 45, "wrist": 3}
 
 
@@ -54,12 +58,13 @@ def clip_of_mano(
     """
     path = Path(path)
     with opened_arrays(path, complaint="expected MANO's rotations in an .npz that can be read") as stored:
-        arrays = dict(stored)
+        arrays = stored.chosen(_READ)
+        names = list(stored)
     if "poses" in arrays and "hand_pose" not in arrays:
         poses = _checked(path, "poses", arrays["poses"], 48, None)
         arrays |= {"global_orient": poses[:, :3], "hand_pose": poses[:, 3:]}
     if "hand_pose" not in arrays:
-        got = ", ".join(list(arrays)[:5]) or "none"
+        got = ", ".join(names[:5]) or "none"
         raise InputError(f"{path}: expected an array hand_pose (frames, 45) or poses (frames, 48), got {got}")
     if "joint_names" in arrays and tuple(map(str, arrays["joint_names"].reshape(-1))) != MANO_JOINTS:
         raise InputError(f"{path}: joint_names: expected MANO's {len(MANO_JOINTS)} in its order, got others")

@@ -8,7 +8,7 @@ import cv2
 import torch
 
 from torchhand.errors import InputError
-from torchhand.files.disk import captured_messages, quiet_opencv, short
+from torchhand.files.disk import quiet_opencv, short
 from torchhand.geometry import rotation_from_vector
 
 OPENCV_SUFFIXES = (".yml", ".yaml", ".xml")
@@ -74,7 +74,7 @@ def read_storage(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: expected a YAML or XML text file in UTF-8, got something else") from error
     if not text.strip():
         raise InputError(f"{path}: is empty")
-    with quiet_opencv(), captured_messages():
+    with quiet_opencv():
         storage = cv2.FileStorage()
         try:
             is_open = storage.open(_with_directive(text), cv2.FileStorage_READ | cv2.FileStorage_MEMORY)

@@ -8,7 +8,7 @@ from torchhand.files.detections.keypoint_arrays import read_keypoint_arrays
 from torchhand.files.detections.mediapipe_json import mediapipe_detections
 from torchhand.files.detections.openpose_json import openpose_detections, read_openpose_folder
 from torchhand.files.detections.record import Detections, Side, Units
-from torchhand.files.disk import read_json
+from torchhand.files.disk import expanded, read_json
 
 __all__ = ["Detections", "read_detections"]
 
@@ -30,7 +30,7 @@ def read_detections(
 
     Raises InputError naming the file (and the frame), what was expected and what was got.
     """
-    path = Path(path).expanduser()
+    path = expanded(path)
     if path.is_dir():
         return read_openpose_folder(path, side=side)
     if not path.exists():

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from torchhand.errors import InputError
+from torchhand.files.disk.plain_files import expanded
 
 _PACKAGE = Path(__file__).resolve().parents[2]
 
@@ -22,7 +23,7 @@ def find_config(name: str | Path) -> Path:
 
     `contour_planar`, `contour_planar.yaml` and `configs/contour_planar.yaml` find the shipped file from any folder.
     """
-    path = Path(name).expanduser()
+    path = expanded(name)
     if path.is_file():
         return path
     shipped = configs_dir() / f"{path.stem if path.suffix in ('.yaml', '.yml') else path.name}.yaml"

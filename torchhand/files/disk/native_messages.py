@@ -1,10 +1,9 @@
-"""Keep what C libraries print (libjpeg, libpng, FFmpeg, OpenCV's own log) off the user's terminal, and read it."""
+"""Keep what OpenCV and FFmpeg print off the user's terminal."""
 
 import contextlib
 import os
-import tempfile
+import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -15,46 +14,28 @@ _SILENT = 0
 # it is set on import. A level that the user has set stays.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
-
-@dataclass
-class Messages:
-    """What was printed, known once the block has ended."""
-
-    text: str = ""
+_lock = threading.Lock()
+_quiet_blocks, _level_before = 0, 0
 
 
 @contextlib.contextmanager
 def quiet_opencv() -> Iterator[None]:
-    """OpenCV logs nothing inside the block."""
+    """OpenCV logs nothing inside the block, nor in other threads meanwhile.
+
+    Its level of logging is one for the process: the first block that is entered keeps it, the last that is left
+    restores it. Nothing is ever concluded from what is logged.
+    """
+    global _quiet_blocks, _level_before
     logging: Any = getattr(cv2.utils, "logging", cv2)  # OpenCV 4 has the same two functions at its top level
-    before = logging.getLogLevel()
-    logging.setLogLevel(_SILENT)
+    with _lock:
+        if not _quiet_blocks:
+            _level_before = logging.getLogLevel()
+            logging.setLogLevel(_SILENT)
+        _quiet_blocks += 1
     try:
         yield
     finally:
-        logging.setLogLevel(before)
-
-
-@contextlib.contextmanager
-def captured_messages() -> Iterator[Messages]:
-    """Collect what the block writes to file descriptor 2, below Python.
-
-    For short blocks only: the descriptor belongs to the whole process. Without one (a program with no terminal), or
-    with no place for a temporary file, nothing is collected.
-    """
-    messages = Messages()
-    with contextlib.ExitStack() as stack:
-        try:
-            catcher = stack.enter_context(tempfile.TemporaryFile())
-            original = os.dup(2)
-        except OSError:
-            yield messages
-            return
-        stack.callback(os.close, original)
-        os.dup2(catcher.fileno(), 2)
-        try:
-            yield messages
-        finally:
-            os.dup2(original, 2)
-            catcher.seek(0)
-            messages.text = catcher.read().decode(errors="replace")
+        with _lock:
+            _quiet_blocks -= 1
+            if not _quiet_blocks:
+                logging.setLogLevel(_level_before)

@@ -74,7 +74,7 @@ def load_mesh(path: str | Path, *, shape_names: Sequence[str]) -> HandMesh:
 
 def _read(path: Path) -> dict[str, np.ndarray]:
     with opened_arrays(path, complaint="is no mesh that can be read") as stored:
-        arrays = dict(stored)
+        arrays = stored.chosen(("format", *_FLOATS, *_INTEGERS, *_NAMES))
     if "format" not in arrays or str(arrays["format"]) != MESH_FORMAT:
         got = repr(str(arrays["format"]))[:60] if "format" in arrays else "a file without 'format'"
         raise InputError(f"{path}: expected a mesh ('format': '{MESH_FORMAT}'), got {got}")

@@ -75,13 +75,13 @@ def _save(
 
 def _load(path: Path, file_format: str, what: str, make: Callable[[dict[str, int]], Network]) -> Network:
     with opened_arrays(path, complaint=f"is no {what} that can be read") as stored:
-        arrays = dict(stored)
-    header = _header(path, arrays.pop(_HEADER, None), file_format, what)
-    try:
-        network = make(header["sizes"])
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{path}: sizes: {error}") from error
-    expected = {k: v for k, v in network.state_dict().items() if not k.endswith(_COUNTERS)}
+        header = _header(path, stored.chosen([_HEADER]).get(_HEADER), file_format, what)
+        try:
+            network = make(header["sizes"])
+        except (TypeError, ValueError, RuntimeError) as error:  # RuntimeError: torch, of a size without memory for it
+            raise InputError(f"{path}: sizes: {error}") from error
+        expected = {k: v for k, v in network.state_dict().items() if not k.endswith(_COUNTERS)}
+        arrays = stored.chosen(expected)
     for name, value in expected.items():
         array = arrays.get(name)
         got = "nothing" if array is None else f"{array.dtype} {array.shape}"

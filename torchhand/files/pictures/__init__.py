@@ -2,12 +2,14 @@
 
 from torchhand.files.pictures.frame_source import ASSUMED_FPS, Frame, FrameRange, FrameSource
 from torchhand.files.pictures.frames import open_source, sequences_of
+from torchhand.files.pictures.limits import MAX_MEGAPIXELS, pixel_limit, size_problem
 from torchhand.files.pictures.pictures import PICTURE_SUFFIXES, PictureSource, natural_key, read_picture
 from torchhand.files.pictures.video import VIDEO_SUFFIXES
 from torchhand.files.pictures.video_writer import VideoWriter, write_video
 
 __all__ = [
     "ASSUMED_FPS",
+    "MAX_MEGAPIXELS",
     "PICTURE_SUFFIXES",
     "VIDEO_SUFFIXES",
     "Frame",
@@ -17,7 +19,9 @@ __all__ = [
     "VideoWriter",
     "natural_key",
     "open_source",
+    "pixel_limit",
     "read_picture",
     "sequences_of",
+    "size_problem",
     "write_video",
 ]

@@ -1,14 +1,19 @@
 """Where pictures come from: a video file, a folder of pictures, a folder of videos, a webcam number."""
 
+import re
 from pathlib import Path
 
 from torchhand.errors import InputError
+from torchhand.files.disk import check_name, check_plain_file, expanded, short
 from torchhand.files.pictures.frame_source import ASSUMED_FPS, Frame, FrameRange, FrameSource
 from torchhand.files.pictures.pictures import PICTURE_SUFFIXES, PictureSource, natural_key
 from torchhand.files.pictures.video import VIDEO_SUFFIXES, VideoSource
 
 __all__ = ["ASSUMED_FPS", "Frame", "FrameRange", "FrameSource", "open_source", "sequences_of"]
 
+_MAX_DIGITS = 4  # of a webcam's number
+_MAX_NAME = 256
+_URL = re.compile(r"^[a-z][a-z0-9+.-]*:/", re.IGNORECASE)
 _SUFFIXES = ", ".join(suffix[1:] for suffix in VIDEO_SUFFIXES + PICTURE_SUFFIXES)
 
 
@@ -60,7 +65,11 @@ def sequences_of(source: str | Path) -> list[tuple[str, str | Path]]:
 def _webcam_number(source: str | Path) -> int | None:
     """Digits alone are a webcam, unless a file or folder has that very name."""
     text = str(source)
-    return int(text) if text.isascii() and text.isdigit() and not Path(text).exists() else None
+    if not (text.isascii() and text.isdigit()) or (len(text) < _MAX_NAME and Path(text).exists()):
+        return None
+    if len(text) > _MAX_DIGITS:
+        raise InputError(f"{short(text)}: expected a webcam number of at most {_MAX_DIGITS} digits")
+    return int(text)
 
 
 def _webcam_name(number: int) -> str:
@@ -73,13 +82,20 @@ def _name(path: Path) -> str:
 
 
 def _existing(source: str | Path) -> Path:
-    path = Path(source).expanduser()
+    if not str(source):
+        raise InputError("expected a video, a folder or a webcam number, got an empty name")
+    path = expanded(source)
+    check_name(path)
     try:
         path.stat()
     except FileNotFoundError:
+        if _URL.match(str(source)):
+            raise InputError(f"{source}: addresses are not read; download the video, and name the file") from None
         raise InputError(f"{path}: no such file or folder (expected a video, a folder or a webcam number)") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
+    if not path.is_dir():
+        check_plain_file(path)
     return path
 
 
@@ -91,6 +107,8 @@ def _content(folder: Path) -> tuple[list[Path], list[Path]]:
         raise InputError(f"{folder}: cannot be read ({error.strerror or error})") from error
     pictures = [p for p in entries if p.suffix.lower() in PICTURE_SUFFIXES and p.is_file()]
     videos = [p for p in entries if p.suffix.lower() in VIDEO_SUFFIXES and p.is_file()]
+    for entry in (*pictures, *videos):
+        check_name(entry)
     if pictures and videos:
         raise InputError(f"{folder}: expected pictures or videos, got both ({pictures[0].name}, {videos[0].name}, ...)")
     if pictures or videos:

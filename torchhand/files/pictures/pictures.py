@@ -11,15 +11,13 @@ from jaxtyping import Shaped, UInt8
 from torch import Tensor
 
 from torchhand.errors import InputError
-from torchhand.files.disk import captured_messages, quiet_opencv
+from torchhand.files.pictures.decoding import read_raw
 from torchhand.files.pictures.frame_source import ASSUMED_FPS, Frame, FrameRange, FrameSource, check_size
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 
 _FULL_SCALES = tuple(float(2**bits - 1) for bits in (8, 10, 12, 14, 16))
-_JPEG_MARKER = re.compile(rb"\xff[\x01-\xcf\xd8-\xfe]")
-_JPEG_EXTRA_BYTES = re.compile(r"(\d+) extraneous bytes before marker")
-_HARMLESS_EXTRA_BYTES = 16  # cheap encoders pad; damaged data leave hundreds
+_ROWS = 256  # that are converted at once, so that a large picture is not held in floating point
 
 
 def natural_key(path: Path) -> tuple[object, ...]:
@@ -30,7 +28,7 @@ def natural_key(path: Path) -> tuple[object, ...]:
 
 def read_picture(path: Path) -> UInt8[Tensor, "height width 3"]:
     """One picture as 8-bit RGB. Raises InputError naming the file and what is wrong with it."""
-    raw, problem = _read_raw(path)
+    raw, problem = read_raw(path)
     if raw is None:
         raise InputError(f"{path}: {problem}")
     return rgb8(raw, full_scale(raw))
@@ -52,7 +50,7 @@ class PictureSource(FrameSource):
         self._used = False
         problem = ""
         for path in self._paths:
-            raw, problem = _read_raw(path)
+            raw, problem = read_raw(path)
             if raw is not None:
                 self.height, self.width = raw.shape[:2]
                 self._full_scale = full_scale(raw)
@@ -65,7 +63,7 @@ class PictureSource(FrameSource):
         self._used = True
         for index in range(self._frames.first, self._frames.first + (self.count or 0)):
             path = self._paths[index]
-            raw, problem = _read_raw(path)
+            raw, problem = read_raw(path)
             if raw is None:
                 yield Frame(index=index, image=None, problem=f"{path}: {problem}")
                 continue
@@ -86,7 +84,7 @@ def full_scale(raw: Shaped[np.ndarray, "height width ..."]) -> float:
     """
     if raw.dtype == np.uint8:
         return 255.0
-    finite = raw[np.isfinite(raw)]
+    finite = raw if raw.dtype.kind in "ui" else raw[np.isfinite(raw)]
     largest = float(finite.max()) if finite.size else 0.0
     if raw.dtype.kind == "f" and largest <= 1.0:
         return 1.0
@@ -98,8 +96,10 @@ def full_scale(raw: Shaped[np.ndarray, "height width ..."]) -> float:
 def rgb8(raw: Shaped[np.ndarray, "height width ..."], white: float) -> UInt8[Tensor, "height width 3"]:
     """OpenCV's picture (grey, BGR or BGRA, any depth) as 8-bit RGB; `white` becomes 255, alpha is dropped."""
     if raw.dtype != np.uint8:
-        scaled = np.nan_to_num(raw.astype(np.float32), nan=0.0, posinf=white, neginf=0.0) * np.float32(255.0 / white)
-        raw = np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
+        deep, raw = raw, np.empty(raw.shape, np.uint8)
+        for rows in (slice(start, start + _ROWS) for start in range(0, len(deep), _ROWS)):
+            part = np.nan_to_num(deep[rows].astype(np.float32), nan=0.0, posinf=white, neginf=0.0)
+            raw[rows] = np.clip(np.rint(part * np.float32(255.0 / white)), 0, 255)
     channels = 1 if raw.ndim == 2 else raw.shape[2]
     if channels in (1, 2):  # two: grey and alpha
         grey = raw if raw.ndim == 2 else raw[..., 0]
@@ -107,57 +107,3 @@ def rgb8(raw: Shaped[np.ndarray, "height width ..."], white: float) -> UInt8[Ten
     else:
         rgb = cv2.cvtColor(raw, cv2.COLOR_BGR2RGB if channels == 3 else cv2.COLOR_BGRA2RGB)
     return torch.from_numpy(rgb)
-
-
-def _read_raw(path: Path) -> tuple[np.ndarray | None, str]:
-    """The decoded picture turned as its EXIF tag says, or None and the reason."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        return None, f"cannot be read ({error.strerror or error})"
-    if not data:
-        return None, "is empty (0 bytes)"
-    if data.startswith(b"\xff\xd8") and not _jpeg_is_complete(data):
-        return None, "is a truncated JPEG file"
-    encoded = np.frombuffer(data, np.uint8)
-    with quiet_opencv(), captured_messages() as messages:
-        raw = _decode(encoded)
-    if raw is None:
-        return None, "is no picture that can be decoded (corrupt or of an unknown format)"
-    if _tells_of_damage(messages.text):
-        return None, f"is a corrupt picture ({messages.text.splitlines()[0].strip()})"
-    return raw, ""
-
-
-def _decode(encoded: np.ndarray) -> np.ndarray | None:
-    # The second try is for grey floating-point TIFF, which OpenCV refuses to turn into colour.
-    for flags in (cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH, cv2.IMREAD_UNCHANGED):
-        try:
-            raw = cv2.imdecode(encoded, flags)
-        except cv2.error:
-            continue
-        if raw is not None:
-            return raw
-    return None
-
-
-def _jpeg_is_complete(data: bytes) -> bool:
-    """Whether the markers lead to an end-of-image marker; libjpeg paints the missing part grey and says nothing."""
-    at = 2
-    while match := _JPEG_MARKER.search(data, at):
-        kind, at = data[match.start() + 1], match.end()
-        if kind == 0xD9:
-            return True
-        if kind not in (0x01, 0xD8) and at + 2 <= len(data):  # all others have a length
-            at += int.from_bytes(data[at : at + 2], "big")
-    return False
-
-
-def _tells_of_damage(text: str) -> bool:
-    for line in text.splitlines():
-        extra = _JPEG_EXTRA_BYTES.search(line)
-        if extra and int(extra.group(1)) <= _HARMLESS_EXTRA_BYTES:
-            continue
-        if "Corrupt JPEG data" in line or "Premature end" in line:
-            return True
-    return False

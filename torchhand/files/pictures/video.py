@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 
 from torchhand.errors import InputError
-from torchhand.files.disk import quiet_opencv
+from torchhand.files.disk import check_name, check_plain_file, quiet_opencv
 from torchhand.files.pictures.frame_source import ASSUMED_FPS, Frame, FrameRange, FrameSource, check_size
+from torchhand.files.pictures.limits import size_problem
 from torchhand.files.pictures.pictures import rgb8
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
@@ -107,19 +108,21 @@ class VideoSource(FrameSource):
 
 
 def _open_file(path: Path) -> cv2.VideoCapture:
-    try:
-        with path.open("rb") as file:
-            is_empty = not file.read(1)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    if is_empty:
+    check_name(path)
+    if not check_plain_file(path):
         raise InputError(f"{path}: is empty (0 bytes)")
+    if not os.access(path, os.R_OK):
+        raise InputError(f"{path}: cannot be read (no permission)")
     with quiet_opencv():
         # An absolute path, because FFmpeg takes "a:b.mp4" for a protocol; and FFmpeg by name, because other backends
         # read numbered pictures as a video.
         capture = cv2.VideoCapture(os.path.abspath(path), cv2.CAP_FFMPEG)
     if not capture.isOpened():
         raise InputError(f"{path}: is no video that can be opened (cut off, corrupt or of an unknown format)")
+    size = (int(capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+    if problem := size_problem(*size):  # by the container's header: nothing has been decoded so far
+        capture.release()
+        raise InputError(f"{path}: {problem}")
     return capture
 
 

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from torchhand.errors import InputError
-from torchhand.files.disk import opened_arrays, read_lines, replacing
+from torchhand.files.disk import check_plain_file, opened_arrays, read_lines, replacing
 from torchhand.files.results.track_record import (
     ARRAY_FIELDS,
     MISSING_FIELDS,
+    OF_PICTURES,
     RESERVED_NAMES,
     TRACK_FORMAT,
     Track,
@@ -20,6 +21,9 @@ from torchhand.files.results.track_record import (
 JSONL_NAME = "track.jsonl"
 NPZ_NAME = "track.npz"
 POSES_NAME = "poses.npz"
+_COMPLAINT = "is no track that can be read"
+_MISTAKES = (KeyError, ValueError, TypeError, OverflowError, RecursionError)
+_NPY_HEADER = 256  # bytes before the numbers of a one-dimensional array, and to spare
 
 
 def read_header(path: Path) -> tuple[dict[str, Any], int]:
@@ -80,29 +84,31 @@ def write_npz(track: Track, path: Path) -> None:
 
 
 def _read_jsonl(path: Path) -> Track:
+    check_plain_file(path)
     header, _ = read_header(path)
     rows = (record for i, (record, _) in enumerate(read_lines(path)) if i > 0)
     try:
-        return track_of(header, rows)
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: is no track that can be read ({type(error).__name__}: {error})") from error
+        return track_of(header, rows).checked()
+    except _MISTAKES as error:
+        raise InputError(f"{path}: {_COMPLAINT} ({type(error).__name__}: {error})") from error
 
 
 def _read_npz(path: Path) -> Track:
-    complaint = "is no track that can be read"
-    with opened_arrays(path, complaint=complaint) as stored:
-        arrays = dict(stored)
+    with opened_arrays(path, complaint=_COMPLAINT) as stored:
+        arrays = stored.chosen(name for name in RESERVED_NAMES if name == "image" or name not in OF_PICTURES)
+        numbers = arrays["frame"].size if "frame" in arrays else 0
+        measures = stored.small((name for name in stored if name not in RESERVED_NAMES), 8 * numbers + _NPY_HEADER)
     try:
         fields: dict[str, Any] = {name: arrays[name] for name in ("frame", "status", "seconds")}
         fields |= {name: arrays.get(name) if name in MISSING_FIELDS else arrays[name] for name in ARRAY_FIELDS}
         fields |= {name: str(arrays[name]) for name in ("units", "convention")}
-        fields["measures"] = {name: array for name, array in arrays.items() if name not in RESERVED_NAMES}
         return Track(
             dof_names=tuple(arrays["dof_names"].tolist()),
             reason=arrays.get("reason"),
             image=arrays.get("image"),
             header=json.loads(str(arrays["header"])) if "header" in arrays else {},
+            measures=measures,
             **fields,
-        )
-    except (KeyError, ValueError, TypeError, RecursionError) as error:
-        raise InputError(f"{path}: {complaint} ({type(error).__name__}: {error})") from error
+        ).checked()
+    except _MISTAKES as error:
+        raise InputError(f"{path}: {_COMPLAINT} ({type(error).__name__}: {error})") from error

@@ -9,6 +9,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 from jaxtyping import Bool, Float, Float64, Int, Shaped
 
+from torchhand.files.disk import short
+
 FrameStatus = Literal["tracked", "lost", "recovered", "no_hand"]
 STATUSES: tuple[FrameStatus, ...] = get_args(FrameStatus)
 EMPTY_STATUSES = ("lost", "no_hand")
@@ -34,6 +36,7 @@ CONVENTION = (
     " positive; keypoints: wrist, then thumb, index, middle, ring, little from base to tip"
 )
 _KEYPOINTS, _FINGERS = 21, 5
+_KINDS = {"f": "floating-point numbers", "iu": "whole numbers", "U": "texts"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,6 +178,26 @@ class Track:
         """Frames with an estimate."""
         return np.asarray(np.isfinite(self.pose).all(1))
 
+    def checked(self) -> "Track":
+        """The track itself. Raises ValueError naming the field where one has not the form of a track's."""
+        if not isinstance(self.header, Mapping):
+            raise ValueError(f"header: expected keys with values, got {short(self.header)}")
+        if not all(isinstance(name, str) for name in self.dof_names):
+            raise ValueError("dof_names: expected names, got others")
+        frames, dofs = self.frame.shape[:1], len(self.dof_names)
+        shapes: dict[str, tuple[int, ...]] = {"frame": (), "status": (), "seconds": (), "reason": (), "image": ()}
+        shapes |= _shapes(dofs) | dict.fromkeys(self.measures, ())
+        kinds = {"frame": "iu", "status": "U", "reason": "U", "image": "U"}
+        for name, shape in shapes.items():
+            array = self.measures[name] if name in self.measures else getattr(self, name)
+            if array is None:
+                continue
+            if array.shape != (*frames, *shape) or not frames:
+                raise ValueError(f"{name}: expected the shape {(*frames, *shape)}, got {array.shape}")
+            if array.dtype.kind not in kinds.get(name, "f"):
+                raise ValueError(f"{name}: expected {_KINDS[kinds.get(name, 'f')]}, got {array.dtype}")
+        return self
+
     def arrays(self) -> dict[str, np.ndarray]:
         """What track.npz holds."""
         arrays = {
@@ -189,11 +212,10 @@ class Track:
 def track_of(header: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> Track:
     """The track of a header and of frames as they stand in track.jsonl; a frame's last row counts.
 
-    Raises ValueError, KeyError or TypeError where they do not have that form.
+    Raises ValueError, KeyError, TypeError or OverflowError where they do not have that form.
     """
     dof_names = tuple(header["dof_names"])
-    shapes = {"pose": (len(dof_names),), "pose_std": (len(dof_names),), "keypoints3d": (_KEYPOINTS, 3)}
-    shapes |= {"keypoints2d": (_KEYPOINTS, 2), "keypoints3d_cov": (_KEYPOINTS, 3, 3), "finger_quality": (_FINGERS,)}
+    shapes = _shapes(len(dof_names))
     columns: dict[str, list[Any]] = {name: [] for name in ("frame", "status", "seconds", *ARRAY_FIELDS)}
     reasons: list[str | None] = []
     measures: dict[str, list[float]] = {}
@@ -234,6 +256,18 @@ def track_of(header: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> Tr
         reason=np.array([reason or "" for reason in reasons], np.str_) if any(r is not None for r in reasons) else None,
         **{**dict.fromkeys(missing), **arrays},
     )
+
+
+def _shapes(dofs: int) -> dict[str, tuple[int, ...]]:
+    """Of the arrays of one frame."""
+    return {
+        "pose": (dofs,),
+        "pose_std": (dofs,),
+        "keypoints3d": (_KEYPOINTS, 3),
+        "keypoints2d": (_KEYPOINTS, 2),
+        "keypoints3d_cov": (_KEYPOINTS, 3, 3),
+        "finger_quality": (_FINGERS,),
+    }
 
 
 def _nested(array: np.ndarray | None) -> Any:

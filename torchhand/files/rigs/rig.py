@@ -1,6 +1,5 @@
 """Several calibrated cameras from a file or folder of any known format, checked for contradictions."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +14,7 @@ from torchhand.files.cameras import (
     opencv_entries,
     plain_text_entries,
 )
-from torchhand.files.disk import short, suggestion
+from torchhand.files.disk import expanded, short, suggestion
 from torchhand.files.pictures import natural_key, open_source
 from torchhand.files.rigs.views import view_paths
 from torchhand.geometry import Camera, common_view, look_away, rig_size, suspected_reading
@@ -27,6 +26,7 @@ _FORMATS = (
     "cameras.json, OpenCV's YAML or XML (.yml, .yaml, .xml), COLMAP's text (cameras.txt and images.txt),"
     " or c0.dat with rot_trans_c0.dat"
 )
+_LONGEST_UNIT = 1e3  # metres; cameras are some units apart
 _NO_METRES = 50.0  # no rig for a hand is so large
 _LARGE = 5.0
 
@@ -44,7 +44,7 @@ def load_rig(path: str | Path, *, unit: str | float | None = None, size: tuple[i
     outside the picture, equal names; cameras of which no two see anything together, with what is probably wrong if
     another reading of the rotations makes sense. `rig_notes` tells of what is only suspicious.
     """
-    path = Path(path).expanduser()
+    path = expanded(path)
     factor = unit_in_metres(unit)
     cameras = [replace(camera, translation=factor * camera.translation) for camera in _cameras(path, size)]
     _check(path, cameras)
@@ -84,8 +84,8 @@ def unit_in_metres(unit: str | float | None) -> float:
         raise InputError(
             f"unit: expected one of {', '.join(UNITS)} or a number of metres, got {short(unit)}{hint}"
         ) from None
-    if not 0 < value < math.inf:
-        raise InputError(f"unit: expected a finite number of metres above 0, got {short(unit)}")
+    if not 0 < value <= _LONGEST_UNIT:
+        raise InputError(f"unit: expected a number of metres above 0, at most {_LONGEST_UNIT:g}, got {short(unit)}")
     return value
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Bool, UInt8
 from torch import Tensor
 
 from torchhand.errors import InputError
-from torchhand.files.disk import suggestion
+from torchhand.files.disk import expanded, suggestion
 from torchhand.files.rigs.faults import FrozenViews, blackness
 from torchhand.files.rigs.view import Picture, RigView, open_view
 from torchhand.files.rigs.views import find_views, mask_paths, view_paths
@@ -230,7 +230,7 @@ def open_rig(
     A view that is missing or of another size than its camera is left out with a warning; its reason stands in every
     frame. Raises InputError where no view is left, and where there are no masks at all although they are asked for.
     """
-    folder = Path(folder).expanduser()
+    folder = expanded(folder)
     paths = view_paths(folder, [camera.name for camera in cameras])
     if not any(paths):
         raise InputError(
@@ -256,7 +256,7 @@ def open_uncalibrated(
     folder: str | Path, *, offsets: Mapping[str, int] | None = None, every: int = 1, max_frames: int | None = None
 ) -> RigSource:
     """The recording of cameras that are not known yet: all views of a folder (see `find_views`), or one video."""
-    folder = Path(folder).expanduser()
+    folder = expanded(folder)
     found = {folder.stem: folder} if folder.is_file() else find_views(folder)
     views = [open_view(name, path) for name, path in found.items()]
     return RigSource(views, offsets=offsets, every=every, max_frames=max_frames, keep_all=True)

@@ -21,6 +21,7 @@ from torchhand.files import (
     read_detections,
     read_picture,
 )
+from torchhand.files.disk import expanded
 from torchhand.files.pictures import PICTURE_SUFFIXES, natural_key
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import Side
@@ -39,7 +40,7 @@ def pictures_in(source: Path) -> list[Path]:
 
     Raises InputError where there is none.
     """
-    source = source.expanduser()
+    source = expanded(source)
     if not source.exists():
         raise InputError(f"{source}: no such file or folder (expected a picture or a folder of pictures)")
     if not source.is_dir():
