@@ -1,0 +1,62 @@
+"""From a file's bytes to the picture: refused before decoding where it is too large, damaged or no picture.
+
+Safe in threads: whether a picture is good is decided from its bytes, never from what a decoder prints.
+"""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from torchhand.errors import InputError
+from torchhand.files.disk import quiet_opencv, read_plain_file
+from torchhand.files.pictures.headers import declared_size
+from torchhand.files.pictures.jpeg import whole_jpeg
+from torchhand.files.pictures.limits import size_problem
+from torchhand.files.pictures.png import whole_png
+
+_LARGEST_BYTES = 1 << 30
+
+
+def read_raw(path: Path) -> tuple[np.ndarray | None, str]:
+    """The decoded picture (grey, BGR or BGRA, any depth) turned as its EXIF tag says, or None and the reason."""
+    try:
+        data = read_plain_file(path, largest=_LARGEST_BYTES)
+    except InputError as error:
+        return None, str(error).removeprefix(f"{path}: ")
+    if not data:
+        return None, "is empty (0 bytes)"
+    size = declared_size(data)
+    if size is None:
+        return None, "is no picture that can be decoded (corrupt or of an unknown format)"
+    if problem := size_problem(*size):
+        return None, problem
+    whole: bytes | None = data
+    if data.startswith(b"\xff\xd8"):
+        whole, problem = whole_jpeg(data)
+    elif data.startswith(b"\x89PNG"):
+        whole, problem = whole_png(data)
+    if whole is None:
+        return None, problem
+    with quiet_opencv():
+        raw = _decoded(np.frombuffer(whole, np.uint8))
+    if raw is None:
+        return None, "is no picture that can be decoded (corrupt or of an unknown format)"
+    if sorted(raw.shape[:2]) != sorted(size):
+        return (
+            None,
+            f"is a corrupt picture ({size[0]}x{size[1]} px by its header, {raw.shape[1]}x{raw.shape[0]} inside)",
+        )
+    return raw, ""
+
+
+def _decoded(encoded: np.ndarray) -> np.ndarray | None:
+    # The second try is for grey floating-point TIFF, which OpenCV refuses to turn into colour.
+    for flags in (cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH, cv2.IMREAD_UNCHANGED):
+        try:
+            raw = cv2.imdecode(encoded, flags)
+        except cv2.error:
+            continue
+        if raw is not None:
+            return raw
+    return None
