@@ -138,16 +138,17 @@ def test_mistakes_on_the_command_line():
 
 
 def test_files_that_cannot_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    with pytest.raises(InputError, match=r"gone.yaml: no such file"):
+    with pytest.raises(InputError, match=r"gone.yaml: cannot be read \(No such file or directory\)"):
         load_settings(Options(), tmp_path / "gone.yaml")
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(InputError, match="expected a YAML text file in UTF-8"):
         load_settings(Options(), tmp_path / "binary.yaml")
 
-    def refuse(*_: Any, **__: Any) -> str:
+    def refuse(*_: Any, **__: Any) -> bytes:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(Path, "read_text", refuse)
+    (tmp_path / "secret.yaml").write_text("")
+    monkeypatch.setattr(Path, "read_bytes", refuse)
     with pytest.raises(InputError, match=r"secret.yaml: cannot be read \(Permission denied\)"):
         load_settings(Options(), tmp_path / "secret.yaml")
 

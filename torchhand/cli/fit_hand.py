@@ -16,13 +16,16 @@ from torchhand.draw import draw_overlay
 from torchhand.errors import InputError
 from torchhand.files import camera_entry, camera_for, load_hand_model, read_picture, save_hand
 from torchhand.files.disk import explained_errors, replacing
+from torchhand.files.pictures import MAX_MEGAPIXELS, pixel_limit
 from torchhand.fit.detect import Fit
 from torchhand.fit.open_hand import (
     Facing,
+    HandInPicture,
     HandSize,
     OpenHand,
     facing_of,
     fit_open_hand,
+    hand_in_picture,
     known_length,
     length_at_distance,
     population_length,
@@ -30,12 +33,13 @@ from torchhand.fit.open_hand import (
 )
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandKinematics, Side
-from torchhand.image import NoRegions, find_open_hand
+from torchhand.image import NoRegions, PicturePart
 from torchhand.image.fingers import HandSilhouette
 from torchhand.view import HandProjector
 
 _MIN_OVERLAP = 0.7  # below, the fitted hand does not explain the silhouette
 _GOOD_OVERLAP, _GOOD_FOUND = 0.85, 0.85  # below, the fit is called doubtful
+_MAX_OVERLAY_PX = 4_000_000
 _HAND_LENGTHS = (0.14, 0.24)  # metres: the bounds of the shape space
 
 
@@ -74,6 +78,8 @@ class Arguments:
     """Replace older results."""
     threads: int = 1
     """Threads of the fit; its tensors are small."""
+    max_megapixels: float = MAX_MEGAPIXELS
+    """Largest picture that is read; what is larger by its header is refused before it is decoded."""
 
     def __post_init__(self) -> None:
         low, high = _HAND_LENGTHS
@@ -92,6 +98,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Fit one picture."""
     arguments = parse(Arguments, argv, name="fit_hand")
     _check_outputs(arguments)
+    with pixel_limit(arguments.max_megapixels):
+        return _fit(arguments)
+
+
+def _fit(arguments: Arguments) -> int:
     image = read_picture(arguments.image)
     height, width = image.shape[:2]
     camera = camera_for(arguments.camera, width, height)
@@ -99,14 +110,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise InputError(f"{arguments.camera}: expected a pinhole camera with --distance, got an {camera.kind} one")
     camera = replace(camera, rotation=torch.eye(3).double(), translation=torch.zeros(3).double())
     with threads(arguments.threads):
-        mask, source = _silhouette(arguments, image)
-        hand, side, notes = _fitted(arguments, mask, camera)
+        seen = _silhouette(arguments, image)
+        hand, side, notes = _fitted(arguments, seen.silhouette.mask, seen.camera(camera))
         kinematics = load_hand_model().kinematics(side, dtype=torch.float64)
         size = _size(arguments, hand.fit, kinematics, camera)
         fit = sized(hand.fit, kinematics.shape_space, size)
         if arguments.overlay is not None:
             _draw(arguments.overlay, image, kinematics, camera, fit, hand.overlap)
-    _save(arguments, hand, fit, side, size, camera, source, notes)
+    _save(arguments, hand, fit, side, size, camera, seen, notes)
     print(_summary(hand, fit, side, size, kinematics))
     for note in notes:
         print(f"note: {note}")
@@ -133,19 +144,16 @@ def _check_outputs(arguments: Arguments) -> None:
             raise InputError(f"{name}: expected a name other than that of an input, got {path}")
 
 
-def _silhouette(
-    arguments: Arguments, image: UInt8[Tensor, "height width 3"]
-) -> tuple[Bool[Tensor, "height width"], str]:
-    """Mask and how it was found."""
+def _silhouette(arguments: Arguments, image: UInt8[Tensor, "height width 3"]) -> HandInPicture:
     if arguments.mask is not None:
         given = read_picture(arguments.mask)
         if given.shape != image.shape:
             expected, got = (f"{picture.shape[1]}x{picture.shape[0]}" for picture in (image, given))
             raise InputError(f"{arguments.mask}: expected a mask of {expected} px, the size of the picture, got {got}")
-        return given.amax(-1) > 127, "given"
-    found = find_open_hand(image)
-    _check_found(arguments.image, found)
-    return found.mask, found.source
+        return hand_in_picture(image, given.amax(-1) > 127)
+    seen = hand_in_picture(image)
+    _check_found(arguments.image, seen.silhouette)
+    return seen
 
 
 def _check_found(path: Path, found: HandSilhouette) -> None:
@@ -222,6 +230,8 @@ def _size(arguments: Arguments, fit: Fit, kinematics: HandKinematics, camera: Ca
 
 
 def _draw(path: Path, image: Tensor, kinematics: HandKinematics, camera: Camera, fit: Fit, overlap: float) -> None:
+    part = PicturePart.of((0, 0), (camera.width, camera.height), _MAX_OVERLAY_PX)
+    image, camera = part.image(image), camera.of_part(part.corner, part.part, part.size)
     projector = HandProjector(kinematics, camera, fit.shape)
     keypoints = camera.project(projector.frames(fit.pose, fit.root_reference).keypoints)
     picture = draw_overlay(
@@ -239,21 +249,21 @@ def _save(
     side: Side,
     size: HandSize,
     camera: Camera,
-    source: str,
+    seen: HandInPicture,
     notes: list[str],
 ) -> None:
     space = load_hand_model().shape_space
-    regions = hand.regions
+    regions, part = hand.regions, seen.part
     provenance: dict[str, Any] = {
         "method": "open hand",
         "source": str(arguments.image),
-        "silhouette": source if arguments.mask is None else str(arguments.mask),
+        "silhouette": seen.silhouette.source if arguments.mask is None else str(arguments.mask),
         "metric_source": size.source,
         "facing": hand.facing,
         "side_given": arguments.side is not None or arguments.facing is not None,
         "quality": _quality(hand),
         "overlap": hand.overlap,
-        "median_residual_px": fit.residual_px,
+        "median_residual_px": fit.residual_px / part.scale,
         "edges_found": fit.found_fraction,
         "corrected": list(hand.corrected),
         "notes": notes,
@@ -263,10 +273,14 @@ def _save(
         "cam_from_hand": fit.root_reference.tolist(),
         "camera": camera_entry(camera) | {"is_assumed": camera.is_assumed},
         "digits_px": {
-            digit.name: {"tip": digit.tip.tolist(), "base": digit.base.tolist(), "radius": digit.radius}
+            digit.name: {
+                "tip": part.whole_px(digit.tip).tolist(),
+                "base": part.whole_px(digit.base).tolist(),
+                "radius": digit.radius / part.scale,
+            }
             for digit in regions.digits
         },
-        "wrist_px": regions.wrist.tolist(),
+        "wrist_px": part.whole_px(regions.wrist).tolist(),
     }
     with explained_errors(arguments.out):
         save_hand(arguments.out, space.names, fit.shape.tolist(), side, provenance, units=space.units)

@@ -75,6 +75,14 @@ class Camera:
             height=max(1, round(self.height * scale)),
         )
 
+    def of_part(self, corner: tuple[int, int], part: tuple[int, int], size: tuple[int, int]) -> "Camera":
+        """The camera of a part of the picture, resampled to another size; all (x, y), px."""
+        to_part = torch.eye(3, dtype=self.intrinsics.dtype, device=self.intrinsics.device)
+        for axis in range(2):
+            scale = size[axis] / part[axis]
+            to_part[axis, axis], to_part[axis, 2] = scale, (0.5 - corner[axis]) * scale - 0.5
+        return replace(self, intrinsics=to_part @ self.intrinsics, width=size[0], height=size[1])
+
     def cam_from_world(self, points_world: Float[Tensor, "*points 3"]) -> Float[Tensor, "*points 3"]:
         """Points in the camera frame, metres; camera batches broadcast against the leading dimensions of the points."""
         if self.rotation.ndim == 2:

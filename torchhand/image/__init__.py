@@ -31,6 +31,7 @@ from torchhand.image.fingers import (
     refine_silhouette,
 )
 from torchhand.image.operations import (
+    PicturePart,
     binomial_blur,
     closed,
     dilate,
@@ -91,6 +92,7 @@ __all__ = [
     "HandRegions",
     "MaskMoments",
     "NoRegions",
+    "PicturePart",
     "RefinementSettings",
     "SilhouetteSettings",
     "SkinModel",

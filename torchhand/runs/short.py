@@ -1,6 +1,7 @@
 """The short way: the estimates of a recording, and the hand of a photograph, in one call without a result folder."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -11,10 +12,10 @@ from torch import Tensor
 from torchhand.detect import HandDetector
 from torchhand.errors import InputError
 from torchhand.files import load_hand_model, read_picture
-from torchhand.fit.open_hand import OpenHand, fit_open_hand
+from torchhand.fit.open_hand import OpenHand, fit_open_hand, hand_in_picture
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import Side
-from torchhand.image import NoRegions, find_open_hand
+from torchhand.image import NoRegions
 from torchhand.runs.detected_tracks import DetectedTracks
 from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks, with_keypoints
 from torchhand.runs.recording import OneCameraRecording
@@ -81,13 +82,15 @@ def fit_hand(
     """
     image = picture if isinstance(picture, Tensor) else read_picture(Path(picture))
     name = "picture" if isinstance(picture, Tensor) else str(picture)
-    found = find_open_hand(image)
+    seen = hand_in_picture(image)
+    found = seen.silhouette
     if not bool(found.mask.any()):
         raise InputError(f"{name}: no hand: nothing of a hand's size stands out by colour or brightness")
     if found.odd_digits:
         raise InputError(f"{name}: {', '.join(found.odd_digits)} of another colour than the palm")
     camera = camera or assumed_camera(image.shape[1], image.shape[0])
-    hand = fit_open_hand(found.mask, load_hand_model().kinematics(side, dtype=torch.float64), camera)
+    kinematics = load_hand_model().kinematics(side, dtype=torch.float64)
+    hand = fit_open_hand(found.mask, kinematics, seen.camera(camera))
     if isinstance(hand, NoRegions):
         raise InputError(f"{name}: {hand.reason}")
-    return hand
+    return replace(hand, part=seen.part)

@@ -26,7 +26,8 @@ def parse(kind: type[Arguments], argv: Sequence[str] | None, *, name: str) -> Ar
     """Read the command line into a record (a dataclass, whose docstring is the text of `--help`).
 
     Raises:
-        InputError: a word is empty or no UTF-8, the command line does not fit the record, or the record's own range check (ValueError) refuses it.
+        InputError: a word is empty or no UTF-8, the command line does not fit the record, or the record's own range
+            check (ValueError) refuses it.
     """
     for word in sys.argv[1:] if argv is None else argv:
         if not word:

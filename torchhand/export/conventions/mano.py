@@ -18,9 +18,10 @@ from torchhand.files.disk import opened_arrays, replacing
 from torchhand.hand import HandModel, Side
 from torchhand.hand.conventions import MANO_JOINTS, BoneFit, ManoPose, mano_of_pose, pose_of_mano
 
+_RATES = ("fps", "mocap_framerate", "mocap_frame_rate")
 _READ = (
     *("hand_pose", "global_orient", "wrist", "poses", "trans", "joint_names", "is_rhand", "flat_hand_mean"),
-    *("fps", "frame", "up"),
+    *(*_RATES, "frame", "up"),
 )
 _SHAPES = {"global_orient": 3, "hand_pose": 45, "wrist": 3}
 
@@ -89,7 +90,7 @@ def clip_of_mano(
         side=side,
         shape=model.shape_space.default.double() if shape is None else shape,
         poses=fit.pose,
-        fps=_scalar(path, arrays, ("fps", "mocap_framerate", "mocap_frame_rate"), 30.0),
+        fps=_scalar(path, arrays, _RATES, 30.0),
         name=path.stem,
         up=_up(path, arrays),
     )

@@ -111,8 +111,10 @@ def _open_file(path: Path) -> cv2.VideoCapture:
     check_name(path)
     if not check_plain_file(path):
         raise InputError(f"{path}: is empty (0 bytes)")
-    if not os.access(path, os.R_OK):
-        raise InputError(f"{path}: cannot be read (no permission)")
+    try:
+        path.open("rb").close()  # the system says why it refuses, FFmpeg would not
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     with quiet_opencv():
         # An absolute path, because FFmpeg takes "a:b.mp4" for a protocol; and FFmpeg by name, because other backends
         # read numbered pictures as a video.

@@ -20,7 +20,7 @@ from torchhand.fit.open_hand.problem import OpenHandProblem
 from torchhand.fit.open_hand.start import DigitResiduals, fit_digits, placed_open_hand
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandKinematics, ShapeSpace, rebased
-from torchhand.image import HandRegions, NoRegions, divide_hand
+from torchhand.image import HandRegions, NoRegions, PicturePart, divide_hand
 
 Facing = Literal["palm", "back"]
 
@@ -40,6 +40,8 @@ class OpenHand:
     """Intersection over union of the fitted hand and the silhouette, forearm cut at the wrist."""
     corrected: tuple[str, ...]
     """Measures that the anthropometric constraints moved into their intervals."""
+    part: PicturePart | None = None
+    """Part of a large picture in whose pixels `regions` are; None: the whole picture."""
 
 
 def facing_of(side: str, is_mirrored: bool) -> Facing:
