@@ -10,6 +10,10 @@ class InputError(Exception):
     """
 
 
+class DiskError(InputError):
+    """The disk is full or failing: no mistake of the user's input. The commands leave with exit code 1."""
+
+
 def require(condition: bool, name: str, expected: str, got: object) -> None:
     """Raise ValueError naming a setting, what was expected and what was given, unless the condition holds."""
     if not condition:

@@ -81,7 +81,7 @@ def test_usage_errors_are_one_line_and_two(
     [
         (InputError("config.yaml: unknown key\n'gain'"), 2, "error: config.yaml: unknown key 'gain'"),
         (PermissionError(13, "Permission denied", "/out/track.npz"), 2, "error: /out/track.npz: Permission denied"),
-        (OSError(28, "No space left on device"), 2, "error: [Errno 28] No space left on device"),
+        (OSError(28, "No space left on device"), 1, "error: [Errno 28] No space left on device"),
         (KeyboardInterrupt(), 130, "stopped by Ctrl-C"),
     ],
 )

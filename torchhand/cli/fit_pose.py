@@ -11,6 +11,7 @@ from tyro.conf import Positional, arg
 
 from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
 from torchhand.files import Track
+from torchhand.files.pictures import MAX_MEGAPIXELS, pixel_limit
 from torchhand.files.results import POSES_NAME
 from torchhand.runs import keypoints_of, known_hand
 from torchhand.runs.pictures import PicturesRequest, fit_pictures
@@ -57,6 +58,8 @@ class Arguments:
     """Draw overlays/."""
     threads: int = 1
     """Threads of the fit; its tensors are small, and more than one is slower."""
+    max_megapixels: float = MAX_MEGAPIXELS
+    """Largest pictures that are read; what is larger by its header is refused before it is decoded."""
 
 
 @command
@@ -79,7 +82,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     if arguments.camera is None:
         _say("no --camera given: a field of view is assumed, so distances are metric only up to that assumption")
-    with threads(arguments.threads):
+    with threads(arguments.threads), pixel_limit(arguments.max_megapixels):
         try:
             poses = fit_pictures(request, arguments.out, _say)
         except KeyboardInterrupt:

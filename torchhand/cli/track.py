@@ -10,9 +10,10 @@ from tqdm import tqdm
 from tyro.conf import Positional, UseAppendAction, arg
 
 from torchhand.cli.command import DONE, STOPPED_BY_USER, WRONG_INPUT, command, parse, threads
-from torchhand.errors import InputError
+from torchhand.errors import DiskError, InputError
 from torchhand.files import Track, check_output_folder, sequences_of
 from torchhand.files.disk import expanded
+from torchhand.files.pictures import MAX_MEGAPIXELS, pixel_limit
 from torchhand.runs import (
     Request,
     how_to_go_on,
@@ -81,6 +82,8 @@ class Arguments:
     """Seed of everything that is random (the contour tracker draws nothing at random)."""
     threads: int = 1
     """Threads of one tracker; its tensors are small, and more than one is slower."""
+    max_megapixels: float = MAX_MEGAPIXELS
+    """Largest pictures that are read; what is larger by its header is refused before it is decoded."""
 
     def __post_init__(self) -> None:
         if not -(2**63) <= self.seed < 2**63:
@@ -106,7 +109,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             said.add(line)
             _say(line)
 
-    with threads(arguments.threads):
+    with threads(arguments.threads), pixel_limit(arguments.max_megapixels):
         for name, source, out_dir in jobs:
             try:
                 track, _ = track_sequence(source, out_dir, request, say)
@@ -114,7 +117,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 _say(how_to_go_on(out_dir, overwrite=request.overwrite))
                 return STOPPED_BY_USER
             except (InputError, OSError) as error:
-                if not has_videos:
+                if not has_videos or isinstance(error, DiskError):
                     raise
                 _say(f"error: {error}")
                 failed.append(name)

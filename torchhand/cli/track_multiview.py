@@ -12,6 +12,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
 from torchhand.errors import InputError
 from torchhand.files import offsets_of
+from torchhand.files.pictures import MAX_MEGAPIXELS, pixel_limit
 from torchhand.runs import Request, how_to_go_on, keypoints_of, known_hand, settings_of, summary_of, track_rig
 from torchhand.track import TrackerSettings
 
@@ -74,6 +75,8 @@ class Arguments:
     """Change a single setting, such as octree.level=8; may be repeated. config.yaml of a result lists them all."""
     threads: int = 1
     """Threads of torch; its tensors are small, and more than one is slower."""
+    max_megapixels: float = MAX_MEGAPIXELS
+    """Largest pictures that are read; what is larger by its header is refused before it is decoded."""
 
     def __post_init__(self) -> None:
         if self.start < 0:
@@ -87,7 +90,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Track the hand through one recording."""
     arguments = parse(Arguments, argv, name="track_multiview")
     request = _request(arguments)
-    with threads(arguments.threads):
+    with threads(arguments.threads), pixel_limit(arguments.max_megapixels):
         try:
             track = track_rig(arguments.rig, arguments.out, request, _say)
         except KeyboardInterrupt:

@@ -43,8 +43,10 @@ class TrainingRecord:
 def save_record(folder: Path, training: Training, curve: Curve) -> None:
     """Write model.pt and curve.csv, each whole or not at all."""
     content = {"format": MODEL_FORMAT, "settings": asdict(training.settings), "curve": curve, **snapshot(training)}
+    packed = io.BytesIO()  # torch's writer hides why a disk refuses
+    torch.save(content, packed)
     with replacing(folder / MODEL_NAME) as temporary:
-        torch.save(content, temporary)
+        temporary.write_bytes(packed.getvalue())
     write_text(folder / CURVE_NAME, curve_text(curve))
 
 

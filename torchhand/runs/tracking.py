@@ -15,6 +15,7 @@ from tqdm import tqdm
 from torchhand.detect import HandDetector
 from torchhand.errors import InputError
 from torchhand.files import FrameRecord, Track, TrackWriter, check_output_folder, load_hand_model, load_track
+from torchhand.files.pictures import input_identity
 from torchhand.files.results import JSONL_NAME, OVERLAY_NAME, STATUSES, UNFINISHED_NAME
 from torchhand.geometry import Camera
 from torchhand.hand import Anthropometry
@@ -71,7 +72,7 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
             _writer(out_dir, recording, request, detectors) as writer,
             _keypoints(files, detectors, writer, recording, request.start, say) as run.keypoints,
         ):
-            for line in recording.notes:
+            for line in (*recording.notes, *([] if writer.note is None else [writer.note])):
                 say(line)
             done = 0
             if writer.resume_point is not None:
@@ -134,6 +135,8 @@ def track_rig(folder: Path, out_dir: Path, request: Request, say: Say) -> Track:
         _writer(out_dir, recording, request, detectors) as writer,
         _keypoints(files, detectors, writer, recording, request.start, say) as keypoints,
     ):
+        if writer.note is not None:
+            say(writer.note)
         if writer.resume_point is None:
             run, done = start.begun(say), 0
             run.save_hand(writer.folder)
@@ -254,6 +257,7 @@ def _writer(
     out_dir: Path, recording: OneCameraRecording | RigRecording, request: Request, detectors: Sequence[HandDetector]
 ) -> TrackWriter:
     made_with = {
+        "input": input_identity(recording.path if isinstance(recording, OneCameraRecording) else recording.folder),
         "hand": None if request.hand is None else request.hand.values,
         "keypoints": [str(path) for path in request.keypoints] or [detector.name for detector in detectors],
         "start_points": request.start_points,
@@ -271,6 +275,7 @@ def _writer(
         resume=request.resume,
         overwrite=request.overwrite,
         checkpoint_every=CHECKPOINT_EVERY,
+        end=None if request.max_frames is None else request.start + request.max_frames,
     )
 
 

@@ -1,17 +1,19 @@
 """A command's `main`: the user's mistakes become one line and exit code 2."""
 
 import contextlib
+import errno
 import functools
 import os
 import sys
 from collections.abc import Callable
 from typing import ParamSpec
 
-from torchhand.errors import InputError
+from torchhand.errors import DiskError, InputError
 
 Parameters = ParamSpec("Parameters")
 
 DONE = 0
+DISK_REFUSES = 1
 WRONG_INPUT = 2
 STOPPED_BY_USER = 130  # 128 + SIGINT, as a shell reports it
 READER_WENT_AWAY = 141  # 128 + SIGPIPE
@@ -20,9 +22,9 @@ READER_WENT_AWAY = 141  # 128 + SIGPIPE
 def command(main: Callable[Parameters, int]) -> Callable[Parameters, int]:
     """Decorator of a command's `main(argv)`; the command is called after the file that holds it.
 
-    InputError, and OSError (no such file, no permission, disk full), become one line on stderr and exit code 2. Ctrl-C
-    becomes one line and 130. A reader that closes the pipe early (`| head`) ends the command quietly. Anything else is
-    a mistake of ours and keeps its traceback.
+    InputError, and OSError (no such file, no permission), become one line on stderr and exit code 2, a disk that is
+    full or failing one line and 1. Ctrl-C becomes one line and 130. A reader that closes the pipe early (`| head`) ends
+    the command quietly. Anything else is a mistake of ours and keeps its traceback.
     """
     name = f"torchhand {main.__module__.rpartition('.')[2]}"
 
@@ -34,7 +36,7 @@ def command(main: Callable[Parameters, int]) -> Callable[Parameters, int]:
             return code
         except InputError as error:
             print(f"{name}: error: {_one_line(str(error))}", file=sys.stderr)
-            return WRONG_INPUT
+            return DISK_REFUSES if isinstance(error, DiskError) else WRONG_INPUT
         except BrokenPipeError:
             # The interpreter flushes stdout once more at exit; give it a place that takes everything.
             with contextlib.suppress(OSError, ValueError):
@@ -42,7 +44,7 @@ def command(main: Callable[Parameters, int]) -> Callable[Parameters, int]:
             return READER_WENT_AWAY
         except OSError as error:
             print(f"{name}: error: {_one_line(_os_error_text(error))}", file=sys.stderr)
-            return WRONG_INPUT
+            return DISK_REFUSES if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO) else WRONG_INPUT
         except KeyboardInterrupt:
             print(f"{name}: stopped by Ctrl-C", file=sys.stderr)
             return STOPPED_BY_USER

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from torchhand.errors import InputError
+from torchhand.errors import DiskError, InputError
 
 _REASONS = {
     errno.ENOSPC: "no space left on the disk",
@@ -18,16 +18,19 @@ _REASONS = {
     errno.ENOTDIR: "a part of the path is a file, not a folder",
     errno.ENOENT: "no such folder",
 }
+_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 
 
 @contextlib.contextmanager
 def explained_errors(path: Path) -> Iterator[None]:
-    """Turn an OSError inside the block into an InputError that names the file and the reason."""
+    """Turn an OSError inside the block into an InputError that names the file and the reason: a DiskError where the
+    disk is full or failing."""
     try:
         yield
     except OSError as error:
         reason = _REASONS.get(error.errno or 0, error.strerror or str(error))
-        raise InputError(f"{path}: cannot be written ({reason})") from error
+        kind = DiskError if error.errno in _DISK else InputError
+        raise kind(f"{path}: cannot be written ({reason})") from error
 
 
 def temporary_path(path: Path) -> Path:

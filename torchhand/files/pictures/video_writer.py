@@ -10,7 +10,7 @@ import cv2
 from jaxtyping import UInt8
 from torch import Tensor
 
-from torchhand.errors import InputError
+from torchhand.errors import DiskError, InputError
 from torchhand.files.disk import explained_errors, quiet_opencv, temporary_path
 from torchhand.files.pictures.frame_source import ASSUMED_FPS
 
@@ -77,7 +77,7 @@ def write_video(path: str | Path, *, width: int, height: int, fps: float = ASSUM
         arrived = _count_frames(temporary)
         if arrived != writer.frames_written or arrived == 0:
             got = f"expected {writer.frames_written} frames, {arrived} arrived"
-            raise InputError(f"{path}: cannot be written ({got}; is the disk full?)")
+            raise DiskError(f"{path}: cannot be written ({got}; is the disk full?)")
         with explained_errors(path):
             os.replace(temporary, path)
     except BaseException:

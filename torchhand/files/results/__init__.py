@@ -1,5 +1,6 @@
 """The results of a tracking run: written frame by frame, resumed, read."""
 
+from torchhand.files.results.checkpoint import ResumePoint
 from torchhand.files.results.poses_file import (
     OVERLAYS_NAME,
     POSES_LINES_NAME,
@@ -14,12 +15,10 @@ from torchhand.files.results.results import (
     FORWARD_NAME,
     HAND_NAME,
     OVERLAY_NAME,
-    UNFINISHED_NAME,
-    ResumePoint,
     TrackWriter,
     check_output_folder,
 )
-from torchhand.files.results.track_file import JSONL_NAME, NPZ_NAME, POSES_NAME, load_track, write_npz
+from torchhand.files.results.track_file import JSONL_NAME, NPZ_NAME, POSES_NAME, UNFINISHED_NAME, load_track, write_npz
 from torchhand.files.results.track_record import (
     CONVENTION,
     DETERMINED,

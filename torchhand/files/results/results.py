@@ -6,18 +6,19 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import torch
-
 from torchhand.errors import InputError
 from torchhand.files.disk import LineFile, explained_errors, read_lines, replacing, short
+from torchhand.files.results.checkpoint import ResumePoint, State, load_checkpoint, save_checkpoint
+from torchhand.files.results.replacement import finish_replacement, replace_result
 from torchhand.files.results.track_file import (
     JSONL_NAME,
     NPZ_NAME,
+    UNFINISHED_NAME,
     keep_last_lines,
     load_track,
     read_header,
@@ -29,9 +30,6 @@ HAND_NAME = "hand.json"
 CONFIG_NAME = "config.yaml"
 OVERLAY_NAME = "overlay.mp4"
 CHECKPOINT_NAME = "checkpoint.pt"
-UNFINISHED_NAME = "unfinished"
-"""Sub-folder in which a run grows that is to replace an older result."""
-
 DETECTIONS_NAME = "keypoints.jsonl"
 """What a detector that ran along has found."""
 
@@ -47,23 +45,12 @@ _RESULT_NAMES = (
 )
 _DETECTED_ARRAYS = re.compile(r"keypoints(_\d+)?\.npz")  # one per view
 
-State = Mapping[str, Any]
-"""Tensors, numbers, texts, None, and lists and dicts of these: what `torch.load(weights_only=True)` takes."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ResumePoint:
-    """Where an interrupted run goes on."""
-
-    last_frame: int
-    """Index of the last frame that is done; its line and all before stand in the file."""
-    state: State
-    """The tracker's state after that frame."""
-
 
 def check_output_folder(out_dir: str | Path, *, resume: bool = False, overwrite: bool = False) -> None:
-    """Raise InputError where a run may not write into this folder; touches nothing."""
+    """Raise InputError where a run may not write into this folder; touches nothing, but for a replacement that a killed
+    program had begun, which is finished."""
     path = Path(out_dir)
+    finish_replacement(path, path / UNFINISHED_NAME)
     if resume and overwrite:
         raise InputError("expected at most one of --resume and --overwrite, got both")
     with explained_errors(path):
@@ -105,7 +92,9 @@ class TrackWriter:
         resume: bool = False,
         overwrite: bool = False,
         checkpoint_every: int = 30,
+        end: int | None = None,
     ) -> None:
+        """end: number of the frame after the last one that is wanted; None where all are."""
         if checkpoint_every < 1:
             raise ValueError(f"checkpoint_every: expected 1 or more frames, got {checkpoint_every}")
         self.out_dir = Path(out_dir)
@@ -113,7 +102,9 @@ class TrackWriter:
         self.folder = self._choose_folder(resume)
         """Where the files of this run are until it has ended well."""
         self.resume_point: ResumePoint | None = None
-        self._header, self._every = header.as_json(), checkpoint_every
+        self.note: str | None = None
+        """Why an interrupted run is begun anew, for the user."""
+        self._header, self._every, self._end = header.as_json(), checkpoint_every, end
         self._last_frame = -1
         self._frames = 0
         self._has_corrections = False
@@ -216,14 +207,8 @@ class TrackWriter:
         write_npz(load_track(self.folder / JSONL_NAME), self.folder / NPZ_NAME)
         if self.folder == self.out_dir:
             return
-        with explained_errors(self.out_dir):
-            for name in _result_names(self.folder, self.out_dir):
-                if (self.folder / name).exists():
-                    os.replace(self.folder / name, self.out_dir / name)
-                elif name in _RESULT_NAMES:  # a file of the old run that the new one does not have
-                    (self.out_dir / name).unlink(missing_ok=True)
-            with contextlib.suppress(OSError):
-                self.folder.rmdir()  # stays where someone else has put a file there
+        kept = [name for name in _result_names(self.folder) if (self.folder / name).exists()]
+        replace_result(self.out_dir, self.folder, kept, [name for name in _RESULT_NAMES if name not in kept])
 
     def _choose_folder(self, resume: bool) -> Path:
         unfinished = self.out_dir / UNFINISHED_NAME
@@ -249,12 +234,19 @@ class TrackWriter:
         size = header_to_resume(path, self._header)
         if not size:
             return 0
+        checkpoint, problem = load_checkpoint(self.folder / CHECKPOINT_NAME, self._header)
+        if checkpoint is not None and self._end is not None and checkpoint.last_frame >= self._end:
+            raise InputError(
+                f"{self.folder}: cannot be resumed: frame {checkpoint.last_frame} is done, and the last one that is"
+                f" wanted is {self._end - 1}; give a larger --max-frames, or --overwrite"
+            )
         forward = self.folder / FORWARD_NAME
         if forward.exists():
             with explained_errors(self.folder):
                 os.replace(forward, path)
-        checkpoint = _load_checkpoint(self.folder / CHECKPOINT_NAME)
         if checkpoint is None:
+            if any(True for _ in islice(read_lines(path), 1, 2)):
+                self.note = f"{problem}; tracking from the first frame"
             return size
         frames: set[int] = set()
         for lines, (record, end) in enumerate(read_lines(path)):
@@ -269,8 +261,8 @@ class TrackWriter:
         return size
 
     def _save_checkpoint(self, state: Callable[[], State]) -> None:
-        with replacing(self.folder / CHECKPOINT_NAME) as temporary, temporary.open("wb") as file:
-            torch.save({"last_frame": self._last_frame, "state": dict(state())}, file)
+        point = ResumePoint(last_frame=self._last_frame, state=state())
+        save_checkpoint(self.folder / CHECKPOINT_NAME, point, self._header)
         self._pending_state = None
 
 
@@ -278,15 +270,6 @@ def _result_names(*folders: Path) -> list[str]:
     """Names of the files that a run may leave in some folders."""
     entries = {entry.name for folder in folders if folder.is_dir() for entry in folder.iterdir()}
     return [*sorted(name for name in entries if _DETECTED_ARRAYS.fullmatch(name)), *_RESULT_NAMES]
-
-
-def _load_checkpoint(path: Path) -> ResumePoint | None:
-    """The checkpoint, or None if there is none that can be read: the run then starts from its first frame."""
-    try:
-        content = torch.load(path, weights_only=True)
-        return ResumePoint(last_frame=content["last_frame"], state=content["state"])
-    except Exception:  # the reader raises whatever it stumbles over
-        return None
 
 
 def header_to_resume(path: Path, header: Mapping[str, Any]) -> int:

@@ -8,6 +8,7 @@ import numpy as np
 
 from torchhand.errors import InputError
 from torchhand.files.disk import check_plain_file, opened_arrays, read_lines, replacing
+from torchhand.files.results.replacement import finish_replacement
 from torchhand.files.results.track_record import (
     ARRAY_FIELDS,
     MISSING_FIELDS,
@@ -21,6 +22,9 @@ from torchhand.files.results.track_record import (
 JSONL_NAME = "track.jsonl"
 NPZ_NAME = "track.npz"
 POSES_NAME = "poses.npz"
+UNFINISHED_NAME = "unfinished"
+"""Sub-folder in which a run grows that is to replace an older result."""
+
 _COMPLAINT = "is no track that can be read"
 _MISTAKES = (KeyError, ValueError, TypeError, OverflowError, RecursionError)
 _NPY_HEADER = 256  # bytes before the numbers of a one-dimensional array, and to spare
@@ -59,6 +63,8 @@ def load_track(folder: str | Path) -> Track:
     Raises InputError naming the file and what is wrong with it.
     """
     path = Path(folder)
+    place = path if path.is_dir() else path.parent
+    finish_replacement(place, place / UNFINISHED_NAME)
     if path.suffix == ".npz":
         return _read_npz(path)
     if path.suffix == ".jsonl":

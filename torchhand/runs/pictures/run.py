@@ -21,11 +21,13 @@ import torchhand
 from torchhand.draw import draw_overlay
 from torchhand.errors import InputError
 from torchhand.files import FittedHand, Track, TrackHeader, load_hand_model, load_track, read_picture
-from torchhand.files.disk import replacing
+from torchhand.files.disk import expanded, replacing
+from torchhand.files.pictures import input_identity
 from torchhand.files.results import CONVENTION, POSES_NAME, PictureRecord, PosesWriter
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandPose, Side
 from torchhand.runs import record_of, undetermined_fingers
+from torchhand.runs.pictures.bounded import BoundedView
 from torchhand.runs.pictures.inputs import (
     CameraOf,
     PictureDetector,
@@ -111,7 +113,7 @@ def fit_pictures(request: PicturesRequest, out_dir: Path, say: Say) -> Track:
     Raises InputError for inputs that are wrong, among them a single picture that cannot be read.
     """
     pictures = _Pictures(request)
-    if not request.source.is_dir():
+    if not expanded(request.source).is_dir():
         pictures.view(0)  # its mistakes are the user's
     model = load_hand_model()
     header = _header(request, pictures.keypoints)
@@ -142,10 +144,11 @@ def _fitted(pictures: _Pictures, number: int, overlays: Path | None) -> PictureR
     shape = None
     if request.hand is not None:
         shape = torch.tensor(list(request.hand.values.values()), dtype=torch.float64)
-    found = single_pose_fitter(side, request.settings)(view, camera, shape=shape)
+    bounded = BoundedView.of(view, camera)
+    found = bounded.fitted(single_pose_fitter(side, request.settings), shape)
     record = _record(number, path, found.estimate, found, camera, side, started)
-    if overlays is not None and view.image is not None:
-        _save_overlay(overlays / f"{path.stem}.png", view.image, found, camera, side, number)
+    if overlays is not None and bounded.view.image is not None:
+        _save_overlay(overlays / f"{path.stem}.png", bounded.view.image, found, bounded.camera, side, number)
     return record
 
 
@@ -186,7 +189,7 @@ def _save_overlay(
         None if pose is None else pose.reference,
         status=estimate.status,
         frame=number,
-        keypoints_px=None if estimate.keypoints_px is None else estimate.keypoints_px[0],
+        keypoints_px=None if estimate.keypoints is None else here.project(estimate.keypoints.double()),
         iou=estimate.overlap,
         undetermined=undetermined_fingers(None if estimate.finger_quality is None else estimate.finger_quality.numpy()),
     )
@@ -203,6 +206,7 @@ def _header(request: PicturesRequest, keypoints: PictureKeypoints | None) -> Tra
 
     made_with: Mapping[str, Any] = {
         "torchhand": torchhand.__version__,
+        "input": input_identity(expanded(request.source)),
         "settings": asdict(request.settings),
         "keypoints": keypoints.name if isinstance(keypoints, PictureDetector) else [str(p) for p in request.keypoints],
         "masks": text(request.masks),

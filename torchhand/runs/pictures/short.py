@@ -8,6 +8,7 @@ from torch import Tensor
 from torchhand.files import read_picture
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import Side
+from torchhand.runs.pictures.bounded import BoundedView
 from torchhand.runs.pictures.run import single_pose_fitter
 from torchhand.track import HandKeypoints, View
 from torchhand.track.single import SinglePose, SinglePoseSettings
@@ -32,4 +33,4 @@ def fit_pose(
     image = picture if isinstance(picture, Tensor) else read_picture(Path(picture))
     camera = camera or assumed_camera(image.shape[1], image.shape[0])
     fitter = single_pose_fitter(side, settings or SinglePoseSettings())
-    return fitter(View(image=image, keypoints=keypoints), camera, shape=shape)
+    return BoundedView.of(View(image=image, keypoints=keypoints), camera).fitted(fitter, shape)
