@@ -1,6 +1,7 @@
 """Array files of numpy that are cut off or damaged: one clear line, whatever breaks inside the readers."""
 
 import random
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -75,3 +76,25 @@ def test_what_is_no_file(tmp_path: Path) -> None:
     for path in (tmp_path, tmp_path / "nothing.npz"):
         with pytest.raises(InputError, match="cannot be read"), opened_arrays(path, complaint=""):
             pass
+
+
+def test_what_nobody_asks_for_is_not_unpacked(tmp_path: Path) -> None:
+    """An archive of a megabyte that holds 304 under another name is read as if it did not."""
+    path = tmp_path / "bomb.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        with archive.open("points.npy", "w") as member:
+            np.lib.format.write_array(member, np.arange(24.0))
+        with archive.open("zeros.npy", "w", force_zip64=True) as member:
+            np.lib.format.write_array_header_1_0(member, {"descr": "|u1", "fortran_order": False, "shape": (19 << 24,)})
+            for _ in range(19):
+                member.write(bytes(1 << 24))
+    assert path.stat().st_size < 2_000_000
+    with opened_arrays(path, complaint="expected points") as arrays:
+        assert list(arrays.chosen(["points", "others"])) == ["points"]
+        assert list(arrays.small(arrays, 1000)) == ["points"]
+        np.testing.assert_array_equal(arrays["points"], np.arange(24.0))
+    with (
+        pytest.raises(InputError, match=r"expected points \(ValueError: zeros: 304 MiB packed into"),
+        opened_arrays(path, complaint="expected points") as arrays,
+    ):
+        dict(arrays)

@@ -510,3 +510,104 @@ def test_qualities_of_fingers_are_kept_where_there_are_some(tmp_path: Path):
 def test_a_lost_frame_has_no_qualities():
     with pytest.raises(ValueError, match="finger_quality: expected NaN"):
         replace(FrameRecord.empty(0, "lost", dofs=36, seconds=0.0), finger_quality=np.ones(5))
+
+
+def test_a_damaged_checkpoint_is_told_and_the_run_begins_anew(tmp_path: Path):
+    _run(tmp_path / "whole", 24)
+    with pytest.raises(_Stop):
+        _run(tmp_path / "broken", 24, stop_after=14)
+    checkpoint = tmp_path / "broken" / CHECKPOINT_NAME
+    data = bytearray(checkpoint.read_bytes())
+    data[-200] ^= 1  # one bit of a number
+    checkpoint.write_bytes(data)
+    writer = _run(tmp_path / "broken", 24, resume=True)
+    assert str(writer.note).endswith(
+        "checkpoint.pt: is damaged, or no checkpoint of this version; tracking from the first frame"
+    )
+    assert (tmp_path / "broken" / "track.npz").read_bytes() == (tmp_path / "whole" / "track.npz").read_bytes()
+
+
+def test_fewer_frames_than_are_done_cannot_be_resumed(tmp_path: Path):
+    _run(tmp_path, 24)
+    before = {entry.name: entry.read_bytes() for entry in tmp_path.iterdir()}
+    with pytest.raises(
+        InputError, match=r"frame 24 is done, and the last one that is wanted is 11; give a larger --max"
+    ):
+        _run(tmp_path, 24, resume=True, end=12)
+    assert {entry.name: entry.read_bytes() for entry in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize("moves", range(6))
+def test_a_result_is_replaced_as_one_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moves: int):
+    """Killed after any number of moved files, the folder holds the old result or the new one, never some of both."""
+
+    def replaced(folder: Path, name: str, **options: Any) -> None:
+        with TrackWriter(folder, _header(source=name), **options) as writer:
+            tracker = _Tracker()
+            writer.append(tracker.step(2), tracker.state)
+            (writer.folder / "hand.json").write_text(name)
+            if name == "old":
+                (writer.folder / "overlay.mp4").write_text("of the old one alone")
+
+    replaced(tmp_path, "old")
+    left = [moves]
+    replace_file = os.replace
+
+    def killed(source: Path, target: Path) -> None:
+        if Path(source).parent.name == UNFINISHED_NAME and Path(target).parent == tmp_path:
+            if not left[0]:
+                raise _Stop
+            left[0] -= 1
+        replace_file(source, target)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "replace", killed)
+        try:
+            replaced(tmp_path, "new", overwrite=True)
+        except _Stop:
+            assert moves < 4
+    assert load_track(tmp_path).header["source"] == "new"  # whoever reads it first finishes the moves
+    assert (tmp_path / "hand.json").read_text() == "new"
+    assert {entry.name for entry in tmp_path.iterdir()} == {"hand.json", "track.npz", "track.jsonl", CHECKPOINT_NAME}
+
+
+def _damaged_header(arrays: dict[str, Any]) -> None:
+    arrays["header"] = np.array("[1]")
+
+
+def _short_status(arrays: dict[str, Any]) -> None:
+    arrays["status"] = arrays["status"][:-1]
+
+
+def _narrow_pose(arrays: dict[str, Any]) -> None:
+    arrays["pose"] = arrays["pose"][:, :5]
+
+
+def _wrong_names(arrays: dict[str, Any]) -> None:
+    arrays["dof_names"] = np.arange(36)
+
+
+def _numeric_status(arrays: dict[str, Any]) -> None:
+    arrays["status"] = np.zeros(len(arrays["frame"]))
+
+
+@pytest.mark.parametrize("damage", [_damaged_header, _short_status, _narrow_pose, _wrong_names, _numeric_status])
+def test_damaged_arrays_of_a_track(tmp_path: Path, damage: Any):
+    _run(tmp_path, 12)
+    with np.load(tmp_path / "track.npz") as stored:
+        arrays = dict(stored)
+    damage(arrays)
+    np.savez(tmp_path / "other.npz", **arrays)
+    with pytest.raises(
+        InputError, match=r"other.npz: is no track that can be read \(ValueError: (header|status|pose|dof_names): "
+    ):
+        load_track(tmp_path / "other.npz")
+
+
+@pytest.mark.parametrize("line", ['"frame":' + "1" * 50, '"frame":null', '"frame":7.5', '"frame":[1]'])
+def test_damaged_lines_of_a_track(tmp_path: Path, line: str):
+    _run(tmp_path, 12)
+    path = tmp_path / "track.jsonl"
+    path.write_text(path.read_text().replace('"frame":7', line))
+    with pytest.raises(InputError, match=r"track.jsonl: is no track that can be read"):
+        load_track(path)

@@ -16,6 +16,7 @@ from torchhand.files.results.track_record import (
     RESERVED_NAMES,
     TRACK_FORMAT,
     Track,
+    check_fields,
     track_of,
 )
 
@@ -94,7 +95,7 @@ def _read_jsonl(path: Path) -> Track:
     header, _ = read_header(path)
     rows = (record for i, (record, _) in enumerate(read_lines(path)) if i > 0)
     try:
-        return track_of(header, rows).checked()
+        return track_of(header, rows)
     except _MISTAKES as error:
         raise InputError(f"{path}: {_COMPLAINT} ({type(error).__name__}: {error})") from error
 
@@ -108,13 +109,10 @@ def _read_npz(path: Path) -> Track:
         fields: dict[str, Any] = {name: arrays[name] for name in ("frame", "status", "seconds")}
         fields |= {name: arrays.get(name) if name in MISSING_FIELDS else arrays[name] for name in ARRAY_FIELDS}
         fields |= {name: str(arrays[name]) for name in ("units", "convention")}
-        return Track(
-            dof_names=tuple(arrays["dof_names"].tolist()),
-            reason=arrays.get("reason"),
-            image=arrays.get("image"),
-            header=json.loads(str(arrays["header"])) if "header" in arrays else {},
-            measures=measures,
-            **fields,
-        ).checked()
+        fields |= {"dof_names": tuple(np.atleast_1d(arrays["dof_names"]).tolist()), "measures": measures}
+        fields |= {name: arrays.get(name) for name in ("reason", "image")}
+        fields["header"] = json.loads(str(arrays["header"])) if "header" in arrays else {}
+        check_fields(fields)
+        return Track(**fields)
     except _MISTAKES as error:
         raise InputError(f"{path}: {_COMPLAINT} ({type(error).__name__}: {error})") from error

@@ -36,6 +36,7 @@ CONVENTION = (
     " positive; keypoints: wrist, then thumb, index, middle, ring, little from base to tip"
 )
 _KEYPOINTS, _FINGERS = 21, 5
+_KIND_OF = {"frame": "iu", "status": "U", "reason": "U", "image": "U"}
 _KINDS = {"f": "floating-point numbers", "iu": "whole numbers", "U": "texts"}
 
 
@@ -178,26 +179,6 @@ class Track:
         """Frames with an estimate."""
         return np.asarray(np.isfinite(self.pose).all(1))
 
-    def checked(self) -> "Track":
-        """The track itself. Raises ValueError naming the field where one has not the form of a track's."""
-        if not isinstance(self.header, Mapping):
-            raise ValueError(f"header: expected keys with values, got {short(self.header)}")
-        if not all(isinstance(name, str) for name in self.dof_names):
-            raise ValueError("dof_names: expected names, got others")
-        frames, dofs = self.frame.shape[:1], len(self.dof_names)
-        shapes: dict[str, tuple[int, ...]] = {"frame": (), "status": (), "seconds": (), "reason": (), "image": ()}
-        shapes |= _shapes(dofs) | dict.fromkeys(self.measures, ())
-        kinds = {"frame": "iu", "status": "U", "reason": "U", "image": "U"}
-        for name, shape in shapes.items():
-            array = self.measures[name] if name in self.measures else getattr(self, name)
-            if array is None:
-                continue
-            if array.shape != (*frames, *shape) or not frames:
-                raise ValueError(f"{name}: expected the shape {(*frames, *shape)}, got {array.shape}")
-            if array.dtype.kind not in kinds.get(name, "f"):
-                raise ValueError(f"{name}: expected {_KINDS[kinds.get(name, 'f')]}, got {array.dtype}")
-        return self
-
     def arrays(self) -> dict[str, np.ndarray]:
         """What track.npz holds."""
         arrays = {
@@ -207,6 +188,27 @@ class Track:
         arrays |= {"dof_names": np.array(self.dof_names), "units": np.array(self.units)}
         arrays |= {"convention": np.array(self.convention), "header": np.array(json.dumps(self.header))}
         return {name: array for name, array in arrays.items() if array is not None}
+
+
+def check_fields(fields: Mapping[str, Any]) -> None:
+    """Raise ValueError naming the first field that has not the form of a track's."""
+    if not isinstance(fields["header"], Mapping):
+        raise ValueError(f"header: expected keys with values, got {short(fields['header'])}")
+    if not all(isinstance(name, str) for name in fields["dof_names"]):
+        raise ValueError("dof_names: expected names, got others")
+    measures = fields["measures"]
+    shapes: dict[str, tuple[int, ...]] = {"frame": (), "status": (), "seconds": (), "reason": (), "image": ()}
+    shapes |= _shapes(len(fields["dof_names"])) | dict.fromkeys(measures, ())
+    frames = fields["frame"].shape[:1] or (0,)
+    for name, shape in shapes.items():
+        array = measures[name] if name in measures else fields.get(name)
+        if array is None:
+            continue
+        if array.shape != (*frames, *shape):
+            raise ValueError(f"{name}: expected the shape {(*frames, *shape)}, got {array.shape}")
+        kind = _KIND_OF.get(name, "f")
+        if array.dtype.kind not in kind:
+            raise ValueError(f"{name}: expected {_KINDS[kind]}, got {array.dtype}")
 
 
 def track_of(header: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> Track:
@@ -232,6 +234,8 @@ def track_of(header: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> Tr
             value = row.get(name) if name in MISSING_FIELDS else row[name]
             is_array = name in ARRAY_FIELDS and value is not None
             column.append(np.asarray(value, dtype=np.float64).reshape(shapes[name]) if is_array else value)
+    if wrong := [frame for frame in columns["frame"] if not isinstance(frame, int)]:
+        raise ValueError(f"frame: expected whole numbers, got {short(wrong[0])}")
     last = {int(frame): place for place, frame in enumerate(columns["frame"])}
     if list(last) != sorted(last) or len(last) < len(reasons):
         places = [last[frame] for frame in sorted(last)]
