@@ -119,9 +119,9 @@ def _contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
-def _assert_refused(outcome: Outcome, *words: str | Path) -> None:
-    """Exit code 2 and exactly one line, which holds these words."""
-    assert outcome.code == 2, outcome
+def _assert_refused(outcome: Outcome, *words: str | Path, code: int = 2) -> None:
+    """That exit code and exactly one line, which holds these words."""
+    assert outcome.code == code, outcome
     assert outcome.out == ""
     assert outcome.err.startswith("torchhand track: error: ")
     assert outcome.err.count("\n") == 1, outcome.err
@@ -766,7 +766,7 @@ def test_a_full_disk(
 
     monkeypatch.setattr(TrackWriter, "__enter__", enter)
     outcome = run(clip.frames, "--out", out, "--overwrite", *clip.options)
-    _assert_refused(outcome, "track.jsonl: cannot be written (no space left on the disk)")
+    _assert_refused(outcome, "track.jsonl: cannot be written (no space left on the disk)", code=1)
     if has_result:
         assert _contents(out) == before
     assert load_track(out / "unfinished" if has_result else out).frame.tolist() == [0, 1]
@@ -781,7 +781,7 @@ def test_a_full_disk_under_the_overlay_keeps_the_track(
     monkeypatch.setattr("torchhand.runs.tracking.write_overlay", full)
     out = tmp_path / "out"
     options = ["--camera", clip.camera, "--config", "contour_planar", "--max-frames", "2", "--causal"]
-    _assert_refused(run(clip.frames, "--out", out, *options), "overlay.mp4: No space left on device")
+    _assert_refused(run(clip.frames, "--out", out, *options), "overlay.mp4: No space left on device", code=1)
     assert load_track(out / "track.npz").frame.tolist() == [0, 1]
     monkeypatch.undo()
     assert run(clip.frames, "--out", out, "--resume", *options).code == 0  # only the overlay is left to do
