@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand import BONES, DOFS, FINGERS, JOINT_DOFS, HandKinematics, HandPose, Skeleton
+from torchhand.hand import BONES, DOFS, FINGERS, JOINT_DOFS, HandKinematics, HandPose
 
 PALM = (0, 5, 9, 13, 17)
 """Wrist and knuckles: they move as one body but for the slight bend of the palm."""
