@@ -271,3 +271,17 @@ def test_wrong_input(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[st
 def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--help"]) == 0
     assert "torchhand fit_keypoints hands.json --out out/hands" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("options", [[], ["--units", "any"], ["--units", "px", "--size", "640x480"]])
+def test_points_that_are_no_hand(tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str]) -> None:
+    dice = np.random.default_rng(0)
+    points = 0.05 * dice.standard_normal((4, 21, 3)) + (0.0, 0.0, 0.5)
+    if "px" in options:
+        points = 320 + 60 * dice.standard_normal((4, 21, 2))
+    np.save(tmp_path / "points.npy", points)
+    code = _run(tmp_path / "points.npy", "--out", tmp_path / "out", "--side", "left", "--no-fit-shape", *options)
+    error = capsys.readouterr().err
+    assert code == 2, error
+    assert "points.npy: expected points of a hand, got others: the best hand leaves" in error
+    assert not (tmp_path / "out").exists()

@@ -31,6 +31,8 @@ from torchhand.runs import cameras_of_detections, known_hand, seen_keypoints
 
 FIT_NAME = "keypoints_fit.npz"
 _FORMAT = "torchhand keypoints fit 1"
+_MAX_UNEXPLAINED = 0.4
+"""Random points leave 0.7 to 0.9 (Gaussian, and uniform in a cube), what detectors see of hands 0.05 to 0.2."""
 _PALM_METRES = (0.03, 0.2)  # from wrist to middle knuckle: beyond, the unit is not the metre
 _OFFSET_STD = 0.005
 
@@ -103,10 +105,26 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not bool(fit.is_fitted.any()):
         reasons = ", ".join(sorted(set(fit.status_names())))
         raise InputError(f"{arguments.input[0]}: expected a frame that can be fitted, got none ({reasons})")
+    left = _unexplained(fit, cameras)
+    if not left <= _MAX_UNEXPLAINED:
+        raise InputError(
+            f"{arguments.input[0]}: expected points of a hand, got others: the best hand leaves"
+            f" {_mean(fit, bool(cameras))}, {left:.0%} of its own extent; check --side, and the points' order and units"
+        )
     _save(arguments, hand, detections[0], cameras, side, fit)
     print(_summary(fit, side, note, is_seen=bool(cameras)))
     print(f"saved {arguments.out / FIT_NAME} and {arguments.out / HAND_NAME}")
     return DONE
+
+
+def _unexplained(fit: KeypointFit, cameras: Sequence[Camera]) -> float:
+    """Residual as a share of the fitted hand's extent (the root mean square of its keypoints about their mean), in the
+    median of the frames."""
+    points = fit.keypoints
+    if cameras:
+        points = cameras[0].project(points)
+    extent = (points - points.mean(-2, keepdim=True)).square().sum(-1).mean(-1).sqrt()
+    return float((fit.residual.nanmean(-1) / extent)[fit.is_fitted].nanmedian())
 
 
 def _check_folder(arguments: Arguments) -> None:

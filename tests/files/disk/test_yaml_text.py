@@ -1,7 +1,5 @@
 """YAML that is hostile: one line each, in no time and no memory."""
 
-from itertools import pairwise
-
 import pytest
 
 from torchhand.errors import InputError
