@@ -145,3 +145,20 @@ def test_threads_hold_inside_the_block_only() -> None:
 def test_a_number_of_threads_that_cannot_be(count: int) -> None:
     with pytest.raises(InputError, match=f"^--threads: expected 1 to 1024, got {count}$"), threads(count):
         pass
+
+
+@pytest.mark.parametrize(
+    ("word", "complaint"),
+    [("", "expected a value, got an empty argument"), ("a\udcff.mp4", r"a\xff.mp4: expected a name in UTF-8")],
+)
+def test_words_that_name_nothing_are_refused(word: str, complaint: str) -> None:
+    @dataclass(frozen=True, kw_only=True)
+    class Arguments:
+        """A command."""
+
+        out: Path
+
+    assert parse(Arguments, ["--out", "a"], name="test") == Arguments(out=Path("a"))
+    with pytest.raises(InputError) as caught:
+        parse(Arguments, ["--out", word], name="test")
+    assert complaint in str(caught.value)

@@ -32,6 +32,7 @@ from torchhand.draw import write_report
 from torchhand.errors import InputError
 from torchhand.files import RigSource, offsets_of, save_cameras
 from torchhand.files.disk import replacing
+from torchhand.files.pictures import MAX_MEGAPIXELS, pixel_limit
 from torchhand.files.rigs import open_uncalibrated
 
 _VIDEO_FRAMES = 60  # frames searched in a video, unless --every says otherwise
@@ -91,6 +92,8 @@ class Arguments:
     """Only write a picture of the board to print (png), and stop."""
     threads: int = 1
     """Threads of the computation."""
+    max_megapixels: float = MAX_MEGAPIXELS
+    """Largest pictures that are read; what is larger by its header is refused before it is decoded."""
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"\d{1,3}x\d{1,3}", self.squares.lower()):
@@ -120,7 +123,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     assert arguments.out is not None
     report = arguments.out.with_name(f"{arguments.out.stem}_report")
     _check_outputs(arguments.out, report, overwrite=arguments.overwrite)
-    with threads(arguments.threads):
+    with threads(arguments.threads), pixel_limit(arguments.max_megapixels):
         views = _views(arguments, arguments.input, board)
         found = calibrate_rig(views, board, distortion=arguments.distortion)
         if arguments.world == "board":

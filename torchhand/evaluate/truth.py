@@ -4,11 +4,11 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
 from torchhand.errors import InputError
+from torchhand.files import read_picture
 from torchhand.files.disk import opened_arrays
 
 SHAPES = {"keypoints3d": (21, 3), "keypoints2d": (21, 2), "flexion_deg": (5, 3)}
@@ -71,10 +71,7 @@ def load_mask(file: Path) -> Bool[np.ndarray, "height width"]:
     Raises:
         InputError: the picture cannot be read.
     """
-    picture = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
-    if picture is None:
-        raise InputError(f"{file}: expected a picture with a mask; it cannot be read")
-    return np.asarray(picture) > 0
+    return read_picture(file).numpy().max(-1) > 0
 
 
 def _known_arrays(file: Path) -> tuple[dict[str, np.ndarray], tuple[str, ...] | None]:

@@ -45,7 +45,9 @@ def test_a_large_picture_is_not_decoded(tmp_path: Path, monkeypatch: pytest.Monk
     assert path.stat().st_size < 200_000
     with monkeypatch.context() as patched:
         patched.setattr(cv2, "imdecode", lambda *_: pytest.fail("decoded"))
-        with pytest.raises(InputError, match=r"black.png: expected at most 64 megapixels .*, got 9000x9000 px"):
+        with pytest.raises(
+            InputError, match=r"black.png: expected at most 64 megapixels, got 9000x9000 px .--max-megapixels"
+        ):
             read_picture(path)
         with pytest.raises(InputError, match="at most 64 megapixels"):
             open_source(path)

@@ -30,7 +30,7 @@ def read_raw(path: Path) -> tuple[np.ndarray | None, str]:
     if size is None:
         return None, "is no picture that can be decoded (corrupt or of an unknown format)"
     if problem := size_problem(*size):
-        return None, problem
+        return None, f"{problem} (--max-megapixels)"
     whole: bytes | None = data
     if data.startswith(b"\xff\xd8"):
         whole, problem = whole_jpeg(data)

@@ -34,4 +34,4 @@ def size_problem(width: int, height: int) -> str:
     most = _limit.get()
     if width * height <= most * 1e6:
         return ""
-    return f"expected at most {most:g} megapixels (--max-megapixels), got {width}x{height} px"
+    return f"expected at most {most:g} megapixels, got {width}x{height} px"

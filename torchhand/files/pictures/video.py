@@ -124,7 +124,7 @@ def _open_file(path: Path) -> cv2.VideoCapture:
     size = (int(capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
     if problem := size_problem(*size):  # by the container's header: nothing has been decoded so far
         capture.release()
-        raise InputError(f"{path}: {problem}")
+        raise InputError(f"{path}: {problem} (--max-megapixels)")
     return capture
 
 
