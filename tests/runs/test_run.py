@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -135,6 +136,18 @@ def test_planar_motion_is_followed_to_a_fraction_of_a_pixel(planar: Scene, track
     moved = np.linalg.norm(planar.keypoints_px - planar.keypoints_px[0], axis=-1).max()
     assert moved > 10.0  # there was something to follow
     assert min(record.measures["overlap"] for record in records) > 0.85
+
+
+def test_two_trackers_in_two_threads_find_what_each_finds_alone(planar: Scene, tracked_planar: Any, begin: Any) -> None:
+    def poses(run: Run) -> np.ndarray:
+        torch.set_num_threads(1)  # a thread's own number, as in the run before
+        return np.stack([run.step(frame)[0].pose for frame in planar.frames[:6]])
+
+    with ThreadPoolExecutor(2) as pool:
+        found = list(pool.map(poses, [begin(), begin()]))
+    expected = np.stack([record.pose for record, _ in tracked_planar[:6]])
+    for own in found:
+        np.testing.assert_array_equal(own, expected)
 
 
 def test_records_hold_the_estimate(tracked_planar: Any, kinematics: HandKinematics, camera: Camera) -> None:

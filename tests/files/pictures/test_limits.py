@@ -165,9 +165,11 @@ def test_flipped_bits_of_a_jpeg_are_found_or_harmless(tmp_path: Path, options: l
     image = cv2.GaussianBlur(dice.integers(0, 255, (96, 128, 3)).astype(np.uint8), (0, 0), 1.5)
     _, encoded = cv2.imencode(".jpg", image, options)
     data, path, refused = encoded.tobytes(), tmp_path / "a.jpg", 0
+    decoded = cv2.imdecode(encoded, cv2.IMREAD_COLOR)
+    assert decoded is not None
     for padding in (b"", b"\0", bytes(9)):
         path.write_bytes(data[:-2] + padding + data[-2:])
-        np.testing.assert_array_equal(read_picture(path), cv2.imdecode(encoded, cv2.IMREAD_COLOR)[..., ::-1])
+        np.testing.assert_array_equal(read_picture(path), decoded[..., ::-1])
     for _ in range(40):
         broken = bytearray(data)
         broken[dice.integers(700, len(data) - 2)] ^= 1 << dice.integers(8)
