@@ -1,6 +1,5 @@
 """The hand in a single picture, in any posture: silhouettes, hypotheses, registration, and whether it is one at all."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
