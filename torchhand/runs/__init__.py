@@ -1,7 +1,8 @@
 """A run from the first frame to its results: what is asked for, recordings, checkpoints and overlays."""
 
 from torchhand.runs.changes import changes_of
-from torchhand.runs.overlay import overlay_frames
+from torchhand.runs.live_recording import LiveRecording
+from torchhand.runs.overlays import overlay_frames
 from torchhand.runs.recording import OneCameraRecording, RecordedFrame, Recording, RigRecording
 from torchhand.runs.records import record_of, undetermined_fingers
 from torchhand.runs.request import Request, keypoints_of, known_hand, settings_of, start_points_of
@@ -11,6 +12,7 @@ from torchhand.runs.short import fit_hand, track
 from torchhand.runs.tracking import how_to_go_on, summary_of, track_rig, track_sequence
 
 __all__ = [
+    "LiveRecording",
     "OneCameraRecording",
     "RecordedFrame",
     "Recording",
