@@ -2,6 +2,8 @@
 
 import json
 import math
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -173,3 +175,18 @@ def test_inputs_are_never_written_over(folder: Path, capsys: pytest.CaptureFixtu
     assert main([str(picture), "--out", str(picture), "--overwrite"]) == 2
     assert "other than that of an input" in capsys.readouterr().err
     assert picture.read_bytes() == before
+
+
+@pytest.mark.slow
+def test_a_photograph_of_50_megapixels_takes_less_than_a_gigabyte(data_dir: Path, tmp_path: Path) -> None:
+    small = cv2.imread(str(data_dir / "real" / "open_hand_black" / "IMG-1843.jpg"))
+    assert small is not None
+    photograph = cv2.resize(small, (6120, 8160), interpolation=cv2.INTER_CUBIC)
+    assert cv2.imwrite(str(tmp_path / "photograph.jpg"), photograph)
+    program = (
+        "import resource, sys; from torchhand.cli.fit_hand import main; code = main(sys.argv[1:]);"
+        " print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10); sys.exit(code)"
+    )
+    arguments = [str(tmp_path / "photograph.jpg"), "--out", str(tmp_path / "hand.json")]
+    done = subprocess.run([sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=True)
+    assert int(done.stdout.splitlines()[-1]) < 1000
