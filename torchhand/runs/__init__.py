@@ -1,9 +1,8 @@
 """A run from the first frame to its results: what is asked for, recordings, checkpoints and overlays."""
 
 from torchhand.runs.changes import changes_of
-from torchhand.runs.live_recording import LiveRecording
 from torchhand.runs.overlays import overlay_frames
-from torchhand.runs.recording import OneCameraRecording, RecordedFrame, Recording, RigRecording
+from torchhand.runs.recordings import LiveRecording, OneCameraRecording, RecordedFrame, Recording, RigRecording
 from torchhand.runs.records import record_of, undetermined_fingers
 from torchhand.runs.request import Request, keypoints_of, known_hand, settings_of, start_points_of
 from torchhand.runs.run import Run, Say, header_of

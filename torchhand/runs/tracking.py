@@ -21,7 +21,7 @@ from torchhand.hand import Anthropometry
 from torchhand.runs.detected_tracks import kept_detections
 from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks
 from torchhand.runs.overlays import draw_live, write_overlay, write_views
-from torchhand.runs.recording import OneCameraRecording, RecordedFrame, RigRecording, rig_plates
+from torchhand.runs.recordings import OneCameraRecording, RecordedFrame, RigRecording, rig_plates
 from torchhand.runs.request import MEDIAPIPE, Request, check_start_points, plate_of
 from torchhand.runs.run import CHECKPOINT_EVERY, Run, Say, header_of, track_frames
 from torchhand.runs.second_pass import smooth_frames
