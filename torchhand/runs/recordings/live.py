@@ -9,7 +9,7 @@ from types import TracebackType
 
 from torchhand.errors import InputError
 from torchhand.files import LiveRig, load_rig, rig_notes
-from torchhand.runs.recording import RecordedFrame
+from torchhand.runs.recordings.recording import RecordedFrame
 from torchhand.track import View
 
 _NO_PICTURE = "no picture of this time"
