@@ -290,7 +290,7 @@ def _writer(
     detectors: Sequence[HandDetector],
 ) -> TrackWriter:
     made_with = {
-        "input": input_identity(recording.path if isinstance(recording, OneCameraRecording) else recording.folder),
+        "input": _identity(recording),
         "hand": None if request.hand is None else request.hand.values,
         "keypoints": [str(path) for path in request.keypoints] or [detector.name for detector in detectors],
         "start_points": request.start_points,
@@ -310,6 +310,13 @@ def _writer(
         checkpoint_every=CHECKPOINT_EVERY,
         end=None if request.max_frames is None else request.start + request.max_frames,
     )
+
+
+def _identity(recording: OneCameraRecording | RigRecording | LiveRecording) -> dict[str, Any]:
+    """What tells the input from others of its name; nothing of live ones, which are never resumed."""
+    if isinstance(recording, LiveRecording):
+        return {}
+    return input_identity(recording.folder if isinstance(recording, RigRecording) else recording.path)
 
 
 def _provenance(request: Request, camera: Camera) -> dict[str, Any]:
