@@ -17,9 +17,8 @@ from torchhand.errors import InputError
 from torchhand.files import FrameRecord, Track, TrackWriter, check_output_folder, load_hand_model, load_track
 from torchhand.files.results import JSONL_NAME, OVERLAY_NAME, STATUSES, UNFINISHED_NAME
 from torchhand.geometry import Camera
-from torchhand.hand import Anthropometry
 from torchhand.runs.detected_tracks import kept_detections
-from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks
+from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks, with_keypoints
 from torchhand.runs.overlay import draw_live, write_overlay
 from torchhand.runs.recording import OneCameraRecording, RecordedFrame, RigRecording, rig_plates
 from torchhand.runs.request import MEDIAPIPE, Request, check_start_points, plate_of
@@ -27,7 +26,7 @@ from torchhand.runs.rig_overlay import write_views
 from torchhand.runs.run import CHECKPOINT_EVERY, Run, Say, header_of, track_frames
 from torchhand.runs.second_pass import smooth_frames
 from torchhand.track import Keyframe, Tracker, TrackerState
-from torchhand.track.multiview import HandInitialization, Initialization, in_unit, initialize
+from torchhand.track.multiview import HandInitialization, HandProposer, Initialization, in_unit, initialize
 from torchhand.track.scene import ViewSilhouettes
 from torchhand.view import HandProjector
 
@@ -129,7 +128,7 @@ def track_rig(folder: Path, out_dir: Path, request: Request, say: Say) -> Track:
     files, detectors = request.keypoint_tracks(recording.cameras), request.detectors(recording.cameras)
     for line in recording.notes:
         say(line)
-    start = _RigStart(recording, request)
+    start = _RigStart(recording, request, files)
     with (
         _writer(out_dir, recording, request, detectors) as writer,
         _keypoints(files, detectors, writer, recording, request.start, say) as keypoints,
@@ -158,7 +157,9 @@ def track_rig(folder: Path, out_dir: Path, request: Request, say: Say) -> Track:
 class _RigStart:
     """How a hand is found before it is followed: in frames from all over the recording."""
 
-    def __init__(self, recording: RigRecording, request: Request) -> None:
+    def __init__(self, recording: RigRecording, request: Request, keypoints: KeypointTracks | None) -> None:
+        """keypoints: those of files, which tell of the hand in any frame."""
+        self.keypoints = keypoints
         self.recording, self.request, self.settings = recording, request, request.settings
         self.hand = load_hand_model().hand(side=request.known_side, dtype=torch.float64)
         self.known = _known_shape(request)
@@ -194,28 +195,34 @@ class _RigStart:
     def _initialization(self) -> Initialization:
         silhouettes = ViewSilhouettes(self.recording.cameras, self.settings.silhouette, plates=self.plates)
         sample = self.recording.sample(max(1, self.settings.rig.shape_frames))
-        given = self.recording.has_masks
-        frames = [
-            (
-                frame.index,
-                [view.image for view in frame.views],
-                [view.mask for view in frame.views] if given else None,
-            )
-            for frame in sample
-        ]
+        frames = ((frame.index, with_keypoints(frame, self.keypoints, None).views) for frame in sample)
         with tqdm(
-            total=len(frames), desc="initializing", unit="frame", dynamic_ncols=True, disable=not sys.stderr.isatty()
+            total=self.settings.rig.shape_frames,
+            desc="initializing",
+            unit="frame",
+            dynamic_ncols=True,
+            disable=not sys.stderr.isatty(),
         ) as bar:
             return initialize(
                 self.hand,
                 silhouettes,
                 frames,
-                Anthropometry(self.hand.kinematics.shape_space),
                 self.settings.rig,
+                self._proposer,
                 shape=self.known,
                 fits_unit=self.request.unit == "hand",
-                done=bar.update,
+                done=lambda is_found: bar.update(),
             )
+
+    @property
+    def _proposer(self) -> HandProposer:
+        s = self.settings
+        return HandProposer(
+            kinematics=self.hand.kinematics,
+            cameras=self.recording.cameras,
+            keypoints=s.keypoints,
+            has_network=s.learned_proposals,
+        )
 
     def _provenance(self, found: HandInitialization) -> dict[str, Any]:
         method = "visual hulls" if self.known is None else "given"

@@ -15,7 +15,7 @@ from torchhand.hand import Hand, HandKinematics, named_pose_space
 from torchhand.image import BackgroundPlate
 from torchhand.track.belief import HandMotion
 from torchhand.track.extended import ExtendedUpdate, ExtendedUpdateSettings
-from torchhand.track.multiview import FrameFitter, HullUpdate
+from torchhand.track.multiview import FrameFitter, HandProposer, HullUpdate
 from torchhand.track.proposals import (
     KeypointHand,
     KeypointStart,
@@ -198,6 +198,12 @@ def _of_a_rig(own: _Ingredients, cameras: Sequence[Camera], plates: Sequence[Bac
     fits = FrameFitter(own.hand, silhouettes.cameras, rig)
     motion = own.motion if takes_proposals else replace(own.motion, space=fits.space)
     hull = HullUpdate(fits, motion, health)
+    proposer = HandProposer(
+        kinematics=own.hand.kinematics,
+        cameras=silhouettes.cameras,
+        keypoints=s.keypoints,
+        has_network=s.learned_proposals,
+    )
     detected = KeypointHand(kinematics=own.hand.kinematics, cameras=silhouettes.cameras, settings=s.keypoints)
     return Assembly(
         kinematics=own.hand.kinematics,
@@ -206,7 +212,7 @@ def _of_a_rig(own: _Ingredients, cameras: Sequence[Camera], plates: Sequence[Bac
         motion=own.motion,
         segmentation=RigSegmentation(silhouettes=silhouettes),
         rule=hull if takes_proposals else own.rule(silhouettes.cameras),
-        sources=(detected, *hull_sources(hull, health)),
+        sources=(detected, *hull_sources(hull, health, proposer)),
         health=health,
         takes_proposals=takes_proposals,
         keypoint_settings=s.keypoints,

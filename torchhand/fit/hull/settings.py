@@ -179,9 +179,9 @@ class HullStartSettings:
 class HullShapeSettings:
     """How the proportions of a hand are fitted to the hulls of several frames."""
 
-    rounds: int = 24
+    rounds: int = 6
     """Associations of all frames' data with the posed hands; 1 or more."""
-    iterations: int = 3
+    iterations: int = 2
     """Largest number of steps of the optimiser after each association; 1 or more."""
     gross_m: tuple[float, float] = (0.010, 0.003)
     """Distance beyond which a residual counts as gross, in the first round and in the last, metres; above 0."""

@@ -37,6 +37,7 @@ _FINGER_STAGES = (
     Stage(gross_m=0.005, rounds=2, iterations=2),
     Stage(gross_m=0.003, rounds=1, iterations=2),
 )
+_FINEST = _FINGER_STAGES[1:]
 _WORTH_TRYING = 0.005  # share of the cost that another round of digits must have gained
 _FINGERS = (
     {"mcp_aa": 0.0, "mcp_fe": 0.0, "pip_fe": 5.0, "dip_fe": 3.0},
@@ -98,24 +99,21 @@ def fit_proposals(
     shape: Float[Tensor, "shape"],
     settings: HullStartSettings | None = None,
 ) -> Solutions:
-    """The best of some hands that may be centimetres and tens of degrees off, such as those that pictures were read to
-    show; fitted, () and () of them: each where it is proposed and with its palm in the hull's largest ball. Much quicker
-    than `find_in_hull`, and no better than the proposals.
+    """The best fit from some hands that may be centimetres and tens of degrees off, such as those that pictures were
+    read to show, without batch dimensions. Each is tried where it is proposed and with its palm in the hull's largest
+    ball. Much quicker than `find_in_hull`, and no better than the proposals.
 
-    proposals: (n,), at least one, with zero rotation vectors; those that are not finite are left out. target: not
-    empty.
+    proposals: (n,), at least one that is finite, with zero rotation vectors. target: not empty.
     """
     settings = settings or HullStartSettings()
     work = _Work.of(target, fitter, shape, settings)
     starts = _also_in_ball(proposals, target, fitter.hand, shape)
-    rough = replace(work.of_fingers, schedule=fitter.schedule)(work.some, work.likeliest(starts, settings.proposed))
-    best = with_other_fingers(work.some, rough.select(rough.best), work.of_fingers, settings.proposed_finger_rounds)
-    return replace(fitter, shape=shape)(target, HandPose.stack([best.pose])).select(0)
+    found = work.searching(work.some, work.likeliest(starts, settings.proposed))
+    best = with_other_fingers(work.some, found.select(found.best), work.of_fingers, settings.proposed_finger_rounds)
+    return work.finest(target, best)
 
 
-def _also_in_ball(
-    proposals: HandPose, target: HullTarget, hand: Hand, shape: Float[Tensor, "shape"]
-) -> HandPose:
+def _also_in_ball(proposals: HandPose, target: HullTarget, hand: Hand, shape: Float[Tensor, "shape"]) -> HandPose:
     """Hands, and the same with their palms in the middle of the largest ball inside a hull."""
     proposals = proposals.to(hand.shape)
     proposals = proposals[proposals.dofs.isfinite().all(-1)]
@@ -136,6 +134,8 @@ class _Work:
     """With some of the rays, or else of the points."""
     quick: HullFitter
     """In single precision."""
+    exact: HullFitter
+    """As the last hypotheses are fitted."""
     settings: HullStartSettings
 
     @classmethod
@@ -145,8 +145,14 @@ class _Work:
             some=some,
             few=_thinned(target, settings.points) if target.rays is None else some,
             quick=replace(fitter, hand=_in_single(fitter.hand), shape=shape.float()),
+            exact=replace(fitter, shape=shape),
             settings=settings,
         )
+
+    @property
+    def searching(self) -> HullFitter:
+        """From hands that may be far off."""
+        return replace(self.of_fingers, schedule=self.exact.schedule)
 
     @property
     def coarse(self) -> HullFitter:
@@ -161,6 +167,10 @@ class _Work:
     def of_fingers(self) -> HullFitter:
         settings = replace(self.quick.settings, vertices=self.settings.vertices)
         return replace(self.quick, settings=settings, schedule=_FINGER_STAGES)
+
+    def finest(self, target: HullTarget, best: Solutions) -> Solutions:
+        """One hypothesis that was fitted in single precision fitted to all of the target."""
+        return replace(self.exact, schedule=_FINEST)(target, HandPose.stack([best.pose])).select(0)
 
     def likeliest(self, starts: HandPose, count: int) -> HandPose:
         """The hands that explain most as they are, `count` at most, none turned like a better one."""

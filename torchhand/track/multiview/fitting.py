@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.fit import GaussianPrior, PostureResiduals, Solutions, Stage
+from torchhand.fit import GaussianPrior, PostureResiduals, SharedSolution, Solutions, SolveStatus, Stage
 from torchhand.fit.hull import (
     HullEvidence,
     HullFitter,
@@ -73,6 +73,20 @@ class HullFit:
             inside_fraction=float(evidence.inside),
             covered_fraction=float(evidence.covered),
             is_good=bool(evidence.is_good),
+            overlaps=overlaps,
+        )
+
+    def refitted(self, solution: SharedSolution, row: int, overlaps: Float[Tensor, "views"]) -> "HullFit":
+        """The fit of the same frame as one of several with one shape; its cost stays that of the frame by itself."""
+        is_sound = solution.frame_status != SolveStatus.FAILED.value
+        evidence = HullEvidence.told_by(solution.explained, is_sound)
+        return replace(
+            self,
+            pose=solution.pose[row],
+            covariance=solution.covariance[row],
+            inside_fraction=float(evidence.inside[row]),
+            covered_fraction=float(evidence.covered[row]),
+            is_good=bool(evidence.is_good[row]),
             overlaps=overlaps,
         )
 
@@ -245,6 +259,10 @@ class FrameFitter:
             settings=self.settings.hull,
             joints=replace(self.joints, weights=weights),
         )
+
+    def overlaps(self, pose: HandPose, shape: Float[Tensor, "shape"], masks: Masks) -> Float[Tensor, "views"]:
+        """Intersection over union of a hand () and the silhouettes, view by view; NaN where one is missing."""
+        return self._fitters_for(shape).comparison.overlaps(pose, masks)
 
     def _palm(self, pose: HandPose, shape: Tensor) -> Float[Tensor, "3"]:
         return palm_of(self.hand.kinematics(pose.dofs, shape, root_reference=pose.reference).keypoints)

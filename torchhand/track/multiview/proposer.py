@@ -1,4 +1,4 @@
-"""Hands that the views of one time are read to show: by detected keypoints of all views, and by a network view by view."""
+"""Hands that the views of one time are read to show: by the keypoints of all views, and by a network view by view."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -16,7 +16,7 @@ from torchhand.track.scene import Scene, detected_hand
 
 @dataclass(frozen=True, kw_only=True)
 class HandProposer:
-    """Proposes hands in the world of several cameras, for the silhouettes of all views to choose from and to correct."""
+    """Proposes hands in the world of several cameras, for the silhouettes of all to choose from and to correct."""
 
     kinematics: HandKinematics
     cameras: Sequence[Camera]

@@ -80,7 +80,7 @@ class RigSettings:
     shape_posture_weight: float = 0.8
     """Weight of the posture prior in the fit of the proportions; 0 or more. The less each frame's posture may deviate,
     the more the frames tell of the proportions."""
-    shape_frames: int = 12
+    shape_frames: int = 8
     """Frames, evenly over the sequence, to which the proportions are fitted once where they are not given; 0 keeps
     those of the generic hand."""
     sizes: tuple[float, ...] = (1.0,)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchhand.hand import HandPose
 from torchhand.track.knowledge import Keyframe, TrackerState
-from torchhand.track.multiview import FrameFitter, Hull, HullFit, HullUpdate, hull_about, hull_anywhere
+from torchhand.track.multiview import FrameFitter, HandProposer, Hull, HullFit, HullUpdate, hull_about, hull_anywhere
 from torchhand.track.proposals.protocol import Occasion, Proposals, ProposalSource, Proposed
 from torchhand.track.scene import Candidate, Health, Scene
 
@@ -138,9 +138,10 @@ class Keyframes:
 
 @dataclass(frozen=True, kw_only=True)
 class HullSearch:
-    """A search in the hull without any guess."""
+    """A search in the hull, from what the views are read to show and, where that fails, without any guess."""
 
     shared: HullProposals
+    propose: HandProposer
 
     @property
     def occasion(self) -> Occasion:
@@ -151,7 +152,9 @@ class HullSearch:
         shape = self.shared.fitter.hand.kinematics.default_shape if state.shape is None else state.shape
         hull = hull_anywhere(self.shared.fitter, scene, shape)
         new_shape = shape if state.shape is None else None
-        return self.shared.proposed(self.shared.fitter.search(hull, shape, scene.masks), hull, new_shape)
+        return self.shared.proposed(
+            self.shared.fitter.search(hull, shape, scene.masks, self.propose(scene, shape)), hull, new_shape
+        )
 
 
 def nearest_keyframes(keyframes: Sequence[Keyframe], time_s: float) -> list[HandPose]:
@@ -160,7 +163,7 @@ def nearest_keyframes(keyframes: Sequence[Keyframe], time_s: float) -> list[Hand
     return [one.pose.normalized() for one in ordered[:_MAX_KEYFRAMES]]
 
 
-def hull_sources(update: HullUpdate, health: Health) -> tuple[ProposalSource, ...]:
+def hull_sources(update: HullUpdate, health: Health, propose: HandProposer) -> tuple[ProposalSource, ...]:
     """All sources of one rig in the order in which they are asked."""
     shared = HullProposals(update=update, health=health)
     alternation = (Turns(shared=shared), Fingers(shared=shared)) * _ALTERNATIONS
@@ -169,5 +172,5 @@ def hull_sources(update: HullUpdate, health: Health) -> tuple[ProposalSource, ..
         Refit(shared=shared),
         *alternation,
         Keyframes(shared=shared),
-        HullSearch(shared=shared),
+        HullSearch(shared=shared, propose=propose),
     )
