@@ -36,9 +36,6 @@ _TURNS_DEG = (
     *((0.0, 0.0, angle) for angle in (-25.0, 25.0)),
 )
 """Rotation vectors about the hand's axes, degrees: mostly about that of the forearm."""
-_EXPLAINED = 0.80
-"""Score of a hand of unknown proportions from which on nothing else is looked for: proposals that reach it lay within
-20 mm of the truth in the mean over the joints, in every frame of the synthetic sequences of four cameras."""
 _ALIKE = 0.25  # part of what the best fit leaves unexplained: scores that differ by less are alike, the cost decides
 
 
@@ -233,21 +230,21 @@ class FrameFitter:
         tried = HandPose.of(torch.cat((moved, pose.dofs[3:].expand(len(moved), -1)), -1), references)
         return self._best(self._fitters_for(shape).refining, hull, tried, shape, masks)
 
-    def search(
-        self, hull: Hull, shape: Float[Tensor, "shape"], masks: Masks, proposals: HandPose | None = None
+    def fit_proposed(
+        self, hull: Hull, proposals: HandPose | None, shape: Float[Tensor, "shape"], masks: Masks
     ) -> HullFit | None:
-        """The best of some proposed hands and, where these leave much unexplained, of a search without any guess; None
-        where nothing can be looked for."""
-        if hull.target is None or hull.target.is_empty:
+        """The best of some proposed hands (n,), which may be a good way off; None without a hull or a proposal."""
+        if hull.target is None or hull.target.is_empty or proposals is None or not len(proposals):
             return None
-        fitter, settings = self._fitters_for(shape).searching, self.settings.start
-        best = None
-        if proposals is not None and len(proposals):
-            best = self._compared(fit_proposals(hull.target, fitter, proposals, shape, settings), shape, masks)
-            if best.score >= _EXPLAINED:
-                return best
-        found = find_in_hull(hull.target, fitter, shape[None], settings)
-        return best_of([best, *(self._compared(one.found, shape, masks) for one in found)])
+        fitter = self._fitters_for(shape).searching
+        return self._compared(fit_proposals(hull.target, fitter, proposals, shape, self.settings.start), shape, masks)
+
+    def search(self, hull: Hull, shape: Float[Tensor, "shape"], masks: Masks) -> HullFit | None:
+        """The best of a search without any guess; None where nothing can be looked for."""
+        if hull.target is None:
+            return None
+        found = find_in_hull(hull.target, self._fitters_for(shape).searching, shape[None], self.settings.start)
+        return best_of([self._compared(one.found, shape, masks) for one in found])
 
     def shape_fitter(self, shape: Float[Tensor, "shape"] | None) -> HullFitter:
         """What fits proportions, from those given or from the hand's own."""

@@ -115,5 +115,5 @@ def _agreement(fitter: FrameFitter, scene: Scene, propose: HandProposer) -> floa
     edges that it explains."""
     shape = fitter.hand.kinematics.default_shape
     hull = fitter.hull_anywhere(None, scene.masks)
-    found = fitter.search(hull, shape, scene.masks, propose(replace(scene, kept={}), shape))
+    found = fitter.fit_proposed(hull, propose(replace(scene, kept={}), shape), shape, scene.masks)
     return 0.0 if found is None else found.overlap * found.covered_fraction

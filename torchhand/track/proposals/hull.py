@@ -87,6 +87,26 @@ class Refit:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SeenHands:
+    """A hand as the views by themselves are read to show it, wherever one was followed."""
+
+    shared: HullProposals
+    propose: HandProposer
+
+    @property
+    def occasion(self) -> Occasion:
+        return "degraded"
+
+    def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
+        """Proposals of at most one hand."""
+        fitter = self.shared.fitter
+        shape = fitter.hand.kinematics.default_shape if state.shape is None else state.shape
+        hull = hull_anywhere(fitter, scene, shape)
+        fit = fitter.fit_proposed(hull, self.propose(scene, shape), shape, scene.masks)
+        return self.shared.proposed(fit, hull, shape if state.shape is None else None)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Turns:
     """The hand turned about its palm, as after a fast turn of the forearm."""
 
@@ -138,10 +158,9 @@ class Keyframes:
 
 @dataclass(frozen=True, kw_only=True)
 class HullSearch:
-    """A search in the hull, from what the views are read to show and, where that fails, without any guess."""
+    """A search in the hull without any guess."""
 
     shared: HullProposals
-    propose: HandProposer
 
     @property
     def occasion(self) -> Occasion:
@@ -152,9 +171,7 @@ class HullSearch:
         shape = self.shared.fitter.hand.kinematics.default_shape if state.shape is None else state.shape
         hull = hull_anywhere(self.shared.fitter, scene, shape)
         new_shape = shape if state.shape is None else None
-        return self.shared.proposed(
-            self.shared.fitter.search(hull, shape, scene.masks, self.propose(scene, shape)), hull, new_shape
-        )
+        return self.shared.proposed(self.shared.fitter.search(hull, shape, scene.masks), hull, new_shape)
 
 
 def nearest_keyframes(keyframes: Sequence[Keyframe], time_s: float) -> list[HandPose]:
@@ -170,7 +187,8 @@ def hull_sources(update: HullUpdate, health: Health, propose: HandProposer) -> t
     return (
         KeyframeHere(shared=shared),
         Refit(shared=shared),
+        SeenHands(shared=shared, propose=propose),
         *alternation,
         Keyframes(shared=shared),
-        HullSearch(shared=shared, propose=propose),
+        HullSearch(shared=shared),
     )
