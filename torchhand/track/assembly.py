@@ -15,7 +15,7 @@ from torchhand.hand import Hand, HandKinematics, named_pose_space
 from torchhand.image import BackgroundPlate
 from torchhand.track.belief import HandMotion
 from torchhand.track.extended import ExtendedUpdate, ExtendedUpdateSettings
-from torchhand.track.multiview import FrameFitter, HandProposer, HullUpdate
+from torchhand.track.multiview import AccumulatedShape, FrameFitter, HandProposer, HullUpdate
 from torchhand.track.proposals import (
     KeypointHand,
     KeypointStart,
@@ -63,6 +63,8 @@ class Assembly:
     keypoint_settings: KeypointSettings
     has_learned_posture: bool = False
     """Whether a network tells the posture of the followed hand."""
+    accumulated_shape: AccumulatedShape | None = None
+    """How proportions are fitted while a hand is followed; None where they are known, or those of the first hand."""
 
     def keypoints(self, scene: Scene) -> SceneKeypoints:
         """What detectors found in a scene."""
@@ -93,7 +95,7 @@ def assembled(
     ingredients = _Ingredients(hand=hand, settings=settings, motion=motion, table=table)
     if len(cameras) == 1:
         return _of_one_camera(ingredients, cameras[0], shape, start_points, plates)
-    return _of_a_rig(ingredients, cameras, plates)
+    return _of_a_rig(ingredients, cameras, shape, plates)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,7 +190,9 @@ def _of_one_camera(
     )
 
 
-def _of_a_rig(own: _Ingredients, cameras: Sequence[Camera], plates: Sequence[BackgroundPlate] | None) -> Assembly:
+def _of_a_rig(
+    own: _Ingredients, cameras: Sequence[Camera], shape: Tensor | None, plates: Sequence[BackgroundPlate] | None
+) -> Assembly:
     """The world is that of the cameras."""
     s, health = own.settings, Health(settings=own.settings.health.for_rig())
     exact = tuple(camera.to(dtype=torch.float64) for camera in cameras)
@@ -216,4 +220,5 @@ def _of_a_rig(own: _Ingredients, cameras: Sequence[Camera], plates: Sequence[Bac
         health=health,
         takes_proposals=takes_proposals,
         keypoint_settings=s.keypoints,
+        accumulated_shape=AccumulatedShape(fitter=fits) if shape is None and rig.shape_frames else None,
     )

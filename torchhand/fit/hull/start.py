@@ -116,12 +116,12 @@ def fit_proposals(
 def _also_in_ball(proposals: HandPose, target: HullTarget, hand: Hand, shape: Float[Tensor, "shape"]) -> HandPose:
     """Hands, and the same with their palms in the middle of the largest ball inside a hull."""
     proposals = proposals.to(hand.shape)
-    proposals = proposals[proposals.dofs.isfinite().all(-1)]
+    proposals = proposals[proposals.dofs.isfinite().all(-1).nonzero()[:, 0]]
     points = hand.kinematics(proposals.dofs, shape.to(hand.shape), root_reference=proposals.reference).keypoints
     shift = _balls(target, 1).to(points) - palm_of(points)
     moved = torch.cat((proposals.dofs[:, :3] + shift, proposals.dofs[:, 3:]), -1)
-    is_away = shift.norm(dim=-1) > _NEAR
-    return HandPose.cat([proposals, replace(proposals, dofs=moved)[is_away]])
+    away = (shift.norm(dim=-1) > _NEAR).nonzero()[:, 0]
+    return HandPose.cat([proposals, replace(proposals, dofs=moved)[away]])
 
 
 @dataclass(frozen=True, kw_only=True)

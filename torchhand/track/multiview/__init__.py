@@ -1,5 +1,6 @@
 """Several cameras: silhouettes, their hull, a hand found in it without a guess, its proportions, and the MAP update."""
 
+from torchhand.track.multiview.accumulated_shape import AccumulatedShape
 from torchhand.track.multiview.fitting import FrameFitter, HullFit
 from torchhand.track.multiview.hand_initialization import HandInitialization, evenly_spaced_frames, initialize_hand
 from torchhand.track.multiview.hulls import Hull
@@ -10,6 +11,7 @@ from torchhand.track.multiview.settings import HullOctreeSettings, RigSettings
 from torchhand.track.multiview.update import HullUpdate, hull_about, hull_anywhere
 
 __all__ = [
+    "AccumulatedShape",
     "FrameFitter",
     "HandInitialization",
     "HandProposer",

@@ -16,10 +16,19 @@ from torchhand.fit.hull import (
     finger_proposals,
     fit_by_torques,
     fit_proposals,
+    fit_shape,
     palm_of,
 )
 from torchhand.geometry import Camera, rotation_from_vector
-from torchhand.hand import ConstraintSettings, Hand, HandPose, HandPrior, PoseConstraints, named_pose_space
+from torchhand.hand import (
+    Anthropometry,
+    ConstraintSettings,
+    Hand,
+    HandPose,
+    HandPrior,
+    PoseConstraints,
+    named_pose_space,
+)
 from torchhand.track.multiview.hulls import Hull, Hulls
 from torchhand.track.multiview.settings import RigSettings
 from torchhand.track.scene import Masks, SilhouetteComparison, mean_overlap
@@ -246,16 +255,26 @@ class FrameFitter:
         found = find_in_hull(hull.target, self._fitters_for(shape).searching, shape[None], self.settings.start)
         return best_of([self._compared(one.found, shape, masks) for one in found])
 
-    def shape_fitter(self, shape: Float[Tensor, "shape"] | None) -> HullFitter:
-        """What fits proportions, from those given or from the hand's own."""
+    def fit_shape(
+        self, hulls: Sequence[Hull], starts: HandPose, shape: Float[Tensor, "shape"], *, is_rough: bool
+    ) -> SharedSolution:
+        """Proportions and poses fitted to the hulls of several frames, none empty, from some proportions.
+
+        is_rough: with half the rounds, where more will follow.
+        """
         weights = replace(self.settings.joints, postures=self.settings.shape_posture_weight)
-        return HullFitter(
+        fitter = HullFitter(
             hand=self.hand,
             space=self.space,
             shape=shape,
             settings=self.settings.hull,
             joints=replace(self.joints, weights=weights),
         )
+        settings = self.settings.shape
+        if is_rough:
+            settings = replace(settings, rounds=max(1, settings.rounds // 2))
+        targets = [hull.target for hull in hulls if hull.target is not None]
+        return fit_shape(fitter, targets, starts, Anthropometry(self.hand.kinematics.shape_space), settings)
 
     def overlaps(self, pose: HandPose, shape: Float[Tensor, "shape"], masks: Masks) -> Float[Tensor, "views"]:
         """Intersection over union of a hand () and the silhouettes, view by view; NaN where one is missing."""

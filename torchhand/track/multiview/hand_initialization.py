@@ -8,8 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.fit import SharedSolution
-from torchhand.fit.hull import fit_shape
-from torchhand.hand import Anthropometry, HandPose
+from torchhand.hand import HandPose
 from torchhand.track.multiview.fitting import FrameFitter, HullFit, best_of
 from torchhand.track.multiview.hulls import Hull
 from torchhand.track.scene import Masks, Scene
@@ -19,7 +18,8 @@ _EXPLAINED = 0.80
 mean over the joints, in every frame of the synthetic sequences of four cameras."""
 _MAX_DROP_FOR_SHAPE = 0.08  # score below the best frame's with which a frame enters the fit of the proportions
 _MAX_DROP_AS_FOUND = 0.15  # score below the best frame's with which a hand still counts as found
-_SHAPE_AT = (1, 3, 6)  # hands that were found, with which the proportions are fitted before the last time
+SHAPE_AT = (1, 3, 6)
+"""Hands that were found, with which the proportions are fitted before the last time."""
 _MAX_POSES = 8  # poses of other frames that are tried as starts
 
 
@@ -88,7 +88,7 @@ def initialize_hand(
                 sizes = [size]
                 break
         seen.append(frame)
-        if shape is None and frame.fit is not None and len(_fits_of(seen)) in _SHAPE_AT:
+        if shape is None and frame.fit is not None and len(_fits_of(seen)) in SHAPE_AT:
             seen, solution = _with_shape(fitter, seen, sizes[0], is_rough=True)
             sizes = [solution.shape]
         done(frame.fit is not None)
@@ -127,16 +127,8 @@ def _with_shape(
     is_rough: with half the rounds, where more will follow.
     """
     good = _for_shape(seen)
-    settings = fitter.settings.shape
-    if is_rough:
-        settings = replace(settings, rounds=max(1, settings.rounds // 2))
-    solution = fit_shape(
-        fitter.shape_fitter(shape),
-        [frame.hull.target for frame in good if frame.hull.target is not None],
-        HandPose.stack([fit.pose for fit in _fits_of(good)]),
-        Anthropometry(fitter.hand.kinematics.shape_space),
-        settings,
-    )
+    starts = HandPose.stack([fit.pose for fit in _fits_of(good)])
+    solution = fitter.fit_shape([frame.hull for frame in good], starts, shape, is_rough=is_rough)
     refitted = {}
     for row, frame in enumerate(good):
         assert frame.fit is not None

@@ -27,7 +27,7 @@ class HullOctreeSettings:
     """Side of the cube that is divided, metres; null: what all cameras see together."""
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Centre of the cube where its side is given, world frame, metres."""
-    tracked_side: float | None = 0.75
+    tracked_side: float | None = 0.45
     """Side of a smaller cube about the hand while it is followed, metres; null: always the whole cube."""
     start_leaf: float = 0.004
     """Side of the finest octants in the whole cube, metres at most; above 0."""
