@@ -159,7 +159,7 @@ class HullStartSettings:
     """Best hypotheses of each size of which single digits are tried in other postures; 1 or more."""
     finger_rounds: int = 4
     """Largest number of rounds in which single digits are tried in other postures; 0 or more."""
-    proposed: int = 8
+    proposed: int = 16
     """Hypotheses that are fitted of those that are proposed to a search; 1 or more."""
     proposed_finger_rounds: int = 1
     """Rounds in which single digits of the best of these are tried in other postures; 0 or more."""
