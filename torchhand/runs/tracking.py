@@ -2,6 +2,7 @@
 
 import contextlib
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -176,7 +177,7 @@ class _RigStart:
         Raises InputError where the rig's unit is to be fitted and no hand is found.
         """
         recording = self.recording
-        found = self._initialization()
+        found = self._initialization(say)
         if self.request.unit == "hand":
             if found.metres is None:
                 raise InputError(f"{recording.folder}: --unit hand: expected a hand in some views, found none")
@@ -192,7 +193,7 @@ class _RigStart:
         provenance = self._provenance(found.hand) | {"unit_m": metres}
         return Run(recording, self.tracker(metres), provenance, state=state, metres=metres)
 
-    def _initialization(self) -> Initialization:
+    def _initialization(self, say: Say) -> Initialization:
         silhouettes = ViewSilhouettes(self.recording.cameras, self.settings.silhouette, plates=self.plates)
         sample = self.recording.sample(max(1, self.settings.rig.shape_frames))
         frames = ((frame.index, with_keypoints(frame, self.keypoints, None).views) for frame in sample)
@@ -203,7 +204,13 @@ class _RigStart:
             dynamic_ncols=True,
             disable=not sys.stderr.isatty(),
         ) as bar:
-            return initialize(
+            started, first = time.perf_counter(), list[float]()
+
+            def done(is_found: bool) -> None:
+                bar.update()
+                first.extend([time.perf_counter() - started] if is_found and not first else [])
+
+            found = initialize(
                 self.hand,
                 silhouettes,
                 frames,
@@ -211,8 +218,13 @@ class _RigStart:
                 self._proposer,
                 shape=self.known,
                 fits_unit=self.request.unit == "hand",
-                done=lambda is_found: bar.update(),
+                done=done,
             )
+        if first:
+            total = time.perf_counter() - started
+            told = f"its proportions and poses in {len(found.hand.poses)} frames after {total:.1f} s"
+            say(f"a first hand was found after {first[0]:.1f} s, {told}")
+        return found
 
     @property
     def _proposer(self) -> HandProposer:
