@@ -1,16 +1,17 @@
 """A run from the first frame to its results: what is asked for, recordings, checkpoints and overlays."""
 
 from torchhand.runs.changes import changes_of
-from torchhand.runs.overlay import overlay_frames
-from torchhand.runs.recording import OneCameraRecording, RecordedFrame, Recording, RigRecording
+from torchhand.runs.overlays import overlay_frames
+from torchhand.runs.recordings import LiveRecording, OneCameraRecording, RecordedFrame, Recording, RigRecording
 from torchhand.runs.records import record_of, undetermined_fingers
 from torchhand.runs.request import Request, keypoints_of, known_hand, settings_of, start_points_of
 from torchhand.runs.run import Run, Say, header_of
 from torchhand.runs.seen_hands import cameras_of_detections, seen_keypoints
 from torchhand.runs.short import fit_hand, track
-from torchhand.runs.tracking import how_to_go_on, summary_of, track_rig, track_sequence
+from torchhand.runs.tracking import how_to_go_on, summary_of, track_live_rig, track_rig, track_sequence
 
 __all__ = [
+    "LiveRecording",
     "OneCameraRecording",
     "RecordedFrame",
     "Recording",
@@ -32,6 +33,7 @@ __all__ = [
     "start_points_of",
     "summary_of",
     "track",
+    "track_live_rig",
     "track_rig",
     "track_sequence",
     "undetermined_fingers",

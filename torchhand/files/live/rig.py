@@ -75,6 +75,10 @@ class LiveRig:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop the threads and let go of the cameras; may be called twice."""
         self._stopped.set()
         for thread in self._threads:
             thread.join()
@@ -83,7 +87,7 @@ class LiveRig:
     def __iter__(self) -> Iterator[LivePictures]:
         while True:
             with self._changed:
-                while (found := self._pairing.ready(self._now_s())) is None:
+                while (found := self._pairing.ready(self.now_s())) is None:
                     if self._pairing.is_over:
                         return
                     self._changed.wait(_LONGEST_WAIT_S)
@@ -103,7 +107,8 @@ class LiveRig:
                 for camera, (source, _) in enumerate(self._sources)
             )
 
-    def _now_s(self) -> float:
+    def now_s(self) -> float:
+        """Time since the start, seconds: that of the time stamps."""
         return time.monotonic() - self._start_s
 
     def _capture(self, camera: int) -> None:
@@ -111,13 +116,13 @@ class LiveRig:
         source, is_webcam = self._sources[camera]
         try:
             for frame in source:
-                stamp_s = self._now_s() if is_webcam else frame.index / source.fps
-                if self._stopped.wait(max(0.0, stamp_s - self._now_s())):
+                stamp_s = self.now_s() if is_webcam else frame.index / source.fps
+                if self._stopped.wait(max(0.0, stamp_s - self.now_s())):
                     return
                 if frame.image is None:
                     self._unreadable[camera] += 1
                     continue
-                self._tell(partial(self._pairing.add, camera, stamp_s, frame.image, self._now_s()))
+                self._tell(partial(self._pairing.add, camera, stamp_s, frame.image, self.now_s()))
         except InputError as error:  # such as a picture of another size: this camera ends, the others go on
             self._problems[camera] = str(error)
         finally:
