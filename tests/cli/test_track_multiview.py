@@ -3,7 +3,7 @@
 import io
 import json
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -83,10 +83,10 @@ def _initialized_once() -> Iterator[None]:
     found: dict[bytes, Initialization] = {}
 
     def remembered(
-        hand: Hand, silhouettes: ViewSilhouettes, frames: list, *rest: Any, **options: Any
+        hand: Hand, silhouettes: ViewSilhouettes, frames: Iterable, *rest: Any, **options: Any
     ) -> Initialization:
-        done = options.pop("done")
-        what = (silhouettes.cameras, silhouettes.settings, frames, rest[1:], options)
+        done, frames = options.pop("done"), list(frames)
+        what = (silhouettes.cameras, silhouettes.settings, frames, rest[:1], options)
         content = io.BytesIO()
         torch.save(what, content)
         key = content.getvalue()

@@ -2,6 +2,7 @@
 
 import contextlib
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,16 +19,15 @@ from torchhand.files import FrameRecord, Track, TrackWriter, check_output_folder
 from torchhand.files.pictures import input_identity
 from torchhand.files.results import JSONL_NAME, OVERLAY_NAME, STATUSES, UNFINISHED_NAME
 from torchhand.geometry import Camera
-from torchhand.hand import Anthropometry
 from torchhand.runs.detected_tracks import kept_detections
-from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks
+from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks, with_keypoints
 from torchhand.runs.overlays import draw_live, write_overlay, write_views
 from torchhand.runs.recordings import LiveRecording, OneCameraRecording, RecordedFrame, RigRecording, rig_plates
 from torchhand.runs.request import MEDIAPIPE, Request, check_start_points, plate_of
 from torchhand.runs.run import CHECKPOINT_EVERY, Run, Say, header_of, track_frames
 from torchhand.runs.second_pass import smooth_frames
 from torchhand.track import Keyframe, Tracker, TrackerState
-from torchhand.track.multiview import HandInitialization, Initialization, in_unit, initialize
+from torchhand.track.multiview import HandInitialization, HandProposer, Initialization, in_unit, initialize
 from torchhand.track.scene import ViewSilhouettes
 from torchhand.view import HandProjector
 
@@ -155,7 +155,7 @@ def _track_views(recording: RigRecording | LiveRecording, out_dir: Path, request
     files, detectors = request.keypoint_tracks(recording.cameras), request.detectors(recording.cameras)
     for line in recording.notes:
         say(line)
-    start = _RigStart(recording, request)
+    start = _RigStart(recording, request, files)
     with (
         _writer(out_dir, recording, request, detectors) as writer,
         _keypoints(files, detectors, writer, recording, request.start, say) as keypoints,
@@ -190,7 +190,11 @@ def _track_views(recording: RigRecording | LiveRecording, out_dir: Path, request
 class _RigStart:
     """How a hand is found before it is followed: in frames from all over the recording."""
 
-    def __init__(self, recording: RigRecording | LiveRecording, request: Request) -> None:
+    def __init__(
+        self, recording: RigRecording | LiveRecording, request: Request, keypoints: KeypointTracks | None
+    ) -> None:
+        """keypoints: those of files, which tell of the hand in any frame."""
+        self.keypoints = keypoints
         self.recording, self.request, self.settings = recording, request, request.settings
         self.hand = load_hand_model().hand(side=request.known_side, dtype=torch.float64)
         self.known = _known_shape(request)
@@ -208,7 +212,7 @@ class _RigStart:
         Raises InputError where the rig's unit is to be fitted and no hand is found.
         """
         recording = self.recording
-        found = self._initialization()
+        found = self._initialization(say)
         if self.request.unit == "hand":
             if found.metres is None:
                 raise InputError(f"{recording.folder}: --unit hand: expected a hand in some views, found none")
@@ -224,31 +228,48 @@ class _RigStart:
         provenance = self._provenance(found.hand) | {"unit_m": metres}
         return Run(recording, self.tracker(metres), provenance, state=state, metres=metres)
 
-    def _initialization(self) -> Initialization:
+    def _initialization(self, say: Say) -> Initialization:
         silhouettes = ViewSilhouettes(self.recording.cameras, self.settings.silhouette, plates=self.plates)
         sample = self.recording.sample(max(1, self.settings.rig.shape_frames))
-        given = self.recording.has_masks
-        frames = [
-            (
-                frame.index,
-                [view.image for view in frame.views],
-                [view.mask for view in frame.views] if given else None,
-            )
-            for frame in sample
-        ]
+        frames = ((frame.index, with_keypoints(frame, self.keypoints, None).views) for frame in sample)
         with tqdm(
-            total=len(frames), desc="initializing", unit="frame", dynamic_ncols=True, disable=not sys.stderr.isatty()
+            total=self.settings.rig.shape_frames,
+            desc="initializing",
+            unit="frame",
+            dynamic_ncols=True,
+            disable=not sys.stderr.isatty(),
         ) as bar:
-            return initialize(
+            started, first = time.perf_counter(), list[float]()
+
+            def done(is_found: bool) -> None:
+                bar.update()
+                first.extend([time.perf_counter() - started] if is_found and not first else [])
+
+            found = initialize(
                 self.hand,
                 silhouettes,
                 frames,
-                Anthropometry(self.hand.kinematics.shape_space),
                 self.settings.rig,
+                self._proposer,
                 shape=self.known,
                 fits_unit=self.request.unit == "hand",
-                done=bar.update,
+                done=done,
             )
+        if first:
+            total = time.perf_counter() - started
+            told = f"its proportions and poses in {len(found.hand.poses)} frames after {total:.1f} s"
+            say(f"a first hand was found after {first[0]:.1f} s, {told}")
+        return found
+
+    @property
+    def _proposer(self) -> HandProposer:
+        s = self.settings
+        return HandProposer(
+            kinematics=self.hand.kinematics,
+            cameras=self.recording.cameras,
+            keypoints=s.keypoints,
+            has_network=s.learned_proposals,
+        )
 
     def _provenance(self, found: HandInitialization) -> dict[str, Any]:
         method = "visual hulls" if self.known is None else "given"

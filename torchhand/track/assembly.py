@@ -15,7 +15,7 @@ from torchhand.hand import Hand, HandKinematics, named_pose_space
 from torchhand.image import BackgroundPlate
 from torchhand.track.belief import HandMotion
 from torchhand.track.extended import ExtendedUpdate, ExtendedUpdateSettings
-from torchhand.track.multiview import FrameFitter, HullUpdate
+from torchhand.track.multiview import AccumulatedShape, FrameFitter, HandProposer, HullUpdate
 from torchhand.track.proposals import (
     KeypointHand,
     KeypointStart,
@@ -63,6 +63,8 @@ class Assembly:
     keypoint_settings: KeypointSettings
     has_learned_posture: bool = False
     """Whether a network tells the posture of the followed hand."""
+    accumulated_shape: AccumulatedShape | None = None
+    """How proportions are fitted while a hand is followed; None where they are known, or those of the first hand."""
 
     def keypoints(self, scene: Scene) -> SceneKeypoints:
         """What detectors found in a scene."""
@@ -93,7 +95,7 @@ def assembled(
     ingredients = _Ingredients(hand=hand, settings=settings, motion=motion, table=table)
     if len(cameras) == 1:
         return _of_one_camera(ingredients, cameras[0], shape, start_points, plates)
-    return _of_a_rig(ingredients, cameras, plates)
+    return _of_a_rig(ingredients, cameras, shape, plates)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,7 +190,9 @@ def _of_one_camera(
     )
 
 
-def _of_a_rig(own: _Ingredients, cameras: Sequence[Camera], plates: Sequence[BackgroundPlate] | None) -> Assembly:
+def _of_a_rig(
+    own: _Ingredients, cameras: Sequence[Camera], shape: Tensor | None, plates: Sequence[BackgroundPlate] | None
+) -> Assembly:
     """The world is that of the cameras."""
     s, health = own.settings, Health(settings=own.settings.health.for_rig())
     exact = tuple(camera.to(dtype=torch.float64) for camera in cameras)
@@ -198,6 +202,12 @@ def _of_a_rig(own: _Ingredients, cameras: Sequence[Camera], plates: Sequence[Bac
     fits = FrameFitter(own.hand, silhouettes.cameras, rig)
     motion = own.motion if takes_proposals else replace(own.motion, space=fits.space)
     hull = HullUpdate(fits, motion, health)
+    proposer = HandProposer(
+        kinematics=own.hand.kinematics,
+        cameras=silhouettes.cameras,
+        keypoints=s.keypoints,
+        has_network=s.learned_proposals,
+    )
     detected = KeypointHand(kinematics=own.hand.kinematics, cameras=silhouettes.cameras, settings=s.keypoints)
     return Assembly(
         kinematics=own.hand.kinematics,
@@ -206,8 +216,9 @@ def _of_a_rig(own: _Ingredients, cameras: Sequence[Camera], plates: Sequence[Bac
         motion=own.motion,
         segmentation=RigSegmentation(silhouettes=silhouettes),
         rule=hull if takes_proposals else own.rule(silhouettes.cameras),
-        sources=(detected, *hull_sources(hull, health)),
+        sources=(detected, *hull_sources(hull, health, proposer)),
         health=health,
         takes_proposals=takes_proposals,
         keypoint_settings=s.keypoints,
+        accumulated_shape=AccumulatedShape(fitter=fits) if shape is None and rig.shape_frames else None,
     )

@@ -219,7 +219,11 @@ class Tracker:
     def _started(self, state: TrackerState | None) -> TrackerState:
         if state is not None:
             return state
-        return TrackerState(shape=self.known_shape, search_after=self.parts.health.settings.first_search_after)
+        return TrackerState(
+            shape=self.known_shape,
+            search_after=self.parts.health.settings.first_search_after,
+            shape_frames=None if self.parts.accumulated_shape is None else (),
+        )
 
     def _check(self, views: Sequence[View], state: TrackerState, time_s: float) -> None:
         if len(views) != len(self.cameras):
@@ -351,6 +355,8 @@ class Tracker:
         was_lost = state.has_started and predicted is None
         state = self._remembered(state, search.proposed, best, scene, is_new=is_new)
         estimate = self._estimate("recovered" if was_lost else "tracked", best, state, scene)
+        if self.parts.accumulated_shape is not None:
+            state = self.parts.accumulated_shape(state, best, scene)
         return state, replace(estimate, is_new=is_new)
 
     def _remembered(

@@ -4,11 +4,13 @@ import pytest
 import torch
 
 from torchhand.fit.hull import HullShapeSettings, HullStartSettings
-from torchhand.hand import Anthropometry, HandPose
+from torchhand.hand import HandPose
 from torchhand.track.multiview.fitting import FrameFitter
 from torchhand.track.multiview.hand_initialization import evenly_spaced_frames, initialize_hand
+from torchhand.track.multiview.proposer import HandProposer
 from torchhand.track.multiview.scale import in_unit, resized_pose, resized_shape, rough_units, size_factor
 from torchhand.track.multiview.settings import RigSettings
+from torchhand.track.scene import Scene, View
 
 SETTINGS = RigSettings(
     start=HullStartSettings(places=1, rolls=4, postures=("open",), coarse=6, fine=2, finger_rounds=0),
@@ -24,20 +26,27 @@ def test_frames_are_spaced_evenly(count, wanted, expected):
     assert evenly_spaced_frames(count, wanted) == expected
 
 
-def test_hand_is_found_in_the_frames_that_show_it(rig_hand, rig, pose_at, masks_of):
+def _scene(masks) -> Scene:
+    views = tuple(View(mask=mask) for mask in masks)
+    return Scene(views=views, masks=tuple(masks), probabilities=(None,) * len(masks), time_s=0.0)
+
+
+def _proposer(fitter: FrameFitter) -> HandProposer:
+    return HandProposer(kinematics=fitter.hand.kinematics, cameras=fitter.cameras)
+
+
+@pytest.mark.parametrize("has_network", [True, False])
+def test_hand_is_found_in_the_frames_that_show_it(has_network, rig_hand, rig, pose_at, masks_of):
+    """By what the network proposes, or by a search in the hull."""
     fitter = FrameFitter(rig_hand, rig, SETTINGS)
-    population = Anthropometry(rig_hand.kinematics.shape_space)
     poses = [pose_at(), pose_at(turn=0.45)]
     empty = [torch.zeros_like(mask) for mask in masks_of(poses[0])]
+    frames = [(3, _scene(masks_of(poses[0]))), (8, _scene(empty)), (9, _scene(masks_of(poses[1])))]
     done = []
     with torch.inference_mode():
-        found = initialize_hand(
-            fitter,
-            [(3, masks_of(poses[0])), (8, empty), (9, masks_of(poses[1]))],
-            population,
-            done=lambda: done.append(1),
-        )
-    assert len(done) == 3
+        proposer = replace(_proposer(fitter), has_network=has_network)
+        found = initialize_hand(fitter, iter(frames), proposer, done=done.append)
+    assert done == [True, False, True]
     assert set(found.poses) == {3, 9}
     assert found.shape_frames == (3, 9)
     space = rig_hand.kinematics.shape_space
@@ -52,7 +61,7 @@ def test_hand_is_found_in_the_frames_that_show_it(rig_hand, rig, pose_at, masks_
 def test_no_hand_is_found_where_there_is_none(rig_hand, rig, pose_at, masks_of):
     fitter = FrameFitter(rig_hand, rig, SETTINGS)
     empty = [torch.zeros_like(mask) for mask in masks_of(pose_at())]
-    found = initialize_hand(fitter, [(0, empty)], Anthropometry(rig_hand.kinematics.shape_space))
+    found = initialize_hand(fitter, [(0, _scene(empty))], _proposer(fitter))
     assert not found.poses
     assert found.shape_std is None
     torch.testing.assert_close(found.shape, rig_hand.kinematics.default_shape)

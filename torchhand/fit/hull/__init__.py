@@ -17,7 +17,7 @@ from torchhand.fit.hull.settings import (
 )
 from torchhand.fit.hull.shape import fit_shape
 from torchhand.fit.hull.skin import SkinPoints
-from torchhand.fit.hull.start import HullStart, find_in_hull, finger_proposals, palm_of
+from torchhand.fit.hull.start import HullStart, find_in_hull, finger_proposals, fit_proposals, palm_of
 from torchhand.fit.hull.target import HullField, HullTarget, target_of, with_rays
 from torchhand.fit.hull.torque import HullTorqueFit, fit_by_torques
 from torchhand.fit.hull.vertices import SkinVertices
@@ -49,6 +49,7 @@ __all__ = [
     "find_in_hull",
     "finger_proposals",
     "fit_by_torques",
+    "fit_proposals",
     "fit_shape",
     "palm_of",
     "silhouette_rays",

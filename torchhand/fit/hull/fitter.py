@@ -4,6 +4,7 @@ Both sides count: the skin must be inside the hull (all that silhouettes say for
 silhouette's edge must touch the skin. Palm and fingers move together.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -11,7 +12,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.fit import Observation, Problem, Schedule, Solutions, solve
+from torchhand.fit import Explained, Observation, Problem, Schedule, Solutions, solve
 from torchhand.fit.hull import coverage, inside
 from torchhand.fit.hull.coverage import CoverageObservation
 from torchhand.fit.hull.inside import InsideObservation
@@ -83,15 +84,20 @@ class HullEvidence:
 
     @classmethod
     def of(cls, found: Solutions) -> "HullEvidence":
-        nothing = torch.zeros_like(found.cost)
+        """Of fitted hands."""
         if not found.explained:
+            nothing = torch.zeros_like(found.cost)
             return cls(covered=nothing, near=nothing, inside=nothing)
-        skin, edges = found.explained_by(inside.NAME), found.explained_by(coverage.NAME)
+        return cls.told_by(found.explained, found.is_sound)
+
+    @classmethod
+    def told_by(cls, explained: Sequence[Explained], is_sound: Bool[Tensor, "*hypotheses"]) -> "HullEvidence":
+        """By what a solution tells of its observations, a row for each hypothesis or frame."""
+        skin, edges = (next(one for one in explained if one.name == name) for name in (inside.NAME, coverage.NAME))
         assert skin.inside is not None
-        fractions = (edges.fraction, skin.fraction, skin.inside)
         covered, near, within = (
-            torch.where(found.is_sound, fraction.reshape(found.cost.shape).to(nothing), nothing)
-            for fraction in fractions
+            torch.where(is_sound, fraction.reshape(is_sound.shape), 0.0)
+            for fraction in (edges.fraction, skin.fraction, skin.inside)
         )
         return cls(covered=covered, near=near, inside=within)
 

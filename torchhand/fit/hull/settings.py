@@ -159,13 +159,18 @@ class HullStartSettings:
     """Best hypotheses of each size of which single digits are tried in other postures; 1 or more."""
     finger_rounds: int = 4
     """Largest number of rounds in which single digits are tried in other postures; 0 or more."""
+    proposed: int = 16
+    """Hypotheses that are fitted of those that are proposed to a search; 1 or more."""
+    proposed_finger_rounds: int = 1
+    """Rounds in which single digits of the best of these are tried in other postures; 0 or more."""
     evaluated_at_once: int = 64
     """Hypotheses that are evaluated together; bounds the memory. 1 or more."""
 
     def __post_init__(self) -> None:
         counts = ("places", "rolls", "vertices", "points", "coarse", "fine", "rays", "finger_hypotheses")
-        _require_count("hull_start", self, *counts, "evaluated_at_once")
-        require(self.finger_rounds >= 0, "hull_start.finger_rounds", "0 or more", self.finger_rounds)
+        _require_count("hull_start", self, *counts, "evaluated_at_once", "proposed")
+        for name in ("finger_rounds", "proposed_finger_rounds"):
+            require(getattr(self, name) >= 0, f"hull_start.{name}", "0 or more", getattr(self, name))
         require(len(self.postures) > 0, "hull_start.postures", "at least one", self.postures)
         require_positive("hull_start.far_m", self.far_m)
 
@@ -174,9 +179,9 @@ class HullStartSettings:
 class HullShapeSettings:
     """How the proportions of a hand are fitted to the hulls of several frames."""
 
-    rounds: int = 24
+    rounds: int = 6
     """Associations of all frames' data with the posed hands; 1 or more."""
-    iterations: int = 3
+    iterations: int = 2
     """Largest number of steps of the optimiser after each association; 1 or more."""
     gross_m: tuple[float, float] = (0.010, 0.003)
     """Distance beyond which a residual counts as gross, in the first round and in the last, metres; above 0."""

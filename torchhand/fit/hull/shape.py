@@ -14,6 +14,9 @@ from torchhand.fit.hull.settings import HullShapeSettings
 from torchhand.fit.hull.target import HullTarget
 from torchhand.hand import Anthropometry, HandPose
 
+_COST_TOLERANCE, _POSE_TOLERANCE = 1e-3, 1e-2
+"""Shares of the cost below which a step is not worth taking before the next association, of all frames and of one."""
+
 
 def fit_shape(
     fitter: HullFitter,
@@ -42,5 +45,7 @@ def fit_shape(
         observations=tuple(FrameObservations(frames=frames) for frames in kinds),
         shared=SharedUnknowns.of_shape(population, weight=settings.population_weight),
     )
-    found = solve_shared(problem, starts, settings.schedule)
+    found = solve_shared(
+        problem, starts, settings.schedule, cost_tolerance=_COST_TOLERANCE, pose_tolerance=_POSE_TOLERANCE
+    )
     return replace(found, pose=found.pose.normalized(), shape=population.project(found.shape))

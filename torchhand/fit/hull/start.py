@@ -1,4 +1,4 @@
-"""A hand found in a visual hull without any guess: from the hull's shape alone.
+"""A hand found in a visual hull without any guess, from the hull's shape alone, or from hands that something proposes.
 
 The palm is where the largest balls inside the hull are; the hand may point along any axis of the hull or between them,
 turned about that direction in any way (so either facing), in a few postures and sizes. All of that is evaluated
@@ -10,6 +10,7 @@ import copy
 import itertools
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import torch
 from jaxtyping import Float, Int
@@ -29,12 +30,14 @@ _BLANKED = 1.0  # no two balls have centres nearer than so many radii of the lar
 _MIN_BALL = 0.7  # smallest radius of a ball over that of the largest
 _MIN_INNER = 8  # grid points inside a hull in which something can be looked for
 _ALIKE = math.cos(math.radians(25.0) / 2)  # hypotheses turned by less count as the same
+_NEAR = 0.01  # metres: proposals whose palm is nearer to the largest ball are not tried there too
 _COARSE = (Stage(gross_m=0.030, rounds=3, iterations=2), Stage(gross_m=0.012, rounds=1, iterations=2))
 _FINGER_STAGES = (
     Stage(gross_m=0.012, rounds=2, iterations=2),
     Stage(gross_m=0.005, rounds=2, iterations=2),
     Stage(gross_m=0.003, rounds=1, iterations=2),
 )
+_FINEST = _FINGER_STAGES[1:]
 _WORTH_TRYING = 0.005  # share of the cost that another round of digits must have gained
 _FINGERS = (
     {"mcp_aa": 0.0, "mcp_fe": 0.0, "pip_fe": 5.0, "dip_fe": 3.0},
@@ -89,23 +92,106 @@ def find_in_hull(
     return sorted(found, key=lambda one: float(one.found.cost))
 
 
+def fit_proposals(
+    target: HullTarget,
+    fitter: HullFitter,
+    proposals: HandPose,
+    shape: Float[Tensor, "shape"],
+    settings: HullStartSettings | None = None,
+) -> Solutions:
+    """The best fit from some hands that may be centimetres and tens of degrees off, such as those that pictures were
+    read to show, without batch dimensions. Each is tried where it is proposed and with its palm in the hull's largest
+    ball. Much quicker than `find_in_hull`, and no better than the proposals.
+
+    proposals: (n,), at least one that is finite, with zero rotation vectors. target: not empty.
+    """
+    settings = settings or HullStartSettings()
+    work = _Work.of(target, fitter, shape, settings)
+    starts = _also_in_ball(proposals, target, fitter.hand, shape)
+    found = work.searching(work.some, work.likeliest(starts, settings.proposed))
+    best = with_other_fingers(work.some, found.select(found.best), work.of_fingers, settings.proposed_finger_rounds)
+    return work.finest(target, best)
+
+
+def _also_in_ball(proposals: HandPose, target: HullTarget, hand: Hand, shape: Float[Tensor, "shape"]) -> HandPose:
+    """Hands, and the same with their palms in the middle of the largest ball inside a hull."""
+    proposals = proposals.to(hand.shape)
+    proposals = proposals[proposals.dofs.isfinite().all(-1).nonzero()[:, 0]]
+    points = hand.kinematics(proposals.dofs, shape.to(hand.shape), root_reference=proposals.reference).keypoints
+    shift = _balls(target, 1).to(points) - palm_of(points)
+    moved = torch.cat((proposals.dofs[:, :3] + shift, proposals.dofs[:, 3:]), -1)
+    away = (shift.norm(dim=-1) > _NEAR).nonzero()[:, 0]
+    return HandPose.cat([proposals, replace(proposals, dofs=moved)[away]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Work:
+    """What hypotheses of one size are compared and fitted with."""
+
+    some: HullTarget
+    """With some of the rays."""
+    few: HullTarget
+    """With some of the rays, or else of the points."""
+    quick: HullFitter
+    """In single precision."""
+    exact: HullFitter
+    """As the last hypotheses are fitted."""
+    settings: HullStartSettings
+
+    @classmethod
+    def of(cls, target: HullTarget, fitter: HullFitter, shape: Tensor, settings: HullStartSettings) -> "_Work":
+        some = target if target.rays is None else replace(target, rays=target.rays.thinned(settings.rays))
+        return cls(
+            some=some,
+            few=_thinned(target, settings.points) if target.rays is None else some,
+            quick=replace(fitter, hand=_in_single(fitter.hand), shape=shape.float()),
+            exact=replace(fitter, shape=shape),
+            settings=settings,
+        )
+
+    @property
+    def searching(self) -> HullFitter:
+        """From hands that may be far off."""
+        return replace(self.of_fingers, schedule=self.exact.schedule)
+
+    @property
+    def coarse(self) -> HullFitter:
+        return replace(
+            self.quick,
+            settings=HullSettings(vertices=self.settings.vertices),
+            joints=JointPriors(constraints=self.quick.joints.constraints, postures=self.quick.joints.postures),
+            schedule=_COARSE,
+        )
+
+    @cached_property
+    def of_fingers(self) -> HullFitter:
+        settings = replace(self.quick.settings, vertices=self.settings.vertices)
+        return replace(self.quick, settings=settings, schedule=_FINGER_STAGES)
+
+    def finest(self, target: HullTarget, best: Solutions) -> Solutions:
+        """One hypothesis that was fitted in single precision fitted to all of the target."""
+        return replace(self.exact, schedule=_FINEST)(target, HandPose.stack([best.pose])).select(0)
+
+    def likeliest(self, starts: HandPose, count: int) -> HandPose:
+        """The hands that explain most as they are, `count` at most, none turned like a better one."""
+        with torch.inference_mode():
+            cost = _evaluated(self.few, self.quick, starts, self.settings)
+        return starts[_distinct(cost, starts, count)]
+
+
+@lru_cache(maxsize=2)
+def _in_single(hand: Hand) -> Hand:
+    """The hand in single precision; made once."""
+    with torch.inference_mode(False):  # kept for callers in any mode
+        return copy.deepcopy(hand).to(torch.float32)
+
+
 def _of_size(
     target: HullTarget, fitter: HullFitter, shape: Float[Tensor, "shape"], size: int, settings: HullStartSettings
 ) -> list[HullStart]:
-    some = target if target.rays is None else replace(target, rays=target.rays.thinned(settings.rays))
-    few = _thinned(target, settings.points) if target.rays is None else some
-    quick = replace(fitter, hand=copy.deepcopy(fitter.hand).to(torch.float32), shape=shape.float())
-    coarse = replace(
-        quick,
-        settings=HullSettings(vertices=settings.vertices),
-        joints=JointPriors(constraints=fitter.joints.constraints, postures=fitter.joints.postures),
-        schedule=_COARSE,
-    )
-    of_fingers = replace(quick, settings=replace(fitter.settings, vertices=settings.vertices), schedule=_FINGER_STAGES)
-    starts = hypotheses(target, fitter.hand, shape, settings)
-    with torch.inference_mode():
-        cost = _evaluated(few, quick, starts, settings)
-    rough = coarse(few, starts[_distinct(cost, starts, settings.coarse)])
+    work = _Work.of(target, fitter, shape, settings)
+    some, of_fingers = work.some, work.of_fingers
+    rough = work.coarse(work.few, work.likeliest(hypotheses(target, fitter.hand, shape, settings), settings.coarse))
     better = of_fingers(some, rough.pose[_distinct(rough.cost, rough.pose, settings.fine)])
     best = [better.select(index) for index in better.cost.argsort().tolist()[: settings.finger_hypotheses]]
     if not best:

@@ -103,7 +103,9 @@ def target_of(field: volume.HullField, *, points: int = 500) -> HullTarget:
     value, pitch = field.values.flatten(), field.pitch
 
     def grid(places: Int[Tensor, "n"]) -> Float[Tensor, "n 3"]:
-        return field.origin + torch.stack(torch.unravel_index(places, field.values.shape), -1) * pitch
+        _, height, width = field.values.shape  # torch.unravel_index takes a second to import what it needs
+        index = (places // (height * width), places // width % height, places % width)
+        return field.origin + torch.stack(index, -1) * pitch
 
     inside, around = places_of(value < 0), places_of(value.abs() <= 0.9 * pitch)
     order = torch.randperm(len(around), generator=torch.Generator().manual_seed(0))[: _SPARE * points]

@@ -1,7 +1,7 @@
 """Vertices spread over the skin of a hand, and what each of them counts in a fit."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import torch
 from jaxtyping import Float, Int
@@ -41,8 +41,21 @@ def spread_vertices(hand: Hand, count: int) -> tuple[Int[Tensor, "points"], Floa
     """Vertices spread evenly over a hand's skin, and the share of its area that each stands for.
 
     Each is the farthest from those before it, on the open hand of the hand's default shape. At most as many as there
-    are.
+    are. Computed once for a hand.
     """
+    return _spread(hand, count, hand.shape.dtype, hand.shape.device)
+
+
+@lru_cache(maxsize=16)
+def _spread(
+    hand: Hand, count: int, dtype: torch.dtype, device: torch.device
+) -> tuple[Int[Tensor, "points"], Float[Tensor, "points"]]:
+    """dtype, device: the hand's, as a module may be moved."""
+    with torch.inference_mode(False):  # kept for callers in any mode
+        return _farthest(hand, count)
+
+
+def _farthest(hand: Hand, count: int) -> tuple[Int[Tensor, "points"], Float[Tensor, "points"]]:
     device = hand.faces.device
     vertices = hand.skinning.rest_vertices.T
     vertices = vertices + (hand.skinning.rest_basis @ hand.kinematics.metres(hand.kinematics.default_shape)).T

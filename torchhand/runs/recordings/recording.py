@@ -193,17 +193,15 @@ class RigRecording:
         if self.has_masks:
             self.notes.append("the silhouettes are those in masks_0, masks_1, ...")
 
-    def sample(self, frames: int) -> list[RecordedFrame]:
-        """Frames, so many at most, evenly over the part that is tracked."""
+    def sample(self, frames: int) -> Iterator[RecordedFrame]:
+        """Frames, so many at most, evenly over the part that is tracked, read as they are asked for."""
         chosen = {self.start + place for place in evenly_spaced_frames(self.count or _UNKNOWN_LENGTH, frames)}
-        found = []
         with self._open(0) as source:
             for frame in self._frames(source):
                 if frame.index in chosen:
-                    found.append(frame)
-                    if len(found) == len(chosen):
+                    yield frame
+                    if frame.index == max(chosen):
                         break
-        return found
 
     @contextlib.contextmanager
     def opened(self, done: int) -> Iterator[Iterator[RecordedFrame]]:

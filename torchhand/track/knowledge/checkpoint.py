@@ -11,14 +11,16 @@ from torchhand.hand import HandPose
 from torchhand.image import ColourModel, SkinModel
 from torchhand.numerics import Gaussian
 from torchhand.track.belief import FollowedHand
-from torchhand.track.knowledge.state import Keyframe, TrackerState
-from torchhand.track.scene import LearnedSkin
+from torchhand.track.knowledge.state import Keyframe, ShapeFrame, TrackerState
+from torchhand.track.scene import LearnedSkin, PackedMask
 
 _RECORDS = {
     record.__name__: record
     for record in (
         TrackerState,
         Keyframe,
+        ShapeFrame,
+        PackedMask,
         FollowedHand,
         HandPose,
         Gaussian,

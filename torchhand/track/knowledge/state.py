@@ -8,7 +8,7 @@ from torch import Tensor
 from torchhand.files import FrameStatus
 from torchhand.hand import HandPose
 from torchhand.track.belief import FollowedHand
-from torchhand.track.scene import Appearances
+from torchhand.track.scene import Appearances, PackedMask
 
 _SAME_TIME_S = 1e-3
 
@@ -27,6 +27,16 @@ class Keyframe:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ShapeFrame:
+    """What a frame tells of the proportions of a hand that several cameras follow."""
+
+    pose: HandPose
+    """Pose with a zero rotation vector."""
+    masks: tuple[PackedMask | None, ...]
+    """Silhouettes of all views; None where there is none."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class TrackerState:
     """Everything a tracker knows between two frames; `Tracker.step` takes one and returns the next."""
 
@@ -42,6 +52,8 @@ class TrackerState:
     """Posture of the first hand as it was fitted, for which a search looks."""
     keyframes: tuple[Keyframe, ...] = ()
     """Hands that were found before tracking began."""
+    shape_frames: tuple[ShapeFrame, ...] | None = None
+    """Frames so far to which the proportions are fitted while several cameras follow a hand; None where these stand."""
     usual_score: float = 0.0
     """How much of the pictures the frames before were explained, 0 to 1; 0 before there is one."""
     best_score: float = 0.0

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.fit import GaussianPrior, PostureResiduals, Solutions, Stage
+from torchhand.fit import GaussianPrior, PostureResiduals, SharedSolution, Solutions, SolveStatus, Stage
 from torchhand.fit.hull import (
     HullEvidence,
     HullFitter,
@@ -15,10 +15,20 @@ from torchhand.fit.hull import (
     find_in_hull,
     finger_proposals,
     fit_by_torques,
+    fit_proposals,
+    fit_shape,
     palm_of,
 )
 from torchhand.geometry import Camera, rotation_from_vector
-from torchhand.hand import ConstraintSettings, Hand, HandPose, HandPrior, PoseConstraints, named_pose_space
+from torchhand.hand import (
+    Anthropometry,
+    ConstraintSettings,
+    Hand,
+    HandPose,
+    HandPrior,
+    PoseConstraints,
+    named_pose_space,
+)
 from torchhand.track.multiview.hulls import Hull, Hulls
 from torchhand.track.multiview.settings import RigSettings
 from torchhand.track.scene import Masks, SilhouetteComparison, mean_overlap
@@ -69,6 +79,20 @@ class HullFit:
             inside_fraction=float(evidence.inside),
             covered_fraction=float(evidence.covered),
             is_good=bool(evidence.is_good),
+            overlaps=overlaps,
+        )
+
+    def refitted(self, solution: SharedSolution, row: int, overlaps: Float[Tensor, "views"]) -> "HullFit":
+        """The fit of the same frame as one of several with one shape; its cost stays that of the frame by itself."""
+        is_sound = solution.frame_status != SolveStatus.FAILED.value
+        evidence = HullEvidence.told_by(solution.explained, is_sound)
+        return replace(
+            self,
+            pose=solution.pose[row],
+            covariance=solution.covariance[row],
+            inside_fraction=float(evidence.inside[row]),
+            covered_fraction=float(evidence.covered[row]),
+            is_good=bool(evidence.is_good[row]),
             overlaps=overlaps,
         )
 
@@ -176,20 +200,6 @@ class FrameFitter:
         fits = [self._best(own, hull, starts, shape, masks) for own in (fitters.refining, fitters.searching)]
         return best_of(fits)
 
-    def fit_in_place(
-        self, hull: Hull, pose: HandPose, others: Sequence[HandPose], shape: Float[Tensor, "shape"], masks: Masks
-    ) -> list[HullFit]:
-        """Hands fitted from one, and from where others would be if their palms were where its palm is."""
-        if hull.target is None:
-            return []
-        palm = self._palm(pose, shape)
-        moved = [
-            replace(other, dofs=torch.cat((other.dofs[:3] + palm - self._palm(other, shape), other.dofs[3:])))
-            for other in others
-        ]
-        found = self._fitters_for(shape).searching(hull.target, HandPose.stack([pose, *moved]))
-        return [self._compared(found.select(index), shape, masks) for index in found.is_sound.nonzero()[:, 0].tolist()]
-
     def vary_fingers(
         self, hull: Hull, pose: HandPose, others: Sequence[HandPose], shape: Float[Tensor, "shape"], masks: Masks
     ) -> HullFit | None:
@@ -215,6 +225,15 @@ class FrameFitter:
         tried = HandPose.of(torch.cat((moved, pose.dofs[3:].expand(len(moved), -1)), -1), references)
         return self._best(self._fitters_for(shape).refining, hull, tried, shape, masks)
 
+    def fit_proposed(
+        self, hull: Hull, proposals: HandPose | None, shape: Float[Tensor, "shape"], masks: Masks
+    ) -> HullFit | None:
+        """The best of some proposed hands (n,), which may be a good way off; None without a hull or a proposal."""
+        if hull.target is None or hull.target.is_empty or proposals is None or not len(proposals):
+            return None
+        fitter = self._fitters_for(shape).searching
+        return self._compared(fit_proposals(hull.target, fitter, proposals, shape, self.settings.start), shape, masks)
+
     def search(self, hull: Hull, shape: Float[Tensor, "shape"], masks: Masks) -> HullFit | None:
         """The best of a search without any guess; None where nothing can be looked for."""
         if hull.target is None:
@@ -222,16 +241,30 @@ class FrameFitter:
         found = find_in_hull(hull.target, self._fitters_for(shape).searching, shape[None], self.settings.start)
         return best_of([self._compared(one.found, shape, masks) for one in found])
 
-    def shape_fitter(self, shape: Float[Tensor, "shape"] | None) -> HullFitter:
-        """What fits proportions, from those given or from the hand's own."""
+    def fit_shape(
+        self, hulls: Sequence[Hull], starts: HandPose, shape: Float[Tensor, "shape"], *, is_rough: bool
+    ) -> SharedSolution:
+        """Proportions and poses fitted to the hulls of several frames, none empty, from some proportions.
+
+        is_rough: with half the rounds, where more will follow.
+        """
         weights = replace(self.settings.joints, postures=self.settings.shape_posture_weight)
-        return HullFitter(
+        fitter = HullFitter(
             hand=self.hand,
             space=self.space,
             shape=shape,
             settings=self.settings.hull,
             joints=replace(self.joints, weights=weights),
         )
+        settings = self.settings.shape
+        if is_rough:
+            settings = replace(settings, rounds=max(1, settings.rounds // 2))
+        targets = [hull.target for hull in hulls if hull.target is not None]
+        return fit_shape(fitter, targets, starts, Anthropometry(self.hand.kinematics.shape_space), settings)
+
+    def overlaps(self, pose: HandPose, shape: Float[Tensor, "shape"], masks: Masks) -> Float[Tensor, "views"]:
+        """Intersection over union of a hand () and the silhouettes, view by view; NaN where one is missing."""
+        return self._fitters_for(shape).comparison.overlaps(pose, masks)
 
     def _palm(self, pose: HandPose, shape: Tensor) -> Float[Tensor, "3"]:
         return palm_of(self.hand.kinematics(pose.dofs, shape, root_reference=pose.reference).keypoints)

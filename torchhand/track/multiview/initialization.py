@@ -1,20 +1,22 @@
 """The start on a recording: skin colours of every view, the rig's unit where it is unknown, poses and proportions."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, islice
 
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.hand import Anthropometry, Hand
+from torchhand.hand import Hand
 from torchhand.track.multiview.fitting import FrameFitter
 from torchhand.track.multiview.hand_initialization import HandInitialization, initialize_hand
+from torchhand.track.multiview.proposer import HandProposer
 from torchhand.track.multiview.scale import in_unit, resized_pose, resized_shape, rough_units, size_factor
 from torchhand.track.multiview.settings import RigSettings
-from torchhand.track.scene import Images, LearnedSkin, Masks, ViewSilhouettes
+from torchhand.track.scene import LearnedSkin, RigSegmentation, Scene, View, ViewSilhouettes
 
-Frame = tuple[int, Images, Masks | None]
-"""A frame's index, the pictures of all views, and the silhouettes where they are given."""
+Frame = tuple[int, tuple[View, ...]]
+"""A frame's index, and its views."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,54 +34,73 @@ class Initialization:
 def initialize(
     hand: Hand,
     silhouettes: ViewSilhouettes,
-    frames: Sequence[Frame],
-    population: Anthropometry,
+    frames: Iterable[Frame],
     settings: RigSettings,
+    proposer: HandProposer,
     *,
     shape: Float[Tensor, "shape"] | None = None,
     fits_unit: bool = False,
-    done: Callable[[], object] = lambda: None,
+    done: Callable[[bool], object] = lambda is_found: None,
 ) -> Initialization:
     """Learn colours, unit, proportions and poses from some frames of a recording.
 
-    shape: known proportions. fits_unit: the unit of the cameras' translations is not known and is chosen so that the
-    hand is as large as `shape` or, without it, as the average. done: called after every frame.
+    frames: read as they are needed where silhouettes are given, so that the first hand does not wait for the last
+    frame. proposer: its cameras do not count. shape: known proportions. fits_unit: the unit of the cameras'
+    translations is not known and is chosen so that the hand is as large as `shape` or, without it, as the average.
+    done: called after every frame, told whether the hand was found.
     """
-    skins: list[LearnedSkin | None] = [None] * len(silhouettes.cameras)
-    for _, images, given in frames:
-        if given is None:
-            skins = silhouettes.learn(images, skins)
-    seen = [
-        (index, silhouettes(images, skins) if given is None else silhouettes.undistorted(given))
-        for index, images, given in frames
-    ]
+    skins, frames = _with_skins(silhouettes, frames)
+    segmentation = RigSegmentation(silhouettes=silhouettes)
+    seen = ((index, segmentation.scene(views, tuple(skins), float(index))) for index, views in frames)
     if fits_unit:
-        return _with_unit(hand, silhouettes, seen, population, settings, shape, skins, done)
+        return _with_unit(hand, silhouettes, tuple(seen), settings, proposer, shape, skins, done)
     fitter = FrameFitter(hand, silhouettes.cameras, settings)
     if settings.shape_frames == 0 and shape is None:
         shape = hand.kinematics.default_shape
-    return Initialization(hand=initialize_hand(fitter, seen, population, shape=shape, done=done), skins=skins)
+    found = initialize_hand(fitter, seen, replace(proposer, cameras=fitter.cameras), shape=shape, done=done)
+    return Initialization(hand=found, skins=skins)
+
+
+def _with_skins(
+    silhouettes: ViewSilhouettes, frames: Iterable[Frame]
+) -> tuple[list[LearnedSkin | None], Iterable[Frame]]:
+    """The skin colours of all frames, and the frames; without reading them where the first has all its silhouettes."""
+    skins: list[LearnedSkin | None] = [None] * len(silhouettes.cameras)
+    left = iter(frames)
+    first = tuple(islice(left, 1))
+    if all(view.image is None or view.mask is not None for _, views in first for view in views):
+        return skins, chain(first, left)
+    every = (*first, *left)
+    for _, views in every:
+        skins = silhouettes.learn([view.image if view.mask is None else None for view in views], skins)
+    return skins, every
 
 
 def _with_unit(
     hand: Hand,
     silhouettes: ViewSilhouettes,
-    seen: Sequence[tuple[int, Masks]],
-    population: Anthropometry,
+    seen: Sequence[tuple[int, Scene]],
     settings: RigSettings,
+    proposer: HandProposer,
     shape: Tensor | None,
     skins: Sequence[LearnedSkin | None],
-    done: Callable[[], object],
+    done: Callable[[bool], object],
 ) -> Initialization:
     """Initialization with the unit that makes the hand as large as it is known, or expected, to be."""
     space = hand.kinematics.shape_space
-    units, decisive = rough_units(silhouettes.cameras, seen)
-    fitters = {unit: FrameFitter(hand, in_unit(silhouettes.cameras, unit), settings) for unit in units}
-    if not fitters:
+    units, decisive = rough_units(silhouettes.cameras, [(index, scene.masks) for index, scene in seen])
+    if not units:
         nothing = HandInitialization(shape=hand.kinematics.default_shape, shape_std=None, poses={}, shape_frames=())
         return Initialization(hand=nothing, skins=skins)
-    nominal = max(fitters, key=lambda unit: max(_agreement(fitters[unit], masks) for _, masks in decisive))
-    found = initialize_hand(fitters[nominal], seen, population, done=done)
+    fitters = {unit: FrameFitter(hand, in_unit(silhouettes.cameras, unit), settings) for unit in units}
+    proposers = {unit: replace(proposer, cameras=fitter.cameras) for unit, fitter in fitters.items()}
+    shown = dict(seen)
+
+    def agreement(unit: float) -> float:
+        return max(_agreement(fitters[unit], shown[index], proposers[unit]) for index, _ in decisive)
+
+    nominal = max(units, key=agreement)
+    found = initialize_hand(fitters[nominal], seen, proposers[nominal], done=done)
     if not found.poses:
         return Initialization(hand=found, skins=skins)
     known = space.default.to(found.shape) if shape is None else shape
@@ -89,8 +110,10 @@ def _with_unit(
     return Initialization(hand=replace(found, shape=own, poses=poses), skins=skins, metres=factor * nominal)
 
 
-def _agreement(fitter: FrameFitter, masks: Masks) -> float:
+def _agreement(fitter: FrameFitter, scene: Scene, propose: HandProposer) -> float:
     """How well a generic hand explains the silhouettes of a frame, 0 to 1: the overlap times the fraction of their
     edges that it explains."""
-    found = fitter.search(fitter.hull_anywhere(None, masks), fitter.hand.kinematics.default_shape, masks)
+    shape = fitter.hand.kinematics.default_shape
+    hull = fitter.hull_anywhere(None, scene.masks)
+    found = fitter.fit_proposed(hull, propose(replace(scene, kept={}), shape), shape, scene.masks)
     return 0.0 if found is None else found.overlap * found.covered_fraction

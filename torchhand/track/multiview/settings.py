@@ -27,7 +27,7 @@ class HullOctreeSettings:
     """Side of the cube that is divided, metres; null: what all cameras see together."""
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Centre of the cube where its side is given, world frame, metres."""
-    tracked_side: float | None = 0.75
+    tracked_side: float | None = 0.45
     """Side of a smaller cube about the hand while it is followed, metres; null: always the whole cube."""
     start_leaf: float = 0.004
     """Side of the finest octants in the whole cube, metres at most; above 0."""
@@ -80,7 +80,7 @@ class RigSettings:
     shape_posture_weight: float = 0.8
     """Weight of the posture prior in the fit of the proportions; 0 or more. The less each frame's posture may deviate,
     the more the frames tell of the proportions."""
-    shape_frames: int = 12
+    shape_frames: int = 8
     """Frames, evenly over the sequence, to which the proportions are fitted once where they are not given; 0 keeps
     those of the generic hand."""
     sizes: tuple[float, ...] = (1.0,)

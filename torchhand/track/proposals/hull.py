@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchhand.hand import HandPose
 from torchhand.track.knowledge import Keyframe, TrackerState
-from torchhand.track.multiview import FrameFitter, Hull, HullFit, HullUpdate, hull_about, hull_anywhere
+from torchhand.track.multiview import FrameFitter, HandProposer, Hull, HullFit, HullUpdate, hull_about, hull_anywhere
 from torchhand.track.proposals.protocol import Occasion, Proposals, ProposalSource, Proposed
 from torchhand.track.scene import Candidate, Health, Scene
 
@@ -87,6 +87,26 @@ class Refit:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SeenHands:
+    """A hand as the views by themselves are read to show it, wherever one was followed."""
+
+    shared: HullProposals
+    propose: HandProposer
+
+    @property
+    def occasion(self) -> Occasion:
+        return "degraded"
+
+    def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
+        """Proposals of at most one hand."""
+        fitter = self.shared.fitter
+        shape = fitter.hand.kinematics.default_shape if state.shape is None else state.shape
+        hull = hull_anywhere(fitter, scene, shape)
+        fit = fitter.fit_proposed(hull, self.propose(scene, shape), shape, scene.masks)
+        return self.shared.proposed(fit, hull, shape if state.shape is None else None)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Turns:
     """The hand turned about its palm, as after a fast turn of the forearm."""
 
@@ -160,13 +180,14 @@ def nearest_keyframes(keyframes: Sequence[Keyframe], time_s: float) -> list[Hand
     return [one.pose.normalized() for one in ordered[:_MAX_KEYFRAMES]]
 
 
-def hull_sources(update: HullUpdate, health: Health) -> tuple[ProposalSource, ...]:
+def hull_sources(update: HullUpdate, health: Health, propose: HandProposer) -> tuple[ProposalSource, ...]:
     """All sources of one rig in the order in which they are asked."""
     shared = HullProposals(update=update, health=health)
     alternation = (Turns(shared=shared), Fingers(shared=shared)) * _ALTERNATIONS
     return (
         KeyframeHere(shared=shared),
         Refit(shared=shared),
+        SeenHands(shared=shared, propose=propose),
         *alternation,
         Keyframes(shared=shared),
         HullSearch(shared=shared),

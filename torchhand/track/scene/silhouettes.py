@@ -25,17 +25,17 @@ Masks = Sequence[Bool[Tensor, "_height _width"] | None]
 class PackedMask:
     """A mask in an eighth of its memory."""
 
-    bits: UInt8[np.ndarray, "bytes"]
+    bits: UInt8[Tensor, "bytes"]
     shape: tuple[int, int]
     """Height and width."""
 
     @classmethod
     def of(cls, mask: Bool[Tensor, "height width"]) -> "PackedMask":
-        return cls(bits=np.packbits(mask.cpu().numpy()), shape=(mask.shape[0], mask.shape[1]))
+        return cls(bits=torch.from_numpy(np.packbits(mask.cpu().numpy())), shape=(mask.shape[0], mask.shape[1]))
 
     def mask(self) -> Bool[Tensor, "height width"]:
         """As it was, on the CPU."""
-        flat = np.unpackbits(self.bits, count=self.shape[0] * self.shape[1])
+        flat = np.unpackbits(self.bits.numpy(), count=self.shape[0] * self.shape[1])
         return torch.from_numpy(flat.view(bool).reshape(self.shape))
 
 

@@ -1,0 +1,68 @@
+"""Proportions of a hand while it is followed: fitted ever more finely to a few frames that show it differently."""
+
+from dataclasses import dataclass, replace
+
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.hand import HandPose
+from torchhand.track.knowledge import ShapeFrame, TrackerState
+from torchhand.track.multiview.fitting import FrameFitter
+from torchhand.track.multiview.hand_initialization import SHAPE_AT
+from torchhand.track.scene import Candidate, PackedMask, Scene
+
+_APART = 0.6  # radians, over all joint angles and the turn, between frames that tell different things
+_TURN = 0.7  # radians of joint angles that a radian of the hand's own turn is worth there
+
+
+@dataclass(frozen=True, kw_only=True)
+class AccumulatedShape:
+    """Keeps frames that show a followed hand otherwise than those before, and fits proportions and poses to all of
+    them, until there are as many as `RigSettings.shape_frames`: then the proportions stand, and no frame is kept."""
+
+    fitter: FrameFitter
+
+    def __call__(self, state: TrackerState, found: Candidate, scene: Scene) -> TrackerState:
+        """The state after a frame in which a hand was followed or found."""
+        frames, wanted = state.shape_frames, self.fitter.settings.shape_frames
+        if frames is None or state.shape is None or not self._is_news(frames, found):
+            return state
+        frames = (*frames, self._frame(found, scene))
+        is_last = len(frames) >= wanted
+        if not is_last and len(frames) not in SHAPE_AT:
+            return replace(state, shape_frames=frames)
+        shape, frames = self._fitted(frames, state.shape, is_rough=not is_last)
+        return replace(state, shape=shape, shape_frames=None if is_last else frames)
+
+    def _is_news(self, frames: tuple[ShapeFrame, ...], found: Candidate) -> bool:
+        if not found.is_sound or found.overlap < self.fitter.settings.found_overlap:
+            return False
+        return all(_distance(frame.pose, found.pose.normalized()) > _APART for frame in frames)
+
+    def _frame(self, found: Candidate, scene: Scene) -> ShapeFrame:
+        masks = tuple(None if mask is None else PackedMask.of(mask) for mask in scene.masks)
+        return ShapeFrame(pose=found.pose.normalized(), masks=masks)
+
+    def _fitted(
+        self, frames: tuple[ShapeFrame, ...], shape: Float[Tensor, "shape"], *, is_rough: bool
+    ) -> tuple[Float[Tensor, "shape"], tuple[ShapeFrame, ...]]:
+        """Proportions and the frames with the poses that go with them; frames without a hull drop out."""
+        seen = []
+        for frame in frames:
+            masks = [None if mask is None else mask.mask() for mask in frame.masks]
+            hull = self.fitter.hull_about(frame.pose, shape, masks)
+            if hull.target is not None and not hull.target.is_empty:
+                seen.append((frame, hull))
+        if not seen:
+            return shape, frames
+        starts = HandPose.stack([frame.pose for frame, _ in seen])
+        solution = self.fitter.fit_shape([hull for _, hull in seen], starts, shape, is_rough=is_rough)
+        posed = tuple(replace(frame, pose=solution.pose[row]) for row, (frame, _) in enumerate(seen))
+        return solution.shape, posed
+
+
+def _distance(one: HandPose, other: HandPose) -> float:
+    """Radians between two postures with their directions; zero rotation vectors."""
+    bent = (one.dofs[6:] - other.dofs[6:]).square().sum()
+    turned = (one.reference - other.reference).square().sum() / 2  # of a small turn: its angle's square
+    return float((bent + _TURN**2 * turned).sqrt())
