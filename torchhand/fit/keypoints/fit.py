@@ -15,6 +15,7 @@ from torchhand.fit.keypoints.points import Detector, KeypointSettings, frames_of
 from torchhand.fit.keypoints.posture import PostureKeypoints
 from torchhand.fit.keypoints.prior import natural_posture
 from torchhand.fit.keypoints.relative import RelativeKeypoints
+from torchhand.fit.keypoints.rig import ViewLag, triangulated
 from torchhand.fit.keypoints.seen import SeenKeypoints
 from torchhand.fit.keypoints.settings import KeypointFitSettings
 from torchhand.fit.keypoints.world import WorldKeypoints
@@ -109,8 +110,10 @@ def fit_keypoints(
     views = _views(keypoints, camera, confidence, settings)
     if views:
         batch, seen = views[0].batch_shape, [_usable(view.flat(like), settings) for view in views]
+        seen, in_space = _agreeing(seen, settings)
         good = torch.stack([view.points_px.isfinite().any((-2, -1)) for view in seen]).any(0).nonzero()[:, 0]
         measured = _in_pictures(kinematics, shape, seen, good, settings)
+        measured = replace(measured, triangulated=None if in_space is None else in_space[good])
         count = len(seen[0].points_px)
     else:
         assert isinstance(keypoints, Tensor)
@@ -228,6 +231,9 @@ def _in_pictures(
             loss=_loss(settings, 2),
             detector=detector,
         )
+        if number and settings.lag_std > 0:
+            lag = ViewLag.of(view.points_px, std=settings.lag_std, place=len(detector.extra) + number - 1)
+            seen = replace(seen, lag=lag)
         pictures.append(seen.rows(good))
         coarse.append(wide[good])
         if view.points is None:
@@ -250,6 +256,18 @@ def _usable(view: SeenKeypoints, settings: KeypointFitSettings) -> SeenKeypoints
     is_bad = torch.ones(len(points), dtype=torch.bool, device=points.device)
     is_bad[_good(points, settings)] = False
     return replace(view, points_px=points).without(is_bad)
+
+
+def _agreeing(
+    views: Sequence[SeenKeypoints], settings: KeypointFitSettings
+) -> tuple[Sequence[SeenKeypoints], Float[Tensor, "frames 21 3"] | None]:
+    """Without what a view shows of another hand than most, and the points that several views show; None for one."""
+    if len(views) < 2:
+        return views, None
+    points = [view.points_px for view in views]
+    found = triangulated([view.camera for view in views], points, [_std_px(own, settings)[1] for own in points])
+    is_other = ~found.agrees & found.agrees.any(-1, keepdim=True)
+    return [view.without(is_other[:, number]) for number, view in enumerate(views)], found.points
 
 
 def _good(points: Float[Tensor, "frames 21 d"], settings: KeypointFitSettings) -> Int[Tensor, "n"]:
@@ -322,7 +340,7 @@ def _result(estimator: KeypointEstimator, shape: Float[Tensor, "shape"]) -> Keyp
     """The fit of the frames that have enough points."""
     found = estimator.estimate(shape)
     solution, space = found.solution, estimator.space
-    observed = tuple(replace(one, detector=found.detector) for one in estimator.measured.points)
+    observed = tuple(replace(one, detector=found.detector) for one in found.measured.points)
     jacobian = PoseJacobian(observed[0].kinematics, space.basis)
     parts = [
         _measured(
