@@ -143,8 +143,8 @@ class Explained:
 
     @classmethod
     def joined(cls, parts: "Sequence[tuple[Explained, ...]]", counts: Sequence[int]) -> "tuple[Explained, ...]":
-        """Explanations of all kinds and views, for the hands of all parts, whose numbers are `counts`; NaN for the hands
-        of a part in which there were no data of that kind and view."""
+        """Explanations of all kinds and views, for the hands of all parts, whose numbers are `counts`; NaN for the
+        hands of a part in which there were no data of that kind and view."""
         if all(len(part) == len(parts[0]) for part in parts):
             return tuple(cls.cat(own) for own in zip(*parts, strict=True))
         found = [_by_kind(part) for part in parts]

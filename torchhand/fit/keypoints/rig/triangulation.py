@@ -56,9 +56,7 @@ def triangulated(
         best = torch.where(better[:, None, None], found, best)
         agrees = torch.where(better[:, None], near, agrees)
     for _ in range(_ROUNDS):
-        weights = [
-            one.weight * one.trust(best) * agrees[:, view, None] for view, one in enumerate(rows)
-        ]
+        weights = [one.weight * one.trust(best) * agrees[:, view, None] for view, one in enumerate(rows)]
         best = _solved(rows, weights)
     return Triangulated(points=best, agrees=agrees)
 
