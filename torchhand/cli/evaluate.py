@@ -54,8 +54,8 @@ class Arguments:
     """
 
     directory: Annotated[Positional[Path], arg(metavar="DIR")]
-    """Result folder of `torchhand track`, `torchhand fit_pose` or `torchhand fit_keypoints`. The silhouettes judged are drawn
-    from its track and hand.json; if it has masks/, one picture per frame number, these are judged instead."""
+    """Result folder of `torchhand track`, `torchhand fit_pose` or `torchhand fit_keypoints`. The silhouettes judged are
+    drawn from its track and hand.json; if it has masks/, one picture per frame number, these are judged instead."""
     truth: Annotated[Positional[Path | None], arg(metavar="TRUTH")] = None
     """Folder with truth.npz (keypoints3d, keypoints2d, flexion_deg; any may be missing) and masks/, or the file; or
     another result folder."""

@@ -113,8 +113,8 @@ class _Rows:
         return torch.where(known >= _MIN_POINTS, missed.nanmedian(-1).values, torch.inf)
 
     def trust(self, points: Float[Tensor, "frames 21 3"]) -> Float[Tensor, "frames 21"]:
-        """Square root of what each point counts (Geman and McClure)."""
-        return (1 + (self.missed(points) / _GROSS_STD).square()).reciprocal().nan_to_num(0.0)
+        """Square root of what each point counts (Geman and McClure); 1 where it cannot be told."""
+        return (1 + (self.missed(points) / _GROSS_STD).square()).reciprocal().nan_to_num(1.0)
 
 
 def _solved(rows: Sequence[_Rows], weights: Sequence[Float[Tensor, "frames 21"]]) -> Float[Tensor, "frames 21 3"]:
