@@ -477,7 +477,7 @@ def test_a_webcam_ends_well_with_ctrl_c_and_draws_live(
         opened.append(source)
         return _Webcam(clip.frames)
 
-    monkeypatch.setattr("torchhand.runs.recording.open_source", open_webcam)
+    monkeypatch.setattr("torchhand.runs.recordings.recording.open_source", open_webcam)
     monkeypatch.chdir(tmp_path)
     outcome = run("0", "--out", "out", "--camera", clip.camera, "--config", "contour_planar")
     assert outcome.code == 0

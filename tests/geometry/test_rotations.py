@@ -117,3 +117,10 @@ def test_the_cosine_between_rotations_is_that_of_the_turn_from_one_to_the_other(
     first = rotation_from_vector(_vectors(generator))
     found = cosine_between(rotation_from_vector(vectors) @ first, first)
     torch.testing.assert_close(found, vectors.norm(dim=-1).cos(), atol=1e-14, rtol=0)
+
+
+def test_rotation_is_the_same_where_no_derivative_is_asked_for(generator: torch.Generator) -> None:
+    vectors = _vectors(generator)
+    expected = rotation_from_vector(vectors)
+    with torch.inference_mode():
+        torch.testing.assert_close(rotation_from_vector(vectors), expected, atol=1e-14, rtol=0)

@@ -17,7 +17,7 @@ from torchhand.geometry import Camera, assumed_camera
 from torchhand.runs import keypoints_of
 from torchhand.runs.detected_tracks import DetectedTracks
 from torchhand.runs.keypoint_tracks import with_keypoints
-from torchhand.runs.recording import RecordedFrame
+from torchhand.runs.recordings import RecordedFrame
 from torchhand.track import View
 
 

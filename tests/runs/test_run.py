@@ -16,7 +16,7 @@ from torchhand.files import FrameRecord, load_hand_model
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import DOFS, HandKinematics
 from torchhand.runs import Run, settings_of
-from torchhand.runs.recording import RecordedFrame
+from torchhand.runs.recordings import RecordedFrame
 from torchhand.runs.records import MEASURES, record_of
 from torchhand.simulate import SceneSettings, background_picture, render_sequence, scripted_motion
 from torchhand.track import Estimate, Tracker, TrackerSettings, TrackerState, View

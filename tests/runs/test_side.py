@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from torchhand.hand import Side
-from torchhand.runs.recording import OneCameraRecording
+from torchhand.runs.recordings import OneCameraRecording
 from torchhand.runs.side import find_side, probability_of_right
 
 FRAMES = 40

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from tests.steps import FRAME_S, right_hand
 from tests.studio import StagedHand
+from torchhand.fit.keypoints import place_hand
 from torchhand.hand import DOFS, posture
 from torchhand.track import DEFAULTS, Estimate, HandKeypoints, Tracker, TrackerSettings, View
 
@@ -116,3 +117,23 @@ def test_one_wild_point_moves_nothing(studio: Any, settings: TrackerSettings) ->
     assert first.keypoints_px is not None
     assert second.keypoints_px is not None
     assert float((second.keypoints_px - first.keypoints_px)[0].norm(dim=-1).max()) < 3.0
+
+
+def test_a_hand_is_placed_anew_only_where_its_points_say_so(studio: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Placing costs as much as all else of a frame; a followed hand that its points bear out goes without."""
+    opened = studio.placed(size=0.8)
+    fist, placings = _with_posture(opened, "fist"), []
+
+    def counted(*arguments: Any) -> Any:
+        placings.append(arguments)
+        return place_hand(*arguments)
+
+    tracker = Tracker(right_hand(), opened.camera, CONTOUR, shape=opened.shape)
+    seen = View(image=opened.picture(seed=1), keypoints=_detected(opened))
+    state, _ = tracker.step(None, (seen,), 0.0)
+    monkeypatch.setattr("torchhand.track.scene.keypoints.place_hand", counted)
+    state, estimate = tracker.step(state, (seen,), FRAME_S)
+    assert estimate.status == "tracked"
+    assert not placings
+    tracker.step(state, (View(image=fist.picture(seed=1), keypoints=_detected(fist)),), 2 * FRAME_S)
+    assert placings

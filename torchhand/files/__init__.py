@@ -23,6 +23,7 @@ from torchhand.files.hands import (
     save_proposal_network,
 )
 from torchhand.files.hull_file import save_hull
+from torchhand.files.live import LiveCounts, LivePictures, LiveRig, LiveSettings
 from torchhand.files.pictures import (
     Frame,
     FrameSource,
@@ -54,6 +55,10 @@ __all__ = [
     "FrameSource",
     "FrameStatus",
     "HandDetection",
+    "LiveCounts",
+    "LivePictures",
+    "LiveRig",
+    "LiveSettings",
     "ResumePoint",
     "RigFrame",
     "RigSource",

@@ -49,6 +49,8 @@ def _third_coefficient(angle_squared: Tensor, is_small: Tensor, safe: Tensor, an
 
 def rotation_from_vector(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """Rotation by |vector| radians about vector (Rodrigues); smooth everywhere, zero included."""
+    if torch.is_inference_mode_enabled() and not torch._C._are_functorch_transforms_active():
+        return _rotation_without_derivative(vector)
     squared = (vector * vector).sum(-1)
     is_small, safe, angle = _safe_angle(squared)
     first = torch.where(is_small, 1 - squared / 6 * (1 - squared / 20), angle.sin() / angle)
@@ -56,6 +58,32 @@ def rotation_from_vector(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*b
     cross = skew(vector)
     identity = torch.eye(3, dtype=vector.dtype, device=vector.device)
     return identity + first[..., None, None] * cross + second[..., None, None] * (cross @ cross)
+
+
+def _rotation_without_derivative(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """The same in a third of the operations, which has no derivative at zero."""
+    turns = torch.linalg.vector_norm(vector, dim=-1, keepdim=True) / torch.pi
+    second = 0.5 * torch.sinc(0.5 * turns).square()
+    products = (second * vector)[..., None] * vector[..., None, :]
+    terms = torch.cat((torch.sinc(turns) * vector, products.flatten(-2)), -1).reshape(-1, 12)
+    identity, matrix = _kept_rodrigues(vector.dtype, vector.device)
+    return torch.addmm(identity, terms, matrix).reshape(*vector.shape, 3)
+
+
+def rodrigues_matrix(like: Tensor) -> Float[Tensor, "9 12"]:
+    """From v and the products of its components, each with its factor, to the entries of [v] + [v]², which are linear
+    in v and in v vᵀ - |v|² I; in the dtype and on the device of a tensor."""
+    identity = torch.eye(3, dtype=like.dtype, device=like.device)
+    of_vector = skew(identity).flatten(1).T
+    of_products = torch.eye(9, dtype=like.dtype, device=like.device) - identity.reshape(9, 1) * identity.reshape(1, 9)
+    return torch.cat((of_vector, of_products), 1)
+
+
+@lru_cache(maxsize=16)
+def _kept_rodrigues(dtype: torch.dtype, device: torch.device) -> tuple[Float[Tensor, "9"], Float[Tensor, "12 9"]]:
+    with torch.inference_mode(False):  # kept for callers in any mode
+        like = torch.zeros((), dtype=dtype, device=device)
+        return torch.eye(3, dtype=dtype, device=device).flatten(), rodrigues_matrix(like).T.contiguous()
 
 
 @lru_cache(maxsize=16)

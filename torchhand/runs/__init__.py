@@ -1,8 +1,8 @@
 """A run from the first frame to its results: what is asked for, recordings, checkpoints and overlays."""
 
 from torchhand.runs.changes import changes_of
-from torchhand.runs.overlay import overlay_frames
-from torchhand.runs.recording import OneCameraRecording, RecordedFrame, Recording, RigRecording
+from torchhand.runs.overlays import overlay_frames
+from torchhand.runs.recordings import LiveRecording, OneCameraRecording, RecordedFrame, Recording, RigRecording
 from torchhand.runs.records import record_of, undetermined_fingers
 from torchhand.runs.request import Request, keypoints_of, known_hand, settings_of, start_points_of
 from torchhand.runs.run import Run, Say, header_of
@@ -12,6 +12,7 @@ from torchhand.runs.tracking import how_to_go_on, summary_of, track_rig, track_s
 
 __all__ = [
     "PALM_METRES",
+    "LiveRecording",
     "OneCameraRecording",
     "RecordedFrame",
     "Recording",

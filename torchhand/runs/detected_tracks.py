@@ -11,7 +11,7 @@ from tqdm import tqdm
 from torchhand.detect import HandDetector, hand_keypoints
 from torchhand.files import DetectionLog, TrackWriter, save_detections
 from torchhand.files.results import DETECTIONS_NAME
-from torchhand.runs.recording import RecordedFrame, Recording
+from torchhand.runs.recordings import RecordedFrame, Recording
 from torchhand.track import HandKeypoints
 
 

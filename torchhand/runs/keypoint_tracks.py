@@ -13,7 +13,7 @@ from torchhand.errors import InputError
 from torchhand.files import read_detections
 from torchhand.geometry import Camera
 from torchhand.hand import Side
-from torchhand.runs.recording import RecordedFrame
+from torchhand.runs.recordings import RecordedFrame
 from torchhand.track import HandKeypoints
 
 

@@ -15,7 +15,7 @@ from torchhand.hand import Side
 from torchhand.image import BackgroundPlate, learn_background
 from torchhand.runs.changes import changes_of
 from torchhand.runs.keypoint_tracks import KeypointTracks
-from torchhand.runs.recording import Recording
+from torchhand.runs.recordings import Recording
 from torchhand.runs.side import find_side
 from torchhand.track import DEFAULTS, TrackerSettings
 

@@ -28,7 +28,7 @@ from torchhand.files.results import CONFIG_NAME, CONVENTION, HAND_NAME, JSONL_NA
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS
 from torchhand.runs.keypoint_tracks import KeypointSource, with_keypoints
-from torchhand.runs.recording import RecordedFrame, Recording
+from torchhand.runs.recordings import RecordedFrame, Recording
 from torchhand.runs.records import record_of
 from torchhand.track import PastFrame, Smoother, Tracker, TrackerSettings, TrackerState, restored_state, saved_state
 

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from torchhand.files import Track, TrackWriter, load_track
 from torchhand.files.results import BACKWARD_NAME, JSONL_NAME
 from torchhand.runs.keypoint_tracks import with_keypoints
-from torchhand.runs.recording import reversed_frames
+from torchhand.runs.recordings import reversed_frames
 from torchhand.runs.records import (
     EVIDENCE,
     EVIDENCE_BEFORE,

@@ -17,7 +17,7 @@ from torchhand.hand import Side
 from torchhand.image import NoRegions, find_open_hand
 from torchhand.runs.detected_tracks import DetectedTracks
 from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks, with_keypoints
-from torchhand.runs.recording import OneCameraRecording
+from torchhand.runs.recordings import OneCameraRecording
 from torchhand.runs.request import MEDIAPIPE, settings_of
 from torchhand.runs.side import find_side
 from torchhand.track import Estimate, Tracker, TrackerSettings

@@ -11,7 +11,7 @@ from typing import Literal
 from torchhand.detect import HandDetector
 from torchhand.files import read_detections
 from torchhand.hand import Side
-from torchhand.runs.recording import Recording
+from torchhand.runs.recordings import Recording
 
 _FRAMES = 30  # labelled frames that are asked
 _WRONG = 0.05

@@ -20,10 +20,9 @@ from torchhand.geometry import Camera
 from torchhand.hand import Anthropometry
 from torchhand.runs.detected_tracks import kept_detections
 from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks
-from torchhand.runs.overlay import draw_live, write_overlay
-from torchhand.runs.recording import OneCameraRecording, RecordedFrame, RigRecording, rig_plates
+from torchhand.runs.overlays import draw_live, write_overlay, write_views
+from torchhand.runs.recordings import OneCameraRecording, RecordedFrame, RigRecording, rig_plates
 from torchhand.runs.request import MEDIAPIPE, Request, check_start_points, plate_of
-from torchhand.runs.rig_overlay import write_views
 from torchhand.runs.run import CHECKPOINT_EVERY, Run, Say, header_of, track_frames
 from torchhand.runs.second_pass import smooth_frames
 from torchhand.track import Keyframe, Tracker, TrackerState

@@ -16,6 +16,7 @@ from torchhand.hand import DOFS, JOINT_DOFS, HandKinematics, HandPose, named_pos
 
 _SPACE = named_pose_space("dof26")  # what points tell of, whatever is followed
 _SCHEDULE = (Stage(gross_m=0.03, rounds=1, iterations=8), Stage(gross_m=0.01, rounds=2, iterations=8))
+_NEAR = tuple(replace(stage, method="gauss_newton") for stage in _SCHEDULE)  # from points in space: starts are near
 _STARTS = 4  # per view without points in space
 _MIN_DEPTH = 0.05  # metres
 _FAR = 0.5  # metres, for cameras that do not show depth
@@ -53,7 +54,7 @@ def place_hand(
         observations=(*pictures, *told),
         priors=(NaturalPrior(posture=natural, fraction=missing.repeat(len(starts), 1)),),
     )
-    solutions = solve(problem, starts, _SCHEDULE)
+    solutions = solve(problem, starts, _NEAR if told else _SCHEDULE)
     return solutions.select(solutions.best)
 
 

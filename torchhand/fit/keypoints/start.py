@@ -1,11 +1,13 @@
 """A first pose for 21 points in space, in closed form: the palm placed as a rigid body, then angles from directions."""
 
+from functools import lru_cache, reduce
+
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand import BONES, DOFS, FINGERS, JOINT_DOFS, HandKinematics, HandPose, Skeleton
+from torchhand.hand import BONES, DOFS, FINGERS, JOINT_DOFS, HandKinematics, HandPose
 
 PALM = (0, 5, 9, 13, 17)
 """Wrist and knuckles: they move as one body but for the slight bend of the palm."""
@@ -89,7 +91,8 @@ class _DigitAngles:
         fingers, along = FINGERS[1:], bones[:, 1:].unbind(2)
         frame = self._turned(fingers, "metacarpal", None)
         frame = self._ball(fingers, "mcp", "proximal", frame, along[0], along[1:])
-        frame = self._hinge(fingers, "pip", "middle", frame, along[1])
+        self._hinge(fingers, "pip", "middle", frame, along[1])
+        frame = self._turned(fingers, "middle", frame)
         self._hinge(fingers, "dip", "distal", frame, along[2])
         return self.joints
 
@@ -124,10 +127,9 @@ class _DigitAngles:
         self._set(flexion, torch.atan2(-x, y))
         return self._turned(digits, bone, parent)
 
-    def _hinge(self, digits: tuple[str, ...], joint: str, bone: str, parent: Tensor, along: Tensor) -> Tensor:
+    def _hinge(self, digits: tuple[str, ...], joint: str, bone: str, parent: Tensor, along: Tensor) -> None:
         x, y, _ = self._unit(self._rest(digits, bone, parent), along).unbind(-1)
         self._set([JOINT_DOFS.index(f"{one}_{joint}_fe") for one in digits], torch.atan2(-x, y))
-        return self._turned(digits, bone, parent)
 
     def _set(self, angles: list[int], value: Tensor) -> None:
         within = value.clamp(self.skeleton.lower[angles], self.skeleton.upper[angles])
@@ -143,15 +145,14 @@ class _DigitAngles:
 
     def _turned(self, digits: tuple[str, ...], bone: str, parent: Tensor | None) -> Tensor:
         """hand_from_bone with the angles found so far."""
-        rotation = self._rest(digits, bone, parent)
-        own = [_angles_of(self.skeleton, BONES.index(f"{one}_{bone}")) for one in digits]
-        for angles in zip(*own, strict=True):
-            which = list(angles)
-            rotation = rotation @ rotation_from_vector(self.joints[:, which, None] * self.skeleton.axis[which])
-        return rotation
+        angles = [_angles_of(self.skeleton.bone, self.skeleton.order, BONES.index(f"{one}_{bone}")) for one in digits]
+        which = torch.tensor(angles, dtype=torch.long, device=self.joints.device).T  # (turns, digits)
+        turns = rotation_from_vector(self.joints[:, which, None] * self.skeleton.axis[which])
+        return reduce(torch.matmul, turns.unbind(1), self._rest(digits, bone, parent))
 
 
-def _angles_of(skeleton: Skeleton, bone: int) -> list[int]:
+@lru_cache(maxsize=64)
+def _angles_of(bones: tuple[int, ...], order: tuple[int, ...], bone: int) -> tuple[int, ...]:
     """Angles that turn a bone, in the order in which they do."""
-    own = [i for i in range(len(JOINT_DOFS)) if skeleton.bone[i] == bone]
-    return sorted(own, key=lambda i: skeleton.order[i])
+    own = [i for i in range(len(JOINT_DOFS)) if bones[i] == bone]
+    return tuple(sorted(own, key=lambda i: order[i]))

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from torchhand.geometry import skew
+from torchhand.geometry import rodrigues_matrix, skew
 from torchhand.hand.kinematics.skeleton import BONES, JOINT_DOFS, KEYPOINTS, ROOT_DOFS, Skeleton
 
 FREE_BONES = (1, 6, 7, 8, 9, 10)  # thumb metacarpal and all proximal phalanges: up to three angles each
@@ -77,7 +77,7 @@ def chain_constants(skeleton: Skeleton) -> ChainConstants:
         free_axes=torch.stack([axes[bone] for bone in FREE_BONES]),
         hinge_rotation=hinge.movedim(-1, 0)[..., None].contiguous(),
         hinge_axis=torch.stack([axes[bone][:3, :1] for bone in HINGES]),
-        root_rotation=_root_rotation(like),
+        root_rotation=rodrigues_matrix(like),
         identity=torch.eye(3, dtype=like.dtype, device=like.device).reshape(9, 1),
         angles=index([first + slot for slot in places]),
         angle_rows=index([places.index(slot) for slot in range(len(JOINT_DOFS))]),
@@ -104,14 +104,6 @@ def _axes_in_bone(unit: list[Tensor], factors: list[Tensor]) -> Tensor:
     table[1, :, 0] = torch.einsum("kab,b->ak", third, unit[1])
     table[2, :, 0, 0] = unit[2]
     return table.reshape(9, 9)
-
-
-def _root_rotation(like: Tensor) -> Tensor:
-    """[v] is linear in v, [v]² = v vᵀ - |v|² I in v vᵀ."""
-    identity = torch.eye(3, dtype=like.dtype, device=like.device)
-    of_vector = torch.stack([skew(axis) for axis in identity], -1).reshape(9, 3)
-    of_products = torch.eye(9, dtype=like.dtype, device=like.device) - identity.reshape(9, 1) * identity.reshape(1, 9)
-    return torch.cat((of_vector, of_products), 1)
 
 
 class ChainBuffers(nn.Module):

@@ -1,13 +1,11 @@
 """What a run over single pictures reads: the pictures, a camera for each, detected keypoints, silhouettes."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-import torch
 from jaxtyping import Bool, UInt8
 from torch import Tensor
 
@@ -114,10 +112,14 @@ class _OfSide:
     frames: dict[str, int] | None
     """Numbers of the frames by the pictures' names."""
 
-    def hand(self, number: int, name: str) -> tuple[HandDetection, Detections, int] | None:
+    def hand(self, number: int, name: str, width: int, height: int) -> HandDetection | None:
+        """The hand of a picture of that size, px; None where there is none."""
         frame = number if self.frames is None else self.frames.get(name)
-        seen = None if frame is None else self.found.at_frame(frame)
-        return None if seen is None or frame is None else (seen, self.found, frame)
+        if frame is None:
+            return None
+        seen = self.found.at_frame(frame)
+        in_picture = self.found.in_pixels(width, height).at_frame(frame)
+        return None if seen is None or in_picture is None else replace(in_picture, space=seen.space)
 
 
 @runtime_checkable
@@ -190,18 +192,8 @@ class PictureKeypointsFile:
     ) -> tuple[HandKeypoints, Side | None] | None:
         height, width = int(image.shape[0]), int(image.shape[1])
         for own in self._of_sides.values():
-            if (seen := own.hand(number, name)) is not None:
-                hand, found, frame = seen
-                in_pixels = found.in_pixels(width, height).at_frame(frame)
-                if in_pixels is None or in_pixels.picture is None or in_pixels.confidence is None:
-                    continue
-                points = torch.from_numpy(in_pixels.picture)
-                is_known = points.isfinite().all(-1)
-                if not bool(is_known.any()):
-                    continue
-                score = hand.score
-                if math.isnan(score):  # of the hand, where the file tells; else the mean of its points
-                    score = float(torch.from_numpy(in_pixels.confidence)[is_known].mean())
-                space = None if hand.space is None else torch.from_numpy(hand.space)
-                return HandKeypoints(points_px=points, points=space, score=score), hand.label
+            seen = own.hand(number, name, width, height)
+            keypoints = hand_keypoints(seen)
+            if seen is not None and keypoints is not None:
+                return keypoints, seen.label
         return None

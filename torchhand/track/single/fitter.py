@@ -1,6 +1,5 @@
 """The hand in a single picture, in any posture: silhouettes, hypotheses, registration, and whether it is one at all."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -215,7 +214,8 @@ class SinglePoseFitter:
         presence = seen_presence(work.scene(mask), work.camera, self.kinematics, pose, hand.shape)
         if presence is None or presence >= self.settings.alone_presence:
             return ""
-        return f"what has its colours looks like something else than a hand ({math.exp(-presence):.2g} to 1)"
+        told = f"log odds of a hand {presence:.1f}, {self.settings.alone_presence:g} or more expected"
+        return f"what has its colours looks like something else than a hand ({told})"
 
     @staticmethod
     def _better(one: _Judged | None, other: _Judged | None) -> _Judged | None:

@@ -16,7 +16,7 @@ _NOTHING = 1e-12  # of the largest information, below which a direction is not o
 
 
 def corrected_by(
-    hand: FollowedHand, scene: Scene, motion: HandMotion, shape: Float[Tensor, "shape"], *, weight: float
+    hand: FollowedHand, scene: Scene, motion: HandMotion, shape: Float[Tensor, "shape"], *, weight: float = 1.0
 ) -> FollowedHand:
     """The hand corrected by the scene's further observations; itself where there are none.
 

@@ -16,7 +16,6 @@ from torchhand.track.belief import FollowedHand, HandMotion, posture_prior
 from torchhand.track.scene import (
     Candidate,
     Scene,
-    SceneKeypoints,
     SilhouetteComparison,
     detected_hand,
     parts_of,
@@ -80,9 +79,10 @@ class UnscentedUpdate:
     def follow(
         self, hand: FollowedHand, predicted: FollowedHand, scene: Scene, shape: Float[Tensor, "shape"]
     ) -> Candidate | None:
-        """The prediction corrected by detected keypoints, which tell which finger is where, then in `passes` updates
-        with fresh edges."""
-        measured = _Measured(hand=self._with_keypoints(predicted, scene, shape))
+        """The prediction corrected by detected keypoints, which tell which finger is where, by the scene's further
+        observations, then in `passes` updates with fresh edges."""
+        corrected = self._with_keypoints(predicted, scene, shape)
+        measured = _Measured(hand=corrected_by(corrected, scene, self.motion, shape))
         for _ in range(self.settings.passes):
             measured = self._updated(measured, scene, shape)
         return self._candidate(measured, scene, shape)
@@ -97,10 +97,12 @@ class UnscentedUpdate:
         """Repeated updates on one scene: the fit of a start has more freedom and other weights, and a track that went
         on from it would begin with a slide."""
         hand = self.motion.started(pose)
-        spread, measured = hand.belief.covariance, _Measured(hand=hand)
+        spread, share = hand.belief.covariance, 1 / self.settings.passes
+        measured = _Measured(hand=hand)
         for _ in range(_STARTING_UPDATES):
-            belief = Gaussian(measured.hand.belief.mean, spread)
-            measured = self._updated(_Measured(hand=replace(measured.hand, belief=belief)), scene, shape)
+            hand = replace(measured.hand, belief=Gaussian(measured.hand.belief.mean, spread))
+            measured = _Measured(hand=corrected_by(hand, scene, self.motion, shape, weight=share))
+            measured = self._updated(measured, scene, shape)
         # Innovations of repeated updates on one picture say nothing.
         return self._candidate(replace(measured, nis=None), scene, shape)
 
@@ -116,40 +118,38 @@ class UnscentedUpdate:
         )
 
     def _with_keypoints(self, hand: FollowedHand, scene: Scene, shape: Tensor) -> FollowedHand:
-        """A hand corrected by all detected keypoints. Outliers among these are told by the hand that they themselves
-        tell of, not by the one that is followed: that may be the wrong one."""
+        """A hand corrected by all detected keypoints. Where a part of it is not credibly theirs, outliers among these
+        are told by the hand that they themselves tell of: the one that is followed may be the wrong one."""
         where = (scene, self.cameras, self.kinematics, self.keypoints)
-        seen, detected = scene_keypoints(*where), detected_hand(*where, shape)
-        if detected is None:
+        seen = scene_keypoints(*where)
+        if not seen.pictures:
             return hand
         s, count = self.settings, self.motion.space.size
-        hand = self._relocated(hand, with_further_postures(seen, scene), detected, shape)
+        own = self.motion.pose(hand)
+        is_lost = with_further_postures(seen, scene).deviation(own, shape) > _CREDIBLE
+        if bool(is_lost.any()):
+            detected = detected_hand(*where, shape)
+            if detected is None:
+                return hand
+            # At once: a far finger is no linear matter, what bends towards the camera hardly moves at first.
+            hand, own = self.motion.put(hand, detected, is_lost[self._parts_of_free]), detected
         candidates = observed_points(hand.belief, s.transform, count)
         poses = HandPose.of(self.motion.space.about(hand.base).dof(candidates), hand.reference)
         posed, stack = PosedHands(pose=poses, shape=shape), _Stack()
         for one in seen.observations:
-            factor = one.associate(PosedHands(pose=detected.reshape(1), shape=shape), _KEYPOINTS)
+            factor = one.associate(PosedHands(pose=own.reshape(1), shape=shape), _KEYPOINTS)
             stack.add(factor.predict(posed), *factor.measurement())
         predicted, value, variance, valid = stack.joined()
         result = update(hand.belief, lambda _: predicted, value, variance, s.transform, valid=valid, observed=count)
         return self.motion.limited(replace(hand, belief=result.state))
 
-    def _relocated(self, hand: FollowedHand, seen: SceneKeypoints, detected: HandPose, shape: Tensor) -> FollowedHand:
-        """A hand with those parts as detected that differ from all that is told of them by more than an error
-        explains, which are put there at once: a far finger is no linear matter, what bends towards the camera hardly
-        moves at first."""
-        is_lost = seen.deviation(self.motion.pose(hand), shape) > _CREDIBLE
-        if not bool(is_lost.any()):
-            return hand
-        return self.motion.put(hand, detected, is_lost[self._parts_of_free])
-
     def _updated(self, before: _Measured, scene: Scene, shape: Tensor) -> _Measured:
-        """One measurement update with fresh edges of all views, further observations and the weak posture prior.
+        """One measurement update with fresh edges of all views and the weak posture prior.
 
         Where no view has enough of the contour in its picture, the hand comes back as it is with all shares 0.
         """
         s, count = self.settings, self.motion.space.size
-        hand = corrected_by(before.hand, scene, self.motion, shape, weight=1 / s.passes)
+        hand = before.hand
         # The centre of the sigma points is the reference hand: all are placed at once.
         candidates = observed_points(hand.belief, s.transform, count)
         poses = HandPose.of(self.motion.space.about(hand.base).dof(candidates), hand.reference)

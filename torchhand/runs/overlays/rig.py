@@ -14,7 +14,7 @@ from torchhand.draw import ViewsOverlay
 from torchhand.files import Track, write_video
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics
-from torchhand.runs.recording import RigRecording
+from torchhand.runs.recordings import RigRecording
 from torchhand.runs.records import undetermined_fingers
 
 

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from torchhand.draw import draw_overlay, overlay_size
 from torchhand.files import FrameRecord, Track, open_source, write_video
 from torchhand.numerics import single_threaded
-from torchhand.runs.recording import OneCameraRecording, RecordedFrame
+from torchhand.runs.recordings import OneCameraRecording, RecordedFrame
 from torchhand.runs.records import undetermined_fingers
 from torchhand.view import HandProjector
 

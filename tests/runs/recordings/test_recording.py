@@ -7,7 +7,7 @@ import pytest
 
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.runs import RecordedFrame
-from torchhand.runs.recording import reversed_frames
+from torchhand.runs.recordings import reversed_frames
 from torchhand.track import View
 
 WIDTH, HEIGHT = 40, 30
@@ -39,7 +39,7 @@ class _Recording:
 
 @pytest.mark.parametrize("held", [1, 3, 7, 100])
 def test_every_frame_comes_once_the_last_one_first(held: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("torchhand.runs.recording._MEMORY_BYTES", held * 3 * WIDTH * HEIGHT)
+    monkeypatch.setattr("torchhand.runs.recordings.recording._MEMORY_BYTES", held * 3 * WIDTH * HEIGHT)
     recording = _Recording(9)
     frames = [frame.index for frame in reversed_frames(recording, 7)]
     assert frames == [11, 10, 9, 8, 7, 6, 5]

@@ -1,0 +1,134 @@
+"""Several webcams, or video files as if live: one capture thread each, the newest pictures of one time handed out."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+
+from torchhand.errors import InputError
+from torchhand.files.live.pairing import LivePictures, LiveSettings, Pairing
+from torchhand.files.pictures import FrameSource, open_source
+
+_LONGEST_WAIT_S = 0.02  # from one look to the next whether a silent camera has run out of patience
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiveCounts:
+    """What became of a camera's pictures."""
+
+    name: str
+    taken: int
+    """Pictures that were handed out."""
+    dropped: int
+    """Pictures that came too late, too early or too fast."""
+    unreadable: int
+    problem: str | None = None
+    """Why the camera ended, where that was no ordinary end."""
+
+
+class LiveRig:
+    """Pictures of several cameras while they are taken: a context manager, and an iterator of `LivePictures`.
+
+    Every source is read in a thread of its own. A webcam's pictures are stamped as they arrive; those of a file, or of
+    a folder, are handed over at its frame rate, whether somebody takes them or not, and carry the times of that rate. A
+    camera that stalls is left out after `LiveSettings.patience_s` until it delivers again, one that has ended for good.
+    The iteration ends with the last camera.
+    """
+
+    def __init__(self, sources: Sequence[str | Path | FrameSource], settings: LiveSettings | None = None) -> None:
+        """sources: as `open_source` takes them (the text "0" is the first webcam), or open ones.
+
+        Raises InputError for one that cannot be opened, and where there is none.
+        """
+        if not sources:
+            raise InputError("live: expected one camera or more, got none")
+        self._stack = ExitStack()
+        with self._stack:
+            opened = [
+                self._stack.enter_context(one if isinstance(one, FrameSource) else open_source(one)) for one in sources
+            ]
+            self._stack = self._stack.pop_all()
+        self._sources = [
+            (source, isinstance(given, str)) for source, given in zip(opened, sources, strict=True)
+        ]  # and whether it is a webcam
+        self.sizes = tuple((source.width, source.height) for source in opened)
+        self.fps = min(source.fps for source in opened)
+        self._pairing = Pairing(len(opened), settings or LiveSettings())
+        self._changed, self._stopped = threading.Condition(), threading.Event()
+        self._unreadable = [0] * len(opened)
+        self._problems: list[str | None] = [None] * len(opened)
+        self._threads: list[threading.Thread] = []
+        self._start_s = 0.0
+
+    def __enter__(self) -> "LiveRig":
+        self._start_s = time.monotonic()
+        for camera in range(len(self._sources)):
+            thread = threading.Thread(target=self._capture, args=(camera,), name=f"camera {camera}", daemon=True)
+            self._threads.append(thread)
+            thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop the threads and let go of the cameras; may be called twice."""
+        self._stopped.set()
+        for thread in self._threads:
+            thread.join()
+        self._stack.close()
+
+    def __iter__(self) -> Iterator[LivePictures]:
+        while True:
+            with self._changed:
+                while (found := self._pairing.ready(self.now_s())) is None:
+                    if self._pairing.is_over:
+                        return
+                    self._changed.wait(_LONGEST_WAIT_S)
+            yield found
+
+    def counts(self) -> tuple[LiveCounts, ...]:
+        """Of every camera, until now."""
+        with self._changed:
+            return tuple(
+                LiveCounts(
+                    name=source.name,
+                    taken=self._pairing.taken[camera],
+                    dropped=self._pairing.dropped[camera],
+                    unreadable=self._unreadable[camera],
+                    problem=self._problems[camera],
+                )
+                for camera, (source, _) in enumerate(self._sources)
+            )
+
+    def now_s(self) -> float:
+        """Time since the start, seconds: that of the time stamps."""
+        return time.monotonic() - self._start_s
+
+    def _capture(self, camera: int) -> None:
+        """Read one camera to its end, or until the rig is closed."""
+        source, is_webcam = self._sources[camera]
+        try:
+            for frame in source:
+                stamp_s = self.now_s() if is_webcam else frame.index / source.fps
+                if self._stopped.wait(max(0.0, stamp_s - self.now_s())):
+                    return
+                if frame.image is None:
+                    self._unreadable[camera] += 1
+                    continue
+                self._tell(partial(self._pairing.add, camera, stamp_s, frame.image, self.now_s()))
+        except InputError as error:  # such as a picture of another size: this camera ends, the others go on
+            self._problems[camera] = str(error)
+        finally:
+            self._tell(partial(self._pairing.end, camera))
+
+    def _tell(self, change: Callable[[], None]) -> None:
+        with self._changed:
+            change()
+            self._changed.notify_all()

@@ -1,0 +1,21 @@
+"""What runs read: recordings of one camera or several, and cameras that are watched while they take pictures."""
+
+from torchhand.runs.recordings.live import LiveRecording
+from torchhand.runs.recordings.recording import (
+    OneCameraRecording,
+    RecordedFrame,
+    Recording,
+    RigRecording,
+    reversed_frames,
+    rig_plates,
+)
+
+__all__ = [
+    "LiveRecording",
+    "OneCameraRecording",
+    "RecordedFrame",
+    "Recording",
+    "RigRecording",
+    "reversed_frames",
+    "rig_plates",
+]

@@ -1,0 +1,104 @@
+"""Several cameras that are watched while they take pictures, as a recording that is read once."""
+
+import contextlib
+import statistics
+from collections.abc import Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+from types import TracebackType
+
+from torchhand.errors import InputError
+from torchhand.files import LiveRig, load_rig, rig_notes
+from torchhand.runs.recordings.recording import RecordedFrame
+from torchhand.track import View
+
+_NO_PICTURE = "no picture of this time"
+
+
+class LiveRecording:
+    """Webcams, or video files as if live (`Recording`): pictures of one time, the newest, while nobody looks at others.
+
+    A context manager: the cameras run while it is open. The end is that of the last camera, of `max_frames`, or the
+    user's Ctrl-C.
+    """
+
+    is_live = True
+    has_masks = False
+
+    def __init__(
+        self,
+        sources: Sequence[str | Path],
+        cameras: Path,
+        *,
+        unit: str | None = None,
+        max_frames: int | None = None,
+    ) -> None:
+        """sources: as `open_source` takes them, in the order of the cameras. cameras: file, or folder of the rig.
+
+        Raises InputError for sources that cannot be opened, wrong cameras, and pictures that are not theirs.
+        """
+        self.folder, self.name, self.source, self.max_frames = cameras, "live", ",".join(map(str, sources)), max_frames
+        fits_unit = unit == "hand"
+        self.cameras = load_rig(cameras, unit=1.0 if fits_unit else unit)
+        if len(self.cameras) < 2 or len(sources) != len(self.cameras):
+            got = f"{len(sources)} sources and {len(self.cameras)} cameras in {cameras}"
+            raise InputError(f"--live: expected two or more, one for each camera, got {got}")
+        self._rig = LiveRig(sources)
+        for source, camera, size in zip(sources, self.cameras, self._rig.sizes, strict=True):
+            if size != (camera.width, camera.height):
+                own = f"{camera.width}x{camera.height}"
+                self._rig.close()
+                raise InputError(
+                    f"--live {source}: expected pictures of {own} px as camera {camera.name}, got {size[0]}x{size[1]}"
+                )
+        self.fps, self.count, self.notes = self._rig.fps, max_frames, [] if fits_unit else rig_notes(self.cameras)
+        self._latencies_s: list[float] = []
+        self._frames = self._numbered()
+
+    def __enter__(self) -> "LiveRecording":
+        self._rig.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._rig.__exit__(kind, error, trace)
+
+    def sample(self, frames: int) -> Iterator[RecordedFrame]:
+        """The next frames, so many at most."""
+        return islice(self._frames, frames)
+
+    @contextlib.contextmanager
+    def opened(self, done: int) -> Iterator[Iterator[RecordedFrame]]:
+        """The frames from now on; what was is gone. Raises ValueError where the first ones are not to be read."""
+        if done:
+            raise ValueError(f"done: expected 0, for live cameras are not read again, got {done}")
+        self._latencies_s.clear()
+        yield self._frames
+
+    def warnings(self) -> Sequence[str]:
+        """Latency, and what became of every camera's pictures."""
+        found = []
+        if self._latencies_s:
+            ordered = sorted(self._latencies_s)
+            late_ms = 1e3 * ordered[min(len(ordered) - 1, round(0.95 * len(ordered)))]
+            median_ms = 1e3 * statistics.median(ordered)
+            found.append(f"from a picture to its estimate: {median_ms:.0f} ms (median), {late_ms:.0f} ms in 95 %")
+        for one, camera in zip(self._rig.counts(), self.cameras, strict=True):
+            unread = f", {one.unreadable} unreadable" if one.unreadable else ""
+            ended = f"; {one.problem}" if one.problem else ""
+            found.append(f"camera {camera.name}: {one.taken} pictures used, {one.dropped} dropped{unread}{ended}")
+        return found
+
+    def _numbered(self) -> Iterator[RecordedFrame]:
+        for index, pictures in enumerate(islice(self._rig, self.max_frames)):
+            yield RecordedFrame(
+                index=index,
+                time_s=pictures.time_s,
+                views=tuple(View(image=image) for image in pictures.images),
+                problems=tuple(
+                    f"camera {camera.name}: {_NO_PICTURE}" if image is None else None
+                    for camera, image in zip(self.cameras, pictures.images, strict=True)
+                ),
+            )
+            self._latencies_s.append(self._rig.now_s() - pictures.time_s)  # who looked at it comes back
