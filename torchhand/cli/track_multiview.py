@@ -12,7 +12,16 @@ from tyro.conf import Positional, UseAppendAction, arg
 from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
 from torchhand.errors import InputError
 from torchhand.files import offsets_of
-from torchhand.runs import Request, how_to_go_on, keypoints_of, known_hand, settings_of, summary_of, track_rig
+from torchhand.runs import (
+    Request,
+    how_to_go_on,
+    keypoints_of,
+    known_hand,
+    settings_of,
+    summary_of,
+    track_live_rig,
+    track_rig,
+)
 from torchhand.track import TrackerSettings
 
 
@@ -27,6 +36,7 @@ class Arguments:
 
     Example:
         torchhand track_multiview recording --out out/recording --side left
+        torchhand track_multiview cameras.json --live 0,1,2 --out out/live
     """
 
     rig: Annotated[Positional[Path], arg(metavar="RIG")]
@@ -36,6 +46,10 @@ class Arguments:
     config: Annotated[str, arg(metavar="NAME")] = "hull_lm"
     """Method: hull_lm (least squares, both sides of skin and hull), hull_torque (Ueda et al. 2003 as printed), or a
     YAML file."""
+    live: Annotated[str | None, arg(metavar="A,B,...")] = None
+    """Cameras that are watched while they take pictures, in the order of RIG's cameras: numbers of webcams, or video
+    files that are played as if live. RIG is then the folder or the file of the calibration alone. Late pictures are
+    dropped and counted; the end is that of the last camera, or Ctrl-C."""
     cameras: Annotated[Path | None, arg(metavar="FILE")] = None
     """Cameras in another place than RIG."""
     unit: Annotated[str | None, arg(metavar="UNIT")] = None
@@ -89,7 +103,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     request = _request(arguments)
     with threads(arguments.threads):
         try:
-            track = track_rig(arguments.rig, arguments.out, request, _say)
+            if arguments.live is None:
+                track = track_rig(arguments.rig, arguments.out, request, _say)
+            else:
+                track = track_live_rig(_sources(arguments.live), arguments.rig, arguments.out, request, _say)
         except KeyboardInterrupt:
             _say(how_to_go_on(arguments.out, overwrite=request.overwrite))
             return STOPPED_BY_USER
@@ -120,6 +137,14 @@ def _request(arguments: Arguments) -> Request:
         overwrite=arguments.overwrite,
         has_overlay=arguments.overlay,
     )
+
+
+def _sources(text: str) -> list[str | Path]:
+    """Numbers of webcams as texts, and files."""
+    parts = [part.strip() for part in text.split(",")]
+    if not all(parts):
+        raise InputError(f"--live: expected numbers of webcams or video files, with commas between them, got {text!r}")
+    return [part if part.isdecimal() else Path(part) for part in parts]
 
 
 def _settings(arguments: Arguments) -> TrackerSettings:

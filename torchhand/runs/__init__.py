@@ -8,7 +8,7 @@ from torchhand.runs.request import Request, keypoints_of, known_hand, settings_o
 from torchhand.runs.run import Run, Say, header_of
 from torchhand.runs.seen_hands import PALM_METRES, cameras_of_detections, same_frames, seen_keypoints
 from torchhand.runs.short import fit_hand, track
-from torchhand.runs.tracking import how_to_go_on, summary_of, track_rig, track_sequence
+from torchhand.runs.tracking import how_to_go_on, summary_of, track_live_rig, track_rig, track_sequence
 
 __all__ = [
     "PALM_METRES",
@@ -35,6 +35,7 @@ __all__ = [
     "start_points_of",
     "summary_of",
     "track",
+    "track_live_rig",
     "track_rig",
     "track_sequence",
     "undetermined_fingers",

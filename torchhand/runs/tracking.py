@@ -21,7 +21,7 @@ from torchhand.hand import Anthropometry
 from torchhand.runs.detected_tracks import kept_detections
 from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks
 from torchhand.runs.overlays import draw_live, write_overlay, write_views
-from torchhand.runs.recordings import OneCameraRecording, RecordedFrame, RigRecording, rig_plates
+from torchhand.runs.recordings import LiveRecording, OneCameraRecording, RecordedFrame, RigRecording, rig_plates
 from torchhand.runs.request import MEDIAPIPE, Request, check_start_points, plate_of
 from torchhand.runs.run import CHECKPOINT_EVERY, Run, Say, header_of, track_frames
 from torchhand.runs.second_pass import smooth_frames
@@ -124,6 +124,32 @@ def track_rig(folder: Path, out_dir: Path, request: Request, say: Say) -> Track:
         start=request.start,
         max_frames=request.max_frames,
     )
+    return _track_views(recording, out_dir, request, say)
+
+
+def track_live_rig(sources: Sequence[str | Path], folder: Path, out_dir: Path, request: Request, say: Say) -> Track:
+    """Track several cameras while they take pictures into a result folder, until the last ends or the user's Ctrl-C.
+
+    sources: webcams' numbers as texts, or files that are played as if live, in the order of the cameras. folder: of the
+    rig, or the file of its cameras. Raises InputError as `track_rig` does, and for what live cameras cannot do.
+    """
+    for option, is_given in (
+        ("--resume", request.resume),
+        ("--start", request.start > 0),
+        ("--offset", bool(request.offsets)),
+        ("--keypoints FILE", bool(request.keypoints)),
+        ("--silhouettes masks", bool(request.masks)),
+    ):
+        if is_given:
+            raise InputError(f"--live: expected none of what needs a recording with it, got {option}")
+    check_output_folder(out_dir, resume=False, overwrite=request.overwrite)
+    cameras = folder if request.camera is None else request.camera
+    recording = LiveRecording(sources, cameras, unit=request.unit, max_frames=request.max_frames)
+    with recording:
+        return _track_views(recording, out_dir, request.causal(), say)
+
+
+def _track_views(recording: RigRecording | LiveRecording, out_dir: Path, request: Request, say: Say) -> Track:
     request = request.with_side(recording, say)
     files, detectors = request.keypoint_tracks(recording.cameras), request.detectors(recording.cameras)
     for line in recording.notes:
@@ -144,11 +170,15 @@ def track_rig(folder: Path, out_dir: Path, request: Request, say: Say) -> Track:
         run.keypoints = keypoints
         cameras = in_unit(recording.cameras, run.metres)
         run.save_config(writer.folder, _asked(request) | {"masks_given": recording.has_masks}, cameras)
-        track_frames(run, writer, done, request.start, say, lambda frame, record: None)
+        try:
+            track_frames(run, writer, done, request.start, say, lambda frame, record: None)
+        except KeyboardInterrupt:
+            if isinstance(recording, RigRecording):
+                raise
         if not request.is_causal and not request.settings.smoothing_window_s:
             smooth_frames(run, writer, say)
         track, shape = load_track(writer.folder), run.shape
-        if request.has_overlay and len(track) and shape is not None:
+        if isinstance(recording, RigRecording) and request.has_overlay and len(track) and shape is not None:
             kinematics = run.tracker.kinematics
             write_views(writer.folder / OVERLAY_NAME, track, kinematics, cameras, shape, recording)
     return track
@@ -157,11 +187,12 @@ def track_rig(folder: Path, out_dir: Path, request: Request, say: Say) -> Track:
 class _RigStart:
     """How a hand is found before it is followed: in frames from all over the recording."""
 
-    def __init__(self, recording: RigRecording, request: Request) -> None:
+    def __init__(self, recording: RigRecording | LiveRecording, request: Request) -> None:
         self.recording, self.request, self.settings = recording, request, request.settings
         self.hand = load_hand_model().hand(side=request.known_side, dtype=torch.float64)
         self.known = _known_shape(request)
-        self.plates = rig_plates(recording, request.background, self.settings.silhouette.method)
+        method, has_masks = self.settings.silhouette.method, recording.has_masks
+        self.plates = rig_plates(recording.cameras, request.background, method, has_masks=has_masks)
 
     def tracker(self, metres: float) -> Tracker:
         """metres: of one unit of the cameras' translations."""
@@ -235,7 +266,7 @@ def _keypoints(
     files: KeypointTracks | None,
     detectors: Sequence[HandDetector],
     writer: TrackWriter,
-    recording: OneCameraRecording | RigRecording,
+    recording: OneCameraRecording | RigRecording | LiveRecording,
     start: int,
     say: Say,
 ) -> Iterator[KeypointSource | None]:
@@ -250,7 +281,10 @@ def _keypoints(
 
 
 def _writer(
-    out_dir: Path, recording: OneCameraRecording | RigRecording, request: Request, detectors: Sequence[HandDetector]
+    out_dir: Path,
+    recording: OneCameraRecording | RigRecording | LiveRecording,
+    request: Request,
+    detectors: Sequence[HandDetector],
 ) -> TrackWriter:
     made_with = {
         "hand": None if request.hand is None else request.hand.values,

@@ -235,17 +235,19 @@ class RigRecording:
         )
 
 
-def rig_plates(recording: RigRecording, folder: Path | None, method: str) -> list[BackgroundPlate] | None:
+def rig_plates(
+    cameras: Sequence[Camera], folder: Path | None, method: str, *, has_masks: bool
+) -> list[BackgroundPlate] | None:
     """The empty scene in every view where the silhouettes' method asks for it. Raises InputError where it is
     missing."""
-    if recording.has_masks or method != "background":
+    if has_masks or method != "background":
         if folder is not None:
             raise InputError(f"--background: expected --silhouettes background with it, got {method!r}")
         return None
     if folder is None:
         raise InputError("silhouettes background: expected --background with pictures of the empty scene, got none")
     plates = []
-    for view, camera in enumerate(recording.cameras):
+    for view, camera in enumerate(cameras):
         names = [f"{stem}{suffix}" for stem in (camera.name, f"view_{view}") for suffix in PICTURE_SUFFIXES]
         path = next((folder / name for name in names if (folder / name).is_file()), None)
         if path is None:
