@@ -285,3 +285,39 @@ def test_points_that_are_no_hand(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert code == 2, error
     assert "points.npy: expected points of a hand, got others: the best hand leaves" in error
     assert not (tmp_path / "out").exists()
+
+
+def test_an_array_of_all_cameras_with_a_calibration_of_aniposelib(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Unit by the hand's size; a view of another hand, points outside and a missing view do no harm."""
+    _, points = _points("left")
+    tables, views = [], []
+    for view in range(3):
+        vector = torch.tensor((0.0, 0.6 * view, 0.1), dtype=torch.float64)
+        turn, middle = rotation_from_vector(vector), torch.tensor((0.0, 0.0, 0.5), dtype=torch.float64)
+        one = replace(assumed_camera(640, 480), rotation=turn, translation=middle - turn @ middle)
+        tables.append(
+            f'[cam_{view}]\nname = "{view}"\nsize = [640, 480]\nmatrix = {one.intrinsics.tolist()}\n'
+            f"distortions = [0.0, 0.0, 0.0, 0.0, 0.0]\nrotation = {vector.tolist()}\n"
+            f"translation = {(1000 * one.translation).tolist()}\n"
+        )
+        views.append(one.project(torch.from_numpy(points)).numpy())
+    seen = np.stack(views)
+    seen[1, 2] += (90.0, 40.0)  # another hand
+    seen[0, 1, 8] = (900.0, 50.0)
+    seen[2, 0] = -1.0
+    (tmp_path / "calibration.toml").write_text("\n".join(tables) + "\n[metadata]\n")
+    np.save(tmp_path / "seen.npy", seen)
+    options = ("--cameras", tmp_path / "calibration.toml", "--side", "left", "--no-fit-shape")
+    assert _run(tmp_path / "seen.npy", "--out", tmp_path / "out", *options) == 0
+    assert "the cameras' places are taken in mm" in capsys.readouterr().out
+    with np.load(tmp_path / "out" / "keypoints_fit.npz") as result:
+        error = np.linalg.norm(result["keypoints3d"] - points, axis=-1)
+        assert float(error.max()) < 0.01
+    assert _run(tmp_path / "seen.npy", "--out", tmp_path / "two", *options, "--views", "0,2") == 0
+    assert _run(tmp_path / "seen.npy", "--out", tmp_path / "three", *options, "--views", "0,3") == 2
+    assert "--views: expected numbers from 0 to 2, each once" in capsys.readouterr().err
+    np.save(tmp_path / "wrong.npy", seen[:, :, :20])
+    assert _run(tmp_path / "wrong.npy", "--out", tmp_path / "four", *options) == 2
+    assert "expected an array (cameras, frames, 21, 2), got (3, 4, 20, 2)" in capsys.readouterr().err

@@ -28,7 +28,7 @@ from torchhand.evaluate import (
 )
 from torchhand.files import Detections, Track, load_track, read_detections
 from torchhand.files.disk import write_text
-from torchhand.files.results import HAND_NAME, JSONL_NAME, NPZ_NAME
+from torchhand.files.results import FIT_NAME, HAND_NAME, JSONL_NAME, NPZ_NAME
 
 TABLE = (
     ("position_mm", "frame", "joint position (camera or world frame)", "mm"),
@@ -43,8 +43,9 @@ class Arguments:
     """Measure a tracked sequence, print the figures and save them.
 
     With a truth: the errors. With another result of the same recording: how far the joint angles differ, and how many
-    by more than three of their combined standard deviations. Without either: the range of motion, per joint the
-    smallest and the largest angle of the tracked frames, each with its standard deviation.
+    by more than three of their combined standard deviations; how many lie in the first result's own 95 % band about the
+    second's, and how far the first result's angles step from frame to frame. Without either: the range of motion, per
+    joint the smallest and the largest angle of the tracked frames, each with its standard deviation.
 
     Examples:
         torchhand evaluate out/planar_open data/synthetic/planar_open
@@ -53,8 +54,8 @@ class Arguments:
     """
 
     directory: Annotated[Positional[Path], arg(metavar="DIR")]
-    """Result folder of `torchhand track` or `torchhand fit_pose`. The silhouettes judged are drawn from its track and
-    hand.json; if it has masks/, one picture per frame number, these are judged instead."""
+    """Result folder of `torchhand track`, `torchhand fit_pose` or `torchhand fit_keypoints`. The silhouettes judged are
+    drawn from its track and hand.json; if it has masks/, one picture per frame number, these are judged instead."""
     truth: Annotated[Positional[Path | None], arg(metavar="TRUTH")] = None
     """Folder with truth.npz (keypoints3d, keypoints2d, flexion_deg; any may be missing) and masks/, or the file; or
     another result folder."""
@@ -97,7 +98,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _is_result(folder: Path) -> bool:
     """Whether it holds a track in place of a truth."""
     names = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
-    return "truth.npz" not in names and not names.isdisjoint((NPZ_NAME, JSONL_NAME))
+    return "truth.npz" not in names and not names.isdisjoint((NPZ_NAME, JSONL_NAME, FIT_NAME))
 
 
 def stability_table(found: Stability) -> str:
@@ -105,10 +106,17 @@ def stability_table(found: Stability) -> str:
     title = "joint angle (degrees)"
     rows: dict[str, JointStability] = {**found.joints, "all": found.whole}
     width = max(map(len, (*rows, title)))
-    lines = [f"{title:<{width}}  {'over 3 std':>10}  {'median':>6}  {'95th percentile':>15}"]
+    heads = ("over 3 std", "in own band", "   RMS", "median", "95th percentile", "largest step", "steps over 15")
+    lines = [f"{title:<{width}}  {'  '.join(heads)}"]
     for name, one in rows.items():
-        share = f"{one.fraction_apart:.1%}"
-        lines.append(f"{name:<{width}}  {share:>10}  {one.median_deg:>6.1f}  {one.percentile95_deg:>15.1f}")
+        texts = (
+            f"{one.fraction_apart:.1%}",
+            f"{one.fraction_in_own_band:.1%}",
+            *(f"{value:.1f}" for value in (one.rms_deg, one.median_deg, one.percentile95_deg, one.largest_step_deg)),
+            f"{one.large_steps}",
+        )
+        cells = (f"{text:>{max(len(head), 6)}}" for text, head in zip(texts, heads, strict=True))
+        lines.append(f"{name:<{width}}  {'  '.join(cells)}")
     lines.append(f"{found.frames} frames with a hand in both results, {found.frames_in_one} in one alone")
     return "\n".join(lines)
 

@@ -21,20 +21,20 @@ from torchhand.files import (
     read_detections,
     save_hand,
 )
-from torchhand.files.detections import Units
+from torchhand.files.detections import Units, read_rig_detections
 from torchhand.files.disk import explained_errors, replacing
-from torchhand.files.results import CONVENTION, HAND_NAME
+from torchhand.files.results import CONVENTION, FIT_NAME, HAND_NAME
 from torchhand.fit.keypoints import KeypointFit, KeypointFitSettings, fit_keypoints
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, POSE_SPACES, Side, named_pose_space
-from torchhand.runs import cameras_of_detections, known_hand, seen_keypoints
+from torchhand.runs import PALM_METRES, cameras_of_detections, known_hand, same_frames, seen_keypoints
 
-FIT_NAME = "keypoints_fit.npz"
 _FORMAT = "torchhand keypoints fit 1"
 _MAX_UNEXPLAINED = 0.4
 """Random points leave 0.7 to 0.9 (Gaussian, and uniform in a cube), what detectors see of hands 0.05 to 0.2."""
-_PALM_METRES = (0.03, 0.2)  # from wrist to middle knuckle: beyond, the unit is not the metre
 _OFFSET_STD = 0.005
+_MIN_RECORDED = 30  # frames without names of pictures that are taken for a recording
+_UNITS: dict[str, Units] = {"metres": "metres", "px": "px", "normalised": "normalised", "any": "metres"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,21 +43,30 @@ class Arguments:
 
     INPUT is JSON of MediaPipe or OpenPose, a folder of OpenPose's *_keypoints.json, or arrays (frames, 21, 2 or 3) as
     .npy or .npz (points_px and world of MediaPipe, keypoints3d, keypoints2d ...; std_px or cov_px for the points'
-    standard deviations or covariances in the picture). Several INPUTs are those of several cameras. DIR gets
+    standard deviations or covariances in the picture). Several INPUTs are those of several cameras, as is one array
+    (cameras, frames, 21, 2), missing points NaN or negative. DIR gets
     keypoints_fit.npz (pose, pose_std, keypoints3d, residual, status ... per frame) and hand.json (the shape). Points in
     a picture need --camera, or --size for an assumed field of view; points in space beside them (MediaPipe's world
-    landmarks) are used together with them.
+    landmarks) are used together with them. Points of another hand than most cameras see are left out, and so are those
+    outside the pictures. A recording is smoothed, short gaps in it are filled, and cameras may be late.
 
-    Example:
+    Examples:
         torchhand fit_keypoints hands.json --out out/hands --side left --size 1280x720
+        torchhand fit_keypoints points2d.npy --cameras calibration.toml --out out/rig --side right
     """
 
     input: Annotated[Positional[tuple[Path, ...]], arg(metavar="INPUT")]
     """File or folder of keypoints; one per camera, in the cameras' order."""
     out: Annotated[Path, arg(metavar="DIR")]
     """Folder for the results."""
-    camera: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Calibrated cameras of the pictures (cameras.json with one entry per INPUT), or an .npz with one K per picture."""
+    camera: Annotated[Path | None, arg(metavar="FILE", aliases=["--cameras"])] = None
+    """Calibrated cameras of the pictures, one per INPUT or of the array, in their order: cameras.json, aniposelib's
+    TOML, OpenCV's YAML, or another calibration that track_multiview reads; or an .npz with one K per picture."""
+    views: Annotated[str | None, arg(metavar="NUMBERS")] = None
+    """Cameras to use, by their places from 0 on, such as 0,2; all if not given."""
+    unit: Annotated[str | None, arg(metavar="UNIT")] = None
+    """Unit of the cameras' places: m, cm, mm, inch, or a number of metres. Metres if not given, or the unit that makes
+    the hand a hand's size, which is then said."""
     size: Annotated[str | None, arg(metavar="WxH")] = None
     """Size of the pictures in px, such as 1280x720, where there is no --camera: a field of view is then assumed."""
     side: Literal["left", "right"] | None = None
@@ -75,6 +84,9 @@ class Arguments:
     """The pictures were mirror images, so MediaPipe's left is left; without this its names are swapped."""
     fit_shape: bool = True
     """Fit one shape to all frames; else the default or that of --hand."""
+    smooth: bool | None = None
+    """Frames are those of a recording, at equal distances in time: poses are smoothed. If not given, points in pictures
+    are where there are 30 frames or more that have no names of pictures."""
     fit_offsets: bool = False
     """Fit constant offsets (some 5 mm) of the detector's keypoints from ours too: makers place joints differently."""
     overwrite: bool = False
@@ -100,6 +112,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     hand = None if arguments.hand is None else known_hand(arguments.hand)
     detections = _all_detections(arguments, hand)
     cameras = _cameras(arguments, detections)
+    detections, cameras = _chosen(arguments.views, detections, cameras)
     with threads(arguments.threads):
         side, fit, note = _fitted(arguments, hand, detections, cameras)
     if not bool(fit.is_fitted.any()):
@@ -111,7 +124,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             f"{arguments.input[0]}: expected points of a hand, got others: the best hand leaves"
             f" {_mean(fit, bool(cameras))}, {left:.0%} of its own extent; check --side, and the points' order and units"
         )
-    _save(arguments, hand, detections[0], cameras, side, fit)
+    _save(arguments, hand, detections, cameras, side, fit)
     print(_summary(fit, side, note, is_seen=bool(cameras)))
     print(f"saved {arguments.out / FIT_NAME} and {arguments.out / HAND_NAME}")
     return DONE
@@ -139,18 +152,36 @@ def _check_folder(arguments: Arguments) -> None:
 def _all_detections(arguments: Arguments, hand: FittedHand | None) -> list[Detections]:
     """What the files hold of one hand."""
     side: Side | None = arguments.side or (None if hand is None else "left" if hand.side == "left" else "right")
+    units = None if arguments.units in ("auto", "any") else _UNITS[arguments.units]
+    views = read_rig_detections(arguments.input[0], side=side, units=units, is_mirrored=arguments.mirrored)
+    if views is not None:
+        if len(arguments.input) > 1:
+            raise InputError(f"{arguments.input[1]}: expected no INPUT beside an array of all cameras, got another")
+        return views
     found = [_detections(arguments, arguments.input[0], side)]
     found += [_detections(arguments, path, side or found[0].side) for path in arguments.input[1:]]
-    return found
+    return same_frames(found)
+
+
+def _chosen(
+    views: str | None, detections: list[Detections], cameras: list[Camera]
+) -> tuple[list[Detections], list[Camera]]:
+    """The views that are asked for, of all that there are."""
+    if views is None:
+        return detections, cameras
+    places = [int(text) if text.strip().isdecimal() else -1 for text in views.split(",")]
+    if len(set(places)) < len(places) or not all(0 <= place < len(cameras) for place in places):
+        allowed = f"numbers from 0 to {len(cameras) - 1}, each once" if cameras else "none, for points in space"
+        raise InputError(f"--views: expected {allowed}, separated by commas, got {views!r}")
+    return [detections[place] for place in places], [cameras[place] for place in places]
 
 
 def _detections(arguments: Arguments, path: Path, side: Side | None) -> Detections:
-    units: dict[str, Units] = {"metres": "metres", "px": "px", "normalised": "normalised", "any": "metres"}
     found = read_detections(
         path,
         side=side,
         points=arguments.points,
-        units=units.get(arguments.units),
+        units=_UNITS.get(arguments.units),
         is_mirrored=arguments.mirrored,
     )
     if found.picture is not None and (arguments.camera is not None or arguments.size is not None):
@@ -160,9 +191,9 @@ def _detections(arguments: Arguments, path: Path, side: Side | None) -> Detectio
     if found.units == "metres" and arguments.units != "any":
         palm = np.linalg.norm(found.keypoints[:, 9] - found.keypoints[:, 0], axis=-1)
         palm = palm[np.isfinite(palm)]
-        if len(palm) and not _PALM_METRES[0] <= np.median(palm) <= _PALM_METRES[1]:
+        if len(palm) and not PALM_METRES[0] <= np.median(palm) <= PALM_METRES[1]:
             raise InputError(
-                f"{path}: expected metres ({_PALM_METRES[0]:g} to {_PALM_METRES[1]:g} from the wrist to the"
+                f"{path}: expected metres ({PALM_METRES[0]:g} to {PALM_METRES[1]:g} from the wrist to the"
                 f" middle knuckle), got {np.median(palm):.4g}; give --units any for another unit, or normalised"
             )
     return found
@@ -180,7 +211,7 @@ def _cameras(arguments: Arguments, detections: Sequence[Detections]) -> list[Cam
     if arguments.units == "any":
         raise InputError("--units any: expected points in space alone, got those of a picture")
     if arguments.camera is not None:
-        return cameras_of_detections(arguments.camera, None, detections)
+        return cameras_of_detections(arguments.camera, None, detections, unit=arguments.unit, say=print)
     if arguments.size is None:
         raise InputError(f"{arguments.input[0]}: holds points of a picture: expected --camera or --size, got neither")
     if len(detections) > 1:
@@ -212,7 +243,7 @@ def _fitted(
             space=named_pose_space(arguments.space),
             shape=shape,
             fit_shape=arguments.fit_shape and hand is None,
-            settings=_settings(arguments),
+            settings=_settings(arguments, detections),
         )
         for side in sides
     ]
@@ -227,9 +258,15 @@ def _fitted(
     )
 
 
-def _settings(arguments: Arguments) -> KeypointFitSettings:
-    offset_std = _OFFSET_STD if arguments.fit_offsets else 0.0
-    return KeypointFitSettings(offset_std=offset_std, fit_scale=arguments.units == "any")
+def _settings(arguments: Arguments, detections: Sequence[Detections]) -> KeypointFitSettings:
+    first, is_recording = detections[0], arguments.smooth
+    if is_recording is None:
+        is_recording = first.picture is not None and first.image is None and len(first) >= _MIN_RECORDED
+    return KeypointFitSettings(
+        offset_std=_OFFSET_STD if arguments.fit_offsets else 0.0,
+        fit_scale=arguments.units == "any",
+        is_recording=is_recording,
+    )
 
 
 def _mean(fit: KeypointFit, is_seen: bool) -> str:
@@ -241,6 +278,8 @@ def _summary(fit: KeypointFit, side: Side, note: str, *, is_seen: bool) -> str:
     names = fit.status_names()
     left_out = {name: names.count(name) for name in sorted(set(names) - {"fitted"})}
     text = "".join(f", {count} {name}" for name, count in left_out.items())
+    late = ", ".join(f"{lag:.1f}" for lag in fit.lags)
+    note += f"; cameras after the first are late by {late} frames" if late else ""
     scale = "" if fit.scale == 1.0 else f", {fit.scale:.5g} m per unit"
     return (
         f"{names.count('fitted')} of {len(names)} frames fitted{text}; {side} hand{note};"
@@ -251,7 +290,7 @@ def _summary(fit: KeypointFit, side: Side, note: str, *, is_seen: bool) -> str:
 def _save(
     arguments: Arguments,
     hand: FittedHand | None,
-    detections: Detections,
+    detections: Sequence[Detections],
     cameras: Sequence[Camera],
     side: Side,
     fit: KeypointFit,
@@ -275,10 +314,10 @@ def _save(
         "side": side,
         "pose_space": arguments.space,
         "camera": _entry(arguments, cameras),
-        "settings": asdict(_settings(arguments)),
+        "settings": asdict(_settings(arguments, detections)),
     }
     arrays: dict[str, Any] = {
-        "frame": detections.frame,
+        "frame": detections[0].frame,
         "status": np.array(fit.status_names()),
         "pose": fit.pose.numpy(),
         "pose_std": fit.pose_std.numpy(),
@@ -290,13 +329,14 @@ def _save(
         "shape_names": np.array(space.names),
         "offsets": fit.offsets.numpy(),
         "scale": np.array(fit.scale),
+        "lags": np.array(fit.lags),
         "dof_names": np.array(DOFS),
         "units": np.array(f"metres, radians; residual {'px' if cameras else 'metres'}"),
         "convention": np.array(CONVENTION if cameras else _in_own_frame(CONVENTION)),
         "header": np.array(json.dumps(header)),
     }
-    if detections.image is not None:
-        arrays["image"] = np.array(detections.image)
+    if detections[0].image is not None:
+        arrays["image"] = np.array(detections[0].image)
     if len(cameras) == 1:
         arrays["keypoints2d"] = cameras[0].project(fit.keypoints).numpy()
     with replacing(out / FIT_NAME) as temporary:

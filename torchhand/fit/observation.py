@@ -141,10 +141,35 @@ class Explained:
             inside=torch.cat(inside) if len(inside) == len(parts) else None,
         )
 
+    @classmethod
+    def joined(cls, parts: "Sequence[tuple[Explained, ...]]", counts: Sequence[int]) -> "tuple[Explained, ...]":
+        """Explanations of all kinds and views, for the hands of all parts, whose numbers are `counts`; NaN for the
+        hands of a part in which there were no data of that kind and view."""
+        if all(len(part) == len(parts[0]) for part in parts):
+            return tuple(cls.cat(own) for own in zip(*parts, strict=True))
+        found = [_by_kind(part) for part in parts]
+        whole = []
+        for key, like in {key: one for part in found for key, one in part.items()}.items():
+            nothing = [like.fraction.new_full((count,), torch.nan) for count in counts]
+            own = [
+                part.get(key, cls(name=like.name, view=like.view, fraction=empty, distance=empty))
+                for part, empty in zip(found, nothing, strict=True)
+            ]
+            whole.append(cls.cat(own))
+        return tuple(whole)
+
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "Explained":
         """The rows of the given hands."""
         inside = None if self.inside is None else self.inside[rows]
         return replace(self, fraction=self.fraction[rows], distance=self.distance[rows], inside=inside)
+
+
+def _by_kind(explained: Sequence[Explained]) -> dict[tuple[str, int | None, int], Explained]:
+    """Explanations by name, view, and how many of that name and view come before."""
+    found: dict[tuple[str, int | None, int], Explained] = {}
+    for one in explained:
+        found[one.name, one.view, sum(key[:2] == (one.name, one.view) for key in found)] = one
+    return found
 
 
 @runtime_checkable

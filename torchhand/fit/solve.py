@@ -275,7 +275,7 @@ def _unmoved(problem: Problem, start: HandPose, status: SolveStatus) -> Solution
 
 def _joined(parts: list[Solutions], batch: torch.Size) -> Solutions:
     """The hypotheses of all parts, in the shape of the starts."""
-    explained = tuple(Explained.cat(own) for own in zip(*(part.explained for part in parts), strict=True))
+    explained = Explained.joined([part.explained for part in parts], [len(part.pose) for part in parts])
     names = [f.name for f in fields(Solutions) if f.name not in ("pose", "explained")]
     tensors = {name: torch.cat([getattr(part, name) for part in parts]) for name in names}
     return Solutions(

@@ -273,7 +273,7 @@ class _Work:
             std[columns] = shared_covariance.diagonal()[: len(columns)].clamp_min(0).sqrt()
         elif not bool((self.frame_status == Status.CONVERGED.value).all()):
             self.status = Status(int(self.frame_status.max()))
-        explained = zip(*(part.here.explained() for part in self.parts), strict=True)
+        counts = [len(part.here.hands) for part in self.parts]
         return SharedSolution(
             pose=self.problem.pose_of(self.values, self.reference),
             shape=shape,
@@ -286,7 +286,7 @@ class _Work:
             iterations=self.iterations,
             frame_status=torch.where(self.is_sound, self.frame_status, SolveStatus.FAILED.value),
             frame_iterations=self.frame_iterations,
-            explained=tuple(Explained.cat(own) for own in explained),
+            explained=Explained.joined([part.here.explained() for part in self.parts], counts),
         )
 
     def _covariances(

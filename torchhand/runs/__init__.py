@@ -6,11 +6,12 @@ from torchhand.runs.recordings import LiveRecording, OneCameraRecording, Recorde
 from torchhand.runs.records import record_of, undetermined_fingers
 from torchhand.runs.request import Request, keypoints_of, known_hand, settings_of, start_points_of
 from torchhand.runs.run import Run, Say, header_of
-from torchhand.runs.seen_hands import cameras_of_detections, seen_keypoints
+from torchhand.runs.seen_hands import PALM_METRES, cameras_of_detections, same_frames, seen_keypoints
 from torchhand.runs.short import fit_hand, track
 from torchhand.runs.tracking import how_to_go_on, summary_of, track_live_rig, track_rig, track_sequence
 
 __all__ = [
+    "PALM_METRES",
     "LiveRecording",
     "OneCameraRecording",
     "RecordedFrame",
@@ -28,6 +29,7 @@ __all__ = [
     "known_hand",
     "overlay_frames",
     "record_of",
+    "same_frames",
     "seen_keypoints",
     "settings_of",
     "start_points_of",

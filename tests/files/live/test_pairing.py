@@ -30,7 +30,6 @@ def test_pictures_of_one_time_come_together_whatever_their_order() -> None:
         assert found is not None
         assert values(found) == [frame, frame]
         assert found.time_s == pytest.approx(stamp_s)
-        assert found.latency_s == pytest.approx(0.02)
         assert pairing.ready(stamp_s + 0.02) is None
     assert pairing.taken == [5, 5]
     assert pairing.dropped == [0, 0]

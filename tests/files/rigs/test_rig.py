@@ -296,7 +296,10 @@ def test_cameras_without_anything_in_common_are_refused(tmp_path: Path) -> None:
         ("cameras.yml", "", "is empty"),
         ("cameras.yml", "%YAML:1.0\n---\nK: [1., 0., 0., 0., 1., 0., 0., 0., 1.]\n", "lacks the picture's size"),
         ("cameras.xml", "<html><b></html>", "no OpenCV YAML or XML"),
-        ("cameras.toml", "a = 3", "no file of cameras that is known; expected cameras.json, OpenCV's YAML"),
+        ("cameras.cfg", "a = 3", "no file of cameras that is known; expected cameras.json, OpenCV's YAML"),
+        ("cameras.toml", "a = 3", "expected tables of cameras ([cam_0] with size, matrix, distortions"),
+        ("cameras.toml", "a = ", "is no TOML that can be read"),
+        ("cameras.toml", "[cam_0]\nmatrix = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]", "cam_0: lacks size, distortions"),
         (
             "cameras.txt",
             "1 OPENCV_FISHEYE 640 480 1 2 3 4 5 6 7 8",

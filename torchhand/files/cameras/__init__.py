@@ -1,5 +1,6 @@
 """Calibrations in our own format and in those of others."""
 
+from torchhand.files.cameras.aniposelib import aniposelib_entries
 from torchhand.files.cameras.cameras import camera_entry, camera_for, camera_of_entry, load_cameras, save_cameras
 from torchhand.files.cameras.colmap import colmap_entries
 from torchhand.files.cameras.opencv import OPENCV_SUFFIXES, opencv_entries
@@ -8,6 +9,7 @@ from torchhand.files.cameras.plain_text import lens_files, plain_text_entries
 
 __all__ = [
     "OPENCV_SUFFIXES",
+    "aniposelib_entries",
     "camera_entry",
     "camera_for",
     "camera_of_entry",

@@ -1,7 +1,7 @@
 """Keypoints that other programs detected."""
 
 from torchhand.files.detections.detection_log import DetectionLog, save_detections
-from torchhand.files.detections.formats import read_detections
+from torchhand.files.detections.formats import read_detections, read_rig_detections
 from torchhand.files.detections.record import Detections, HandDetection, Units
 
 __all__ = [
@@ -10,5 +10,6 @@ __all__ = [
     "HandDetection",
     "Units",
     "read_detections",
+    "read_rig_detections",
     "save_detections",
 ]

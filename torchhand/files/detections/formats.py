@@ -8,9 +8,10 @@ from torchhand.files.detections.keypoint_arrays import read_keypoint_arrays
 from torchhand.files.detections.mediapipe_json import mediapipe_detections
 from torchhand.files.detections.openpose_json import openpose_detections, read_openpose_folder
 from torchhand.files.detections.record import Detections, Side, Units
+from torchhand.files.detections.rig_arrays import read_rig_arrays
 from torchhand.files.disk import expanded, read_json
 
-__all__ = ["Detections", "read_detections"]
+__all__ = ["Detections", "read_detections", "read_rig_detections"]
 
 
 def read_detections(
@@ -47,3 +48,17 @@ def read_detections(
     if isinstance(content, dict) and "people" in content:
         return openpose_detections([(path, 0, content)], side=side)
     return mediapipe_detections(path, content, side=side, points=points, is_mirrored=is_mirrored)
+
+
+def read_rig_detections(
+    path: str | Path, *, side: Side | None = None, units: Units | None = None, is_mirrored: bool = False
+) -> list[Detections] | None:
+    """The keypoints of one hand before all cameras in one file of arrays (cameras, frames, 21, 2), npy or npz; None
+    where a file or folder is not of that kind.
+
+    Raises InputError naming the file and the array, what was expected and what was got.
+    """
+    path = Path(path).expanduser()
+    if path.suffix.lower() not in (".npz", ".npy") or not path.is_file():
+        return None
+    return read_rig_arrays(path, side=side, units=units, is_mirrored=is_mirrored)

@@ -18,12 +18,12 @@ from torchhand.files.detections.record import (
 )
 from torchhand.files.disk import opened_arrays, short
 
-_SPACE_NAMES = ("keypoints3d", "world", "world_landmarks", "hand_world_landmarks", "joints3d", "joints")
-_PICTURE_NAMES = ("keypoints2d", "points_px", "image_landmarks", "hand_landmarks", "joints2d")
-_EITHER_NAMES = ("", "keypoints", "landmarks")
+SPACE_NAMES = ("keypoints3d", "world", "world_landmarks", "hand_world_landmarks", "joints3d", "joints")
+PICTURE_NAMES = ("keypoints2d", "points_px", "image_landmarks", "hand_landmarks", "joints2d")
+EITHER_NAMES = ("", "keypoints", "landmarks")
 _IN_PIXELS = "points_px"
-_CONFIDENCE_NAMES = ("confidence", "confidences", "visibility", "scores", "score")
-_BEYOND_PICTURE = 2.0  # shares of a picture may lie outside it, but not by more than its size
+CONFIDENCE_NAMES = ("confidence", "confidences", "visibility", "scores", "score")
+BEYOND_PICTURE = 2.0  # shares of a picture may lie outside it, but not by more than its size
 
 _MEANT: dict[str, Side | None] = {"": None, "left": "left", "right": "right"}
 
@@ -60,7 +60,20 @@ def read_keypoint_arrays(
     name of the picture (image), and MediaPipe's name of the hand (label, empty where it found none; see
     `read_detections` for what it means).
     """
-    arrays = _arrays(path)
+    arrays = stored_arrays(path)
+    return detections_of_arrays(path, arrays, side=side, units=units, points=points, is_mirrored=is_mirrored)
+
+
+def detections_of_arrays(
+    path: Path,
+    arrays: dict[str, np.ndarray],
+    *,
+    side: Side | None = None,
+    units: Units | None = None,
+    points: Points = "auto",
+    is_mirrored: bool = False,
+) -> Detections:
+    """What the arrays of a file hold, as `read_keypoint_arrays` has it."""
     kinds = _kinds(path, arrays, points, units)
     first, count = kinds[0], len(kinds[0].values)
     for other in kinds[1:]:
@@ -95,7 +108,7 @@ def read_keypoint_arrays(
     return replace(found, cov_px=_covariances(path, arrays, count))
 
 
-def _arrays(path: Path) -> dict[str, np.ndarray]:
+def stored_arrays(path: Path) -> dict[str, np.ndarray]:
     """Arrays by name; that of an .npy is empty."""
     with opened_arrays(path, complaint="expected an array file of numpy (.npy, .npz) that can be read") as stored:
         return dict(stored)
@@ -104,7 +117,7 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
 def _kinds(path: Path, arrays: dict[str, np.ndarray], points: Points, units: Units | None) -> list[_Kind]:
     """Kinds of the arrays: at most one kind in space and one in pictures, at least one of either."""
     in_space = points != "picture" and units not in ("px", "normalised")
-    names = [*(_SPACE_NAMES if in_space else ()), *(_PICTURE_NAMES if points != "space" else ()), *_EITHER_NAMES]
+    names = [*(SPACE_NAMES if in_space else ()), *(PICTURE_NAMES if points != "space" else ()), *EITHER_NAMES]
     chosen = [name for name in names if name in arrays]
     if not chosen and len(arrays) == 1:
         chosen = list(arrays)
@@ -113,8 +126,8 @@ def _kinds(path: Path, arrays: dict[str, np.ndarray], points: Points, units: Uni
         raise InputError(f"{path}: expected an array named {expected}, got {got}")
     kinds: dict[bool, _Kind] = {}
     for name in chosen:
-        is_picture = name in _PICTURE_NAMES or points == "picture"
-        if bool(kinds) and name in _EITHER_NAMES:
+        is_picture = name in PICTURE_NAMES or points == "picture"
+        if bool(kinds) and name in EITHER_NAMES:
             continue  # a plain name beside one that tells the kind
         kind = _kind(f"{path}: {name}" if name else str(path), name, arrays[name], units, is_picture)
         kinds.setdefault(kind.units == "metres", kind)
@@ -139,7 +152,7 @@ def _kind(where: str, name: str, found: np.ndarray, units: Units | None, is_pict
         units = "px"
     elif units not in ("px", "normalised"):
         known = np.abs(found[np.isfinite(found)])
-        units = "normalised" if not len(known) or known.max() <= _BEYOND_PICTURE else "px"
+        units = "normalised" if not len(known) or known.max() <= BEYOND_PICTURE else "px"
     return _Kind(name=name, values=found, units=units, is_single=is_single)
 
 
@@ -149,7 +162,7 @@ def _is_numeric(values: np.ndarray) -> bool:
 
 def _confidences(path: Path, arrays: dict[str, np.ndarray], count: int, is_single: bool) -> np.ndarray | None:
     """(frames, 21); None where there are none."""
-    names = [name for name in _CONFIDENCE_NAMES if name in arrays and not _is_score(name, arrays[name], count)]
+    names = [name for name in CONFIDENCE_NAMES if name in arrays and not _is_score(name, arrays[name], count)]
     if not names:
         return None
     name, found = names[0], arrays[names[0]]

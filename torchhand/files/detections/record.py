@@ -93,6 +93,25 @@ class Detections:
         points = self.picture * np.array((width, height), dtype=np.float64) - 0.5
         return replace(self, picture=points, space=None, is_normalised=False, size=(width, height))
 
+    def of_frames(self, numbers: Int[np.ndarray, "n"]) -> "Detections":
+        """The detections in frames of given numbers; nothing in those that are missing here."""
+        rows = [self._rows_of_frames.get(int(number), -1) for number in numbers]
+
+        def spread(part: np.ndarray, nothing: float) -> np.ndarray:
+            return np.concatenate((part, np.full((1, *part.shape[1:]), nothing)))[rows]
+
+        return replace(
+            self,
+            picture=None if self.picture is None else spread(self.picture, np.nan),
+            space=None if self.space is None else spread(self.space, np.nan),
+            confidence=spread(self.confidence, 0.0),
+            frame=np.array(numbers, dtype=np.int64),
+            label=tuple((*self.label, None)[row] for row in rows),
+            score=spread(self.score, np.nan),
+            image=None if self.image is None else tuple((*self.image, "")[row] for row in rows),
+            cov_px=None if self.cov_px is None else spread(self.cov_px, np.nan),
+        )
+
     def at_frame(self, number: int) -> HandDetection | None:
         """The hand in the frame of a number; None where the file has no such frame, or no hand in it."""
         return self._at(self._rows_of_frames.get(number))

@@ -34,8 +34,6 @@ class LivePictures:
     """Since the start, the earliest time stamp among them; later ones are later."""
     images: tuple[UInt8[Tensor, "height width 3"] | None, ...]
     """RGB, one per camera; None where a camera has none of that time."""
-    latency_s: float
-    """From the time stamp to when they were handed out."""
 
 
 class Pairing:
@@ -90,7 +88,6 @@ class Pairing:
         return LivePictures(
             time_s=min(stamps),
             images=tuple(None if one is None else one[1] for one in chosen),
-            latency_s=now_s - min(stamps),
         )
 
     def _is_awake(self, camera: int, now_s: float) -> bool:

@@ -18,7 +18,15 @@ from torchhand.files.results.results import (
     TrackWriter,
     check_output_folder,
 )
-from torchhand.files.results.track_file import JSONL_NAME, NPZ_NAME, POSES_NAME, UNFINISHED_NAME, load_track, write_npz
+from torchhand.files.results.track_file import (
+    FIT_NAME,
+    JSONL_NAME,
+    NPZ_NAME,
+    POSES_NAME,
+    UNFINISHED_NAME,
+    load_track,
+    write_npz,
+)
 from torchhand.files.results.track_record import (
     CONVENTION,
     DETERMINED,
@@ -37,6 +45,7 @@ __all__ = [
     "CONVENTION",
     "DETECTIONS_NAME",
     "DETERMINED",
+    "FIT_NAME",
     "FORWARD_NAME",
     "HAND_NAME",
     "JSONL_NAME",

@@ -23,6 +23,7 @@ from torchhand.files.results.track_record import (
 JSONL_NAME = "track.jsonl"
 NPZ_NAME = "track.npz"
 POSES_NAME = "poses.npz"
+FIT_NAME = "keypoints_fit.npz"
 UNFINISHED_NAME = "unfinished"
 """Sub-folder in which a run grows that is to replace an older result."""
 
@@ -57,7 +58,7 @@ def keep_last_lines(path: Path) -> None:
 
 
 def load_track(folder: str | Path) -> Track:
-    """The track in a result folder, or that of a track.npz, poses.npz or track.jsonl.
+    """The track in a result folder, or that of a track.npz, poses.npz, keypoints_fit.npz or track.jsonl.
 
     Of a run that was stopped, the lines of track.jsonl are read where track.npz is missing or holds fewer frames.
 
@@ -72,9 +73,11 @@ def load_track(folder: str | Path) -> Track:
         return _read_jsonl(path)
     npz, jsonl = path / NPZ_NAME, path / JSONL_NAME
     if not npz.is_file() and not jsonl.is_file():
-        if (path / POSES_NAME).is_file():
-            return _read_npz(path / POSES_NAME)
-        raise InputError(f"{path}: expected a folder with {NPZ_NAME}, {JSONL_NAME} or {POSES_NAME}, found none")
+        for name in (POSES_NAME, FIT_NAME):
+            if (path / name).is_file():
+                return _read_npz(path / name)
+        expected = f"{NPZ_NAME}, {JSONL_NAME}, {POSES_NAME} or {FIT_NAME}"
+        raise InputError(f"{path}: expected a folder with {expected}, found none")
     if not jsonl.is_file():
         return _read_npz(npz)
     if npz.is_file():
@@ -106,6 +109,8 @@ def _read_npz(path: Path) -> Track:
         numbers = arrays["frame"].size if "frame" in arrays else 0
         measures = stored.small((name for name in stored if name not in RESERVED_NAMES), 8 * numbers + _NPY_HEADER)
     try:
+        if path.name == FIT_NAME:
+            arrays, measures = _as_track(arrays), {}
         fields: dict[str, Any] = {name: arrays[name] for name in ("frame", "status", "seconds")}
         fields |= {name: arrays.get(name) if name in MISSING_FIELDS else arrays[name] for name in ARRAY_FIELDS}
         fields |= {name: str(arrays[name]) for name in ("units", "convention")}
@@ -116,3 +121,15 @@ def _read_npz(path: Path) -> Track:
         return Track(**fields)
     except _MISTAKES as error:
         raise InputError(f"{path}: {_COMPLAINT} ({type(error).__name__}: {error})") from error
+
+
+def _as_track(fit: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What the result of `torchhand fit_keypoints` holds that a track has too; it tells no time."""
+    names = ("frame", *ARRAY_FIELDS, "dof_names", "units", "convention", "header", "image")
+    arrays = {name: fit[name] for name in names if name in fit}
+    has_hand = np.asarray(np.isfinite(fit["pose"]).all(1))
+    return arrays | {
+        "status": np.where(has_hand, "tracked", "no_hand"),
+        "reason": np.where(has_hand, "", fit["status"]),
+        "seconds": np.full(len(has_hand), np.nan),
+    }

@@ -7,6 +7,7 @@ from pathlib import Path
 from torchhand.errors import InputError
 from torchhand.files.cameras import (
     OPENCV_SUFFIXES,
+    aniposelib_entries,
     camera_of_entry,
     colmap_entries,
     lens_files,
@@ -23,8 +24,8 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 """Metres."""
 
 _FORMATS = (
-    "cameras.json, OpenCV's YAML or XML (.yml, .yaml, .xml), COLMAP's text (cameras.txt and images.txt),"
-    " or c0.dat with rot_trans_c0.dat"
+    "cameras.json, OpenCV's YAML or XML (.yml, .yaml, .xml), aniposelib's TOML, COLMAP's text (cameras.txt and"
+    " images.txt), or c0.dat with rot_trans_c0.dat"
 )
 _LONGEST_UNIT = 1e3  # metres; cameras are some units apart
 _NO_METRES = 50.0  # no rig for a hand is so large
@@ -35,7 +36,8 @@ def load_rig(path: str | Path, *, unit: str | float | None = None, size: tuple[i
     """The cameras of a rig, in the order of their file or files, float64.
 
     path: a file of one of the formats, or a folder that holds them: cameras.json; OpenCV's YAML or XML, one file per
-    camera or several cameras in one; cameras.txt and images.txt of COLMAP; cK.dat and rot_trans_cK.dat.
+    camera or several cameras in one; aniposelib's TOML (calibration.toml, or the only .toml); cameras.txt and
+    images.txt of COLMAP; cK.dat and rot_trans_cK.dat.
     unit: what one unit of the translations is: "m", "cm", "mm", "inch", or a number of metres. Without it metres are
     expected, and translations that can hardly be metres are refused.
     size: width and height of the pictures, px, for formats that do not tell; videos beside the files do too.
@@ -95,6 +97,8 @@ def _cameras(path: Path, size: tuple[int, int] | None) -> list[Camera]:
         return load_cameras(files[0])
     if kind == "opencv":
         entries = [entry for file in files for entry in opencv_entries(file, size=size)]
+    elif kind == "toml":
+        entries = aniposelib_entries(files[0])
     elif kind == "colmap":
         entries = colmap_entries(files[0])
     else:
@@ -117,6 +121,8 @@ def _format(path: Path) -> tuple[str, list[Path]]:
         return "json", [path]
     if suffix in OPENCV_SUFFIXES or text.startswith((b"%YAML", b"<?xml")):
         return "opencv", [path]
+    if suffix == ".toml":
+        return "toml", [path]
     if path.name in ("cameras.txt", "images.txt"):
         return "colmap", [path.parent]
     if suffix == ".dat" and path in lens_files(path.parent):
@@ -134,6 +140,10 @@ def _format_of_folder(folder: Path) -> tuple[str, list[Path]]:
     files = sorted((file for file in folder.iterdir() if file.suffix.lower() in OPENCV_SUFFIXES), key=natural_key)
     if files:
         return "opencv", files
+    tables = sorted(folder.glob("*.toml"), key=natural_key)
+    named = [file for file in tables if file.name == "calibration.toml"]
+    if named or len(tables) == 1:
+        return "toml", (named or tables)[:1]
     raise InputError(f"{folder}: holds no cameras; expected {_FORMATS}")
 
 

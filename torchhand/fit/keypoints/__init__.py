@@ -6,6 +6,7 @@ from torchhand.fit.keypoints.placement import place_hand
 from torchhand.fit.keypoints.points import Detector, KeypointSettings
 from torchhand.fit.keypoints.posture import PostureKeypoints
 from torchhand.fit.keypoints.prior import limit_information
+from torchhand.fit.keypoints.rig import triangulated
 from torchhand.fit.keypoints.seen import SeenKeypoints
 from torchhand.fit.keypoints.settings import KeypointFitSettings
 from torchhand.fit.keypoints.views import starts_in_picture
@@ -24,4 +25,5 @@ __all__ = [
     "limit_information",
     "place_hand",
     "starts_in_picture",
+    "triangulated",
 ]

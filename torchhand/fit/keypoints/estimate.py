@@ -4,10 +4,11 @@ import math
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.fit import (
+    GaussianPrior,
     Observation,
     PopulationPrior,
     Problem,
@@ -22,7 +23,9 @@ from torchhand.fit.keypoints.observation import PictureKeypoints
 from torchhand.fit.keypoints.points import Detector
 from torchhand.fit.keypoints.posture import PostureKeypoints
 from torchhand.fit.keypoints.prior import NaturalPosture, NaturalPrior, limit_information, missing_fraction
+from torchhand.fit.keypoints.recording import PosePath
 from torchhand.fit.keypoints.relative import RelativeKeypoints
+from torchhand.fit.keypoints.rig import ViewLag
 from torchhand.fit.keypoints.settings import KeypointFitSettings
 from torchhand.fit.keypoints.start import start_in_space
 from torchhand.fit.keypoints.views import other_ways, placed_in_pictures, starts_in_picture
@@ -35,6 +38,9 @@ _LOG_SCALE_STD = 3.0  # as good as nothing known
 _SOFTNESS = 0.05  # violation of an anthropometric constraint that costs ½, in its spread over people
 _ROUGH = Stage(gross_m=1.0, rounds=1, iterations=25)  # points bring a loss of their own: no distance is gross
 _FINE = Stage(gross_m=1.0, rounds=1, iterations=60)
+_NEAR = Stage(gross_m=1.0, rounds=1, iterations=3)  # where the shape is known but for the last digits
+_MIN_PLACED = 10  # frames that tell how a hand moves
+_SHARED_FRAMES = 128  # frames of several cameras that tell what all have in common
 _POSE_TOLERANCE, _SHARED_TOLERANCE = 1e-7, 1e-5
 _AT_ONCE = 256
 _KEPT = 3  # of the starts in a picture go on after the rough solution
@@ -49,6 +55,8 @@ class KeypointEstimate:
     solution: SharedSolution
     detector: Detector
     """The detector as it was found to be."""
+    measured: "Measured"
+    """What was measured, with the lags of cameras as they were found to be."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,11 +72,46 @@ class Measured:
     """Points in space along the axes of cameras, beside those in the pictures."""
     postures: tuple[PostureKeypoints, ...] = ()
     """Postures of these points; in the order of the cameras that have any."""
+    triangulated: Float[Tensor, "frames 21 3"] | None = None
+    """Points in space that several pictures show; NaN for others. None for one camera."""
+    place: Int[Tensor, "frames"] | None = None
+    """Number of every frame in the recording, at equal distances in time; None where they are no recording."""
+    expected: GaussianPrior | None = None
+    """What is expected of the poses beforehand; None for nothing."""
 
     @property
     def points(self) -> tuple[WorldKeypoints | PictureKeypoints, ...]:
         """Points whose place is known."""
         return (self.observed,) if isinstance(self.observed, WorldKeypoints) else self.observed
+
+    @property
+    def lags(self) -> tuple[ViewLag, ...]:
+        """Of the cameras that may be late."""
+        if isinstance(self.observed, WorldKeypoints):
+            return ()
+        return tuple(one.lag for one in self.observed if one.lag is not None)
+
+    def at(self, extra: Float[Tensor, "extra"]) -> "Measured":
+        """With other lags."""
+        if isinstance(self.observed, WorldKeypoints):
+            return self
+        observed = (one if one.lag is None else replace(one, lag=one.lag.at(extra)) for one in self.observed)
+        return replace(self, observed=tuple(observed))
+
+    def rows(self, rows: Int[Tensor, "n"]) -> "Measured":
+        """Of some of the frames."""
+        observed = self.observed
+        return Measured(
+            observed=observed.rows(rows)
+            if isinstance(observed, WorldKeypoints)
+            else tuple(one.rows(rows) for one in observed),
+            coarse_std_px=tuple(std[rows] for std in self.coarse_std_px),
+            relative=tuple(one.rows(rows) for one in self.relative),
+            postures=tuple(one.rows(rows) for one in self.postures),
+            triangulated=None if self.triangulated is None else self.triangulated[rows],
+            place=None if self.place is None else self.place[rows],
+            expected=None if self.expected is None else self.expected.rows(rows),
+        )
 
     def observations(self, detector: Detector) -> tuple[Observation, ...]:
         """All that was measured, by a detector of known properties."""
@@ -95,7 +138,8 @@ class KeypointEstimator:
             return self._in_space(observed, shape, detector)
         found = self._in_picture(observed, shape, detector)
         # A better shape may tell ways of seeing the hand apart that were confused.
-        for _ in range(_ROUNDS - 1 if self.columns or len(detector.extra) else 0):
+        is_alone = self.measured.triangulated is None
+        for _ in range(_ROUNDS - 1 if is_alone and (self.columns or len(detector.extra)) else 0):
             change = (found.solution.shape - shape) / self._kinematics.shape_space.std.to(shape)
             if not self.columns or float(change[list(self.columns)].abs().mean()) < _MAX_SHAPE_CHANGE:
                 break
@@ -131,13 +175,94 @@ class KeypointEstimator:
         First with points trusted little, so that far starts are drawn in; a few of the best go on as the noise is. In
         a picture, a digit bent towards the camera may look like one bent away: each is then tried the other way.
         """
-        starts = self._starts(observed, shape)
+        if self.measured.triangulated is None:
+            start = self._searched(observed, shape, detector)
+            return self._settled(start, torch.zeros_like(start.dofs[:, 0], dtype=torch.bool), shape, detector)
+        start = self._triangulated(self.measured.triangulated, shape)
+        is_placed = start.dofs.isfinite().all(-1)
+        rows, rest = is_placed.nonzero()[:, 0], (~is_placed).nonzero()[:, 0]
+        again, stage = self, _FINE
+        if len(rows) > _SHARED_FRAMES or (len(rest) and len(rows)):  # these tell what all frames have in common
+            count = min(len(rows), _SHARED_FRAMES)
+            rows = rows[torch.linspace(0, len(rows) - 1, count, device=rows.device).round().long()]
+            first = replace(self, measured=self.measured.rows(rows))._whole(start[rows], shape, detector)
+            shape, detector, stage = first.solution.shape, first.detector, _NEAR
+            again = replace(self, measured=self.measured.at(first.solution.extra))
+            start = self._triangulated(self.measured.triangulated, shape)
+        if len(rest):
+            start = again._completed(start, rest, shape, detector)
+        return again._settled(start, ~is_placed, shape, detector, stage)
+
+    def _settled(
+        self,
+        start: HandPose,
+        is_open: Bool[Tensor, "frames"],
+        shape: Tensor,
+        detector: Detector,
+        stage: Stage = _FINE,
+    ) -> KeypointEstimate:
+        """All frames from one pose each; in a recording those that are open, or leap, by what the others expect."""
+        again = self._expecting(start, is_open, shape, detector)
+        expected = again.measured.expected
+        begin = start if expected is None else expected.pose
+        if stage is _NEAR or expected is not None:
+            begin = _best(_solved(again._problem(shape, detector), begin.reshape(-1, 1)), 1).reshape(-1)
+        return again._whole(begin, shape, detector, stage)
+
+    def _completed(self, start: HandPose, rest: Int[Tensor, "n"], shape: Tensor, detector: Detector) -> HandPose:
+        """With poses of the remaining frames by what single pictures suggest."""
+        part = replace(self, measured=self.measured.rows(rest))
+        assert not isinstance(part.measured.observed, WorldKeypoints)
+        found = part._searched(part.measured.observed, shape, detector)
+        return HandPose(
+            dofs=start.dofs.index_copy(0, rest, found.dofs),
+            reference=start.reference.index_copy(0, rest, found.reference),
+        )
+
+    def _expecting(
+        self, start: HandPose, is_open: Bool[Tensor, "frames"], shape: Tensor, detector: Detector
+    ) -> "KeypointEstimator":
+        """With an expectation of the poses that are open, and of those that leap, by the other frames of a recording
+        and how the hand moves; itself where frames are no recording."""
+        place = self.measured.place
+        if place is None or int((~is_open).sum()) < _MIN_PLACED:
+            return self
+        found, count = _solved(self._problem(shape, detector), start.reshape(-1, 1)), int(place.max()) + 1
+        own, covariance = found.pose.reshape(-1), found.covariance[:, 0]
+        is_known = ~is_open & covariance.isfinite().all((-2, -1))
+
+        def spread(part: Tensor) -> Tensor:
+            return part.new_zeros(count, *part.shape[1:]).index_copy(0, place, part)
+
+        pose = HandPose(dofs=spread(own.dofs), reference=spread(own.reference))
+        path = PosePath.of(pose, spread(covariance), spread(is_known), self.space)
+        leaps = path.leaps()
+        path, is_open = path.without(leaps), is_open | leaps[place]
+        told = path.smoothed(path.motion(), self._kinematics.skeleton)
+        prior = GaussianPrior.of_covariance(told.pose[place], told.covariance[place], self.space)
+        begin = HandPose(
+            dofs=torch.where(is_open[:, None], prior.pose.dofs, own.dofs),
+            reference=torch.where(is_open[:, None, None], prior.pose.reference, own.reference),
+        )
+        prior = replace(prior, pose=begin, information=prior.information * is_open[:, None, None])
+        return replace(self, measured=replace(self.measured, expected=prior))
+
+    def _searched(self, observed: tuple[PictureKeypoints, ...], shape: Tensor, detector: Detector) -> HandPose:
+        """The best of the poses (frames) that single pictures suggest."""
         fine = self._problem(shape, detector)
         coarse = replace(fine, observations=self._coarse(observed, detector))
-        kept = _best(_solved(coarse, starts), _KEPT)
+        kept = _best(_solved(coarse, self._starts(observed, shape)), _KEPT)
         best = _best(_solved(fine, kept), 1).reshape(-1)
-        best = _best(_solved(fine, other_ways(best)), 1).reshape(-1)
-        return self._whole(best, shape, detector)
+        return _best(_solved(fine, other_ways(best)), 1).reshape(-1)
+
+    def _triangulated(self, points: Float[Tensor, "frames 21 3"], shape: Tensor) -> HandPose:
+        """Poses (frames) by points in space; NaN where there are too few."""
+        is_known = points.isfinite().all(-1)
+        pose, _ = start_in_space(self._kinematics, points.nan_to_num(), is_known, shape, self._natural)
+        is_placed = is_known.sum(-1) >= self.settings.min_points
+        return HandPose(
+            dofs=torch.where(is_placed[:, None], pose.dofs, torch.nan), reference=pose.reference.contiguous()
+        )
 
     def _starts(self, observed: tuple[PictureKeypoints, ...], shape: Tensor) -> HandPose:
         """Poses (frames, starts): those that every picture by itself suggests, and the hands of the points in space."""
@@ -157,7 +282,7 @@ class KeypointEstimator:
         ]
         return replace(self.measured, observed=tuple(pictures)).observations(detector)
 
-    def _whole(self, pose: HandPose, shape: Tensor, detector: Detector) -> KeypointEstimate:
+    def _whole(self, pose: HandPose, shape: Tensor, detector: Detector, stage: Stage = _FINE) -> KeypointEstimate:
         """All frames with what they share, from one pose each."""
         problem = replace(self._problem(shape, detector), shared=self._unknowns(detector))
         known = limit_information(self._kinematics.skeleton).to(shape)
@@ -165,43 +290,46 @@ class KeypointEstimator:
         solution = solve_shared(
             problem,
             pose,
-            (_FINE,),
+            (stage,),
             cost_tolerance=_SHARED_TOLERANCE,
             pose_tolerance=_POSE_TOLERANCE,
             information=known,
         )
-        return KeypointEstimate(solution=solution, detector=detector.at(solution.extra))
+        extra = solution.extra
+        return KeypointEstimate(solution=solution, detector=detector.at(extra), measured=self.measured.at(extra))
 
     def _problem(self, shape: Tensor, detector: Detector) -> Problem:
         """The problem of all frames, with what they share frozen."""
         fraction = self._prior_fraction()
         has_prior = not self.posture.is_empty and bool(fraction.any())
+        natural = (NaturalPrior(posture=self.posture, fraction=fraction),) if has_prior else ()
+        expected = () if self.measured.expected is None else (self.measured.expected,)
         return Problem(
             space=self.space,
             skeleton=self._kinematics.skeleton,
             shape=shape,
             observations=self.measured.observations(detector),
-            priors=(NaturalPrior(posture=self.posture, fraction=fraction),) if has_prior else (),
+            priors=(*natural, *expected),
         )
 
     def _unknowns(self, detector: Detector) -> SharedUnknowns | None:
-        extra = detector.extra
-        if not self.columns and not len(extra):
+        own, lags = detector.extra, self.measured.lags
+        if not self.columns and not len(own) and not lags:
             return None
         space = self._kinematics.shape_space
         population = Anthropometry(space, AnthropometrySettings(softness=_SOFTNESS))
         lower, upper = _box(population)
-        scale, offsets = extra.split([int(detector.has_unknown_scale), len(extra) - int(detector.has_unknown_scale)])
-        std = (torch.full_like(scale, _LOG_SCALE_STD), torch.full_like(offsets, self.settings.offset_std))
+        scale, offsets = own.split([int(detector.has_unknown_scale), len(own) - int(detector.has_unknown_scale)])
+        std = [torch.full_like(scale, _LOG_SCALE_STD), torch.full_like(offsets, self.settings.offset_std)]
         moving = moving_parameters(self._kinematics)
         return SharedUnknowns(
             columns=self.columns,
             prior=PopulationPrior(population=population),
             lower=lower,
             upper=upper,
-            extra=extra,
-            extra_mean=torch.cat((scale, torch.zeros_like(offsets))),
-            extra_std=torch.cat(std),
+            extra=torch.cat((own, *(one.lag[None] for one in lags))),
+            extra_mean=torch.cat((scale, torch.zeros_like(offsets), own.new_zeros(len(lags)))),
+            extra_std=torch.cat((*std, own.new_tensor([one.std for one in lags]))),
             population=population,
             pliable=tuple(i for i in range(len(space.names)) if i not in moving),
         )

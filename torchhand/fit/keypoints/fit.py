@@ -14,18 +14,31 @@ from torchhand.fit.keypoints.observation import PictureKeypoints
 from torchhand.fit.keypoints.points import Detector, KeypointSettings, frames_of
 from torchhand.fit.keypoints.posture import PostureKeypoints
 from torchhand.fit.keypoints.prior import natural_posture
+from torchhand.fit.keypoints.recording import PosePath, is_short_gap
 from torchhand.fit.keypoints.relative import RelativeKeypoints
+from torchhand.fit.keypoints.rig import ViewLag, triangulated
 from torchhand.fit.keypoints.seen import SeenKeypoints
 from torchhand.fit.keypoints.settings import KeypointFitSettings
 from torchhand.fit.keypoints.world import WorldKeypoints
 from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics, HandPose, PoseJacobian, PoseSpace, moving_parameters, named_pose_space
+from torchhand.hand import (
+    HandFrames,
+    HandKinematics,
+    HandPose,
+    PoseJacobian,
+    PoseSpace,
+    moving_parameters,
+    named_pose_space,
+)
 from torchhand.numerics import RobustLoss
 
 _AT_ONCE = 1024  # frames whose derivatives are held at a time
 
-FIT_STATUSES = ("fitted", "too few points", "failed")
-"""By the numbers in `KeypointFit.status`."""
+_MIN_RECORDED = 10  # frames that tell how a hand moves
+_OF_FRAMES = ("pose", "pose_std", "pose_covariance", "keypoints", "keypoints_covariance", "residual")
+
+FIT_STATUSES = ("fitted", "too few points", "failed", "filled")
+"""By the numbers in `KeypointFit.status`; filled are frames of a recording that have a pose from their neighbours."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +71,9 @@ class KeypointFit:
     offsets: Float[Tensor, "21 3"]
     """The maker's keypoints less ours in the frames of the bones of a right hand, metres; zeros unless fitted."""
     space: PoseSpace
+    lags: tuple[float, ...] = ()
+    """Frames by which the cameras of a recording after the first one are behind it, in their order; empty where they
+    are taken as synchronous."""
 
     @property
     def is_fitted(self) -> Tensor:
@@ -109,8 +125,14 @@ def fit_keypoints(
     views = _views(keypoints, camera, confidence, settings)
     if views:
         batch, seen = views[0].batch_shape, [_usable(view.flat(like), settings) for view in views]
+        seen, in_space = _agreeing(seen, settings)
         good = torch.stack([view.points_px.isfinite().any((-2, -1)) for view in seen]).any(0).nonzero()[:, 0]
         measured = _in_pictures(kinematics, shape, seen, good, settings)
+        measured = replace(
+            measured,
+            triangulated=None if in_space is None else in_space[good],
+            place=good if settings.is_recording else None,
+        )
         count = len(seen[0].points_px)
     else:
         assert isinstance(keypoints, Tensor)
@@ -127,7 +149,10 @@ def fit_keypoints(
     )
     if not len(good):
         return _placed(_nothing(estimator, shape), good, count, batch)
-    return _placed(_result(estimator, shape), good, count, batch)
+    fit = _placed(_result(estimator, shape), good, count, torch.Size((count,)))
+    if settings.is_recording and int(fit.is_fitted.sum()) >= _MIN_RECORDED:
+        fit = _smoothed(fit, kinematics, settings.max_gap)
+    return _shaped(fit, batch)
 
 
 def _views(
@@ -228,6 +253,9 @@ def _in_pictures(
             loss=_loss(settings, 2),
             detector=detector,
         )
+        if number and settings.is_recording and settings.lag_std > 0:
+            lag = ViewLag.of(view.points_px, std=settings.lag_std, place=len(detector.extra) + number - 1)
+            seen = replace(seen, lag=lag)
         pictures.append(seen.rows(good))
         coarse.append(wide[good])
         if view.points is None:
@@ -250,6 +278,18 @@ def _usable(view: SeenKeypoints, settings: KeypointFitSettings) -> SeenKeypoints
     is_bad = torch.ones(len(points), dtype=torch.bool, device=points.device)
     is_bad[_good(points, settings)] = False
     return replace(view, points_px=points).without(is_bad)
+
+
+def _agreeing(
+    views: Sequence[SeenKeypoints], settings: KeypointFitSettings
+) -> tuple[Sequence[SeenKeypoints], Float[Tensor, "frames 21 3"] | None]:
+    """Without what a view shows of another hand than most, and the points that several views show; None for one."""
+    if len(views) < 2:
+        return views, None
+    points = [view.points_px for view in views]
+    found = triangulated([view.camera for view in views], points, [_std_px(own, settings)[1] for own in points])
+    is_other = ~found.agrees & found.agrees.any(-1, keepdim=True)
+    return [view.without(is_other[:, number]) for number, view in enumerate(views)], found.points
 
 
 def _good(points: Float[Tensor, "frames 21 d"], settings: KeypointFitSettings) -> Int[Tensor, "n"]:
@@ -309,20 +349,60 @@ def _placed(fit: KeypointFit, rows: Tensor, count: int, batch: torch.Size) -> Ke
         whole[rows] = part
         return whole.reshape((*batch, *part.shape[1:]))
 
-    names = ("pose", "pose_std", "pose_covariance", "keypoints", "keypoints_covariance", "residual")
     return replace(
         fit,
-        **{name: spread(getattr(fit, name), torch.nan) for name in names},
+        **{name: spread(getattr(fit, name), torch.nan) for name in _OF_FRAMES},
         status=spread(fit.status, FIT_STATUSES.index("too few points")),
         iterations=spread(fit.iterations, 0),
     )
+
+
+def _shaped(fit: KeypointFit, batch: torch.Size) -> KeypointFit:
+    """With its frames in the shape of a batch."""
+    names = (*_OF_FRAMES, "status", "iterations")
+    return replace(fit, **{name: getattr(fit, name).reshape((*batch, *getattr(fit, name).shape[1:])) for name in names})
+
+
+def _smoothed(fit: KeypointFit, kinematics: HandKinematics, max_gap: int) -> KeypointFit:
+    """The fit of a recording's frames (one dimension) by those before and after them, short gaps filled."""
+    path = PosePath.of(HandPose.of(fit.pose), fit.pose_covariance, fit.is_fitted, fit.space)
+    found = path.smoothed(path.motion(), kinematics.skeleton)
+    is_told = fit.is_fitted | is_short_gap(fit.is_fitted, max_gap)
+    frames = kinematics(found.pose.dofs, fit.shape, root_reference=found.pose.reference)
+    spread = _keypoints_covariance(PoseJacobian(kinematics, fit.space.basis), found.pose, frames, found.covariance)
+
+    def told(part: Tensor) -> Tensor:
+        return torch.where(is_told.reshape(-1, *[1] * (part.ndim - 1)), part, torch.nan)
+
+    return replace(
+        fit,
+        pose=told(found.pose.vector),
+        pose_std=told(_std(fit.space, found.covariance)),
+        pose_covariance=told(found.covariance),
+        keypoints=told(frames.keypoints),
+        keypoints_covariance=told(spread),
+        status=torch.where(is_told & ~fit.is_fitted, FIT_STATUSES.index("filled"), fit.status),
+    )
+
+
+def _std(space: PoseSpace, covariance: Float[Tensor, "k free free"]) -> Float[Tensor, "k 36"]:
+    """Standard deviations of the DOFs."""
+    return ((space.basis @ covariance) * space.basis).sum(-1).clamp_min(0).sqrt()
+
+
+def _keypoints_covariance(
+    jacobian: PoseJacobian, pose: HandPose, frames: HandFrames, covariance: Float[Tensor, "k free free"]
+) -> Float[Tensor, "k 21 3 3"]:
+    """From that of the pose."""
+    columns = jacobian(pose.dofs, frames).contiguous()
+    return (columns.flatten(1, 2) @ covariance).unflatten(1, columns.shape[1:3]) @ columns.mT
 
 
 def _result(estimator: KeypointEstimator, shape: Float[Tensor, "shape"]) -> KeypointFit:
     """The fit of the frames that have enough points."""
     found = estimator.estimate(shape)
     solution, space = found.solution, estimator.space
-    observed = tuple(replace(one, detector=found.detector) for one in estimator.measured.points)
+    observed = tuple(replace(one, detector=found.detector) for one in found.measured.points)
     jacobian = PoseJacobian(observed[0].kinematics, space.basis)
     parts = [
         _measured(
@@ -331,7 +411,7 @@ def _result(estimator: KeypointEstimator, shape: Float[Tensor, "shape"]) -> Keyp
         for rows in (slice(first, first + _AT_ONCE) for first in range(0, len(solution.pose), _AT_ONCE))
     ]
     keypoints, keypoints_covariance, residual = (torch.cat(own) for own in zip(*parts, strict=True))
-    pose, std = solution.pose.vector, ((space.basis @ solution.covariance) * space.basis).sum(-1).clamp_min(0).sqrt()
+    pose, std = solution.pose.vector, _std(space, solution.covariance)
     is_sound = solution.frame_status != SolveStatus.FAILED.value
     is_sound &= pose.isfinite().all(-1) & solution.covariance.isfinite().all((-2, -1))
 
@@ -352,6 +432,7 @@ def _result(estimator: KeypointEstimator, shape: Float[Tensor, "shape"]) -> Keyp
         scale=float(found.detector.log_scale.exp()),
         offsets=found.detector.offsets.clone(),
         space=space,
+        lags=tuple(float(one.lag) for one in found.measured.lags),
     )
 
 
@@ -366,8 +447,7 @@ def _measured(
     px; NaN for missing ones."""
     hands = PosedHands(pose=pose, shape=solution.shape)
     frames = frames_of(observed[0].kinematics, hands)
-    columns = jacobian(pose.dofs, frames).contiguous()
-    spread = (columns.flatten(1, 2) @ covariance).unflatten(1, columns.shape[1:3]) @ columns.mT
+    spread = _keypoints_covariance(jacobian, pose, frames, covariance)
     missed = []
     for one in observed:
         distance = one.associate(hands, Stage(gross_m=1.0)).distance(hands)

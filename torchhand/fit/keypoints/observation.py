@@ -14,6 +14,7 @@ from torchhand.fit.keypoints.points import (
     frames_of,
     trusted_fraction,
 )
+from torchhand.fit.keypoints.rig import ViewLag
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics
 from torchhand.numerics import RobustLoss
@@ -44,6 +45,8 @@ class PictureKeypoints:
     association."""
     detector: Detector | None = None
     """Properties of the detector; None for one whose keypoints are ours."""
+    lag: ViewLag | None = None
+    """How late the pictures are; None where they are not."""
 
     @property
     def is_empty(self) -> bool:
@@ -66,6 +69,7 @@ class PictureKeypoints:
             confidence=None if self.confidence is None else self.confidence[rows],
             std_px=None if self.std_px is None else self.std_px[rows],
             cov_px=None if self.cov_px is None else self.cov_px[rows],
+            lag=None if self.lag is None else self.lag.rows(rows),
         )
 
     def associate(self, hands: PosedHands, stage: Stage) -> "PictureKeypointFactor":
@@ -94,6 +98,7 @@ class PictureKeypoints:
             view=self.view,
             loss=self.loss,
             detector=self.detector or Detector.known(keypoints),
+            lag=self.lag,
         )
         if self.loss is not None:
             return factor
@@ -129,10 +134,12 @@ class PictureKeypointFactor:
     detector: Detector
     white: Float[Tensor, "k 21 2 2"] | None = None
     """What makes errors equally likely in all directions, of determinant 1; None where they are."""
+    lag: ViewLag | None = None
+    """How late the pictures are; a row per hand. None where they are not."""
 
     def distance(self, hands: PosedHands) -> Float[Tensor, "k 21"]:
         """Distance of every point from the hand's keypoint, px; 0 for missing ones."""
-        away = self._projected(hands)[0] - self.points
+        away = self._missed(hands, self._projected(hands)[0])
         return torch.where(self.weight > 0, away.norm(dim=-1), 0.0)
 
     def deviation(self, hands: PosedHands) -> Float[Tensor, "k 21"]:
@@ -148,7 +155,10 @@ class PictureKeypointFactor:
         shared = None
         if hands.unknowns is not None:
             shared = slopes @ self.detector.shared_jacobian(self.kinematics, hands)
-        missed = pixels - self.points
+            if self.lag is not None:
+                change = self.lag.at(hands.extra).points_px()[1]
+                shared[..., len(hands.unknowns.columns) + self.lag.place] -= change.nan_to_num()
+        missed = self._missed(hands, pixels)
         if self.white is not None:
             missed, rows = (self.white @ missed[..., None])[..., 0], self.white @ rows
             shared = None if shared is None else self.white @ shared
@@ -172,12 +182,19 @@ class PictureKeypointFactor:
         """The rows of some of the hands."""
         own = {name: getattr(self, name)[rows] for name in ("points", "weight", "trust")}
         white = None if self.white is None else self.white[rows]
-        return replace(self, camera=self.camera.rows(rows), white=white, **own)
+        lag = None if self.lag is None else self.lag.rows(rows)
+        return replace(self, camera=self.camera.rows(rows), white=white, lag=lag, **own)
 
     def explained(self) -> tuple[Explained, ...]:
         """Share of the points that are trusted by half at least; their distance counts for nothing here."""
         fraction = trusted_fraction(self.weight, self.trust)
         return (Explained(name=IN_PICTURE, view=self.view, fraction=fraction, distance=torch.zeros_like(fraction)),)
+
+    def _missed(self, hands: PosedHands, pixels: Float[Tensor, "k 21 2"]) -> Float[Tensor, "k 21 2"]:
+        """How far keypoints in the picture are from the points, px."""
+        if self.lag is None:
+            return pixels - self.points
+        return pixels - torch.where(self.weight[..., None] > 0, self.lag.at(hands.extra).points_px()[0], 0.0)
 
     def _projected(
         self, hands: PosedHands

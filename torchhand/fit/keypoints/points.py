@@ -64,7 +64,7 @@ class Detector:
     """What is constant about the maker of keypoints: the unit of points in space, and where its keypoints lie.
 
     The two may be unknown: they are then the numbers after the shape among the shared unknowns (`PosedHands.extra`),
-    first the scale, then the offsets.
+    first the scale, then the offsets; the lags of cameras (`ViewLag`) come after them.
     """
 
     log_scale: Float[Tensor, ""]
@@ -87,12 +87,18 @@ class Detector:
         return torch.cat(parts) if parts else self.offsets.new_zeros(0)
 
     def at(self, extra: Float[Tensor, "extra"] | None) -> "Detector":
-        """The detector with other values of its unknown properties; None keeps its own."""
-        if extra is None or not len(extra):
+        """The detector with other values of its unknown properties, which come first; None keeps its own."""
+        if extra is None or not len(self.extra):
             return self
         log_scale = extra[0] if self.has_unknown_scale else self.log_scale
-        offsets = extra[-3 * _POINTS :].unflatten(0, (_POINTS, 3)) if self.has_unknown_offsets else self.offsets
+        offsets = extra[self._offsets_at].unflatten(0, (_POINTS, 3)) if self.has_unknown_offsets else self.offsets
         return replace(self, log_scale=log_scale, offsets=offsets)
+
+    @property
+    def _offsets_at(self) -> slice:
+        """Place of the offsets among the unknowns after the shape."""
+        first = int(self.has_unknown_scale)
+        return slice(first, first + 3 * _POINTS)
 
     @cached_property
     def _has_ours(self) -> bool:
@@ -123,7 +129,8 @@ class Detector:
         if self.has_unknown_offsets:
             each = torch.arange(_POINTS, device=found.device)
             bones = frames.rotation[:, list(KEYPOINT_BONES)] * _mirror(kinematics, found)
-            found[..., -3 * _POINTS :].unflatten(-1, (_POINTS, 3))[:, each, :, each] = bones.movedim(1, 0)
+            after_shape = found[..., len(hands.unknowns.columns) :]
+            after_shape[..., self._offsets_at].unflatten(-1, (_POINTS, 3))[:, each, :, each] = bones.movedim(1, 0)
         return found
 
 

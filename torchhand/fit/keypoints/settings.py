@@ -34,6 +34,14 @@ class KeypointFitSettings:
     offset_std: float = 0.0
     """Spread of the constant offsets between the maker's keypoints and ours, metres, in the frames of the bones; one
     set for all frames, fitted together with the shape. 0 or more; 0 takes the keypoints as ours."""
+    is_recording: bool = False
+    """Whether frames are those of a recording, in their order and at equal distances in time. Poses are then smoothed,
+    short gaps are filled, and cameras may be late."""
+    lag_std: float = 1.0
+    """Spread of the lags of cameras behind the first one in a recording, frames; fitted together with the shape, at
+    most 3. 0 or more; 0 takes the cameras as synchronous."""
+    max_gap: int = 10
+    """Longest run of frames without enough points in a recording that is filled from its neighbours; 0 or more."""
     fit_scale: bool = False
     """Whether points in space are in an unknown unit, which is then fitted; hand length and breadth are held."""
     starts: int = 8
@@ -45,6 +53,7 @@ class KeypointFitSettings:
                 require_positive(name, value)
         require(self.gross > 0, "gross", "above 0", self.gross)
         require(self.prior in PRIORS, "prior", f"one of {', '.join(PRIORS)}", self.prior)
-        require(0 <= self.offset_std < math.inf, "offset_std", "0 or more and finite", self.offset_std)
-        for name, minimum in (("min_points", 4), ("starts", 1)):
+        for name in ("offset_std", "lag_std"):
+            require(0 <= getattr(self, name) < math.inf, name, "0 or more and finite", getattr(self, name))
+        for name, minimum in (("min_points", 4), ("starts", 1), ("max_gap", 0)):
             require(getattr(self, name) >= minimum, name, f"{minimum} or more", getattr(self, name))
