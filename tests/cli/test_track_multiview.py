@@ -328,3 +328,34 @@ def test_older_result_is_kept(result: Path, recording: Path, capsys) -> None:
     assert run(recording, result) == 2
     assert "is not empty" in line_of(capsys)
     assert (result / "track.npz").read_bytes() == before
+
+
+def test_cameras_are_watched_live(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The first look takes longer than the recording: then comes its last picture, the others are counted."""
+    live = ",".join(str(recording / f"view_{view}") for view in range(4))
+    assert run(recording, tmp_path / "out", "--live", live) == 0
+    track, said = load_track(tmp_path / "out"), capsys.readouterr().err
+    assert set(track.status) == {"tracked"}
+    truth = np.load(recording / "truth.npz")["keypoints3d"]
+    assert np.linalg.norm(track.keypoints3d[0] - truth[0], axis=-1).mean() < 0.006
+    assert np.linalg.norm(track.keypoints3d[-1] - truth[-1], axis=-1).mean() < 0.006
+    assert "from a picture to its estimate" in said
+    for name in ("front", "side", "top", "top45"):
+        assert f"camera {name}: {len(track)} pictures used, {FRAMES - len(track)} dropped" in said
+    assert not (tmp_path / "out" / "overlay.mp4").exists()
+    assert (tmp_path / "out" / "hand.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--live", "0,,1"), "--live: expected numbers of webcams or video files, with commas between them"),
+        (("--live", "a,b", "--resume"), "expected none of what needs a recording with it, got --resume"),
+        (("--live", "a,b", "--unit", "hand"), "expected none of what needs a recording with it, got --unit hand"),
+    ],
+)
+def test_what_live_cameras_cannot_do(
+    options: tuple[str, ...], words: str, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(recording, tmp_path / "out", *options) == 2
+    assert words in line_of(capsys)

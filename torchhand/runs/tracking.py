@@ -140,14 +140,17 @@ def track_live_rig(sources: Sequence[str | Path], folder: Path, out_dir: Path, r
         ("--offset", bool(request.offsets)),
         ("--keypoints FILE", bool(request.keypoints)),
         ("--silhouettes masks", bool(request.masks)),
+        ("--unit hand", request.unit == "hand"),
     ):
         if is_given:
             raise InputError(f"--live: expected none of what needs a recording with it, got {option}")
     check_output_folder(out_dir, resume=False, overwrite=request.overwrite)
     cameras = folder if request.camera is None else request.camera
     recording = LiveRecording(sources, cameras, unit=request.unit, max_frames=request.max_frames)
-    with recording:
+    try:
         return _track_views(recording, out_dir, request.causal(), say)
+    finally:
+        recording.close()
 
 
 def _track_views(recording: RigRecording | LiveRecording, out_dir: Path, request: Request, say: Say) -> Track:
@@ -163,7 +166,8 @@ def _track_views(recording: RigRecording | LiveRecording, out_dir: Path, request
         if writer.note is not None:
             say(writer.note)
         if writer.resume_point is None:
-            run, done = start.begun(say), 0
+            is_live = isinstance(recording, LiveRecording)
+            run, done = start.at_once() if is_live else start.begun(recording, say), 0
             run.save_hand(writer.folder)
         else:
             saved = writer.resume_point.state
@@ -178,6 +182,8 @@ def _track_views(recording: RigRecording | LiveRecording, out_dir: Path, request
         except KeyboardInterrupt:
             if isinstance(recording, RigRecording):
                 raise
+        if isinstance(recording, LiveRecording):
+            run.save_hand(writer.folder)  # fitted while the hand was followed
         if not request.is_causal and not request.settings.smoothing_window_s:
             smooth_frames(run, writer, say)
         track, shape = load_track(writer.folder), run.shape
@@ -206,13 +212,17 @@ class _RigStart:
         cameras = in_unit(self.recording.cameras, metres)
         return Tracker(self.hand, cameras, self.settings, shape=self.known, plates=self.plates)
 
-    def begun(self, say: Say) -> Run:
+    def at_once(self) -> Run:
+        """A run that knows nothing: the hand is found, and its proportions are fitted, while the cameras go on."""
+        method = "visual hulls of frames that were followed" if self.known is None else "given"
+        return Run(self.recording, self.tracker(1.0), {"method": method, "unit_m": 1.0})
+
+    def begun(self, recording: RigRecording, say: Say) -> Run:
         """A run that knows the hand's colours, its proportions and its pose in some frames.
 
         Raises InputError where the rig's unit is to be fitted and no hand is found.
         """
-        recording = self.recording
-        found = self._initialization(say)
+        found = self._initialization(recording, say)
         if self.request.unit == "hand":
             if found.metres is None:
                 raise InputError(f"{recording.folder}: --unit hand: expected a hand in some views, found none")
@@ -228,9 +238,9 @@ class _RigStart:
         provenance = self._provenance(found.hand) | {"unit_m": metres}
         return Run(recording, self.tracker(metres), provenance, state=state, metres=metres)
 
-    def _initialization(self, say: Say) -> Initialization:
-        silhouettes = ViewSilhouettes(self.recording.cameras, self.settings.silhouette, plates=self.plates)
-        sample = self.recording.sample(max(1, self.settings.rig.shape_frames))
+    def _initialization(self, recording: RigRecording, say: Say) -> Initialization:
+        silhouettes = ViewSilhouettes(recording.cameras, self.settings.silhouette, plates=self.plates)
+        sample = recording.sample(max(1, self.settings.rig.shape_frames))
         frames = ((frame.index, with_keypoints(frame, self.keypoints, None).views) for frame in sample)
         with tqdm(
             total=self.settings.rig.shape_frames,

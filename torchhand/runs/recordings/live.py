@@ -5,7 +5,6 @@ import statistics
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
-from types import TracebackType
 
 from torchhand.errors import InputError
 from torchhand.files import LiveRig, load_rig, rig_notes
@@ -18,8 +17,7 @@ _NO_PICTURE = "no picture of this time"
 class LiveRecording:
     """Webcams, or video files as if live (`Recording`): pictures of one time, the newest, while nobody looks at others.
 
-    A context manager: the cameras run while it is open. The end is that of the last camera, of `max_frames`, or the
-    user's Ctrl-C.
+    The cameras run from `opened` on. The end is that of the last camera, of `max_frames`, or the user's Ctrl-C.
     """
 
     is_live = True
@@ -38,8 +36,7 @@ class LiveRecording:
         Raises InputError for sources that cannot be opened, wrong cameras, and pictures that are not theirs.
         """
         self.folder, self.name, self.source, self.max_frames = cameras, "live", ",".join(map(str, sources)), max_frames
-        fits_unit = unit == "hand"
-        self.cameras = load_rig(cameras, unit=1.0 if fits_unit else unit)
+        self.cameras = load_rig(cameras, unit=unit)
         if len(self.cameras) < 2 or len(sources) != len(self.cameras):
             got = f"{len(sources)} sources and {len(self.cameras)} cameras in {cameras}"
             raise InputError(f"--live: expected two or more, one for each camera, got {got}")
@@ -51,30 +48,20 @@ class LiveRecording:
                 raise InputError(
                     f"--live {source}: expected pictures of {own} px as camera {camera.name}, got {size[0]}x{size[1]}"
                 )
-        self.fps, self.count, self.notes = self._rig.fps, max_frames, [] if fits_unit else rig_notes(self.cameras)
+        self.fps, self.count, self.notes = self._rig.fps, max_frames, rig_notes(self.cameras)
         self._latencies_s: list[float] = []
-        self._frames = self._numbered()
 
-    def __enter__(self) -> "LiveRecording":
-        self._rig.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._rig.__exit__(kind, error, trace)
-
-    def sample(self, frames: int) -> Iterator[RecordedFrame]:
-        """The next frames, so many at most."""
-        return islice(self._frames, frames)
+    def close(self) -> None:
+        """Let go of the cameras; may be called twice."""
+        self._rig.close()
 
     @contextlib.contextmanager
     def opened(self, done: int) -> Iterator[Iterator[RecordedFrame]]:
-        """The frames from now on; what was is gone. Raises ValueError where the first ones are not to be read."""
+        """The frames from now on. Raises ValueError where the first ones are not to be read: these are gone."""
         if done:
             raise ValueError(f"done: expected 0, for live cameras are not read again, got {done}")
-        self._latencies_s.clear()
-        yield self._frames
+        with self._rig:
+            yield self._numbered()
 
     def warnings(self) -> Sequence[str]:
         """Latency, and what became of every camera's pictures."""
