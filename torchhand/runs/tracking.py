@@ -240,10 +240,12 @@ class _RigStart:
 
     def _initialization(self, recording: RigRecording, say: Say) -> Initialization:
         silhouettes = ViewSilhouettes(recording.cameras, self.settings.silhouette, plates=self.plates)
-        sample = recording.sample(max(1, self.settings.rig.shape_frames))
+        wanted = max(1, self.settings.rig.shape_frames)
+        wanted += wanted // 2 if self.request.unit == "hand" else 0  # frames of a bare arm tell a wrong unit
+        sample = recording.sample(wanted)
         frames = ((frame.index, with_keypoints(frame, self.keypoints, None).views) for frame in sample)
         with tqdm(
-            total=self.settings.rig.shape_frames,
+            total=wanted,
             desc="initializing",
             unit="frame",
             dynamic_ncols=True,

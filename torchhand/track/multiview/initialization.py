@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.hand import Hand
-from torchhand.track.multiview.fitting import FrameFitter
+from torchhand.track.multiview.fitting import FrameFitter, best_of
 from torchhand.track.multiview.hand_initialization import HandInitialization, initialize_hand
 from torchhand.track.multiview.proposer import HandProposer
 from torchhand.track.multiview.scale import in_unit, resized_pose, resized_shape, rough_units, size_factor
@@ -115,5 +115,7 @@ def _agreement(fitter: FrameFitter, scene: Scene, propose: HandProposer) -> floa
     edges that it explains."""
     shape = fitter.hand.kinematics.default_shape
     hull = fitter.hull_anywhere(None, scene.masks)
-    found = fitter.fit_proposed(hull, propose(replace(scene, kept={}), shape), shape, scene.masks)
+    # Both: what is proposed for a bare arm is as often a hand on the forearm, of another size.
+    proposed = fitter.fit_proposed(hull, propose(replace(scene, kept={}), shape), shape, scene.masks)
+    found = best_of([proposed, fitter.search(hull, shape, scene.masks)])
     return 0.0 if found is None else found.overlap * found.covered_fraction
