@@ -97,7 +97,7 @@ def test_another_hand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     ("arguments", "message"),
     [
         (("HÄ", "--to", "OUT/a.mp4"), "text: expected letters A to Z, digits 0 to 9 and spaces, got 'Ä' (character 2"),
-        (("", "--to", "OUT/a.mp4"), "text: expected at least one letter"),
+        ((" ", "--to", "OUT/a.mp4"), "text: expected at least one letter"),
         (("A", "--to", "OUT/a.avi"), "expected a file name with a known ending (.mp4, .glb, .bvh, "),
         (("A", "--to", "OUT/a.mp4", "--format", "glb"), "--format: expected none for .mp4, got glb"),
         (("A", "--to", "OUT/a.mp4", "--size", "640"), "--size: expected WIDTHxHEIGHT, each 64 to 4096 px, got '640'"),

@@ -392,7 +392,7 @@ def test_settings_from_a_file_and_single_ones(tmp_path: Path, run: Run) -> None:
         (("--set", "starts"), "--set: expected KEY=VALUE"),
         (("--set", "start=3"), "command line: unknown key start (did you mean starts?)"),
         (("--set", "perturbation=3", "--set", "perturbation.levels=3"), "--set: expected each field once"),
-        (("--config", "{tmp}/gone.yaml"), "{tmp}/gone.yaml: no such file"),
+        (("--config", "{tmp}/gone.yaml"), "{tmp}/gone.yaml: cannot be read (No such file or directory)"),
         (("--camera", "{tmp}/gone.json"), "--camera: expected INPUT with it; simulated pictures have their own"),
         (("--mask", "{tmp}/wall.png"), "--mask: expected INPUT with it; simulated pictures have their own"),
         (("--hand", "{tmp}/gone.json"), "{tmp}/gone.json: no such file"),

@@ -92,7 +92,7 @@ def test_a_hand_file_alone_gives_the_open_hand_upright(make_result: Callable[...
         (lambda folder: (folder / "hand.json").write_text("{}"), "expected a hand file"),
         (
             lambda folder: (folder / "track.npz").unlink(),
-            "expected a folder with track.npz, track.jsonl or poses.npz, found none",
+            "expected a folder with track.npz, track.jsonl, poses.npz or keypoints_fit.npz, found none",
         ),
         (lambda folder: (folder / "track.npz").write_bytes(b"PK\x03\x04 cut"), "is no track that can be read"),
         (

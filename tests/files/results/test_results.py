@@ -456,7 +456,9 @@ def test_files_that_are_no_track(tmp_path: Path, name: str, content: bytes, mess
 
 
 def test_a_folder_without_a_track(tmp_path: Path):
-    with pytest.raises(InputError, match=r"expected a folder with track.npz, track.jsonl or poses.npz, found none"):
+    with pytest.raises(
+        InputError, match=r"expected a folder with track.npz, track.jsonl, poses.npz or keypoints_fit.npz, found none"
+    ):
         load_track(tmp_path)
     with pytest.raises(InputError, match=r"gone.npz: cannot be read"):
         load_track(tmp_path / "gone.npz")
