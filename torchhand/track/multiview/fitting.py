@@ -200,6 +200,20 @@ class FrameFitter:
         fits = [self._best(own, hull, starts, shape, masks) for own in (fitters.refining, fitters.searching)]
         return best_of(fits)
 
+    def fit_in_place(
+        self, hull: Hull, pose: HandPose, others: Sequence[HandPose], shape: Float[Tensor, "shape"], masks: Masks
+    ) -> list[HullFit]:
+        """Hands fitted from one, and from where others would be if their palms were where its palm is."""
+        if hull.target is None:
+            return []
+        palm = self._palm(pose, shape)
+        moved = [
+            replace(other, dofs=torch.cat((other.dofs[:3] + palm - self._palm(other, shape), other.dofs[3:])))
+            for other in others
+        ]
+        found = self._fitters_for(shape).searching(hull.target, HandPose.stack([pose, *moved]))
+        return [self._compared(found.select(index), shape, masks) for index in found.is_sound.nonzero()[:, 0].tolist()]
+
     def vary_fingers(
         self, hull: Hull, pose: HandPose, others: Sequence[HandPose], shape: Float[Tensor, "shape"], masks: Masks
     ) -> HullFit | None:

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchhand.fit import SharedSolution
 from torchhand.hand import HandPose
+from torchhand.track.multiview.continuity import viterbi_path
 from torchhand.track.multiview.fitting import FrameFitter, HullFit, best_of
 from torchhand.track.multiview.hulls import Hull
 from torchhand.track.scene import Masks, Scene
@@ -20,6 +21,8 @@ _MAX_DROP_FOR_SHAPE = 0.08  # score below the best frame's with which a frame en
 _MAX_DROP_AS_FOUND = 0.15  # score below the best frame's with which a hand still counts as found
 SHAPE_AT = (1, 3, 6)
 """Hands that were found, with which the proportions are fitted before the last time."""
+_SCORE_PER_NAT = 1e-3  # score that a nat of a fit's cost is worth between fits that explain a frame alike
+_FACING_VIEWS = 3  # views that tell by themselves how a hand faces
 _MAX_POSES = 8  # poses of other frames that are tried as starts
 
 
@@ -94,6 +97,8 @@ def initialize_hand(
         done(frame.fit is not None)
     if not _fits_of(seen):
         return HandInitialization(shape=sizes[0], shape_std=None, poses={}, shape_frames=())
+    if len(fitter.cameras) < _FACING_VIEWS:
+        seen = _consistent(fitter, seen, sizes[0])
     used: tuple[int, ...] = ()
     if shape is None:
         used = tuple(frame.index for frame in _for_shape(seen))
@@ -109,14 +114,30 @@ def initialize_hand(
 def _found(
     fitter: FrameFitter, frame: _Frame, shape: Tensor, proposals: HandPose | None, fits: Sequence[HullFit]
 ) -> HullFit | None:
-    """The hand from what is proposed and from the poses of other frames; searched without a guess where these leave
-    much unexplained."""
+    """The hand from what is proposed and from the poses of other frames; searched without a guess too where these leave
+    much unexplained, or the views do not tell palm from back, which the network then guesses."""
     others = [fit.pose for fit in fits[-_MAX_POSES:]]
     hands = [*([] if proposals is None else [proposals]), *([HandPose.stack(others)] if others else [])]
     found = fitter.fit_proposed(frame.hull, HandPose.cat(hands) if hands else None, shape, frame.masks)
-    if found is None or found.score < _EXPLAINED:
+    is_told = len(fitter.cameras) >= _FACING_VIEWS
+    if found is None or found.score < _EXPLAINED or not is_told:
         found = best_of([found, fitter.search(frame.hull, shape, frame.masks)])
     return _accepted(fitter, found)
+
+
+def _consistent(fitter: FrameFitter, seen: Sequence[_Frame], shape: Tensor) -> list[_Frame]:
+    """Every frame explained so that the hand faces alike in those that follow each other, where both ways will do."""
+    found = [(place, frame, frame.fit) for place, frame in enumerate(seen) if frame.fit is not None]
+    alternatives = []
+    for _, frame, fit in found:
+        others = [other.pose for _, _, other in found if other is not fit]
+        alternatives.append([fit, *fitter.fit_in_place(frame.hull, fit.pose, others, shape, frame.masks)])
+    scores = [torch.tensor([fit.score - _SCORE_PER_NAT * float(fit.cost) for fit in own]) for own in alternatives]
+    facing = [torch.stack([fit.pose.reference for fit in own]) for own in alternatives]
+    chosen = list(seen)
+    for (place, frame, _), own, index in zip(found, alternatives, viterbi_path(scores, facing), strict=True):
+        chosen[place] = replace(frame, fit=own[index])
+    return chosen
 
 
 def _with_shape(
