@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from torchhand.cli.fit_keypoints import main
-from torchhand.files import load_hand, load_hand_model, save_cameras
+from torchhand.files import load_hand, load_hand_model, load_rig, save_cameras
 from torchhand.geometry import assumed_camera, rotation_from_vector, vector_from_rotation
 from torchhand.hand import Side, posture
 
@@ -321,3 +321,33 @@ def test_an_array_of_all_cameras_with_a_calibration_of_aniposelib(
     np.save(tmp_path / "wrong.npy", seen[:, :, :20])
     assert _run(tmp_path / "wrong.npy", "--out", tmp_path / "four", *options) == 2
     assert "expected an array (cameras, frames, 21, 2), got (3, 4, 20, 2)" in capsys.readouterr().err
+
+
+def test_rough_cameras_are_refined_and_refused_where_the_hand_does_not_tell_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, points = _points("right")
+    time = np.linspace(0, 6, 32)
+    way = 0.07 * np.stack((np.sin(time), np.cos(2 * time), np.sin(1.5 * time)), -1)
+    moving = torch.from_numpy(points[np.arange(32) % len(points)] + way[:, None])
+    turn = rotation_from_vector(torch.tensor((0.1, 0.8, 0.0), dtype=torch.float64))
+    middle = torch.tensor((0.0, 0.0, 0.5), dtype=torch.float64)
+    first = replace(assumed_camera(640, 480), name="left")
+    second = replace(first, rotation=turn, translation=middle - turn @ middle, name="right")
+    rough = replace(second, rotation=rotation_from_vector(torch.tensor((0.0, 0.03, 0.0)).double()) @ turn)
+    pixels = np.stack([camera.project(moving).numpy() for camera in (first, second)])
+    np.save(tmp_path / "rig.npy", pixels)
+    save_cameras([first, rough], tmp_path / "cameras.json")
+    source = (tmp_path / "rig.npy", "--camera", tmp_path / "cameras.json", "--side", "right", "--smooth", "False")
+    assert _run(*source, "--refine-cameras", "--out", tmp_path / "out") == 0
+    assert "cameras off by: right 1." in capsys.readouterr().out
+    found = load_rig(tmp_path / "out" / "cameras.json")[1]
+    off = vector_from_rotation(found.rotation @ turn.mT).norm().rad2deg()
+    assert float(off) < 0.3
+    np.save(tmp_path / "rig.npy", pixels[:, :12])
+    assert _run(*source, "--refine-cameras", "--out", tmp_path / "out2") == 2
+    assert "expected a hand whose motion tells" in capsys.readouterr().err
+    assert not (tmp_path / "out2").exists()
+    np.save(tmp_path / "space.npy", points)
+    assert _run(tmp_path / "space.npy", "--refine-cameras", "--out", tmp_path / "out3") == 2
+    assert "expected points of two pinhole cameras" in capsys.readouterr().err

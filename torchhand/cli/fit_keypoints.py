@@ -19,17 +19,25 @@ from torchhand.files import (
     camera_entry,
     load_hand_model,
     read_detections,
+    save_cameras,
     save_hand,
 )
 from torchhand.files.detections import Units, read_rig_detections
 from torchhand.files.disk import explained_errors, replacing
 from torchhand.files.results import CONVENTION, FIT_NAME, HAND_NAME
-from torchhand.fit.keypoints import KeypointFit, KeypointFitSettings, fit_keypoints
+from torchhand.fit.keypoints import (
+    KeypointFit,
+    KeypointFitSettings,
+    RefinedCameras,
+    fit_keypoints,
+    refine_cameras,
+)
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, POSE_SPACES, Side, named_pose_space
 from torchhand.runs import PALM_METRES, cameras_of_detections, known_hand, same_frames, seen_keypoints
 
 _FORMAT = "torchhand keypoints fit 1"
+_CAMERAS_NAME = "cameras.json"
 _MAX_UNEXPLAINED = 0.4
 """Random points leave 0.7 to 0.9 (Gaussian, and uniform in a cube), what detectors see of hands 0.05 to 0.2."""
 _OFFSET_STD = 0.005
@@ -89,6 +97,9 @@ class Arguments:
     are where there are 30 frames or more that have no names of pictures."""
     fit_offsets: bool = False
     """Fit constant offsets (some 5 mm) of the detector's keypoints from ours too: makers place joints differently."""
+    refine_cameras: bool = False
+    """Correct turns and places of the cameras after the first, known to some 3 degrees and 50 mm, by the hand's points;
+    refused where its motion does not tell them. Writes cameras.json too."""
     overwrite: bool = False
     """Replace older results in DIR."""
     threads: int = 1
@@ -114,6 +125,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     cameras = _cameras(arguments, detections)
     detections, cameras = _chosen(arguments.views, detections, cameras)
     with threads(arguments.threads):
+        refined = _refined(arguments, detections, cameras)
+        cameras = cameras if refined is None else list(refined.cameras)
         side, fit, note = _fitted(arguments, hand, detections, cameras)
     if not bool(fit.is_fitted.any()):
         reasons = ", ".join(sorted(set(fit.status_names())))
@@ -125,9 +138,38 @@ def main(argv: Sequence[str] | None = None) -> int:
             f" {_mean(fit, bool(cameras))}, {left:.0%} of its own extent; check --side, and the points' order and units"
         )
     _save(arguments, hand, detections, cameras, side, fit)
+    if refined is not None:
+        save_cameras(cameras, arguments.out / _CAMERAS_NAME)
     print(_summary(fit, side, note, is_seen=bool(cameras)))
     print(f"saved {arguments.out / FIT_NAME} and {arguments.out / HAND_NAME}")
     return DONE
+
+
+def _refined(
+    arguments: Arguments, detections: Sequence[Detections], cameras: Sequence[Camera]
+) -> RefinedCameras | None:
+    """The cameras by the hand's points, and what they were off by; None where that was not asked for."""
+    if not arguments.refine_cameras:
+        return None
+    if len(cameras) < 2 or any(camera.kind != "pinhole" or camera.intrinsics.ndim > 2 for camera in cameras):
+        raise InputError(f"--refine-cameras: expected points of two pinhole cameras or more, got {len(cameras)}")
+    try:
+        found = refine_cameras(seen_keypoints(detections, cameras))
+    except ValueError as error:
+        raise InputError(f"--refine-cameras: {error}") from error
+    std = found.covariance.diagonal(dim1=-2, dim2=-1).sqrt()
+    told = []
+    for camera, change, own in zip(cameras[1:], found.change, std, strict=True):
+        turn, shift = change[:3].norm().rad2deg(), 1e3 * change[3:].norm()
+        turn_std, shift_std = own[:3].max().rad2deg(), 1e3 * own[3:].max()
+        told.append(f"{camera.name} {turn:.1f} ± {turn_std:.1f} degrees, {shift:.0f} ± {shift_std:.0f} mm")
+    if not bool(found.is_determined.all()):
+        raise InputError(
+            f"{arguments.input[0]}: --refine-cameras: expected a hand whose motion tells where the cameras are,"
+            f" got {'; '.join(told)}"
+        )
+    print(f"cameras off by: {'; '.join(told)} (standard deviations without what is wrong alike in all frames)")
+    return found
 
 
 def _unexplained(fit: KeypointFit, cameras: Sequence[Camera]) -> float:
@@ -144,7 +186,8 @@ def _check_folder(arguments: Arguments) -> None:
     out = arguments.out
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: expected a folder for the results, got a file")
-    old = [name for name in (FIT_NAME, HAND_NAME) if (out / name).exists()]
+    names = (FIT_NAME, HAND_NAME, *([_CAMERAS_NAME] if arguments.refine_cameras else []))
+    old = [name for name in names if (out / name).exists()]
     if old and not arguments.overwrite:
         raise InputError(f"{out}: holds {' and '.join(old)} already; give another folder, or --overwrite")
 

@@ -1,12 +1,12 @@
 """Hands fitted to keypoints, in space or in pictures; keypoints as observations."""
 
-from torchhand.fit.keypoints.fit import KeypointFit, fit_keypoints
+from torchhand.fit.keypoints.fit import KeypointFit, fit_keypoints, refine_cameras
 from torchhand.fit.keypoints.observation import PictureKeypoints
 from torchhand.fit.keypoints.placement import place_hand
 from torchhand.fit.keypoints.points import Detector, KeypointSettings
 from torchhand.fit.keypoints.posture import PostureKeypoints
 from torchhand.fit.keypoints.prior import limit_information
-from torchhand.fit.keypoints.rig import triangulated
+from torchhand.fit.keypoints.rig import RefinedCameras, triangulated
 from torchhand.fit.keypoints.seen import SeenKeypoints
 from torchhand.fit.keypoints.settings import KeypointFitSettings
 from torchhand.fit.keypoints.views import starts_in_picture
@@ -19,11 +19,13 @@ __all__ = [
     "KeypointSettings",
     "PictureKeypoints",
     "PostureKeypoints",
+    "RefinedCameras",
     "SeenKeypoints",
     "WorldKeypoints",
     "fit_keypoints",
     "limit_information",
     "place_hand",
+    "refine_cameras",
     "starts_in_picture",
     "triangulated",
 ]

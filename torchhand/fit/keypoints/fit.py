@@ -16,7 +16,7 @@ from torchhand.fit.keypoints.posture import PostureKeypoints
 from torchhand.fit.keypoints.prior import natural_posture
 from torchhand.fit.keypoints.recording import PosePath, is_short_gap
 from torchhand.fit.keypoints.relative import RelativeKeypoints
-from torchhand.fit.keypoints.rig import ViewLag, triangulated
+from torchhand.fit.keypoints.rig import RefinedCameras, ViewLag, refined_cameras, triangulated
 from torchhand.fit.keypoints.seen import SeenKeypoints
 from torchhand.fit.keypoints.settings import KeypointFitSettings
 from torchhand.fit.keypoints.world import WorldKeypoints
@@ -153,6 +153,24 @@ def fit_keypoints(
     if settings.is_recording and int(fit.is_fitted.sum()) >= _MIN_RECORDED:
         fit = _smoothed(fit, kinematics, settings.max_gap)
     return _shaped(fit, batch)
+
+
+@torch.no_grad()
+def refine_cameras(
+    views: Sequence[SeenKeypoints],
+    *,
+    turn_std: float = math.radians(3.0),
+    shift_std: float = 0.05,
+    settings: KeypointFitSettings | None = None,
+) -> RefinedCameras:
+    """Cameras whose turns (radians) and places (metres) are roughly known, by the points that they saw of one hand.
+
+    Raises ValueError for fewer than two cameras, cameras in one place, and cameras that are no single pinhole camera.
+    """
+    settings = settings or KeypointFitSettings()
+    seen = [_usable(view.flat(torch.zeros((), dtype=torch.float64)), settings) for view in views]
+    points, std = [view.points_px for view in seen], [_std_px(view.points_px, settings)[0] for view in seen]
+    return refined_cameras([view.camera for view in seen], points, std, turn_std=turn_std, shift_std=shift_std)
 
 
 def _views(

@@ -1,6 +1,7 @@
-"""Keypoints of several cameras: which of them are one hand's, where they lie, and which cameras are late."""
+"""Keypoints of several cameras: which of them are one hand's, where they lie, which cameras are late or elsewhere."""
 
 from torchhand.fit.keypoints.rig.lag import ViewLag
+from torchhand.fit.keypoints.rig.refinement import RefinedCameras, refined_cameras
 from torchhand.fit.keypoints.rig.triangulation import Triangulated, triangulated
 
-__all__ = ["Triangulated", "ViewLag", "triangulated"]
+__all__ = ["RefinedCameras", "Triangulated", "ViewLag", "refined_cameras", "triangulated"]

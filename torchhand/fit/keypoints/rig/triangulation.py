@@ -38,7 +38,7 @@ def triangulated(
     agree with best. points_px: NaN for missing points. std_px: of the points of every view, from which follows how near
     is near enough. Cameras that show no depth (orthographic ones) count as any other.
     """
-    rows = [_Rows.of(*one) for one in zip(cameras, points_px, std_px, strict=True)]
+    rows = [ViewRows.of(*one) for one in zip(cameras, points_px, std_px, strict=True)]
     count, frames = len(rows), len(points_px[0])
     like = points_px[0]
     best = like.new_full((frames, 21, 3), torch.nan)
@@ -62,7 +62,7 @@ def triangulated(
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Rows:
+class ViewRows:
     """The linear equations of one view's points: matrix · point = value, and how far a point is from its ray."""
 
     camera: Camera
@@ -72,7 +72,7 @@ class _Rows:
     """Inverse standard deviations in that plane; 0 for missing points."""
 
     @classmethod
-    def of(cls, camera: Camera, points_px: Tensor, std_px: Tensor) -> "_Rows":
+    def of(cls, camera: Camera, points_px: Tensor, std_px: Tensor) -> "ViewRows":
         is_known = points_px.isfinite().all(-1)
         plane = camera.plane_from_pixels(torch.where(is_known[..., None], points_px, 0.0))
         is_known &= plane.isfinite().all(-1)
@@ -117,7 +117,7 @@ class _Rows:
         return (1 + (self.missed(points) / _GROSS_STD).square()).reciprocal().nan_to_num(1.0)
 
 
-def _solved(rows: Sequence[_Rows], weights: Sequence[Float[Tensor, "frames 21"]]) -> Float[Tensor, "frames 21 3"]:
+def _solved(rows: Sequence[ViewRows], weights: Sequence[Float[Tensor, "frames 21"]]) -> Float[Tensor, "frames 21 3"]:
     """Points in weighted linear least squares; NaN for those of fewer than two views."""
     like = rows[0].plane
     matrix, value = like.new_zeros(*like.shape[:2], 3, 3), like.new_zeros(*like.shape[:2], 3)
