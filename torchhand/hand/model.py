@@ -10,11 +10,12 @@ from torchhand.hand.hand import Hand
 from torchhand.hand.kinematics import HandKinematics, ShapeSpace, Side, Skeleton
 from torchhand.hand.prior import HandPrior, HandPriorSettings
 from torchhand.hand.skin import HandMesh
+from torchhand.precision import require_exact
 
 
 @dataclass(frozen=True, kw_only=True)
 class HandModel:
-    """What a model folder holds, float64."""
+    """What a model folder holds: constants in float64, modules in the dtype that is asked for."""
 
     name: str
     skeleton: Skeleton
@@ -24,19 +25,20 @@ class HandModel:
 
     def kinematics(self, side: Side = "right", *, dtype: torch.dtype = torch.float32) -> HandKinematics:
         """A kinematics module of this hand in the given precision."""
+        require_exact("dtype", dtype)
         space = self.shape_space.to(dtype=dtype)
         return HandKinematics(self.skeleton, space, side).to(dtype)
 
-    def prior(self, settings: HandPriorSettings | None = None) -> HandPrior:
-        """What postures and proportions are likely: log-density, sampler and energy, float64."""
-        return HandPrior(self.skeleton, self.shape_space, settings)
+    def prior(self, settings: HandPriorSettings | None = None, *, dtype: torch.dtype = torch.float32) -> HandPrior:
+        """What postures and proportions are likely: log-density, sampler and energy in the given precision."""
+        return HandPrior(self.skeleton, self.shape_space, settings, dtype=dtype)
 
     def hand(
         self,
         shape: Float[Tensor, "*batch shape"] | None = None,
         *,
         side: Side = "right",
-        dtype: torch.dtype | None = None,
+        dtype: torch.dtype = torch.float32,
     ) -> Hand:
         """A `Hand` of this model: bones, keypoints, skinned mesh and primitives; arguments and errors as there.
 

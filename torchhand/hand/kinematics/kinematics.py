@@ -12,10 +12,12 @@ from torchhand.hand.kinematics.chain import place_chain
 from torchhand.hand.kinematics.constants import LEVER_ENDS, ChainBuffers, chain_constants
 from torchhand.hand.kinematics.shape import ShapeSpace, offset_matrix
 from torchhand.hand.kinematics.skeleton import BONES, DOFS, KEYPOINTS, Skeleton
+from torchhand.precision import full_precision, record
 
 Side = Literal["left", "right"]
 
 
+@record()
 @dataclass(frozen=True, kw_only=True)
 class HandFrames:
     """Where the bones of a hand are, metres."""
@@ -58,6 +60,7 @@ class HandKinematics(nn.Module):
         self.register_buffer("default_shape", shape_space.default.clone(), persistent=False)
         self.register_buffer("default_levers", (levers @ default)[..., None], persistent=False)
 
+    @full_precision
     def forward(
         self,
         pose: Float[Tensor, "*batch 36"],
@@ -83,6 +86,7 @@ class HandKinematics(nn.Module):
             keypoints=keypoints.permute(2, 0, 1).reshape(*batch, len(KEYPOINTS), 3),
         )
 
+    @full_precision
     def metres(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch shape"]:
         """`ShapeSpace.metres` from what lies on the module's device, in a form that compilers take."""
         names = self.shape_space.names

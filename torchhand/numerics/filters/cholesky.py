@@ -4,10 +4,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.precision import full_precision
+
 RELATIVE_JITTERS = (1e-10, 1e-8, 1e-6)  # times the diagonal
 RELATIVE_EIGENVALUE_FLOOR = 1e-12  # times the largest eigenvalue
 
 
+@full_precision
 def robust_cholesky(matrix: Float[Tensor, "*batch n n"]) -> Float[Tensor, "*batch n n"]:
     """Lower triangular L with L Lᵀ = matrix, or nearly so where the matrix is not positive definite.
 

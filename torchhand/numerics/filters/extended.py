@@ -14,11 +14,13 @@ from torchhand.numerics.filters.gaussian import Gaussian
 from torchhand.numerics.filters.square_root import PosteriorRoot
 from torchhand.numerics.filters.unscented import Update
 from torchhand.numerics.filters.whitening import is_full, masked_noise, noise_root, usable, whiten
+from torchhand.precision import full_precision
 
 Linearised = Callable[[Tensor], tuple[Tensor, Tensor]]
 """A function of states (*batch, k) that returns values (*batch, m) and their Jacobian (*batch, m, k)."""
 
 
+@full_precision
 def update_extended(
     state: Gaussian,
     innovation: Float[Tensor, "*batch m"],

@@ -13,6 +13,7 @@ from torchhand.numerics.filters.gaussian import Gaussian
 from torchhand.numerics.filters.information import correct
 from torchhand.numerics.filters.sigma import UnscentedSettings, Weights, sigma_points, spread_points
 from torchhand.numerics.filters.whitening import usable
+from torchhand.precision import full_precision
 
 DEFAULT_SETTINGS = UnscentedSettings()
 
@@ -40,6 +41,7 @@ class _Spread:
     remainder: Tensor | None  # (*batch, n, n) P - A J Aᵀ; None for zero
 
 
+@full_precision
 def predict(
     state: Gaussian,
     transition: Callable[[Tensor], Tensor],
@@ -59,6 +61,7 @@ def predict(
     return Gaussian(mean, _symmetric(covariance))
 
 
+@full_precision
 def predict_linear(
     state: Gaussian, transition: Float[Tensor, "*#batch n n"], process_noise: Float[Tensor, "*#batch n n"]
 ) -> Gaussian:
@@ -67,6 +70,7 @@ def predict_linear(
     return Gaussian(mean, _symmetric(transition @ state.covariance @ transition.mT + process_noise))
 
 
+@full_precision
 def update(
     state: Gaussian,
     observe: Callable[[Tensor], Tensor],
@@ -137,6 +141,7 @@ def update(
     )
 
 
+@full_precision
 def observed_points(
     state: Gaussian, settings: UnscentedSettings, observed: int | None = None
 ) -> Float[Tensor, "*batch p k"]:

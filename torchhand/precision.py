@@ -1,0 +1,140 @@
+"""What numbers a call is computed in: float32 or float64, one of them, whatever `torch.autocast` asks for.
+
+A hand in bfloat16 is wrong by millimetres, and a filter's covariance in it is none. Functions that say so here never
+compute in half precision: autocast does not reach them, and tensors of half precision are refused, or promoted where
+autocast made them. Tensors of one call, and those within records of them, have one dtype.
+"""
+
+import inspect
+from collections.abc import Callable, Iterable
+from dataclasses import fields
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
+
+import torch
+from torch import Tensor
+from torch.utils import _pytree
+
+P = ParamSpec("P")
+R = TypeVar("R")
+Record = TypeVar("Record", bound=type)
+
+EXACT = (torch.float32, torch.float64)
+"""Dtypes that hands, filters and solvers compute in."""
+_DEVICES = ("cpu", "cuda", "mps", "xpu")
+_RECORDS: dict[type, str] = {}
+"""Records that are known, each with the field that tells its dtype."""
+
+
+def full_precision(function: Callable[P, R]) -> Callable[P, R]:
+    """The function with every product in the dtype of its tensors, also within `torch.autocast`.
+
+    Tensors of half precision that autocast has made on the way here are promoted to float32, as torch does it for
+    functions that need that. Without autocast they are refused, and so are tensors of different floating-point dtypes:
+    ValueError with one line that names both. A record counts as the tensors that it holds where `record` made it known;
+    others, such as cameras and limits, are constants that follow the tensors.
+    """
+    names = tuple(inspect.signature(function).parameters)
+
+    @wraps(function)
+    def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        if torch._C._is_any_autocast_enabled():
+            return _without_autocast(called, args, kwargs)
+        if not torch.compiler.is_compiling():
+            _require_one_dtype(names, args, kwargs)
+        return function(*args, **kwargs)
+
+    return called
+
+
+def _without_autocast(function: Callable[..., R], args: tuple[Any, ...], kwargs: dict[str, Any]) -> R:
+    """Switch autocast off for one kind of device after the other, and promote what it made."""
+    for device in _DEVICES:
+        if torch.is_autocast_enabled(device):
+            args = tuple(_promoted(value) for value in args)
+            kwargs = {name: _promoted(value) for name, value in kwargs.items()}
+            with torch.autocast(device, enabled=False):
+                return function(*args, **kwargs)
+    raise RuntimeError(f"autocast: expected one for {', '.join(_DEVICES)}, which alone can be switched off here")
+
+
+def _promoted(value: Any) -> Any:
+    is_half = isinstance(value, Tensor) and value.dtype in (torch.bfloat16, torch.float16)
+    return value.float() if is_half else value
+
+
+def _require_one_dtype(names: tuple[str, ...], args: tuple[Any, ...], kwargs: dict[str, Any]) -> None:
+    first, kept = "", None
+    for name, value in (*zip(names, args, strict=False), *kwargs.items()):
+        dtype = _dtype_of(value)
+        if dtype is None or dtype is kept:
+            continue
+        require_exact(name, dtype)
+        if kept is not None:
+            raise ValueError(f"{name}: expected {kept}, that of {first}, got {dtype}")
+        first, kept = name, dtype
+
+
+def _dtype_of(value: Any) -> torch.dtype | None:
+    """The floating-point dtype of a tensor or of a record's first field, None for all else."""
+    if isinstance(value, Tensor):
+        return value.dtype if value.is_floating_point() else None
+    name = _RECORDS.get(type(value))
+    return None if name is None else _dtype_of(getattr(value, name))
+
+
+def require_exact(name: str, dtype: torch.dtype) -> None:
+    """Raise ValueError, one line, for a dtype that nothing here computes in."""
+    if dtype not in EXACT:
+        raise ValueError(f"{name}: expected torch.float32 or torch.float64, got {dtype}")
+
+
+def record(*constants: str) -> Callable[[Record], Record]:
+    """Make a frozen dataclass of tensors known to torch: `torch.vmap` and `torch.func` take and give such records.
+
+    constants: fields that belong to the record as a whole, such as the faces of a mesh: no dimension is mapped over
+    them and no derivative is taken of them. They are the same where they are the same object.
+    """
+
+    def registered(kind: Record) -> Record:
+        names = tuple(field.name for field in fields(kind) if field.name not in constants)
+
+        def flatten(value: object) -> tuple[list[object], _Constants]:
+            return [getattr(value, name) for name in names], _Constants(tuple(getattr(value, c) for c in constants))
+
+        def flatten_with_keys(value: object) -> tuple[list[tuple[Any, object]], _Constants]:
+            parts, kept = flatten(value)
+            return [(_pytree.GetAttrKey(name), part) for name, part in zip(names, parts, strict=True)], kept
+
+        def unflatten(parts: Iterable[object], kept: Any) -> object:
+            new = object.__new__(kind)  # without the checks of the constructor: leaves need be no tensors
+            for name, part in (*zip(names, parts, strict=True), *zip(constants, kept.values, strict=True)):
+                object.__setattr__(new, name, part)
+            return new
+
+        _pytree.register_pytree_node(
+            kind,
+            flatten,
+            unflatten,
+            serialized_type_name=f"{kind.__module__}.{kind.__qualname__}",
+            flatten_with_keys_fn=flatten_with_keys,
+        )
+        _RECORDS[kind] = names[0]
+        return kind
+
+    return registered
+
+
+class _Constants:
+    """What a record holds besides its tensors; equal where it is the same."""
+
+    def __init__(self, values: tuple[object, ...]) -> None:
+        self.values = values
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, _Constants) or len(other.values) != len(self.values):
+            return False
+        return all(one is another for one, another in zip(self.values, other.values, strict=True))
+
+    def __hash__(self) -> int:
+        return hash(tuple(map(id, self.values)))
