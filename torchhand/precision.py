@@ -1,8 +1,8 @@
-"""What numbers a call is computed in: float32 or float64, one of them, whatever `torch.autocast` asks for.
+"""What numbers a call is computed in: those of its tensors, whatever `torch.autocast` asks for.
 
-A hand in bfloat16 is wrong by millimetres, and a filter's covariance in it is none. Functions that say so here never
-compute in half precision: autocast does not reach them, and tensors of half precision are refused, or promoted where
-autocast made them. Tensors of one call, and those within records of them, have one dtype.
+A hand in bfloat16 is wrong by millimetres, and a filter's covariance in it is none. So autocast reaches neither hands
+nor filters nor solvers; half precision is for a hand that was asked for in it. Tensors of one call, and those within
+records of them, have one dtype.
 """
 
 import inspect
@@ -20,20 +20,29 @@ R = TypeVar("R")
 Record = TypeVar("Record", bound=type)
 
 EXACT = (torch.float32, torch.float64)
-"""Dtypes that hands, filters and solvers compute in."""
+"""Dtypes that filters, solvers and priors compute in."""
 _DEVICES = ("cpu", "cuda", "mps", "xpu")
 _RECORDS: dict[type, str] = {}
 """Records that are known, each with the field that tells its dtype."""
 
 
-def full_precision(function: Callable[P, R]) -> Callable[P, R]:
+def own_precision(function: Callable[P, R]) -> Callable[P, R]:
     """The function with every product in the dtype of its tensors, also within `torch.autocast`.
 
     Tensors of half precision that autocast has made on the way here are promoted to float32, as torch does it for
-    functions that need that. Without autocast they are refused, and so are tensors of different floating-point dtypes:
-    ValueError with one line that names both. A record counts as the tensors that it holds where `record` made it known;
-    others, such as cameras and limits, are constants that follow the tensors.
+    functions that need that. Tensors of different floating-point dtypes are refused: ValueError with one line that
+    names both. A record counts as the tensors that it holds where `record` made it known; others, such as cameras and
+    limits, are constants that follow the tensors.
     """
+    return _guarded(function, is_exact=False)
+
+
+def full_precision(function: Callable[P, R]) -> Callable[P, R]:
+    """As `own_precision`, and half precision is refused as well where autocast did not make it."""
+    return _guarded(function, is_exact=True)
+
+
+def _guarded(function: Callable[P, R], *, is_exact: bool) -> Callable[P, R]:
     names = tuple(inspect.signature(function).parameters)
 
     @wraps(function)
@@ -41,7 +50,7 @@ def full_precision(function: Callable[P, R]) -> Callable[P, R]:
         if torch._C._is_any_autocast_enabled():
             return _without_autocast(called, args, kwargs)
         if not torch.compiler.is_compiling():
-            _require_one_dtype(names, args, kwargs)
+            _require_one_dtype(names, args, kwargs, is_exact=is_exact)
         return function(*args, **kwargs)
 
     return called
@@ -63,13 +72,16 @@ def _promoted(value: Any) -> Any:
     return value.float() if is_half else value
 
 
-def _require_one_dtype(names: tuple[str, ...], args: tuple[Any, ...], kwargs: dict[str, Any]) -> None:
+def _require_one_dtype(
+    names: tuple[str, ...], args: tuple[Any, ...], kwargs: dict[str, Any], *, is_exact: bool
+) -> None:
     first, kept = "", None
     for name, value in (*zip(names, args, strict=False), *kwargs.items()):
         dtype = _dtype_of(value)
         if dtype is None or dtype is kept:
             continue
-        require_exact(name, dtype)
+        if is_exact:
+            require_exact(name, dtype)
         if kept is not None:
             raise ValueError(f"{name}: expected {kept}, that of {first}, got {dtype}")
         first, kept = name, dtype

@@ -11,7 +11,7 @@ from torchhand.geometry import batch_last, common_shape
 from torchhand.hand.kinematics import DOFS, HandFrames, HandKinematics, ShapeSpace, Side, Skeleton
 from torchhand.hand.primitives import Primitives, place_primitives, primitive_sizes
 from torchhand.hand.skin import HandMesh, Skinning, mirrored_mesh
-from torchhand.precision import full_precision, record, require_exact
+from torchhand.precision import own_precision, record
 
 
 @record("faces", "shape_space", "is_left")
@@ -68,14 +68,15 @@ class Hand(nn.Module):
         """
         shape: parameters of the shape space, one hand or many; the default proportions where it is None.
         skeleton, shape_space, mesh: of a hand model; `HandModel.hand` gives them.
-        dtype: what to compute in, float32 or float64; a shape of the other is converted, its gradient flows on.
+        dtype: what to compute in; a shape of another dtype is converted, its gradient flows on.
             Constants are rounded to it once, so for float64 say so here instead of converting the module later.
 
         Raises ValueError for a shape that is not finite or outside its bounds, for other dtypes, and for a parameter
         given as shape that has another dtype.
         """
         super().__init__()
-        require_exact("dtype", dtype)
+        if not dtype.is_floating_point:
+            raise ValueError(f"dtype: expected one of floating-point numbers, got {dtype}")
         if isinstance(shape, nn.Parameter) and shape.dtype != dtype:
             raise ValueError(f"dtype: expected {shape.dtype}, that of the parameter given as shape, got {dtype}")
         self.side: Side = side
@@ -93,7 +94,7 @@ class Hand(nn.Module):
         self._check_width("shape", self.shape, len(self.shape_space.names))
         self.shape_space.check(self.shape)
 
-    @full_precision
+    @own_precision
     def forward(
         self,
         pose: Float[Tensor, "*#batch 36"],

@@ -10,7 +10,6 @@ from torchhand.hand.hand import Hand
 from torchhand.hand.kinematics import HandKinematics, ShapeSpace, Side, Skeleton
 from torchhand.hand.prior import HandPrior, HandPriorSettings
 from torchhand.hand.skin import HandMesh
-from torchhand.precision import require_exact
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +24,6 @@ class HandModel:
 
     def kinematics(self, side: Side = "right", *, dtype: torch.dtype = torch.float32) -> HandKinematics:
         """A kinematics module of this hand in the given precision."""
-        require_exact("dtype", dtype)
         space = self.shape_space.to(dtype=dtype)
         return HandKinematics(self.skeleton, space, side).to(dtype)
 

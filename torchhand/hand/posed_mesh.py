@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchhand.hand.hand import Hand, HandState
-from torchhand.precision import full_precision
+from torchhand.precision import own_precision
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +20,7 @@ class PosedMesh:
     part_of_face: Int[Tensor, "faces"]
     """The bone with most weight at the corners of each face, index into BONES."""
 
-    @full_precision
+    @own_precision
     def moved(self, rotation: Float[Tensor, "3 3"], translation: Float[Tensor, "3"]) -> "PosedMesh":
         """The same surfaces after X_new = rotation X + translation."""
         return replace(self, vertices=self.vertices @ rotation.T + translation)
@@ -29,7 +29,7 @@ class PosedMesh:
         """One hand of a flat batch."""
         return replace(self, vertices=self.vertices[index])
 
-    @full_precision
+    @own_precision
     def vertex_normals(self) -> Float[Tensor, "*batch vertices 3"]:
         """Unit normals, outward: the mean of those of the faces around each vertex, weighted by area."""
         a, b, c = self.vertices[..., self.faces, :].unbind(-2)

@@ -6,14 +6,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.precision import full_precision
+from torchhand.precision import own_precision
 
 _HALF_LOG_2PI = 0.5 * math.log(2 * math.pi)
 _TAIL = 30.0
 """Deviations beyond which a tail counts as exponential: its quantile is good to 1e-3 of its own width there."""
 
 
-@full_precision
+@own_precision
 def log_ndtr(value: Float[Tensor, "*sizes"]) -> Float[Tensor, "*sizes"]:
     """log Φ, the standard normal's distribution function, to full relative precision; differentiable twice and more.
 
@@ -26,7 +26,7 @@ def log_ndtr(value: Float[Tensor, "*sizes"]) -> Float[Tensor, "*sizes"]:
     return torch.where(is_left, tail, torch.log1p(-0.5 * torch.special.erfc(right * math.sqrt(0.5))))
 
 
-@full_precision
+@own_precision
 def log_normal_mass(low: Float[Tensor, "*sizes"], high: Float[Tensor, "*sizes"]) -> Float[Tensor, "*sizes"]:
     """log(Φ(high) − Φ(low)) of a standard normal, low < high; either may be infinite. Differentiable.
 
@@ -41,7 +41,7 @@ def log_normal_mass(low: Float[Tensor, "*sizes"], high: Float[Tensor, "*sizes"])
     return above + torch.log(-torch.expm1(gap))
 
 
-@full_precision
+@own_precision
 def truncated_normal_log_prob(
     value: Float[Tensor, "*#sizes"],
     mean: Float[Tensor, "*#sizes"],
@@ -55,7 +55,7 @@ def truncated_normal_log_prob(
     return -0.5 * scaled.square() - _HALF_LOG_2PI - std.log() - mass
 
 
-@full_precision
+@own_precision
 def truncated_normal_quantile(
     fraction: Float[Tensor, "*#sizes"],
     mean: Float[Tensor, "*#sizes"],

@@ -248,4 +248,4 @@ def test_what_settings_refuse() -> None:
         with pytest.raises(ValueError, match=message):
             ConstraintSettings(**bad)  # pyright: ignore
     with pytest.raises(ValueError, match="pose: expected 36 numbers"):
-        PoseConstraints.project.__wrapped__(_constraints(), torch.zeros(30))  # pyright: ignore
+        PoseConstraints.project.__wrapped__.__wrapped__(_constraints(), torch.zeros(30))  # pyright: ignore

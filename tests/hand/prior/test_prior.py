@@ -159,7 +159,7 @@ def test_poses_and_shapes_of_other_sizes_are_refused() -> None:
         posture("open", dtype=torch.float64),
         model.shape_space.default,
     )
-    for density in (HandPrior.log_prob.__wrapped__, HandPrior.energy.__wrapped__):  # pyright: ignore
+    for density in (HandPrior.log_prob.__wrapped__.__wrapped__, HandPrior.energy.__wrapped__.__wrapped__):  # pyright: ignore
         with pytest.raises(ValueError, match=r"pose: expected 36 numbers in the last dimension, got shape \(35,\)"):
             density(prior, pose[:35])
         with pytest.raises(ValueError, match=r"shape: expected 52 numbers in the last dimension, got shape \(51,\)"):

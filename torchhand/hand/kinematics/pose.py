@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand.kinematics.skeleton import DOFS, FINGERS, JOINT_DOFS, ROOT_DOFS
-from torchhand.precision import full_precision, require_exact
+from torchhand.precision import own_precision
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +31,7 @@ class PoseSpace:
     def size(self) -> int:
         return len(self.free_names)
 
-    @full_precision
+    @own_precision
     def dof(self, free: Float[Tensor, "*batch free"]) -> Float[Tensor, "*batch 36"]:
         """The full pose of the free parameters."""
         return free @ self.basis.to(free.dtype).T + self.constant.to(free.dtype)
@@ -41,12 +41,12 @@ class PoseSpace:
         """Pseudo-inverse of the basis."""
         return torch.linalg.pinv(self.basis) if self.basis.requires_grad else _pseudo_inverse(self.basis)
 
-    @full_precision
+    @own_precision
     def free(self, dof: Float[Tensor, "*batch 36"]) -> Float[Tensor, "*batch free"]:
         """The free parameters whose pose is nearest (least squares); exact for poses in the space."""
         return (dof - self.constant.to(dof.dtype)) @ self.inverse.to(dof.dtype).T
 
-    @full_precision
+    @own_precision
     def own(self, dof: Float[Tensor, "*batch 36"]) -> Float[Tensor, "*batch free"]:
         """The free parameters as read off the DOFs that they are named after, whatever the tied ones are.
 
@@ -200,7 +200,6 @@ def posture(
     name: str, *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
 ) -> Float[Tensor, "36"]:
     """The named posture as a pose with the root at the origin, radians; in the dtype of `Hand` unless asked."""
-    require_exact("dtype", dtype)
     if name not in POSTURES:
         raise ValueError(f"unknown posture {name!r}; allowed: {', '.join(POSTURES)}")
     pose = torch.zeros(len(DOFS), dtype=dtype)
@@ -209,7 +208,7 @@ def posture(
     return pose.to(device)
 
 
-@full_precision
+@own_precision
 def rebased(
     dof: Float[Tensor, "*batch 36"], root_reference: Float[Tensor, "*batch 3 3"]
 ) -> tuple[Float[Tensor, "*batch 36"], Float[Tensor, "*batch 3 3"]]:

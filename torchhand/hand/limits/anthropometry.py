@@ -19,7 +19,7 @@ from torch import Tensor
 from torchhand.hand.kinematics import FINGERS, ShapeSpace
 from torchhand.hand.limits.violation import Violation
 from torchhand.numerics import Polytope, polytope
-from torchhand.precision import full_precision, require_exact
+from torchhand.precision import own_precision, require_exact
 
 _PHALANX_MEANS = {  # Buchholz, Armstrong and Goldstein 1992
     "thumb": {"proximal": 0.196, "distal": 0.158},
@@ -100,7 +100,7 @@ class Anthropometry:
         self._scale = torch.cat((self.space.std, self.space.std, breadth_spread, breadth_spread))
         self._blocks = [self._block(names) for names in _groups()]
 
-    @full_precision
+    @own_precision
     def measures(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch 21"]:
         """The measures of a shape, without unit, in the order of MEASURES; differentiable."""
         self.space.check_width(shape)
@@ -113,7 +113,7 @@ class Anthropometry:
         palm = metric["middle_metacarpal"] + metric["web_length"] + _CREASE * length
         return torch.stack((*sums, *phalanges, palm, metric["hand_breadth"]), -1) / length[..., None]
 
-    @full_precision
+    @own_precision
     def project(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch shape"]:
         """The nearest feasible shape, distances counted in the parameters' spreads; feasible ones come back unchanged.
 
@@ -131,7 +131,7 @@ class Anthropometry:
                 parameters[place] = value.clamp(low, high)
         return torch.stack(parameters, -1)
 
-    @full_precision
+    @own_precision
     def violation(self, shape: Float[Tensor, "*batch shape"]) -> Violation:
         """How far parameters are outside their bounds (in their own units), and measures outside their intervals."""
         self.space.check_width(shape)
@@ -142,19 +142,19 @@ class Anthropometry:
         names = (*(f"bounds of {name}" for name in self.space.names), *(f"interval of {name}" for name in MEASURES))
         return Violation(names=names, amount=torch.cat((bounds, intervals), -1).clamp_min(0), is_angle=False)
 
-    @full_precision
+    @own_precision
     def is_feasible(self, shape: Float[Tensor, "*batch shape"], tolerance: float = 1e-6) -> Bool[Tensor, "*batch"]:
         """Whether nothing is violated by more than the tolerance; never with NaN parameters."""
         return self.violation(shape).worst <= tolerance
 
-    @full_precision
+    @own_precision
     def penalty(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
         """½ Σ (violation / (softness · spread))²; continuously differentiable, zero on the feasible set."""
         self.space.check_width(shape)
         excess = (shape @ self.matrix.to(shape).T - self.bound.to(shape)).clamp_min(0)
         return 0.5 * (excess / (self.settings.softness * self._scale.to(shape))).square().sum(-1)
 
-    @full_precision
+    @own_precision
     def log_density(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
         """Log density of the normal distribution over people, not yet cut off at the constraints.
 
@@ -168,7 +168,7 @@ class Anthropometry:
         constant = 0.5 * len(self.space.names) * math.log(2 * math.pi) + 0.5 * math.log(1 - rho * rho)
         return -0.5 * square - constant - float(self.space.std.log().sum())
 
-    @full_precision
+    @own_precision
     def log_prob(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
         """`log_density` on the feasible set, minus infinity outside.
 

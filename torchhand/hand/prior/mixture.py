@@ -10,7 +10,7 @@ from torchhand.hand.kinematics import DOFS, JOINT_DOFS
 from torchhand.hand.limits import ABDUCTIONS, FLEXIONS, NEIGHBOUR_BANDS_DEG, TIES, PoseConstraints
 from torchhand.hand.prior.components import SLOPES, PostureComponent
 from torchhand.numerics import truncated_normal_log_prob, truncated_normal_quantile
-from torchhand.precision import full_precision, require_exact
+from torchhand.precision import own_precision, require_exact
 
 _ROOT = len(DOFS) - len(JOINT_DOFS)
 _COUNT = len(JOINT_DOFS)
@@ -67,13 +67,13 @@ class PostureMixture(nn.Module):
         self._free = [index for index in range(_COUNT) if index not in targets]
         self._ranges = _reachable(constraints)
 
-    @full_precision
+    @own_precision
     def log_prob(self, pose: Float[Tensor, "*batch 36"]) -> Float[Tensor, "*batch"]:
         """Log density, minus infinity outside the hard constraints; its gradient inside is finite."""
         feasible = self.constraints.is_feasible(pose)
         return torch.where(feasible, self.log_density(pose), -torch.inf)
 
-    @full_precision
+    @own_precision
     def log_density(self, pose: Float[Tensor, "*batch 36"]) -> Float[Tensor, "*batch"]:
         """The same formula without the wall: equal to `log_prob` where that is finite, finite and continuous elsewhere.
 
@@ -81,7 +81,7 @@ class PostureMixture(nn.Module):
         """
         return torch.logsumexp(self.component_log_density(pose) + self.log_weight.to(pose), -1)
 
-    @full_precision
+    @own_precision
     def component_log_density(self, pose: Float[Tensor, "*batch 36"]) -> Float[Tensor, "*batch components"]:
         """`log_density` of each posture by itself, weights left out."""
         joints = pose[..., _ROOT:]

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchhand.geometry import Camera, quadratic_roots
 from torchhand.hand import Implicit, Primitives
-from torchhand.precision import full_precision
+from torchhand.precision import own_precision
 from torchhand.view.raster.boxes import pixel_boxes
 
 _RAYS_AT_ONCE = 1 << 17
@@ -32,7 +32,7 @@ class Raycast:
         return self.part >= 0
 
 
-@full_precision
+@own_precision
 def raycast(primitives_world: Primitives, camera: Camera) -> Raycast:
     """Casts a ray through the centre of every pixel at one hand (no batch dimension). Exact up to rounding.
 
