@@ -13,6 +13,7 @@ from typing import Any, ParamSpec, TypeVar
 
 import torch
 from torch import Tensor
+from torch._subclasses import FakeTensor
 from torch.utils import _pytree
 
 P = ParamSpec("P")
@@ -49,8 +50,14 @@ def _guarded(function: Callable[P, R], *, is_exact: bool) -> Callable[P, R]:
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
         if torch._C._is_any_autocast_enabled():
             return _without_autocast(called, args, kwargs)
-        if not torch.compiler.is_compiling():
-            _require_one_dtype(names, args, kwargs, is_exact=is_exact)
+        kept = None
+        for value in (*args, *kwargs.values()) if kwargs else args:
+            dtype = value.dtype if isinstance(value, Tensor) else _dtype_of(value)
+            if dtype is kept or dtype is None or not dtype.is_floating_point:
+                continue
+            if kept is not None or (is_exact and dtype not in EXACT):
+                raise _refusal(names, args, kwargs)
+            kept = dtype
         return function(*args, **kwargs)
 
     return called
@@ -72,27 +79,22 @@ def _promoted(value: Any) -> Any:
     return value.float() if is_half else value
 
 
-def _require_one_dtype(
-    names: tuple[str, ...], args: tuple[Any, ...], kwargs: dict[str, Any], *, is_exact: bool
-) -> None:
-    first, kept = "", None
-    for name, value in (*zip(names, args, strict=False), *kwargs.items()):
-        dtype = _dtype_of(value)
-        if dtype is None or dtype is kept:
-            continue
-        if is_exact:
-            require_exact(name, dtype)
-        if kept is not None:
-            raise ValueError(f"{name}: expected {kept}, that of {first}, got {dtype}")
-        first, kept = name, dtype
-
-
 def _dtype_of(value: Any) -> torch.dtype | None:
-    """The floating-point dtype of a tensor or of a record's first field, None for all else."""
-    if isinstance(value, Tensor):
-        return value.dtype if value.is_floating_point() else None
-    name = _RECORDS.get(type(value))
-    return None if name is None else _dtype_of(getattr(value, name))
+    """The dtype of a record's first field; None for what is neither a tensor nor a known record."""
+    while (name := _RECORDS.get(type(value))) is not None:
+        value = getattr(value, name)
+    return value.dtype if isinstance(value, Tensor) else None
+
+
+def _refusal(names: tuple[str, ...], args: tuple[Any, ...], kwargs: dict[str, Any]) -> ValueError:
+    """What is wrong with the dtypes of these arguments."""
+    given = [(name, _dtype_of(value)) for name, value in (*zip(names, args, strict=False), *kwargs.items())]
+    numbers = [(name, dtype) for name, dtype in given if dtype is not None and dtype.is_floating_point]
+    first, kept = numbers[0]
+    for name, dtype in numbers:
+        if dtype is not kept:
+            return ValueError(f"{name}: expected {kept}, that of {first}, got {dtype}")
+    return ValueError(f"{first}: expected torch.float32 or torch.float64, got {kept}")
 
 
 def require_exact(name: str, dtype: torch.dtype) -> None:
@@ -109,18 +111,23 @@ def record(*constants: str) -> Callable[[Record], Record]:
     """
 
     def registered(kind: Record) -> Record:
-        names = tuple(field.name for field in fields(kind) if field.name not in constants)
+        every = tuple(field.name for field in fields(kind))
 
         def flatten(value: object) -> tuple[list[object], _Constants]:
-            return [getattr(value, name) for name in names], _Constants(tuple(getattr(value, c) for c in constants))
+            # An exported program is called with other tensors than those that it was traced with.
+            kept = tuple(name for name in constants if not isinstance(getattr(value, name), FakeTensor))
+            names = tuple(name for name in every if name not in kept)
+            return [getattr(value, name) for name in names], _Constants(
+                names, {name: getattr(value, name) for name in kept}
+            )
 
         def flatten_with_keys(value: object) -> tuple[list[tuple[Any, object]], _Constants]:
             parts, kept = flatten(value)
-            return [(_pytree.GetAttrKey(name), part) for name, part in zip(names, parts, strict=True)], kept
+            return [(_pytree.GetAttrKey(name), part) for name, part in zip(kept.names, parts, strict=True)], kept
 
         def unflatten(parts: Iterable[object], kept: Any) -> object:
             new = object.__new__(kind)  # without the checks of the constructor: leaves need be no tensors
-            for name, part in (*zip(names, parts, strict=True), *zip(constants, kept.values, strict=True)):
+            for name, part in (*zip(kept.names, parts, strict=True), *kept.values.items()):
                 object.__setattr__(new, name, part)
             return new
 
@@ -131,22 +138,22 @@ def record(*constants: str) -> Callable[[Record], Record]:
             serialized_type_name=f"{kind.__module__}.{kind.__qualname__}",
             flatten_with_keys_fn=flatten_with_keys,
         )
-        _RECORDS[kind] = names[0]
+        _RECORDS[kind] = next(name for name in every if name not in constants)
         return kind
 
     return registered
 
 
 class _Constants:
-    """What a record holds besides its tensors; equal where it is the same."""
+    """Names of a record's leaves, and what it holds besides; equal where the names are and the rest is the same."""
 
-    def __init__(self, values: tuple[object, ...]) -> None:
-        self.values = values
+    def __init__(self, names: tuple[str, ...], values: dict[str, object]) -> None:
+        self.names, self.values = names, values
 
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, _Constants) or len(other.values) != len(self.values):
+        if not isinstance(other, _Constants) or self.names != other.names:
             return False
-        return all(one is another for one, another in zip(self.values, other.values, strict=True))
+        return all(value is other.values[name] for name, value in self.values.items())
 
     def __hash__(self) -> int:
-        return hash(tuple(map(id, self.values)))
+        return hash((self.names, *map(id, self.values.values())))
