@@ -16,7 +16,7 @@ ALL = [
     UnscentedSettings(),
     UnscentedSettings(alpha=1e-2),
     UnscentedSettings(alpha=0.5, beta=0.0),
-    UnscentedSettings(beta=0.0, kappa=-3.0),
+    UnscentedSettings(beta=0.0, kappa=-1.0),
     UnscentedSettings(variant="kappa"),
     UnscentedSettings(variant="julier95"),
     UnscentedSettings(variant="paper"),
