@@ -155,7 +155,7 @@ def test_a_trackers_speed_is_that_of_its_steps(
 ) -> None:
     camera = assumed_camera(16, 16)
     views = [View(image=torch.zeros(16, 16, 3, dtype=torch.uint8))] * 7
-    monkeypatch.setattr(benchmark_tracking, "_simulated", lambda *args: (camera, views))
+    monkeypatch.setattr(benchmark_tracking, "simulated_views", lambda *args: (camera, views))
     monkeypatch.setattr(Tracker, "step", _step_that_loses_every_third)
     [entry] = _run(tmp_path / "figures.json", "--only", "track_planar_360x288")["entries"]
     assert (entry["unit"], entry["must"], entry["aim"]) == ("frames/s", 60.0, 150.0)
