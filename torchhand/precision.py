@@ -88,7 +88,10 @@ def _dtype_of(value: Any) -> torch.dtype | None:
 
 def _refusal(names: tuple[str, ...], args: tuple[Any, ...], kwargs: dict[str, Any]) -> ValueError:
     """What is wrong with the dtypes of these arguments."""
-    given = [(name, _dtype_of(value)) for name, value in (*zip(names, args, strict=False), *kwargs.items())]
+    given = [
+        (type(value).__name__ if name == "self" else name, _dtype_of(value))
+        for name, value in (*zip(names, args, strict=False), *kwargs.items())
+    ]
     numbers = [(name, dtype) for name, dtype in given if dtype is not None and dtype.is_floating_point]
     first, kept = numbers[0]
     for name, dtype in numbers:

@@ -7,9 +7,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchhand.hand.hand import Hand, HandState
-from torchhand.precision import own_precision
+from torchhand.precision import own_precision, record
 
 
+@record("faces", "part_of_face")
 @dataclass(frozen=True, kw_only=True)
 class PosedMesh:
     """Closed surfaces of hands placed in one frame (world or camera), metres; the counterpart of `Primitives`."""

@@ -32,7 +32,7 @@ class HandPose:
 
     @classmethod
     def of(cls, dofs: Float[Tensor, "*batch 36"], reference: Float[Tensor, "*#batch 3 3"] | None = None) -> "HandPose":
-        """The reference is broadcast against the poses; the identity where it is None."""
+        """The reference is broadcast against the poses, in their dtype; the identity where it is None."""
         if reference is None:
             reference = torch.eye(3, dtype=dofs.dtype, device=dofs.device)
         return cls(dofs=dofs, reference=reference.to(dofs).expand(*dofs.shape[:-1], 3, 3))

@@ -69,7 +69,11 @@ class HandProjector:
     def primitives_cam(self, frames: HandFrames) -> Primitives:
         """The 37 quadrics in the camera frame."""
         placed = place_primitives(frames, self.sizes, is_left=self.kinematics.side == "left")
-        return placed if self._camera_is_world else placed.moved(self.camera.rotation, self.camera.translation)
+        return (
+            placed
+            if self._camera_is_world
+            else placed.moved(self.camera.rotation.to(placed.position), self.camera.translation.to(placed.position))
+        )
 
     @own_precision
     def outline_px(

@@ -38,6 +38,7 @@ def raycast(primitives_world: Primitives, camera: Camera) -> Raycast:
 
     Each primitive meets only the rays of its own box in the picture; the nearest meeting point wins.
     """
+    camera = camera.to(dtype=primitives_world.position.dtype)
     primitives = primitives_world.moved(camera.rotation, camera.translation)
     parts = primitives.implicit()
     like, size = primitives.position, (camera.height, camera.width)
