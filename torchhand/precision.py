@@ -43,13 +43,25 @@ def full_precision(function: Callable[P, R]) -> Callable[P, R]:
     return _guarded(function, is_exact=True)
 
 
+def without_autocast(function: Callable[P, R]) -> Callable[P, R]:
+    """The function out of the reach of `torch.autocast`; it converts what is measured to its own dtype itself."""
+
+    @wraps(function)
+    def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        if torch._C._is_any_autocast_enabled():
+            return _switched_off(called, args, kwargs)
+        return function(*args, **kwargs)
+
+    return called
+
+
 def _guarded(function: Callable[P, R], *, is_exact: bool) -> Callable[P, R]:
     names = tuple(inspect.signature(function).parameters)
 
     @wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
         if torch._C._is_any_autocast_enabled():
-            return _without_autocast(called, args, kwargs)
+            return _switched_off(called, args, kwargs)
         kept = None
         for value in (*args, *kwargs.values()) if kwargs else args:
             dtype = value.dtype if isinstance(value, Tensor) else _dtype_of(value)
@@ -63,7 +75,7 @@ def _guarded(function: Callable[P, R], *, is_exact: bool) -> Callable[P, R]:
     return called
 
 
-def _without_autocast(function: Callable[..., R], args: tuple[Any, ...], kwargs: dict[str, Any]) -> R:
+def _switched_off(function: Callable[..., R], args: tuple[Any, ...], kwargs: dict[str, Any]) -> R:
     """Switch autocast off for one kind of device after the other, and promote what it made."""
     for device in _DEVICES:
         if torch.is_autocast_enabled(device):
@@ -100,9 +112,9 @@ def _refusal(names: tuple[str, ...], args: tuple[Any, ...], kwargs: dict[str, An
     return ValueError(f"{first}: expected torch.float32 or torch.float64, got {kept}")
 
 
-def require_exact(name: str, dtype: torch.dtype) -> None:
-    """Raise ValueError, one line, for a dtype that nothing here computes in."""
-    if dtype not in EXACT:
+def require_exact(name: str, dtype: torch.dtype | None) -> None:
+    """Raise ValueError, one line, for a dtype that filters, solvers and priors do not compute in; None is no dtype."""
+    if dtype is not None and dtype not in EXACT:
         raise ValueError(f"{name}: expected torch.float32 or torch.float64, got {dtype}")
 
 
