@@ -271,10 +271,11 @@ def test_a_record_is_mapped_over() -> None:
     assert mapped.faces is expected.faces
     both = torch.vmap(lambda pose, state: pose[0] * state.keypoints, in_dims=(0, 0))(POSE, mapped)
     torch.testing.assert_close(both, POSE[:, :1, None] * expected.keypoints, atol=1e-14, rtol=0)
-    slopes = torch.func.jacfwd(exact)(POSE[0])
-    reverse = torch.func.jacrev(lambda pose: exact(pose).keypoints)(POSE[0])
-    assert isinstance(slopes, h.HandState)
-    torch.testing.assert_close(slopes.keypoints, reverse, atol=1e-12, rtol=0)
+    slopes = torch.func.jacrev(lambda pose: exact(pose).frames)(POSE[0])
+    _, rates = torch.func.jvp(exact, (POSE[0],), (POSE[1],))
+    assert isinstance(slopes, h.HandFrames)
+    assert isinstance(rates, h.HandState)
+    torch.testing.assert_close(rates.frames.rotation, slopes.rotation @ POSE[1], atol=1e-12, rtol=0)
 
 
 def test_records_of_other_constants_are_not_alike() -> None:

@@ -13,11 +13,11 @@ from torchhand.study.soak import filters
 from torchhand.study.soak.filters import KINDS, SoakSettings, soak_filters
 from torchhand.study.soak.hostile import DOFS, Hostile
 
-STEPS = 5_000
+STEPS = 4_000
 
 
 def test_every_belief_is_one() -> None:
-    found = soak_filters(SoakSettings(steps=STEPS, filters=16, seed=1))
+    found = soak_filters(SoakSettings(steps=STEPS, filters=32, seed=1))
     assert found.faults == {}
     assert sum(found.steps.values()) >= STEPS
     assert len(found.steps) == 2 * len(KINDS)
