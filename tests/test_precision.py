@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor
+from torch.utils._pytree import tree_structure
 
 import torchhand
 import torchhand.geometry as g
@@ -272,16 +273,16 @@ def test_a_record_is_mapped_over() -> None:
     both = torch.vmap(lambda pose, state: pose[0] * state.keypoints, in_dims=(0, 0))(POSE, mapped)
     torch.testing.assert_close(both, POSE[:, :1, None] * expected.keypoints, atol=1e-14, rtol=0)
     slopes = torch.func.jacrev(lambda pose: exact(pose).frames)(POSE[0])
-    _, rates = torch.func.jvp(exact, (POSE[0],), (POSE[1],))
+    rates: Any = torch.func.jvp(exact, (POSE[0],), (POSE[1],))[1]
     assert isinstance(slopes, h.HandFrames)
     assert isinstance(rates, h.HandState)
     torch.testing.assert_close(rates.frames.rotation, slopes.rotation @ POSE[1], atol=1e-12, rtol=0)
 
 
 def test_records_of_other_constants_are_not_alike() -> None:
-    specs = [torch.utils._pytree.tree_structure(hand(torch.float64)(POSE)) for _ in range(2)]
+    specs = [tree_structure(hand(torch.float64)(POSE)) for _ in range(2)]
     assert specs[0] == specs[1]
-    other = torch.utils._pytree.tree_structure(torchhand.Hand(side="left", dtype=torch.float64)(POSE))
+    other = tree_structure(torchhand.Hand(side="left", dtype=torch.float64)(POSE))
     assert specs[0] != other
 
 

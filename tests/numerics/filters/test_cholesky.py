@@ -123,4 +123,5 @@ def test_the_gradient_of_a_mended_matrix_is_that_of_the_matrix() -> None:
     matrix = torch.tensor([[1.0, 1.0001], [1.0001, 1.0]], dtype=torch.float64, requires_grad=True)
     weight = torch.tensor([[1.0, 2.0], [3.0, 4.0]], dtype=torch.float64)
     (semidefinite(matrix) * weight).sum().backward()
+    assert matrix.grad is not None
     assert torch.equal(matrix.grad, weight)
