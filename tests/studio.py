@@ -108,7 +108,7 @@ class Studio:
         plane = camera.plane_from_pixels(middle_px + camera.height * torch.tensor(at, dtype=torch.float64))
         middle = torch.cat((plane, torch.ones(1, dtype=torch.float64)))
         middle = middle if camera.kind == "orthographic" else depth * middle
-        pose = posture(posed)
+        pose = posture(posed, dtype=torch.float64)
         pose[:3] = middle - reference @ torch.tensor((0.0, 0.48 * length, 0.0), dtype=torch.float64)
         return StagedHand(kinematics=kinematics, camera=camera, shape=shape, pose=pose, root_reference=reference)
 

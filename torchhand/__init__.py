@@ -89,11 +89,13 @@ def Hand(
     """The hand of a shipped model, or of a model folder given by path, as a torch module: `Hand(shape)(pose)`.
 
     shape: parameters of the model's shape space, (52,) or (*batch, 52) for the generic hand; a tensor, an nn.Parameter
-        to learn, or None for the default proportions. side: "right" or "left". dtype: float32 if not given and not the
-        shape's. See `torchhand.hand.Hand`.
+        to learn, or None for the default proportions. side: "right" or "left". dtype: torch.float32 where it is
+        None, or torch.float64; the shape is converted to it. See `torchhand.hand.Hand`.
 
     Raises InputError for an unknown model, ValueError for a shape that is not finite or outside its bounds.
     """
+    import torch
+
     from torchhand.files import load_hand_model
 
-    return load_hand_model(model).hand(shape, side=side, dtype=dtype)
+    return load_hand_model(model).hand(shape, side=side, dtype=dtype or torch.float32)

@@ -18,6 +18,7 @@ from torchhand.cli.benchmark import Arguments, main
 from torchhand.cli.benchmarks import Figure, line_of
 from torchhand.cli.benchmarks import hand as benchmark_hand
 from torchhand.cli.benchmarks import runs as benchmark_runs
+from torchhand.cli.benchmarks import soak as benchmark_soak
 from torchhand.evaluate import PROC, THREAD_VARIABLES, Timing, memory_growth, time_interleaved, watch_memory
 from torchhand.files import load_hand_model
 from torchhand.geometry import assumed_camera
@@ -155,7 +156,7 @@ def test_a_trackers_speed_is_that_of_its_steps(
 ) -> None:
     camera = assumed_camera(16, 16)
     views = [View(image=torch.zeros(16, 16, 3, dtype=torch.uint8))] * 7
-    monkeypatch.setattr(benchmark_tracking, "_simulated", lambda *args: (camera, views))
+    monkeypatch.setattr(benchmark_tracking, "simulated_views", lambda *args: (camera, views))
     monkeypatch.setattr(Tracker, "step", _step_that_loses_every_third)
     [entry] = _run(tmp_path / "figures.json", "--only", "track_planar_360x288")["entries"]
     assert (entry["unit"], entry["must"], entry["aim"]) == ("frames/s", 60.0, 150.0)
@@ -267,6 +268,8 @@ def test_memory_of_another_process() -> None:
         (["--only", "nothing"], "nothing"),
         (["--repeats", "0"], "--repeats: expected 1 to"),
         (["--threads", "0"], "--threads: expected 1 to"),
+        (["--soak-steps", "0"], "--soak-steps: expected 1 to"),
+        (["--soak-minutes", "0"], "--soak-minutes: expected above 0"),
         (["--out", "no/such/folder/figures.json"], "expected the name of a file in a folder that exists"),
     ],
 )
@@ -277,3 +280,25 @@ def test_wrong_input_is_one_line_and_two(options: list[str], words: str, capsys:
     assert errors.startswith("torchhand benchmark: error: ")
     assert words in errors
     assert errors.count("\n") == 1
+
+
+@pytest.mark.skipif(not PROC.is_dir(), reason="needs /proc")
+def test_the_soak_is_two_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A few steps of filters and some seconds of tracking; both are slow and asked for by name."""
+    monkeypatch.setattr(benchmark_soak, "_RENDERED", 3)
+    monkeypatch.setattr(benchmark_soak, "_SAMPLES_S", 0.1)
+    options = ["--only", "soak", "--soak-steps", "200", "--soak-minutes", "0.05"]
+    filters, tracking = _run(tmp_path / "figures.json", *options)["entries"]
+    assert (filters["name"], filters["unit"], filters["value"], filters["meets"]) == ("soak_filters", "faults", 0, True)
+    assert sum(filters["details"]["steps"].values()) >= 200
+    assert (tracking["name"], tracking["unit"], tracking["must"]) == ("soak_tracking", "MiB", 5.0)
+    assert tracking["details"]["frames"] == sum(tracking["details"]["statuses"].values()) > 0
+    assert not {"soak_filters", "soak_tracking"} & set(Arguments().chosen)
+    assert Arguments(only=("soak",)).chosen == ("soak_filters", "soak_tracking")
+
+
+@pytest.mark.slow
+def test_a_tracker_that_goes_on_needs_no_more_memory(tmp_path: Path) -> None:
+    [entry] = _run(tmp_path / "figures.json", "--only", "soak_tracking", "--soak-minutes", "3")["entries"]
+    assert entry["meets"]
+    assert entry["details"]["statuses"] == {"tracked": entry["details"]["frames"]}

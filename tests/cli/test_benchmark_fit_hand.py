@@ -25,7 +25,7 @@ def _small_and_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_bones_are_the_shape_s_own() -> None:
     model = load_hand_model()
     kinematics = model.kinematics("right", dtype=torch.float64)
-    found = bone_lengths(kinematics(posture("open")).keypoints)
+    found = bone_lengths(kinematics(posture("open", dtype=torch.float64)).keypoints)
     metric = model.shape_space.metric(kinematics.default_shape)
     assert float(found[BONES.index((9, 10))]) == pytest.approx(float(metric["middle_proximal"]))
     assert float(found[BONES.index((1, 2))]) == pytest.approx(float(metric["thumb_metacarpal"]))

@@ -32,7 +32,7 @@ def result(tmp_path: Path) -> Path:
     model = load_hand_model()
     space = model.shape_space
     save_hand(folder / "hand.json", space.names, space.default.tolist(), "right", {}, units=space.units)
-    poses, _ = model.prior().sample(FRAMES, torch.Generator().manual_seed(5))
+    poses, _ = model.prior(dtype=torch.float64).sample(FRAMES, torch.Generator().manual_seed(5))
     pose = poses.double().numpy()
     pose[:, 2] = 0.5
     pose[1] = np.nan

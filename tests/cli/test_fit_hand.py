@@ -25,7 +25,7 @@ DISTANCE = 0.45
 def scene(posed: str = "open", shift: tuple[float, float] = (0.0, 0.09)) -> tuple[np.ndarray, np.ndarray]:
     """Picture (BGR) and mask of a right hand's back."""
     kinematics = load_hand_model().kinematics("right", dtype=torch.float64)
-    pose = posture(posed)
+    pose = posture(posed, dtype=torch.float64)
     pose[:3] = torch.tensor((shift[0], shift[1], DISTANCE))
     motion = Motion(name="still", poses=pose[None], root_reference=facing_rotation("back"), fps=30.0)
     scene = SceneSettings(background="plain", supersampling=2)

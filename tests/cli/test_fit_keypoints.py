@@ -20,7 +20,7 @@ POSTURES = ("open", "flat", "fist", "point")
 def _points(side: Side = "left") -> tuple[np.ndarray, np.ndarray]:
     """Poses and keypoints in the camera's frame, metres: the palm towards the camera."""
     kinematics = load_hand_model().kinematics(side, dtype=torch.float64)
-    poses = torch.stack([posture(name) for name in POSTURES])
+    poses = torch.stack([posture(name, dtype=torch.float64) for name in POSTURES])
     poses[:, 6:] = kinematics.skeleton.within_limits(poses[:, 6:])
     poses[:, :3] = torch.tensor((0.0, 0.08, 0.5), dtype=torch.float64)
     facing = torch.tensor(((0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)), dtype=torch.float64)

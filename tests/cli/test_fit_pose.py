@@ -20,7 +20,7 @@ from torchhand.track import HandKeypoints
 
 def staged(name: str) -> StagedHand:
     placed = Studio().placed(size=0.8)
-    angles = placed.kinematics.skeleton.within_limits(posture(name)[6:]).to(placed.pose)
+    angles = placed.kinematics.skeleton.within_limits(posture(name, dtype=torch.float64)[6:]).to(placed.pose)
     return replace(placed, pose=torch.cat((placed.pose[:6], angles)))
 
 

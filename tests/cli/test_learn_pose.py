@@ -48,7 +48,7 @@ def finished(trained: Path, tmp_path: Path) -> Path:
 def stills(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Right hands of the prior in one folder, their mirror images in another."""
     model, generator = load_hand_model(), torch.Generator().manual_seed(1)
-    pool = hand_pool(HandPrior(model.skeleton, model.shape_space), model, 8, generator)
+    pool = hand_pool(HandPrior(model.skeleton, model.shape_space, dtype=torch.float64), model, 8, generator)
     points = draw_samples(pool, torch.arange(8), SampleSettings(), generator).keypoints.numpy()
     folder = tmp_path_factory.mktemp("stills")
     for side, sign in (("right", 1), ("left", -1)):

@@ -37,7 +37,7 @@ def _sequence(folder: Path) -> Path:
     for name in ("frames", "masks"):
         (folder / name).mkdir(parents=True)
     for number, name in enumerate(("fist", "open")):
-        pose = posture(name)
+        pose = posture(name, dtype=torch.float64)
         pose[:3] = torch.tensor([0.0, 0.03, 0.5])
         hand = StagedHand(
             kinematics=model.kinematics(dtype=torch.float64),

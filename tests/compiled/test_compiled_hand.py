@@ -119,3 +119,12 @@ def test_plain_chain_has_right_derivatives(start: Callable[[Tensor], Tensor], ge
         [of_plain] = torch.autograd.grad(part.pow(3).sum(), pose, retain_graph=True)
         [expected] = torch.autograd.grad(getattr(frames, name).pow(3).sum(), pose, retain_graph=True)
         torch.testing.assert_close(of_plain, expected, atol=1e-12, rtol=0)
+
+
+def test_compiled_within_autocast_is_in_float32(generator: torch.Generator) -> None:
+    hand = load_hand_model().hand()
+    pose = _inputs(hand, generator, 2)[0].float()
+    compiled = torch.compile(hand, fullgraph=True, backend="aot_eager")
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        found = compiled(pose)
+    torch.testing.assert_close(found.vertices, hand(pose).vertices, atol=1e-6, rtol=0)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from torchhand.files import load_hand_model
-from torchhand.hand import Hand
+from torchhand.hand import Hand, HandState
 
 pytestmark = [
     pytest.mark.skipif(
@@ -63,3 +63,13 @@ def test_onnx_gives_the_same(has_shapes: bool, tmp_path: Path, generator: torch.
         found = session.run(None, dict(zip(names, (x.numpy() for x in given), strict=True)))
         for array, expected in zip(found, module(*given), strict=True):
             torch.testing.assert_close(torch.from_numpy(array), expected, atol=TOLERANCE, rtol=0)
+
+
+def test_a_hand_is_exported_with_its_record(generator: torch.Generator) -> None:
+    """No wrapper that gives tensors; the faces are those of the program, not of its tracing."""
+    hand = load_hand_model().hand().eval()
+    pose = 0.5 * torch.randn(3, 36, generator=generator)
+    found = torch.export.export(hand, (pose,)).module()(pose)
+    assert isinstance(found, HandState)
+    assert torch.equal(found.faces, hand.faces)
+    torch.testing.assert_close(found.vertices, hand(pose).vertices, atol=1e-6, rtol=0)

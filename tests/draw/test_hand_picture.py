@@ -13,7 +13,7 @@ MODEL = load_hand_model()
 
 
 def _pose(x: float = 0.0, z: float = 0.5) -> torch.Tensor:
-    pose = posture("open")[None].clone()
+    pose = posture("open", dtype=torch.float64)[None].clone()
     pose[:, :6] = torch.tensor([x, 0.09, z, 0.0, np.pi / 2, 0.0])
     pose[:, 3:6] = torch.tensor([2.2, 0.0, 2.2])
     return pose

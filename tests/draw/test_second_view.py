@@ -23,7 +23,7 @@ def _is_hand(view: Tensor) -> Tensor:
 
 
 def _pose(x: float = 0.0, y: float = 0.05, z: float = 0.45) -> Tensor:
-    pose = posture("flat")
+    pose = posture("flat", dtype=torch.float64)
     pose[:3] = torch.tensor((x, y, z))
     return pose
 

@@ -12,7 +12,7 @@ from torchhand.geometry import rotation_from_vector
 from torchhand.hand import DOFS, posture
 
 KINEMATICS = load_hand_model().kinematics(dtype=torch.float64)
-TRUTH = posture("point")
+TRUTH = posture("point", dtype=torch.float64)
 REFERENCE = rotation_from_vector(torch.tensor([0.3, -0.2, 2.0]).double())
 JOINTS = torch.arange(30) % 2 == 0
 

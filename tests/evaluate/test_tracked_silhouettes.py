@@ -25,7 +25,7 @@ CAMERA = assumed_camera(140, 110, horizontal_fov_deg=48.0)
 
 def poses() -> Tensor:
     """Three poses in the camera frame; a hand upright, aslant and turned to its side."""
-    result = torch.stack([posture(name) for name in ("open", "point", "fist")])
+    result = torch.stack([posture(name, dtype=torch.float64) for name in ("open", "point", "fist")])
     result[:, :3] = torch.tensor((0.0, 0.06, 0.45))
     result[:, 3:6] = torch.tensor(((3.0, 0.1, 0.0), (2.8, 0.4, 0.3), (2.0, 0.5, -1.4)))
     return result

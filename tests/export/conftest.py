@@ -36,7 +36,7 @@ def _poses(model: HandModel, frames: int) -> torch.Tensor:
 def clips(model: HandModel) -> dict[str, MotionClip]:
     """A right and a left hand of shapes other than the default, 7 frames at 25 per second."""
     sides: tuple[Side, ...] = ("right", "left")
-    _, shapes = model.prior().sample(2, torch.Generator().manual_seed(3))
+    _, shapes = model.prior(dtype=torch.float64).sample(2, torch.Generator().manual_seed(3))
     return {
         side: MotionClip(model=model, side=side, shape=shape.double(), poses=_poses(model, 7), fps=25.0, name=side)
         for side, shape in zip(sides, shapes, strict=True)

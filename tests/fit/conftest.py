@@ -59,7 +59,7 @@ def bench() -> Bench:
     model = load_hand_model()
     projector = HandProjector(model.kinematics(dtype=torch.float64), assumed_camera(160, 120))
     space = named_pose_space("dof26")
-    pose = posture("open")
+    pose = posture("open", dtype=torch.float64)
     pose[:3] = torch.tensor((0.0, 0.09, 0.30), dtype=torch.float64)
     reference = torch.tensor(((0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)), dtype=torch.float64).T
     return Bench(

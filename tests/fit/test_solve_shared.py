@@ -26,7 +26,7 @@ STD = 0.002
 
 def _poses(count: int, seed: int, spread: float = 0.25) -> HandPose:
     generator = torch.Generator().manual_seed(seed)
-    free = SPACE.free(posture("open"))
+    free = SPACE.free(posture("open", dtype=torch.float64))
     free = free + spread * torch.randn(count, SPACE.size, generator=generator, dtype=DOUBLE)
     dofs = clamp_to_limits(SPACE.dof(free), KINEMATICS.skeleton)
     dofs[:, 3:6] = 0

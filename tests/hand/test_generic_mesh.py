@@ -85,7 +85,7 @@ def test_crossings_are_found() -> None:
 
 @pytest.mark.parametrize("name", ["open", "flat"])
 def test_it_does_not_cross_itself_at_rest(hand: Hand, name: str) -> None:
-    assert crossings(hand(posture(name)).vertices, hand.faces) == 0
+    assert crossings(hand(posture(name, dtype=torch.float64)).vertices, hand.faces) == 0
 
 
 def test_its_weights_are_smooth(mesh: HandMesh) -> None:
@@ -104,7 +104,9 @@ def test_its_weights_are_smooth(mesh: HandMesh) -> None:
 
 @pytest.mark.parametrize("name", ["fist", "point", "pinch", "flat"])
 def test_bending_keeps_the_volume(hand: Hand, name: str) -> None:
-    rest, bent = (solid(hand(posture(pose)).vertices, hand.faces).volume for pose in ("open", name))
+    rest, bent = (
+        solid(hand(posture(pose, dtype=torch.float64)).vertices, hand.faces).volume for pose in ("open", name)
+    )
     assert abs(bent / rest - 1) < 0.05
 
 
@@ -114,7 +116,7 @@ def test_the_correctives_are_what_keeps_it(hand: Hand) -> None:
     bare = replace(model.mesh, corrective_basis=torch.zeros_like(model.mesh.corrective_basis))
     plain = replace(model, mesh=bare).hand(dtype=torch.float64)
     rest, bent, collapsed = (
-        solid(h(posture(pose)).vertices, hand.faces).volume
+        solid(h(posture(pose, dtype=torch.float64)).vertices, hand.faces).volume
         for h, pose in ((hand, "open"), (hand, "fist"), (plain, "fist"))
     )
     assert abs(collapsed / rest - 1) > 1.5 * abs(bent / rest - 1)
@@ -123,7 +125,7 @@ def test_the_correctives_are_what_keeps_it(hand: Hand) -> None:
 def test_its_silhouettes_are_those_of_the_primitives(hand: Hand, generator: torch.Generator) -> None:
     """Over 100 people and postures of the prior, each seen from a random side."""
     model = load_hand_model()
-    prior = model.prior()
+    prior = model.prior(dtype=torch.float64)
     poses, shapes = (x.double() for x in prior.sample(100, generator))
     poses[:, 3:6] = 1.5 * torch.randn(100, 3, generator=generator, dtype=torch.float64)
     camera = assumed_camera(200, 200, horizontal_fov_deg=25.0)

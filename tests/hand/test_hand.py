@@ -131,7 +131,7 @@ def test_frames_and_primitives_are_those_of_the_kinematics(small_model: HandMode
 
 def test_the_shape_is_the_default_one_or_the_given_one(small_model: HandModel, generator: torch.Generator) -> None:
     pose, shape = _pose(generator), _shape(small_model, generator)
-    own, given = small_model.hand(shape), _hand(small_model)
+    own, given = small_model.hand(shape, dtype=shape.dtype), _hand(small_model)
     torch.testing.assert_close(own(pose).vertices, given(pose, shape).vertices, atol=0, rtol=0)
     default = given(pose, small_model.shape_space.default)
     torch.testing.assert_close(given(pose).vertices, default.vertices, atol=0, rtol=0)
@@ -139,14 +139,14 @@ def test_the_shape_is_the_default_one_or_the_given_one(small_model: HandModel, g
 
 def test_the_shape_is_all_that_is_saved(small_model: HandModel, generator: torch.Generator) -> None:
     pose, shape = _pose(generator), _shape(small_model, generator)
-    for saved in (small_model.hand(shape), small_model.hand(nn.Parameter(shape))):
+    for saved in (small_model.hand(given, dtype=shape.dtype) for given in (shape, nn.Parameter(shape))):
         state = copy.deepcopy(saved.state_dict())
         assert list(state) == ["shape"]
         loaded = _hand(small_model)
         loaded.load_state_dict(state)
         assert torch.equal(loaded(pose).vertices, saved(pose).vertices)
         assert not torch.equal(loaded(pose).vertices, _hand(small_model)(pose).vertices)
-    [parameter] = small_model.hand(nn.Parameter(shape)).parameters()
+    [parameter] = small_model.hand(nn.Parameter(shape), dtype=shape.dtype).parameters()
     assert parameter.shape == shape.shape
     assert not list(small_model.hand(shape).parameters())
 
@@ -163,7 +163,7 @@ def test_a_parameter_is_fitted_by_an_optimiser(small_model: HandModel, generator
     """Nothing of an earlier call may be kept: every step makes its own graph."""
     pose, truth = _pose(generator, 6), _shape(small_model, generator)
     target = _hand(small_model)(pose, truth).vertices
-    hand = small_model.hand(nn.Parameter(small_model.shape_space.default.clone()))
+    hand = small_model.hand(nn.Parameter(small_model.shape_space.default.clone()), dtype=torch.float64)
     optimiser = torch.optim.LBFGS(hand.parameters(), max_iter=60, line_search_fn="strong_wolfe")
 
     def loss() -> Tensor:
@@ -179,9 +179,13 @@ def test_a_parameter_is_fitted_by_an_optimiser(small_model: HandModel, generator
 
 def test_gradients_flow_to_a_tensor_given_as_shape(small_model: HandModel, generator: torch.Generator) -> None:
     shape = _shape(small_model, generator).requires_grad_()
-    small_model.hand(shape)(_pose(generator)).vertices.sum().backward()
+    pose = _pose(generator)
+    small_model.hand(shape, dtype=torch.float64)(pose).vertices.sum().backward()
     assert shape.grad is not None
     assert bool((shape.grad != 0).all())
+    exact, shape.grad = shape.grad, None
+    small_model.hand(shape)(pose.float()).vertices.sum().backward()  # float32 unless asked
+    torch.testing.assert_close(shape.grad, exact, atol=1e-4, rtol=1e-4)
 
 
 # ------------------------------------------------------------------ derivatives
@@ -308,7 +312,8 @@ def test_bfloat16_is_finite(small_model: HandModel, generator: torch.Generator) 
 
 def test_wrong_dimensions_and_dtypes(small_model: HandModel) -> None:
     hand = _hand(small_model)
-    forward = Hand.forward.__wrapped__  # pyright: ignore[reportFunctionMemberAccess] - past the tests' own type checks
+    # past the tests' own type checks
+    forward = Hand.forward.__wrapped__.__wrapped__  # pyright: ignore[reportFunctionMemberAccess]
     pose = torch.zeros(36, dtype=torch.float64)
     with pytest.raises(ValueError, match=r"pose: expected 36 numbers in the last dimension, got shape \(2, 35\)"):
         forward(hand, torch.zeros(2, 35, dtype=torch.float64))

@@ -12,13 +12,13 @@ HAND = load_hand_model().hand(dtype=torch.float64)
 
 
 def _flat(*batch: int) -> PosedMesh:
-    return posed_mesh(HAND, HAND(posture("flat").expand(*batch, -1)))
+    return posed_mesh(HAND, HAND(posture("flat", dtype=torch.float64).expand(*batch, -1)))
 
 
 def test_every_face_goes_with_the_bone_nearest_to_it() -> None:
     """Of a flat hand: fingertips' faces are their distal bones', and no bone is without faces."""
     mesh = _flat()
-    state = HAND(posture("flat"))
+    state = HAND(posture("flat", dtype=torch.float64))
     centres = mesh.vertices[mesh.faces].mean(1)
     for finger, tip in (("thumb", 4), ("index", 8), ("little", 20)):
         nearest = (centres - state.keypoints[tip]).norm(dim=-1).argsort()[:20]
@@ -42,7 +42,7 @@ def test_normals_point_outwards() -> None:
 
 
 def test_batches_equal_a_loop(generator: torch.Generator) -> None:
-    poses = posture("flat") + 0.2 * torch.randn(2, 3, 36, generator=generator, dtype=torch.float64)
+    poses = posture("flat", dtype=torch.float64) + 0.2 * torch.randn(2, 3, 36, generator=generator, dtype=torch.float64)
     whole = posed_mesh(HAND, HAND(poses))
     for i in range(2):
         for j in range(3):

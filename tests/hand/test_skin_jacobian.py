@@ -101,6 +101,6 @@ def test_is_itself_differentiable(small_model: HandModel, generator: torch.Gener
 def test_a_pose_of_another_length_is_refused() -> None:
     hand = load_hand_model().hand(dtype=torch.float64)
     with pytest.raises(ValueError, match=r"pose: expected 36 numbers in the last dimension, got shape \(35,\)"):
-        skin_jacobian.__wrapped__(  # pyright: ignore
+        skin_jacobian.__wrapped__.__wrapped__(  # pyright: ignore
             hand, torch.zeros(35, dtype=torch.float64), torch.zeros(1, 3, dtype=torch.long)
         )

@@ -17,7 +17,9 @@ EXACT = SampleSettings(scale=0.0, definition=0.0, noise=0.0, focal=0.0, missing=
 @pytest.fixture(scope="module")
 def pool() -> HandPool:
     model = load_hand_model()
-    return hand_pool(HandPrior(model.skeleton, model.shape_space), model, 64, torch.Generator().manual_seed(3))
+    return hand_pool(
+        HandPrior(model.skeleton, model.shape_space, dtype=torch.float64), model, 64, torch.Generator().manual_seed(3)
+    )
 
 
 def _draw(pool: HandPool, settings: SampleSettings, *, count: int = 2000, seed: int = 0) -> Any:
@@ -27,7 +29,7 @@ def _draw(pool: HandPool, settings: SampleSettings, *, count: int = 2000, seed: 
 
 def test_the_pool_holds_hands_of_the_prior(pool: HandPool) -> None:
     model = load_hand_model()
-    prior = HandPrior(model.skeleton, model.shape_space)
+    prior = HandPrior(model.skeleton, model.shape_space, dtype=torch.float64)
     pose = torch.cat((torch.zeros(64, 6), pool.joints), -1).double()
     frames = model.kinematics(dtype=torch.float64)(pose, pool.shape.double())
     torch.testing.assert_close(pool.keypoints.double(), frames.keypoints, atol=1e-6, rtol=0)

@@ -41,7 +41,7 @@ def model() -> HandModel:
 def built(model: HandModel) -> HandMesh:
     """The steps of `build_mesh`, with a coarse grid and some of the shape parameters and joints."""
     kinematics, space = model.kinematics(dtype=torch.float64), model.shape_space
-    pose, shape = posture(BIND_POSTURE), kinematics.default_shape
+    pose, shape = posture(BIND_POSTURE, dtype=torch.float64), kinematics.default_shape
     frames = kinematics(pose)
     points, faces = even_mesh(HandField(space, frames, shape), frames.keypoints, VERTICES, step=0.003)
     bones, weights = skin_weights(space, frames, shape, points, faces)
@@ -76,7 +76,7 @@ def test_it_is_closed(built: HandMesh) -> None:
 
 
 def test_its_vertices_lie_on_the_skin(hand: Hand) -> None:
-    state = hand(posture("open"))
+    state = hand(posture("open", dtype=torch.float64))
     found = distances(hand, state.frames, hand.shape, state.vertices)
     assert float(found.abs().max()) < 2.5e-3, "a coarse mesh stands out by half of what its triangles cut off"
     assert float(found.mean()) > 0
@@ -85,7 +85,7 @@ def test_its_vertices_lie_on_the_skin(hand: Hand) -> None:
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_the_shape_vector_drives_it(hand: Hand, name: str) -> None:
     """Vertices of another hand lie as near to its skin as those of the default hand do to theirs."""
-    space, pose, column = hand.shape_space, posture("open"), hand.shape_space.names.index(name)
+    space, pose, column = hand.shape_space, posture("open", dtype=torch.float64), hand.shape_space.names.index(name)
     level = distances(hand, hand.kinematics(pose), hand.shape, hand(pose).vertices)
     for sign in (1.0, -1.0):
         metres = space.metres(hand.shape)

@@ -30,7 +30,7 @@ def _detected(placed: StagedHand, seed: int = 1, *, away_px: float = 0.0) -> Han
 
 
 def _with_posture(placed: StagedHand, name: str) -> StagedHand:
-    return replace(placed, pose=torch.cat((placed.pose[:6], posture(name)[6:].to(placed.pose))))
+    return replace(placed, pose=torch.cat((placed.pose[:6], posture(name, dtype=torch.float64)[6:].to(placed.pose))))
 
 
 def _steps(tracker: Tracker, views: list[View]) -> list[Estimate]:

@@ -25,7 +25,9 @@ def _missed_deg(studio: Any, *, learned: bool) -> float:
     for frame in range(FRAMES):
         part = 0.75 * min(1.0, frame / (FRAMES - 5))
         closed = placed.pose.clone()
-        closed[6:] = (1 - part) * posture("open")[6:] + part * posture("fist")[6:]
+        closed[6:] = (1 - part) * posture("open", dtype=torch.float64)[6:] + part * posture(
+            "fist", dtype=torch.float64
+        )[6:]
         images.append(replace(placed, pose=closed).picture(seed=frame))
     settings = replace(settings_of("contour_full"), learned_posture=learned)
     _, estimates = run(Tracker(right_hand(), placed.camera, settings, shape=placed.shape), images)

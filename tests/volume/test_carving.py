@@ -161,7 +161,7 @@ def test_never_white_where_balls_are(lens: int, rigs: Any) -> None:
 
 def test_never_white_where_hands_are(rigs: Any) -> None:
     model = load_hand_model()
-    hand, prior = model.hand(dtype=torch.float64), model.prior()
+    hand, prior = model.hand(dtype=torch.float64), model.prior(dtype=torch.float64)
     poses, _ = prior.sample(4, torch.Generator().manual_seed(1))
     cube = RootCube(centre=(0.0, 0.0, 0.0), side=0.32)
     for seed, pose in enumerate(poses.double()):

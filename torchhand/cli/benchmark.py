@@ -34,6 +34,8 @@ from torchhand.cli.benchmarks import (
     pose_projection,
     recorded_stream,
     skinning,
+    soak_of_filters,
+    soak_of_tracking,
     synthetic_stream,
     track_memory,
     track_views,
@@ -77,7 +79,10 @@ Name = Literal[
     "fit_hand_bones",
     "pose_stream",
     "pose_stream_recorded",
+    "soak_filters",
+    "soak_tracking",
 ]
+SOAK: tuple[Name, ...] = ("soak_filters", "soak_tracking")
 TRACKED: dict[Name, TrackingCase] = {
     "track_full_640x480": TrackingCase(config="contour_full"),
     "track_full_points_640x480": TrackingCase(config="contour_full", has_points=True),
@@ -88,7 +93,7 @@ TRACKED: dict[Name, TrackingCase] = {
     "track_distance_points_640x480": TrackingCase(config="distance_full", has_points=True),
 }
 """Trackers of 27 degrees of freedom; "twice" is with the second pass, whose time counts for the same frames."""
-SLOW: tuple[Name, ...] = ("track_memory", "track_views_memory", "fit_hand_bones")
+SLOW: tuple[Name, ...] = ("track_memory", "track_views_memory", "fit_hand_bones", *SOAK)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,22 +110,26 @@ class Arguments:
 
     out: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write the figures as JSON as well."""
-    only: Annotated[tuple[Name, ...], arg(metavar="NAME")] = ()
+    only: Annotated[tuple[Name | Literal["soak"], ...], arg(metavar="NAME")] = ()
     """Measure these alone: kinematics_forward, kinematics_forward_backward, kinematics_compiled, skinning_forward_4096,
     skinning_gradients_64, skinning_gradients_1024, mesh_silhouettes, mesh_volume, pose_projection, keypoints_to_pose,
     filter_update, registration, registration_many, lm_iteration_jacfwd, lm_iteration_pypose, octree_level7,
     octree_level8, track_planar_360x288, track_full_640x480, track_full_points_640x480, track_full_twice_640x480,
     track_full_twice_points_640x480, track_full_without_network_640x480, track_distance_640x480,
     track_distance_points_640x480, track_views_640x480, track_memory, track_views_memory, fit_hand_bones, pose_stream,
-    pose_stream_recorded."""
+    pose_stream_recorded, soak_filters, soak_tracking; soak is the last two."""
     recording: Annotated[tuple[Path, ...], arg(metavar="FILE")] = ()
     """Recordings of a sensing glove (rows of 7 time columns and 23 angles), which pose_stream_recorded needs."""
     everything: Annotated[bool, arg(name="all")] = False
-    """Measure everything; without it track_memory, track_views_memory and fit_hand_bones, which take minutes, are
-    left out."""
+    """Measure everything; without it track_memory, track_views_memory, fit_hand_bones and soak, which take minutes or
+    more, are left out."""
     repeats: int | None = None
     """Repeats of every measurement; 15, for skinning and iterations 9, for trackers 5, for many hypotheses 3; people
     of fit_hand_bones, 50. Memory is measured once."""
+    soak_steps: int = 1_000_000
+    """Steps of filters on hostile input that soak_filters takes, over all kinds of filters."""
+    soak_minutes: float = 60.0
+    """Minutes for which soak_tracking follows a hand."""
     threads: int = 1
     """Threads of torch and numpy, for ours and the peers alike."""
 
@@ -128,13 +137,18 @@ class Arguments:
         for name, value, maximum in (("repeats", self.repeats, 100_000), ("threads", self.threads, 1024)):
             if value is not None and not 1 <= value <= maximum:
                 raise ValueError(f"--{name}: expected 1 to {maximum}, got {value}")
+        if not 1 <= self.soak_steps <= 1_000_000_000:
+            raise ValueError(f"--soak-steps: expected 1 to 1000000000, got {self.soak_steps}")
+        if not 0 < self.soak_minutes <= 10_000:
+            raise ValueError(f"--soak-minutes: expected above 0 and at most 10000, got {self.soak_minutes}")
 
     @property
     def chosen(self) -> tuple[Name, ...]:
         """What to measure."""
         names: tuple[Name, ...] = get_args(Name)
         if self.only and not self.everything:
-            return tuple(name for name in names if name in self.only)
+            wanted = {*self.only, *(SOAK if "soak" in self.only else ())}
+            return tuple(name for name in names if name in wanted)
         return names if self.everything else tuple(name for name in names if name not in SLOW)
 
 
@@ -168,6 +182,10 @@ def _measure(name: Name, arguments: Arguments) -> Figure:
     measure = _MEASURES[name]
     if measure is recorded_stream:
         measure = partial(recorded_stream, recordings=arguments.recording)
+    elif measure is soak_of_filters:
+        measure = partial(soak_of_filters, steps=arguments.soak_steps)
+    elif measure is soak_of_tracking:
+        measure = partial(soak_of_tracking, minutes=arguments.soak_minutes)
     return measure(name, arguments.repeats)
 
 
@@ -213,4 +231,6 @@ _MEASURES: dict[Name, Callable[[str, int | None], Figure]] = {
     "fit_hand_bones": fit_hand_bones,
     "pose_stream": synthetic_stream,
     "pose_stream_recorded": recorded_stream,
+    "soak_filters": soak_of_filters,
+    "soak_tracking": soak_of_tracking,
 }

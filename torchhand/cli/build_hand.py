@@ -118,7 +118,7 @@ def prior_sheet(
 ) -> UInt8[Tensor, "height width 3"]:
     """Samples of the prior, people and postures, seen obliquely from the palm's side."""
     hand = model.hand(dtype=torch.float64)
-    poses, shapes = model.prior().sample(rows * columns, torch.Generator().manual_seed(0))
+    poses, shapes = model.prior(dtype=torch.float64).sample(rows * columns, torch.Generator().manual_seed(0))
     palm = torch.tensor(_PALM, dtype=torch.float64).T
     view = rotation_from_vector(torch.tensor(_PRIOR_TURN, dtype=torch.float64)) @ palm
     states = [hand(pose, shape) for pose, shape in zip(poses, shapes, strict=True)]
@@ -140,7 +140,7 @@ def _sheet(
     hand = model.hand(dtype=torch.float64)
     rows = []
     for name in postures:
-        state = hand(posture(name))
+        state = hand(posture(name, dtype=torch.float64))
         surface: Surface = posed_mesh(hand, state) if with_mesh else state.primitives
         rows.append(torch.cat([_tile(surface, state, view, tile_px) for view in views], 1))
     return torch.cat(rows)

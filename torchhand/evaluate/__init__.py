@@ -21,6 +21,7 @@ from torchhand.evaluate.timing import (
     Timing,
     machine_facts,
     memory_growth,
+    resident_memory,
     time_interleaved,
     watch_memory,
 )
@@ -63,6 +64,7 @@ __all__ = [
     "planar_motion_errors",
     "pose_errors",
     "range_of_motion",
+    "resident_memory",
     "root_relative_errors",
     "stability",
     "time_interleaved",

@@ -128,7 +128,7 @@ def watch_memory(
     )
     try:
         while process.poll() is None:
-            now, highest = _resident(process.pid)
+            now, highest = resident_memory(process.pid)
             peak = max(peak, highest)
             if now > 0:
                 samples.append((frames_done(), now))
@@ -156,7 +156,7 @@ def memory_growth(samples: Sequence[tuple[int, float]], *, skip: int) -> float |
     return float(np.polyfit(kept[:, 0], kept[:, 1], 1)[0]) * _GROWTH_UNIT
 
 
-def _resident(pid: int) -> tuple[float, float]:
+def resident_memory(pid: int) -> tuple[float, float]:
     """Resident memory of a process now and at its highest so far, MiB; zeros when it has just ended."""
     try:
         lines = (PROC.parent / str(pid) / "status").read_text(encoding="utf-8").splitlines()

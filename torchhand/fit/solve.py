@@ -26,6 +26,7 @@ from torchhand.numerics.least_squares import (
     gradient_descent,
     levenberg_marquardt,
 )
+from torchhand.precision import require_exact, without_autocast
 
 _COST_TOLERANCE = 1e-3  # share of the cost below which a step is not worth taking
 _STEP_TOLERANCE = 1e-5
@@ -110,16 +111,20 @@ class Solutions:
         raise ValueError(f"explained: expected one of {', '.join({one.name for one in self.explained})}, got {name!r}")
 
 
+@without_autocast
 def solve(problem: Problem, starts: HandPose, schedule: Schedule, *, at_once: int = 128) -> Solutions:
     """Estimate poses from many starts, each by itself, the shape held.
 
     starts: any batch shape; they are put into the pose space and the joint limits. at_once: hypotheses that are worked
     on together, which bounds the memory.
 
-    Never raises for what data or a start may be: see `SolveStatus`. One hypothesis never touches another.
+    Computes in the dtype of the problem's pose space, float32 or float64; ValueError for half precision. Never raises
+    for what else data or a start may be: see `SolveStatus`. One hypothesis never touches another.
     """
     if not schedule:
         raise ValueError("schedule: expected at least one stage, got none")
+    for name, values in (("problem.space", problem.space.basis), ("starts", starts.dofs)):
+        require_exact(name, values.dtype)
     batch = starts.batch_shape
     flat = starts.to(problem.space.basis).reshape(-1)
     parts = []

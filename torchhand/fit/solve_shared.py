@@ -26,6 +26,7 @@ from torchhand.numerics.least_squares import (
     Status,
     levenberg_marquardt,
 )
+from torchhand.precision import without_autocast
 
 _DAMPING = 1e-3  # of the shared unknowns, at the first step
 _POSE_DAMPING = 1e-4
@@ -64,6 +65,7 @@ class SharedSolution:
     """A row for each frame."""
 
 
+@without_autocast
 def solve_shared(
     problem: Problem,
     starts: HandPose,

@@ -9,13 +9,18 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchhand.precision import own_precision
+
 ASSUMED_HORIZONTAL_FOV_DEG = 55.0
 DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
-    """One camera, or a batch of cameras of one picture size."""
+    """One camera, or a batch of cameras of one picture size.
+
+    Its numbers follow the points that it sees: float32 points are projected in float32.
+    """
 
     intrinsics: Float[Tensor, "*batch 3 3"]
     """K in pixels; of an orthographic camera its diagonal holds pixels per metre."""
@@ -83,13 +88,15 @@ class Camera:
             to_part[axis, axis], to_part[axis, 2] = scale, (0.5 - corner[axis]) * scale - 0.5
         return replace(self, intrinsics=to_part @ self.intrinsics, width=size[0], height=size[1])
 
+    @own_precision
     def cam_from_world(self, points_world: Float[Tensor, "*points 3"]) -> Float[Tensor, "*points 3"]:
         """Points in the camera frame, metres; camera batches broadcast against the leading dimensions of the points."""
         if self.rotation.ndim == 2:
-            return points_world @ self.rotation.T + self.translation
+            return points_world @ self.rotation.to(points_world).T + self.translation.to(points_world)
         rotation, translation = _match(self.rotation, 2, points_world), _match(self.translation, 1, points_world)
         return (rotation * points_world[..., None, :]).sum(-1) + translation
 
+    @own_precision
     def pixels_from_plane(self, plane: Float[Tensor, "*points 2"]) -> Float[Tensor, "*points 2"]:
         """Pixels of points of the normalised image plane (x/z, y/z; orthographic: x, y in metres), distorted."""
         distorted = distort(plane, _match(self.distortion, 1, plane)) if self.has_distortion else plane
@@ -99,6 +106,7 @@ class Camera:
             return torch.stack((a * x + u, d * y + v), -1)
         return torch.stack((a * x + b * y + u, c * x + d * y + v), -1)
 
+    @own_precision
     def plane_from_pixels(self, points_px: Float[Tensor, "*points 2"]) -> Float[Tensor, "*points 2"]:
         """Points of the normalised image plane that appear at the given pixels; inverse of `pixels_from_plane`."""
         (a, b, u), (c, d, v) = self._image_map(points_px)
@@ -110,6 +118,7 @@ class Camera:
             plane = torch.stack((x / a, y / d), -1)
         return undistort(plane, _match(self.distortion, 1, plane)) if self.has_distortion else plane
 
+    @own_precision
     def pixel_jacobian(self, plane: Float[Tensor, "*points 2"]) -> Float[Tensor, "*points 2 2"]:
         """Derivative of `pixels_from_plane`: change of (x, y) in pixels, row by row, with the point of the plane."""
         linear = _match(self.intrinsics, 2, plane)[..., :2, :2]
@@ -122,14 +131,17 @@ class Camera:
         top, bottom, _ = _match(self.intrinsics, 2, points).unbind(-2)
         return top.unbind(-1), bottom.unbind(-1)
 
+    @own_precision
     def plane_from_cam(self, points_cam: Float[Tensor, "*points 3"]) -> Float[Tensor, "*points 2"]:
         """Normalised image plane; depths at or behind the camera give non-finite or mirrored points."""
         return points_cam[..., :2] if self.kind == "orthographic" else points_cam[..., :2] / points_cam[..., 2:]
 
+    @own_precision
     def project(self, points_world: Float[Tensor, "*points 3"]) -> Float[Tensor, "*points 2"]:
         """Pixels of points given in the world frame, metres."""
         return self.pixels_from_plane(self.plane_from_cam(self.cam_from_world(points_world)))
 
+    @own_precision
     def rays(
         self, points_px: Float[Tensor, "*points 2"]
     ) -> tuple[Float[Tensor, "*points 3"], Float[Tensor, "*points 3"]]:
@@ -142,7 +154,8 @@ class Camera:
 
 
 def _match(parameter: Tensor, own: int, points: Tensor) -> Tensor:
-    """`parameter` of shape (*batch, own dims) with as many leading dimensions as `points` has, for broadcasting."""
+    """`parameter` of shape (*batch, own dims) with as many leading dimensions as `points` has, and in their dtype."""
+    parameter = parameter.to(points)
     batch = parameter.shape[: parameter.ndim - own]
     missing = points.ndim - 1 - len(batch)
     return (
@@ -175,6 +188,7 @@ def assumed_camera(
     )
 
 
+@own_precision
 def distort(plane: Float[Tensor, "*points 2"], coefficients: Float[Tensor, "*batch k"]) -> Float[Tensor, "*points 2"]:
     """OpenCV's lens model (rational, tangential, thin prism, tilted sensor) on the normalised image plane."""
     k = _padded(coefficients)
@@ -190,6 +204,7 @@ def distort(plane: Float[Tensor, "*points 2"], coefficients: Float[Tensor, "*bat
     return tilted[..., :2] / tilted[..., 2:]
 
 
+@own_precision
 def distortion_jacobian(
     plane: Float[Tensor, "*points 2"], coefficients: Float[Tensor, "*batch k"]
 ) -> Float[Tensor, "*points 2 2"]:
@@ -218,6 +233,7 @@ def distortion_jacobian(
     return perspective @ jacobian
 
 
+@own_precision
 def undistort(
     distorted: Float[Tensor, "*points 2"], coefficients: Float[Tensor, "*batch k"], *, steps: int = 10
 ) -> Float[Tensor, "*points 2"]:

@@ -10,13 +10,17 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.precision import own_precision
 
+
+@own_precision
 def ellipsoid(semi_axes: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 4 4"]:
     """Ellipsoid about the origin with the given semi-axes along x, y, z (metres)."""
     inverse = semi_axes.square().reciprocal()
     return torch.diag_embed(torch.cat((inverse, -torch.ones_like(inverse[..., :1])), -1))
 
 
+@own_precision
 def cone(
     start: Float[Tensor, "*batch 2"], end_scale: Float[Tensor, "*batch"], length: Float[Tensor, "*batch"]
 ) -> Float[Tensor, "*batch 4 4"]:
@@ -37,18 +41,21 @@ def cone(
     return torch.stack([torch.stack(row, -1) for row in rows], -2)
 
 
+@own_precision
 def plane_pair(first: Float[Tensor, "*batch 4"], second: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 4 4"]:
     """Π = π π'ᵀ + π' πᵀ; Xᵀ Π X = 2 (π·X)(π'·X) is positive where both planes agree in sign."""
     product = first[..., :, None] * second[..., None, :]
     return product + product.transpose(-1, -2)
 
 
+@own_precision
 def slab(low: Float[Tensor, "*batch"], high: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 4 4"]:
     """Clipping pair that keeps low <= y <= high."""
     zero, one = torch.zeros_like(low), torch.ones_like(low)
     return plane_pair(torch.stack((zero, one, zero, -low), -1), torch.stack((zero, -one, zero, high), -1))
 
 
+@own_precision
 def half_space(level: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 4 4"]:
     """Clipping pair (one plane and the plane at infinity) that keeps y >= level."""
     zero, one = torch.zeros_like(level), torch.ones_like(level)
@@ -56,6 +63,7 @@ def half_space(level: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch 4 4"]:
     return plane_pair(torch.stack((zero, one, zero, -level), -1), infinity)
 
 
+@own_precision
 def moved(
     quadric: Float[Tensor, "*#batch 4 4"],
     rotation: Float[Tensor, "*#batch 3 3"],
@@ -74,6 +82,7 @@ def moved(
     )
 
 
+@own_precision
 def conic_of_quadric(quadric: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 3 3"]:
     """Outline of a quadric seen by the normalised camera [I | 0].
 
@@ -85,6 +94,7 @@ def conic_of_quadric(quadric: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*ba
     return quadric[..., 3:, 3:] * quadric[..., :3, :3] - edge[..., :, None] * edge[..., None, :]
 
 
+@own_precision
 def orthographic_conic_of_quadric(quadric: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 3 3"]:
     """Outline of a quadric seen along z: C = Q₃₃ Q[i, i] - q qᵀ with i = (x, y, w), q = Q[i, z]."""
     keep = torch.tensor((0, 1, 3), device=quadric.device)
@@ -93,6 +103,7 @@ def orthographic_conic_of_quadric(quadric: Float[Tensor, "*batch 4 4"]) -> Float
     return quadric[..., 2, 2, None, None] * rest - edge[..., :, None] * edge[..., None, :]
 
 
+@own_precision
 def evaluate(quadric: Float[Tensor, "*#batch 4 4"], points: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*_"]:
     """Xᵀ Q X of the homogeneous points (x, y, z, 1); both arguments broadcast."""
     linear = (quadric[..., :3, :3] @ points[..., None]).squeeze(-1) + 2 * quadric[..., :3, 3]
@@ -110,6 +121,7 @@ class RayHits:
     is_hit: Bool[Tensor, "*batch"]
 
 
+@own_precision
 def ray_table(
     quadrics: Float[Tensor, "*batch quadrics 4 4"],
     origins: Float[Tensor, "*batch rays 3"],
@@ -126,6 +138,7 @@ def ray_table(
     return torch.stack([(left[..., :, None] * right[..., None, :]).flatten(-2) @ weights for left, right in pairs])
 
 
+@own_precision
 def meet_rays(along: Float[Tensor, "3 *batch"], clip: Float[Tensor, "3 *batch"]) -> RayHits:
     """Both meeting points of rays with truncated quadrics (Stenger et al. 2001, equation 9).
 
@@ -144,6 +157,7 @@ def meet_rays(along: Float[Tensor, "3 *batch"], clip: Float[Tensor, "3 *batch"])
     return RayHits(near=near, far=far, is_hit=near.isfinite())
 
 
+@own_precision
 def quadratic_roots(
     quadratic: Float[Tensor, "*batch"], linear: Float[Tensor, "*batch"], constant: Float[Tensor, "*batch"]
 ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:

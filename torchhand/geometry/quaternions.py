@@ -5,8 +5,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.geometry.rotations import vector_from_rotation
+from torchhand.precision import own_precision
 
 
+@own_precision
 def quaternion_of_rotation(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 4"]:
     """w is never negative."""
     half = 0.5 * vector_from_rotation(rotation)
@@ -14,6 +16,7 @@ def quaternion_of_rotation(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tenso
     return torch.cat((half * torch.sinc(angle / torch.pi), angle.cos()), -1)
 
 
+@own_precision
 def rotation_of_quaternion(quaternion: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3 3"]:
     """Rotation of a quaternion of any length but zero."""
     x, y, z, w = (quaternion / quaternion.norm(dim=-1, keepdim=True)).unbind(-1)
@@ -25,6 +28,7 @@ def rotation_of_quaternion(quaternion: Float[Tensor, "*batch 4"]) -> Float[Tenso
     return torch.stack(rows, -2)
 
 
+@own_precision
 def continuous(quaternion: Float[Tensor, "frames *rest 4"]) -> Float[Tensor, "frames *rest 4"]:
     """The same rotations with signs that never jump from frame to frame, so that interpolation takes the short way."""
     if len(quaternion) < 2:

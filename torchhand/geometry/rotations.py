@@ -6,9 +6,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.precision import own_precision
+
 _SMALL_ANGLE_SQUARED = 1e-8  # below it the series is exact to float64 rounding in its first two terms
 
 
+@own_precision
 def skew(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """Matrix of the cross product: skew(a) @ b = a x b."""
     x, y, z = vector.unbind(-1)
@@ -47,6 +50,7 @@ def _third_coefficient(angle_squared: Tensor, is_small: Tensor, safe: Tensor, an
     return torch.where(is_small, series, (angle - sine) / (safe * angle))
 
 
+@own_precision
 def rotation_from_vector(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """Rotation by |vector| radians about vector (Rodrigues); smooth everywhere, zero included."""
     if torch.is_inference_mode_enabled() and not torch._C._are_functorch_transforms_active():
@@ -107,6 +111,7 @@ def _quaternion_table() -> Tensor:
     return table.flatten(1)
 
 
+@own_precision
 def vector_from_rotation(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:
     """Rotation vector of a rotation matrix, length in [0, π].
 
@@ -128,6 +133,7 @@ def vector_from_rotation(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor,
     return factor[..., None] * vector
 
 
+@own_precision
 def cosine_between(
     first: Float[Tensor, "*#batch 3 3"], second: Float[Tensor, "*#batch 3 3"]
 ) -> Float[Tensor, "*batch"]:
@@ -135,6 +141,7 @@ def cosine_between(
     return 0.5 * ((first * second).sum((-2, -1)) - 1)
 
 
+@own_precision
 def left_jacobian(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """J with exp(v + dv) = exp(J dv) exp(v) to first order."""
     squared = (vector * vector).sum(-1)
@@ -146,6 +153,7 @@ def left_jacobian(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 
     return identity + second[..., None, None] * cross + third[..., None, None] * (cross @ cross)
 
 
+@own_precision
 def rotation_from_columns(columns: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 3 3"]:
     """The rotation that Gram and Schmidt make of its first two columns; the third is their product."""
     first = torch.nn.functional.normalize(columns[..., :3], dim=-1)

@@ -4,12 +4,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.precision import own_precision
+
 _TINY = 1e-12
 _NOTHING = 1e-18  # square metres: keeps the slope finite where two centres coincide
 _STEEPEST = 0.99  # taper (change of radius over length) beyond which a capsule counts as its larger ball's cone
 _PARALLEL = 1e-6  # squared sine below which two axes count as parallel
 
 
+@own_precision
 def tapered_capsule_depth(
     first_start: Float[Tensor, "*#batch 3"],
     first_end: Float[Tensor, "*#batch 3"],

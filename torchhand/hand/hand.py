@@ -11,11 +11,16 @@ from torchhand.geometry import batch_last, common_shape
 from torchhand.hand.kinematics import DOFS, HandFrames, HandKinematics, ShapeSpace, Side, Skeleton
 from torchhand.hand.primitives import Primitives, place_primitives, primitive_sizes
 from torchhand.hand.skin import HandMesh, Skinning, mirrored_mesh
+from torchhand.precision import own_precision, record
 
 
+@record("faces", "shape_space", "is_left")
 @dataclass(frozen=True, kw_only=True)
 class HandState:
-    """A posed hand in the world, metres; differentiable in pose and shape."""
+    """A posed hand in the world, metres; differentiable in pose and shape.
+
+    A pytree: `torch.vmap` and `torch.func` take hands and give such records.
+    """
 
     frames: HandFrames
     """Rotations and origins of the bones."""
@@ -58,21 +63,20 @@ class Hand(nn.Module):
         shape_space: ShapeSpace,
         mesh: HandMesh,
         side: Side = "right",
-        dtype: torch.dtype | None = None,
+        dtype: torch.dtype = torch.float32,
     ) -> None:
         """
         shape: parameters of the shape space, one hand or many; the default proportions where it is None.
         skeleton, shape_space, mesh: of a hand model; `HandModel.hand` gives them.
-        dtype: what to compute in; that of the shape, or float32, where it is None. Constants are rounded to it once,
-            so for float64 say so here instead of converting the module later.
+        dtype: what to compute in; a shape of another dtype is converted, its gradient flows on.
+            Constants are rounded to it once, so for float64 say so here instead of converting the module later.
 
-        Raises ValueError for a shape that is not finite or outside its bounds.
+        Raises ValueError for a shape that is not finite or outside its bounds, for other dtypes, and for a parameter
+        given as shape that has another dtype.
         """
         super().__init__()
-        if dtype is None:
-            dtype = torch.float32 if shape is None else shape.dtype
         if not dtype.is_floating_point:
-            raise ValueError(f"dtype: expected one of floating-point numbers, that of the shape too, got {dtype}")
+            raise ValueError(f"dtype: expected one of floating-point numbers, got {dtype}")
         if isinstance(shape, nn.Parameter) and shape.dtype != dtype:
             raise ValueError(f"dtype: expected {shape.dtype}, that of the parameter given as shape, got {dtype}")
         self.side: Side = side
@@ -90,6 +94,7 @@ class Hand(nn.Module):
         self._check_width("shape", self.shape, len(self.shape_space.names))
         self.shape_space.check(self.shape)
 
+    @own_precision
     def forward(
         self,
         pose: Float[Tensor, "*#batch 36"],
@@ -104,8 +109,9 @@ class Hand(nn.Module):
         shape: in place of the module's own. Both broadcast; one shape for all poses is several times faster than a
             shape for each.
 
-        Raises ValueError for wrong dimensions and dtypes. NaN and infinite numbers go through to the results, because
-        looking for them would make a GPU wait; see `check`.
+        Raises ValueError for wrong dimensions and for another dtype than the module's; within `torch.autocast` it
+        computes in float32 all the same. NaN and infinite numbers go through to the results, because looking for them
+        would make a GPU wait; see `check`.
         """
         self.check_sizes(pose, shape)
         shape = self.shape if shape is None else shape

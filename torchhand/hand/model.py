@@ -14,7 +14,7 @@ from torchhand.hand.skin import HandMesh
 
 @dataclass(frozen=True, kw_only=True)
 class HandModel:
-    """What a model folder holds, float64."""
+    """What a model folder holds: constants in float64, modules in the dtype that is asked for."""
 
     name: str
     skeleton: Skeleton
@@ -27,16 +27,16 @@ class HandModel:
         space = self.shape_space.to(dtype=dtype)
         return HandKinematics(self.skeleton, space, side).to(dtype)
 
-    def prior(self, settings: HandPriorSettings | None = None) -> HandPrior:
-        """What postures and proportions are likely: log-density, sampler and energy, float64."""
-        return HandPrior(self.skeleton, self.shape_space, settings)
+    def prior(self, settings: HandPriorSettings | None = None, *, dtype: torch.dtype = torch.float32) -> HandPrior:
+        """What postures and proportions are likely: log-density, sampler and energy in the given precision."""
+        return HandPrior(self.skeleton, self.shape_space, settings, dtype=dtype)
 
     def hand(
         self,
         shape: Float[Tensor, "*batch shape"] | None = None,
         *,
         side: Side = "right",
-        dtype: torch.dtype | None = None,
+        dtype: torch.dtype = torch.float32,
     ) -> Hand:
         """A `Hand` of this model: bones, keypoints, skinned mesh and primitives; arguments and errors as there.
 

@@ -7,8 +7,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchhand.hand.hand import Hand, HandState
+from torchhand.precision import own_precision, record
 
 
+@record("faces", "part_of_face")
 @dataclass(frozen=True, kw_only=True)
 class PosedMesh:
     """Closed surfaces of hands placed in one frame (world or camera), metres; the counterpart of `Primitives`."""
@@ -19,6 +21,7 @@ class PosedMesh:
     part_of_face: Int[Tensor, "faces"]
     """The bone with most weight at the corners of each face, index into BONES."""
 
+    @own_precision
     def moved(self, rotation: Float[Tensor, "3 3"], translation: Float[Tensor, "3"]) -> "PosedMesh":
         """The same surfaces after X_new = rotation X + translation."""
         return replace(self, vertices=self.vertices @ rotation.T + translation)
@@ -27,6 +30,7 @@ class PosedMesh:
         """One hand of a flat batch."""
         return replace(self, vertices=self.vertices[index])
 
+    @own_precision
     def vertex_normals(self) -> Float[Tensor, "*batch vertices 3"]:
         """Unit normals, outward: the mean of those of the faces around each vertex, weighted by area."""
         a, b, c = self.vertices[..., self.faces, :].unbind(-2)

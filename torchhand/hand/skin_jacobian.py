@@ -12,8 +12,10 @@ from torch import Tensor
 from torchhand.geometry import batch_first, batch_last, common_shape, left_jacobian
 from torchhand.hand.hand import Hand
 from torchhand.hand.kinematics import DOFS, ROOT_DOFS, world_axes
+from torchhand.precision import own_precision
 
 
+@own_precision
 def skin_jacobian(
     hand: Hand,
     pose: Float[Tensor, "*#batch 36"],

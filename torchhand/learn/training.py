@@ -99,7 +99,7 @@ class TrainingData:
 
 def training_data(settings: TrainingSettings, model: HandModel) -> TrainingData:
     """Hands to train on, hands to measure on, and the prior."""
-    prior = HandPrior(model.skeleton, model.shape_space)
+    prior = HandPrior(model.skeleton, model.shape_space, dtype=torch.float64)
     generator = _generator(settings.seed, 0)
     pool = hand_pool(prior, model, settings.pool, generator)
     others = hand_pool(prior, model, settings.held_out, generator)

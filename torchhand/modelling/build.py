@@ -34,7 +34,7 @@ def build_mesh(
     last call, for a progress bar.
     """
     kinematics = model.kinematics(dtype=torch.float64)
-    space, shape, pose = model.shape_space, kinematics.default_shape, posture(BIND_POSTURE)
+    space, shape, pose = model.shape_space, kinematics.default_shape, posture(BIND_POSTURE, dtype=torch.float64)
     frames = kinematics(pose)
     points, faces = even_mesh(HandField(space, frames, shape), frames.keypoints, vertices, step=grid)
     bones, weights = skin_weights(space, frames, shape, points, faces)

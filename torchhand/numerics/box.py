@@ -5,10 +5,12 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.numerics.filters import Gaussian
+from torchhand.precision import full_precision
 
 _MAX_ROUNDS = 3  # times the number of variables; each round changes at least one
 
 
+@full_precision
 def mode_in_box(
     state: Gaussian, lower: Float[Tensor, "*#batch n"], upper: Float[Tensor, "*#batch n"]
 ) -> tuple[Float[Tensor, "*batch n"], Bool[Tensor, "*batch n"]]:

@@ -7,6 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.precision import own_precision
+
 _ON = 1e-9  # a vertex lies on a row, a candidate inside the polytope, to this much
 _FARTHEST = 1e4  # points beyond are moved here first: infinity has no nearest point
 _CHUNK = 2048
@@ -27,10 +29,12 @@ class Polytope:
     """Nearest point of each face's plane: flatten · x + offset. The first face is the polytope itself: the identity."""
     offset: Float[Tensor, "faces n"]
 
+    @own_precision
     def excess(self, point: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch rows"]:
         """matrix · x − bound: positive where a row is violated."""
         return point @ self.matrix.to(point).T - self.bound.to(point)
 
+    @own_precision
     def nearest(self, point: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch n"]:
         """The nearest point of the polytope; points inside come back bit for bit.
 

@@ -17,6 +17,7 @@ from torchhand.geometry import Camera
 from torchhand.hand import Hand, HandPose
 from torchhand.image import BackgroundPlate
 from torchhand.numerics import single_threaded
+from torchhand.precision import without_autocast
 from torchhand.propose import LearnedPosture
 from torchhand.track.assembly import Assembly, assembled
 from torchhand.track.belief import FollowedHand, posed_belief, scale_covariance, unknown_scale_std
@@ -97,6 +98,7 @@ class Tracker:
 
     # ------------------------------------------------------------------ a frame
 
+    @without_autocast
     @torch.inference_mode()
     @single_threaded()
     def step(self, state: TrackerState | None, views: Sequence[View], time_s: float) -> tuple[TrackerState, Estimate]:

@@ -107,7 +107,7 @@ def test_link_meshes_are_closed_and_add_up_to_the_hand(clip: MotionClip, tmp_pat
 
 
 def test_links_are_possible_bodies_over_people(model: HandModel, clips: dict[str, MotionClip]) -> None:
-    _, shapes = model.prior().sample(3, torch.Generator().manual_seed(11))
+    _, shapes = model.prior(dtype=torch.float64).sample(3, torch.Generator().manual_seed(11))
     small = 0.5 * (model.shape_space.lower + model.shape_space.default)
     large = 0.5 * (model.shape_space.upper + model.shape_space.default)
     for shape in (*shapes.double(), small, large):

@@ -55,7 +55,9 @@ def test_a_sampled_hand_is_found_again(side: Any, view: Any, forearm: bool, stud
         arm = cast_forearm(frames, kinematics.shape_space, shape, placed.camera).mask
         assert int((arm & ~mask).sum()) > 0.2 * int(mask.sum())
         mask = mask | arm
-    found = align_posture(mask, placed.camera, kinematics, kinematics.default_shape, posture("open"))
+    found = align_posture(
+        mask, placed.camera, kinematics, kinematics.default_shape, posture("open", dtype=torch.float64)
+    )
     _assert_found(found[0], placed, view)
     costs = [one.cost for one in found]
     assert costs == sorted(costs)
@@ -68,20 +70,26 @@ def test_a_wrist_cut_by_the_edge_of_the_picture(side: str, studio: Any) -> None:
     wrist = placed.keypoints_px[0]
     assert float(wrist[1]) > placed.camera.height  # it is out of the picture
     found = align_posture(
-        placed.mask, placed.camera, placed.kinematics, placed.kinematics.default_shape, posture("open")
+        placed.mask,
+        placed.camera,
+        placed.kinematics,
+        placed.kinematics.default_shape,
+        posture("open", dtype=torch.float64),
     )
     _assert_found(found[0], placed, "palm")
 
 
 def test_a_pointing_hand_is_found_with_its_posture(studio: Any) -> None:
     placed = studio.placed(view="back", posed="point", angle_deg=-35.0)
-    found = align_posture(placed.mask, placed.camera, placed.kinematics, placed.shape, posture("point"))
+    found = align_posture(
+        placed.mask, placed.camera, placed.kinematics, placed.shape, posture("point", dtype=torch.float64)
+    )
     _assert_found(found[0], placed, "back")
 
 
 def test_placements_are_distinct_and_limited(studio: Any) -> None:
     placed = studio.placed(angle_deg=20.0)
-    arguments = (placed.mask, placed.camera, placed.kinematics, placed.shape, posture("open"))
+    arguments = (placed.mask, placed.camera, placed.kinematics, placed.shape, posture("open", dtype=torch.float64))
     three = align_posture(*arguments, keep=3)
     assert len(three) == 3
     for one, other in itertools.combinations(three, 2):
@@ -96,13 +104,13 @@ def test_nothing_in_an_empty_silhouette(size: int, studio: Any) -> None:
     camera, kinematics = studio.camera(), studio.kinematics()
     mask = torch.zeros(camera.height, camera.width, dtype=torch.bool)
     mask[50 : 50 + size, 60 : 60 + size] = True
-    assert align_posture(mask, camera, kinematics, kinematics.default_shape, posture("open")) == []
+    assert align_posture(mask, camera, kinematics, kinematics.default_shape, posture("open", dtype=torch.float64)) == []
 
 
 def test_a_picture_that_is_all_hand_is_no_error(studio: Any) -> None:
     camera, kinematics = studio.camera(), studio.kinematics()
     mask = torch.ones(camera.height, camera.width, dtype=torch.bool)
-    found = align_posture(mask, camera, kinematics, kinematics.default_shape, posture("open"))
+    found = align_posture(mask, camera, kinematics, kinematics.default_shape, posture("open", dtype=torch.float64))
     assert all(one.cost > 0.5 for one in found)
 
 
@@ -112,7 +120,7 @@ def test_wrist_and_fingertip_lie_on_the_points(side: str, kind: str, studio: Any
     camera: Camera = studio.camera(kind="orthographic" if kind == "orthographic" else "pinhole", lens=kind == "lens")
     kinematics = studio.kinematics(side)
     wrist, tip = (70.0, 130.0), (112.0, 44.0)
-    found = align_points(wrist, tip, camera, kinematics, kinematics.default_shape, posture("open"))
+    found = align_points(wrist, tip, camera, kinematics, kinematics.default_shape, posture("open", dtype=torch.float64))
     assert [one.facing for one in found] == ["palm", "back"]
     for one in found:
         frames = kinematics(one.pose, kinematics.default_shape, root_reference=one.root_reference)
@@ -130,7 +138,14 @@ def test_wrist_and_fingertip_lie_on_the_points(side: str, kind: str, studio: Any
 def test_two_points_that_are_one(studio: Any) -> None:
     kinematics = studio.kinematics()
     with pytest.raises(ValueError, match="start points: expected two different points"):
-        align_points((3.0, 4.0), (3.0, 4.0), studio.camera(), kinematics, kinematics.default_shape, posture("open"))
+        align_points(
+            (3.0, 4.0),
+            (3.0, 4.0),
+            studio.camera(),
+            kinematics,
+            kinematics.default_shape,
+            posture("open", dtype=torch.float64),
+        )
 
 
 def test_facings(studio: Any) -> None:

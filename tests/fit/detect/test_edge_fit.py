@@ -168,7 +168,10 @@ def test_more_noise_of_edges_trusts_the_start_more(studio: Any) -> None:
 
 
 def test_bent_fingers_of_the_posture_have_more_freedom() -> None:
-    straight, bent = pose_prior_std(posture("open"), 0.25), pose_prior_std(posture("fist"), 0.25)
+    straight, bent = (
+        pose_prior_std(posture("open", dtype=torch.float64), 0.25),
+        pose_prior_std(posture("fist", dtype=torch.float64), 0.25),
+    )
     index = DOFS.index("index_pip_fe")
     assert (float(straight[index]), float(bent[index])) == (0.08, 0.25)
     assert float(straight[DOFS.index("index_mcp_tw")]) == 0.0

@@ -22,7 +22,13 @@ def _find(image: torch.Tensor, placed: Any, studio: Any, posed: str = "open", **
     kinematics = placed.kinematics
     with torch.no_grad():
         return find_hand(
-            image, kinematics, placed.camera, kinematics.default_shape, studio.table, posture(posed), **options
+            image,
+            kinematics,
+            placed.camera,
+            kinematics.default_shape,
+            studio.table,
+            posture(posed, dtype=torch.float64),
+            **options,
         )
 
 
@@ -123,7 +129,15 @@ def test_two_points_start_in_clutter(side: str, view: Any, fit_shape: bool, stud
     image = placed.picture(CLUTTER, seed=4)
     wrist, tip = (tuple(point) for point in placed.keypoints_px[[0, 12]].tolist())
     off = (wrist[0] + 2.0, wrist[1] - 2.0, tip[0] - 1.0, tip[1] + 2.0)  # as well as a person clicks
-    arguments = (image, off, placed.kinematics, placed.camera, placed.shape, studio.table, posture("open"))
+    arguments = (
+        image,
+        off,
+        placed.kinematics,
+        placed.camera,
+        placed.shape,
+        studio.table,
+        posture("open", dtype=torch.float64),
+    )
     with torch.no_grad():
         start = start_at_points(*arguments, fit_shape=fit_shape)
     assert _error(start, placed) < 0.04
@@ -137,7 +151,13 @@ def test_points_out_of_the_picture_are_no_start(studio: Any) -> None:
     image = placed.picture()
     points = (900.0, 900.0, 900.0, 830.0)
     start = start_at_points(
-        image, points, placed.kinematics, placed.camera, placed.shape, studio.table, posture("open")
+        image,
+        points,
+        placed.kinematics,
+        placed.camera,
+        placed.shape,
+        studio.table,
+        posture("open", dtype=torch.float64),
     )
     assert isinstance(start, NoStart)
     assert "outside the picture" in start.reason

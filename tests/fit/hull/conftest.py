@@ -102,7 +102,7 @@ class Rig:
     def person(self, seed: int, *, turn: float = 0.4) -> tuple[HandPose, Tensor]:
         """Pose and shape of a random person's hand in the middle of the rig."""
         generator = torch.Generator().manual_seed(seed)
-        dofs, shape = (x[0].double() for x in self.model.prior().sample(1, generator))
+        dofs, shape = (x[0].double() for x in self.model.prior(dtype=torch.float64).sample(1, generator))
         spin = turn * torch.randn(3, generator=generator, dtype=torch.float64)
         pose = HandPose.of(dofs, rotation_from_vector(spin) @ self.upright)
         return self.in_the_middle(pose, shape), shape
@@ -158,6 +158,7 @@ def rig() -> Rig:
         hand=model.hand(dtype=torch.float64),
         cameras=cameras,
         joints=JointPriors(
-            constraints=PoseConstraints(model.skeleton), postures=PostureResiduals.of(model.prior().postures)
+            constraints=PoseConstraints(model.skeleton),
+            postures=PostureResiduals.of(model.prior().postures),
         ),
     )

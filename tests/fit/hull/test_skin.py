@@ -16,7 +16,7 @@ def model() -> HandModel:
 
 def posed(model: HandModel, count: int, generator: torch.Generator) -> HandPose:
     """With rotation vectors that are not zero."""
-    dofs, _ = model.prior().sample(count, generator)
+    dofs, _ = model.prior(dtype=torch.float64).sample(count, generator)
     dofs = dofs.double()
     dofs[:, :6] = 0.3 * torch.randn(count, 6, generator=generator, dtype=torch.float64)
     spin = torch.randn(count, 3, generator=generator, dtype=torch.float64)
@@ -26,7 +26,7 @@ def posed(model: HandModel, count: int, generator: torch.Generator) -> HandPose:
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_same_as_the_hand_and_its_jacobian(model: HandModel, side: str, generator: torch.Generator) -> None:
     hand = model.hand(dtype=torch.float64, side="left" if side == "left" else "right")
-    shape = model.prior().population.sample(1, generator)[0]
+    shape = model.prior().population.sample(1, generator, dtype=torch.float64)[0]
     skin, pose = SkinPoints(hand, shape), posed(model, 3, generator)
     own, common = torch.randint(2010, (3, 60), generator=generator), torch.randint(2010, (60,), generator=generator)
     direction = torch.randn(3, 60, 3, generator=generator, dtype=torch.float64)

@@ -57,7 +57,7 @@ def test_no_hull_is_empty() -> None:
 
 def test_of_a_hand(rig: Any) -> None:
     """The surface is within the octants' size of the true skin, but for what no camera sees into."""
-    dofs = posture("open")
+    dofs = posture("open", dtype=torch.float64)
     dofs[1] = 0.09
     pose = HandPose.of(dofs, rig.upright)
     target = rig.target(pose, points=300)

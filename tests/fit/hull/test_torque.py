@@ -17,7 +17,7 @@ INDEX = DOFS.index("index_mcp_fe")
 
 def flat(deg: float) -> Tensor:
     """A flat hand in the middle of the rig with its index bent at the knuckle."""
-    pose = posture("flat")
+    pose = posture("flat", dtype=torch.float64)
     pose[1] = 0.09
     pose[INDEX] = math.radians(deg)
     return pose

@@ -46,7 +46,7 @@ def _random_poses(kinematics: HandKinematics, count: int, generator: torch.Gener
 
 def _postures(kinematics: HandKinematics) -> Tensor:
     """Named postures within the limits before a camera, the palm turned to it, each turned a little differently."""
-    poses = torch.stack([posture(name) for name in POSTURES])
+    poses = torch.stack([posture(name, dtype=torch.float64) for name in POSTURES])
     poses[:, 6:] = kinematics.skeleton.within_limits(poses[:, 6:])
     poses[:, :3] = torch.tensor((0.0, 0.05, 0.5), dtype=DOUBLE)
     facing = torch.tensor(((0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)), dtype=DOUBLE)
@@ -227,7 +227,7 @@ def test_one_shape_for_all_frames(generator: torch.Generator) -> None:
     kinematics = _hand()
     space = kinematics.shape_space
     columns = list(moving_parameters(kinematics))
-    true_shape = Anthropometry(space).sample(1, generator)[0]
+    true_shape = Anthropometry(space).sample(1, generator, dtype=torch.float64)[0]
     still = [i for i in range(len(space.names)) if i not in columns]
     true_shape[still] = space.default[still]
     poses = _random_poses(kinematics, 60, generator)

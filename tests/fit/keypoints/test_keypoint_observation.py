@@ -26,7 +26,7 @@ CAMERA = assumed_camera(640, 480, horizontal_fov_deg=50.0)
 
 def _hands(count: int, seed: int, spread: float = 0.2) -> HandPose:
     generator = torch.Generator().manual_seed(seed)
-    free = SPACE.free(posture("open").double())
+    free = SPACE.free(posture("open", dtype=torch.float64).double())
     free = free + spread * torch.randn(count, SPACE.size, generator=generator, dtype=torch.float64)
     dofs = clamp_to_limits(SPACE.dof(free), KINEMATICS.skeleton)
     dofs[:, :3] = torch.tensor((0.02, 0.05, 0.5), dtype=torch.float64)

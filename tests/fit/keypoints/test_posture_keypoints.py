@@ -24,7 +24,7 @@ FINE = Stage(gross_m=0.004)
 
 def _hand(seed: int, name: str = "open", *, kinematics: HandKinematics = KINEMATICS) -> HandPose:
     generator = torch.Generator().manual_seed(seed)
-    free = SPACE.free(posture(name).double())
+    free = SPACE.free(posture(name, dtype=torch.float64).double())
     free = free + 0.1 * torch.randn(SPACE.size, generator=generator, dtype=torch.float64)
     dofs = clamp_to_limits(SPACE.dof(free), kinematics.skeleton)[None]
     dofs[:, :6] = torch.tensor((0.02, 0.05, 0.5, 0.0, 0.0, 0.0), dtype=torch.float64)

@@ -18,7 +18,7 @@ STD = torch.tensor((0.008, 0.008, 0.012), dtype=DOUBLE)
 
 def _poses(count: int, seed: int = 0) -> Tensor:
     generator = torch.Generator().manual_seed(seed)
-    poses = posture("flat").to(DOUBLE).repeat(count, 1)
+    poses = posture("flat", dtype=torch.float64).to(DOUBLE).repeat(count, 1)
     poses[:, 6:] += 0.1 * torch.rand(count, len(DOFS) - 6, generator=generator, dtype=DOUBLE)
     poses[:, :3] = torch.tensor((0.02, -0.03, 0.5), dtype=DOUBLE)
     return poses

@@ -145,7 +145,7 @@ def test_directions_look_at_the_hand_from_all_around() -> None:
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_one_of_the_starts_in_a_picture_is_near(side: Side) -> None:
     kinematics, camera = _hand(side), assumed_camera(640, 480)
-    pose = posture("open").repeat(5, 1)
+    pose = posture("open", dtype=torch.float64).repeat(5, 1)
     pose[:, :3] = torch.tensor((0.02, -0.03, 0.5), dtype=DOUBLE)
     generator = torch.Generator().manual_seed(4)
     pose[:, 3:6] = torch.randn(5, 3, generator=generator, dtype=DOUBLE)
@@ -164,7 +164,7 @@ def test_one_of_the_starts_in_a_picture_is_near(side: Side) -> None:
 
 
 def test_other_ways_bend_and_straighten_one_digit_each() -> None:
-    poses = torch.stack((posture("point"), posture("open")))
+    poses = torch.stack((posture("point", dtype=torch.float64), posture("open", dtype=torch.float64)))
     ways = other_ways(HandPose.of(poses)).dofs
     assert ways.shape == (2, 6, 36)
     index, thumb = DOFS.index("index_pip_fe"), DOFS.index("thumb_ip_fe")

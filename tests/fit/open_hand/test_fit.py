@@ -29,7 +29,7 @@ def silhouette(
     kinematics = load_hand_model().kinematics(side, dtype=torch.float64)
     shape = sample_shape(kinematics.shape_space, torch.Generator().manual_seed(seed))
     rotation = turned_in_picture(facing_rotation(view), turn)
-    pose = posture(posed)
+    pose = posture(posed, dtype=torch.float64)
     middle = rotation @ torch.tensor((0.0, 0.09, 0.0), dtype=torch.float64)
     pose[:3] = torch.tensor((0.0, 0.0, distance)) - middle
     projector = HandProjector(kinematics, CAMERA, shape)
@@ -166,7 +166,7 @@ def problem_of(seed: int) -> tuple[OpenHandProblem, HandRegions]:
 def test_values_are_the_scaled_unknowns_and_the_prior_adds_what_leaves_its_interval() -> None:
     kinematics = load_hand_model().kinematics("right", dtype=torch.float64)
     identity = torch.eye(3, dtype=torch.float64)
-    problem = OpenHandProblem.about(kinematics, CAMERA, posture("open"), identity)
+    problem = OpenHandProblem.about(kinematics, CAMERA, posture("open", dtype=torch.float64), identity)
     values = 2.5 * torch.randn(3, problem.size, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
     residual = problem.prior(values)
     assert bool((residual[:, : problem.size] == values).all())
@@ -178,7 +178,7 @@ def test_values_are_the_scaled_unknowns_and_the_prior_adds_what_leaves_its_inter
     assert bool(((residual[:, problem.size :] > 0) == (rows.T > 0)).all())
     assert bool((rows > 0).any())
     pose, shape = problem.split(0 * values[0])
-    assert bool((pose == posture("open")).all())
+    assert bool((pose == posture("open", dtype=torch.float64)).all())
     assert float(shape[0]) == pytest.approx(0.187)
 
 

@@ -18,7 +18,7 @@ CAMERA = assumed_camera(640, 480)
 
 
 def placed() -> Fit:
-    pose = posture("open")
+    pose = posture("open", dtype=torch.float64)
     pose[:3] = torch.tensor((0.02, -0.01, 0.5))
     fit = Fit.of_start(pose, facing_rotation("back"), SPACE.default.clone())
     pose_std = torch.zeros(36, dtype=torch.float64)

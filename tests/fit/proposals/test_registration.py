@@ -23,7 +23,7 @@ def _starts(staged: StagedHand) -> HandPose:
     near = staged.pose.clone()
     near[:3] += torch.tensor([0.006, -0.004, 0.01])
     near[6:] *= 0.95
-    fist = torch.cat((near[:6], posture("fist")[6:]))
+    fist = torch.cat((near[:6], posture("fist", dtype=torch.float64)[6:]))
     return HandPose.of(torch.stack((near, fist)), off @ staged.root_reference)
 
 

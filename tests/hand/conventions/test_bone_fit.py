@@ -139,7 +139,7 @@ def test_the_skeleton_of_a_side_and_shape_places_bones_as_kinematics_does(
     side: Side, generator: torch.Generator
 ) -> None:
     model = load_hand_model()
-    _, shapes = model.prior().sample(1, generator)
+    _, shapes = model.prior(dtype=torch.float64).sample(1, generator)
     shape, pose = shapes[0].double(), _poses(1, generator)[0]
     skeleton = sided_skeleton(model.skeleton, side, space=model.shape_space, shape=shape)
     frames = _kinematics(side)(pose, shape)

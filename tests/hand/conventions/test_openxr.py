@@ -30,7 +30,7 @@ def test_any_batch_is_a_loop_and_comes_back(generator: torch.Generator) -> None:
     model = load_hand_model()
     for side in ("right", "left"):
         kinematics = model.kinematics("right" if side == "right" else "left", dtype=torch.float64)
-        poses, _ = model.prior().sample(6, generator)
+        poses, _ = model.prior(dtype=torch.float64).sample(6, generator)
         poses = poses.double()
         many = openxr_joints(kinematics(poses.unflatten(0, (2, 3))))
         back = pose_of_openxr(kinematics, many)
@@ -45,7 +45,7 @@ def test_any_batch_is_a_loop_and_comes_back(generator: torch.Generator) -> None:
 
 def test_radii_follow_the_shape(generator: torch.Generator) -> None:
     space = load_hand_model().shape_space
-    _, shapes = load_hand_model().prior().sample(3, generator)
+    _, shapes = load_hand_model().prior(dtype=torch.float64).sample(3, generator)
     radii = openxr_radii(space, shapes)
     assert radii.shape == (3, 26)
     metres = space.metric(shapes)

@@ -292,7 +292,7 @@ def test_what_it_refuses() -> None:
     model = load_hand_model()
     kinematics = _kinematics()
     with pytest.raises(ValueError, match=r"pose: expected 36 numbers in the last dimension, got shape \(35,\)"):
-        HandKinematics.forward.__wrapped__(kinematics, torch.zeros(35, dtype=torch.float64))  # pyright: ignore
+        HandKinematics.forward.__wrapped__.__wrapped__(kinematics, torch.zeros(35, dtype=torch.float64))  # pyright: ignore
     with pytest.raises(ValueError, match=r"shape: expected \d+ numbers in the last dimension, got shape \(3,\)"):
         kinematics(torch.zeros(36, dtype=torch.float64), torch.zeros(3, dtype=torch.float64))
     with pytest.raises(ValueError, match="side: expected 'left' or 'right', got 'up'"):

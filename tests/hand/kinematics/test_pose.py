@@ -110,7 +110,7 @@ def test_rebased_is_the_same_hand(generator: torch.Generator) -> None:
 
 @pytest.mark.parametrize("name", POSTURES)
 def test_postures_lie_within_the_limits(name: str) -> None:
-    skeleton, pose = load_hand_model().skeleton, posture(name)
+    skeleton, pose = load_hand_model().skeleton, posture(name, dtype=torch.float64)
     assert bool((pose[:6] == 0).all())
     assert bool((pose[6:] >= skeleton.lower - 1e-9).all())
     assert bool((pose[6:] <= skeleton.upper + 1e-9).all())
@@ -121,21 +121,24 @@ def test_what_postures_mean() -> None:
     kinematics = load_hand_model().kinematics(dtype=torch.float64)
 
     def reach(name: str) -> list[float]:
-        points = kinematics(posture(name)).keypoints
+        points = kinematics(posture(name, dtype=torch.float64)).keypoints
         return [float((points[tip] - points[tip - 3]).norm()) for tip in (8, 12, 16, 20)]
 
     straight, closed, pointing = reach("flat"), reach("fist"), reach("point")
     assert all(fist < 0.55 * flat for fist, flat in zip(closed, straight, strict=True))
     assert pointing[0] == pytest.approx(straight[0])
     assert pointing[1:] == pytest.approx(closed[1:])
-    spread = {n: float((p := kinematics(posture(n)).keypoints)[4].sub(p[20]).norm()) for n in ("open", "flat")}
+    spread = {
+        n: float((p := kinematics(posture(n, dtype=torch.float64)).keypoints)[4].sub(p[20]).norm())
+        for n in ("open", "flat")
+    }
     assert spread["open"] > 1.3 * spread["flat"]
 
 
 def test_the_fists_thumb_lies_on_its_fingers() -> None:
     """Its tip is before the middle finger's middle phalanx: touching to a few millimetres, not inside."""
     model = load_hand_model()
-    points = model.kinematics(dtype=torch.float64)(posture("fist")).keypoints
+    points = model.kinematics(dtype=torch.float64)(posture("fist", dtype=torch.float64)).keypoints
     metric = model.shape_space.metric(model.shape_space.default)
     phalanx = torch.stack([points[10] + t * (points[11] - points[10]) for t in torch.linspace(0, 1, 20).double()])
     distance = float((phalanx - points[4]).norm(dim=-1).min())
@@ -153,7 +156,7 @@ def test_what_spaces_refuse() -> None:
     with pytest.raises(ValueError, match="tie of root_ty: 'root_tz' is not free"):
         pose_space("mine", ("root_tx",), ties={"root_ty": ("root_tz", 1.0, 0.0)})
     with pytest.raises(ValueError, match="unknown posture 'wave'; allowed: open, "):
-        posture("wave")
+        posture("wave", dtype=torch.float64)
 
 
 def test_names() -> None:

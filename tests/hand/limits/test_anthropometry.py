@@ -60,7 +60,7 @@ def test_projection_is_feasible_and_idempotent(generator: torch.Generator, dtype
     near = population.project(_wild(5000, generator, dtype))
     assert float(population.violation(near).worst.max()) < (2e-7 if dtype == torch.float32 else 1e-12)
     torch.testing.assert_close(population.project(near), near, atol=1e-12, rtol=0)
-    inside = population.sample(500, generator)
+    inside = population.sample(500, generator, dtype=torch.float64)
     assert torch.equal(population.project(inside), inside)
 
 
@@ -69,7 +69,7 @@ def test_projection_is_the_nearest(generator: torch.Generator) -> None:
     space, population = _space(), Anthropometry(_space())
     wild = _wild(300, generator)
     near = population.project(wild)
-    for target in population.sample(20, generator):
+    for target in population.sample(20, generator, dtype=torch.float64):
         towards = (target - near) / space.std
         back = (wild - near) / space.std
         assert float((towards * back).sum(-1).max()) < 1e-8  # the variational inequality of a projection
@@ -77,7 +77,7 @@ def test_projection_is_the_nearest(generator: torch.Generator) -> None:
 
 def test_penalty_and_its_derivatives(generator: torch.Generator) -> None:
     space, population = _space(), Anthropometry(_space())
-    assert float(population.penalty(population.sample(200, generator)).max()) == 0
+    assert float(population.penalty(population.sample(200, generator, dtype=torch.float64)).max()) == 0
     assert float(population.penalty(population.project(_wild(200, generator))).max()) < 1e-20
     shape = space.default.clone()
     place = space.names.index("index_proximal")
@@ -105,17 +105,18 @@ def test_density_is_the_multivariate_normals(generator: torch.Generator) -> None
 def test_people(generator: torch.Generator) -> None:
     """Feasible, seeded, of the population's moments, with the published spread of breadth over length."""
     space, population = _space(), Anthropometry(_space(), AnthropometrySettings(reach=4.0))
-    drawn = population.sample(20_000, generator)
+    drawn = population.sample(20_000, generator, dtype=torch.float64)
     assert bool(population.is_feasible(drawn, tolerance=1e-12).all())
     assert torch.equal(
-        population.sample(10, torch.Generator().manual_seed(3)), population.sample(10, torch.Generator().manual_seed(3))
+        population.sample(10, torch.Generator().manual_seed(3), dtype=torch.float64),
+        population.sample(10, torch.Generator().manual_seed(3), dtype=torch.float64),
     )
     tall, wide = (drawn[:, space.names.index(name)] for name in ("hand_length", "hand_breadth"))
     assert float(tall.mean()) == pytest.approx(0.187, abs=5e-4)
     assert float(tall.std()) == pytest.approx(0.0115, rel=0.03)
     assert float(torch.corrcoef(torch.stack((tall, wide)))[0, 1]) == pytest.approx(0.715, abs=0.02)
     assert float((wide / tall).std()) == pytest.approx(0.0244, abs=1e-3)
-    assert population.sample(0, generator).shape == (0, 52)
+    assert population.sample(0, generator, dtype=torch.float64).shape == (0, 52)
 
 
 @pytest.mark.parametrize("batch", [(), (1,), (2, 3)])
@@ -158,7 +159,7 @@ def test_what_it_refuses() -> None:
     with pytest.raises(ValueError, match="shape space: expected a parameter 'thumb_proximal'"):
         Anthropometry(other)
     with pytest.raises(ValueError, match="count: expected 0 or more, got -1"):
-        Anthropometry(space).sample(-1, torch.Generator())
+        Anthropometry(space).sample(-1, torch.Generator(), dtype=torch.float64)
 
 
 @pytest.mark.parametrize("name", ["measures", "project", "violation", "penalty", "log_density", "log_prob"])

@@ -20,7 +20,7 @@ def _placed(pose: Tensor, shape: Tensor | None = None, side: Side = "right") -> 
 
 
 def _bent(name: str, **angles_deg: float) -> Tensor:
-    pose = posture(name)
+    pose = posture(name, dtype=torch.float64)
     for dof, angle in angles_deg.items():
         pose[DOFS.index(dof)] = math.radians(angle)
     return pose
@@ -29,12 +29,12 @@ def _bent(name: str, **angles_deg: float) -> Tensor:
 @pytest.mark.parametrize("name", POSTURES)
 def test_named_postures_hardly_touch(name: str) -> None:
     """Open postures not at all; in a fist the primitives are some 3 mm deeper in each other than soft skin explains."""
-    found = penetration(_placed(posture(name)))
+    found = penetration(_placed(posture(name, dtype=torch.float64)))
     limit = 4e-3 if name == "fist" else 1e-3
     assert float(found.worst) < limit, found.describe()
     if name in ("open", "flat", "three", "four"):
         assert float(found.depth.max()) < 0
-        assert float(penetration_penalty(_placed(posture(name)))) == 0
+        assert float(penetration_penalty(_placed(posture(name, dtype=torch.float64)))) == 0
         assert found.describe() == "none"
 
 
@@ -65,7 +65,7 @@ def test_depth_of_two_parallel_fingers() -> None:
 
 
 def test_pairs() -> None:
-    names = penetration(_placed(posture("flat"))).names
+    names = penetration(_placed(posture("flat", dtype=torch.float64))).names
     assert len(names) == len(set(names)) == 3 * 8 + 3 * 9 + 2 * 12 + 9 + 8
     assert "index_proximal – middle_proximal" not in names
     assert "index_proximal – ring_proximal" in names
@@ -93,7 +93,9 @@ def test_batches(generator: torch.Generator, batch: tuple[int, ...]) -> None:
 
 def test_derivatives(generator: torch.Generator) -> None:
     space = load_hand_model().shape_space
-    pose = (posture("fist") + 0.1 * torch.randn(36, generator=generator, dtype=torch.float64)).requires_grad_()
+    pose = (
+        posture("fist", dtype=torch.float64) + 0.1 * torch.randn(36, generator=generator, dtype=torch.float64)
+    ).requires_grad_()
     shape = space.default.clone().requires_grad_()
     weight = torch.randn(3, 92, generator=generator, dtype=torch.float64)
 

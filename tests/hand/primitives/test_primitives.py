@@ -151,7 +151,7 @@ def test_the_parts_are_the_matrices(batch: tuple[int, ...], has_shapes: bool, ge
 
 
 def test_a_left_hands_surface_is_the_mirror_image(generator: torch.Generator) -> None:
-    pose = posture("victory")
+    pose = posture("victory", dtype=torch.float64)
     placed = {}
     for side in ("right", "left"):
         kinematics = MODEL.kinematics("left" if side == "left" else "right", dtype=torch.float64)
@@ -217,7 +217,7 @@ def test_derivatives(generator: torch.Generator) -> None:
 
 def test_parts_sit_on_their_bones() -> None:
     kinematics = MODEL.kinematics(dtype=torch.float64)
-    frames = kinematics(posture("fist"))
+    frames = kinematics(posture("fist", dtype=torch.float64))
     placed = place_primitives(frames, primitive_sizes(MODEL.shape_space, MODEL.shape_space.default))
     for finger in FINGERS[1:]:
         for bone in ("proximal", "middle", "distal"):

@@ -77,7 +77,7 @@ def test_postures_are_likelier_than_what_is_merely_possible(generator: torch.Gen
     possible = mixture.constraints.project(torch.cat((torch.zeros(500, 6, dtype=torch.float64), joints), -1))
     usual = float(mixture.log_prob(possible).median())
     for name in ("open", "flat", "fist", "point", "three", "four", "l", "shaka"):
-        assert float(mixture.log_prob(posture(name))) > usual + 50, name
+        assert float(mixture.log_prob(posture(name, dtype=torch.float64))) > usual + 50, name
 
 
 def test_couplings_of_the_samples(generator: torch.Generator) -> None:
@@ -129,7 +129,7 @@ def test_derivatives(generator: torch.Generator) -> None:
 
 def test_root_has_no_part() -> None:
     mixture = _mixture()
-    pose = posture("flat")
+    pose = posture("flat", dtype=torch.float64)
     moved = pose.clone()
     moved[:6] = torch.arange(6.0)
     assert float(mixture.log_prob(moved)) == float(mixture.log_prob(pose))

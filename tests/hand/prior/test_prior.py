@@ -18,7 +18,7 @@ FIST = tuple(component for component in COMPONENTS if component.name == "fist")
 @lru_cache(maxsize=4)
 def _prior(settings: HandPriorSettings | None = None, dtype: torch.dtype = torch.float64) -> HandPrior:
     model = load_hand_model()
-    return HandPrior(model.skeleton, model.shape_space, settings).to(dtype)
+    return HandPrior(model.skeleton, model.shape_space, settings, dtype=torch.float64).to(dtype)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -80,7 +80,7 @@ def test_energy_is_minus_log_prob_inside_and_finite_outside(generator: torch.Gen
 def test_energy_leads_back(generator: torch.Generator) -> None:
     """Plain descent from wild poses ends at likely ones, within the limits to a degree."""
     prior = _prior()
-    pose = posture("flat") + 0.5 * torch.randn(16, 36, generator=generator, dtype=torch.float64)
+    pose = posture("flat", dtype=torch.float64) + 0.5 * torch.randn(16, 36, generator=generator, dtype=torch.float64)
     pose.requires_grad_()
     before = prior.energy(pose).detach()
     optimiser = torch.optim.Adam([pose], lr=0.03)
@@ -95,7 +95,7 @@ def test_energy_leads_back(generator: torch.Generator) -> None:
 
 def test_derivatives(generator: torch.Generator) -> None:
     model = load_hand_model()
-    prior = HandPrior(model.skeleton, model.shape_space, HandPriorSettings(components=FIST))
+    prior = HandPrior(model.skeleton, model.shape_space, HandPriorSettings(components=FIST), dtype=torch.float64)
     poses, shapes = prior.sample(1, generator)
     pose, shape = poses[0].requires_grad_(), shapes[0].requires_grad_()
     assert torch.autograd.gradcheck(prior.log_prob, (pose, shape), atol=1e-3, rtol=1e-3)
@@ -117,17 +117,21 @@ def test_batches(generator: torch.Generator, batch: tuple[int, ...]) -> None:
 def test_what_is_unlikely() -> None:
     """A finger through its neighbour, a giant's hand and NaN have no probability; a relaxed hand has much."""
     prior = _prior()
-    crossed = posture("flat")
+    crossed = posture("flat", dtype=torch.float64)
     crossed[DOFS.index("index_mcp_aa")] = -0.34
     assert bool(prior.constraints.is_feasible(crossed))
     assert float(prior.log_prob(crossed)) == -math.inf
     shape = prior.kinematics.default_shape.clone()
-    assert float(prior.log_prob(posture("flat"), shape)) > 0
-    assert float(prior.log_prob(posture("flat"))) > float(prior.log_prob(posture("victory"))) == -math.inf
+    assert float(prior.log_prob(posture("flat", dtype=torch.float64), shape)) > 0
+    assert (
+        float(prior.log_prob(posture("flat", dtype=torch.float64)))
+        > float(prior.log_prob(posture("victory", dtype=torch.float64)))
+        == -math.inf
+    )
     shape[0] = 0.3
-    assert float(prior.log_prob(posture("flat"), shape)) == -math.inf
-    assert math.isfinite(float(prior.energy(posture("flat"), shape)))
-    broken = posture("flat")
+    assert float(prior.log_prob(posture("flat", dtype=torch.float64), shape)) == -math.inf
+    assert math.isfinite(float(prior.energy(posture("flat", dtype=torch.float64), shape)))
+    broken = posture("flat", dtype=torch.float64)
     broken[DOFS.index("index_pip_fe")] = math.nan
     assert float(prior.log_prob(broken)) == -math.inf
     assert math.isnan(float(prior.energy(broken)))
@@ -142,7 +146,7 @@ def test_what_it_refuses(generator: torch.Generator) -> None:
         components=FIST, penetration=PenetrationSettings(slack=0.0, neighbour_slack=0.0, softness=1e-5)
     )
     model = load_hand_model()
-    prior = HandPrior(model.skeleton, model.shape_space, impossible)
+    prior = HandPrior(model.skeleton, model.shape_space, impossible, dtype=torch.float64)
     with pytest.raises(ValueError, match=r"sample: expected postures that hardly penetrate themselves, found \d+ in"):
         prior.sample(500, generator)
 
@@ -150,8 +154,12 @@ def test_what_it_refuses(generator: torch.Generator) -> None:
 def test_poses_and_shapes_of_other_sizes_are_refused() -> None:
     """Also where nothing checks annotations: the functions under the tests' own checks."""
     model = load_hand_model()
-    prior, pose, shape = model.prior(), posture("open"), model.shape_space.default
-    for density in (HandPrior.log_prob.__wrapped__, HandPrior.energy.__wrapped__):  # pyright: ignore
+    prior, pose, shape = (
+        model.prior(dtype=torch.float64),
+        posture("open", dtype=torch.float64),
+        model.shape_space.default,
+    )
+    for density in (HandPrior.log_prob.__wrapped__.__wrapped__, HandPrior.energy.__wrapped__.__wrapped__):  # pyright: ignore
         with pytest.raises(ValueError, match=r"pose: expected 36 numbers in the last dimension, got shape \(35,\)"):
             density(prior, pose[:35])
         with pytest.raises(ValueError, match=r"shape: expected 52 numbers in the last dimension, got shape \(51,\)"):

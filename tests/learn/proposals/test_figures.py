@@ -15,7 +15,7 @@ KINEMATICS = load_hand_model().kinematics(dtype=torch.float64)
 
 
 def _hands(*names: str) -> Tensor:
-    return KINEMATICS(torch.stack([posture(name) for name in names])).keypoints
+    return KINEMATICS(torch.stack([posture(name, dtype=torch.float64) for name in names])).keypoints
 
 
 def test_the_truth_among_others_is_the_best_and_the_heaviest_is_the_likeliest() -> None:

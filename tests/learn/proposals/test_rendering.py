@@ -86,7 +86,7 @@ def test_the_same_seed_gives_the_same_hands(rendered: RenderedHands) -> None:
 
 
 def test_drawn_joints_keep_their_limits_and_reach_fists_and_signs() -> None:
-    prior = HandPrior(MODEL.skeleton, MODEL.shape_space)
+    prior = HandPrior(MODEL.skeleton, MODEL.shape_space, dtype=torch.float64)
     joints, shape = drawn_hands(prior, 600, torch.Generator().manual_seed(1))
     torch.testing.assert_close(prior.kinematics.skeleton.within_limits(joints), joints)
     MODEL.shape_space.check(shape)

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from torchhand.numerics.filters.cholesky import robust_cholesky
+from torchhand.numerics.filters.cholesky import robust_cholesky, semidefinite
 
 
 def random_spd(*batch: int, size: int = 5, seed: int = 0) -> torch.Tensor:
@@ -80,3 +80,48 @@ def test_gradient_flows_past_a_repaired_neighbour() -> None:
         return robust_cholesky(torch.stack([matrix, bad]))[0]
 
     assert torch.autograd.gradcheck(product, good.requires_grad_())
+
+
+# ------------------------------------------------------------------ covariances that rounding has broken
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_positive_definite_matrix_is_left_as_it_is(dtype: torch.dtype) -> None:
+    root = torch.randn(5, 4, 4, generator=torch.Generator().manual_seed(0), dtype=dtype)
+    matrix = root @ root.mT + 0.1 * torch.eye(4, dtype=dtype)
+    assert semidefinite(matrix) is matrix
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_what_rounding_took_is_given_back_in_each_states_own_units(dtype: torch.dtype) -> None:
+    """One of three matrices is off by its last digits; two of its states have units a billion times apart."""
+    unit = torch.tensor([1e-6, 1.0, 1e3, 1.0], dtype=dtype)
+    correlation = torch.full((4, 4), 1.0, dtype=dtype)
+    correlation = correlation + 20 * torch.finfo(dtype).eps * (1 - torch.eye(4, dtype=dtype))
+    sound = torch.eye(4, dtype=dtype)
+    matrix = torch.stack((sound, correlation * unit * unit[:, None], torch.full_like(sound, torch.nan)))
+    mended = semidefinite(matrix)
+    assert torch.equal(mended[0], sound)
+    assert bool(mended[2].isnan().all())
+    one = mended[1].double() / (unit * unit[:, None]).double()
+    torch.testing.assert_close(one, correlation.double(), atol=100 * torch.finfo(dtype).eps, rtol=0)
+    assert float(torch.linalg.eigvalsh(one)[0]) > -8 * torch.finfo(dtype).eps
+    assert float(torch.linalg.eigvalsh(matrix[1].double() / (unit * unit[:, None]).double())[0]) < (
+        -10 * torch.finfo(dtype).eps
+    )
+    assert torch.equal(mended[1], mended[1].mT)
+
+
+def test_a_variance_below_zero_becomes_zero_with_its_row() -> None:
+    matrix = torch.tensor([[2.0, 0.1, 0.5], [0.1, -1e-9, 0.2], [0.5, 0.2, 1.0]], dtype=torch.float64)
+    mended = semidefinite(matrix)
+    expected = torch.tensor([[2.0, 0.0, 0.5], [0.0, 0.0, 0.0], [0.5, 0.0, 1.0]], dtype=torch.float64)
+    torch.testing.assert_close(mended, expected, atol=1e-15, rtol=0)
+
+
+def test_the_gradient_of_a_mended_matrix_is_that_of_the_matrix() -> None:
+    matrix = torch.tensor([[1.0, 1.0001], [1.0001, 1.0]], dtype=torch.float64, requires_grad=True)
+    weight = torch.tensor([[1.0, 2.0], [3.0, 4.0]], dtype=torch.float64)
+    (semidefinite(matrix) * weight).sum().backward()
+    assert matrix.grad is not None
+    assert torch.equal(matrix.grad, weight)

@@ -16,7 +16,7 @@ ALL = [
     UnscentedSettings(),
     UnscentedSettings(alpha=1e-2),
     UnscentedSettings(alpha=0.5, beta=0.0),
-    UnscentedSettings(beta=0.0, kappa=-3.0),
+    UnscentedSettings(beta=0.0, kappa=-1.0),
     UnscentedSettings(variant="kappa"),
     UnscentedSettings(variant="julier95"),
     UnscentedSettings(variant="paper"),
@@ -282,3 +282,30 @@ def test_errors_are_named() -> None:
         update(state, observe, measurement, variance, points=points, observed=2)
     with pytest.raises(ValueError, match="points must be 13 for a state of 6 numbers, got 12"):
         update(state, observe, measurement, variance, points=points[:-1])
+
+
+def test_a_centre_that_would_leave_no_covariance_is_left_out() -> None:
+    """Of far too little spread in too many dimensions: with it the innovation would have a variance below zero."""
+    settings = UnscentedSettings(beta=0.0, kappa=-5.5)
+    state = Gaussian(torch.zeros(6, dtype=torch.float64), torch.eye(6, dtype=torch.float64))
+    variance = torch.full((1,), 1e-6, dtype=torch.float64)
+
+    def squared(points: torch.Tensor) -> torch.Tensor:
+        return points.square().sum(-1, keepdim=True)
+
+    got = update(state, squared, torch.full((1,), 5.0, dtype=torch.float64), variance, settings)
+    assert float(got.innovation_variance) > 0
+    assert float(got.nis) >= 0
+    assert float(torch.linalg.eigvalsh(got.state.covariance)[0]) > -1e-12
+
+
+def test_a_measurement_whose_square_overflows_is_a_missing_one() -> None:
+    state, measurement, variance = random_problem()
+    used = torch.arange(ROWS) % 4 != 1
+    expected = update(state, observe, measurement, variance, valid=used)
+    far = torch.finfo(torch.float64).max / 4
+    got = update(state, observe, measurement.where(used, far), variance)
+    assert torch.equal(got.used, used)
+    assert torch.equal(got.state.mean, expected.state.mean)
+    assert torch.equal(got.state.covariance, expected.state.covariance)
+    assert torch.equal(got.nis, expected.nis)

@@ -46,7 +46,7 @@ def test_angles_stay_inside_the_limits(name: str, kinematics: HandKinematics) ->
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_every_motion_starts_from_rest_in_its_posture(name: str, kinematics: HandKinematics) -> None:
     motion = _motion(name, kinematics)
-    start = posture("point" if name == "planar_point" else "open")
+    start = posture("point" if name == "planar_point" else "open", dtype=torch.float64)
     torch.testing.assert_close(motion.poses[0, 3:6], torch.zeros(3, dtype=torch.float64), rtol=0, atol=1e-12)
     torch.testing.assert_close(motion.poses[0, 6:], start[6:], rtol=0, atol=1e-12)
     steps = motion.poses.diff(dim=0).abs()
@@ -159,7 +159,7 @@ def test_views_show_the_side_they_name(side: str) -> None:
         # The thumb of a right hand seen from the back is at the left.
         thumb_is_left = points[4, 0] < points[20, 0]
         assert bool(thumb_is_left) == ((side == "right") == (view == "back"))
-    bent = posture("fist").expand(1, 36)
+    bent = posture("fist", dtype=torch.float64).expand(1, 36)
     for view in VIEWS:  # bent fingers come out of the palm
         points = kinematics(bent, root_reference=facing(view)).keypoints[0]
         assert bool(points[8, 2] < points[5, 2]) == (view == "palm")

@@ -20,7 +20,7 @@ INDEX = DOFS.index("index_mcp_fe")
 
 def test_a_posture_with_changes() -> None:
     pose = parse_pose("point, index_mcp_fe=12.5 ,root_rz=-90,root_tx=30", KINEMATICS.skeleton)
-    wanted = posture("point")
+    wanted = posture("point", dtype=torch.float64)
     wanted[INDEX] = math.radians(12.5)
     wanted[DOFS.index("root_rz")], wanted[0] = -math.pi / 2, 0.03
     torch.testing.assert_close(pose, wanted)
@@ -67,7 +67,9 @@ def test_turn_and_displacement_are_those_of_the_camera_about_the_middle() -> Non
 def test_sampled_poses_are_unrelated_within_the_limits_and_seeded() -> None:
     def drawn(seed: int, turn_deg: float) -> torch.Tensor:
         generator = torch.Generator().manual_seed(seed)
-        return sampled_motion(MODEL.prior(), 40, KINEMATICS, CAMERA, generator, turn_deg=turn_deg).poses
+        return sampled_motion(
+            MODEL.prior(dtype=torch.float64), 40, KINEMATICS, CAMERA, generator, turn_deg=turn_deg
+        ).poses
 
     poses = drawn(3, 30.0)
     joints = poses[:, 6:]

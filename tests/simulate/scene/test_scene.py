@@ -157,7 +157,7 @@ def test_a_hand_out_of_the_picture_leaves_the_background() -> None:
 
 
 def test_a_hand_close_to_the_camera_fills_the_picture() -> None:
-    pose = posture("flat")
+    pose = posture("flat", dtype=torch.float64)
     pose[:3] = torch.tensor((0.0, 0.08, 0.05))
     motion = Motion(name="near", poses=pose[None], root_reference=facing("back"), fps=30.0)
     frame = _render(motion, replace(FLAT, forearm=True))[0]

@@ -18,7 +18,7 @@ TIP, BEYOND, STD = 8, 0.006, 0.004
 
 
 def _points(frames: int, generator: torch.Generator) -> Tensor:
-    poses = posture("open").to(DOUBLE).repeat(frames, 1)
+    poses = posture("open", dtype=torch.float64).to(DOUBLE).repeat(frames, 1)
     poses[:, 3:6] = 0.7 * torch.randn(frames, 3, generator=generator, dtype=DOUBLE)
     poses[:, 6:] += 0.1 * torch.rand(frames, 30, generator=generator, dtype=DOUBLE)
     turn = rotation_from_vector(torch.tensor((math.pi / 2, 0.0, 0.0), dtype=DOUBLE))

@@ -38,7 +38,7 @@ def case() -> StudyCase:
     """A right hand's back, 160 × 128."""
     camera = assumed_camera(160, 128)
     kinematics = MODEL.kinematics(dtype=torch.float64)
-    pose, reference = posture("open"), facing_rotation("back")
+    pose, reference = posture("open", dtype=torch.float64), facing_rotation("back")
     pose[:3] = torch.tensor((0.0, 0.08, 0.42))
     projector = HandProjector(kinematics, camera)
     return StudyCase(

@@ -20,7 +20,7 @@ SHAPE = sample_shape(SPACE, torch.Generator().manual_seed(2))
 
 
 def poses() -> torch.Tensor:
-    found = torch.stack([posture(name) for name in ("open", "point", "four")])
+    found = torch.stack([posture(name, dtype=torch.float64) for name in ("open", "point", "four")])
     found[:, :3] = torch.tensor((0.02, -0.01, 0.5))
     found[:, 3:6] = torch.tensor((0.1, -0.3, 2.0))
     return found

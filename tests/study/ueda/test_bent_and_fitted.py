@@ -29,7 +29,7 @@ SETTINGS = HullTorqueSettings(outside_fraction=0.0)
 
 
 def flat(deg: float) -> Tensor:
-    pose = posture("flat")
+    pose = posture("flat", dtype=torch.float64)
     pose[1] = 0.09
     pose[INDEX] = math.radians(deg)
     return pose

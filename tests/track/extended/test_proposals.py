@@ -69,14 +69,14 @@ def test_the_distance_follows_the_palms_size_within_bounds(studio: Any) -> None:
 
 
 def test_other_postures_and_fingers_leave_the_rest_alone() -> None:
-    start, pose = posture("open"), posture("fist")
+    start, pose = posture("open", dtype=torch.float64), posture("fist", dtype=torch.float64)
     pose[:6] = torch.arange(6.0)
     hand = HandPose.of(pose, torch.eye(3, dtype=pose.dtype))
     whole = posture_proposals(hand, start, ("flat", "point")).dofs
     assert whole.shape == (3, len(DOFS))
     assert bool((whole[:, :6] == pose[:6]).all())
     torch.testing.assert_close(whole[0, 6:], start[6:])
-    torch.testing.assert_close(whole[1, 6:], posture("flat")[6:])
+    torch.testing.assert_close(whole[1, 6:], posture("flat", dtype=torch.float64)[6:])
     single = finger_proposals(hand, start).dofs
     assert single.shape == (2 * len(FINGERS), len(DOFS))
     for i, finger in enumerate(FINGERS):

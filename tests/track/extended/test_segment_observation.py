@@ -75,7 +75,7 @@ def test_the_closed_form_holds_for_a_camera_anywhere_and_a_bent_hand(studio: Any
     turn = rotation_from_vector(torch.tensor([0.3, -0.2, 0.9], dtype=torch.float64))
     shift = torch.tensor([0.02, -0.03, 0.1], dtype=torch.float64)
     camera = replace(placed.camera, rotation=turn, translation=shift)
-    pose = posture("point")
+    pose = posture("point", dtype=torch.float64)
     pose[:3] = turn.mT @ (placed.pose[:3] - shift)
     projector = HandProjector(placed.kinematics, camera, placed.shape)
     observe = SegmentObservation(projector, named_pose_space("dof31").about(pose), turn.mT @ placed.root_reference)

@@ -22,7 +22,7 @@ INDEX = FINGERS.index("index")
 
 
 def _pose(name: str) -> HandPose:
-    dofs = posture(name)
+    dofs = posture(name, dtype=torch.float64)
     dofs[:3] = torch.tensor((0.0, 0.09, 0.45))
     return HandPose.of(dofs, facing("back"))
 

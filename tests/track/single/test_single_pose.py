@@ -27,7 +27,7 @@ def fitter(side: str = "right", **settings: Any) -> SinglePoseFitter:
 
 def staged(name: str, *, side: str = "right") -> StagedHand:
     placed = Studio().placed(size=0.8, side=side) if side != "right" else Studio().placed(size=0.8)
-    angles = placed.kinematics.skeleton.within_limits(posture(name)[6:]).to(placed.pose)
+    angles = placed.kinematics.skeleton.within_limits(posture(name, dtype=torch.float64)[6:]).to(placed.pose)
     return replace(placed, pose=torch.cat((placed.pose[:6], angles)))
 
 
@@ -127,7 +127,7 @@ def no_hand(what: str) -> Tensor:
 
 def aligned(mask: Tensor, image: Tensor | None, camera: Camera, shape: Tensor) -> HandPose:
     """Open hands over a silhouette."""
-    found = align_posture(mask, camera, Studio().kinematics(), shape, posture("open"), keep=3)
+    found = align_posture(mask, camera, Studio().kinematics(), shape, posture("open", dtype=torch.float64), keep=3)
     return HandPose.stack([HandPose.of(one.pose, one.root_reference) for one in found])
 
 
@@ -189,7 +189,7 @@ def solutions(pose: HandPose, cost: list[float]) -> Solutions:
 
 def test_hands_that_explain_the_same_leave_their_difference_open() -> None:
     space = named_pose_space("dof28")
-    dofs = torch.stack([posture("open"), posture("open")]).double()
+    dofs = torch.stack([posture("open", dtype=torch.float64), posture("open", dtype=torch.float64)]).double()
     bent = DOFS.index("index_pip_fe")
     dofs[1, bent] += 0.8
     column = space.free_names.index("index_pip_fe")
@@ -203,7 +203,7 @@ def test_hands_that_explain_the_same_leave_their_difference_open() -> None:
 
 
 def test_hypotheses_that_end_at_one_hand_count_once() -> None:
-    dofs = posture("open").double().repeat(3, 1)
+    dofs = posture("open", dtype=torch.float64).double().repeat(3, 1)
     dofs[2, DOFS.index("index_pip_fe")] += 0.8
     space = named_pose_space("dof28")
     column = space.free_names.index("index_pip_fe")

@@ -142,7 +142,7 @@ def test_contours_of_another_shape(surface: str, scene: Any) -> None:
 
 def facing_hand(scene: Any, name: str) -> HandPose:
     """Palm to the camera, upright."""
-    pose = posture(name)
+    pose = posture(name, dtype=torch.float64)
     pose[:3] = torch.tensor((0.0, 0.09, 0.5), dtype=torch.float64)
     reference = torch.tensor(((0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)), dtype=torch.float64).T
     return HandPose.of(pose[None], reference.contiguous())

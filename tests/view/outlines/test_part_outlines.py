@@ -69,7 +69,7 @@ def test_quadrics_are_those_of_the_primitives(side: str, scene: Any, generator: 
 def test_a_finger_that_points_at_the_camera_has_finite_outlines(scene: Any) -> None:
     """Seen exactly along its axis, and next to that."""
     projector = scene.projector(scene.camera())
-    pose = posture("flat")[None].repeat(3, 1)
+    pose = posture("flat", dtype=torch.float64)[None].repeat(3, 1)
     root = projector.kinematics(pose[:1]).position[0]
     bone, ahead = [DOFS.index("index_mcp_aa"), 12], torch.tensor((0.0, 0.0, 0.5), dtype=torch.float64)
     towards = rotation_from_vector(torch.tensor((-torch.pi / 2, 0.0, 0.0), dtype=torch.float64))

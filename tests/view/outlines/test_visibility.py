@@ -99,7 +99,7 @@ def test_a_finger_behind_the_palm_is_hidden(scene: Any) -> None:
     """A fist seen from its back hides the middle and distal phalanges."""
     projector = scene.projector(scene.camera())
     back = torch.tensor(((0.0, 0.0, -1.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0)), dtype=torch.float64).T.contiguous()
-    pose = posture("fist")
+    pose = posture("fist", dtype=torch.float64)
     pose[:3] = torch.tensor((0.0, 0.07, 0.5))
     table = outline_table(4, 6)
     contour = projector.contour(pose, back, table)

@@ -177,7 +177,7 @@ def test_shade_lights_what_faces_the_light(scene: Any) -> None:
     camera = scene.camera(width=80, height=60)
     projector = scene.projector(camera)
     back = torch.tensor(BACK, dtype=torch.float64).T.contiguous()
-    pose = posture("open")
+    pose = posture("open", dtype=torch.float64)
     pose[:3] = torch.tensor((0.0, 0.09, 0.5))
     cast = raycast(scene.primitives(projector, pose, back), camera)
     background = torch.full((60, 80, 3), 7, dtype=torch.uint8)

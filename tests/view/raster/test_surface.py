@@ -20,7 +20,7 @@ BACK = torch.tensor(((0.0, 0.0, -1.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0)), dtyp
 def _surfaces(*batch: int, side: str = "right") -> tuple[Primitives, PosedMesh]:
     """Primitives and mesh of the same hands."""
     hand = load_hand_model().hand(side="left" if side == "left" else "right", dtype=torch.float64)
-    pose = posture("open").expand(*batch, -1).clone()
+    pose = posture("open", dtype=torch.float64).expand(*batch, -1).clone()
     pose[..., :3] = torch.tensor((0.0, 0.09, 0.5))
     pose[..., 3:6] = 0.3 * torch.randn(*batch, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     state = hand(pose, root_reference=BACK)
@@ -92,7 +92,7 @@ def test_shapes_that_only_some_dimensions_have(scene: Any) -> None:
     model, camera = load_hand_model(), scene.camera(width=64, height=48)
     hand = model.hand(dtype=torch.float64)
     shapes = torch.stack((model.shape_space.default, 1.1 * model.shape_space.default))[:, None]
-    poses = posture("open").repeat(3, 1)
+    poses = posture("open", dtype=torch.float64).repeat(3, 1)
     poses[:, :3] = torch.tensor(((0.0, 0.09, 0.5), (0.0, 0.09, 0.6), (0.05, 0.09, 0.5)))
     primitives = hand(poses, shapes, root_reference=BACK).primitives
     masks = silhouette(primitives, camera)

@@ -8,6 +8,7 @@ from torchhand.cli.benchmarks.model import keypoints_to_pose, mesh_silhouettes, 
 from torchhand.cli.benchmarks.multiview import track_views, track_views_memory
 from torchhand.cli.benchmarks.registration import many_hypotheses, one_registration
 from torchhand.cli.benchmarks.runs import own_environment
+from torchhand.cli.benchmarks.soak import soak_of_filters, soak_of_tracking
 from torchhand.cli.benchmarks.stream import recorded_poses, recorded_stream, synthetic_stream
 from torchhand.cli.benchmarks.tracking import TrackingCase, filter_update, track_memory, tracking
 from torchhand.cli.benchmarks.volume import frame_cameras, octree
@@ -35,6 +36,8 @@ __all__ = [
     "recorded_poses",
     "recorded_stream",
     "skinning",
+    "soak_of_filters",
+    "soak_of_tracking",
     "synthetic_stream",
     "track_memory",
     "track_views",

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from torchhand.evaluate import time_interleaved
 
-AT_MOST = ("MiB", "%", "rad", "ms", "kbit/s")
+AT_MOST = ("MiB", "%", "rad", "ms", "kbit/s", "faults")
 """Units of which less is better."""
 
 
@@ -18,7 +18,7 @@ class Figure:
     name: str
     value: float | None
     """Value that `must` and `aim` are about; None where it could not be measured."""
-    unit: Literal["ratio", "frames/s", "IoU", "MiB", "%", "rad", "ms", "kbit/s"]
+    unit: Literal["ratio", "frames/s", "IoU", "MiB", "%", "rad", "ms", "kbit/s", "faults"]
     """Unit of value, must and aim. A ratio says how many times faster than the peer ours is."""
     must: float
     """Limit that the value must reach; must not exceed where less is better (AT_MOST)."""

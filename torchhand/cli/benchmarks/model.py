@@ -22,7 +22,7 @@ def mesh_silhouettes(name: str, repeats: int | None) -> Figure:
     """Overlap of the mesh's silhouette with that of the primitives: people and postures of the prior, random sides."""
     model = load_hand_model()
     hand, generator = model.hand(dtype=torch.float64), torch.Generator().manual_seed(0)
-    poses, shapes = model.prior().sample(HANDS, generator)
+    poses, shapes = model.prior(dtype=torch.float64).sample(HANDS, generator)
     poses[:, 3:6] = 1.5 * torch.randn(HANDS, 3, generator=generator, dtype=poses.dtype)
     camera = assumed_camera(PICTURE_PX, PICTURE_PX, horizontal_fov_deg=FIELD_OF_VIEW_DEG)
     identity = torch.eye(3, dtype=torch.float64)
@@ -41,8 +41,11 @@ def mesh_silhouettes(name: str, repeats: int | None) -> Figure:
 def mesh_volume(name: str, repeats: int | None) -> Figure:
     """Change of the mesh's volume from the open hand to the posture in which it changes most."""
     hand = load_hand_model().hand(dtype=torch.float64)
-    rest = _volume(hand(posture("open")))
-    changes = {p: 100 * abs(float(_volume(hand(posture(p))) / rest) - 1) for p in ("flat", "fist", "point", "pinch")}
+    rest = _volume(hand(posture("open", dtype=torch.float64)))
+    changes = {
+        p: 100 * abs(float(_volume(hand(posture(p, dtype=torch.float64))) / rest) - 1)
+        for p in ("flat", "fist", "point", "pinch")
+    }
     return Figure(name=name, value=changes["fist"], unit="%", must=12.0, aim=5.0, repeats=1, details=changes)
 
 

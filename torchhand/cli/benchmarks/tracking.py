@@ -94,7 +94,7 @@ class TrackingCase:
     """1, or 2 with the pass from the last frame to the first."""
 
 
-def _simulated(motion: str, size: tuple[int, int], frames: int, scene: SceneSettings) -> tuple[Camera, list[View]]:
+def simulated_views(motion: str, size: tuple[int, int], frames: int, scene: SceneSettings) -> tuple[Camera, list[View]]:
     """A camera and the views of a hand before a plain wall, with the points of a detector that errs by 5 mm."""
     kinematics = load_hand_model().kinematics(dtype=torch.float64)
     camera = replace(assumed_camera(*size, horizontal_fov_deg=FOV_DEG), is_assumed=False)
@@ -111,7 +111,7 @@ def _simulated(motion: str, size: tuple[int, int], frames: int, scene: SceneSett
 
 def tracking(name: str, repeats: int | None, *, case: TrackingCase, must: float, aim: float) -> Figure:
     """Frames per second of the tracker's steps alone: the pictures are there, the start is made."""
-    camera, views = _simulated(case.motion, case.size, case.frames, SceneSettings())
+    camera, views = simulated_views(case.motion, case.size, case.frames, SceneSettings())
     views = views if case.has_points else [replace(view, keypoints=None) for view in views]
     settings = settings_of(case.config)
     settings = settings if case.has_network else replace(settings, learned_posture=False)
@@ -149,7 +149,7 @@ def track_memory(name: str, repeats: int | None) -> Figure:
 
 def _long_video(folder: Path) -> list[str]:
     """Written into a folder; the command that tracks it."""
-    camera, views = _simulated("planar", MEMORY_SIZE_PX, MEMORY_RENDERED, SceneSettings(supersampling=1))
+    camera, views = simulated_views("planar", MEMORY_SIZE_PX, MEMORY_RENDERED, SceneSettings(supersampling=1))
     pictures = [view.image for view in views if view.image is not None]
     video, (width, height) = folder / "hand.mp4", MEMORY_SIZE_PX
     save_cameras([camera], folder / "cameras.json")

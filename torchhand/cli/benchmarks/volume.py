@@ -76,7 +76,7 @@ def frame_cameras() -> list[Camera]:
 def _masks(name: str, cameras: list[Camera]) -> list[Tensor]:
     """Silhouettes of the hand in a posture, its joints around the middle of the frame."""
     hand = load_hand_model().hand(dtype=torch.float64)
-    state = hand(posture(name).double())
+    state = hand(posture(name, dtype=torch.float64))
     identity = torch.eye(3, dtype=torch.float64)
     surface = posed_mesh(hand, state).moved(identity, -state.keypoints.mean(0))
     return [silhouette(surface, camera) for camera in cameras]

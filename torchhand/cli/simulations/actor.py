@@ -57,7 +57,7 @@ def motion_of(arguments: Arguments, actor: Actor, camera: Camera, generator: tor
         poses = [parse_pose(text, actor.kinematics.skeleton) for text in arguments.pose]
         return posed_motion(poses, frames, actor.kinematics, camera, **how)
     if arguments.sampled:
-        prior = actor.model.prior()
+        prior = actor.model.prior(dtype=torch.float64)
         return sampled_motion(prior, frames, actor.kinematics, camera, generator, turn_deg=arguments.turn_deg, **how)
     if arguments.recorded is None:
         perform = partial(scripted_motion, arguments.motion)

@@ -31,6 +31,7 @@ from torchhand.hand import (
     named_pose_space,
 )
 from torchhand.numerics import RobustLoss
+from torchhand.precision import require_exact, without_autocast
 
 _AT_ONCE = 1024  # frames whose derivatives are held at a time
 
@@ -84,6 +85,7 @@ class KeypointFit:
         return [FIT_STATUSES[int(number)] for number in self.status.reshape(-1)]
 
 
+@without_autocast
 @torch.no_grad()
 def fit_keypoints(
     kinematics: HandKinematics,
@@ -102,7 +104,8 @@ def fit_keypoints(
     Minimises ½ Σ confidence · |point - keypoint|² / noise² (Huber beyond `settings.gross`), plus, where
     `settings.prior` says so, the squared distance from the natural posture in units of its spread. Joint limits hold
     exactly; a DOF that the pose space ties to another stops at its own while the other goes on. All frames are solved
-    at once, in the dtype of the kinematics. Points that are not finite or have confidence 0 are missing.
+    at once, in the dtype of the kinematics (float32 or float64), to which all that is given is converted. Points that
+    are not finite or have confidence 0 are missing.
 
     Points in space beside those in pictures count about their own mean, at the size that fits best, and as a posture.
 
@@ -112,11 +115,14 @@ def fit_keypoints(
     camera cannot tell size from distance, so hand_length then comes from that belief.
 
     Raises ValueError for shapes that do not fit together, negative confidences, a camera for points in space or none
-    for pixels, spaces without the root, unknown parameter names, a shape that is not finite or outside its bounds. A
-    frame that cannot be fitted is no error: see `KeypointFit.status`.
+    for pixels, half precision, spaces without the root, unknown parameter names, a shape that is not finite or outside
+    its bounds. A frame that cannot be fitted is no error: see `KeypointFit.status`.
     """
     settings = settings or KeypointFitSettings()
     like = kinematics.default_levers
+    require_exact("kinematics", like.dtype)
+    if isinstance(keypoints, Tensor):
+        require_exact("keypoints", keypoints.dtype)
     space = (space or named_pose_space("dof27")).to(dtype=like.dtype, device=like.device)
     _check_space(space)
     if shape is not None:

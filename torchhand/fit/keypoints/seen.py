@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.geometry import Camera
+from torchhand.precision import require_exact
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,15 +27,17 @@ class SeenKeypoints:
     """Covariance of every point in the pictures, px²; NaN where it is not known. That of the settings where None."""
 
     def __post_init__(self) -> None:
-        """Raises ValueError for shapes that do not fit together, and for negative confidences."""
+        """Raises ValueError for shapes that do not fit together, for half precision, and for negative confidences."""
         frames = self.points_px.shape[:-2]
         if self.camera.intrinsics.shape[:-2] not in ((), frames):
             raise ValueError(
                 f"camera: expected one, or one per frame {tuple(frames)},"
                 f" got a batch of {tuple(self.camera.intrinsics.shape[:-2])}"
             )
+        require_exact("points_px", self.points_px.dtype)
         for name, own in (("points", (21, 3)), ("confidence", (21,)), ("cov_px", (21, 2, 2))):
             value = getattr(self, name)
+            require_exact(name, None if value is None else value.dtype)
             if value is not None and value.shape != (*frames, *own):
                 raise ValueError(f"{name}: expected shape {(*frames, *own)}, got {tuple(value.shape)}")
         if self.confidence is not None and bool((self.confidence < 0).any()):

@@ -48,7 +48,7 @@ def starts_in_picture(
         weight = weight * observed.confidence
     plane = torch.where(weight[..., None] > 0, plane, 0.0)
     weight = weight / weight.sum(-1, keepdim=True).clamp_min(torch.finfo(weight.dtype).tiny)
-    joints = torch.stack([natural, *(posture(name).to(natural) for name in _POSTURES)])
+    joints = torch.stack([natural, *(posture(name, dtype=torch.float64).to(natural) for name in _POSTURES)])
     joints[:, :6] = 0
     views = viewing_directions().to(points)
     rest = observed.kinematics(joints, shape).keypoints
@@ -116,7 +116,7 @@ def other_ways(start: HandPose) -> HandPose:
     """Six alternatives of each pose (frames), (frames, 6): itself, then for each digit the same with that digit bent if
     it was straight, or straight if it was bent."""
     pose = start.dofs
-    bent, straight = (posture(name).to(pose) for name in ("fist", "open"))
+    bent, straight = (posture(name, dtype=torch.float64).to(pose) for name in ("fist", "open"))
     poses = [pose]
     for finger in FINGERS:
         own = [i for i, dof in enumerate(DOFS) if dof.startswith(finger)]

@@ -29,7 +29,7 @@ def placed_open_hand(
     regions: HandRegions, kinematics: HandKinematics, camera: Camera, facing: str
 ) -> tuple[Float[Tensor, "36"], Float[Tensor, "3 3"]]:
     """The open posture at the measured wrist, angle and size, square to the camera, and the root's orientation."""
-    pose = posture("open")
+    pose = posture("open", dtype=torch.float64)
     space = kinematics.shape_space
     length = float(space.default[space.names.index("hand_length")])
     focal_px = 0.5 * float(camera.intrinsics[0, 0] + camera.intrinsics[1, 1])

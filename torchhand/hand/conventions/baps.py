@@ -18,6 +18,7 @@ from torch import Tensor
 
 from torchhand.geometry import rotation_from_vector, vector_from_rotation
 from torchhand.hand.kinematics import DOFS, JOINT_DOFS, Side
+from torchhand.precision import own_precision
 
 Numbering = Literal["final", "draft"]
 NUMBERINGS: tuple[Numbering, ...] = ("final", "draft")
@@ -59,6 +60,7 @@ class BapValues:
     """Error of each joint angle, radians: all of those without a parameter, the rounding of the others."""
 
 
+@own_precision
 def baps_of_pose(pose: Float[Tensor, "*batch 36"], numbering: Numbering, side: Side) -> BapValues:
     """Values of our poses, given in a world with y up."""
     names = tuple(bap_ids(numbering, side))

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from torchhand.geometry import rotation_from_vector, vector_from_rotation
 from torchhand.hand.kinematics import BONES, JOINT_DOFS, PARENTS, HandKinematics, Skeleton, sided_skeleton
+from torchhand.precision import own_precision
 
 _STEPS = 20
 _DAMPING = 1e-10
@@ -24,6 +25,7 @@ class BoneFit:
     """Angle, radians, between each bone's rotation relative to its parent as given and as the pose has it."""
 
 
+@own_precision
 def fit_bones(
     kinematics: HandKinematics, rotation: Float[Tensor, "*batch 20 3 3"], wrist: Float[Tensor, "*batch 3"]
 ) -> BoneFit:

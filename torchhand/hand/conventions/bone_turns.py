@@ -9,8 +9,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.hand.kinematics import PARENTS
+from torchhand.precision import own_precision
 
 
+@own_precision
 def bone_turns(
     rotation: Float[Tensor, "*batch 20 3 3"], rest: Float[Tensor, "20 3 3"]
 ) -> Float[Tensor, "*batch 20 3 3"]:
@@ -30,6 +32,7 @@ def turns_in_world(
     return rotation @ rest.mT
 
 
+@own_precision
 def bone_rotations(
     turns: Float[Tensor, "*batch 20 3 3"], rest: Float[Tensor, "20 3 3"]
 ) -> Float[Tensor, "*batch 20 3 3"]:

@@ -18,6 +18,7 @@ from torchhand.geometry import rotation_from_vector, vector_from_rotation
 from torchhand.hand.conventions.bone_fit import BoneFit, fit_bones
 from torchhand.hand.conventions.bone_turns import turns_in_world
 from torchhand.hand.kinematics import BONES, DOFS, ROOT_DOFS, HandKinematics, Side
+from torchhand.precision import own_precision
 
 MANO_JOINTS = (
     "wrist",
@@ -59,6 +60,7 @@ def mano_from_hand(side: Side) -> Float[Tensor, "3 3"]:
     return torch.tensor(rows, dtype=torch.float64)
 
 
+@own_precision
 def mano_of_pose(
     kinematics: HandKinematics,
     pose: Float[Tensor, "*batch 36"],
@@ -77,6 +79,7 @@ def mano_of_pose(
     return ManoPose(axis_angle=vector_from_rotation(local), wrist=pose[..., :3], residual=off.norm(dim=-1))
 
 
+@own_precision
 def pose_of_mano(
     kinematics: HandKinematics,
     axis_angle: Float[Tensor, "*batch 16 3"],

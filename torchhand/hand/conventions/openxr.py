@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchhand.hand.conventions.bone_fit import BoneFit, fit_bones
 from torchhand.hand.kinematics import BONES, FINGERS, HandFrames, HandKinematics, ShapeSpace
+from torchhand.precision import own_precision
 
 OPENXR_JOINTS = (
     "palm",
@@ -47,6 +48,7 @@ class OpenXRJoints:
     """world_from_joint"""
 
 
+@own_precision
 def openxr_joints(frames: HandFrames) -> OpenXRJoints:
     """The joints of posed bones. Our fingertip keypoints lie 3 mm under the skin, and so do the tips."""
     axes = _bone_from_joint(frames.rotation)
@@ -58,6 +60,7 @@ def openxr_joints(frames: HandFrames) -> OpenXRJoints:
     return OpenXRJoints(position=position, rotation=frames.rotation[..., index, :, :] @ axes)
 
 
+@own_precision
 def pose_of_openxr(kinematics: HandKinematics, joints: OpenXRJoints) -> BoneFit:
     """Our pose of the joints' orientations and the wrist's place; the hand's proportions are the caller's."""
     index = [_joint_of(bone) for bone in BONES]
@@ -65,6 +68,7 @@ def pose_of_openxr(kinematics: HandKinematics, joints: OpenXRJoints) -> BoneFit:
     return fit_bones(kinematics, rotation, joints.position[..., OPENXR_JOINTS.index("wrist"), :])
 
 
+@own_precision
 def openxr_radii(space: ShapeSpace, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch 26"]:
     """Distance from each joint to the skin, metres; in the palm half its thickness."""
     metres = space.metric(shape)

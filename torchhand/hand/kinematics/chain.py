@@ -18,6 +18,7 @@ from torchhand.hand.kinematics.compiled import place_chain_compiled, place_chain
 from torchhand.hand.kinematics.constants import HINGES, ChainConstants
 from torchhand.hand.kinematics.gradients import chain_gradients, column_spin
 from torchhand.hand.kinematics.joint_rotations import free_axes, local_rotations
+from torchhand.precision import own_precision
 
 _LEVELS = ((0, 1, 1, 6), (1, 6, 6, 11), (6, 11, 11, 16), (12, 16, 16, 20))
 """First and last-but-one of the parents, then of the bones of each level; the thumb ends one level early."""
@@ -106,6 +107,7 @@ class _Chain(torch.autograd.Function):
         return of_pose, of_reference, of_levers, None
 
     @staticmethod
+    @own_precision
     def jvp(ctx: Any, *tangents: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
         """Velocities gathered from the root to the tips."""
         pose, reference, levers, rotation, _, _ = ctx.saved_tensors

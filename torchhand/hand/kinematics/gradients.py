@@ -6,8 +6,10 @@ from torch import Tensor
 from torchhand.geometry import cross, exponential_coefficients, turn_back
 from torchhand.hand.kinematics.constants import ChainConstants
 from torchhand.hand.kinematics.joint_rotations import free_axes
+from torchhand.precision import own_precision
 
 
+@own_precision
 def chain_gradients(
     pose: Tensor,
     reference: Tensor | None,

@@ -10,10 +10,12 @@ from torch import Tensor
 
 from torchhand.geometry import rotation_from_vector, vector_from_rotation
 from torchhand.hand.kinematics.skeleton import DOFS, ROOT_DOFS
+from torchhand.precision import own_precision, record
 
 _ROOT = len(ROOT_DOFS)
 
 
+@record()
 @dataclass(frozen=True, kw_only=True)
 class HandPose:
     """Where hands are and how their joints are bent; any batch shape.
@@ -30,7 +32,7 @@ class HandPose:
 
     @classmethod
     def of(cls, dofs: Float[Tensor, "*batch 36"], reference: Float[Tensor, "*#batch 3 3"] | None = None) -> "HandPose":
-        """The reference is broadcast against the poses; the identity where it is None."""
+        """The reference is broadcast against the poses, in their dtype; the identity where it is None."""
         if reference is None:
             reference = torch.eye(3, dtype=dofs.dtype, device=dofs.device)
         return cls(dofs=dofs, reference=reference.to(dofs).expand(*dofs.shape[:-1], 3, 3))
@@ -58,25 +60,30 @@ class HandPose:
         return HandPose(dofs=self.dofs[index], reference=self.reference[index])
 
     @property
+    @own_precision
     def rotation(self) -> Float[Tensor, "*batch 3 3"]:
         """world_from_hand"""
         return rotation_from_vector(self.dofs[..., 3:_ROOT]) @ self.reference
 
     @property
+    @own_precision
     def vector(self) -> Float[Tensor, "*batch 36"]:
         """The DOFs with the rotation vector of world_from_hand itself, of length π at most."""
         turn = vector_from_rotation(self.rotation)
         return torch.cat((self.dofs[..., :3], turn, self.dofs[..., _ROOT:]), -1)
 
+    @own_precision
     def normalized(self) -> "HandPose":
         """The same hands with zero rotation vectors."""
         return HandPose(dofs=self.dofs * _but_rotation().to(self.dofs), reference=self.rotation)
 
+    @own_precision
     def retract(self, step: Float[Tensor, "*#batch 36"]) -> "HandPose":
         """The hands after a step: translations and angles added, the rotation a left perturbation (world axes)."""
         here = self.normalized()
         return HandPose(dofs=here.dofs + step, reference=here.reference).normalized()
 
+    @own_precision
     def step_to(self, other: "HandPose") -> Float[Tensor, "*batch 36"]:
         """The step that `retract` takes to the other hands."""
         turn = vector_from_rotation(other.rotation @ self.rotation.mT)
@@ -84,6 +91,7 @@ class HandPose:
             (other.dofs[..., :3] - self.dofs[..., :3], turn, other.dofs[..., _ROOT:] - self.dofs[..., _ROOT:]), -1
         )
 
+    @own_precision
     def about(self, reference: Float[Tensor, "*#batch 3 3"]) -> "HandPose":
         """The same hands with rotation vectors about other references."""
         turn = vector_from_rotation(self.rotation @ reference.mT)

@@ -16,6 +16,7 @@ from torchhand.hand.kinematics.constants import LEVER_ENDS
 from torchhand.hand.kinematics.joint_rotations import world_axes
 from torchhand.hand.kinematics.kinematics import HandFrames, HandKinematics
 from torchhand.hand.kinematics.skeleton import BONES, DOFS, KEYPOINTS, PARENTS, ROOT_DOFS
+from torchhand.precision import own_precision
 
 _POINTS = len(KEYPOINTS)
 _ROOT = len(ROOT_DOFS)
@@ -84,6 +85,7 @@ class PoseJacobian:
         self._root = basis[:_ROOT]
         self._root_columns = self._root.any(0).nonzero()[:, 0]
 
+    @own_precision
     def __call__(self, pose: Float[Tensor, "*batch 36"], frames: HandFrames) -> Float[Tensor, "*batch 21 3 free"]:
         """pose: the one that `frames` belong to. Metres per radian (root translations: per metre)."""
         batch = pose.shape[:-1]
@@ -94,6 +96,7 @@ class PoseJacobian:
         columns = self.batch_last(flat.T, rotation, position, keypoints)
         return columns.permute(3, 0, 1, 2).reshape(*batch, _POINTS, 3, self.free)
 
+    @own_precision
     def batch_last(
         self,
         pose: Float[Tensor, "36 n"],
@@ -182,6 +185,7 @@ class ShapeJacobian:
             self._fractions[i][:, fractions] = kinematics.lever_matrix[:, fractions]
         self._is_size = (self._parameters == self._sizes[:, None]).to(like.dtype)[..., None, None]
 
+    @own_precision
     def __call__(
         self, frames: HandFrames, shape: Float[Tensor, "*#batch shape"]
     ) -> Float[Tensor, "*batch 21 3 columns"]:
@@ -192,6 +196,7 @@ class ShapeJacobian:
         out = self.batch_last(rotation, batch_last(shape, 1, batch))
         return out.permute(3, 0, 1, 2).reshape(*batch, _POINTS, 3, len(self.columns))
 
+    @own_precision
     def batch_last(
         self, rotation: Float[Tensor, "20 3 3 n"], shape: Float[Tensor, "shape #n"]
     ) -> Float[Tensor, "21 3 columns n"]:

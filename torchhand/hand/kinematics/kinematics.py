@@ -12,10 +12,12 @@ from torchhand.hand.kinematics.chain import place_chain
 from torchhand.hand.kinematics.constants import LEVER_ENDS, ChainBuffers, chain_constants
 from torchhand.hand.kinematics.shape import ShapeSpace, offset_matrix
 from torchhand.hand.kinematics.skeleton import BONES, DOFS, KEYPOINTS, Skeleton
+from torchhand.precision import own_precision, record
 
 Side = Literal["left", "right"]
 
 
+@record()
 @dataclass(frozen=True, kw_only=True)
 class HandFrames:
     """Where the bones of a hand are, metres."""
@@ -58,6 +60,7 @@ class HandKinematics(nn.Module):
         self.register_buffer("default_shape", shape_space.default.clone(), persistent=False)
         self.register_buffer("default_levers", (levers @ default)[..., None], persistent=False)
 
+    @own_precision
     def forward(
         self,
         pose: Float[Tensor, "*batch 36"],
@@ -73,6 +76,10 @@ class HandKinematics(nn.Module):
         """
         if pose.shape[-1] != len(DOFS):
             raise ValueError(f"pose: expected {len(DOFS)} numbers in the last dimension, got shape {tuple(pose.shape)}")
+        if pose.dtype != self.default_levers.dtype:
+            raise ValueError(
+                f"pose: expected {self.default_levers.dtype}, in which the hand computes, got {pose.dtype}"
+            )
         batch = pose.shape[:-1]
         flat = pose.reshape(-1, len(DOFS)).T.contiguous()
         reference = None if root_reference is None else batch_last(root_reference, 2, batch)
@@ -83,6 +90,7 @@ class HandKinematics(nn.Module):
             keypoints=keypoints.permute(2, 0, 1).reshape(*batch, len(KEYPOINTS), 3),
         )
 
+    @own_precision
     def metres(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch shape"]:
         """`ShapeSpace.metres` from what lies on the module's device, in a form that compilers take."""
         names = self.shape_space.names

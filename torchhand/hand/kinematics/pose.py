@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand.kinematics.skeleton import DOFS, FINGERS, JOINT_DOFS, ROOT_DOFS
+from torchhand.precision import own_precision
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,7 +19,7 @@ class PoseSpace:
 
     The root's rotation is a left perturbation: the rotation vector that comes out is applied on top of a reference
     orientation that the caller keeps (`HandKinematics(..., root_reference=...)`), so no parameter is near a
-    singularity.
+    singularity. Its constants follow the dtype of the numbers that they meet.
     """
 
     name: str
@@ -30,19 +31,22 @@ class PoseSpace:
     def size(self) -> int:
         return len(self.free_names)
 
+    @own_precision
     def dof(self, free: Float[Tensor, "*batch free"]) -> Float[Tensor, "*batch 36"]:
         """The full pose of the free parameters."""
-        return free @ self.basis.T + self.constant
+        return free @ self.basis.to(free.dtype).T + self.constant.to(free.dtype)
 
     @property
     def inverse(self) -> Float[Tensor, "free 36"]:
         """Pseudo-inverse of the basis."""
         return torch.linalg.pinv(self.basis) if self.basis.requires_grad else _pseudo_inverse(self.basis)
 
+    @own_precision
     def free(self, dof: Float[Tensor, "*batch 36"]) -> Float[Tensor, "*batch free"]:
         """The free parameters whose pose is nearest (least squares); exact for poses in the space."""
-        return (dof - self.constant) @ self.inverse.T
+        return (dof - self.constant.to(dof.dtype)) @ self.inverse.to(dof.dtype).T
 
+    @own_precision
     def own(self, dof: Float[Tensor, "*batch 36"]) -> Float[Tensor, "*batch free"]:
         """The free parameters as read off the DOFs that they are named after, whatever the tied ones are.
 
@@ -51,7 +55,7 @@ class PoseSpace:
         """
         rows = _rows_of(self.free_names).to(self.basis.device)
         own = self.basis[rows].diagonal()
-        return (dof - self.constant)[..., rows] / own
+        return (dof - self.constant.to(dof.dtype))[..., rows] / own.to(dof.dtype)
 
     def about(self, dof: Float[Tensor, "36"]) -> "PoseSpace":
         """The same directions through another pose: free = 0 gives `dof`, ties are kept as ties of changes."""
@@ -192,16 +196,19 @@ POSTURES: dict[str, dict[str, float]] = {
 """Named postures: joint angles in degrees, those not named are zero."""
 
 
-def posture(name: str, *, dtype: torch.dtype = torch.float64) -> Float[Tensor, "36"]:
-    """The named posture as a pose with the root at the origin, radians."""
+def posture(
+    name: str, *, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None
+) -> Float[Tensor, "36"]:
+    """The named posture as a pose with the root at the origin, radians; in the dtype of `Hand` unless asked."""
     if name not in POSTURES:
         raise ValueError(f"unknown posture {name!r}; allowed: {', '.join(POSTURES)}")
     pose = torch.zeros(len(DOFS), dtype=dtype)
     for dof, angle_deg in POSTURES[name].items():
         pose[DOFS.index(dof)] = angle_deg * _DEG
-    return pose
+    return pose.to(device)
 
 
+@own_precision
 def rebased(
     dof: Float[Tensor, "*batch 36"], root_reference: Float[Tensor, "*batch 3 3"]
 ) -> tuple[Float[Tensor, "*batch 36"], Float[Tensor, "*batch 3 3"]]:

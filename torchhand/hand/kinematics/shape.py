@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.hand.kinematics.skeleton import FINGERS
+from torchhand.precision import own_precision
 
 _UNITS = ("m", "/HL", "/HB")
 _BOUND_SLACK = 1e-5  # relative: bounds are float64, shapes may be float32
@@ -44,6 +45,7 @@ class ShapeSpace:
         moved = {n: getattr(self, n).to(dtype=dtype, device=device) for n in ("default", "lower", "upper", "std")}
         return replace(self, **moved)
 
+    @own_precision
     def metres(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch shape"]:
         """Every parameter in metres, in the order of `names`."""
         length, breadth = self.names.index("hand_length"), self.names.index("hand_breadth")
@@ -107,6 +109,7 @@ KNUCKLE_X = {"index": 0.0, "middle": 0.02, "ring": 0.01, "little": -0.04}  # the
 THUMB_BASE_X = -0.10
 
 
+@own_precision
 def joint_positions(space: ShapeSpace, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch 2 5 3"]:
     """Bases of the metacarpals and the knuckles (MCP joints) in the hand frame of a straight hand, metres.
 
@@ -128,6 +131,7 @@ def _joint_positions(metric: Mapping[str, Tensor]) -> Tensor:
     return torch.stack((torch.stack(bases, -2), torch.stack(knuckles, -2)), -3)
 
 
+@own_precision
 def bone_offsets(
     space: ShapeSpace, shape: Float[Tensor, "*batch shape"], metacarpal_rotation: Float[Tensor, "5 3 3"]
 ) -> tuple[Float[Tensor, "*batch 20 3"], Float[Tensor, "*batch 5 3"]]:

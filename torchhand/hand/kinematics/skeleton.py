@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.precision import own_precision
+
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 
 BONES = (
@@ -70,6 +72,7 @@ class Skeleton:
     upper: Float[Tensor, "30"]
     """Upper limit of each joint angle, radians."""
 
+    @own_precision
     def within_limits(self, joints: Float[Tensor, "*batch 30"]) -> Float[Tensor, "*batch 30"]:
         """The nearest joint angles within the limits, radians."""
         return joints.clamp(self.lower.to(joints), self.upper.to(joints))

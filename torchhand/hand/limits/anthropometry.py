@@ -19,6 +19,7 @@ from torch import Tensor
 from torchhand.hand.kinematics import FINGERS, ShapeSpace
 from torchhand.hand.limits.violation import Violation
 from torchhand.numerics import Polytope, polytope
+from torchhand.precision import own_precision, require_exact
 
 _PHALANX_MEANS = {  # Buchholz, Armstrong and Goldstein 1992
     "thumb": {"proximal": 0.196, "distal": 0.158},
@@ -99,6 +100,7 @@ class Anthropometry:
         self._scale = torch.cat((self.space.std, self.space.std, breadth_spread, breadth_spread))
         self._blocks = [self._block(names) for names in _groups()]
 
+    @own_precision
     def measures(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch 21"]:
         """The measures of a shape, without unit, in the order of MEASURES; differentiable."""
         self.space.check_width(shape)
@@ -111,6 +113,7 @@ class Anthropometry:
         palm = metric["middle_metacarpal"] + metric["web_length"] + _CREASE * length
         return torch.stack((*sums, *phalanges, palm, metric["hand_breadth"]), -1) / length[..., None]
 
+    @own_precision
     def project(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch shape"]:
         """The nearest feasible shape, distances counted in the parameters' spreads; feasible ones come back unchanged.
 
@@ -128,6 +131,7 @@ class Anthropometry:
                 parameters[place] = value.clamp(low, high)
         return torch.stack(parameters, -1)
 
+    @own_precision
     def violation(self, shape: Float[Tensor, "*batch shape"]) -> Violation:
         """How far parameters are outside their bounds (in their own units), and measures outside their intervals."""
         self.space.check_width(shape)
@@ -138,16 +142,19 @@ class Anthropometry:
         names = (*(f"bounds of {name}" for name in self.space.names), *(f"interval of {name}" for name in MEASURES))
         return Violation(names=names, amount=torch.cat((bounds, intervals), -1).clamp_min(0), is_angle=False)
 
+    @own_precision
     def is_feasible(self, shape: Float[Tensor, "*batch shape"], tolerance: float = 1e-6) -> Bool[Tensor, "*batch"]:
         """Whether nothing is violated by more than the tolerance; never with NaN parameters."""
         return self.violation(shape).worst <= tolerance
 
+    @own_precision
     def penalty(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
         """½ Σ (violation / (softness · spread))²; continuously differentiable, zero on the feasible set."""
         self.space.check_width(shape)
         excess = (shape @ self.matrix.to(shape).T - self.bound.to(shape)).clamp_min(0)
         return 0.5 * (excess / (self.settings.softness * self._scale.to(shape))).square().sum(-1)
 
+    @own_precision
     def log_density(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
         """Log density of the normal distribution over people, not yet cut off at the constraints.
 
@@ -161,6 +168,7 @@ class Anthropometry:
         constant = 0.5 * len(self.space.names) * math.log(2 * math.pi) + 0.5 * math.log(1 - rho * rho)
         return -0.5 * square - constant - float(self.space.std.log().sum())
 
+    @own_precision
     def log_prob(self, shape: Float[Tensor, "*batch shape"]) -> Float[Tensor, "*batch"]:
         """`log_density` on the feasible set, minus infinity outside.
 
@@ -168,11 +176,15 @@ class Anthropometry:
         """
         return torch.where(self.is_feasible(shape), self.log_density(shape), -torch.inf)
 
-    def sample(self, count: int, generator: torch.Generator) -> Float[Tensor, "count shape"]:
+    def sample(
+        self, count: int, generator: torch.Generator, *, dtype: torch.dtype = torch.float32
+    ) -> Float[Tensor, "count shape"]:
         """Shapes of random people with density ∝ exp(log_prob): normal ones, infeasible ones redrawn.
 
-        Float64 on the CPU. The generator is one of the CPU; the same seed gives the same shapes bit for bit.
+        Drawn in float64 on the CPU, given in `dtype`. The generator is one of the CPU; the same seed gives the same
+        shapes bit for bit.
         """
+        require_exact("dtype", dtype)
         if count < 0:
             raise ValueError(f"count: expected 0 or more, got {count}")
         space, size = self.space, len(self.space.names)
@@ -193,7 +205,7 @@ class Anthropometry:
                 rows = self.matrix[:, index].abs().sum(-1) > 0
                 excess = drawn[missing][:, index] @ self.matrix[rows][:, index].T - self.bound[rows]
                 missing = missing[(excess > 0).any(-1)]
-        return drawn
+        return drawn.to(dtype)
 
     def _block(self, names: tuple[str, ...]) -> tuple[list[int], Tensor, Polytope]:
         """Places of a group of parameters, their spreads, and their polytope in spreads."""

@@ -19,6 +19,7 @@ from torchhand.hand.limits.couplings import (
 )
 from torchhand.hand.limits.violation import Violation
 from torchhand.numerics import polytope
+from torchhand.precision import own_precision
 
 _ROOT = len(DOFS) - len(JOINT_DOFS)
 _ROUNDING = 0.05
@@ -109,6 +110,7 @@ class PoseConstraints:
         )
         """The constraints that make the feasible set, in the order of `violation`."""
 
+    @own_precision
     def project(self, pose: Float[Tensor, "*batch 36"]) -> Float[Tensor, "*batch 36"]:
         """A feasible pose near the given one; feasible poses come back as they are. Differentiable almost everywhere.
 
@@ -132,6 +134,7 @@ class PoseConstraints:
                 )
         return torch.cat((root, torch.stack(angles, -1)), -1)
 
+    @own_precision
     def violation(self, pose: Float[Tensor, "*batch 36"]) -> Violation:
         """How far the pose is outside each constraint of the feasible set."""
         _, joints = _split(pose)
@@ -145,10 +148,12 @@ class PoseConstraints:
             parts.append(self.tie_residuals(pose).abs())
         return Violation(names=self.names, amount=torch.cat(parts, -1), is_angle=True)
 
+    @own_precision
     def is_feasible(self, pose: Float[Tensor, "*batch 36"], tolerance: float = 1e-6) -> Bool[Tensor, "*batch"]:
         """Whether no constraint is violated by more than the tolerance (radians); never with NaN angles."""
         return self.violation(pose).worst <= tolerance
 
+    @own_precision
     def abduction_limits(
         self, flexion: Float[Tensor, "*batch 4"]
     ) -> tuple[Float[Tensor, "*batch 4"], Float[Tensor, "*batch 4"]]:
@@ -157,6 +162,7 @@ class PoseConstraints:
         lower, upper = (limit[list(ABDUCTIONS)].to(flexion) for limit in (self.skeleton.lower, self.skeleton.upper))
         return lower * room, upper * room
 
+    @own_precision
     def tie_residuals(self, pose: Float[Tensor, "*batch 36"]) -> Float[Tensor, "*batch ties"]:
         """Residual of each of TIES, radians: the angle less what the tie asks for within its limits."""
         _, joints = _split(pose)
@@ -168,10 +174,12 @@ class PoseConstraints:
         tie = TIES[index]
         return (tie.factor * joints[..., tie.source] + tie.offset).clamp(*self.limits(tie.target))
 
+    @own_precision
     def penalty(self, pose: Float[Tensor, "*batch 36"]) -> Float[Tensor, "*batch"]:
         """`wall` plus `tie_energy`: a smooth cost without unit."""
         return self.wall(pose) + self.tie_energy(pose)
 
+    @own_precision
     def wall(self, pose: Float[Tensor, "*batch 36"]) -> Float[Tensor, "*batch"]:
         """½ Σ (violation / softness)² of the inequalities; once continuously differentiable, zero where all hold.
 
@@ -187,6 +195,7 @@ class PoseConstraints:
         beyond = (lower * room - abduction).clamp_min(0).square() + (abduction - upper * room).clamp_min(0).square()
         return (linear.square().sum(-1) + beyond.sum(-1)) / (2 * math.radians(self.settings.softness_deg) ** 2)
 
+    @own_precision
     def tie_energy(self, pose: Float[Tensor, "*batch 36"]) -> Float[Tensor, "*batch"]:
         """½ Σ (residual / spread)² of the ties; continuously differentiable: the clamp's corners are rounded by 1°."""
         _, joints = _split(pose)

@@ -11,6 +11,7 @@ from torch import Tensor
 from torchhand.geometry import tapered_capsule_depth
 from torchhand.hand.kinematics import FINGERS
 from torchhand.hand.primitives.primitives import CONE_NAMES, ELLIPSOID_NAMES, Primitives
+from torchhand.precision import own_precision
 
 _SEGMENTS = CONE_NAMES[1:]
 _PALM = CONE_NAMES.index("palm")
@@ -61,6 +62,7 @@ class Penetration:
         return "; ".join(f"{name} by {1e3 * amount:.1f} mm" for amount, name in ranked if not amount <= 0) or "none"
 
 
+@own_precision
 def penetration(primitives: Primitives, settings: PenetrationSettings | None = None) -> Penetration:
     """Depths of all pairs of segments of different digits, and of the outer segments in the palm and the thenar.
 
@@ -82,6 +84,7 @@ def penetration(primitives: Primitives, settings: PenetrationSettings | None = N
     return Penetration(names=names + palm_names, depth=depth, excess=(depth - slack).clamp_min(0))
 
 
+@own_precision
 def penetration_penalty(primitives: Primitives, settings: PenetrationSettings | None = None) -> Float[Tensor, "*batch"]:
     """½ Σ (excess / softness)² over the pairs; continuously differentiable where the deepest places are unique."""
     settings = settings or PenetrationSettings()

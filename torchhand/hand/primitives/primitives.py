@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchhand.geometry import batch_first, batch_last, compose, cone, ellipsoid, half_space, moved, slab, turn
 from torchhand.hand.kinematics import BONES, FINGERS, HandFrames
+from torchhand.precision import own_precision, record
 
 _FINGER_CONES = [f"{finger}_{bone}" for finger in FINGERS[1:] for bone in ("proximal", "middle", "distal")]
 _FINGER_BALLS = [f"{finger}_{joint}" for finger in FINGERS[1:] for joint in ("mcp", "pip", "dip", "tip")]
@@ -33,6 +34,7 @@ ELLIPSOID_BONES = tuple(_bone(name) for name in ELLIPSOID_NAMES)
 _CONES = len(CONE_NAMES)
 
 
+@record()
 @dataclass(frozen=True, kw_only=True)
 class PrimitiveSizes:
     """The primitives in the frames of their bones, metres; from a shape vector, independent of the pose."""
@@ -81,6 +83,7 @@ class PrimitiveSizes:
         return diagonal, torch.cat((slope, torch.zeros_like(level)), -1), low, high
 
 
+@record()
 @dataclass(frozen=True, kw_only=True)
 class Implicit:
     """Q = [[A, b], [bᵀ, c]] and the clips of placed primitives, in parts; the batch stands last."""
@@ -97,6 +100,7 @@ class Implicit:
     high: Float[Tensor, "37 n"]
 
 
+@record()
 @dataclass(frozen=True, kw_only=True)
 class Primitives:
     """The 37 truncated quadrics placed in one frame (world or camera), metres."""
@@ -122,6 +126,7 @@ class Primitives:
     def ellipsoid_position(self) -> Float[Tensor, "*batch 22 3"]:
         return self.position[..., _CONES:, :]
 
+    @own_precision
     def moved(self, rotation: Float[Tensor, "3 3"], translation: Float[Tensor, "3"]) -> "Primitives":
         """The same primitives after X_new = rotation X + translation."""
         batch = self.position.shape[:-2]
@@ -139,6 +144,7 @@ class Primitives:
             sizes = replace(sizes, **{f.name: getattr(sizes, f.name)[index] for f in fields(sizes)})
         return Primitives(sizes=sizes, rotation=self.rotation[index], position=self.position[index])
 
+    @own_precision
     def quadrics(self) -> tuple[Float[Tensor, "*batch 37 4 4"], Float[Tensor, "*batch 37 4 4"]]:
         """Matrices Q and Π of every primitive in PRIMITIVE_NAMES order (Stenger et al. 2001, equations 1 and 2)."""
         s = self.sizes
@@ -150,6 +156,7 @@ class Primitives:
         ball_clips = moved(half_space(level), self.ellipsoid_rotation, self.ellipsoid_position)
         return torch.cat((cones, balls), -3), torch.cat((cone_clips, ball_clips), -3)
 
+    @own_precision
     def implicit(self) -> Implicit:
         """`quadrics` in parts, in a tenth of the time."""
         batch = self.position.shape[:-2]
@@ -171,6 +178,7 @@ class Primitives:
         )
 
 
+@own_precision
 def place_primitives(frames: HandFrames, sizes: PrimitiveSizes, *, is_left: bool = False) -> Primitives:
     """The primitives in the world; of a left hand where `is_left`."""
     batch = frames.position.shape[:-2]

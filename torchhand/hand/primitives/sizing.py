@@ -11,6 +11,7 @@ from torch import Tensor
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand.kinematics import FINGERS, ShapeSpace, linear_map
 from torchhand.hand.primitives.primitives import CONE_NAMES, ELLIPSOID_NAMES, PrimitiveSizes
+from torchhand.precision import own_precision
 
 _CONES = len(CONE_NAMES)
 _HALF, _WHOLE = 0.0, -2.0  # a clipping level below -1 keeps the whole ellipsoid
@@ -27,6 +28,7 @@ _KNUCKLE_BACK, _KNUCKLE_DEPTH, _KNUCKLE_WIDTH = 0.05, 1.06, 1.22
 _THENAR_SHIFT, _THENAR_REACH, _THENAR_WIDTH = (-0.2, 0.46, -0.45), 0.66, 1.4
 
 
+@own_precision
 def primitive_sizes(space: ShapeSpace, shape: Float[Tensor, "*batch shape"]) -> PrimitiveSizes:
     """Sizes of the primitives for a shape; differentiable.
 

@@ -10,6 +10,7 @@ from torchhand.hand.kinematics import DOFS, JOINT_DOFS
 from torchhand.hand.limits import ABDUCTIONS, FLEXIONS, NEIGHBOUR_BANDS_DEG, TIES, PoseConstraints
 from torchhand.hand.prior.components import SLOPES, PostureComponent
 from torchhand.numerics import truncated_normal_log_prob, truncated_normal_quantile
+from torchhand.precision import own_precision, require_exact
 
 _ROOT = len(DOFS) - len(JOINT_DOFS)
 _COUNT = len(JOINT_DOFS)
@@ -66,11 +67,13 @@ class PostureMixture(nn.Module):
         self._free = [index for index in range(_COUNT) if index not in targets]
         self._ranges = _reachable(constraints)
 
+    @own_precision
     def log_prob(self, pose: Float[Tensor, "*batch 36"]) -> Float[Tensor, "*batch"]:
         """Log density, minus infinity outside the hard constraints; its gradient inside is finite."""
         feasible = self.constraints.is_feasible(pose)
         return torch.where(feasible, self.log_density(pose), -torch.inf)
 
+    @own_precision
     def log_density(self, pose: Float[Tensor, "*batch 36"]) -> Float[Tensor, "*batch"]:
         """The same formula without the wall: equal to `log_prob` where that is finite, finite and continuous elsewhere.
 
@@ -78,6 +81,7 @@ class PostureMixture(nn.Module):
         """
         return torch.logsumexp(self.component_log_density(pose) + self.log_weight.to(pose), -1)
 
+    @own_precision
     def component_log_density(self, pose: Float[Tensor, "*batch 36"]) -> Float[Tensor, "*batch components"]:
         """`log_density` of each posture by itself, weights left out."""
         joints = pose[..., _ROOT:]
@@ -115,11 +119,16 @@ class PostureMixture(nn.Module):
             low[index], high[index] = start[..., place], stop[..., place]
         return torch.stack(low, -1), torch.stack(high, -1)
 
-    def sample(self, count: int, generator: torch.Generator) -> tuple[Float[Tensor, "count 36"], Int[Tensor, "count"]]:
+    def sample(
+        self, count: int, generator: torch.Generator, *, dtype: torch.dtype | None = None
+    ) -> tuple[Float[Tensor, "count 36"], Int[Tensor, "count"]]:
         """Poses with the root at zero, and the posture that each was drawn from (index into `names`).
 
-        Seeded: drawn on the generator's device in float64, given in the module's device and dtype.
+        Seeded: drawn on the generator's device in float64, given on the module's device and, where `dtype` is None, in
+        its dtype.
         """
+        dtype = self.offset.dtype if dtype is None else dtype
+        require_exact("dtype", dtype)
         device = generator.device
         uniform = torch.rand(count, 1 + _COUNT, generator=generator, dtype=torch.float64, device=device)
         fractions = self.log_weight.double().to(device).exp().cumsum(0)
@@ -151,7 +160,7 @@ class PostureMixture(nn.Module):
                 low, high = (limit[:, place] for limit in limits)
             joints[:, index] = truncated_normal_quantile(uniform[:, 1 + index], mean, std[:, index], low, high)
         pose = torch.cat((torch.zeros_like(joints[:, :_ROOT]), joints), -1)
-        return pose.to(self.offset), kind.to(self.offset.device)
+        return pose.to(self.offset.device, dtype), kind.to(self.offset.device)
 
     def _flexion_interval(self, place: int, before: Tensor | None, like: Tensor) -> tuple[Tensor, Tensor]:
         """Limits of one MCP flexion given the one before; the fingers after it keep some angle."""

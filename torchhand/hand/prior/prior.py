@@ -13,6 +13,7 @@ from torchhand.hand.primitives import PenetrationSettings, energy_of, penetratio
 from torchhand.hand.prior.components import PostureComponent
 from torchhand.hand.prior.mixture import PostureMixture
 from torchhand.hand.prior.postures import COMPONENTS
+from torchhand.precision import full_precision, require_exact
 
 _CHUNK = 1024  # hands that are placed at once when sampling
 _MAX_PROPOSALS = 32 * _CHUNK  # proposals of one round
@@ -49,14 +50,27 @@ class HandPrior(nn.Module):
     exactly. The root is uniform, which is improper: it has no part in the density, and samples have it at zero.
     """
 
-    def __init__(self, skeleton: Skeleton, shape_space: ShapeSpace, settings: HandPriorSettings | None = None) -> None:
+    def __init__(
+        self,
+        skeleton: Skeleton,
+        shape_space: ShapeSpace,
+        settings: HandPriorSettings | None = None,
+        *,
+        dtype: torch.dtype = torch.float32,
+    ) -> None:
+        """
+        skeleton, shape_space: of a hand model; `HandModel.prior` gives them.
+        dtype: what to compute in, float32 or float64; for float64 say so here instead of converting the module later.
+        """
         super().__init__()
+        require_exact("dtype", dtype)
         self.settings = settings or HandPriorSettings()
         self.constraints = PoseConstraints(skeleton, self.settings.constraints)
         self.population = Anthropometry(shape_space, self.settings.anthropometry)
         self.postures = PostureMixture(self.constraints, self.settings.components)
-        self.kinematics = HandKinematics(skeleton, shape_space)
+        self.kinematics = HandKinematics(skeleton, shape_space).to(dtype)
 
+    @full_precision
     def log_prob(
         self, pose: Float[Tensor, "*batch 36"], shape: Float[Tensor, "*#batch shape"] | None = None
     ) -> Float[Tensor, "*batch"]:
@@ -76,6 +90,7 @@ class HandPrior(nn.Module):
             possible = possible & self.population.is_feasible(shape)
         return torch.where(possible, density, -torch.inf)
 
+    @full_precision
     def energy(
         self, pose: Float[Tensor, "*batch 36"], shape: Float[Tensor, "*#batch shape"] | None = None
     ) -> Float[Tensor, "*batch"]:
@@ -91,15 +106,17 @@ class HandPrior(nn.Module):
         return energy
 
     def sample(
-        self, count: int, generator: torch.Generator
+        self, count: int, generator: torch.Generator, *, dtype: torch.dtype | None = None
     ) -> tuple[Float[Tensor, "count 36"], Float[Tensor, "count shape"]]:
         """Poses, root at zero, and shapes of random people; every one feasible, drawn by rejection.
 
-        In the module's device and dtype. The generator is one of the CPU; the same seed gives the same samples bit for
-        bit on the same machine.
+        On the module's device and, where `dtype` is None, in its dtype. The generator is one of the CPU; the same seed
+        gives the same samples bit for bit on the same machine.
         """
         if count < 0:
             raise ValueError(f"count: expected 0 or more, got {count}")
+        dtype = self.kinematics.default_shape.dtype if dtype is None else dtype
+        require_exact("dtype", dtype)
         poses, shapes, found, tried = [], [], 0, 0
         while found < count:
             rate = max(found, 1) / tried if tried else 1.0
@@ -107,14 +124,14 @@ class HandPrior(nn.Module):
             pose, shape = self._propose(wanted, generator)
             chance = torch.rand(wanted, generator=generator, dtype=torch.float64)
             kept = self._accepts(pose, shape, chance)
-            poses.append(pose[kept])
-            shapes.append(shape[kept])
+            poses.append(pose[kept].to(dtype))
+            shapes.append(shape[kept].to(dtype))
             found, tried = found + int(kept.sum()), tried + wanted
             if tried >= _PATIENCE and found < _MIN_ACCEPTED * tried:
                 raise ValueError(
                     f"sample: expected postures that hardly penetrate themselves, found {found} in {tried} tries"
                 )
-        empty_pose, empty_shape = self._propose(0, generator)
+        empty_pose, empty_shape = (empty.to(dtype) for empty in self._propose(0, generator))
         return torch.cat((empty_pose, *poses))[:count], torch.cat((empty_shape, *shapes))[:count]
 
     def _check(self, pose: Tensor, shape: Tensor | None) -> None:
@@ -128,14 +145,16 @@ class HandPrior(nn.Module):
             self.kinematics.shape_space.check_width(shape)
 
     def _propose(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        pose, _ = self.postures.sample(count, generator)
-        return pose, self.population.sample(count, generator).to(pose)
+        """Before rounding to any dtype but float64."""
+        pose, _ = self.postures.sample(count, generator, dtype=torch.float64)
+        return pose, self.population.sample(count, generator, dtype=torch.float64).to(pose)
 
     @torch.no_grad()
     def _accepts(self, pose: Tensor, shape: Tensor, chance: Tensor) -> Tensor:
         kept = []
         for poses, shapes, chances in zip(*(x.split(_CHUNK) for x in (pose, shape, chance)), strict=True):
-            excess, cost = self._penetration(poses, shapes)
+            like = self.kinematics.default_shape
+            excess, cost = self._penetration(poses.to(like), shapes.to(like))
             kept.append((excess <= self.settings.deepest) & (chances.to(cost.device) < torch.exp(-cost.double())))
         return torch.cat(kept)
 

@@ -19,6 +19,7 @@ from torch import Tensor, nn
 from torchhand.geometry import compose, turn
 from torchhand.hand.kinematics import BONES, LEVER_ENDS, ROOT_DOFS, HandKinematics, place_chain
 from torchhand.hand.skin.mesh import HandMesh
+from torchhand.precision import own_precision
 
 _HANDS_AT_ONCE = 128  # with a shape each: what is blended for them fits the processor's cache
 
@@ -66,6 +67,7 @@ class Skinning(nn.Module):
         for name, value in constants.items():
             self.register_buffer(name, value.to(mesh.vertices.device).contiguous(), persistent=False)
 
+    @own_precision
     def forward(
         self,
         rotation: Float[Tensor, "20 3 3 n"],
@@ -101,6 +103,7 @@ class Skinning(nn.Module):
         columns = rotation.index_select(0, self.corrective_bones).transpose(1, 2)
         return (columns[:, None] * features[:, :, None, None]).flatten(0, 2)
 
+    @own_precision
     def loads(self, metres: Float[Tensor, "shape"]) -> Float[Tensor, "k vertices"]:
         """The part of the shape: 60 rows of places in the bones' frames, 20 of weights, then the correctives."""
         rest = self.rest_vertices + self.rest_basis @ metres
@@ -108,6 +111,7 @@ class Skinning(nn.Module):
         weighted = places * self.weights[:, None]
         return torch.cat((weighted.flatten(0, 1), self.weights, self.correctives.flatten(0, 2)))
 
+    @own_precision
     def loads_at(
         self, index: Int[Tensor, "points #n"], metres: Float[Tensor, "shape #n"]
     ) -> tuple[Float[Tensor, "20 3 points #n"], Float[Tensor, "20 points #n"], Float[Tensor, "c 2 3 points #n"]]:

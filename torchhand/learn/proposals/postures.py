@@ -29,7 +29,7 @@ def drawn_hands(
 
 def known_postures(skeleton: Skeleton) -> Float[Tensor, "postures 30"]:
     """Joint angles of the named postures and of the signs."""
-    named = [posture(name)[_ROOT:] for name in POSTURES]
+    named = [posture(name, dtype=torch.float64)[_ROOT:] for name in POSTURES]
     return skeleton.within_limits(torch.stack((*named, *load_signs().values())))
 
 

@@ -67,7 +67,7 @@ def hand_pool(
     model: HandModel, count: int, generator: torch.Generator, tick: Callable[[int], object] = lambda count: None
 ) -> RenderedHands:
     """Random hands, rendered. tick: is told of the hands that are ready, some hundreds at a time."""
-    joints, shape = drawn_hands(model.prior(), count, generator)
+    joints, shape = drawn_hands(model.prior(dtype=torch.float64), count, generator)
     parts = []
     for rows in torch.arange(count).split(_AT_ONCE):
         parts.append(rendered_hands(model, joints[rows], shape[rows], generator))

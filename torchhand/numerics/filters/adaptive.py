@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torchhand.numerics.filters.gaussian import Gaussian
 from torchhand.numerics.filters.motion import MotionModel
+from torchhand.precision import full_precision
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +44,7 @@ class AdaptiveNoiseSettings:
 DEFAULT_SETTINGS = AdaptiveNoiseSettings()
 
 
+@full_precision
 def gain_covariance(predicted: Gaussian, updated: Gaussian) -> Float[Tensor, "*batch n n"]:
     """G ν νᵀ Gᵀ, the plain sample of the process noise Q: the square of the correction, never negative.
 
@@ -53,6 +55,7 @@ def gain_covariance(predicted: Gaussian, updated: Gaussian) -> Float[Tensor, "*b
     return shift.unsqueeze(-1) * shift.unsqueeze(-2)
 
 
+@full_precision
 def process_covariance(
     predicted: Gaussian, updated: Gaussian, process_noise: Float[Tensor, "*#batch n n"]
 ) -> Float[Tensor, "*batch n n"]:
@@ -66,6 +69,7 @@ def process_covariance(
     return process_noise + gain_covariance(predicted, updated) - expected
 
 
+@full_precision
 def noise_density(
     process_noise: Float[Tensor, "*batch n n"], model: MotionModel, dt_s: float
 ) -> Float[Tensor, "*batch dofs"]:
@@ -84,6 +88,7 @@ def noise_density(
     return process_noise.diagonal(dim1=-2, dim2=-1)[..., size - size // blocks :] / unit
 
 
+@full_precision
 def adapted_variance(
     estimate: Float[Tensor, "*batch m"],
     sample: Float[Tensor, "*batch m"],

@@ -1,13 +1,16 @@
-"""A Cholesky factor that rounding cannot break."""
+"""A Cholesky factor that rounding cannot break, and covariances that rounding has broken mended."""
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.precision import full_precision
+
 RELATIVE_JITTERS = (1e-10, 1e-8, 1e-6)  # times the diagonal
 RELATIVE_EIGENVALUE_FLOOR = 1e-12  # times the largest eigenvalue
 
 
+@full_precision
 def robust_cholesky(matrix: Float[Tensor, "*batch n n"]) -> Float[Tensor, "*batch n n"]:
     """Lower triangular L with L Lᵀ = matrix, or nearly so where the matrix is not positive definite.
 
@@ -26,6 +29,31 @@ def robust_cholesky(matrix: Float[Tensor, "*batch n n"]) -> Float[Tensor, "*batc
     failed = info.reshape(-1).nonzero().squeeze(-1)
     repaired = torch.stack([_factor_one(one) for one in flat[failed]])
     return factor.reshape(-1, size, size).index_copy(0, failed, repaired).reshape(matrix.shape)
+
+
+def semidefinite(matrix: Float[Tensor, "*batch n n"]) -> Float[Tensor, "*batch n n"]:
+    """The matrix itself where it is positive definite, else the positive semi-definite one next to it.
+
+    Both in units of the diagonal, so that a state with small numbers is changed no more than the others; a row whose
+    diagonal is not above 0 becomes 0. Symmetric where the matrix is. A matrix with a NaN or an infinity stays as it is.
+    The gradient is that of the matrix.
+    """
+    failed = torch.linalg.cholesky_ex(matrix.detach()).info != 0
+    failed = failed & matrix.detach().isfinite().all(-1).all(-1)
+    if not bool(failed.any()):
+        return matrix
+    size = matrix.shape[-1]
+    rows = failed.reshape(-1).nonzero().squeeze(-1)
+    broken = matrix.detach().reshape(-1, size, size)[rows]
+    deviation = broken.diagonal(dim1=-2, dim2=-1).clamp_min(0.0).sqrt()
+    unit = torch.where(deviation > 0, deviation.reciprocal(), 0.0)
+    unit = torch.where(unit.isfinite(), unit, 0.0)
+    values, vectors = torch.linalg.eigh(unit[:, :, None] * broken * unit[:, None, :])
+    root = deviation[:, :, None] * vectors * values.clamp_min(0.0).sqrt()[:, None, :]
+    mended = root @ root.mT
+    change = torch.zeros_like(matrix).detach().reshape(-1, size, size)
+    change = change.index_copy(0, rows, 0.5 * (mended + mended.mT) - broken).reshape(matrix.shape)
+    return matrix + change
 
 
 def _factor_one(symmetric: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:

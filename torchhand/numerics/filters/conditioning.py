@@ -5,8 +5,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.numerics.filters.gaussian import Gaussian
+from torchhand.precision import full_precision
 
 
+@full_precision
 def with_marginal(belief: Gaussian, mean: Float[Tensor, "k"], covariance: Float[Tensor, "k k"]) -> Gaussian:
     """The belief of n numbers when the first k of them turn out to be distributed otherwise (Jeffrey's rule).
 

@@ -6,13 +6,16 @@ from torch import Tensor
 
 from torchhand.numerics.filters.cholesky import robust_cholesky
 from torchhand.numerics.filters.gaussian import Gaussian
+from torchhand.precision import full_precision
 
 
+@full_precision
 def nees(estimate: Gaussian, truth: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch"]:
     """Normalised estimation error squared eᵀ P⁻¹ e, e = truth - mean; chi-square with n degrees if P is honest."""
     return _normalised_square(truth - estimate.mean, estimate.covariance)
 
 
+@full_precision
 def nis(innovation: Float[Tensor, "*batch m"], covariance: Float[Tensor, "*batch m m"]) -> Float[Tensor, "*batch"]:
     """Normalised innovation squared νᵀ S⁻¹ ν for a full S; `Update.nis` has it without forming S."""
     return _normalised_square(innovation, covariance)

@@ -13,12 +13,14 @@ from torchhand.numerics.filters.cholesky import robust_cholesky
 from torchhand.numerics.filters.gaussian import Gaussian
 from torchhand.numerics.filters.square_root import PosteriorRoot
 from torchhand.numerics.filters.unscented import Update
-from torchhand.numerics.filters.whitening import is_full, masked_noise, noise_root, usable, whiten
+from torchhand.numerics.filters.whitening import is_countable, is_full, masked_noise, noise_root, usable, whiten
+from torchhand.precision import full_precision
 
 Linearised = Callable[[Tensor], tuple[Tensor, Tensor]]
 """A function of states (*batch, k) that returns values (*batch, m) and their Jacobian (*batch, m, k)."""
 
 
+@full_precision
 def update_extended(
     state: Gaussian,
     innovation: Float[Tensor, "*batch m"],
@@ -39,7 +41,8 @@ def update_extended(
     jacobian     of the prediction in the first k components of the state, k <= n: positions are observed, not rates
     noise        variances (*batch, m) of independent noises, or covariances (*batch, m, m); leading dimensions may be 1
     valid        False leaves a measurement out; whatever number or NaN stands there has no effect. A measurement whose
-                 innovation or row of the Jacobian is not finite is left out as well
+                 innovation or row of the Jacobian is not finite, or whose innovation is too large for its square, is
+                 left out as well
     gate         leaves out each group with νᵀ S⁻¹ ν > gate, S the group's own block: 9 for three sigma of a group of 1
     group        measurements in a row that are judged together; the whole vector has a multiple of it
 
@@ -98,6 +101,9 @@ def masked_and_gated(
     rows = torch.where(valid.unsqueeze(-1), jacobian, 0.0) @ root[..., :columns, :columns]
     innovation = torch.where(valid, innovation, 0.0)
     full, noise = is_full(noise, innovation), masked_noise(noise, valid, innovation)
+    valid = valid & is_countable(innovation, noise.diagonal(dim1=-2, dim2=-1) if full else noise)
+    innovation, rows = torch.where(valid, innovation, 0.0), torch.where(valid.unsqueeze(-1), rows, 0.0)
+    noise = masked_noise(noise, valid, innovation)
     variance = rows.square().sum(-1) + (noise.diagonal(dim1=-2, dim2=-1) if full else noise)
     used = valid
     if gate is not None:

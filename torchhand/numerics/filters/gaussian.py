@@ -5,7 +5,10 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.precision import record
 
+
+@record()
 @dataclass(frozen=True)
 class Gaussian:
     """A normal distribution over a state of n numbers, one per batch entry."""

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.numerics.filters.cholesky import robust_cholesky
+from torchhand.numerics.filters.cholesky import robust_cholesky, semidefinite
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,7 @@ def correct(
     with y = (J + G)⁻¹ Eᵀ R⁻¹ ν and ν' = R^(-1/2) ν. The sum of squares stays exact where the state explains nearly all
     of a large innovation; the shorter ν'ᵀν' - νᵀ R⁻¹ E y is then a difference of large numbers, negative at times.
     Only the last term of the posterior is returned; where A J Aᵀ = P it is all of it, and for centre_sign = 1 it is
-    positive semi-definite by construction. A zero centre row must come with centre_sign 1.
+    positive semi-definite by construction. For centre_sign = -1, S has to be positive definite: `is_bearable_centre`.
     """
     information = whitened_spread @ whitened_spread.mT
     projected = whitened_spread @ whitened_innovation.unsqueeze(-1)
@@ -54,11 +54,31 @@ def correct(
     else:
         signature[0] = -1.0
         padded = torch.nn.functional.pad(state_spread, (rows - correlated, 0)).mT
-        both = torch.linalg.solve(information + signature.diag_embed(), torch.cat([projected, padded], dim=-1))
-        solved = both[..., :1]
+        factor, own, pivot = _without_centre(information)
+        both = torch.cat([projected[..., 1:, :], padded[..., 1:, :]], dim=-1)
+        seen, root = torch.linalg.solve_triangular(factor, both, upper=False).tensor_split((1,), dim=-1)
+        centre = (projected[..., :1, :] - own.mT @ seen) / pivot
+        others = torch.linalg.solve_triangular(factor.mT, seen - own @ centre, upper=True)
+        solved = torch.cat([centre, others], dim=-2)
         shift = padded.mT @ solved
-        covariance = padded.mT @ both[..., 1:]
-        covariance = 0.5 * (covariance + covariance.mT)
+        taken = padded[..., :1, :] - own.mT @ root
+        covariance = semidefinite(root.mT @ root + taken.mT @ taken / pivot)
     rest = whitened_innovation - (whitened_spread.mT @ solved).squeeze(-1)
-    nis = rest.square().sum(-1) + (signature * solved.squeeze(-1).square()).sum(-1)
+    nis = (rest.square().sum(-1) + (signature * solved.squeeze(-1).square()).sum(-1)).clamp_min(0.0)
     return Correction(shift=shift.squeeze(-1), covariance=covariance, nis=nis)
+
+
+def is_bearable_centre(whitened_spread: Float[Tensor, "*batch p m"]) -> Bool[Tensor, "*batch"]:
+    """Whether S is positive definite though the centre, the first row, counts negative: arguments of `correct`."""
+    information = whitened_spread @ whitened_spread.mT
+    _, _, pivot = _without_centre(information.detach())
+    margin = 8 * torch.finfo(information.dtype).eps * (1 + information[..., 0, 0])
+    return pivot[..., 0, 0] < -margin
+
+
+def _without_centre(information: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Factor of J + G but its first row and column, what of these it explains, and the pivot that is left, below 0."""
+    identity = torch.eye(information.shape[-1] - 1, dtype=information.dtype, device=information.device)
+    factor = robust_cholesky(information[..., 1:, 1:] + identity)
+    own = torch.linalg.solve_triangular(factor, information[..., 1:, :1], upper=False)
+    return factor, own, information[..., :1, :1] - 1.0 - own.mT @ own

@@ -17,6 +17,7 @@ from torchhand.numerics.filters.gaussian import Gaussian
 from torchhand.numerics.filters.square_root import PosteriorRoot
 from torchhand.numerics.filters.unscented import Update
 from torchhand.numerics.filters.whitening import is_full, masked_noise, noise_root, whiten, wrapped
+from torchhand.precision import full_precision
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +81,7 @@ class _Point:
         )
 
 
+@full_precision
 def update_iterated(
     state: Gaussian,
     observe: Linearised,

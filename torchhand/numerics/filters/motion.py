@@ -9,6 +9,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.precision import full_precision
+
 
 @dataclass(frozen=True, kw_only=True)
 class MotionModel:
@@ -55,6 +57,7 @@ class MotionModel:
         block = _step(self, float(dt_s))[0].to(dtype=dtype, device=device)
         return torch.kron(block, torch.eye(dofs, dtype=dtype, device=device))
 
+    @full_precision
     def process_noise(self, dt_s: float, density: Float[Tensor, "*batch k"]) -> Float[Tensor, "*batch n n"]:
         """Covariance Q that a step of `dt_s` seconds adds, for one density per DOF, all >= 0.
 

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchhand.numerics.filters.cholesky import robust_cholesky
 from torchhand.numerics.filters.gaussian import Gaussian
+from torchhand.precision import full_precision
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,6 +83,7 @@ class SigmaPoints(NamedTuple):
     covariance_weights: Tensor  # (2n + 1,)
 
 
+@full_precision
 def sigma_points(state: Gaussian, settings: UnscentedSettings) -> SigmaPoints:
     """Draw the sigma points of a Gaussian; its covariance may be singular."""
     size = state.mean.shape[-1]

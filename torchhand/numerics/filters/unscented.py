@@ -8,11 +8,12 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchhand.numerics.filters.cholesky import robust_cholesky
+from torchhand.numerics.filters.cholesky import robust_cholesky, semidefinite
 from torchhand.numerics.filters.gaussian import Gaussian
-from torchhand.numerics.filters.information import correct
+from torchhand.numerics.filters.information import correct, is_bearable_centre
 from torchhand.numerics.filters.sigma import UnscentedSettings, Weights, sigma_points, spread_points
-from torchhand.numerics.filters.whitening import usable
+from torchhand.numerics.filters.whitening import is_countable, usable
+from torchhand.precision import full_precision
 
 DEFAULT_SETTINGS = UnscentedSettings()
 
@@ -40,6 +41,7 @@ class _Spread:
     remainder: Tensor | None  # (*batch, n, n) P - A J Aᵀ; None for zero
 
 
+@full_precision
 def predict(
     state: Gaussian,
     transition: Callable[[Tensor], Tensor],
@@ -56,17 +58,20 @@ def predict(
     _require_shape("transition", moved, points.shape)
     mean, rows, sign = _transform(moved, weights)
     covariance = rows[..., 1:, :].mT @ rows[..., 1:, :] + sign * rows[..., :1, :].mT @ rows[..., :1, :] + process_noise
-    return Gaussian(mean, _symmetric(covariance))
+    return Gaussian(mean, semidefinite(_symmetric(covariance)))
 
 
+@full_precision
 def predict_linear(
     state: Gaussian, transition: Float[Tensor, "*#batch n n"], process_noise: Float[Tensor, "*#batch n n"]
 ) -> Gaussian:
-    """Time update of a linear model, exact: mean F x and covariance F P Fᵀ + Q."""
+    """Time update of a linear model, exact: mean F x and covariance F P Fᵀ + Q, which rounding makes no other thing."""
     mean = (transition @ state.mean.unsqueeze(-1)).squeeze(-1)
-    return Gaussian(mean, _symmetric(transition @ state.covariance @ transition.mT + process_noise))
+    moved = transition @ state.covariance @ transition.mT
+    return Gaussian(mean, semidefinite(_symmetric(moved + process_noise)))
 
 
+@full_precision
 def update(
     state: Gaussian,
     observe: Callable[[Tensor], Tensor],
@@ -84,13 +89,15 @@ def update(
     observe    maps states (*batch, p, k) to measurements (*batch, p, m), k = n or `observed`; any nonlinearity
     variance   of each measurement's noise, > 0; noises are independent
     valid      False leaves a measurement out; whatever number or NaN stands there has no effect. A measurement that is
-               not finite, or whose prediction is not, is left out as well
+               not finite, or whose prediction is not, or that is too far from it for the square of the distance, is
+               left out as well
     gate       leaves out each measurement with ν² > gate * S_jj, for example 9 for three sigma
     observed   `observe` depends on the first k components only and is given only those, at 2k + 1 instead of 2n + 1
                points: offsets are columns of a lower triangular factor, so all other points look like the centre
     points     2n + 1 states to use in place of a fresh draw, in the order of `sigma_points`
 
-    A filter without any used measurement comes back unchanged. Cost: O(m p² + p³), p the number of points.
+    A filter without any used measurement comes back unchanged. Where a centre of negative weight would leave no
+    covariance of the innovation, it is left out. Cost: O(m p² + p³), p the number of points.
     """
     if gate is not None and not gate > 0:
         raise ValueError(f"gate must be None or above 0, got {gate!r}")
@@ -105,10 +112,14 @@ def update(
     used = usable(innovation, valid)
     if not bool(((variance > 0) | ~used).all()):
         raise ValueError("variance must be above 0 wherever a measurement is valid, got 0, a negative number or NaN")
+    used = used & is_countable(innovation, variance)
     # Here, where everything is linear, so that a NaN spoils no gradient either.
     rows = torch.where(used.unsqueeze(-2), rows, 0.0)
     innovation = torch.where(used, innovation, 0.0)
     variance = torch.where(used, variance, torch.inf)
+    if spread.centre_sign < 0:
+        is_kept = is_bearable_centre(rows * variance.rsqrt().unsqueeze(-2))
+        rows = torch.cat((torch.where(is_kept[..., None, None], rows[..., :1, :], 0.0), rows[..., 1:, :]), -2)
     squares = rows.square()
     innovation_variance = variance + squares[..., 1:, :].sum(-2) + spread.centre_sign * squares[..., 0, :]
     if gate is not None:
@@ -137,6 +148,7 @@ def update(
     )
 
 
+@full_precision
 def observed_points(
     state: Gaussian, settings: UnscentedSettings, observed: int | None = None
 ) -> Float[Tensor, "*batch p k"]:
@@ -204,7 +216,7 @@ def _spread_of_points(
         rows=(values - predicted.unsqueeze(-2)) * roots,
         centre_sign=sign,
         state=spread,
-        remainder=state.covariance - (spread * signs) @ spread.mT,
+        remainder=semidefinite(_symmetric(state.covariance - (spread * signs) @ spread.mT)),
     )
 
 

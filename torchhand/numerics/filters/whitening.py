@@ -25,12 +25,25 @@ def usable(
     """Which measurements a filter uses: valid ones with a finite innovation and a finite row of the Jacobian.
 
     A NaN or an infinity, in the measurement or in its prediction, thus counts as a missing measurement, with a gate or
-    without one. None for `valid` means that every measurement is.
+    without one; see also `is_countable`. None for `valid` means that every measurement is.
     """
     finite = innovation.isfinite()
     if jacobian is not None:
         finite = finite & jacobian.isfinite().all(-1)
     return finite if valid is None else finite & valid
+
+
+def is_countable(
+    innovation: Float[Tensor, "*batch m"], variance: Float[Tensor, "*batch m"]
+) -> Bool[Tensor, "*batch m"]:
+    """Where the innovation's square in units of the noise's variance is a number, with room for what follows.
+
+    That is the sum of all m, and what noise that is correlated as far as the dtype can tell makes of them. What is
+    further off (3e11 standard deviations for ten numbers in float32) tells a filter no more than a NaN would.
+    """
+    limits = torch.finfo(innovation.dtype)
+    most = limits.max * limits.eps**2 / (4 * max(1, innovation.shape[-1]))
+    return innovation.square() / variance < most
 
 
 def is_full(noise: Float[Tensor, "..."], innovation: Float[Tensor, "*batch m"]) -> bool:

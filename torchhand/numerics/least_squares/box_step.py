@@ -4,10 +4,13 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.precision import full_precision
+
 _PASSES = 3  # after them, what still leads out of the box is cut off
 _MIN_DIAGONAL = 1e-12  # of the largest entry of the diagonal: a variable without any influence stays solvable
 
 
+@full_precision
 def damped_box_step(
     matrix: Float[Tensor, "k n n"],
     gradient: Float[Tensor, "k n"],

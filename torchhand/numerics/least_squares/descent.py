@@ -10,6 +10,7 @@ from torch import Tensor
 from torchhand.numerics.least_squares.levenberg_marquardt import Linearise
 from torchhand.numerics.least_squares.records import LeastSquares, NormalEquations, Status, normal_equations
 from torchhand.numerics.least_squares.robust import RobustLoss
+from torchhand.precision import full_precision
 
 _MIN_DIAGONAL = 1e-12  # of the largest entry of the diagonal: variables without any influence get a finite scale
 
@@ -45,6 +46,7 @@ class DescentSettings:
 
 
 @torch.no_grad()
+@full_precision
 def gradient_descent(
     linearise: Linearise,
     start: Float[Tensor, "*batch n"],

@@ -16,6 +16,7 @@ from torchhand.numerics.least_squares.records import (
     normal_equations,
 )
 from torchhand.numerics.least_squares.robust import RobustLoss
+from torchhand.precision import full_precision
 
 __all__ = [
     "LeastSquares",
@@ -33,6 +34,7 @@ Linearise = Callable[..., Linearisation]
 
 
 @torch.no_grad()
+@full_precision
 def levenberg_marquardt(
     linearise: Linearise,
     start: Float[Tensor, "*batch n"],

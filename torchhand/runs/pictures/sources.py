@@ -1,5 +1,6 @@
 """Sources of first poses for single pictures of which no detector tells anything."""
 
+import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
@@ -24,7 +25,9 @@ def pose_sources(kinematics: HandKinematics) -> tuple[PoseSource, ...]:
         found = [
             placed
             for name in _POSTURES
-            for placed in align_posture(mask, camera, kinematics, shape, posture(name).to(shape), keep=_OF_EACH)
+            for placed in align_posture(
+                mask, camera, kinematics, shape, posture(name, dtype=torch.float64).to(shape), keep=_OF_EACH
+            )
         ]
         if not found:
             return HandPose.of(shape.new_zeros(0, len(DOFS)))

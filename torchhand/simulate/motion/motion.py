@@ -58,7 +58,7 @@ def scripted_motion(
     length = hand_length(kinematics, shape)
     stage = stage_before(camera, frames, generator, hand_length=length, fps=fps, pace=pace)
     course = SCRIPTS[name](stage)
-    joints = posture(course.posture)[6:].expand(frames, -1)
+    joints = posture(course.posture, dtype=torch.float64)[6:].expand(frames, -1)
     joints = joints if course.joints is None else joints + course.joints
     return perform(
         name,

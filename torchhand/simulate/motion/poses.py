@@ -28,7 +28,7 @@ def parse_pose(text: str, skeleton: Skeleton) -> Float[Tensor, "36"]:
     if name not in POSTURES:
         allowed = ", ".join(POSTURES)
         raise InputError(f"--pose: {name!r} is no posture{suggestion(name, POSTURES)}; allowed: {allowed}")
-    pose = posture(name)
+    pose = posture(name, dtype=torch.float64)
     for change in changes:
         dof, sign, number = (part.strip() for part in change.partition("="))
         if dof not in DOFS:

@@ -94,7 +94,7 @@ def _simulated(given: Given, settings: HypothesisStudySettings, seed: int) -> Ca
             raise InputError(f"--{name}: expected INPUT with it; simulated pictures have their own")
     if given.frames is None:
         raise InputError("--frames: expected numbers for simulated pictures, which have no end; got all")
-    prior, side, shape = load_hand_model().prior(), _side_of(given) or "right", _shape_of(given.hand)
+    prior, side, shape = load_hand_model().prior(dtype=torch.float64), _side_of(given) or "right", _shape_of(given.hand)
     cases = [
         simulated_case(number, prior, settings, seed, side=side, shape=shape, size=given.size)
         for number in given.frames

@@ -156,9 +156,9 @@ def _motion(
 def drawn_posture(kinematics: HandKinematics, generator: torch.Generator) -> Float[Tensor, "30"]:
     """Joint angles of the prior, or near those of a named posture or a sign; not yet within the limits."""
     if _between(0.0, 1.0, generator) < _PRIOR:
-        drawn, _ = load_hand_model().prior().sample(1, generator)
+        drawn, _ = load_hand_model().prior(dtype=torch.float64).sample(1, generator)
         return drawn[0, _ROOT:].double()
-    known = [*(posture(name)[_ROOT:] for name in POSTURES), *load_signs().values()]
+    known = [*(posture(name, dtype=torch.float64)[_ROOT:] for name in POSTURES), *load_signs().values()]
     own = known[_choice(len(known), generator)].double()
     return own + _WOBBLE * torch.randn(len(own), generator=generator, dtype=torch.float64)
 

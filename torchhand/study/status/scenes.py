@@ -111,7 +111,7 @@ def picture(generator: torch.Generator) -> Picture | None:
 
 def named_joints(generator: torch.Generator) -> Float[Tensor, "36"]:
     """One of the named postures with every joint off by some degrees."""
-    pose = posture(list(POSTURES)[_choice(len(POSTURES), generator)])
+    pose = posture(list(POSTURES)[_choice(len(POSTURES), generator)], dtype=torch.float64)
     pose[6:] += math.radians(5.0) * torch.randn(30, generator=generator, dtype=torch.float64)
     skeleton = load_hand_model().skeleton
     pose[6:] = skeleton.within_limits(pose[6:])

@@ -83,7 +83,7 @@ def own_bent(model: HandModel, cameras: Sequence[Camera], angle_deg: float, seed
     """Section 6 of Ueda et al. 2003: the index bent at its knuckle, the others straight; place and shape are known."""
     hand = model.hand(dtype=torch.float64)
     kinematics = hand.kinematics
-    straight, bent = posture("flat"), posture("flat")
+    straight, bent = posture("flat", dtype=torch.float64), posture("flat", dtype=torch.float64)
     bent[DOFS.index(INDEX_KNUCKLE)] = math.radians(angle_deg)
     stage = stage_camera(cameras, hand_length(kinematics))
     motion = posed_motion([straight, bent], 2, kinematics, stage, view="palm")
@@ -234,7 +234,8 @@ def _fitted(
 
 def _joints(model: HandModel) -> JointPriors:
     return JointPriors(
-        constraints=PoseConstraints(model.skeleton), postures=PostureResiduals.of(model.prior().postures)
+        constraints=PoseConstraints(model.skeleton),
+        postures=PostureResiduals.of(model.prior().postures),
     )
 
 
@@ -252,7 +253,7 @@ def subject(
     generator = torch.Generator().manual_seed(seed_of(seed, "sitter", number))
     hand, space = model.hand(dtype=torch.float64), named_pose_space(SPACE)
     shape = sample_shape(model.shape_space, generator).double()
-    drawn, _ = model.prior().sample(1, generator)
+    drawn, _ = model.prior(dtype=torch.float64).sample(1, generator)
     pose = clamp_to_limits(space.dof(space.free(drawn[0].double())), model.skeleton)
     pose[:6] = 0
     tilt = _TILT * torch.randn(3, generator=generator, dtype=torch.float64)

@@ -18,14 +18,14 @@ _BENT = 0.6  # of a fist
 
 def posture_proposals(hand: HandPose, start: Float[Tensor, "36"], names: tuple[str, ...]) -> HandPose:
     """The posture of the track's start and the named ones (1 + names), the root left as it is."""
-    postures = (start, *(posture(name) for name in names))
+    postures = (start, *(posture(name, dtype=torch.float64) for name in names))
     dofs = torch.stack([torch.cat((hand.dofs[:_ROOT], angles[_ROOT:].to(hand.dofs))) for angles in postures])
     return HandPose.of(dofs, hand.reference)
 
 
 def finger_proposals(hand: HandPose, start: Float[Tensor, "36"]) -> HandPose:
     """Every finger by itself as at the track's start, and bent (10); all else as it is."""
-    bent, dofs = posture("fist").to(hand.dofs), []
+    bent, dofs = posture("fist", dtype=torch.float64).to(hand.dofs), []
     for finger in FINGERS:
         own = torch.tensor([name.startswith(finger) for name in DOFS], device=bent.device)
         dofs += [torch.where(own, start, hand.dofs), torch.where(own, _BENT * bent, hand.dofs)]

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -61,13 +62,18 @@ class PostureSearch:
         fits_shape = is_first and self.known_shape is None
         if is_first and self.start_points is not None:
             return start_at_points(
-                image, self.start_points, *where, posture(self.posture), fit_shape=fits_shape, settings=self.fit
+                image,
+                self.start_points,
+                *where,
+                posture(self.posture, dtype=torch.float64),
+                fit_shape=fits_shape,
+                settings=self.fit,
             )
         known = state.appearance[0] if state.appearance else None
         return find_hand(
             image,
             *where,
-            posture(self.posture) if state.posture is None else state.posture,
+            posture(self.posture, dtype=torch.float64) if state.posture is None else state.posture,
             appearance=known if isinstance(known, Appearance) else None,
             fit_shape=fits_shape,
             settings=self.fit,

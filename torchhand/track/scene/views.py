@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchhand.fit import Observation, grey, mask_plane
 from torchhand.hand import HandPose
+from torchhand.precision import require_exact
 
 T = TypeVar("T")
 
@@ -23,6 +24,11 @@ class HandKeypoints:
     """Points in space, metres, in any coordinates; NaN for missing ones. None where the detector gives none."""
     score: float = 1.0
     """How sure the detector is, 0 to 1."""
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for half precision: pixels beyond 256 are not whole numbers in it."""
+        require_exact("points_px", self.points_px.dtype)
+        require_exact("points", None if self.points is None else self.points.dtype)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torchhand.geometry import Camera
 from torchhand.hand import BONES, HandKinematics, HandPose
+from torchhand.precision import own_precision
 from torchhand.view.contours.jacobian import OutlineTracer
 from torchhand.view.contours.terms import PointToLineTerms
 from torchhand.view.outlines import HandProjector, OutlineTable, pixel_normals, seen_and_outer
@@ -124,6 +125,7 @@ class PrimitiveContours:
         """The contours of a hand of another shape."""
         return PrimitiveContours(HandProjector(self.kinematics, self.camera, shape), self._tracer.table)
 
+    @own_precision
     def visible(self, pose: HandPose, *, probe_distance_px: float | Float[Tensor, "hands"] = 1.0) -> VisibleContour:
         """Contours at the poses (hands). probe_distance_px: how far outside a point the picture is asked for the
         hand."""
@@ -156,10 +158,12 @@ class PrimitiveContours:
             motion=motion,
         )
 
+    @own_precision
     def points(self, pose: HandPose, visible: VisibleContour) -> Float[Tensor, "hands 2 points"]:
         """The points that `visible` decides about, px, wherever the hands have moved since."""
         return self._tracer.points(pose)
 
+    @own_precision
     def motion(self, pose: HandPose, visible: VisibleContour) -> ContourMotion:
         """The same points with their motion."""
         return self._tracer(pose)

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchhand.geometry import Camera
 from torchhand.hand import KEYPOINTS, Hand, HandKinematics, HandPose, skin_jacobian
+from torchhand.precision import own_precision
 from torchhand.view.contours.contours import VisibleContour, wrist_and_axis
 from torchhand.view.contours.jacobian import cam_force
 from torchhand.view.contours.terms import PointToLineTerms
@@ -87,6 +88,7 @@ class MeshContours:
         other._shape = shape
         return other
 
+    @own_precision
     def visible(self, pose: HandPose, *, probe_distance_px: float | Float[Tensor, "hands"] = 1.0) -> VisibleContour:
         """Contours at the poses (hands). probe_distance_px: how far outside a point the picture is asked for the
         hand."""
@@ -107,12 +109,14 @@ class MeshContours:
             edges=edges,
         )
 
+    @own_precision
     def points(self, pose: HandPose, visible: VisibleContour) -> Float[Tensor, "hands 2 points"]:
         """The points that `visible` decides about, px, wherever the hands have moved since."""
         vertices = self.hand(pose.dofs, self._shape, root_reference=pose.reference).vertices
         middles = vertices[torch.arange(len(vertices))[:, None, None], _edges_of(visible)].mean(2)
         return self._camera.project(middles).mT
 
+    @own_precision
     def motion(self, pose: HandPose, visible: VisibleContour) -> EdgeMotion:
         """The same points with their motion."""
         edges = _edges_of(visible)

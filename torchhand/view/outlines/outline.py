@@ -17,6 +17,7 @@ from torch import Tensor
 
 from torchhand.geometry import Camera, batch_first
 from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, Primitives
+from torchhand.precision import own_precision
 from torchhand.view.outlines.generators import ConeGenerators, EllipsoidArcs, generators
 
 
@@ -93,6 +94,7 @@ class Outline:
     """False where the primitive has no outline: seen along its axis, clipped away, or with the camera inside."""
 
 
+@own_precision
 def outline(primitives_cam: Primitives, table: OutlineTable, *, is_orthographic: bool = False) -> Outline:
     """Outline points of the table for every hand of the batch; primitives in the camera frame.
 
@@ -140,6 +142,7 @@ def _along(curve: Tensor, half_angle: Tensor, table: OutlineTable) -> Tensor:
     return torch.addcmul(torch.addcmul(centre, first, angle.cos()[:, None]), second, angle.sin()[:, None])
 
 
+@own_precision
 def pixel_normals(
     camera: Camera, plane: Float[Tensor, "*batch points 2"], normals_cam: Float[Tensor, "*batch points 3"]
 ) -> Float[Tensor, "*batch points 2"]:

@@ -18,6 +18,7 @@ from torchhand.hand import (
     place_primitives,
     primitive_sizes,
 )
+from torchhand.precision import own_precision
 from torchhand.view.outlines.generators import ConeGenerators, EllipsoidArcs, generators
 from torchhand.view.outlines.outline import OutlineTable, outline_of, outline_table, pixel_normals, sample_generators
 from torchhand.view.outlines.visibility import visible_points
@@ -59,15 +60,22 @@ class HandProjector:
     def is_orthographic(self) -> bool:
         return self.camera.kind == "orthographic"
 
+    @own_precision
     def frames(self, pose: Float[Tensor, "*batch 36"], root_reference: Float[Tensor, "3 3"]) -> HandFrames:
         """Bones and keypoints in the world."""
         return self.kinematics(pose, self.shape, root_reference=root_reference)
 
+    @own_precision
     def primitives_cam(self, frames: HandFrames) -> Primitives:
         """The 37 quadrics in the camera frame."""
         placed = place_primitives(frames, self.sizes, is_left=self.kinematics.side == "left")
-        return placed if self._camera_is_world else placed.moved(self.camera.rotation, self.camera.translation)
+        return (
+            placed
+            if self._camera_is_world
+            else placed.moved(self.camera.rotation.to(placed.position), self.camera.translation.to(placed.position))
+        )
 
+    @own_precision
     def outline_px(
         self, pose: Float[Tensor, "*batch 36"], root_reference: Float[Tensor, "3 3"], table: OutlineTable
     ) -> Float[Tensor, "*batch points 2"]:
@@ -89,6 +97,7 @@ class HandProjector:
         pixels = (torch.addcmul(centre[i], scale[i], plane) for i, plane in enumerate((x, y)))
         return torch.stack(tuple(pixels), 1)
 
+    @own_precision
     def contour(self, pose: Float[Tensor, "36"], root_reference: Float[Tensor, "3 3"], table: OutlineTable) -> Contour:
         """The reference contour of one pose, with normals and self-occlusion."""
         return self.contour_of(self.primitives_cam(self.frames(pose, root_reference)), table)
@@ -97,6 +106,7 @@ class HandProjector:
         """Contour generators, with normals, of hands whose primitives in the camera frame are known."""
         return generators(primitives, is_orthographic=self.is_orthographic, with_normals=True)
 
+    @own_precision
     def along_normals_px(
         self, seen: Generators, table: OutlineTable, normals: Float[Tensor, "points 2"]
     ) -> Float[Tensor, "hands points"]:
@@ -104,6 +114,7 @@ class HandProjector:
         x, y = self._pixels(sample_generators(*seen, table)).unbind(1)
         return torch.addcmul(x * normals[:, :1], y, normals[:, 1:]).T
 
+    @own_precision
     def contour_of(
         self,
         primitives: Primitives,
@@ -125,6 +136,7 @@ class HandProjector:
             visible=visible & (seen.points_cam[..., 2] > 0),
         )
 
+    @own_precision
     def silhouette(
         self, pose: Float[Tensor, "36"], root_reference: Float[Tensor, "3 3"]
     ) -> Bool[Tensor, "height width"]:
@@ -136,6 +148,7 @@ class HandProjector:
         with torch.no_grad():
             return self.silhouette_of(self.primitives_cam(self.frames(pose, root_reference)))
 
+    @own_precision
     def silhouette_of(self, primitives: Primitives, known: Generators | None = None) -> Bool[Tensor, "height width"]:
         """`silhouette` of one hand whose primitives in the camera frame are known."""
         with torch.no_grad():

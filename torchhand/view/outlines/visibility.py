@@ -6,12 +6,14 @@ from torch import Tensor
 
 from torchhand.geometry import quadratic_roots
 from torchhand.hand import Implicit, Primitives
+from torchhand.precision import own_precision
 from torchhand.view.outlines.outline import Outline, OutlineTable
 
 DEFAULT_SLACK = 1.5e-3
 """Metres by which an occluder must lie in front: neighbouring parts overlap at the joints."""
 
 
+@own_precision
 def visible_points(
     primitives_cam: Primitives,
     outline: Outline,

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.geometry import Camera
+from torchhand.precision import own_precision
 from torchhand.view.raster.normals import face_normals, mixed_normals
 from torchhand.view.raster.raycast import Raycast
 from torchhand.view.raster.spans import numbered, row_spans, tested_pixels
@@ -15,6 +16,7 @@ from torchhand.view.raster.triangles import SeenTriangles, depth_of, seen_triang
 _AT_ONCE = 1 << 24  # pixels of the pictures drawn together
 
 
+@own_precision
 def rasterize(
     vertices_world: Float[Tensor, "vertices 3"],
     faces: Int[Tensor, "faces 3"],
@@ -64,6 +66,7 @@ def rasterize(
     return Raycast(depth=depth, part=part, normal=normal)
 
 
+@own_precision
 def mesh_silhouette(
     vertices_world: Float[Tensor, "*batch vertices 3"],
     faces: Int[Tensor, "faces 3"],

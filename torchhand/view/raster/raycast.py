@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchhand.geometry import Camera, quadratic_roots
 from torchhand.hand import Implicit, Primitives
+from torchhand.precision import own_precision
 from torchhand.view.raster.boxes import pixel_boxes
 
 _RAYS_AT_ONCE = 1 << 17
@@ -31,11 +32,13 @@ class Raycast:
         return self.part >= 0
 
 
+@own_precision
 def raycast(primitives_world: Primitives, camera: Camera) -> Raycast:
     """Casts a ray through the centre of every pixel at one hand (no batch dimension). Exact up to rounding.
 
     Each primitive meets only the rays of its own box in the picture; the nearest meeting point wins.
     """
+    camera = camera.to(dtype=primitives_world.position.dtype)
     primitives = primitives_world.moved(camera.rotation, camera.translation)
     parts = primitives.implicit()
     like, size = primitives.position, (camera.height, camera.width)

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchhand.geometry import Camera
 from torchhand.hand import PosedMesh, Primitives
+from torchhand.precision import own_precision
 from torchhand.view.raster.raster import mesh_silhouette, rasterize
 from torchhand.view.raster.raycast import Raycast, raycast
 
@@ -16,6 +17,7 @@ Surface = Primitives | PosedMesh
 """Of one hand or a batch, in the world; both have `moved` and `select`."""
 
 
+@own_precision
 def cast(surface: Surface, camera: Camera) -> Raycast:
     """What a camera sees of one hand (no batch dimension), pixel by pixel.
 
@@ -27,6 +29,7 @@ def cast(surface: Surface, camera: Camera) -> Raycast:
     return rasterize(surface.vertices, surface.faces, camera, surface.part_of_face, normals, is_closed=True)
 
 
+@own_precision
 def silhouette(surface: Surface, camera: Camera) -> Bool[Tensor, "*batch height width"]:
     """Pixels whose centre sees the hand, of every hand of a batch; `cast(...).mask`, of meshes without the rest."""
     if isinstance(surface, PosedMesh):
