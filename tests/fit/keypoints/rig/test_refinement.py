@@ -79,7 +79,7 @@ def test_rough_cameras_are_found_with_honest_errors(count: int) -> None:
     assert bool(found.is_determined.all())
     for camera, true, covariance in zip(found.cameras[1:], cameras[1:], found.covariance, strict=True):
         turn = vector_from_rotation(camera.rotation @ true.rotation.mT)
-        assert float(turn.norm().rad2deg()) < 0.3
+        assert float(turn.norm().rad2deg()) < (0.3 if count > 2 else 0.8)
         assert float((centre(camera) - centre(true)).norm()) < 0.004
         std_deg = covariance.diagonal()[:3].sqrt().rad2deg()
         assert bool((turn.rad2deg().abs() < 4 * std_deg).all())
