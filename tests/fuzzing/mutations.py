@@ -11,10 +11,33 @@ from hypothesis import strategies as st
 
 _TOKENS = (
     *(b"", b"\0" * 7, b"\xff\xfe", b"\r\n\r\n", b"[" * 3000, b"{" * 3000, b"(" * 300, b"nan", b"-inf", b"1e999", b"-1"),
-    *(b"99999999999999999999999", b"9" * 5000, b"../../../x", b"/dev/zero", b"\xe2\x80\xae", b"%n%s", b"null", b"&a *a"),
+    *(
+        b"99999999999999999999999",
+        b"9" * 5000,
+        b"../../../x",
+        b"/dev/zero",
+        b"\xe2\x80\xae",
+        b"%n%s",
+        b"null",
+        b"&a *a",
+    ),
     *(b"!!python/object/apply:os.system [true]", b"<!ENTITY a 'b'>", b"<a>", b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff"),
 )
-_NUMBERS = ("0", "-1", "1e308", "-1e308", "1e-320", "nan", "inf", "2147483648", "1" + 30 * "0", "1e", "0x10", "1_0", "٣")
+_NUMBERS = (
+    "0",
+    "-1",
+    "1e308",
+    "-1e308",
+    "1e-320",
+    "nan",
+    "inf",
+    "2147483648",
+    "1" + 30 * "0",
+    "1e",
+    "0x10",
+    "1_0",
+    "٣",
+)
 _VALUES: tuple[Any, ...] = (
     *(None, True, False, 0, -1, 1e308, -1e308, 10**30, 2**63, 5e-324, float("nan"), float("inf")),
     *("", "nan", "1", "\0", "x" * 3000, "\ud800", [], {}, [[]], [None], [[[[]]]], {"": {}}, [1, 2, 3], ["a"]),
@@ -133,7 +156,13 @@ def _other_array(draw: st.DrawFn, kind: str, array: np.ndarray) -> np.ndarray:
                 new[...] = array.astype(new.dtype)
         return new
     if kind == "shape":
-        shapes = (array.ravel(), array[None], array[..., None], array.T, array.ravel()[:1].reshape(()) if array.size else array)
+        shapes = (
+            array.ravel(),
+            array[None],
+            array[..., None],
+            array.T,
+            array.ravel()[:1].reshape(()) if array.size else array,
+        )
         cut = (array[:-1], array[:0], array[..., :-1], np.concatenate((array, array))) if array.ndim else ()
         return draw(st.sampled_from((*shapes, *cut)))
     if kind == "values" and array.dtype.kind in "fiu" and array.size:

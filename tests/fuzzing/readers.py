@@ -430,9 +430,7 @@ READERS: dict[str, Reader] = {
     "bap": _motion("a.bap", write_bap, clip_of_bap, *_TEXT),
     "mano": _motion("a.npz", write_mano, clip_of_mano, *_ARRAYS),
     "openxr": _motion("a.json", write_openxr, clip_of_openxr, *_JSON),
-    "glove": Reader(
-        file="glove.txt", make=_glove, read=lambda folder: read_glove(folder / "glove.txt"), damages=_TEXT
-    ),
+    "glove": Reader(file="glove.txt", make=_glove, read=lambda folder: read_glove(folder / "glove.txt"), damages=_TEXT),
     "truth": Reader(file="truth.npz", make=_truth, read=load_truth, damages=_ARRAYS),
     "urdf": Reader(
         file="hand.urdf",

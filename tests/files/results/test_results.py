@@ -660,3 +660,27 @@ def test_damaged_lines_of_a_track(tmp_path: Path, line: str):
     path.write_text(path.read_text().replace('"frame":7', line))
     with pytest.raises(InputError, match=r"track.jsonl: is no track that can be read"):
         load_track(path)
+
+
+def test_arrays_of_32_bits_are_a_track_too(tmp_path: Path):
+    _run(tmp_path, 12)
+    with np.load(tmp_path / "track.npz") as stored:
+        arrays = dict(stored)
+    np.savez(tmp_path / "track.npz", **arrays | {"pose": arrays["pose"].astype(np.float32)})
+    track = load_track(tmp_path)
+    assert track.pose.dtype == np.float64
+    np.testing.assert_allclose(track.pose, arrays["pose"], rtol=1e-6)
+
+
+@pytest.mark.parametrize("line", ['{"frame": [3]}', '{"frame": null}', '{"fram": 3}'])
+def test_a_damaged_line_before_the_checkpoint_is_told_and_the_run_begins_anew(tmp_path: Path, line: str):
+    _run(tmp_path / "whole", 24)
+    with pytest.raises(_Stop):
+        _run(tmp_path / "broken", 24, stop_after=14)
+    lines = tmp_path / "broken" / "track.jsonl"
+    content = lines.read_text().splitlines()
+    lines.write_text("\n".join([*content[:3], line, *content[3:]]) + "\n")
+    writer = _run(tmp_path / "broken", 24, resume=True)
+    assert str(writer.note).endswith("track.jsonl, line 4: is damaged; tracking from the first frame")
+    for name in ("track.jsonl", "track.npz"):
+        assert (tmp_path / "broken" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name

@@ -258,10 +258,11 @@ class TrackWriter:
                 self.note = f"{problem}; tracking from the first frame"
             return size
         frames: set[int] = set()
-        for lines, (record, end) in enumerate(read_lines(path)):
+        for lines, (record, end) in enumerate(islice(read_lines(path), 1, None), start=1):
             frame = record.get("frame")
-            if not isinstance(frame, int):  # the header
-                continue
+            if not isinstance(frame, int):
+                self.note = f"{path}, line {lines + 1}: is damaged; tracking from the first frame"
+                return size
             frames.add(frame)
             if frame == checkpoint.last_frame:
                 self.resume_point, self._last_frame, self._frames = checkpoint, frame, len(frames)

@@ -135,9 +135,21 @@ def _read_npz(path: Path) -> Track:
         fields |= {name: arrays.get(name) for name in ("reason", "image")}
         fields["header"] = json.loads(str(arrays["header"])) if "header" in arrays else {}
         check_fields(fields)
+        fields = _in_64_bits(fields) | {"measures": _in_64_bits(measures)}
         return Track(**fields)
     except _MISTAKES as error:
         raise InputError(f"{path}: {_COMPLAINT} ({type(error).__name__}: {error})") from error
+
+
+def _in_64_bits(arrays: dict[str, Any]) -> dict[str, Any]:
+    """The same with numbers of any length in 64 bits, as a track has them."""
+    kinds = {"f": np.float64, "i": np.int64, "u": np.int64}
+    return {
+        name: value.astype(kinds[value.dtype.kind])
+        if isinstance(value, np.ndarray) and value.dtype.kind in kinds
+        else value
+        for name, value in arrays.items()
+    }
 
 
 def _as_track(fit: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
