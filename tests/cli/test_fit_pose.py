@@ -120,6 +120,21 @@ def test_a_run_that_is_to_replace_another_leaves_that_until_it_has_ended(
     assert (out / "overlays" / "wall.png").is_file()
 
 
+def test_a_run_knows_its_files_by_their_content(
+    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, points = tmp_path / "out", tmp_path / "points.npz"
+    with np.load(pictures / "mediapipe.npz") as stored:
+        arrays = dict(stored)
+    np.savez(points, **arrays)
+    given = [str(pictures / "wall.png"), "--out", str(out), "--keypoints", str(points), "--no-overlays"]
+    assert main(given) == 0
+    assert main([*given, "--resume"]) == 0
+    np.savez(points, **arrays | {"points_px": arrays["points_px"] + 1})
+    assert main([*given, "--resume"]) == 2
+    assert "cannot be resumed: made_with.keypoints was" in capsys.readouterr().err.splitlines()[-1]
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [

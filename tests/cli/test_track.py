@@ -39,7 +39,7 @@ from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
 from torchhand.track import DEFAULTS, Tracker, TrackerSettings
 
 FRAMES, WIDTH, HEIGHT = 10, 200, 160
-RESULT_NAMES = {"checkpoint.pt", "config.yaml", "hand.json", "overlay.mp4", "track.jsonl", "track.npz"}
+RESULT_NAMES = {"config.yaml", "hand.json", "overlay.mp4", "track.jsonl", "track.npz"}
 
 
 @dataclass(frozen=True)
@@ -363,11 +363,17 @@ def test_ctrl_c_while_replacing_leaves_the_old_result(
 
 def test_a_finished_run_goes_on_further(clip: Clip, run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert run(clip.frames, "--out", out, "--max-frames", "3", *clip.options).code == 0
+    assert run(clip.frames, "--out", out, "--max-frames", "3", "--keep-checkpoint", *clip.options).code == 0
     assert run(clip.frames, "--out", out, "--resume", *clip.options).code == 0
     assert _lines_without_seconds(out) == _lines_without_seconds(clip.result)
-    assert run(clip.frames, "--out", out, "--resume", *clip.options).code == 0  # nothing is left to do
-    assert _lines_without_seconds(out) == _lines_without_seconds(clip.result)
+    before = _contents(out)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Tracker, "step", lambda *_: pytest.fail("tracked again"))
+        again = run(clip.frames, "--out", out, "--resume", *clip.options)
+    assert again.code == 0
+    assert "is finished; nothing is left to do" in again.err
+    assert again.out.startswith(f"{clip.frames.name}: {FRAMES} frames")
+    assert _contents(out) == before
 
 
 # ---------------------------------------------------------------------------------------- the second pass
@@ -420,9 +426,20 @@ def test_a_run_that_is_stopped_in_either_pass_ends_as_if_it_had_not_been(
 
 def test_a_finished_run_of_two_passes_goes_on_further(clip: Clip, smoothed: Path, run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert run(clip.frames, "--out", out, "--max-frames", "4", *clip.with_second_pass).code == 0
-    assert run(clip.frames, "--out", out, "--resume", *clip.with_second_pass).code == 0
+    with_second_pass = [*clip.with_second_pass, "--keep-checkpoint"]
+    assert run(clip.frames, "--out", out, "--max-frames", "4", *with_second_pass).code == 0
+    assert run(clip.frames, "--out", out, "--resume", *with_second_pass).code == 0
     assert _lines_without_seconds(out) == _lines_without_seconds(smoothed)
+
+
+def test_more_frames_of_a_finished_run_are_refused_unless_its_checkpoint_was_kept(
+    clip: Clip, run: Run, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    assert run(clip.frames, "--out", out, "--max-frames", "2", *clip.options).code == 0
+    before = _contents(out)
+    _assert_refused(run(clip.frames, "--out", out, "--resume", *clip.options), "finished with frame 1", "--overwrite")
+    assert _contents(out) == before
 
 
 def test_one_shape_for_the_whole_recording_and_again_where_it_is_resumed(

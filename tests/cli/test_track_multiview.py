@@ -26,7 +26,7 @@ from torchhand.track.scene import ViewSilhouettes
 from torchhand.view import mesh_silhouette
 
 FRAMES, SIZE = 5, (240, 180)
-RESULT_NAMES = {"checkpoint.pt", "config.yaml", "hand.json", "overlay.mp4", "track.jsonl", "track.npz"}
+RESULT_NAMES = {"config.yaml", "hand.json", "overlay.mp4", "track.jsonl", "track.npz"}
 SKIN, WALL = (125, 150, 205), (120, 70, 40)  # BGR
 FAST = (
     *("--set", "rig.shape_frames=1"),
@@ -213,10 +213,16 @@ def test_frames_that_were_lost_are_filled_in_once_the_hand_is_found(
             np.testing.assert_array_equal(getattr(load_track(broken), name), getattr(track, name))
 
 
-def test_finished_run_is_resumed_without_work(result: Path, recording: Path, tmp_path: Path) -> None:
+def test_finished_run_is_resumed_without_work(
+    result: Path, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = shutil.copytree(result, tmp_path / "out")
+    monkeypatch.setattr(Run, "step", lambda *_: pytest.fail("tracked again"))
     assert run(recording, out, "--resume") == 0
-    assert len(load_track(out)) == FRAMES
+    assert "is finished; nothing is left to do" in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == {
+        path.name: path.read_bytes() for path in result.iterdir()
+    }
 
 
 def test_resuming_with_other_settings_is_refused(result: Path, recording: Path, tmp_path: Path, capsys) -> None:

@@ -80,9 +80,11 @@ class Arguments:
     max_frames: Annotated[int | None, arg(metavar="N")] = None
     """Frames to track at most."""
     resume: bool = False
-    """Go on with an interrupted run."""
+    """Go on with an interrupted run; a finished one has nothing left to do."""
     overwrite: bool = False
     """Replace an older result in DIR."""
+    keep_checkpoint: bool = False
+    """Keep checkpoint.pt when the run has ended, for --resume with a larger --max-frames."""
     overlay: bool = True
     """Draw overlay.mp4."""
     changes: Annotated[UseAppendAction[tuple[str, ...]], arg(name="set", metavar="KEY=VALUE")] = ()
@@ -138,6 +140,7 @@ def _request(arguments: Arguments) -> Request:
         max_frames=arguments.max_frames,
         resume=arguments.resume,
         overwrite=arguments.overwrite,
+        keeps_checkpoint=arguments.keep_checkpoint,
         has_overlay=arguments.overlay,
     )
 

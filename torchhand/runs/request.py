@@ -61,6 +61,8 @@ class Request:
     max_frames: int | None = None
     resume: bool = False
     overwrite: bool = False
+    keeps_checkpoint: bool = False
+    """Whether a run that has ended well keeps what a longer one would go on from."""
     has_overlay: bool = True
     seed: int = 0
 

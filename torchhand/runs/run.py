@@ -20,6 +20,7 @@ from torchhand.files import (
     TrackHeader,
     TrackWriter,
     camera_entry,
+    load_hand,
     load_track,
     save_hand,
     save_settings,
@@ -139,6 +140,12 @@ class Run:
         tells of them."""
         self._recorded_shape = shape
         self._provenance |= provenance
+
+    def recall_shape(self, folder: Path) -> None:
+        """Take the proportions from the result of a finished run."""
+        if (folder / HAND_NAME).exists():
+            hand = load_hand(folder / HAND_NAME, self.tracker.kinematics.shape_space.names)
+            self._recorded_shape = torch.tensor(list(hand.values.values()), dtype=torch.float64)
 
     def save_hand(self, folder: Path, **provenance: Any) -> None:
         """The proportions, once they are known."""

@@ -16,7 +16,7 @@ from tqdm import tqdm
 from torchhand.detect import HandDetector
 from torchhand.errors import InputError
 from torchhand.files import FrameRecord, Track, TrackWriter, check_output_folder, load_hand_model, load_track
-from torchhand.files.pictures import input_identity
+from torchhand.files.pictures import file_identity, input_identity
 from torchhand.files.results import JSONL_NAME, OVERLAY_NAME, STATUSES, UNFINISHED_NAME
 from torchhand.geometry import Camera
 from torchhand.runs.detected_tracks import kept_detections
@@ -67,28 +67,35 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
         )
         files, detectors = request.keypoint_tracks(recording.cameras), request.detectors(recording.cameras)
         run = Run(recording, tracker, _provenance(request, recording.cameras[0]))
-        with (
-            _writer(out_dir, recording, request, detectors) as writer,
-            _keypoints(files, detectors, writer, recording, request.start, say) as run.keypoints,
-        ):
-            for line in (*recording.notes, *([] if writer.note is None else [writer.note])):
-                say(line)
-            done = 0
-            if writer.resume_point is not None:
-                run.go_on_from(writer.resume_point.state)
-                done = writer.resume_point.last_frame + 1 - request.start
-            used = {"camera_is_assumed": recording.cameras[0].is_assumed}
-            run.save_config(writer.folder, _asked(request) | used, recording.cameras)
-            run.save_hand(writer.folder)
-            _follow(run, recording, writer, done, request, say)
-            if not request.is_causal:
-                smooth_frames(run, writer, say)
+        with _writer(out_dir, recording, request, detectors) as writer:
+            if writer.is_finished:
+                _say_finished(writer, say)
+                run.recall_shape(writer.folder)
+            else:
+                with _keypoints(files, detectors, writer, recording, request.start, say) as run.keypoints:
+                    _track_one(run, recording, writer, request, say)
             track, projector = load_track(writer.folder), _projector(run)
-            if request.has_overlay and not is_webcam and len(track):
+            if request.has_overlay and not is_webcam and not writer.is_finished and len(track):
                 write_overlay(writer.folder / OVERLAY_NAME, track, projector, source, recording.fps)
         return track, projector
     finally:
         recording.close()
+
+
+def _track_one(run: Run, recording: OneCameraRecording, writer: TrackWriter, request: Request, say: Say) -> None:
+    """Track what is left of one camera's recording, in both passes."""
+    for line in (*recording.notes, *([] if writer.note is None else [writer.note])):
+        say(line)
+    done = 0
+    if writer.resume_point is not None:
+        run.go_on_from(writer.resume_point.state)
+        done = writer.resume_point.last_frame + 1 - request.start
+    used = {"camera_is_assumed": recording.cameras[0].is_assumed}
+    run.save_config(writer.folder, _asked(request) | used, recording.cameras)
+    run.save_hand(writer.folder)
+    _follow(run, recording, writer, done, request, say)
+    if not request.is_causal:
+        smooth_frames(run, writer, say)
 
 
 def _follow(
@@ -159,38 +166,50 @@ def _track_views(recording: RigRecording | LiveRecording, out_dir: Path, request
     for line in recording.notes:
         say(line)
     start = _RigStart(recording, request, files)
-    with (
-        _writer(out_dir, recording, request, detectors) as writer,
-        _keypoints(files, detectors, writer, recording, request.start, say) as keypoints,
-    ):
-        if writer.note is not None:
-            say(writer.note)
-        if writer.resume_point is None:
-            is_live = isinstance(recording, LiveRecording)
-            run, done = start.at_once() if is_live else start.begun(recording, say), 0
-            run.save_hand(writer.folder)
-        else:
-            saved = writer.resume_point.state
-            run = Run(recording, start.tracker(float(saved["metres"])), {}, metres=float(saved["metres"]))
-            run.go_on_from(saved)
-            done = writer.resume_point.last_frame + 1 - request.start
-        run.keypoints = keypoints
-        cameras = in_unit(recording.cameras, run.metres)
-        run.save_config(writer.folder, _asked(request) | {"masks_given": recording.has_masks}, cameras)
-        try:
-            track_frames(run, writer, done, request.start, say, lambda frame, record: None)
-        except KeyboardInterrupt:
-            if isinstance(recording, RigRecording):
-                raise
-        if isinstance(recording, LiveRecording):
-            run.save_hand(writer.folder)  # fitted while the hand was followed
-        if not request.is_causal and not request.settings.smoothing_window_s:
-            smooth_frames(run, writer, say)
+    with _writer(out_dir, recording, request, detectors) as writer:
+        if writer.is_finished:
+            _say_finished(writer, say)
+            return load_track(writer.folder)
+        with _keypoints(files, detectors, writer, recording, request.start, say) as keypoints:
+            run = _track_all(start, keypoints, writer, say)
         track, shape = load_track(writer.folder), run.shape
         if isinstance(recording, RigRecording) and request.has_overlay and len(track) and shape is not None:
-            kinematics = run.tracker.kinematics
+            kinematics, cameras = run.tracker.kinematics, in_unit(recording.cameras, run.metres)
             write_views(writer.folder / OVERLAY_NAME, track, kinematics, cameras, shape, recording)
     return track
+
+
+def _track_all(start: "_RigStart", keypoints: KeypointSource | None, writer: TrackWriter, say: Say) -> Run:
+    """Track what is left of a recording of several cameras, in both passes."""
+    recording, request = start.recording, start.request
+    if writer.note is not None:
+        say(writer.note)
+    if writer.resume_point is None:
+        is_live = isinstance(recording, LiveRecording)
+        run, done = start.at_once() if is_live else start.begun(recording, say), 0
+        run.save_hand(writer.folder)
+    else:
+        saved = writer.resume_point.state
+        run = Run(recording, start.tracker(float(saved["metres"])), {}, metres=float(saved["metres"]))
+        run.go_on_from(saved)
+        done = writer.resume_point.last_frame + 1 - request.start
+    run.keypoints = keypoints
+    cameras = in_unit(recording.cameras, run.metres)
+    run.save_config(writer.folder, _asked(request) | {"masks_given": recording.has_masks}, cameras)
+    try:
+        track_frames(run, writer, done, request.start, say, lambda frame, record: None)
+    except KeyboardInterrupt:
+        if isinstance(recording, RigRecording):
+            raise
+    if isinstance(recording, LiveRecording):
+        run.save_hand(writer.folder)  # fitted while the hand was followed
+    if not request.is_causal and not request.settings.smoothing_window_s:
+        smooth_frames(run, writer, say)
+    return run
+
+
+def _say_finished(writer: TrackWriter, say: Say) -> None:
+    say(f"{writer.out_dir}: is finished; nothing is left to do (--overwrite tracks anew)")
 
 
 class _RigStart:
@@ -325,9 +344,9 @@ def _writer(
     made_with = {
         "input": _identity(recording),
         "hand": None if request.hand is None else request.hand.values,
-        "keypoints": [str(path) for path in request.keypoints] or [detector.name for detector in detectors],
+        "keypoints": [*map(file_identity, request.keypoints)] or [detector.name for detector in detectors],
         "start_points": request.start_points,
-        "background": None if request.background is None else str(request.background),
+        "background": None if request.background is None else file_identity(request.background),
         "unit": request.unit,
         "masks": isinstance(recording, RigRecording) and recording.has_masks,
         "offsets": dict(request.offsets),
@@ -341,6 +360,7 @@ def _writer(
         resume=request.resume,
         overwrite=request.overwrite,
         checkpoint_every=CHECKPOINT_EVERY,
+        keep_checkpoint=request.keeps_checkpoint,
         end=None if request.max_frames is None else request.start + request.max_frames,
     )
 

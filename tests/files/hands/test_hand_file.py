@@ -47,6 +47,7 @@ def test_what_is_written_comes_back(tmp_path: Path):
             {"hand_length": "long", "hand_breadth": 0.08, "index_proximal": 0.2},
             "hand.json: shape.hand_length: expected a finite number, got 'long'",
         ),
+        ("units", {"hand_length": ["m"]}, r"hand.json: units.hand_length: expected a text, got \['m'\]"),
     ],
 )
 def test_mistakes_are_named(tmp_path: Path, key: str, value: Any, message: str):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from torchhand.errors import InputError
-from torchhand.files.pictures import input_identity, open_source, pixel_limit, read_picture, sequences_of
+from torchhand.files.pictures import file_identity, input_identity, open_source, pixel_limit, read_picture, sequences_of
 from torchhand.files.pictures.headers import declared_size
 
 
@@ -200,3 +200,18 @@ def test_the_identity_of_an_input(make_video, make_folder, picture):
     video.write_bytes(data)
     assert input_identity(video) != before[0]
     assert input_identity("0") == {}
+
+
+def test_the_identity_of_a_file_beside_the_input(tmp_path: Path):
+    file, folder = tmp_path / "points.npz", tmp_path / "points"
+    file.write_bytes(bytes(3 << 20))
+    folder.mkdir()
+    (folder / "0.json").write_text("[0]")
+    before = file_identity(file), file_identity(folder)
+    assert (file_identity(file), file_identity(folder)) == before
+    file.write_bytes(bytes((3 << 20) - 1) + b"x")  # of the same size, and alike for megabytes
+    assert file_identity(file) != before[0]
+    (folder / "0.json").write_text("[01]")
+    assert file_identity(folder) != before[1]
+    with pytest.raises(InputError, match=r"cannot be read .No such file"):
+        file_identity(tmp_path / "missing.npz")

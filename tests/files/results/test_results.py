@@ -85,7 +85,7 @@ def _content(folder: Path) -> dict[str, Any]:
 
 def test_a_finished_run(tmp_path: Path):
     _run(tmp_path / "out", 12)
-    assert _files(tmp_path / "out") == [CHECKPOINT_NAME, "track.jsonl", "track.npz"]
+    assert _files(tmp_path / "out") == ["track.jsonl", "track.npz"]
     with np.load(tmp_path / "out" / "track.npz", allow_pickle=False) as stored:
         arrays = dict(stored)
     shapes = {name: array.shape for name, array in arrays.items() if array.ndim}
@@ -159,13 +159,60 @@ def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path: Path, stop_after: i
         assert (tmp_path / "broken" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
 
 
-def test_a_finished_run_can_go_on_further(tmp_path: Path):
+def test_a_finished_run_that_has_kept_its_checkpoint_can_go_on_further(tmp_path: Path):
     _run(tmp_path / "whole", 24)
-    _run(tmp_path / "short", 12)
-    assert _run(tmp_path / "short", 12, resume=True).resume_point is not None
+    _run(tmp_path / "short", 12, keep_checkpoint=True)
+    assert _files(tmp_path / "short") == [CHECKPOINT_NAME, "track.jsonl", "track.npz"]
+    assert _run(tmp_path / "short", 12, resume=True, keep_checkpoint=True).resume_point is not None
     assert len(load_track(tmp_path / "short")) == 11
     _run(tmp_path / "short", 24, resume=True)
     assert (tmp_path / "short" / "track.jsonl").read_bytes() == (tmp_path / "whole" / "track.jsonl").read_bytes()
+    assert _files(tmp_path / "short") == _files(tmp_path / "whole")
+
+
+@pytest.mark.parametrize("ends", [(None, None), (None, 40), (40, None), (40, 50), (13, 13)])
+def test_a_finished_run_has_nothing_left_to_do(tmp_path: Path, ends: tuple[int | None, int | None]):
+    """Whether it ended because its input did, or with the last frame that was wanted."""
+    _run(tmp_path, 12, end=ends[0])
+    before = {name: (tmp_path / name).read_bytes() for name in _files(tmp_path)}
+    with TrackWriter(tmp_path, _header(), resume=True, end=ends[1]) as writer:
+        assert writer.is_finished
+        assert writer.resume_point is None
+    assert {name: (tmp_path / name).read_bytes() for name in _files(tmp_path)} == before
+
+
+@pytest.mark.parametrize("end", [None, 20])
+def test_more_frames_than_a_finished_run_was_asked_for_are_refused(tmp_path: Path, end: int | None):
+    _run(tmp_path, 12, end=13)
+    before = {name: (tmp_path / name).read_bytes() for name in _files(tmp_path)}
+    with pytest.raises(InputError, match=r"is finished with frame 12, .*\(--keep-checkpoint\); give --overwrite"):
+        _run(tmp_path, 24, resume=True, end=end)
+    assert {name: (tmp_path / name).read_bytes() for name in _files(tmp_path)} == before
+
+
+def test_lines_that_were_lost_since_the_run_has_ended_are_tracked_again(tmp_path: Path):
+    _run(tmp_path / "whole", 12)
+    _run(tmp_path / "broken", 12)
+    lines = tmp_path / "broken" / "track.jsonl"
+    lines.write_bytes(b"".join(lines.read_bytes().splitlines(keepends=True)[:6]))
+    writer = _run(tmp_path / "broken", 12, resume=True)
+    assert not writer.is_finished
+    assert "tracking from the first frame" in str(writer.note)
+    assert lines.read_bytes() == (tmp_path / "whole" / "track.jsonl").read_bytes()
+
+
+def test_a_replacement_that_was_killed_before_its_first_move_is_finished(tmp_path: Path):
+    out = tmp_path / "out"
+    _run(out, 12)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("torchhand.files.results.results.replace_result", lambda *_: (_ for _ in ()).throw(_Stop()))
+        with pytest.raises(_Stop):
+            _run(out, 20, overwrite=True)
+    assert len(load_track(out)) == 11
+    with TrackWriter(out, _header(), resume=True) as writer:
+        assert writer.is_finished
+    assert len(load_track(out)) == 19
+    assert _files(out) == ["track.jsonl", "track.npz"]
 
 
 @pytest.mark.parametrize(
@@ -270,7 +317,7 @@ def test_resuming_in_a_foreign_folder_is_refused(tmp_path: Path):
 def test_a_folder_with_content_is_refused(tmp_path: Path):
     _run(tmp_path / "out", 12)
     before = {name: (tmp_path / "out" / name).read_bytes() for name in _files(tmp_path / "out")}
-    with pytest.raises(InputError, match=r"out: the output folder exists and is not empty \(checkpoint.pt, .*--resume"):
+    with pytest.raises(InputError, match=r"out: the output folder exists and is not empty \(track.jsonl, .*--resume"):
         _run(tmp_path / "out", 3)
     with pytest.raises(InputError, match="at most one of --resume and --overwrite"):
         _run(tmp_path / "out", 3, resume=True, overwrite=True)
@@ -340,7 +387,7 @@ def test_an_old_interrupted_attempt_does_not_leak_into_a_new_one(tmp_path: Path)
     with pytest.raises(_Stop):
         interrupted()
     _run(out, 20, overwrite=True)
-    assert _files(out) == [CHECKPOINT_NAME, "track.jsonl", "track.npz"]
+    assert _files(out) == ["track.jsonl", "track.npz"]
     assert len(load_track(out)) == 19
 
 
@@ -414,7 +461,7 @@ def test_places_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.Monke
     with monkeypatch.context() as patch:
         patch.setattr(os, "replace", refuse)
         with pytest.raises(InputError, match=r"checkpoint.pt: cannot be written \(no permission to write\)"):
-            _run(tmp_path / "other", 3)
+            _run(tmp_path / "other", 3, keep_checkpoint=True)
     assert _files(tmp_path / "other") == ["track.jsonl"]
 
 
@@ -567,10 +614,10 @@ def test_a_result_is_replaced_as_one_step(tmp_path: Path, monkeypatch: pytest.Mo
         try:
             replaced(tmp_path, "new", overwrite=True)
         except _Stop:
-            assert moves < 4
+            assert moves < 3
     assert load_track(tmp_path).header["source"] == "new"  # whoever reads it first finishes the moves
     assert (tmp_path / "hand.json").read_text() == "new"
-    assert {entry.name for entry in tmp_path.iterdir()} == {"hand.json", "track.npz", "track.jsonl", CHECKPOINT_NAME}
+    assert {entry.name for entry in tmp_path.iterdir()} == {"hand.json", "track.npz", "track.jsonl"}
 
 
 def _damaged_header(arrays: dict[str, Any]) -> None:
@@ -613,3 +660,27 @@ def test_damaged_lines_of_a_track(tmp_path: Path, line: str):
     path.write_text(path.read_text().replace('"frame":7', line))
     with pytest.raises(InputError, match=r"track.jsonl: is no track that can be read"):
         load_track(path)
+
+
+def test_arrays_of_32_bits_are_a_track_too(tmp_path: Path):
+    _run(tmp_path, 12)
+    with np.load(tmp_path / "track.npz") as stored:
+        arrays = dict(stored)
+    np.savez(tmp_path / "track.npz", **arrays | {"pose": arrays["pose"].astype(np.float32)})
+    track = load_track(tmp_path)
+    assert track.pose.dtype == np.float64
+    np.testing.assert_allclose(track.pose, arrays["pose"], rtol=1e-6)
+
+
+@pytest.mark.parametrize("line", ['{"frame": [3]}', '{"frame": null}', '{"fram": 3}'])
+def test_a_damaged_line_before_the_checkpoint_is_told_and_the_run_begins_anew(tmp_path: Path, line: str):
+    _run(tmp_path / "whole", 24)
+    with pytest.raises(_Stop):
+        _run(tmp_path / "broken", 24, stop_after=14)
+    lines = tmp_path / "broken" / "track.jsonl"
+    content = lines.read_text().splitlines()
+    lines.write_text("\n".join([*content[:3], line, *content[3:]]) + "\n")
+    writer = _run(tmp_path / "broken", 24, resume=True)
+    assert str(writer.note).endswith("track.jsonl, line 4: is damaged; tracking from the first frame")
+    for name in ("track.jsonl", "track.npz"):
+        assert (tmp_path / "broken" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name

@@ -87,6 +87,11 @@ def test_the_thumbs_two_axes_are_skew() -> None:
     [
         ("<robot", "is no URDF file"),
         (
+            '<robot name="arm"><link name="a"/><link name="b"/><joint name="j" type="revolute"><parent link="a"/>'
+            '<child link="b"/><limit lower="1e" upper="1" effort="1" velocity="1"/></joint></robot>',
+            r"is no URDF file \(ParseError in .*: could not convert string to float: '1e'\)$",  # one line of the two
+        ),
+        (
             '<robot name="arm"><link name="a"/><link name="b"/><joint name="j" type="fixed"><parent link="a"/>'
             '<child link="b"/></joint></robot>',
             "expected the links and joints of a torchhand hand, lacks wrist",
@@ -97,6 +102,23 @@ def test_another_robot_is_refused(text: str, message: str, tmp_path: Path) -> No
     path = tmp_path / "hand.urdf"
     path.write_text(text)
     with pytest.raises(InputError, match=message):
+        read_skeleton(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('rpy="', 'rpy="nan '),
+        ('<parent link="wrist"/><child link="thumb_metacarpal_thumb_cmc_aa"/>', '<parent link="thumb_tip"/>'),
+        ('lower="', 'lower="inf" other="'),
+    ],
+)
+def test_a_hand_whose_numbers_or_links_are_none_is_refused(old: str, new: str, tmp_path: Path) -> None:
+    text = (FOLDER / "hand.urdf").read_text()
+    assert old in text
+    path = tmp_path / "hand.urdf"
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError, match=r"hand.urdf: "):
         read_skeleton(path)
 
 

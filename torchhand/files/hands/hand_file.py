@@ -70,6 +70,9 @@ def load_hand(path: str | Path, names: Sequence[str] | None = None) -> FittedHan
     for key in ("units", "provenance"):
         if not isinstance(content.get(key), dict):
             raise InputError(f"{path}: {key}: expected keys with values, got {short(content.get(key))}")
+    for name, unit in content["units"].items():
+        if not isinstance(unit, str):
+            raise InputError(f"{path}: units.{name}: expected a text, got {short(unit)}")
     if names is not None:
         unknown = [name for name in shape if name not in names]
         if unknown:

@@ -57,13 +57,24 @@ def read_skeleton(path: Path) -> Skeleton:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     except Exception as error:  # the parser raises whatever it stumbles over
-        raise InputError(f"{path}: is no URDF file ({error})") from error
+        raise InputError(f"{path}: is no URDF file ({' '.join(str(error).split())})") from error
     frames = {frame.link.name: frame for frame in _walk(chain._root)}
     joints = {frame.joint.name: frame for frame in frames.values()}
     missing = [name for name in BONES if name not in frames] + [name for name in JOINT_DOFS if name not in joints]
     missing += [f"{finger}_tip" for finger in FINGERS if f"{finger}_tip" not in frames]
     if missing:
         raise InputError(f"{path}: expected the links and joints of a torchhand hand, lacks {', '.join(missing)}")
+    try:
+        skeleton = _skeleton_of(frames)
+    except (KeyError, TypeError, ValueError) as error:
+        told = f"{type(error).__name__}: {error}"
+        raise InputError(f"{path}: expected the links of a torchhand hand one below the other ({told})") from error
+    return skeleton
+
+
+def _skeleton_of(frames: dict[str, Any]) -> Skeleton:
+    """Raises KeyError, TypeError or ValueError where links do not hang together as a hand's, or numbers are none."""
+    joints = {frame.joint.name: frame for frame in frames.values()}
     parents = {child.link.name: frame for frame in frames.values() for child in frame.children}
     rest_rotation = torch.eye(3, dtype=torch.float64).repeat(len(BONES), 1, 1)
     rest_offset = torch.zeros(len(BONES), 3, dtype=torch.float64)
@@ -73,16 +84,23 @@ def read_skeleton(path: Path) -> Skeleton:
         while parents[own[0].link.name].link.name not in BONES:
             own.insert(0, parents[own[0].link.name])
         matrix = own[0].joint.offset.get_matrix()[0].double()
+        if not bool(matrix.isfinite().all()):
+            raise ValueError(f"{BONES[i]}: expected finite numbers for its place")
         rest_rotation[i], rest_offset[i] = _orthonormal(matrix[:3, :3]), matrix[:3, 3]
         for place, frame in enumerate(own):
             bone_of[frame.joint.name], order_of[frame.joint.name] = i, place
     tips = torch.stack([frames[f"{finger}_tip"].joint.offset.get_matrix()[0, :3, 3].double() for finger in FINGERS])
+    if not bool(tips.isfinite().all()):
+        raise ValueError("expected finite numbers for the places of the tips")
     limits = torch.tensor([joints[dof].joint.limits for dof in JOINT_DOFS], dtype=torch.float64)
+    axes = torch.stack([joints[dof].joint.axis.double() for dof in JOINT_DOFS])
+    if not bool(limits.isfinite().all() & axes.isfinite().all() & (limits[:, 0] <= limits[:, 1]).all()):
+        raise ValueError("expected finite axes, and limits from the lower to the upper one")
     return Skeleton(
         rest_rotation=rest_rotation,
         rest_offset=rest_offset,
         tip_offset=tips,
-        axis=torch.stack([joints[dof].joint.axis.double() for dof in JOINT_DOFS]),
+        axis=axes,
         bone=tuple(bone_of[dof] for dof in JOINT_DOFS),
         order=tuple(order_of[dof] for dof in JOINT_DOFS),
         lower=limits[:, 0],

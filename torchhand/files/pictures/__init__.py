@@ -2,7 +2,7 @@
 
 from torchhand.files.pictures.frame_source import ASSUMED_FPS, Frame, FrameRange, FrameSource
 from torchhand.files.pictures.frames import open_source, sequences_of
-from torchhand.files.pictures.identity import input_identity
+from torchhand.files.pictures.identity import file_identity, input_identity
 from torchhand.files.pictures.limits import MAX_MEGAPIXELS, pixel_limit, size_problem
 from torchhand.files.pictures.pictures import PICTURE_SUFFIXES, PictureSource, natural_key, read_picture
 from torchhand.files.pictures.video import VIDEO_SUFFIXES
@@ -18,6 +18,7 @@ __all__ = [
     "FrameSource",
     "PictureSource",
     "VideoWriter",
+    "file_identity",
     "input_identity",
     "natural_key",
     "open_source",

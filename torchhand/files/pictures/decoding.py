@@ -3,6 +3,7 @@
 Safe in threads: whether a picture is good is decided from its bytes, never from what a decoder prints.
 """
 
+import contextlib
 from pathlib import Path
 
 import cv2
@@ -19,7 +20,10 @@ _LARGEST_BYTES = 1 << 30
 
 
 def read_raw(path: Path) -> tuple[np.ndarray | None, str]:
-    """The decoded picture (grey, BGR or BGRA, any depth) turned as its EXIF tag says, or None and the reason."""
+    """The decoded picture (grey, BGR or BGRA, any depth) turned as its EXIF tag says, or None and the reason.
+
+    That of a JPEG is a view of RGB, as its decoder gives it: `rgb8` takes it back without a copy.
+    """
     try:
         data = read_plain_file(path, largest=_LARGEST_BYTES)
     except InputError as error:
@@ -39,7 +43,7 @@ def read_raw(path: Path) -> tuple[np.ndarray | None, str]:
     if whole is None:
         return None, problem
     with quiet_opencv():
-        raw = _decoded(np.frombuffer(whole, np.uint8))
+        raw = _decoded(np.frombuffer(whole, np.uint8), is_jpeg=data.startswith(b"\xff\xd8"))
     if raw is None:
         return None, "is no picture that can be decoded (corrupt or of an unknown format)"
     if sorted(raw.shape[:2]) != sorted(size):
@@ -50,7 +54,12 @@ def read_raw(path: Path) -> tuple[np.ndarray | None, str]:
     return raw, ""
 
 
-def _decoded(encoded: np.ndarray) -> np.ndarray | None:
+def _decoded(encoded: np.ndarray, *, is_jpeg: bool) -> np.ndarray | None:
+    if is_jpeg:
+        with contextlib.suppress(cv2.error):
+            rgb = cv2.imdecode(encoded, cv2.IMREAD_COLOR_RGB)
+            return None if rgb is None else rgb[..., ::-1]
+        return None
     # The second try is for grey floating-point TIFF, which OpenCV refuses to turn into colour.
     for flags in (cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH, cv2.IMREAD_UNCHANGED):
         try:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from torchhand.errors import InputError
+from torchhand.files.disk import check_plain_file, expanded
 from torchhand.files.pictures.pictures import PICTURE_SUFFIXES
 from torchhand.files.pictures.video import VIDEO_SUFFIXES
 
@@ -30,13 +31,35 @@ def input_identity(source: str | Path) -> dict[str, Any]:
         folders = [source, *sorted(p for p in source.iterdir() if _OF_A_RIG.fullmatch(p.name) and p.is_dir())]
         files = [path for folder in folders for path in sorted(folder.iterdir()) if _is_seen(path)]
         for path in files:
-            told = path.stat()
-            digest.update(
-                f"{path.relative_to(source)}\0{told.st_size}\0{told.st_mtime_ns}\0".encode("utf-8", "replace")
-            )
+            digest.update(_named(path, source))
         return {"files": len(files), "names_sizes_times": digest.hexdigest()}
     except OSError as error:
         raise InputError(f"{source}: cannot be read ({error.strerror or error})") from error
+
+
+def file_identity(path: Path) -> dict[str, Any]:
+    """Of a file that a run uses beside its input its name and a hash of its content; of a folder its name and a hash of
+    the names, sizes and times of its files.
+
+    Raises InputError where the disk refuses.
+    """
+    digest, path = hashlib.sha256(), expanded(path)
+    try:
+        if not path.is_dir():
+            check_plain_file(path)
+            with path.open("rb") as file:
+                digest = hashlib.file_digest(file, "sha256")
+            return {"name": str(path), "content": digest.hexdigest()}
+        for file in sorted(entry for entry in path.iterdir() if entry.is_file()):
+            digest.update(_named(file, path))
+        return {"name": str(path), "names_sizes_times": digest.hexdigest()}
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+def _named(file: Path, folder: Path) -> bytes:
+    told = file.stat()
+    return f"{file.relative_to(folder)}\0{told.st_size}\0{told.st_mtime_ns}\0".encode("utf-8", "replace")
 
 
 def _is_seen(path: Path) -> bool:

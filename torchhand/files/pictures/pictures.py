@@ -104,6 +104,8 @@ def rgb8(raw: Shaped[np.ndarray, "height width ..."], white: float) -> UInt8[Ten
     if channels in (1, 2):  # two: grey and alpha
         grey = raw if raw.ndim == 2 else raw[..., 0]
         rgb = cv2.cvtColor(np.ascontiguousarray(grey), cv2.COLOR_GRAY2RGB)
+    elif raw[..., ::-1].flags.c_contiguous:  # a view of RGB
+        rgb = raw[..., ::-1]
     else:
         rgb = cv2.cvtColor(raw, cv2.COLOR_BGR2RGB if channels == 3 else cv2.COLOR_BGRA2RGB)
     return torch.from_numpy(rgb)

@@ -2,8 +2,6 @@
 
 import contextlib
 import json
-import os
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -14,6 +12,7 @@ from jaxtyping import Float
 
 from torchhand.errors import InputError
 from torchhand.files.disk import LineFile, explained_errors, read_lines, replacing
+from torchhand.files.results.replacement import remove_entry, replace_result
 from torchhand.files.results.results import UNFINISHED_NAME, check_output_folder, header_to_resume
 from torchhand.files.results.track_file import POSES_NAME
 from torchhand.files.results.track_record import OF_PICTURES, FrameRecord, TrackHeader, track_of
@@ -49,8 +48,8 @@ class PosesWriter:
     poses.jsonl grows by a line per picture. Leaving the block well writes poses.npz: the arrays of track.npz, and of
     every picture its name (`image`), the `side`, the `shape` with `shape_names`, and the intrinsics `K`. Leaving it by
     an exception keeps the lines. Where the folder holds results already (`overwrite`), the new run grows in the
-    sub-folder `unfinished`, and takes their place only when it ends well. `resume` goes on after the pictures that are
-    `done`.
+    sub-folder `unfinished`, and takes their place only when it ends well, as one step. `resume` goes on after the
+    pictures that are `done`.
 
     Raises InputError where the folder cannot be used, the disk refuses, or the header is not that of the run to resume.
     """
@@ -76,7 +75,8 @@ class PosesWriter:
         """Names of the pictures whose results stand in the file."""
         with explained_errors(self.folder):
             if self.folder == unfinished and not resume:
-                shutil.rmtree(unfinished, ignore_errors=True)
+                for name in _RESULT_NAMES:
+                    remove_entry(unfinished / name)
             self.overlays.mkdir(parents=True, exist_ok=True)
         path = self.folder / POSES_LINES_NAME
         size = self._resumed(path) if resume and path.exists() else 0
@@ -111,8 +111,9 @@ class PosesWriter:
         with explained_errors(self.out_dir):
             if not any(self.overlays.iterdir()):
                 self.overlays.rmdir()
-            if self.folder != self.out_dir:
-                self._take_place()
+        if self.folder != self.out_dir:
+            kept = [name for name in _RESULT_NAMES if (self.folder / name).exists()]
+            replace_result(self.out_dir, self.folder, kept, [name for name in _RESULT_NAMES if name not in kept])
 
     def _write_arrays(self) -> None:
         rows = [record for i, (record, _) in enumerate(read_lines(self.folder / POSES_LINES_NAME)) if i > 0]
@@ -127,18 +128,6 @@ class PosesWriter:
         }
         with replacing(self.folder / POSES_NAME) as temporary, temporary.open("wb") as file:
             np.savez(file, **arrays)  # pyright: ignore[reportArgumentType] - the stub lacks keyword arrays
-
-    def _take_place(self) -> None:
-        for name in _RESULT_NAMES:
-            old, new = self.out_dir / name, self.folder / name
-            if old.is_dir():
-                shutil.rmtree(old)
-            if new.exists():
-                os.replace(new, old)
-            else:
-                old.unlink(missing_ok=True)
-        with contextlib.suppress(OSError):
-            self.folder.rmdir()  # stays where someone else has put a file there
 
     def _resumed(self, path: Path) -> int:
         """Find the pictures that are done; returns how many bytes of the file stay."""

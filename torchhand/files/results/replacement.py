@@ -5,21 +5,24 @@ next finishes the moves first.
 """
 
 import contextlib
+import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+from torchhand.errors import InputError
 from torchhand.files.disk import explained_errors, read_lines, write_text
 
 _MARKER = "complete.json"
 
 
 def replace_result(old: Path, new: Path, kept: Sequence[str], dropped: Sequence[str]) -> None:
-    """Move the files `kept` of the folder `new` into `old`, and remove those `dropped` from it.
+    """Move the files, and folders of files, `kept` of the folder `new` into `old`, and remove those `dropped` from it.
 
     Raises InputError where the disk refuses.
     """
-    write_text(new / _MARKER, f'{{"kept": {_listed(kept)}, "dropped": {_listed(dropped)}}}\n')
+    write_text(new / _MARKER, json.dumps({"kept": [*kept], "dropped": [*dropped]}) + "\n")
     finish_replacement(old, new)
 
 
@@ -28,17 +31,33 @@ def finish_replacement(old: Path, new: Path) -> None:
     marker = new / _MARKER
     if not marker.is_file():
         return
-    told = next((record for record, _ in read_lines(marker)), {})
     with explained_errors(old):
-        for name in told.get("dropped", ()):
-            (old / Path(name).name).unlink(missing_ok=True)
-        for name in told.get("kept", ()):
-            if (new / Path(name).name).exists():
-                os.replace(new / Path(name).name, old / Path(name).name)
+        told = next((record for record, _ in read_lines(marker)), {})
+        for name in _names(told.get("dropped")):
+            remove_entry(old / name)
+        for name in _names(told.get("kept")):
+            if (new / name).exists():
+                if (old / name).is_dir():
+                    remove_entry(old / name)
+                os.replace(new / name, old / name)
         marker.unlink()
         with contextlib.suppress(OSError):
             new.rmdir()  # stays where someone else has put a file there
 
 
-def _listed(names: Sequence[str]) -> str:
-    return "[" + ", ".join(f'"{name}"' for name in names) + "]"
+def _names(told: Any) -> list[str]:
+    """Those of the marker's entries that name something within a folder; a foreign marker may hold anything."""
+    names = told if isinstance(told, list) else []
+    return [name for name in names if isinstance(name, str) and name == Path(name).name and name not in ("", "..")]
+
+
+def remove_entry(path: Path) -> None:
+    """Remove a file, or a folder of files; never what lies deeper. Raises InputError naming what that is."""
+    if path.is_dir() and not path.is_symlink():
+        for entry in path.iterdir():
+            if entry.is_dir() and not entry.is_symlink():
+                raise InputError(f"{entry}: cannot be removed (is a folder that is no part of a result; move it away)")
+            entry.unlink()
+        path.rmdir()
+    else:
+        path.unlink(missing_ok=True)

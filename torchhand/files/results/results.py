@@ -22,6 +22,7 @@ from torchhand.files.results.track_file import (
     keep_last_lines,
     load_track,
     read_header,
+    wanted_end_of,
     write_npz,
 )
 from torchhand.files.results.track_record import FrameRecord, TrackHeader
@@ -78,8 +79,9 @@ class TrackWriter:
     belongs to the run (hand.json, config.yaml, overlay.mp4) is therefore to be written into `folder`, inside the block.
 
     With `resume`, `resume_point` tells where to go on: after the last frame of which the tracker's state is known. The
-    lines after it are dropped and tracked again from that state, so the result is that of an uninterrupted run. A
-    finished run can be resumed too, to go on further.
+    lines after it are dropped and tracked again from that state, so the result is that of an uninterrupted run. Of a
+    finished run `is_finished` says that nothing is left to do. One that was asked for more frames goes on where it has
+    kept its checkpoint (`keep_checkpoint`).
 
     Raises InputError where the folder cannot be used, the disk refuses, or the header is not that of the run to resume.
     """
@@ -92,9 +94,11 @@ class TrackWriter:
         resume: bool = False,
         overwrite: bool = False,
         checkpoint_every: int = 30,
+        keep_checkpoint: bool = False,
         end: int | None = None,
     ) -> None:
-        """end: number of the frame after the last one that is wanted; None where all are."""
+        """keep_checkpoint: when the run has ended well. end: number of the frame after the last one that is wanted;
+        None where all are."""
         if checkpoint_every < 1:
             raise ValueError(f"checkpoint_every: expected 1 or more frames, got {checkpoint_every}")
         self.out_dir = Path(out_dir)
@@ -104,7 +108,10 @@ class TrackWriter:
         self.resume_point: ResumePoint | None = None
         self.note: str | None = None
         """Why an interrupted run is begun anew, for the user."""
+        self.is_finished = False
+        """Whether the run that is to be resumed has nothing left to do; no frame may be added then."""
         self._header, self._every, self._end = header.as_json(), checkpoint_every, end
+        self._keeps_checkpoint = keep_checkpoint
         self._last_frame = -1
         self._frames = 0
         self._has_corrections = False
@@ -196,16 +203,18 @@ class TrackWriter:
                 write_npz(load_track(self.folder), self.folder / NPZ_NAME)  # the longer of lines and arrays
 
     def _finish(self) -> None:
-        if not self._frames:
-            return
-        if self._pending_state is not None:
-            self._save_checkpoint(self._pending_state)
-        self._lines.sync()
-        self._lines.close()
-        if self._has_corrections:
-            keep_last_lines(self.folder / JSONL_NAME)
-        write_npz(load_track(self.folder / JSONL_NAME), self.folder / NPZ_NAME)
-        if self.folder == self.out_dir:
+        if self._frames:
+            if self._pending_state is not None and self._keeps_checkpoint:
+                self._save_checkpoint(self._pending_state)
+            self._lines.sync()
+            self._lines.close()
+            if self._has_corrections:
+                keep_last_lines(self.folder / JSONL_NAME)
+            end = -1 if self._end is None else self._end
+            write_npz(load_track(self.folder / JSONL_NAME), self.folder / NPZ_NAME, wanted_end=end)
+            if not self._keeps_checkpoint:
+                self.drop(CHECKPOINT_NAME)
+        if self.folder == self.out_dir or not (self._frames or self.is_finished):
             return
         kept = [name for name in _result_names(self.folder) if (self.folder / name).exists()]
         replace_result(self.out_dir, self.folder, kept, [name for name in _RESULT_NAMES if name not in kept])
@@ -234,12 +243,12 @@ class TrackWriter:
         size = header_to_resume(path, self._header)
         if not size:
             return 0
+        if not (self.folder / CHECKPOINT_NAME).exists() and self._has_ended(path):
+            self.is_finished = True
+            return path.stat().st_size
         checkpoint, problem = load_checkpoint(self.folder / CHECKPOINT_NAME, self._header)
-        if checkpoint is not None and self._end is not None and checkpoint.last_frame >= self._end:
-            raise InputError(
-                f"{self.folder}: cannot be resumed: frame {checkpoint.last_frame} is done, and the last one that is"
-                f" wanted is {self._end - 1}; give a larger --max-frames, or --overwrite"
-            )
+        if checkpoint is not None:
+            self._check_end(checkpoint.last_frame)
         forward = self.folder / FORWARD_NAME
         if forward.exists():
             with explained_errors(self.folder):
@@ -249,16 +258,40 @@ class TrackWriter:
                 self.note = f"{problem}; tracking from the first frame"
             return size
         frames: set[int] = set()
-        for lines, (record, end) in enumerate(read_lines(path)):
+        for lines, (record, end) in enumerate(islice(read_lines(path), 1, None), start=1):
             frame = record.get("frame")
-            if not isinstance(frame, int):  # the header
-                continue
+            if not isinstance(frame, int):
+                self.note = f"{path}, line {lines + 1}: is damaged; tracking from the first frame"
+                return size
             frames.add(frame)
             if frame == checkpoint.last_frame:
                 self.resume_point, self._last_frame, self._frames = checkpoint, frame, len(frames)
                 self._has_corrections = lines > len(frames)
                 return end
         return size
+
+    def _has_ended(self, path: Path) -> bool:
+        """Whether these lines are those of a run that has ended well. Raises InputError where it was asked for other
+        frames than are wanted now."""
+        ended = wanted_end_of(self.folder / NPZ_NAME, path)
+        if ended is None:
+            return False
+        last, end = ended
+        self._check_end(last)
+        if last + 1 == end and self._end != end:  # what comes after it has not been asked for
+            raise InputError(
+                f"{self.folder}: cannot be resumed: is finished with frame {last}, the last one that was wanted, and"
+                " has not kept what more would go on from (--keep-checkpoint); give --overwrite"
+            )
+        return True
+
+    def _check_end(self, last: int) -> None:
+        """Raise InputError where fewer frames are wanted than are done."""
+        if self._end is not None and last >= self._end:
+            raise InputError(
+                f"{self.folder}: cannot be resumed: frame {last} is done, and the last one that is"
+                f" wanted is {self._end - 1}; give a larger --max-frames, or --overwrite"
+            )
 
     def _save_checkpoint(self, state: Callable[[], State]) -> None:
         point = ResumePoint(last_frame=self._last_frame, state=state())

@@ -15,6 +15,7 @@ from torchhand.files.results.track_record import (
     OF_PICTURES,
     RESERVED_NAMES,
     TRACK_FORMAT,
+    WANTED_END,
     Track,
     check_fields,
     track_of,
@@ -87,10 +88,26 @@ def load_track(folder: str | Path) -> Track:
     return _read_jsonl(jsonl)
 
 
-def write_npz(track: Track, path: Path) -> None:
-    """Write the arrays, or leave what was there and raise InputError."""
+def write_npz(track: Track, path: Path, *, wanted_end: int | None = None) -> None:
+    """Write the arrays, or leave what was there and raise InputError.
+
+    wanted_end: of a run that has ended well, as `wanted_end_of` tells it.
+    """
+    arrays = track.arrays() | ({} if wanted_end is None else {WANTED_END: np.int64(wanted_end)})
     with replacing(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, **track.arrays())  # pyright: ignore[reportArgumentType] - the stub lacks keyword arrays
+        np.savez(file, **arrays)  # pyright: ignore[reportArgumentType] - the stub lacks keyword arrays
+
+
+def wanted_end_of(npz: Path, jsonl: Path) -> tuple[int, int] | None:
+    """Of a run that has ended well: the number of its last frame, and of the one after the last that was wanted (-1 for
+    all). None where it has not, or where its lines are not those of its arrays."""
+    try:
+        with opened_arrays(npz, complaint=_COMPLAINT) as stored:
+            frames, end = stored["frame"].tolist(), int(stored[WANTED_END])
+    except InputError:
+        return None
+    lines = {record.get("frame") for i, (record, _) in enumerate(read_lines(jsonl)) if i > 0}
+    return (max(frames), end) if frames and lines == set(frames) else None
 
 
 def _read_jsonl(path: Path) -> Track:
@@ -118,9 +135,21 @@ def _read_npz(path: Path) -> Track:
         fields |= {name: arrays.get(name) for name in ("reason", "image")}
         fields["header"] = json.loads(str(arrays["header"])) if "header" in arrays else {}
         check_fields(fields)
+        fields = _in_64_bits(fields) | {"measures": _in_64_bits(measures)}
         return Track(**fields)
     except _MISTAKES as error:
         raise InputError(f"{path}: {_COMPLAINT} ({type(error).__name__}: {error})") from error
+
+
+def _in_64_bits(arrays: dict[str, Any]) -> dict[str, Any]:
+    """The same with numbers of any length in 64 bits, as a track has them."""
+    kinds = {"f": np.float64, "i": np.int64, "u": np.int64}
+    return {
+        name: value.astype(kinds[value.dtype.kind])
+        if isinstance(value, np.ndarray) and value.dtype.kind in kinds
+        else value
+        for name, value in arrays.items()
+    }
 
 
 def _as_track(fit: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

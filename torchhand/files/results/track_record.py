@@ -22,9 +22,11 @@ DETERMINED = 0.5
 """Quality from which on a finger is called determined: it is more likely right than wrong."""
 OF_PICTURES = ("image", "side", "shape", "shape_names", "K")
 """What poses.npz has besides: of every picture its name, the hand's side and proportions, the camera's intrinsics."""
+WANTED_END = "wanted_end"
+"""In the arrays of a run that has ended well: number of the frame after the last one that was wanted; -1 for all."""
 RESERVED_NAMES = (
     *("frame", "status", "seconds", "reason", *ARRAY_FIELDS, "dof_names", "units", "convention", "header"),
-    *OF_PICTURES,
+    *(WANTED_END, *OF_PICTURES),
 )
 """In a line of track.jsonl and in track.npz, every other name is that of a measure."""
 

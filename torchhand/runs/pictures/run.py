@@ -22,7 +22,7 @@ from torchhand.draw import draw_overlay
 from torchhand.errors import InputError
 from torchhand.files import FittedHand, Track, TrackHeader, load_hand_model, load_track, read_picture
 from torchhand.files.disk import expanded, replacing
-from torchhand.files.pictures import input_identity
+from torchhand.files.pictures import file_identity, input_identity
 from torchhand.files.results import CONVENTION, POSES_NAME, PictureRecord, PosesWriter
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandPose, Side
@@ -201,22 +201,22 @@ def _save_overlay(
 def _header(request: PicturesRequest, keypoints: PictureKeypoints | None) -> TrackHeader:
     """What must be equal in a run that is to be resumed."""
 
-    def text(path: Path | None) -> str | None:
-        return None if path is None else str(path)
+    def identity(path: Path | None) -> dict[str, Any] | None:
+        return None if path is None else file_identity(path)
 
     made_with: Mapping[str, Any] = {
         "torchhand": torchhand.__version__,
         "input": input_identity(expanded(request.source)),
         "settings": asdict(request.settings),
-        "keypoints": keypoints.name if isinstance(keypoints, PictureDetector) else [str(p) for p in request.keypoints],
-        "masks": text(request.masks),
+        "keypoints": keypoints.name if isinstance(keypoints, PictureDetector) else [*map(identity, request.keypoints)],
+        "masks": identity(request.masks),
         "hand": None if request.hand is None else dict(request.hand.values),
     }
     return TrackHeader(
         dof_names=DOFS,
         source=str(request.source),
         side=request.side or "each picture's own",
-        camera={"file": text(request.camera), "is_assumed": request.camera is None},
+        camera={"file": identity(request.camera), "is_assumed": request.camera is None},
         convention=CONVENTION,
         made_with=json.loads(json.dumps(made_with, default=str), parse_constant=str),  # JSON knows no infinity
     )
