@@ -1,12 +1,10 @@
 """The result folder of one sequence: written frame by frame, resumable, never worse than what was there before."""
 
 import contextlib
-import json
 import os
 import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -16,12 +14,14 @@ from torchhand.files.disk import LineFile, explained_errors, read_lines, replaci
 from torchhand.files.results.checkpoint import ResumePoint, State, load_checkpoint, save_checkpoint
 from torchhand.files.results.replacement import finish_replacement, replace_result
 from torchhand.files.results.track_file import (
+    HEADER_NAME,
     JSONL_NAME,
     NPZ_NAME,
     UNFINISHED_NAME,
     keep_last_lines,
     load_track,
     read_header,
+    write_header,
     write_npz,
 )
 from torchhand.files.results.track_record import FrameRecord, TrackHeader
@@ -41,7 +41,7 @@ BACKWARD_NAME = "backward.jsonl"
 # In the order in which they are moved into place: the result itself last.
 _RESULT_NAMES = (
     *(HAND_NAME, CONFIG_NAME, OVERLAY_NAME, CHECKPOINT_NAME, DETECTIONS_NAME, FORWARD_NAME, BACKWARD_NAME),
-    *(JSONL_NAME, NPZ_NAME),
+    *(HEADER_NAME, JSONL_NAME, NPZ_NAME),
 )
 _DETECTED_ARRAYS = re.compile(r"keypoints(_\d+)?\.npz")  # one per view
 
@@ -68,7 +68,8 @@ def check_output_folder(out_dir: str | Path, *, resume: bool = False, overwrite:
 class TrackWriter:
     """Writes the result folder of one sequence; use it as a context manager around the whole run.
 
-    track.jsonl grows by a line per frame, and by one for each that is corrected: a frame's last line counts. What a
+    header.json is written once; track.jsonl grows by a line per frame, and by one for each that is corrected: a frame's
+    last line counts. What a
     backward pass corrects is kept as it was in forward.jsonl. Leaving the block well leaves one line per frame and
     writes track.npz from them. Leaving it by an exception (Ctrl-C, a full disk) keeps the lines, and writes track.npz
     from them where the disk allows.
@@ -117,9 +118,9 @@ class TrackWriter:
             self._remove_unfinished()
         elif path.exists():
             size = self._resume(path)
-        self._lines = LineFile(path, size=size)
         if not size:
-            self._lines.append(json.dumps(self._header, allow_nan=False))
+            write_header(self.folder, self._header)
+        self._lines = LineFile(path, size=size)
 
     def append(self, record: FrameRecord, state: Callable[[], State] | None = None) -> None:
         """Add one frame; frames come in increasing order.
@@ -158,10 +159,9 @@ class TrackWriter:
 
     @contextlib.contextmanager
     def lines_beside(self, name: str) -> Iterator[LineFile]:
-        """A new file of lines with the same header, which `load_track` reads by its path."""
+        """A new file of lines under the same header, which `load_track` reads by its path."""
         lines = LineFile(self.folder / name, size=0)
         try:
-            lines.append(json.dumps(self._header, allow_nan=False))
             yield lines
         finally:
             lines.close()
@@ -231,9 +231,7 @@ class TrackWriter:
 
     def _resume(self, path: Path) -> int:
         """Find the point to go on from; returns how many bytes of the file stay."""
-        size = header_to_resume(path, self._header)
-        if not size:
-            return 0
+        check_header(path, self._header)
         checkpoint, problem = load_checkpoint(self.folder / CHECKPOINT_NAME, self._header)
         if checkpoint is not None and self._end is not None and checkpoint.last_frame >= self._end:
             raise InputError(
@@ -245,20 +243,20 @@ class TrackWriter:
             with explained_errors(self.folder):
                 os.replace(forward, path)
         if checkpoint is None:
-            if any(True for _ in islice(read_lines(path), 1, 2)):
+            if any(True for _ in read_lines(path)):
                 self.note = f"{problem}; tracking from the first frame"
-            return size
+            return 0
         frames: set[int] = set()
-        for lines, (record, end) in enumerate(read_lines(path)):
+        for lines, (record, end) in enumerate(read_lines(path), start=1):
             frame = record.get("frame")
-            if not isinstance(frame, int):  # the header
-                continue
+            if not isinstance(frame, int):
+                break
             frames.add(frame)
             if frame == checkpoint.last_frame:
                 self.resume_point, self._last_frame, self._frames = checkpoint, frame, len(frames)
                 self._has_corrections = lines > len(frames)
                 return end
-        return size
+        return 0
 
     def _save_checkpoint(self, state: Callable[[], State]) -> None:
         point = ResumePoint(last_frame=self._last_frame, state=state())
@@ -272,22 +270,15 @@ def _result_names(*folders: Path) -> list[str]:
     return [*sorted(name for name in entries if _DETECTED_ARRAYS.fullmatch(name)), *_RESULT_NAMES]
 
 
-def header_to_resume(path: Path, header: Mapping[str, Any]) -> int:
-    """Bytes of the first line of an interrupted run's lines; 0 where it was stopped while it wrote that one.
-
-    Raises InputError where the run was begun with another header than the given one.
-    """
-    with path.open("rb") as file:
-        if not file.readline().endswith(b"\n"):
-            return 0
-    before, size = read_header(path)
+def check_header(path: Path, header: Mapping[str, Any]) -> None:
+    """Raise InputError where the lines of an interrupted run were begun with another header than the given one."""
+    before = read_header(path)
     for key, value in header.items():
         if before.get(key) != value:
             raise InputError(
                 f"{path}: cannot be resumed: {_difference(key, before.get(key), value)};"
                 " give the same options as before, or --overwrite"
             )
-    return size
 
 
 def _difference(key: str, before: Any, now: Any) -> str:
