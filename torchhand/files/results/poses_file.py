@@ -52,8 +52,8 @@ class PosesWriter:
     """Writes the results of single pictures; use it as a context manager around the whole run.
 
     header.json is written once; poses.jsonl grows by a line per picture. Leaving the block well writes poses.npz: the
-    arrays of track.npz, and of every picture its name (`image`), the `side`, the `shape` with `shape_names`, and the intrinsics `K`. Leaving it by
-    an exception keeps the lines. Where the folder holds results already (`overwrite`), the new run grows in the
+    arrays of track.npz, and of every picture its name (`image`), the `side`, the `shape` with `shape_names`, and the
+    intrinsics `K`. Leaving it by an exception keeps the lines. Where the folder holds results already (`overwrite`), the new run grows in the
     sub-folder `unfinished`, and takes their place only when it ends well. `resume` goes on after the pictures that are
     `done`.
 
