@@ -10,11 +10,13 @@ from torchhand.files.results.poses_file import (
 from torchhand.files.results.results import (
     BACKWARD_NAME,
     CHECKPOINT_NAME,
+    COMPARISON_NAME,
     CONFIG_NAME,
     DETECTIONS_NAME,
     FORWARD_NAME,
     HAND_NAME,
     OVERLAY_NAME,
+    REPORT_NAME,
     TrackWriter,
     check_output_folder,
 )
@@ -41,6 +43,7 @@ from torchhand.files.results.track_record import (
 __all__ = [
     "BACKWARD_NAME",
     "CHECKPOINT_NAME",
+    "COMPARISON_NAME",
     "CONFIG_NAME",
     "CONVENTION",
     "DETECTIONS_NAME",
@@ -54,6 +57,7 @@ __all__ = [
     "OVERLAY_NAME",
     "POSES_LINES_NAME",
     "POSES_NAME",
+    "REPORT_NAME",
     "STATUSES",
     "UNFINISHED_NAME",
     "UNITS",

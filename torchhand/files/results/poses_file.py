@@ -53,9 +53,9 @@ class PosesWriter:
 
     header.json is written once; poses.jsonl grows by a line per picture. Leaving the block well writes poses.npz: the
     arrays of track.npz, and of every picture its name (`image`), the `side`, the `shape` with `shape_names`, and the
-    intrinsics `K`. Leaving it by an exception keeps the lines. Where the folder holds results already (`overwrite`), the new run grows in the
-    sub-folder `unfinished`, and takes their place only when it ends well. `resume` goes on after the pictures that are
-    `done`.
+    intrinsics `K`. Leaving it by an exception keeps the lines. Where the folder holds results already (`overwrite`),
+    the new run grows in the sub-folder `unfinished`, and takes their place only when it ends well. `resume` goes on
+    after the pictures that are `done`.
 
     Raises InputError where the folder cannot be used, the disk refuses, or the header is not that of the run to resume.
     """

@@ -29,6 +29,8 @@ from torchhand.files.results.track_record import FrameRecord, TrackHeader
 HAND_NAME = "hand.json"
 CONFIG_NAME = "config.yaml"
 OVERLAY_NAME = "overlay.mp4"
+REPORT_NAME = "report.html"
+COMPARISON_NAME = "comparison.html"
 CHECKPOINT_NAME = "checkpoint.pt"
 DETECTIONS_NAME = "keypoints.jsonl"
 """What a detector that ran along has found."""
@@ -40,7 +42,8 @@ BACKWARD_NAME = "backward.jsonl"
 
 # In the order in which they are moved into place: the result itself last.
 _RESULT_NAMES = (
-    *(HAND_NAME, CONFIG_NAME, OVERLAY_NAME, CHECKPOINT_NAME, DETECTIONS_NAME, FORWARD_NAME, BACKWARD_NAME),
+    *(HAND_NAME, CONFIG_NAME, OVERLAY_NAME, REPORT_NAME, COMPARISON_NAME),
+    *(CHECKPOINT_NAME, DETECTIONS_NAME, FORWARD_NAME, BACKWARD_NAME),
     *(HEADER_NAME, JSONL_NAME, NPZ_NAME),
 )
 _DETECTED_ARRAYS = re.compile(r"keypoints(_\d+)?\.npz")  # one per view
