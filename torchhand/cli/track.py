@@ -30,9 +30,9 @@ from torchhand.runs import (
 class Arguments:
     """Track a hand through a video, a folder of pictures, a folder of videos or a webcam.
 
-    DIR gets track.npz, track.jsonl, hand.json, config.yaml and overlay.mp4; of a folder of videos, one such folder per
-    video. The hand is found by itself where it is open, or in the --posture given, and stands out by its colours; else
-    give --start-points. A webcam is tracked until Ctrl-C.
+    DIR gets report.html, which opens in a browser, track.npz, track.jsonl with header.json, hand.json, config.yaml and
+    overlay.mp4; of a folder of videos, one such folder per video. The hand is found by itself where it is open, or in
+    the --posture given, and stands out by its colours; else give --start-points. A webcam is tracked until Ctrl-C.
 
     Example:
         torchhand track wave.mp4 --out out/wave --config contour_planar --side left
@@ -76,6 +76,8 @@ class Arguments:
     """Replace an older result in DIR."""
     overlay: bool = True
     """Draw overlay.mp4."""
+    report: bool = True
+    """Write report.html: one page with the video, the hand in 3D, every angle over time and tables."""
     changes: Annotated[UseAppendAction[tuple[str, ...]], arg(name="set", metavar="KEY=VALUE")] = ()
     """Change a single setting, such as noise.rotation=80; may be repeated. config.yaml of a result lists them all."""
     seed: int = 0
@@ -145,6 +147,7 @@ def _request(arguments: Arguments) -> Request:
         resume=arguments.resume,
         overwrite=arguments.overwrite,
         has_overlay=arguments.overlay,
+        has_report=arguments.report,
         seed=arguments.seed,
     )
 

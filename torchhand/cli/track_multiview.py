@@ -31,9 +31,10 @@ class Arguments:
     """Track a hand through the synchronised pictures of several calibrated cameras.
 
     RIG holds cameras.json (or OpenCV's, COLMAP's or plain text files) and, per camera in its order, view_K/ with
-    pictures, or NAME.mp4; masks_K/ may hold silhouettes. DIR gets track.npz, track.jsonl, hand.json, config.yaml and
-    overlay.mp4, poses in the rig's world frame. The hand is found by itself in any posture, and its proportions are
-    fitted once to frames from all over the sequence before it is followed.
+    pictures, or NAME.mp4; masks_K/ may hold silhouettes. DIR gets report.html, which opens in a browser, track.npz,
+    track.jsonl with header.json, hand.json, config.yaml and overlay.mp4, poses in the rig's world frame. The hand is
+    found by itself in any posture, and its proportions are fitted once to frames from all over the sequence before it
+    is followed.
 
     Example:
         torchhand track_multiview recording --out out/recording --side left
@@ -85,6 +86,8 @@ class Arguments:
     """Replace an older result in DIR."""
     overlay: bool = True
     """Draw overlay.mp4."""
+    report: bool = True
+    """Write report.html: one page with the video, the hand in 3D, every angle over time and tables."""
     changes: Annotated[UseAppendAction[tuple[str, ...]], arg(name="set", metavar="KEY=VALUE")] = ()
     """Change a single setting, such as octree.level=8; may be repeated. config.yaml of a result lists them all."""
     threads: int = 1
@@ -139,6 +142,7 @@ def _request(arguments: Arguments) -> Request:
         resume=arguments.resume,
         overwrite=arguments.overwrite,
         has_overlay=arguments.overlay,
+        has_report=arguments.report,
     )
 
 

@@ -8,7 +8,7 @@ import torch
 
 from torchhand.files.results import DETERMINED, STATUSES
 from torchhand.geometry import continuous, quaternion_of_rotation, rotation_from_vector
-from torchhand.hand import JOINT_DOFS, PARENTS, ROOT_DOFS, TIPS
+from torchhand.hand import JOINT_DOFS, PARENTS, ROOT_DOFS
 from torchhand.hand.kinematics import sided_skeleton
 from torchhand.report.packing import packed, packed_range
 from torchhand.report.result import Result
@@ -18,10 +18,8 @@ MAX_FRAMES = 18_000
 ANGLE_STEP_DEG = 0.01
 _QUATERNION_STEP = 1 / 32767
 _POSITION_STEP = 2e-5  # metres
-_TIP_STEP = 1e-4  # metres
 _QUALITY_STEP = 1 / 200
 _TIME_STEP = 1e-4  # seconds
-_BAND_STD = 1.96  # half of the 95 % band of a normal distribution
 _FIRST = len(ROOT_DOFS)
 
 
@@ -51,10 +49,9 @@ def content_of(result: Result) -> dict[str, Any]:
         "angles": packed(np.rad2deg(track.pose[rows, _FIRST:]), "i2", step=ANGLE_STEP_DEG),
         "std": packed(std.clip(max=320.0), "i2", step=ANGLE_STEP_DEG),
         "quality": None,
-        "tips": packed(_tip_radius(track.keypoints3d_cov[rows]), "i2", step=_TIP_STEP),
         "determined": DETERMINED,
         "names": list(JOINT_DOFS),
-        "is_free": (track.pose_std[:, _FIRST:] > 0).any(0).tolist(),
+        "is_free": [name in free_angles(result) for name in JOINT_DOFS],
         "view": _view_from_world(result),
         "hand": _hand(result),
     }
@@ -63,13 +60,10 @@ def content_of(result: Result) -> dict[str, Any]:
     return content
 
 
-def _tip_radius(cov: np.ndarray) -> np.ndarray:
-    """Half of the 95 % band of each fingertip in the direction in which it is known least, metres."""
-    tips = cov[:, list(TIPS)].astype(np.float64)
-    known = np.isfinite(tips).all((-1, -2))
-    radius = np.full(known.shape, np.nan)
-    radius[known] = _BAND_STD * np.sqrt(np.linalg.eigvalsh(tips[known])[:, -1].clip(0.0, 1.0))
-    return radius
+def free_angles(result: Result) -> set[str]:
+    """Names of the joint angles that were estimated: those of which a page would show a standard deviation."""
+    std = np.nan_to_num(np.rad2deg(result.track.pose_std[:, _FIRST:])).max(0, initial=0.0)
+    return {name for name, largest in zip(JOINT_DOFS, std, strict=True) if largest >= ANGLE_STEP_DEG}
 
 
 def _view_from_world(result: Result) -> list[float]:

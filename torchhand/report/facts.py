@@ -12,7 +12,7 @@ from torchhand.errors import InputError
 from torchhand.evaluate.without_truth import JointRange, Stability, range_of_motion, stability
 from torchhand.files.results import STATUSES
 from torchhand.hand import FINGERS, JOINT_DOFS
-from torchhand.report.content import ANGLE_STEP_DEG, frame_stride
+from torchhand.report.content import ANGLE_STEP_DEG, frame_stride, free_angles
 from torchhand.report.result import Result
 
 _JOINTS = {"cmc": "CMC", "mcp": "MCP", "pip": "PIP", "dip": "DIP", "ip": "IP"}
@@ -67,7 +67,8 @@ def range_table(results: Sequence[Result]) -> str:
     found: list[dict[str, JointRange]] = []
     for result in results:
         try:
-            found.append(range_of_motion(result.track))
+            ranges, held = range_of_motion(result.track), set(JOINT_DOFS) - free_angles(result)
+            found.append({name: ranges[name] for name in ranges if name not in held})
         except InputError:
             found.append({})
     names = [name for name in _in_order() if any(name in ranges for ranges in found)]

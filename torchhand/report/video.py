@@ -42,9 +42,7 @@ def _encode(overlay: Path, small: Path, max_bytes: int) -> str:
         rate = max(1, int(8 * _SPARE * max_bytes * frames.fps / count))
         wanted = rate / (_BITS_PER_PIXEL * frames.fps * frames.width * frames.height)
         scale = min(1.0, wanted**0.5)
-        width, height = (
-            max(_SMALLEST_SIDE, 2 * round(0.5 * scale * side)) for side in (frames.width, frames.height)
-        )
+        width, height = (max(_SMALLEST_SIDE, 2 * round(0.5 * scale * side)) for side in (frames.width, frames.height))
         with (
             write_video(small, width=width, height=height, fps=frames.fps, bits_per_second=rate) as video,
             tqdm(total=count, desc="report", unit="frame", disable=not sys.stderr.isatty()) as bar,

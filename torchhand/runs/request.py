@@ -62,6 +62,7 @@ class Request:
     resume: bool = False
     overwrite: bool = False
     has_overlay: bool = True
+    has_report: bool = True
     seed: int = 0
 
     def with_side(self, recording: Recording, say: Callable[[str], None]) -> "Request":

@@ -22,6 +22,7 @@ from torchhand.files.results.results import (
 )
 from torchhand.files.results.track_file import (
     FIT_NAME,
+    HEADER_NAME,
     JSONL_NAME,
     NPZ_NAME,
     POSES_NAME,
@@ -51,6 +52,7 @@ __all__ = [
     "FIT_NAME",
     "FORWARD_NAME",
     "HAND_NAME",
+    "HEADER_NAME",
     "JSONL_NAME",
     "NPZ_NAME",
     "OVERLAYS_NAME",

@@ -1,7 +1,6 @@
 // Curves of joint angles with bands and limits, and the strip of statuses and qualities. Canvas 2D.
 
 const FINGERS = ["thumb", "index", "middle", "ring", "little"];
-const BAND_STD = 1.96;
 const STATUS_COLOURS = ["--tracked", "--lost", "--recovered", "--no-hand"]; // in the order of the results' statuses
 
 const theme = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();

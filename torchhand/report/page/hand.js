@@ -1,5 +1,6 @@
 // The hand: bones from joint angles, and the skin that they carry. Matrices are nine numbers by rows.
 
+const BAND_STD = 1.96; // half of the 95 % band of a normal distribution
 const RADIANS = Math.PI / 180;
 
 function product(a, b) {
@@ -22,8 +23,8 @@ function rotationAbout(x, y, z, angle) {
   ];
 }
 
-// w, x, y, z of unit length.
-function rotationOfQuaternion(w, x, y, z) {
+// x, y, z, w of unit length.
+function rotationOfQuaternion(x, y, z, w) {
   return [
     1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
     2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
@@ -48,6 +49,7 @@ class Hand {
     this.rotations = [];
     this.positions = [];
     this.tips = [];
+    this.radii = [];
   }
 
   // Of every vertex, for each of its four bones: the place in the bone's frame times the weight.
@@ -96,22 +98,48 @@ class Hand {
     const { result, hand } = this, position = result.position.subarray(3 * row, 3 * row + 3);
     if (row < 0 || Number.isNaN(position[0])) return false;
     const angles = result.angles.subarray(30 * row, 30 * row + 30);
-    const [w, x, y, z] = result.rotation.subarray(4 * row, 4 * row + 4), length = Math.hypot(w, x, y, z);
-    this.rotations = [rotationOfQuaternion(w / length, x / length, y / length, z / length)];
+    const turn = result.rotation.subarray(4 * row, 4 * row + 4), length = Math.hypot(...turn);
+    this.rotations = [rotationOfQuaternion(...turn.map((x) => x / length))];
     this.positions = [Array.from(position)];
+    this.axes = [];
     for (let bone = 1; bone < hand.parents.length; bone++) {
       const parent = hand.parents[bone];
       let local = hand.rest_rotation.slice(9 * bone, 9 * bone + 9);
-      for (const i of this.angles[bone])
-        local = product(local, rotationAbout(...hand.axis.slice(3 * i, 3 * i + 3), angles[i] * RADIANS));
+      for (const i of this.angles[bone]) {
+        const axis = hand.axis.slice(3 * i, 3 * i + 3);
+        this.axes[i] = turned(this.rotations[parent], ...turned(local, ...axis));
+        local = product(local, rotationAbout(...axis, angles[i] * RADIANS));
+      }
       const offset = turned(this.rotations[parent], ...hand.rest_offset.slice(3 * bone, 3 * bone + 3));
       this.rotations.push(product(this.rotations[parent], local));
       this.positions.push(offset.map((value, i) => value + this.positions[parent][i]));
     }
     this.tips = LAST_BONES.map((bone, f) =>
       turned(this.rotations[bone], ...hand.tip_offset.slice(3 * f, 3 * f + 3)).map((value, i) => value + this.positions[bone][i]));
+    this.radii = LAST_BONES.map((bone, f) => this._radius(row, bone, this.tips[f]));
     this._skin(angles);
     return true;
+  }
+
+  // Half of the 95 % band of a fingertip relative to the wrist, in the direction in which it is known least, metres:
+  // the joint angles' standard deviations, taken as independent, times their levers.
+  _radius(row, last, tip) {
+    const { hand, result } = this, cov = new Float64Array(9);
+    for (let bone = last; bone > 0; bone = hand.parents[bone])
+      for (const i of this.angles[bone]) {
+        const std = result.std[30 * row + i] * RADIANS, [ax, ay, az] = this.axes[i];
+        const [x, y, z] = tip.map((value, k) => value - this.positions[bone][k]);
+        const moved = [std * (ay * z - az * y), std * (az * x - ax * z), std * (ax * y - ay * x)];
+        for (let k = 0; k < 9; k++) cov[k] += moved[Math.floor(k / 3)] * moved[k % 3];
+      }
+    let direction = [1, 0.7, 0.4], variance = 0;
+    for (let round = 0; round < 24; round++) { // power iteration
+      direction = turned(cov, ...direction);
+      variance = Math.hypot(...direction);
+      if (!variance) return NaN;
+      direction = direction.map((value) => value / variance);
+    }
+    return BAND_STD * Math.sqrt(variance);
   }
 
   _skin(angles) {

@@ -60,34 +60,35 @@ function buildCharts(results, titles) {
   return charts;
 }
 
-// One line a finger: quality, and how far its tip is known.
-function buildFingers(results) {
-  const head = made("tr"), body = made("tbody"), letters = results.length > 1 ? ["A", "B"] : [""];
-  head.append(made("th", "Finger"));
-  for (const letter of letters) head.append(made("th", `${letter} quality`.trim()), made("th", `${letter} tip, 95 %`.trim()));
-  const top = made("thead");
+// A column a finger: quality, and how far its tip is known; told again in every frame.
+function buildFingers(results, hands) {
+  const head = made("tr"), body = made("tbody"), top = made("thead");
+  head.append(made("th", "Now"), ...FINGERS.map((finger) => made("th", finger, { scope: "col" })));
   top.append(head);
-  const cells = FINGERS.map((finger) => {
-    const row = made("tr");
-    row.append(made("th", finger, { scope: "row" }));
-    const own = letters.map(() => {
-      const quality = made("td"), meter = made("meter", undefined, { min: 0, max: 1, low: 0.5, optimum: 1, "aria-label": `quality of the ${finger}` });
-      const text = made("span"), tip = made("td");
+  const cells = results.map((_, i) => {
+    const letter = results.length > 1 ? `${"AB"[i]}: ` : "", rows = [made("tr"), made("tr")];
+    rows[0].append(made("th", `${letter}quality`, { scope: "row" }));
+    rows[1].append(made("th", `${letter}tip`, { scope: "row" }));
+    const own = FINGERS.map((finger) => {
+      const quality = made("td"), tip = made("td"), text = made("span");
+      const meter = made("meter", undefined, { min: 0, max: 1, low: 0.5, optimum: 1, "aria-label": `${letter}quality of the ${finger}` });
       quality.append(meter, " ", text);
-      row.append(quality, tip);
+      rows[0].append(quality);
+      rows[1].append(tip);
       return { meter, text, tip };
     });
-    body.append(row);
+    body.append(...rows);
     return own;
   });
   element("fingers").append(top, body);
-  return (rows) => cells.forEach((own, f) => own.forEach(({ meter, text, tip }, i) => {
-    const quality = qualityOf(results[i], rows[i], f), radius = rows[i] < 0 ? NaN : results[i].tips[5 * rows[i] + f];
+  return (rows) => cells.forEach((own, i) => own.forEach(({ meter, text, tip }, f) => {
+    const hasHand = rows[i] >= 0 && !Number.isNaN(results[i].position[3 * rows[i]]);
+    const quality = hasHand ? qualityOf(results[i], rows[i], f) : undefined;
     meter.hidden = quality === undefined;
     meter.value = quality ?? 0;
     text.textContent = quality === undefined ? "–" : `${Math.round(100 * quality)} %`;
     text.className = quality < results[i].determined ? "open" : "";
-    tip.textContent = Number.isNaN(radius) ? "–" : `± ${(1000 * radius).toFixed(0)} mm`;
+    tip.textContent = hasHand && hands[i].radii[f] > 0 ? `± ${(1000 * hands[i].radii[f]).toFixed(0)} mm` : "–";
   }));
 }
 
@@ -160,7 +161,7 @@ async function start() {
   const { times, rows } = timeline(results), player = new Player(times, video), hands = results.map((result) => new Hand(result));
   let scene = null;
   try { scene = new Scene(element("scene"), hands); } catch (error) { fail(`The hand in 3D cannot be drawn (${error.message}).`); }
-  const charts = buildCharts(results, titles), strip = new Strip(element("strip"), results), tellFingers = buildFingers(results);
+  const charts = buildCharts(results, titles), strip = new Strip(element("strip"), results), tellFingers = buildFingers(results, hands);
   legend(results);
   buildSaves(results);
   const scrub = element("scrub");
@@ -180,7 +181,7 @@ async function start() {
   };
   const onFrame = () => {
     const place = player.place, own = rows.map((of) => of[place]);
-    if (scene) scene.show(own);
+    if (scene) scene.show(own); else hands.forEach((hand, i) => hand.pose(own[i]));
     const next = windowOf(player.time);
     if (next[0] !== shown[0] || next[1] !== shown[1]) drawCharts();
     for (const { angle, value, cursor, chart } of charts) {
@@ -195,7 +196,6 @@ async function start() {
     const first = own.findIndex((row) => row >= 0), number = first < 0 ? "–" : results[first].frame[own[first]];
     const text = `frame ${number} · ${player.time.toFixed(2)} s · ${status}`;
     element("clock").textContent = text;
-    element("now").textContent = `${status}, frame ${number}`;
     scrub.value = place;
     scrub.setAttribute("aria-valuetext", text);
   };

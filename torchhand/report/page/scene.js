@@ -18,9 +18,11 @@ precision mediump float;
 uniform vec3 colour;
 uniform float quality[6];
 uniform float determined;
+uniform bool is_second;
 varying vec3 view_normal;
 varying float digit;
 void main() {
+  if (is_second && mod(floor(gl_FragCoord.x) + floor(gl_FragCoord.y), 2.0) < 0.5) discard; // the first one shows through
   vec3 n = normalize(view_normal);
   float light = 0.42 + 0.48 * max(0.0, dot(n, vec3(-0.35, -0.55, -0.76))) + 0.16 * abs(n.z);
   float q = 1.0;
@@ -174,6 +176,7 @@ class Scene {
     const quality = [0, 1, 2, 3, 4].map((f) => qualityOf(hand.result, this.rows[i], f) ?? 1);
     gl.uniform1fv(gl.getUniformLocation(program, "quality"), [...quality, 1]);
     gl.uniform1f(gl.getUniformLocation(program, "determined"), hand.result.determined);
+    gl.uniform1i(gl.getUniformLocation(program, "is_second"), i);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, buffers.faces);
     gl.drawElements(gl.TRIANGLES, hand.faces.length, gl.UNSIGNED_SHORT, 0);
   }
@@ -181,7 +184,7 @@ class Scene {
   _drawTips(i, clip, height) {
     const { gl, discs } = this, hand = this.hands[i], values = [];
     hand.tips.forEach((tip, f) => {
-      const radius = hand.result.tips[5 * this.rows[i] + f];
+      const radius = hand.radii[f];
       if (radius > 0) values.push(...tip, radius);
     });
     gl.useProgram(discs);
