@@ -1,7 +1,7 @@
 """What a report tells in words and tables, as HTML that needs no script: counts, assumptions, ranges, citation."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from html import escape
 from typing import Any
 
@@ -48,17 +48,17 @@ def summary(result: Result) -> str:
     return f"{result.side} hand, {len(track)} frames: {', '.join(counts)}"
 
 
-def assumptions(result: Result, notes: Sequence[str]) -> str:
-    """A list of what was assumed and what was given. notes: of the page itself."""
+def assumptions(result: Result, notes: Sequence[tuple[str, str]]) -> str:
+    """A list of what was assumed and what was given. notes: names and sentences about the page itself."""
     told = [*_of_cameras(result), _of_size(result), _of_side(result), *_of_time(result), *notes]
-    return "<dl>" + "".join(f"<dt>{escape(name)}</dt><dd>{escape(text)}</dd>" for name, text in _pairs(told)) + "</dl>"
+    return "<dl>" + "".join(f"<dt>{escape(name)}</dt><dd>{escape(text)}</dd>" for name, text in told) + "</dl>"
 
 
 def size_notes(result: Result) -> list[tuple[str, str]]:
     """How the page's numbers were made smaller than the track's."""
     stride = frame_stride(result)
     kept = f"Angles are rounded to {ANGLE_STEP_DEG:g}°"
-    which = "" if stride == 1 else f", and every {stride}th frame alone is drawn and told here"
+    which = "" if stride == 1 else f", and one frame in {stride} is drawn and told here"
     return [("This page", f"{kept}{which}; track.npz has them all as they were estimated.")]
 
 
@@ -122,10 +122,6 @@ def citation(results: Sequence[Result]) -> str:
         if line is not None and (line := f"Method {name}: {line}") not in lines:
             lines.append(line)
     return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
-
-
-def _pairs(told: Sequence[tuple[str, str] | None]) -> Iterator[tuple[str, str]]:
-    yield from (pair for pair in told if pair is not None)
 
 
 def _of_cameras(result: Result) -> list[tuple[str, str]]:

@@ -5,6 +5,7 @@ the type's range; the smallest signed and the largest unsigned q stand for NaN.
 """
 
 import base64
+import math
 import zlib
 from typing import Any, Literal
 
@@ -20,13 +21,12 @@ def packed(values: np.ndarray, kind: Kind, *, step: float = 1.0, start: float = 
 
     Raises ValueError where a value lies outside what the type holds at this step.
     """
-    flat = values.reshape(len(values), -1).astype(np.float64)
+    flat = values.reshape(len(values), math.prod(values.shape[1:])).astype(np.float64)
     steps = np.rint((flat - start) / step)
     if (np.abs(steps[np.isfinite(steps)]) > _LARGEST[kind]).any() or (kind == "u1" and (steps < 0).any()):
         raise ValueError(f"values: expected them within the range of {kind} at steps of {step:g}, got others")
     whole = np.where(np.isfinite(steps), steps, _MISSING[kind]).astype(np.int64)
-    columns = np.diff(whole.T, axis=1, prepend=0)
-    stored = columns.astype(f"<{kind}" if kind[1] != "1" else kind)  # wraps around
+    stored = np.diff(whole.T, axis=1, prepend=0).astype(f"<{kind}")  # wraps around
     text = base64.b64encode(zlib.compress(stored.tobytes(), 9)).decode("ascii")
     return {"kind": kind, "shape": list(values.shape), "step": step, "start": start, "data": text}
 
@@ -36,14 +36,3 @@ def packed_range(values: np.ndarray, *, step: float) -> dict[str, Any]:
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
     return packed(values, "i2", step=max(step, (high - low) / (2.0 * _LARGEST["i2"])), start=0.5 * (low + high))
-
-
-def unpacked(content: dict[str, Any]) -> np.ndarray:
-    """The values again, as the page reads them."""
-    kind: Kind = content["kind"]
-    shape = content["shape"]
-    stored = np.frombuffer(zlib.decompress(base64.b64decode(content["data"])), f"<{kind}")
-    whole = stored.reshape(-1, shape[0]).cumsum(axis=1, dtype=stored.dtype).T
-    values = content["start"] + content["step"] * whole.astype(np.float64)
-    values[whole == _MISSING[kind]] = np.nan
-    return values.reshape(shape)

@@ -74,6 +74,8 @@ def load_result(path: str | Path, *, track: Track | None = None, name: str | Non
         raise InputError(f"{path}: expected the track of one hand, got single pictures with a hand each")
     if tuple(track.dof_names) != DOFS:
         raise InputError(f"{path}: dof_names: expected the {len(DOFS)} of this version's hand, got others")
+    if not len(track):
+        raise InputError(f"{path}: expected a track with frames, got one without any")
     model = load_hand_model()
     hand = load_hand(folder / HAND_NAME, model.shape_space.names)
     if (tracked := track.header.get("side", hand.side)) != hand.side:

@@ -199,7 +199,7 @@ def _track_views(recording: RigRecording | LiveRecording, out_dir: Path, request
 
 def _write_report(writer: TrackWriter, track: Track, request: Request) -> None:
     """report.html of a run that has found a hand, once its overlay is drawn; one of an earlier end goes."""
-    if not request.has_report or not (writer.folder / HAND_NAME).is_file():
+    if not request.has_report or not len(track) or not (writer.folder / HAND_NAME).is_file():
         writer.drop(REPORT_NAME)
         return
     result = load_result(writer.folder, track=track, name=writer.out_dir.resolve().name)

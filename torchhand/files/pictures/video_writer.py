@@ -39,21 +39,22 @@ class VideoWriter:
         self._path = path
         self._width, self._height = width, height
         self._even = (width - width % 2, height - height % 2)
-        encoder = encoder_name()
+        encoder = _encoder_name()
         if encoder is None:
             raise InputError(f"{path}: no video can be written here (PyAV has none of {', '.join(_ENCODERS)})")
+        file = os.path.abspath(self.temporary)
         with _explained(path):
-            self._container = av.open(
-                os.path.abspath(self.temporary), "w", format="mp4", options={"movflags": "+faststart"}
-            )
+            self._container = av.open(file, "w", format="mp4", options={"movflags": "+faststart"})
         rate = Fraction(fps).limit_denominator(_MAX_DENOMINATOR)
         options = dict(_SPEED.get(encoder, {})) | ({} if bits_per_second else _QUALITY.get(encoder, {}))
-        self._stream = self._container.add_stream(encoder, rate=rate, options=options)
-        self._stream.width, self._stream.height = self._even
-        self._stream.pix_fmt = "yuv420p"
-        self._stream.codec_context.thread_count = 1  # the callers have threads of their own
+        stream = self._container.add_stream(encoder, rate=rate, options=options)
+        assert isinstance(stream, av.VideoStream)
+        stream.width, stream.height = self._even
+        stream.pix_fmt = "yuv420p"
+        stream.codec_context.thread_count = 1  # the callers have threads of their own
         if bits_per_second:
-            self._stream.bit_rate = bits_per_second
+            stream.bit_rate = bits_per_second
+        self._stream = stream
 
     def write(self, image: UInt8[Tensor, "height width 3"]) -> None:
         """Append one RGB frame of the size given at the start."""
@@ -119,31 +120,33 @@ def write_video(
 @contextlib.contextmanager
 def _explained(path: Path) -> Iterator[None]:
     """As `explained_errors`, for what FFmpeg says too."""
-    import av
+    from av.error import FFmpegError
 
     try:
         with explained_errors(path):
             yield
-    except av.FFmpegError as error:
+    except FFmpegError as error:
         raise DiskError(f"{path}: cannot be written ({error.strerror})") from error
 
 
-def encoder_name() -> str | None:
+def _encoder_name() -> str | None:
     """The first encoder for H.264 that PyAV has here; None without any."""
-    import av
+    from av.codec import Codec
+    from av.codec.codec import UnknownCodecError
 
     for name in _ENCODERS:
-        with contextlib.suppress(av.codec.codec.UnknownCodecError):
-            return av.Codec(name, "w").name
+        with contextlib.suppress(UnknownCodecError):
+            return Codec(name, "w").name
     return None
 
 
 def _count_frames(path: Path) -> int:
     """Frames that the index of a file tells of; 0 where it has none."""
     import av
+    from av.error import FFmpegError
 
     try:
         with av.open(os.path.abspath(path)) as container:
             return container.streams.video[0].frames
-    except (av.FFmpegError, IndexError):
+    except (FFmpegError, IndexError):
         return 0

@@ -11,7 +11,7 @@ class Player {
     this.onFrame = () => {};
     this.onState = () => {};
     if (video) {
-      video.addEventListener("pause", () => { if (this.isPlaying && !video.seeking) this.pause(); });
+      video.addEventListener("pause", () => { if (this.isPlaying && video.paused && !video.seeking) this.pause(); });
       video.addEventListener("error", () => { this.video = null; }); // the hand plays by itself then
       video.addEventListener("seeked", () => { if (!this.isPlaying) this._follow(); });
     }
