@@ -39,7 +39,10 @@ from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
 from torchhand.track import DEFAULTS, Tracker, TrackerSettings
 
 FRAMES, WIDTH, HEIGHT = 10, 200, 160
-RESULT_NAMES = {"checkpoint.pt", "config.yaml", "hand.json", "header.json", "overlay.mp4", "track.jsonl", "track.npz"}
+RESULT_NAMES = {"checkpoint.pt", "config.yaml", "hand.json", "header.json", "overlay.mp4", "report.html"} | {
+    "track.jsonl",
+    "track.npz",
+}
 
 
 @dataclass(frozen=True)
