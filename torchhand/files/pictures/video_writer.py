@@ -15,7 +15,7 @@ from torchhand.files.disk import explained_errors, temporary_path
 from torchhand.files.pictures.frame_source import ASSUMED_FPS
 
 _ENCODERS = ("libx264", "libopenh264")
-_SPEED, _QUALITY = {"libx264": {"preset": "veryfast"}}, {"libx264": {"crf": "21"}}
+_SPEED, _QUALITY = {"libx264": {"preset": "superfast"}}, {"libx264": {"crf": "23"}}
 _SMALLEST_SIDE = 16
 _MAX_DENOMINATOR = 1001  # of a frame rate: 30000/1001 and the like are exact
 
