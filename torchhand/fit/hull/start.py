@@ -37,7 +37,7 @@ _FINGER_STAGES = (
     Stage(gross_m=0.005, rounds=2, iterations=2),
     Stage(gross_m=0.003, rounds=1, iterations=2),
 )
-_FINEST = _FINGER_STAGES[1:]
+_FINEST = (*_FINGER_STAGES[1:], Stage(gross_m=0.002, rounds=1, iterations=2))  # ends as SEARCH: costs are compared
 _WORTH_TRYING = 0.005  # share of the cost that another round of digits must have gained
 _FINGERS = (
     {"mcp_aa": 0.0, "mcp_fe": 0.0, "pip_fe": 5.0, "dip_fe": 3.0},

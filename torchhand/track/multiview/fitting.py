@@ -248,6 +248,14 @@ class FrameFitter:
         fitter = self._fitters_for(shape).searching
         return self._compared(fit_proposals(hull.target, fitter, proposals, shape, self.settings.start), shape, masks)
 
+    def turn_over(self, hull: Hull, pose: HandPose, shape: Float[Tensor, "shape"], masks: Masks) -> HullFit | None:
+        """The hand fitted from one that shows its back where a hand shows its palm, in the same place; two views tell
+        both hardly apart before the fingers are fitted."""
+        palm, over = self._palm(pose, shape), torch.diag(pose.dofs.new_tensor((-1.0, 1.0, -1.0)))
+        moved = palm + pose.reference @ over @ pose.reference.mT @ (pose.dofs[:3] - palm)
+        turned = HandPose.of(torch.cat((moved, pose.dofs[3:])), pose.reference @ over)
+        return self.fit_proposed(hull, HandPose.stack([turned]), shape, masks)
+
     def search(self, hull: Hull, shape: Float[Tensor, "shape"], masks: Masks) -> HullFit | None:
         """The best of a search without any guess; None where nothing can be looked for."""
         if hull.target is None:

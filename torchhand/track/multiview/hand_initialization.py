@@ -122,6 +122,8 @@ def _found(
     is_told = len(fitter.cameras) >= _FACING_VIEWS
     if found is None or found.score < _EXPLAINED or not is_told:
         found = best_of([found, fitter.search(frame.hull, shape, frame.masks)])
+    if found is not None and not is_told:
+        found = best_of([found, fitter.turn_over(frame.hull, found.pose, shape, frame.masks)])
     return _accepted(fitter, found)
 
 
