@@ -15,6 +15,7 @@ import torch
 import yaml
 
 import torchhand
+from tests.report.reading import video_of
 from torchhand.cli.command import threads
 from torchhand.cli.track import main
 from torchhand.files import (
@@ -142,6 +143,7 @@ def _lines_without_seconds(folder: Path) -> list[dict[str, Any]]:
 
 def test_a_run_leaves_the_whole_result(clip: Clip) -> None:
     assert {path.name for path in clip.result.iterdir()} == RESULT_NAMES
+    assert video_of(clip.result / "report.html") == (clip.result / "overlay.mp4").read_bytes()
     track = load_track(clip.result)
     assert track.frame.tolist() == list(range(FRAMES))
     assert set(track.status) == {"tracked"}
@@ -192,10 +194,10 @@ def test_the_last_line_sums_up(clip: Clip, run: Run, tmp_path: Path) -> None:
 
 def test_an_assumed_camera_is_said_once_and_saved(clip: Clip, run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    outcome = run(
-        clip.frames, "--out", out, "--max-frames", "1", "--no-overlay", "--config", "contour_planar", "--causal"
-    )
+    short = ("--max-frames", "1", "--config", "contour_planar", "--causal")
+    outcome = run(clip.frames, "--out", out, "--no-overlay", "--no-report", *short)
     assert outcome.code == 0
+    assert not (out / "report.html").exists()
     assert outcome.err.count("\n") == 1
     assert "a field of view is assumed" in outcome.err
     assert load_track(out).header["camera"]["is_assumed"] is True

@@ -77,7 +77,7 @@ function buildFingers(results, hands) {
       rows[1].append(tip);
       return { meter, text, tip };
     });
-    body.append(...rows);
+    body.append(...(results[i].quality ? rows : rows.slice(1)));
     return own;
   });
   element("fingers").append(top, body);

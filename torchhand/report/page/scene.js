@@ -115,7 +115,7 @@ class Scene {
       const high = [0, 1, 2].map((i) => Math.max(...bones.map((p) => p[i])));
       this.centre = low.map((value, i) => 0.5 * (value + high[i]));
       // The hand is seen at one size, whatever it does: half a hand's length about the middle.
-      this.size = Math.max(0.11, shown.length > 1 ? 0.5 * Math.hypot(...low.map((value, i) => high[i] - value)) : 0);
+      this.size = Math.max(0.1, shown.length > 1 ? 0.5 * Math.hypot(...low.map((value, i) => high[i] - value)) : 0);
     }
     this.draw();
   }
@@ -134,7 +134,7 @@ class Scene {
 
   // Camera's axes: x right, y down, z forward, as OpenCV has them; columns for WebGL.
   _clip(view, aspect) {
-    const far = (1.25 * this.size) / (Math.tan(FIELD / 2) * this.zoom * Math.min(1, aspect));
+    const far = (1.15 * this.size) / (Math.tan(FIELD / 2) * this.zoom * Math.min(1, aspect));
     const f = 1 / Math.tan(FIELD / 2), near = 0.02 * far, end = far + 4 * this.size + 1;
     const shift = turned(view, ...this.centre.map((value) => -value));
     shift[2] += far;
