@@ -28,6 +28,7 @@ def page(result: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_data_are_the_tracks(page: Path, result: Path) -> None:
     track = load_track(result)
+    assert track.finger_quality is not None
     [held] = data_of(page)["results"]
     np.testing.assert_allclose(unpacked(held["angles"]), np.rad2deg(track.pose[:, 6:]), rtol=0, atol=0.00501)
     np.testing.assert_allclose(unpacked(held["std"]), np.rad2deg(track.pose_std[:, 6:]), rtol=0, atol=0.00501)
