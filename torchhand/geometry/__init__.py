@@ -44,7 +44,7 @@ from torchhand.geometry.rotations import (
     skew,
     vector_from_rotation,
 )
-from torchhand.geometry.tapered_capsules import tapered_capsule_depth
+from torchhand.geometry.tapered_capsules import tapered_capsule_depth, tapered_capsule_touch
 
 __all__ = [
     "DISTORTION_LENGTHS",
@@ -88,6 +88,7 @@ __all__ = [
     "slab",
     "suspected_reading",
     "tapered_capsule_depth",
+    "tapered_capsule_touch",
     "turn",
     "turn_back",
     "undistort",

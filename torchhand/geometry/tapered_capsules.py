@@ -25,13 +25,29 @@ def tapered_capsule_depth(
     its maximum is where the slope is zero, or else on one of the four edges of the unit square. The best (s, t) is held
     fixed in the derivative: the first one is exact, as the value does not depend on them there; the second is not.
     """
+    s, t = tapered_capsule_touch(
+        *(x.detach() for x in (first_start, first_end, first_radii, second_start, second_end, second_radii))
+    )
     along, other = first_end - first_start, second_end - second_start
-    across = first_start - second_start
+    lever = first_start - second_start + s[..., None] * along - t[..., None] * other
     rise, other_rise = first_radii[..., 1] - first_radii[..., 0], second_radii[..., 1] - second_radii[..., 0]
-    s, t = _deepest(across.detach(), along.detach(), other.detach(), rise.detach(), other_rise.detach())
-    lever = across + s[..., None] * along - t[..., None] * other
     radii = first_radii[..., 0] + s * rise + second_radii[..., 0] + t * other_rise
     return radii - (lever.square().sum(-1) + _NOTHING).sqrt()
+
+
+def tapered_capsule_touch(
+    first_start: Float[Tensor, "*#batch 3"],
+    first_end: Float[Tensor, "*#batch 3"],
+    first_radii: Float[Tensor, "*#batch 2"],
+    second_start: Float[Tensor, "*#batch 3"],
+    second_end: Float[Tensor, "*#batch 3"],
+    second_radii: Float[Tensor, "*#batch 2"],
+) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
+    """Where two capsules reach deepest into each other, or are nearest: the fractions of their axes, 0 to 1, at which
+    the two balls of `tapered_capsule_depth` are."""
+    along, other = first_end - first_start, second_end - second_start
+    rise, other_rise = first_radii[..., 1] - first_radii[..., 0], second_radii[..., 1] - second_radii[..., 0]
+    return _deepest(first_start - second_start, along, other, rise, other_rise)
 
 
 def _deepest(w: Tensor, u: Tensor, v: Tensor, rise_u: Tensor, rise_v: Tensor) -> tuple[Tensor, Tensor]:

@@ -41,6 +41,7 @@ from torchhand.hand.limits import (
 from torchhand.hand.model import HandModel
 from torchhand.hand.posed_mesh import PosedMesh, posed_mesh
 from torchhand.hand.primitives import (
+    CONE_BONES,
     CONE_NAMES,
     ELLIPSOID_NAMES,
     PRIMITIVE_NAMES,
@@ -49,6 +50,7 @@ from torchhand.hand.primitives import (
     PenetrationSettings,
     Primitives,
     PrimitiveSizes,
+    digit_pairs,
     penetration,
     penetration_penalty,
     place_primitives,
@@ -68,6 +70,7 @@ from torchhand.hand.skin_jacobian import skin_jacobian
 __all__ = [
     "BONES",
     "COMPONENTS",
+    "CONE_BONES",
     "CONE_NAMES",
     "DOFS",
     "ELLIPSOID_NAMES",
@@ -111,6 +114,7 @@ __all__ = [
     "Skeleton",
     "Violation",
     "bone_offsets",
+    "digit_pairs",
     "keypoint_jacobian",
     "moving_parameters",
     "named_pose_space",

@@ -17,6 +17,7 @@ from torchhand.fit.hull import coverage, inside
 from torchhand.fit.hull.coverage import CoverageObservation
 from torchhand.fit.hull.inside import InsideObservation
 from torchhand.fit.hull.joint_priors import JointPriors
+from torchhand.fit.hull.penetration import PenetrationPrior
 from torchhand.fit.hull.settings import SEARCH, HullSettings
 from torchhand.fit.hull.skin import SkinPoints
 from torchhand.fit.hull.target import HullTarget
@@ -63,8 +64,14 @@ class HullFitter:
             skeleton=self.hand.kinematics.skeleton,
             shape=self.vertices.skin.shape.to(self.space.basis),
             observations=self.observations(target),
-            priors=(*self.joints.factors, *priors),
+            priors=(*self.joints.factors, *self._apart, *priors),
         )
+
+    @property
+    def _apart(self) -> tuple[Observation, ...]:
+        """Digits not in one another, where that counts."""
+        weight = self.joints.weights.penetration
+        return (PenetrationPrior(skin=self.vertices.skin, weight=weight),) if weight > 0 else ()
 
     def __call__(self, target: HullTarget, starts: HandPose, *priors: Observation) -> Solutions:
         """Every hypothesis from its own start, as `solve`."""

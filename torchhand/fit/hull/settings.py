@@ -86,12 +86,14 @@ class JointPriorWeights:
     """Weight of the likely postures; 0 or more. What cameras do not see, such as how a finger that hides among others
     shares its turn between its joints, only they tell; with 1 a finger that hands rarely bend alone is taken for one
     beside another."""
+    penetration: float = 1.0
+    """Weight of digits in one another; 0 or more."""
     posture_tail: float = math.inf
     """Degrees of freedom of the postures' Student's t distribution: the fewer, the less an unusual posture is pulled to
     usual ones; above 0, infinite for a normal one."""
 
     def __post_init__(self) -> None:
-        for name in ("constraints", "postures"):
+        for name in ("constraints", "postures", "penetration"):
             _require_weight(f"joints.{name}", getattr(self, name))
         require(self.posture_tail > 0, "joints.posture_tail", "above 0", self.posture_tail)
 

@@ -6,10 +6,10 @@ direction is a force there, and the derivative in an angle is the force's torque
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.fit import PosedHands
@@ -103,6 +103,16 @@ class SkinPoints:
         self._around = _faces_around(hand.faces, self._together.shape[1])
         bones = [0, 0, 0, *hand.kinematics.skeleton.bone]
         self._bones = torch.tensor(bones, device=self.shape.device)
+
+    @cached_property
+    def carries(self) -> Bool[Tensor, "20 20"]:
+        """Whether a bone (row) is or carries another (column)."""
+        return _with_what_they_carry(torch.eye(20, device=self.shape.device)[None])[0] > 0
+
+    @property
+    def bones_turned(self) -> Int[Tensor, "30"]:
+        """Bone that each joint angle turns."""
+        return self._bones[3:]
 
     def for_shape(self, hands: PosedHands) -> "SkinPoints":
         """The skin of the hands' own shape: this one where that is its shape."""

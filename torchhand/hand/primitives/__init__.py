@@ -3,6 +3,7 @@
 from torchhand.hand.primitives.penetration import (
     Penetration,
     PenetrationSettings,
+    digit_pairs,
     energy_of,
     penetration,
     penetration_penalty,
@@ -31,6 +32,7 @@ __all__ = [
     "PenetrationSettings",
     "PrimitiveSizes",
     "Primitives",
+    "digit_pairs",
     "energy_of",
     "penetration",
     "penetration_penalty",

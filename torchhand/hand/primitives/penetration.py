@@ -71,7 +71,7 @@ def penetration(primitives: Primitives, settings: PenetrationSettings | None = N
     the palm, which they grow from. Any batch shape; differentiable once (see `tapered_capsule_depth`).
     """
     settings = settings or PenetrationSettings()
-    names, first, second, slack = _pairs(settings, primitives.position.device)
+    names, first, second, slack = digit_pairs(settings, primitives.position.device)
     start, end, radii = _capsules(primitives)
     pick = (start[..., first, :], end[..., first, :], radii[..., first, :])
     against = (start[..., second, :], end[..., second, :], radii[..., second, :])
@@ -93,14 +93,9 @@ def energy_of(depths: Penetration, settings: PenetrationSettings) -> Float[Tenso
     return 0.5 * (depths.excess / settings.softness).square().sum(-1)
 
 
-_OUTER_SEGMENTS = ("thumb_distal", *(f"{finger}_{bone}" for finger in FINGERS[1:] for bone in ("middle", "distal")))
-_SAMPLES = (0.4, 0.7, 1.0)
-"""Places of the balls along a segment that are held against the palm and the thenar."""
-
-
 @lru_cache(maxsize=8)
-def _pairs(settings: PenetrationSettings, device: torch.device) -> tuple[tuple[str, ...], Tensor, Tensor, Tensor]:
-    """Names, places in _SEGMENTS and slacks of the pairs."""
+def digit_pairs(settings: PenetrationSettings, device: torch.device) -> tuple[tuple[str, ...], Tensor, Tensor, Tensor]:
+    """The pairs of digits' segments: names, both places among the cones after the palm's, overlap allowed in metres."""
     names, first, second, slack = [], [], [], []
     for i, one in enumerate(_SEGMENTS):
         for j in range(i + 1, len(_SEGMENTS)):
@@ -117,6 +112,11 @@ def _pairs(settings: PenetrationSettings, device: torch.device) -> tuple[tuple[s
     with torch.inference_mode(False):  # kept for callers in any mode
         one, other = (torch.tensor(x, device=device) for x in (first, second))
         return tuple(names), one, other, torch.tensor(slack, dtype=torch.float64, device=device)
+
+
+_OUTER_SEGMENTS = ("thumb_distal", *(f"{finger}_{bone}" for finger in FINGERS[1:] for bone in ("middle", "distal")))
+_SAMPLES = (0.4, 0.7, 1.0)
+"""Places of the balls along a segment that are held against the palm and the thenar."""
 
 
 def _capsules(primitives: Primitives) -> tuple[Tensor, Tensor, Tensor]:

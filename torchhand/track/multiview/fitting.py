@@ -270,7 +270,7 @@ class FrameFitter:
 
         is_rough: with half the rounds, where more will follow.
         """
-        weights = replace(self.settings.joints, postures=self.settings.shape_posture_weight)
+        weights = replace(self.settings.joints, postures=self.settings.shape_posture_weight, penetration=0.0)
         fitter = HullFitter(
             hand=self.hand,
             space=self.space,

@@ -92,7 +92,9 @@ def _with_unit(
     if not units:
         nothing = HandInitialization(shape=hand.kinematics.default_shape, shape_std=None, poses={}, shape_frames=())
         return Initialization(hand=nothing, skins=skins)
-    fitters = {unit: FrameFitter(hand, in_unit(silhouettes.cameras, unit), settings) for unit in units}
+    # Sizes differ more than what further fingers tell, which take half of a search's time.
+    rough = replace(settings, start=replace(settings.start, finger_hypotheses=1, finger_rounds=1))
+    fitters = {unit: FrameFitter(hand, in_unit(silhouettes.cameras, unit), rough) for unit in units}
     proposers = {unit: replace(proposer, cameras=fitter.cameras) for unit, fitter in fitters.items()}
     shown = dict(seen)
 
@@ -100,7 +102,8 @@ def _with_unit(
         return max(_agreement(fitters[unit], shown[index], proposers[unit]) for index, _ in decisive)
 
     nominal = max(units, key=agreement)
-    found = initialize_hand(fitters[nominal], seen, proposers[nominal], done=done)
+    fitter = FrameFitter(hand, in_unit(silhouettes.cameras, nominal), settings)
+    found = initialize_hand(fitter, seen, proposers[nominal], done=done)
     if not found.poses:
         return Initialization(hand=found, skins=skins)
     known = space.default.to(found.shape) if shape is None else shape

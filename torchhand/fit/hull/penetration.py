@@ -1,0 +1,94 @@
+"""Digits that may not be in one another, as a prior: two fingers fill one finger's part of a hull as well as one does.
+
+The depths are those of `torchhand.hand.penetration` between the segments of different digits, in which skin and pads
+give by a few millimetres. Their derivative is exact, the places at which two capsules are deepest in each other held.
+"""
+
+from dataclasses import dataclass, field
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchhand.fit import Equations, Explained, PosedHands, Stage
+from torchhand.fit.hull.skin import PosedBones, SkinPoints, bones_of
+from torchhand.geometry import tapered_capsule_touch
+from torchhand.hand import CONE_BONES, PenetrationSettings, digit_pairs, primitive_sizes
+
+_ROOT = 6
+_NOTHING = 1e-9  # metres: keeps directions finite where two axes meet
+
+
+@dataclass(frozen=True, kw_only=True)
+class PenetrationPrior:
+    """½ weight Σ (excess / softness)² over the pairs of segments. Its own factor: nothing is associated."""
+
+    skin: SkinPoints
+    """Tells the bones, in the dtype to compute in."""
+    weight: float = 1.0
+    settings: PenetrationSettings = field(default_factory=PenetrationSettings)
+
+    @property
+    def is_empty(self) -> bool:
+        return False
+
+    def associate(self, hands: PosedHands, stage: Stage) -> "PenetrationPrior":
+        """This prior itself, which is one and the same for all hands."""
+        return self
+
+    def equations(self, hands: PosedHands) -> Equations:
+        """Normal equations in the joint angles; the dependence on the shape is left out."""
+        skin = self.skin.for_shape(hands)
+        bones = bones_of(skin, hands)
+        start, end, radii = _capsules(skin, hands, bones)
+        _, first, second, slack = digit_pairs(self.settings, start.device)
+        s, t = tapered_capsule_touch(
+            start[:, first], end[:, first], radii[first], start[:, second], end[:, second], radii[second]
+        )
+        here = torch.lerp(start[:, first], end[:, first], s[..., None])
+        there = torch.lerp(start[:, second], end[:, second], t[..., None])
+        reach = torch.lerp(radii[first, 0], radii[first, 1], s) + torch.lerp(radii[second, 0], radii[second, 1], t)
+        apart = here - there
+        distance = apart.norm(dim=-1).clamp_min(_NOTHING)
+        excess = (reach - distance - slack.to(reach)).clamp_min(0)
+        some = (excess > 0).any(0).nonzero()[:, 0]
+        direction = (apart / distance[..., None])[:, some]
+        own = torch.tensor(CONE_BONES[1:], device=start.device)
+        pull = _turned(skin, bones, there[:, some], own[second[some]], direction)
+        pull -= _turned(skin, bones, here[:, some], own[first[some]], direction)
+        residual = excess[:, some] / self.settings.softness
+        weight = torch.full_like(residual, self.weight)
+        cost = 0.5 * self.weight * residual.square().sum(-1)
+        return Equations.of_rows(residual, weight, pull / self.settings.softness, cost, first_dof=_ROOT)
+
+    def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "PenetrationPrior":
+        """This prior itself, which is one and the same for all hands."""
+        return self
+
+    def explained(self) -> tuple[Explained, ...]:
+        return ()
+
+
+def _capsules(skin: SkinPoints, hands: PosedHands, bones: PosedBones) -> tuple[Tensor, Tensor, Tensor]:
+    """Both ends (hands, segments, 3) of the digits' segments, and the radii there (segments, 2)."""
+    space, shape = skin.hand.kinematics.shape_space, skin.shape
+    sizes = hands.once_for_shape(("primitive sizes", id(skin)), lambda: primitive_sizes(space, shape))
+    own = list(CONE_BONES[1:])
+    start = bones.position[:, own]
+    end = start + bones.rotation[:, own, :, 1] * sizes.cone_length[1:, None]
+    radius = sizes.cone_start[1:, 0]
+    return start, end, torch.stack((radius, radius * sizes.cone_end_scale[1:]), -1)
+
+
+def _turned(
+    skin: SkinPoints,
+    bones: PosedBones,
+    points: Float[Tensor, "hands m 3"],
+    on: Int[Tensor, "m"],
+    direction: Float[Tensor, "hands m 3"],
+) -> Float[Tensor, "hands m angles"]:
+    """Derivative of direction · point in the joint angles, of points that bones carry."""
+    turning = skin.bones_turned
+    lever = points[:, :, None] - bones.position[:, None]  # hands m bones 3
+    torque = torch.linalg.cross(lever, direction[:, :, None].expand_as(lever)) * skin.carries[:, on].T[None, :, :, None]
+    return (bones.turns[:, None, 3:] * torque[:, :, turning]).sum(-1)
