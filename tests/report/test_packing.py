@@ -7,7 +7,7 @@ from tests.report.reading import unpacked
 from torchhand.report.packing import Kind, packed, packed_range
 
 
-@pytest.mark.parametrize("shape", [(7,), (1,), (0, 3), (300, 5), (4, 3, 2)])
+@pytest.mark.parametrize("shape", [(7,), (1,), (300, 5), (4, 3, 2)])
 @pytest.mark.parametrize(("kind", "largest"), [("i1", 127), ("i2", 32767), ("i4", 2**31 - 1)])
 def test_values_come_back_within_half_a_step(shape: tuple[int, ...], kind: Kind, largest: int) -> None:
     random = np.random.default_rng(0)

@@ -46,7 +46,8 @@ class VideoWriter:
         with _explained(path):
             self._container = av.open(file, "w", format="mp4", options={"movflags": "+faststart"})
         rate = Fraction(fps).limit_denominator(_MAX_DENOMINATOR)
-        options = dict(_SPEED.get(encoder, {})) | ({} if bits_per_second else _QUALITY.get(encoder, {}))
+        limits = {"maxrate": str(bits_per_second), "bufsize": str(bits_per_second)} if bits_per_second else {}
+        options = dict(_SPEED.get(encoder, {})) | (limits or _QUALITY.get(encoder, {}))
         stream = self._container.add_stream(encoder, rate=rate, options=options)
         assert isinstance(stream, av.VideoStream)
         stream.width, stream.height = self._even
