@@ -59,6 +59,8 @@ def test_the_wheel_holds_models_and_configs(wheel: Path) -> None:
         assert files, f"{folder} is empty"
         missing = {f"torchhand/{path.relative_to(REPOSITORY).as_posix()}" for path in files} - inside
         assert not missing
+    page = REPOSITORY / "torchhand" / "report" / "page"
+    assert {f"torchhand/report/page/{path.name}" for path in page.iterdir()} <= inside
     assert "torchhand/cli/main.py" in inside
     assert any(name.endswith("licenses/LICENSE") for name in inside)
     assert not [name for name in inside if not name.startswith(("torchhand/", "torchhand-"))]

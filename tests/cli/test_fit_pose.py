@@ -88,7 +88,7 @@ def test_a_folder_is_fitted_judged_resumed_and_replaced(
     assert "--resume" in capsys.readouterr().err
 
     lines = (out / "poses.jsonl").read_text().splitlines(keepends=True)
-    (out / "poses.jsonl").write_text("".join(lines[:3]) + lines[3][:40])  # as a killed run leaves it
+    (out / "poses.jsonl").write_text("".join(lines[:2]) + lines[2][:40])  # as a killed run leaves it
     (out / "poses.npz").unlink()
     assert run(pictures, out, "--resume") == 0
     with np.load(out / "poses.npz") as stored:

@@ -15,6 +15,7 @@ import torch
 import yaml
 
 import torchhand
+from tests.report.reading import video_of
 from torchhand.cli.command import threads
 from torchhand.cli.track import main
 from torchhand.files import (
@@ -39,7 +40,7 @@ from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
 from torchhand.track import DEFAULTS, Tracker, TrackerSettings
 
 FRAMES, WIDTH, HEIGHT = 10, 200, 160
-RESULT_NAMES = {"config.yaml", "hand.json", "overlay.mp4", "track.jsonl", "track.npz"}
+RESULT_NAMES = {"config.yaml", "hand.json", "header.json", "overlay.mp4", "report.html", "track.jsonl", "track.npz"}
 
 
 @dataclass(frozen=True)
@@ -139,6 +140,7 @@ def _lines_without_seconds(folder: Path) -> list[dict[str, Any]]:
 
 def test_a_run_leaves_the_whole_result(clip: Clip) -> None:
     assert {path.name for path in clip.result.iterdir()} == RESULT_NAMES
+    assert video_of(clip.result / "report.html") == (clip.result / "overlay.mp4").read_bytes()
     track = load_track(clip.result)
     assert track.frame.tolist() == list(range(FRAMES))
     assert set(track.status) == {"tracked"}
@@ -189,10 +191,10 @@ def test_the_last_line_sums_up(clip: Clip, run: Run, tmp_path: Path) -> None:
 
 def test_an_assumed_camera_is_said_once_and_saved(clip: Clip, run: Run, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    outcome = run(
-        clip.frames, "--out", out, "--max-frames", "1", "--no-overlay", "--config", "contour_planar", "--causal"
-    )
+    short = ("--max-frames", "1", "--config", "contour_planar", "--causal")
+    outcome = run(clip.frames, "--out", out, "--no-overlay", "--no-report", *short)
     assert outcome.code == 0
+    assert not (out / "report.html").exists()
     assert outcome.err.count("\n") == 1
     assert "a field of view is assumed" in outcome.err
     assert load_track(out).header["camera"]["is_assumed"] is True
@@ -393,7 +395,7 @@ def test_a_recording_is_corrected_backwards_and_its_forward_pass_is_kept(clip: C
     np.testing.assert_array_equal(forward.pose, causal.pose)
     np.testing.assert_array_equal(forward.keypoints3d_cov, causal.keypoints3d_cov)
     assert track.frame.tolist() == list(range(FRAMES))
-    assert len((smoothed / "track.jsonl").read_text().splitlines()) == 1 + FRAMES
+    assert len((smoothed / "track.jsonl").read_text().splitlines()) == FRAMES
     off = np.linalg.norm(track.keypoints3d - forward.keypoints3d, axis=-1).mean(-1)
     assert (off[:-1] > 0).all()
     assert np.median(off) < 0.005

@@ -26,7 +26,7 @@ from torchhand.track.scene import ViewSilhouettes
 from torchhand.view import mesh_silhouette
 
 FRAMES, SIZE = 5, (240, 180)
-RESULT_NAMES = {"config.yaml", "hand.json", "overlay.mp4", "track.jsonl", "track.npz"}
+RESULT_NAMES = {"config.yaml", "hand.json", "header.json", "overlay.mp4", "report.html", "track.jsonl", "track.npz"}
 SKIN, WALL = (125, 150, 205), (120, 70, 40)  # BGR
 FAST = (
     *("--set", "rig.shape_frames=1"),

@@ -11,10 +11,18 @@ from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.errors import InputError
 from torchhand.export import ExportOptions, FormatName, MotionClip, format_of, load_clip
 from torchhand.files.disk import expanded
-from torchhand.files.results import CHECKPOINT_NAME, CONFIG_NAME, HAND_NAME, JSONL_NAME, NPZ_NAME, OVERLAY_NAME
+from torchhand.files.results import (
+    CHECKPOINT_NAME,
+    CONFIG_NAME,
+    HAND_NAME,
+    HEADER_NAME,
+    JSONL_NAME,
+    NPZ_NAME,
+    OVERLAY_NAME,
+)
 
 _MAX_NAMED = 3
-RESULT_NAMES = (HAND_NAME, CONFIG_NAME, OVERLAY_NAME, CHECKPOINT_NAME, JSONL_NAME, NPZ_NAME)
+RESULT_NAMES = (HAND_NAME, CONFIG_NAME, OVERLAY_NAME, CHECKPOINT_NAME, HEADER_NAME, JSONL_NAME, NPZ_NAME)
 """Files of a result folder, which an export never replaces."""
 
 

@@ -24,7 +24,7 @@ from torchhand.files import (
 )
 from torchhand.files.detections import Units, read_rig_detections
 from torchhand.files.disk import explained_errors, replacing
-from torchhand.files.results import CONVENTION, FIT_NAME, HAND_NAME
+from torchhand.files.results import CONVENTION, FIT_NAME, HAND_NAME, REPORT_NAME
 from torchhand.fit.keypoints import (
     KeypointFit,
     KeypointFitSettings,
@@ -34,6 +34,7 @@ from torchhand.fit.keypoints import (
 )
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, POSE_SPACES, Side, named_pose_space
+from torchhand.report import load_result, write_report
 from torchhand.runs import PALM_METRES, cameras_of_detections, known_hand, same_frames, seen_keypoints
 
 _FORMAT = "torchhand keypoints fit 1"
@@ -52,9 +53,9 @@ class Arguments:
     INPUT is JSON of MediaPipe or OpenPose, a folder of OpenPose's *_keypoints.json, or arrays (frames, 21, 2 or 3) as
     .npy or .npz (points_px and world of MediaPipe, keypoints3d, keypoints2d ...; std_px or cov_px for the points'
     standard deviations or covariances in the picture). Several INPUTs are those of several cameras, as is one array
-    (cameras, frames, 21, 2), missing points NaN or negative. DIR gets
-    keypoints_fit.npz (pose, pose_std, keypoints3d, residual, status ... per frame) and hand.json (the shape). Points in
-    a picture need --camera, or --size for an assumed field of view; points in space beside them (MediaPipe's world
+    (cameras, frames, 21, 2), missing points NaN or negative. DIR gets keypoints_fit.npz (pose, pose_std, keypoints3d,
+    residual, status ... per frame), hand.json (the shape) and report.html, which opens in a browser. Points in a
+    picture need --camera, or --size for an assumed field of view; points in space beside them (MediaPipe's world
     landmarks) are used together with them. Points of another hand than most cameras see are left out, and so are those
     outside the pictures. A recording is smoothed, short gaps in it are filled, and cameras may be late.
 
@@ -100,6 +101,8 @@ class Arguments:
     refine_cameras: bool = False
     """Correct turns and places of the cameras after the first, known to some 3 degrees and 50 mm, by the hand's points;
     refused where its motion does not tell them. Writes cameras.json too."""
+    report: bool = True
+    """Write report.html: one page with the hand in 3D, every angle over time and tables."""
     overwrite: bool = False
     """Replace older results in DIR."""
     threads: int = 1
@@ -141,7 +144,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     if refined is not None:
         save_cameras(cameras, arguments.out / _CAMERAS_NAME)
     print(_summary(fit, side, note, is_seen=bool(cameras)))
-    print(f"saved {arguments.out / FIT_NAME} and {arguments.out / HAND_NAME}")
+    saved = [arguments.out / FIT_NAME, arguments.out / HAND_NAME]
+    if arguments.report:
+        saved.append(arguments.out / REPORT_NAME)
+        write_report(saved[-1], [load_result(saved[0], name=arguments.out.resolve().name)])
+    else:
+        (arguments.out / REPORT_NAME).unlink(missing_ok=True)  # of older results
+    print(f"saved {', '.join(map(str, saved))}")
     return DONE
 
 

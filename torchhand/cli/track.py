@@ -30,9 +30,9 @@ from torchhand.runs import (
 class Arguments:
     """Track a hand through a video, a folder of pictures, a folder of videos or a webcam.
 
-    DIR gets track.npz, track.jsonl, hand.json, config.yaml and overlay.mp4; of a folder of videos, one such folder per
-    video. The hand is found by itself where it is open, or in the --posture given, and stands out by its colours; else
-    give --start-points. A webcam is tracked until Ctrl-C.
+    DIR gets report.html, which opens in a browser, track.npz, track.jsonl with header.json, hand.json, config.yaml and
+    overlay.mp4; of a folder of videos, one such folder per video. The hand is found by itself where it is open, or in
+    the --posture given, and stands out by its colours; else give --start-points. A webcam is tracked until Ctrl-C.
 
     Example:
         torchhand track wave.mp4 --out out/wave --config contour_planar --side left
@@ -78,6 +78,8 @@ class Arguments:
     """Keep checkpoint.pt when the run has ended, for --resume with a larger --max-frames."""
     overlay: bool = True
     """Draw overlay.mp4."""
+    report: bool = True
+    """Write report.html: one page with the video, the hand in 3D, every angle over time and tables."""
     changes: Annotated[UseAppendAction[tuple[str, ...]], arg(name="set", metavar="KEY=VALUE")] = ()
     """Change a single setting, such as noise.rotation=80; may be repeated. config.yaml of a result lists them all."""
     seed: int = 0
@@ -148,6 +150,7 @@ def _request(arguments: Arguments) -> Request:
         overwrite=arguments.overwrite,
         keeps_checkpoint=arguments.keep_checkpoint,
         has_overlay=arguments.overlay,
+        has_report=arguments.report,
         seed=arguments.seed,
     )
 

@@ -31,9 +31,10 @@ class Arguments:
     """Track a hand through the synchronised pictures of several calibrated cameras.
 
     RIG holds cameras.json (or OpenCV's, COLMAP's or plain text files) and, per camera in its order, view_K/ with
-    pictures, or NAME.mp4; masks_K/ may hold silhouettes. DIR gets track.npz, track.jsonl, hand.json, config.yaml and
-    overlay.mp4, poses in the rig's world frame. The hand is found by itself in any posture, and its proportions are
-    fitted once to frames from all over the sequence before it is followed.
+    pictures, or NAME.mp4; masks_K/ may hold silhouettes. DIR gets report.html, which opens in a browser, track.npz,
+    track.jsonl with header.json, hand.json, config.yaml and overlay.mp4, poses in the rig's world frame. The hand is
+    found by itself in any posture, and its proportions are fitted once to frames from all over the sequence before it
+    is followed.
 
     Example:
         torchhand track_multiview recording --out out/recording --side left
@@ -87,6 +88,8 @@ class Arguments:
     """Keep checkpoint.pt when the run has ended, for --resume with a larger --max-frames."""
     overlay: bool = True
     """Draw overlay.mp4."""
+    report: bool = True
+    """Write report.html: one page with the video, the hand in 3D, every angle over time and tables."""
     changes: Annotated[UseAppendAction[tuple[str, ...]], arg(name="set", metavar="KEY=VALUE")] = ()
     """Change a single setting, such as octree.level=8; may be repeated. config.yaml of a result lists them all."""
     threads: int = 1
@@ -142,6 +145,7 @@ def _request(arguments: Arguments) -> Request:
         overwrite=arguments.overwrite,
         keeps_checkpoint=arguments.keep_checkpoint,
         has_overlay=arguments.overlay,
+        has_report=arguments.report,
     )
 
 

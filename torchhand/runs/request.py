@@ -64,6 +64,7 @@ class Request:
     keeps_checkpoint: bool = False
     """Whether a run that has ended well keeps what a longer one would go on from."""
     has_overlay: bool = True
+    has_report: bool = True
     seed: int = 0
 
     def with_side(self, recording: Recording, say: Callable[[str], None]) -> "Request":

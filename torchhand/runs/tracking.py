@@ -4,6 +4,7 @@ import contextlib
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,9 @@ from torchhand.detect import HandDetector
 from torchhand.errors import InputError
 from torchhand.files import FrameRecord, Track, TrackWriter, check_output_folder, load_hand_model, load_track
 from torchhand.files.pictures import file_identity, input_identity
-from torchhand.files.results import JSONL_NAME, OVERLAY_NAME, STATUSES, UNFINISHED_NAME
+from torchhand.files.results import HAND_NAME, JSONL_NAME, OVERLAY_NAME, REPORT_NAME, STATUSES, UNFINISHED_NAME
 from torchhand.geometry import Camera
+from torchhand.report import load_result, write_report
 from torchhand.runs.detected_tracks import kept_detections
 from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks, with_keypoints
 from torchhand.runs.overlays import draw_live, write_overlay, write_views
@@ -77,6 +79,8 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
             track, projector = load_track(writer.folder), _projector(run)
             if request.has_overlay and not is_webcam and not writer.is_finished and len(track):
                 write_overlay(writer.folder / OVERLAY_NAME, track, projector, source, recording.fps)
+            if not writer.is_finished:
+                _write_report(writer, track, request)
         return track, projector
     finally:
         recording.close()
@@ -176,6 +180,7 @@ def _track_views(recording: RigRecording | LiveRecording, out_dir: Path, request
         if isinstance(recording, RigRecording) and request.has_overlay and len(track) and shape is not None:
             kinematics, cameras = run.tracker.kinematics, in_unit(recording.cameras, run.metres)
             write_views(writer.folder / OVERLAY_NAME, track, kinematics, cameras, shape, recording)
+        _write_report(writer, track, request)
     return track
 
 
@@ -210,6 +215,15 @@ def _track_all(start: "_RigStart", keypoints: KeypointSource | None, writer: Tra
 
 def _say_finished(writer: TrackWriter, say: Say) -> None:
     say(f"{writer.out_dir}: is finished; nothing is left to do (--overwrite tracks anew)")
+
+
+def _write_report(writer: TrackWriter, track: Track, request: Request) -> None:
+    """report.html of a run that has found a hand, once its overlay is drawn; one of an earlier end goes."""
+    if not request.has_report or not len(track) or not (writer.folder / HAND_NAME).is_file():
+        writer.drop(REPORT_NAME)
+        return
+    result = load_result(writer.folder, track=track, name=writer.out_dir.resolve().name)
+    write_report(writer.folder / REPORT_NAME, [result if request.has_overlay else replace(result, overlay=None)])
 
 
 class _RigStart:

@@ -82,10 +82,11 @@ def test_angles_as_a_table_with_what_is_known_of_each(clip: MotionClip, tmp_path
     quality = torch.arange(35, dtype=torch.float64).reshape(7, 5) / 35
     clip = replace(clip, pose_std=std, finger_quality=quality, status=status, held=(3,))
     write_angles(clip, tmp_path / "angles.csv")
+    assert not set((tmp_path / "angles.csv").read_text()) & set('"#;\t')  # one plain table, no comment before it
     with (tmp_path / "angles.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["status"] for row in rows] == list(status)
-    assert [float(row["time"]) for row in rows] == [t / 25 for t in range(7)]
+    assert [float(row["time_s"]) for row in rows] == [t / 25 for t in range(7)]
     for t, row in enumerate(rows):
         told = [row[f"{finger}_quality"] for finger in FINGERS]
         assert told == ([""] * 5 if t == 3 else [f"{value:.4f}" for value in quality[t].tolist()])
@@ -96,3 +97,11 @@ def test_angles_as_a_table_with_what_is_known_of_each(clip: MotionClip, tmp_path
             else:
                 assert float(value) == pytest.approx(float(torch.rad2deg(clip.poses[t, DOFS.index(name)])), abs=1e-4)
                 assert float(spread) == pytest.approx(DOFS.index(name), abs=1e-4)
+
+
+def test_angles_of_a_clip_without_its_gaps_keep_their_times(clip: MotionClip, tmp_path: Path) -> None:
+    cut = replace(clip, frame=(4, 5, 6, 9, 10, 11, 20))
+    write_angles(cut, tmp_path / "angles.csv")
+    with (tmp_path / "angles.csv").open(newline="") as file:
+        times = [float(row["time_s"]) for row in csv.DictReader(file)]
+    assert times == [(number - 4) / 25 for number in cut.frame]

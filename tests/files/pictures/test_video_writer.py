@@ -1,8 +1,10 @@
 """Videos that are written whole or not at all."""
 
 import os
+from fractions import Fraction
 from pathlib import Path
 
+import av
 import pytest
 import torch
 
@@ -90,11 +92,24 @@ def test_no_place_and_no_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert capfd.readouterr().err == ""
 
 
-def test_a_codec_that_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("torchhand.files.pictures.video_writer.VideoWriter.is_open", False)
-    with pytest.raises(InputError, match=r"overlay.mp4: no video can be written here"):
+def test_an_encoder_that_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("torchhand.files.pictures.video_writer._ENCODERS", ("no_such_encoder",))
+    with pytest.raises(InputError, match=r"no video can be written here \(PyAV has none of no_such_encoder\)"):
         _write(tmp_path / "overlay.mp4", 1)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_browsers_play_it(tmp_path: Path):
+    """H.264 with 4:2:0 colours, the index before the pictures, so that playing begins at once."""
+    _write(tmp_path / "overlay.mp4", 12)
+    with av.open(tmp_path / "overlay.mp4") as container:
+        stream = container.streams.video[0]
+        assert stream.codec_context.name == "h264"
+        assert stream.pix_fmt == "yuv420p"
+        assert stream.average_rate == Fraction(25, 2)
+        assert [frame.time for frame in container.decode(stream)] == pytest.approx([i / 12.5 for i in range(12)])
+    data = (tmp_path / "overlay.mp4").read_bytes()
+    assert 0 < data.index(b"moov") < data.index(b"mdat")
 
 
 def test_wrong_calls(tmp_path: Path):

@@ -85,7 +85,7 @@ def _content(folder: Path) -> dict[str, Any]:
 
 def test_a_finished_run(tmp_path: Path):
     _run(tmp_path / "out", 12)
-    assert _files(tmp_path / "out") == ["track.jsonl", "track.npz"]
+    assert _files(tmp_path / "out") == ["header.json", "track.jsonl", "track.npz"]
     with np.load(tmp_path / "out" / "track.npz", allow_pickle=False) as stored:
         arrays = dict(stored)
     shapes = {name: array.shape for name, array in arrays.items() if array.ndim}
@@ -122,8 +122,9 @@ def test_the_lines_are_strict_json_and_there_at_once(tmp_path: Path):
         for frame in range(6):
             writer.append(tracker.step(frame))
             lines = (tmp_path / "out" / "track.jsonl").read_text().splitlines()
-            assert len(lines) == frame + 2
-    header, *rows = [json.loads(line, parse_constant=refuse_constant) for line in lines]
+            assert len(lines) == frame + 1
+    rows = [json.loads(line, parse_constant=refuse_constant) for line in lines]
+    header = json.loads((tmp_path / "out" / "header.json").read_text(), parse_constant=refuse_constant)
     assert header["dof_names"] == list(DOFS)
     assert {"format", "units", "convention", "source", "camera", "side"} <= header.keys()
     assert [row["frame"] for row in rows] == list(range(6))
@@ -216,7 +217,7 @@ def test_a_replacement_that_was_killed_before_its_first_move_is_finished(tmp_pat
 
 
 @pytest.mark.parametrize(
-    "damage", ["half a line", "no checkpoint", "bad checkpoint", "lines lost", "half a header", "npz"]
+    "damage", ["half a line", "no checkpoint", "bad checkpoint", "lines lost", "half the first line", "npz"]
 )
 def test_resuming_after_a_crash(tmp_path: Path, damage: str):
     _run(tmp_path / "whole", 24)
@@ -231,8 +232,8 @@ def test_resuming_after_a_crash(tmp_path: Path, damage: str):
     elif damage == "bad checkpoint":
         checkpoint.write_bytes(checkpoint.read_bytes()[:700])
     elif damage == "lines lost":
-        lines.write_bytes(b"".join(lines.read_bytes().splitlines(keepends=True)[:6]))
-    elif damage == "half a header":
+        lines.write_bytes(b"".join(lines.read_bytes().splitlines(keepends=True)[:5]))
+    elif damage == "half the first line":
         lines.write_bytes(lines.read_bytes()[:50])
     (tmp_path / "broken" / "track.npz").unlink()
     _run(tmp_path / "broken", 24, resume=True)
@@ -258,7 +259,7 @@ def _run_with_corrections(folder: Path, *, stop_after: int | None = None, **opti
 
 def test_corrected_frames_take_the_place_of_the_first_ones(tmp_path: Path):
     _run_with_corrections(tmp_path)
-    lines = [json.loads(line) for line in (tmp_path / "track.jsonl").read_text().splitlines()[1:]]
+    lines = [json.loads(line) for line in (tmp_path / "track.jsonl").read_text().splitlines()]
     assert [line["frame"] for line in lines] == list(range(21))
     track = load_track(tmp_path)
     assert track.frame.tolist() == list(range(21))
@@ -311,6 +312,9 @@ def test_resuming_in_a_foreign_folder_is_refused(tmp_path: Path):
     (tmp_path / "track.jsonl").write_text('{"other": 1}\n')
     with pytest.raises(InputError, match=r"track.jsonl: expected a track"):
         TrackWriter(tmp_path, _header(), resume=True)
+    (tmp_path / "track.jsonl").write_text('{"format": "torchhand track 1"}\n{"frame": 0}\n')
+    with pytest.raises(InputError, match=r"track.jsonl: was written by an earlier version"):
+        TrackWriter(tmp_path, _header(), resume=True)
     assert _files(tmp_path) == ["letter.txt", "track.jsonl"]
 
 
@@ -343,7 +347,7 @@ def test_overwriting_replaces_everything_at_the_end(tmp_path: Path):
     assert load_track(out).frame.tolist() == [0]
     assert load_track(out).header["side"] == "left"
     assert (out / "hand.json").read_text() == "new hand"
-    assert _files(out) == ["hand.json", "notes.txt", "track.jsonl", "track.npz"]
+    assert _files(out) == ["hand.json", "header.json", "notes.txt", "track.jsonl", "track.npz"]
 
 
 @pytest.mark.parametrize("frames", [0, 3])
@@ -387,7 +391,7 @@ def test_an_old_interrupted_attempt_does_not_leak_into_a_new_one(tmp_path: Path)
     with pytest.raises(_Stop):
         interrupted()
     _run(out, 20, overwrite=True)
-    assert _files(out) == ["track.jsonl", "track.npz"]
+    assert _files(out) == ["header.json", "track.jsonl", "track.npz"]
     assert len(load_track(out)) == 19
 
 
@@ -436,7 +440,7 @@ def test_a_full_disk_at_the_end_keeps_lines_and_the_old_arrays(tmp_path: Path, m
         with pytest.raises(InputError, match=r"track.npz: cannot be written \(no space left on the disk\)"):
             _run(tmp_path / "out", 24, resume=True)
     assert (tmp_path / "out" / "track.npz").read_bytes() == before
-    assert _files(tmp_path / "out") == [CHECKPOINT_NAME, "track.jsonl", "track.npz"]
+    assert _files(tmp_path / "out") == [CHECKPOINT_NAME, "header.json", "track.jsonl", "track.npz"]
     assert load_track(tmp_path / "out").frame.tolist() == list(range(2, 25))  # the lines hold more
 
 
@@ -460,9 +464,16 @@ def test_places_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.Monke
             TrackWriter(tmp_path / "out", _header())
     with monkeypatch.context() as patch:
         patch.setattr(os, "replace", refuse)
+        with pytest.raises(InputError, match=r"header.json: cannot be written \(no permission to write\)"):
+            _run(tmp_path / "early", 3)
+    assert _files(tmp_path / "early") == []
+    with TrackWriter(tmp_path / "other", _header()) as writer, monkeypatch.context() as patch:
+        tracker = _Tracker()
+        writer.append(tracker.step(0), tracker.state)
+        patch.setattr(os, "replace", refuse)
         with pytest.raises(InputError, match=r"checkpoint.pt: cannot be written \(no permission to write\)"):
-            _run(tmp_path / "other", 3, keep_checkpoint=True)
-    assert _files(tmp_path / "other") == ["track.jsonl"]
+            writer.keep_forward()
+    assert len(load_track(tmp_path / "other")) == 1
 
 
 def test_a_killed_process_leaves_a_readable_track(tmp_path: Path):
@@ -480,7 +491,7 @@ with TrackWriter(Path({str(tmp_path / "out")!r}), header) as writer:
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert done.returncode == -signal.SIGKILL, done.stderr
-    assert _files(tmp_path / "out") == ["track.jsonl"]
+    assert _files(tmp_path / "out") == ["header.json", "track.jsonl"]
     assert load_track(tmp_path / "out").seconds.tolist() == [0.5] * 5
 
 
@@ -491,15 +502,42 @@ with TrackWriter(Path({str(tmp_path / "out")!r}), header) as writer:
         (
             "track.jsonl",
             b'{"format": "torchhand track 1", "dof_names": ["a"]}\n{"frame": 0}\n',
-            "is no track that can be",
+            "track.jsonl: was written by an earlier version, whose first line is a header",
         ),
-        ("track.jsonl", b"", "track.jsonl: expected a track"),
+        ("track.jsonl", b"", "track.jsonl: expected a track, whose header.json is beside it, found none"),
+        ("track.jsonl", b'{"frame": 0}\n', "track.jsonl: expected a track, whose header.json"),
     ],
 )
 def test_files_that_are_no_track(tmp_path: Path, name: str, content: bytes, message: str):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError, match=message):
         load_track(tmp_path)
+
+
+def test_lines_under_another_header(tmp_path: Path):
+    _run(tmp_path / "out", 12)
+    header = tmp_path / "out" / "header.json"
+    for content, message in (
+        ('{"format": "recipe"}', r"header.json: expected the header of a track"),
+        ('["format"]', r"header.json: expected the header of a track"),
+        ('{"format": ', r"header.json, line 1: is no valid JSON"),
+        ('{"format": "torchhand track 2", "dof_names": ["a"]}', r"track.jsonl: is no track that can be read"),
+    ):
+        header.write_text(content)
+        with pytest.raises(InputError, match=message):
+            load_track(tmp_path / "out" / "track.jsonl")
+
+
+def test_the_result_of_an_earlier_version_is_refused(tmp_path: Path):
+    """Its arrays are still read by their own name."""
+    _run(tmp_path, 12)
+    lines, header = tmp_path / "track.jsonl", tmp_path / "header.json"
+    old = json.loads(header.read_text()) | {"format": "torchhand track 1"}
+    lines.write_text(json.dumps(old) + "\n" + lines.read_text())
+    header.unlink()
+    with pytest.raises(InputError, match=r"track.jsonl: was written by an earlier version"):
+        load_track(tmp_path)
+    assert len(load_track(tmp_path / "track.npz")) == 11
 
 
 def test_a_folder_without_a_track(tmp_path: Path):
@@ -586,7 +624,7 @@ def test_fewer_frames_than_are_done_cannot_be_resumed(tmp_path: Path):
     assert {entry.name: entry.read_bytes() for entry in tmp_path.iterdir()} == before
 
 
-@pytest.mark.parametrize("moves", range(6))
+@pytest.mark.parametrize("moves", range(7))
 def test_a_result_is_replaced_as_one_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moves: int):
     """Killed after any number of moved files, the folder holds the old result or the new one, never some of both."""
 
@@ -614,10 +652,12 @@ def test_a_result_is_replaced_as_one_step(tmp_path: Path, monkeypatch: pytest.Mo
         try:
             replaced(tmp_path, "new", overwrite=True)
         except _Stop:
-            assert moves < 3
+            assert moves < 5
     assert load_track(tmp_path).header["source"] == "new"  # whoever reads it first finishes the moves
     assert (tmp_path / "hand.json").read_text() == "new"
-    assert {entry.name for entry in tmp_path.iterdir()} == {"hand.json", "track.npz", "track.jsonl"}
+    assert {entry.name for entry in tmp_path.iterdir()} == {
+        *("hand.json", "header.json", "track.npz", "track.jsonl")
+    }
 
 
 def _damaged_header(arrays: dict[str, Any]) -> None:

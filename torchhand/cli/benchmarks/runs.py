@@ -113,7 +113,7 @@ def _lines_of(out: Path) -> int:
     """Frames that a run has written down."""
     for folder in (out / UNFINISHED_NAME, out):
         try:
-            return max(0, (folder / JSONL_NAME).read_bytes().count(b"\n") - 1)  # the first line is the header
+            return (folder / JSONL_NAME).read_bytes().count(b"\n")
         except OSError:
             continue
     return 0

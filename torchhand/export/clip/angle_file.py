@@ -1,7 +1,8 @@
 """The joint angles over time as a table that spreadsheets and `pandas.read_csv` take as it is.
 
-A line per frame: frame, time (s), status, then for each of the 30 joint angles its value and its standard deviation,
-`NAME_deg` and `NAME_std_deg`, in degrees, and for each finger the probability that its tip is right, `FINGER_quality`.
+A line per frame: frame, time_s (from the first frame on, by the frames' numbers), status, then for each of the 30 joint
+angles its value and its standard deviation, `NAME_deg` and `NAME_std_deg`, in degrees, and for each finger the
+probability that its tip is right, `FINGER_quality`.
 Frames without an estimate keep their line, with empty cells.
 """
 
@@ -23,18 +24,18 @@ def write_angles(clip: MotionClip, path: str | Path) -> None:
     """Write the file. Standard deviations and qualities are empty where the clip knows none."""
     angles = torch.rad2deg(clip.poses[:, _FIRST:]).tolist()
     spread = torch.full_like(clip.poses, math.nan) if clip.pose_std is None else clip.pose_std
-    std, times, held = torch.rad2deg(spread[:, _FIRST:]).tolist(), clip.seconds.tolist(), set(clip.held)
+    std, held = torch.rad2deg(spread[:, _FIRST:]).tolist(), set(clip.held)
     unknown = torch.full((len(clip), len(FINGERS)), math.nan)
     quality = (unknown if clip.finger_quality is None else clip.finger_quality).tolist()
     columns = [f"{name}_{kind}" for name in JOINT_DOFS for kind in _COLUMNS]
     columns += [f"{finger}_quality" for finger in FINGERS]
-    lines = [",".join(("frame", "time", "status", *columns))]
+    lines = [",".join(("frame", "time_s", "status", *columns))]
     for t, number in enumerate(clip.frame):
         status = clip.status[t] if clip.status else ("lost" if number in held else "tracked")
         pairs = zip(angles[t], std[t], strict=True)
         cells = [_cell(value, empty=number in held) for pair in pairs for value in pair]
         cells += [_cell(value, empty=number in held) for value in quality[t]]
-        lines.append(",".join((str(number), repr(times[t]), status, *cells)))
+        lines.append(",".join((str(number), repr((number - clip.frame[0]) / clip.fps), status, *cells)))
     write_text(Path(path), "\n".join(lines) + "\n")
 
 

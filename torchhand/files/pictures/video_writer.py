@@ -1,21 +1,23 @@
-"""Writing a video, moved into place only when it is whole."""
+"""Writing a video that browsers play (H.264 in MP4), moved into place only when it is whole."""
 
 import contextlib
 import math
 import os
 from collections.abc import Iterator
+from fractions import Fraction
 from pathlib import Path
 
-import cv2
 from jaxtyping import UInt8
 from torch import Tensor
 
 from torchhand.errors import DiskError, InputError
-from torchhand.files.disk import explained_errors, quiet_opencv, temporary_path
+from torchhand.files.disk import explained_errors, temporary_path
 from torchhand.files.pictures.frame_source import ASSUMED_FPS
 
-_CODEC = "mp4v"
+_ENCODERS = ("libx264", "libopenh264")
+_SPEED, _QUALITY = {"libx264": {"preset": "superfast"}}, {"libx264": {"crf": "23"}}
 _SMALLEST_SIDE = 16
+_MAX_DENOMINATOR = 1001  # of a frame rate: 30000/1001 and the like are exact
 
 
 class VideoWriter:
@@ -24,17 +26,36 @@ class VideoWriter:
     The codec wants even sides: the last column or row of an odd picture is cut off.
     """
 
-    def __init__(self, path: Path, *, width: int, height: int, fps: float) -> None:
+    def __init__(self, path: Path, *, width: int, height: int, fps: float, bits_per_second: int | None = None) -> None:
+        """path: of the video as it is to be in the end; it grows in `temporary`. bits_per_second: mean rate to keep to;
+        None for a constant quality.
+
+        Raises InputError where no encoder for H.264 is at hand, or the file cannot be written.
+        """
+        import av  # a tenth of a second, and libraries that only writers of videos need
+
         self.frames_written = 0
+        self.temporary = temporary_path(path)
+        self._path = path
         self._width, self._height = width, height
         self._even = (width - width % 2, height - height % 2)
-        with quiet_opencv():
-            codec = cv2.VideoWriter.fourcc(*_CODEC)
-            self._writer = cv2.VideoWriter(os.path.abspath(path), cv2.CAP_FFMPEG, codec, fps, self._even)
-
-    @property
-    def is_open(self) -> bool:
-        return self._writer.isOpened()
+        encoder = _encoder_name()
+        if encoder is None:
+            raise InputError(f"{path}: no video can be written here (PyAV has none of {', '.join(_ENCODERS)})")
+        file = os.path.abspath(self.temporary)
+        with _explained(path):
+            self._container = av.open(file, "w", format="mp4", options={"movflags": "+faststart"})
+        rate = Fraction(fps).limit_denominator(_MAX_DENOMINATOR)
+        limits = {"maxrate": str(bits_per_second), "bufsize": str(bits_per_second)} if bits_per_second else {}
+        options = dict(_SPEED.get(encoder, {})) | (limits or _QUALITY.get(encoder, {}))
+        stream = self._container.add_stream(encoder, rate=rate, options=options)
+        assert isinstance(stream, av.VideoStream)
+        stream.width, stream.height = self._even
+        stream.pix_fmt = "yuv420p"
+        stream.codec_context.thread_count = 1  # the callers have threads of their own
+        if bits_per_second:
+            stream.bit_rate = bits_per_second
+        self._stream = stream
 
     def write(self, image: UInt8[Tensor, "height width 3"]) -> None:
         """Append one RGB frame of the size given at the start."""
@@ -42,21 +63,31 @@ class VideoWriter:
             raise ValueError(
                 f"video: expected frames of {self._width}x{self._height} px, got {image.shape[1]}x{image.shape[0]}"
             )
+        import av
+
         width, height = self._even
-        with quiet_opencv():
-            self._writer.write(cv2.cvtColor(image.cpu().numpy()[:height, :width], cv2.COLOR_RGB2BGR))
+        frame = av.VideoFrame.from_ndarray(image[:height, :width].contiguous().cpu().numpy(), format="rgb24")
+        frame.pts = self.frames_written
+        with _explained(self._path):
+            self._container.mux(self._stream.encode(frame))
         self.frames_written += 1
 
     def close(self) -> None:
-        with quiet_opencv():
-            self._writer.release()
+        """Write what the encoder still holds, and the index."""
+        with _explained(self._path):
+            if self.frames_written:
+                self._container.mux(self._stream.encode(None))
+            self._container.close()
 
 
 @contextlib.contextmanager
-def write_video(path: str | Path, *, width: int, height: int, fps: float = ASSUMED_FPS) -> Iterator[VideoWriter]:
+def write_video(
+    path: str | Path, *, width: int, height: int, fps: float = ASSUMED_FPS, bits_per_second: int | None = None
+) -> Iterator[VideoWriter]:
     """`with write_video(...) as video: video.write(image)` leaves an MP4 file when the block ends well.
 
-    When it does not, or when not all frames have reached the disk (InputError), what was there before stays.
+    bits_per_second: mean rate to keep to; None for a constant quality. When the block does not end well, or when not
+    all frames have reached the disk (InputError), what was there before stays.
     """
     if min(width, height) < _SMALLEST_SIDE:
         raise ValueError(f"video: expected sides of at least {_SMALLEST_SIDE} px, got {width}x{height}")
@@ -65,15 +96,16 @@ def write_video(path: str | Path, *, width: int, height: int, fps: float = ASSUM
     path = Path(path)
     temporary = temporary_path(path)
     with explained_errors(path):
-        temporary.touch()  # the system says why it refuses, OpenCV would not
+        temporary.touch()  # so that no encoder is begun where nothing can be written
     try:
-        writer = VideoWriter(temporary, width=width, height=height, fps=fps)
-        if not writer.is_open:
-            raise InputError(f"{path}: no video can be written here (MP4 with codec {_CODEC})")
+        writer = VideoWriter(path, width=width, height=height, fps=fps, bits_per_second=bits_per_second)
         try:
             yield writer
-        finally:
-            writer.close()
+        except BaseException:
+            with contextlib.suppress(InputError):  # the first error is the one to report
+                writer.close()
+            raise
+        writer.close()
         arrived = _count_frames(temporary)
         if arrived != writer.frames_written or arrived == 0:
             got = f"expected {writer.frames_written} frames, {arrived} arrived"
@@ -86,10 +118,36 @@ def write_video(path: str | Path, *, width: int, height: int, fps: float = ASSUM
         raise
 
 
+@contextlib.contextmanager
+def _explained(path: Path) -> Iterator[None]:
+    """As `explained_errors`, for what FFmpeg says too."""
+    from av.error import FFmpegError
+
+    try:
+        with explained_errors(path):
+            yield
+    except FFmpegError as error:
+        raise DiskError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def _encoder_name() -> str | None:
+    """The first encoder for H.264 that PyAV has here; None without any."""
+    from av.codec import Codec
+    from av.codec.codec import UnknownCodecError
+
+    for name in _ENCODERS:
+        with contextlib.suppress(UnknownCodecError):
+            return Codec(name, "w").name
+    return None
+
+
 def _count_frames(path: Path) -> int:
-    """Frames of a file that FFmpeg wrote itself a moment ago; OpenCV does not tell when the disk was full."""
-    with quiet_opencv():
-        capture = cv2.VideoCapture(os.path.abspath(path), cv2.CAP_FFMPEG)
-        count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)) if capture.isOpened() else 0
-        capture.release()
-    return max(0, count)
+    """Frames that the index of a file tells of; 0 where it has none."""
+    import av
+    from av.error import FFmpegError
+
+    try:
+        with av.open(os.path.abspath(path)) as container:
+            return container.streams.video[0].frames
+    except (FFmpegError, IndexError):
+        return 0

@@ -13,13 +13,18 @@ from jaxtyping import Float
 from torchhand.errors import InputError
 from torchhand.files.disk import LineFile, explained_errors, read_lines, replacing
 from torchhand.files.results.replacement import remove_entry, replace_result
-from torchhand.files.results.results import UNFINISHED_NAME, check_output_folder, header_to_resume
-from torchhand.files.results.track_file import POSES_NAME
+from torchhand.files.results.results import UNFINISHED_NAME, check_header, check_output_folder
+from torchhand.files.results.track_file import HEADER_NAME, POSES_NAME, write_header
 from torchhand.files.results.track_record import OF_PICTURES, FrameRecord, TrackHeader, track_of
 
 POSES_LINES_NAME = "poses.jsonl"
 OVERLAYS_NAME = "overlays"
-_RESULT_NAMES = (OVERLAYS_NAME, POSES_LINES_NAME, POSES_NAME)  # in the order in which they are moved into place
+_RESULT_NAMES = (
+    OVERLAYS_NAME,
+    HEADER_NAME,
+    POSES_LINES_NAME,
+    POSES_NAME,
+)  # in the order in which they are moved into place
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,11 +50,11 @@ class PictureRecord:
 class PosesWriter:
     """Writes the results of single pictures; use it as a context manager around the whole run.
 
-    poses.jsonl grows by a line per picture. Leaving the block well writes poses.npz: the arrays of track.npz, and of
-    every picture its name (`image`), the `side`, the `shape` with `shape_names`, and the intrinsics `K`. Leaving it by
-    an exception keeps the lines. Where the folder holds results already (`overwrite`), the new run grows in the
-    sub-folder `unfinished`, and takes their place only when it ends well, as one step. `resume` goes on after the
-    pictures that are `done`.
+    header.json is written once; poses.jsonl grows by a line per picture. Leaving the block well writes poses.npz: the
+    arrays of track.npz, and of every picture its name (`image`), the `side`, the `shape` with `shape_names`, and the
+    intrinsics `K`. Leaving it by an exception keeps the lines. Where the folder holds results already (`overwrite`),
+    the new run grows in the sub-folder `unfinished`, and takes their place only when it ends well, as one step.
+    `resume` goes on after the pictures that are `done`.
 
     Raises InputError where the folder cannot be used, the disk refuses, or the header is not that of the run to resume.
     """
@@ -80,9 +85,9 @@ class PosesWriter:
             self.overlays.mkdir(parents=True, exist_ok=True)
         path = self.folder / POSES_LINES_NAME
         size = self._resumed(path) if resume and path.exists() else 0
-        self._lines = LineFile(path, size=size)
         if not size:
-            self._lines.append(json.dumps(self._header, allow_nan=False))
+            write_header(self.folder, self._header)
+        self._lines = LineFile(path, size=size)
 
     @property
     def overlays(self) -> Path:
@@ -116,7 +121,7 @@ class PosesWriter:
             replace_result(self.out_dir, self.folder, kept, [name for name in _RESULT_NAMES if name not in kept])
 
     def _write_arrays(self) -> None:
-        rows = [record for i, (record, _) in enumerate(read_lines(self.folder / POSES_LINES_NAME)) if i > 0]
+        rows = [record for record, _ in read_lines(self.folder / POSES_LINES_NAME)]
         rows = sorted({row["image"]: row for row in rows}.values(), key=lambda row: row["frame"])
         track = track_of(self._header, [{k: v for k, v in row.items() if k not in OF_PICTURES} for row in rows])
         arrays = track.arrays() | {
@@ -131,13 +136,10 @@ class PosesWriter:
 
     def _resumed(self, path: Path) -> int:
         """Find the pictures that are done; returns how many bytes of the file stay."""
-        size = header_to_resume(path, self._header)
-        if not size:
-            return 0
-        done: list[str] = []
-        for i, (record, end) in enumerate(read_lines(path)):
-            if i > 0:
-                done.append(str(record.get("image")))
+        check_header(path, self._header)
+        size, done = 0, list[str]()
+        for record, end in read_lines(path):
+            done.append(str(record.get("image")))
             size = end
         self.done = frozenset(done)
         return size

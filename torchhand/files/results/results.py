@@ -1,12 +1,10 @@
 """The result folder of one sequence: written frame by frame, resumable, never worse than what was there before."""
 
 import contextlib
-import json
 import os
 import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -16,6 +14,7 @@ from torchhand.files.disk import LineFile, explained_errors, read_lines, replaci
 from torchhand.files.results.checkpoint import ResumePoint, State, load_checkpoint, save_checkpoint
 from torchhand.files.results.replacement import finish_replacement, replace_result
 from torchhand.files.results.track_file import (
+    HEADER_NAME,
     JSONL_NAME,
     NPZ_NAME,
     UNFINISHED_NAME,
@@ -23,6 +22,7 @@ from torchhand.files.results.track_file import (
     load_track,
     read_header,
     wanted_end_of,
+    write_header,
     write_npz,
 )
 from torchhand.files.results.track_record import FrameRecord, TrackHeader
@@ -30,6 +30,8 @@ from torchhand.files.results.track_record import FrameRecord, TrackHeader
 HAND_NAME = "hand.json"
 CONFIG_NAME = "config.yaml"
 OVERLAY_NAME = "overlay.mp4"
+REPORT_NAME = "report.html"
+COMPARISON_NAME = "comparison.html"
 CHECKPOINT_NAME = "checkpoint.pt"
 DETECTIONS_NAME = "keypoints.jsonl"
 """What a detector that ran along has found."""
@@ -41,8 +43,9 @@ BACKWARD_NAME = "backward.jsonl"
 
 # In the order in which they are moved into place: the result itself last.
 _RESULT_NAMES = (
-    *(HAND_NAME, CONFIG_NAME, OVERLAY_NAME, CHECKPOINT_NAME, DETECTIONS_NAME, FORWARD_NAME, BACKWARD_NAME),
-    *(JSONL_NAME, NPZ_NAME),
+    *(HAND_NAME, CONFIG_NAME, OVERLAY_NAME, REPORT_NAME, COMPARISON_NAME),
+    *(CHECKPOINT_NAME, DETECTIONS_NAME, FORWARD_NAME, BACKWARD_NAME),
+    *(HEADER_NAME, JSONL_NAME, NPZ_NAME),
 )
 _DETECTED_ARRAYS = re.compile(r"keypoints(_\d+)?\.npz")  # one per view
 
@@ -69,7 +72,8 @@ def check_output_folder(out_dir: str | Path, *, resume: bool = False, overwrite:
 class TrackWriter:
     """Writes the result folder of one sequence; use it as a context manager around the whole run.
 
-    track.jsonl grows by a line per frame, and by one for each that is corrected: a frame's last line counts. What a
+    header.json is written once; track.jsonl grows by a line per frame, and by one for each that is corrected: a frame's
+    last line counts. What a
     backward pass corrects is kept as it was in forward.jsonl. Leaving the block well leaves one line per frame and
     writes track.npz from them. Leaving it by an exception (Ctrl-C, a full disk) keeps the lines, and writes track.npz
     from them where the disk allows.
@@ -124,9 +128,9 @@ class TrackWriter:
             self._remove_unfinished()
         elif path.exists():
             size = self._resume(path)
-        self._lines = LineFile(path, size=size)
         if not size:
-            self._lines.append(json.dumps(self._header, allow_nan=False))
+            write_header(self.folder, self._header)
+        self._lines = LineFile(path, size=size)
 
     def append(self, record: FrameRecord, state: Callable[[], State] | None = None) -> None:
         """Add one frame; frames come in increasing order.
@@ -165,10 +169,9 @@ class TrackWriter:
 
     @contextlib.contextmanager
     def lines_beside(self, name: str) -> Iterator[LineFile]:
-        """A new file of lines with the same header, which `load_track` reads by its path."""
+        """A new file of lines under the same header, which `load_track` reads by its path."""
         lines = LineFile(self.folder / name, size=0)
         try:
-            lines.append(json.dumps(self._header, allow_nan=False))
             yield lines
         finally:
             lines.close()
@@ -240,9 +243,7 @@ class TrackWriter:
 
     def _resume(self, path: Path) -> int:
         """Find the point to go on from; returns how many bytes of the file stay."""
-        size = header_to_resume(path, self._header)
-        if not size:
-            return 0
+        check_header(path, self._header)
         if not (self.folder / CHECKPOINT_NAME).exists() and self._has_ended(path):
             self.is_finished = True
             return path.stat().st_size
@@ -254,21 +255,21 @@ class TrackWriter:
             with explained_errors(self.folder):
                 os.replace(forward, path)
         if checkpoint is None:
-            if any(True for _ in islice(read_lines(path), 1, 2)):
+            if any(True for _ in read_lines(path)):
                 self.note = f"{problem}; tracking from the first frame"
-            return size
+            return 0
         frames: set[int] = set()
-        for lines, (record, end) in enumerate(islice(read_lines(path), 1, None), start=1):
+        for lines, (record, end) in enumerate(read_lines(path), start=1):
             frame = record.get("frame")
             if not isinstance(frame, int):
-                self.note = f"{path}, line {lines + 1}: is damaged; tracking from the first frame"
-                return size
+                self.note = f"{path}, line {lines}: is damaged; tracking from the first frame"
+                return 0
             frames.add(frame)
             if frame == checkpoint.last_frame:
                 self.resume_point, self._last_frame, self._frames = checkpoint, frame, len(frames)
                 self._has_corrections = lines > len(frames)
                 return end
-        return size
+        return 0
 
     def _has_ended(self, path: Path) -> bool:
         """Whether these lines are those of a run that has ended well. Raises InputError where it was asked for other
@@ -305,22 +306,15 @@ def _result_names(*folders: Path) -> list[str]:
     return [*sorted(name for name in entries if _DETECTED_ARRAYS.fullmatch(name)), *_RESULT_NAMES]
 
 
-def header_to_resume(path: Path, header: Mapping[str, Any]) -> int:
-    """Bytes of the first line of an interrupted run's lines; 0 where it was stopped while it wrote that one.
-
-    Raises InputError where the run was begun with another header than the given one.
-    """
-    with path.open("rb") as file:
-        if not file.readline().endswith(b"\n"):
-            return 0
-    before, size = read_header(path)
+def check_header(path: Path, header: Mapping[str, Any]) -> None:
+    """Raise InputError where the lines of an interrupted run were begun with another header than the given one."""
+    before = read_header(path)
     for key, value in header.items():
         if before.get(key) != value:
             raise InputError(
                 f"{path}: cannot be resumed: {_difference(key, before.get(key), value)};"
                 " give the same options as before, or --overwrite"
             )
-    return size
 
 
 def _difference(key: str, before: Any, now: Any) -> str:

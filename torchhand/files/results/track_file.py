@@ -1,13 +1,17 @@
-"""track.jsonl and track.npz: the lines of a running track, and the arrays of a track as a whole."""
+"""track.jsonl, a line of JSON per frame with header.json beside it, and track.npz, the arrays of a track as a whole.
+
+`pandas.read_json("track.jsonl", lines=True)` reads the lines as they are; `load_track` reads either.
+"""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from torchhand.errors import InputError
-from torchhand.files.disk import check_plain_file, opened_arrays, read_lines, replacing
+from torchhand.files.disk import check_plain_file, opened_arrays, read_json, read_lines, replacing, write_text
 from torchhand.files.results.replacement import finish_replacement
 from torchhand.files.results.track_record import (
     ARRAY_FIELDS,
@@ -22,6 +26,8 @@ from torchhand.files.results.track_record import (
 )
 
 JSONL_NAME = "track.jsonl"
+HEADER_NAME = "header.json"
+"""What holds for all lines of a track.jsonl or poses.jsonl beside it."""
 NPZ_NAME = "track.npz"
 POSES_NAME = "poses.npz"
 FIT_NAME = "keypoints_fit.npz"
@@ -33,23 +39,33 @@ _MISTAKES = (KeyError, ValueError, TypeError, OverflowError, RecursionError)
 _NPY_HEADER = 256  # bytes before the numbers of a one-dimensional array, and to spare
 
 
-def read_header(path: Path) -> tuple[dict[str, Any], int]:
-    """The header of a track.jsonl and the offset of its end. Raises InputError if the file is none."""
+def write_header(folder: Path, header: Mapping[str, Any]) -> None:
+    """Write what holds for all lines of a folder. Raises InputError where the disk refuses."""
+    write_text(folder / HEADER_NAME, json.dumps(header, allow_nan=False, indent=1) + "\n")
+
+
+def read_header(lines: Path) -> dict[str, Any]:
+    """What holds for all lines of a file. Raises InputError where that is missing, or not that of a track."""
+    path = lines.with_name(HEADER_NAME)
     try:
-        header, end = next(read_lines(path), ({}, 0))
+        first = next(read_lines(lines), ({}, 0))[0]
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    if header.get("format") != TRACK_FORMAT:
-        raise InputError(f"{path}: expected a track (first line with 'format': '{TRACK_FORMAT}'), got something else")
-    return header, end
+        raise InputError(f"{lines}: cannot be read ({error.strerror or error})") from error
+    if "format" in first:
+        raise InputError(f"{lines}: was written by an earlier version, whose first line is a header; track it again")
+    if not path.is_file():
+        raise InputError(f"{lines}: expected a track, whose {HEADER_NAME} is beside it, found none")
+    header = read_json(path)
+    if not isinstance(header, dict) or header.get("format") != TRACK_FORMAT:
+        raise InputError(f"{path}: expected the header of a track ('format': '{TRACK_FORMAT}'), got something else")
+    return header
 
 
 def keep_last_lines(path: Path) -> None:
-    """Leave the header and the last line of every frame, in the frames' order; or the file as it was, and raise
-    InputError."""
+    """Leave the last line of every frame, in the frames' order; or the file as it was, and raise InputError."""
     start, last = 0, dict[int, tuple[int, int]]()
-    for i, (record, end) in enumerate(read_lines(path)):
-        last[record["frame"] if i else -1] = (start, end)
+    for record, end in read_lines(path):
+        last[record["frame"]] = (start, end)
         start = end
     with replacing(path) as temporary, path.open("rb") as file, temporary.open("wb") as kept:
         for frame in sorted(last):
@@ -83,7 +99,7 @@ def load_track(folder: str | Path) -> Track:
         return _read_npz(npz)
     if npz.is_file():
         track = _read_npz(npz)
-        if len(track) >= len({str(record.get("frame")) for record, _ in read_lines(jsonl)}) - 1:
+        if len(track) >= len({str(record.get("frame")) for record, _ in read_lines(jsonl)}):
             return track
     return _read_jsonl(jsonl)
 
@@ -112,8 +128,8 @@ def wanted_end_of(npz: Path, jsonl: Path) -> tuple[int, int] | None:
 
 def _read_jsonl(path: Path) -> Track:
     check_plain_file(path)
-    header, _ = read_header(path)
-    rows = (record for i, (record, _) in enumerate(read_lines(path)) if i > 0)
+    header = read_header(path)
+    rows = (record for record, _ in read_lines(path))
     try:
         return track_of(header, rows)
     except _MISTAKES as error:

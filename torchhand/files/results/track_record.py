@@ -30,7 +30,7 @@ RESERVED_NAMES = (
 )
 """In a line of track.jsonl and in track.npz, every other name is that of a measure."""
 
-TRACK_FORMAT = "torchhand track 1"
+TRACK_FORMAT = "torchhand track 2"
 UNITS = "metres, radians, seconds; keypoints2d px"
 CONVENTION = (
     "camera frame of OpenCV: x right, y down, z forward; the centre of the first pixel is (0, 0); root rotation is a"
@@ -59,7 +59,7 @@ class TrackHeader:
     """Version, seed, settings, start: whatever changes the result. Values that JSON knows."""
 
     def as_json(self) -> dict[str, Any]:
-        """The first line of track.jsonl, as it reads back."""
+        """What header.json holds, as it reads back."""
         return json.loads(json.dumps({"format": TRACK_FORMAT, **vars(self)}, default=str))
 
 
@@ -162,7 +162,7 @@ class Track:
     units: str
     convention: str
     header: Mapping[str, Any]
-    """The first line of track.jsonl."""
+    """What header.json beside track.jsonl holds."""
     finger_quality: Float64[np.ndarray, "t 5"] | None = None
     """Probability that each fingertip, thumb to little, lies within 20 mm of where it is, once the two hands are laid
     over one another; None in tracks that tell none."""

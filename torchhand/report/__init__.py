@@ -1,0 +1,6 @@
+"""Results as one page that opens from disk: report.html, with video, a hand in 3D, angles over time and tables."""
+
+from torchhand.report.document import write_report
+from torchhand.report.result import Result, load_result
+
+__all__ = ["Result", "load_result", "write_report"]
