@@ -655,9 +655,7 @@ def test_a_result_is_replaced_as_one_step(tmp_path: Path, monkeypatch: pytest.Mo
             assert moves < 5
     assert load_track(tmp_path).header["source"] == "new"  # whoever reads it first finishes the moves
     assert (tmp_path / "hand.json").read_text() == "new"
-    assert {entry.name for entry in tmp_path.iterdir()} == {
-        *("hand.json", "header.json", "track.npz", "track.jsonl")
-    }
+    assert {entry.name for entry in tmp_path.iterdir()} == {*("hand.json", "header.json", "track.npz", "track.jsonl")}
 
 
 def _damaged_header(arrays: dict[str, Any]) -> None:

@@ -122,7 +122,7 @@ def wanted_end_of(npz: Path, jsonl: Path) -> tuple[int, int] | None:
             frames, end = stored["frame"].tolist(), int(stored[WANTED_END])
     except InputError:
         return None
-    lines = {record.get("frame") for i, (record, _) in enumerate(read_lines(jsonl)) if i > 0}
+    lines = {record.get("frame") for record, _ in read_lines(jsonl)}
     return (max(frames), end) if frames and lines == set(frames) else None
 
 
