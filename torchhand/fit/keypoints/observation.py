@@ -152,13 +152,17 @@ class PictureKeypointFactor:
         """Normal equations in the DOFs, and in the shared unknowns where there are some."""
         pixels, slopes, depth = self._projected(hands)
         rows = slopes @ self.detector.pose_jacobian(self.kinematics, hands)
-        shared = None
+        missed, shared = self._missed(hands, pixels), None
         if hands.unknowns is not None:
             shared = slopes @ self.detector.shared_jacobian(self.kinematics, hands)
-            if self.lag is not None:
-                change = self.lag.at(hands.extra).points_px()[1]
-                shared[..., len(hands.unknowns.columns) + self.lag.place] -= change.nan_to_num()
-        missed = self._missed(hands, pixels)
+        if self.lag is not None:
+            lag = self.lag.at(hands.extra)
+            size, growth = lag.noise()
+            missed, rows = missed / size, rows / size
+            if shared is not None and hands.unknowns is not None:
+                shared = shared / size
+                change = lag.points_px()[1].nan_to_num() / size + missed * (growth / size)
+                shared[..., len(hands.unknowns.columns) + lag.place] -= change
         if self.white is not None:
             missed, rows = (self.white @ missed[..., None])[..., 0], self.white @ rows
             shared = None if shared is None else self.white @ shared

@@ -17,8 +17,6 @@ from torchhand.track.scene import Masks, Scene
 _EXPLAINED = 0.80
 """Score from which on nothing else is looked for: proposed hands that reached it lay within 20 mm of the truth in the
 mean over the joints, in every frame of the synthetic sequences of four cameras."""
-_EXPLAINED_BY_FEW = 0.88
-"""The same where the views do not tell palm from back: hands that reached it in `stereo_desk` faced as they do."""
 _MAX_DROP_FOR_SHAPE = 0.08  # score below the best frame's with which a frame enters the fit of the proportions
 _MAX_DROP_AS_FOUND = 0.15  # score below the best frame's with which a hand still counts as found
 SHAPE_AT = (1, 3, 6)
@@ -117,7 +115,8 @@ def _found(
     fitter: FrameFitter, frame: _Frame, shape: Tensor, proposals: HandPose | None, fits: Sequence[HullFit]
 ) -> HullFit | None:
     """The hand from what is proposed and from the poses of other frames; searched without a guess too where these leave
-    much unexplained. Where the views do not tell palm from back, which the network then guesses, both are tried."""
+    much unexplained. Where the views do not tell palm from back, which the network then guesses, both are tried, of a
+    search's hand too."""
     others = [fit.pose for fit in fits[-_MAX_POSES:]]
     hands = [*([] if proposals is None else [proposals]), *([HandPose.stack(others)] if others else [])]
     found = fitter.fit_proposed(frame.hull, HandPose.cat(hands) if hands else None, shape, frame.masks)
@@ -125,10 +124,8 @@ def _found(
         if found is None or found.score < _EXPLAINED:
             found = best_of([found, fitter.search(frame.hull, shape, frame.masks)])
         return _accepted(fitter, found)
-    found = _on_both_sides(fitter, frame, shape, found)
-    if found is None or found.score < _EXPLAINED_BY_FEW:
-        searched = fitter.search(frame.hull, shape, frame.masks)
-        found = best_of([found, _on_both_sides(fitter, frame, shape, searched)])
+    searched = fitter.search(frame.hull, shape, frame.masks)
+    found = best_of([_on_both_sides(fitter, frame, shape, one) for one in (found, searched)])
     return _accepted(fitter, found)
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import pytest
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -74,3 +75,22 @@ def test_a_lag_shifts_polynomials_exactly_and_knows_its_slope() -> None:
     holes[9] = torch.nan
     points, _ = ViewLag.of(holes, std=1.0, place=0).points_px()
     assert points.isnan().flatten(1).any(1).nonzero().flatten().tolist() == [9]
+
+
+def test_noise_alone_makes_no_camera_late() -> None:
+    """Between two frames the noise of both averages out: points there fit better, but not because they were late."""
+    generator = torch.Generator().manual_seed(5)
+    noise = torch.randn(400, 21, 2, generator=generator, dtype=torch.float64)
+    lag = ViewLag.of(noise, std=1.0, place=0)
+    inner = torch.arange(10, 390)
+    costs, slopes = [], []
+    for value in (0.0, 0.25, 0.5, 0.75):
+        at = lag.at(torch.tensor((value,), dtype=torch.float64)).rows(inner)
+        size, growth = at.noise()
+        costs.append(float((at.points_px()[0] / size).square().mean()))
+        step = 1e-6
+        beyond = lag.at(torch.tensor((value + step,), dtype=torch.float64)).noise()[0]
+        slopes.append((growth, (beyond - size) / step))
+    assert costs == pytest.approx([1.0] * 4, rel=0.03)
+    for found, expected in slopes:
+        assert found == pytest.approx(expected, abs=1e-4)

@@ -40,14 +40,27 @@ class ViewLag:
     def points_px(self) -> tuple[Float[Tensor, "rows 21 2"], Float[Tensor, "rows 21 2"]]:
         """Points at the time of the frames, and their derivative in the lag: a cubic through four frames (Catmull and
         Rom 1974). NaN for missing ones."""
+        whole, value, slope = self._weights()
+        before = _AROUND + whole - 1
+        own = self.around_px[:, before : before + 4]
+        value, slope = (part.to(own)[:, None, None] for part in (value, slope))
+        return (value * own).sum(1), (slope * own).sum(1)
+
+    def noise(self) -> tuple[float, float]:
+        """Standard deviation of these points over that of a frame's own, and its derivative in the lag: between frames
+        the errors of several average out, which is no sign that the pictures are late."""
+        _, value, slope = self._weights()
+        size = float(value.norm())
+        return size, float(value @ slope) / size
+
+    def _weights(self) -> tuple[int, Float[Tensor, "4"], Float[Tensor, "4"]]:
+        """Whole frames of the lag, what the four frames around it count, and the derivatives of that."""
         lag = min(max(float(self.lag), -MAX_LAG), MAX_LAG - 1e-9)
         whole = math.floor(lag)
-        x, before = lag - whole, _AROUND + whole - 1
+        x = lag - whole
         value = (-x + 2 * x**2 - x**3, 2 - 5 * x**2 + 3 * x**3, x + 4 * x**2 - 3 * x**3, -(x**2) + x**3)
         slope = (-1 + 4 * x - 3 * x**2, -10 * x + 9 * x**2, 1 + 8 * x - 9 * x**2, -2 * x + 3 * x**2)
-        own = self.around_px[:, before : before + 4]
-        weights = [0.5 * own.new_tensor(part)[:, None, None] for part in (value, slope)]
-        return (weights[0] * own).sum(1), (weights[1] * own).sum(1)
+        return whole, *(0.5 * torch.tensor(part, dtype=torch.float64) for part in (value, slope))
 
 
 def _around(points_px: Float[Tensor, "frames 21 2"]) -> Float[Tensor, "frames window 21 2"]:
