@@ -60,7 +60,8 @@ class ViewLag:
         x = lag - whole
         value = (-x + 2 * x**2 - x**3, 2 - 5 * x**2 + 3 * x**3, x + 4 * x**2 - 3 * x**3, -(x**2) + x**3)
         slope = (-1 + 4 * x - 3 * x**2, -10 * x + 9 * x**2, 1 + 8 * x - 9 * x**2, -2 * x + 3 * x**2)
-        return whole, *(0.5 * torch.tensor(part, dtype=torch.float64) for part in (value, slope))
+        weights = 0.5 * torch.tensor((value, slope), dtype=torch.float64)
+        return whole, weights[0], weights[1]
 
 
 def _around(points_px: Float[Tensor, "frames 21 2"]) -> Float[Tensor, "frames window 21 2"]:
