@@ -74,13 +74,15 @@ def initialize_hand(
 
     Each frame is searched from what is proposed for it and from the hands of other frames. The proportions are fitted
     ever more finely as hands accumulate, all of them with their poses as one problem: the next frame is searched with
-    what the ones before have told.
+    what the ones before have told. Where the views do not tell palm from back, proportions wait until all frames have
+    decided that together: those of a hand held the wrong way round would make all others alike.
 
     shape: known proportions, which are then only used. done: called after every frame, told whether the hand was found.
 
     Without any frame in which a hand is found the proportions are the generic hand's, or those given.
     """
     sizes = _scaled_shapes(fitter) if shape is None else [shape]
+    is_told = len(fitter.cameras) >= _FACING_VIEWS
     seen: list[_Frame] = []
     solution: SharedSolution | None = None
     for index, scene in frames:
@@ -91,13 +93,13 @@ def initialize_hand(
                 sizes = [size]
                 break
         seen.append(frame)
-        if shape is None and frame.fit is not None and len(_fits_of(seen)) in SHAPE_AT:
+        if shape is None and is_told and frame.fit is not None and len(_fits_of(seen)) in SHAPE_AT:
             seen, solution = _with_shape(fitter, seen, sizes[0], is_rough=True)
             sizes = [solution.shape]
         done(frame.fit is not None)
     if not _fits_of(seen):
         return HandInitialization(shape=sizes[0], shape_std=None, poses={}, shape_frames=())
-    if len(fitter.cameras) < _FACING_VIEWS:
+    if not is_told:
         seen = _consistent(fitter, seen, sizes[0])
     used: tuple[int, ...] = ()
     if shape is None:
