@@ -63,9 +63,9 @@ def test_killed_at_any_step_the_folder_holds_one_result_or_the_other(
     track = load_track(tmp_path)  # whoever reads it first finishes the moves
     assert track.image is not None
     assert track.image.tolist() == ["new"]
-    assert json.loads((tmp_path / "poses.jsonl").read_text().splitlines()[1])["image"] == "new"
+    assert json.loads((tmp_path / "poses.jsonl").read_text().splitlines()[0])["image"] == "new"
     overlays = {"overlays/new.png"} if has_overlay else set()
-    assert _names(tmp_path) == {"poses.npz", "poses.jsonl", "notes.txt"} | overlays
+    assert _names(tmp_path) == {"header.json", "poses.npz", "poses.jsonl", "notes.txt"} | overlays
 
 
 @pytest.mark.parametrize(

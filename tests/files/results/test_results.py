@@ -163,7 +163,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(tmp_path: Path, stop_after: i
 def test_a_finished_run_that_has_kept_its_checkpoint_can_go_on_further(tmp_path: Path):
     _run(tmp_path / "whole", 24)
     _run(tmp_path / "short", 12, keep_checkpoint=True)
-    assert _files(tmp_path / "short") == [CHECKPOINT_NAME, "track.jsonl", "track.npz"]
+    assert _files(tmp_path / "short") == [CHECKPOINT_NAME, "header.json", "track.jsonl", "track.npz"]
     assert _run(tmp_path / "short", 12, resume=True, keep_checkpoint=True).resume_point is not None
     assert len(load_track(tmp_path / "short")) == 11
     _run(tmp_path / "short", 24, resume=True)
@@ -213,7 +213,7 @@ def test_a_replacement_that_was_killed_before_its_first_move_is_finished(tmp_pat
     with TrackWriter(out, _header(), resume=True) as writer:
         assert writer.is_finished
     assert len(load_track(out)) == 19
-    assert _files(out) == ["track.jsonl", "track.npz"]
+    assert _files(out) == ["header.json", "track.jsonl", "track.npz"]
 
 
 @pytest.mark.parametrize(
@@ -321,7 +321,7 @@ def test_resuming_in_a_foreign_folder_is_refused(tmp_path: Path):
 def test_a_folder_with_content_is_refused(tmp_path: Path):
     _run(tmp_path / "out", 12)
     before = {name: (tmp_path / "out" / name).read_bytes() for name in _files(tmp_path / "out")}
-    with pytest.raises(InputError, match=r"out: the output folder exists and is not empty \(track.jsonl, .*--resume"):
+    with pytest.raises(InputError, match=r"out: the output folder exists and is not empty \(header.json, .*--resume"):
         _run(tmp_path / "out", 3)
     with pytest.raises(InputError, match="at most one of --resume and --overwrite"):
         _run(tmp_path / "out", 3, resume=True, overwrite=True)

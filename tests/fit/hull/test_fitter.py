@@ -8,7 +8,8 @@ import torch
 
 from torchhand.fit import GaussianPrior, SolveStatus, Stage
 from torchhand.fit.hull.fitter import HullEvidence, HullFitter
-from torchhand.fit.hull.settings import TRACKING, HullSettings
+from torchhand.fit.hull.joint_priors import JointPriors
+from torchhand.fit.hull.settings import TRACKING, HullSettings, JointPriorWeights
 from torchhand.fit.hull.target import HullTarget
 from torchhand.hand import DOFS, HandPose, named_pose_space, pose_space
 
@@ -52,10 +53,10 @@ def test_without_coverage_a_folded_hand_fits(rig: Any) -> None:
     start = pose.dofs.clone()
     flexions = [i for i, name in enumerate(SPACE.free_names) if name.endswith(("pip_fe", "dip_fe"))]
     start[flexions] = rig.model.skeleton.within_limits(start[6:] + 0.25)[torch.tensor(flexions) - 6]
-    errors = []
+    errors, joints = [], JointPriors(weights=JointPriorWeights(penetration=0.0))
     for weight in (0.0, 100.0):
         settings = HullSettings(surface_weight=weight)
-        own = HullFitter(hand=rig.hand, space=SPACE, shape=shape, settings=settings, schedule=STAGES)
+        own = HullFitter(hand=rig.hand, space=SPACE, shape=shape, settings=settings, schedule=STAGES, joints=joints)
         found = own(target, HandPose(dofs=start, reference=pose.reference))
         errors.append(rig.error_mm(found.pose, pose, shape))
     assert errors[1] < 0.6 * errors[0]

@@ -56,7 +56,8 @@ def test_the_cost_is_that_of_the_depths_between_digits(hand: Hand, hands: PosedH
     sizes = primitive_sizes(hand.kinematics.shape_space, hand.shape)
     depths = penetration(place_primitives(frames, sizes, is_left=hand.kinematics.side == "left"), settings)
     between = [index for index, name in enumerate(depths.names) if "palm" not in name and "thenar" not in name]
-    expected = 0.5 * (depths.excess[:, between] / settings.softness).square().sum(-1)
+    square = (depths.excess[:, between] / settings.softness / 3.0).square()  # Cauchy beyond three
+    expected = 0.5 * 9.0 * square.log1p().sum(-1)
     found = PenetrationPrior(skin=SkinPoints(hand), settings=settings).equations(hands).cost
     assert float(expected.max()) > 1.0
     torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-9)

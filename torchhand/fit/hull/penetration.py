@@ -16,12 +16,13 @@ from torchhand.geometry import tapered_capsule_touch
 from torchhand.hand import CONE_BONES, PenetrationSettings, digit_pairs, primitive_sizes
 
 _ROOT = 6
+_GROSS = 3.0  # depths in units of the softness beyond which more counts for less (Cauchy): digits must get past others
 _NOTHING = 1e-9  # metres: keeps directions finite where two axes meet
 
 
 @dataclass(frozen=True, kw_only=True)
 class PenetrationPrior:
-    """½ weight Σ (excess / softness)² over the pairs of segments. Its own factor: nothing is associated."""
+    """½ weight Σ (excess / softness)² over the pairs of segments, deep ones less. Nothing is associated."""
 
     skin: SkinPoints
     """Tells the bones, in the dtype to compute in."""
@@ -51,15 +52,14 @@ class PenetrationPrior:
         apart = here - there
         distance = apart.norm(dim=-1).clamp_min(_NOTHING)
         excess = (reach - distance - slack.to(reach)).clamp_min(0)
-        some = (excess > 0).any(0).nonzero()[:, 0]
-        direction = (apart / distance[..., None])[:, some]
+        direction = apart / distance[..., None]
         own = torch.tensor(CONE_BONES[1:], device=start.device)
-        pull = _turned(skin, bones, there[:, some], own[second[some]], direction)
-        pull -= _turned(skin, bones, here[:, some], own[first[some]], direction)
-        residual = excess[:, some] / self.settings.softness
-        weight = torch.full_like(residual, self.weight)
-        cost = 0.5 * self.weight * residual.square().sum(-1)
-        return Equations.of_rows(residual, weight, pull / self.settings.softness, cost, first_dof=_ROOT)
+        pull = _turned(skin, bones, there, own[second], direction) - _turned(skin, bones, here, own[first], direction)
+        residual, rows = excess / self.settings.softness, pull / self.settings.softness
+        square = (residual / _GROSS).square()
+        trust = (excess > 0) / (1 + square)
+        cost = 0.5 * self.weight * _GROSS**2 * square.log1p().sum(-1)
+        return Equations.of_rows(residual, self.weight * trust, rows, cost, first_dof=_ROOT)
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "PenetrationPrior":
         """This prior itself, which is one and the same for all hands."""

@@ -218,7 +218,13 @@ class FrameFitter:
         self, hull: Hull, pose: HandPose, others: Sequence[HandPose], shape: Float[Tensor, "shape"], masks: Masks
     ) -> HullFit | None:
         """The best of the hands in one place, with single digits in other postures or in the postures of others; the
-        cheapest after small steps are refined."""
+        cheapest after small steps are refined. Twice: a digit may have to move before another has room."""
+        first = self._varied(hull, pose, others, shape, masks)
+        return None if first is None else best_of([first, self._varied(hull, first.pose, [], shape, masks)])
+
+    def _varied(
+        self, hull: Hull, pose: HandPose, others: Sequence[HandPose], shape: Tensor, masks: Masks
+    ) -> HullFit | None:
         if hull.target is None:
             return None
         postures = [torch.cat((pose.dofs[:6], other.dofs[6:])) for other in others]
