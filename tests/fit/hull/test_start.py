@@ -56,7 +56,7 @@ def test_a_finger_in_the_wrong_place_is_found(rig: Any) -> None:
     folded = [DOFS.index(f"index_{joint}") for joint in ("mcp_fe", "pip_fe", "dip_fe")]
     start[folded] = torch.tensor((85.0, 100.0, 60.0), dtype=torch.float64).deg2rad()
     wrong = own(target, HandPose(dofs=start, reference=pose.reference))
-    right = with_other_fingers(target, wrong, own, 2)
+    right = with_other_fingers(target, wrong, own, 1)
     assert rig.error_mm(wrong.pose, pose, shape) > 4
     assert rig.error_mm(right.pose, pose, shape) < 2
     assert float(right.cost) < float(wrong.cost)

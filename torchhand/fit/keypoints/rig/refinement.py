@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.fit.keypoints.rig.triangulation import ViewRows, triangulated
-from torchhand.geometry import Camera, left_jacobian, rotation_from_vector, skew
+from torchhand.geometry import Camera, centres_world, left_jacobian, rotation_from_vector, skew
 from torchhand.numerics import LevenbergMarquardtSettings, NormalEquations, levenberg_marquardt
 
 _GROSS = (24.0, 8.0, 3.0)  # standard deviations beyond which a point counts for less (Cauchy), one after the other
@@ -169,7 +169,8 @@ class _Bundle:
 
     def _spread_slope(self, cameras: Sequence[Camera], change: Float[Tensor, "others 6"]) -> Float[Tensor, "others 6"]:
         """Derivative of the logarithm of the cameras' mean square distance."""
-        away = torch.stack([_centre(camera) - _centre(cameras[0]) for camera in cameras[1:]])
+        centres = centres_world(cameras)
+        away = centres[1:] - centres[0]
         weight = 2 * away / away.square().sum()
         found = []
         for own, camera, one, pull in zip(self.rows[1:], cameras[1:], change, weight, strict=True):
@@ -223,12 +224,8 @@ def _moved(camera: Camera, change: Float[Tensor, "6"]) -> Camera:
 
 def _log_spread(cameras: Sequence[Camera]) -> Float[Tensor, ""]:
     """Logarithm of the mean square distance of the cameras from the first."""
-    centres = torch.stack([_centre(camera) for camera in cameras])
+    centres = centres_world(cameras)
     return (centres[1:] - centres[0]).square().sum(-1).mean().log()
-
-
-def _centre(camera: Camera) -> Float[Tensor, "3"]:
-    return -camera.rotation.mT @ camera.translation
 
 
 def _jackknife(bundle: _Bundle, change: Float[Tensor, "others 6"]) -> Float[Tensor, "n n"]:
