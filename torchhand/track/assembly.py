@@ -50,8 +50,6 @@ class Assembly:
     """float64"""
     cameras: tuple[Camera, ...]
     """As the scene's silhouettes are seen: without distortion where there are several."""
-    own_cameras: tuple[Camera, ...]
-    """As the pictures are taken, in the tracker's world."""
     motion: HandMotion
     segmentation: Segmentation
     rule: UpdateRule
@@ -178,7 +176,6 @@ def _of_one_camera(
     return Assembly(
         kinematics=kinematics,
         cameras=(here,),
-        own_cameras=(here,),
         motion=own.motion,
         segmentation=ColourSegmentation(kinematics=kinematics, camera=here, settings=s.colours),
         rule=own.rule((here,)),
@@ -212,7 +209,6 @@ def _of_a_rig(
     return Assembly(
         kinematics=own.hand.kinematics,
         cameras=silhouettes.cameras,
-        own_cameras=exact,
         motion=own.motion,
         segmentation=RigSegmentation(silhouettes=silhouettes),
         rule=hull if takes_proposals else own.rule(silhouettes.cameras),

@@ -60,6 +60,9 @@ class TrackerSettings:
     which it has not been measured."""
     smoothing_window_s: float = 0.0
     """How far a hand that was found anew is followed back, to correct the frames before, seconds; 0 or more."""
+    max_pixels: int = 2_100_000
+    """Pixels of a picture that is worked on: larger ones are reduced to as many, which is a little over full HD; an
+    outline says no more of a hand in a larger picture. 10,000 or more."""
     check_side_px: int = 320
     """Longer side of the reduced pictures in which silhouettes are compared; 64 or more."""
     nominal_dt_s: float = 1 / 30
@@ -72,6 +75,7 @@ class TrackerSettings:
             ("points_per_generator", 2),
             ("points_per_arc", 4),
             ("shape_frames", 0),
+            ("max_pixels", 10_000),
             ("check_side_px", 64),
         ):
             require(getattr(self, name) >= minimum, name, f"{minimum} or more", getattr(self, name))

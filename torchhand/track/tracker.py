@@ -27,11 +27,12 @@ from torchhand.track.quality import FingerEvidence, Told, qualities
 from torchhand.track.scene import (
     Appearances,
     Candidate,
-    HandKeypoints,
     ObservationsOf,
     Scene,
     View,
+    WorkingViews,
     credible_posture,
+    is_same_view,
     learned_observations,
     seen_posture,
 )
@@ -85,7 +86,9 @@ class Tracker:
         self.settings = settings or TrackerSettings()
         self.cameras = (cameras,) if isinstance(cameras, Camera) else tuple(cameras)
         known = None if shape is None else shape.double()
-        self.parts: Assembly = assembled(hand, self.cameras, self.settings, known, start_points, plates)
+        self._working = working = WorkingViews(self.cameras, self.settings.max_pixels)
+        plates, start_points = working.plates(plates), working.points(start_points)
+        self.parts: Assembly = assembled(hand, working.cameras, self.settings, known, start_points, plates)
         self.known_shape = known
         self._observations = observations
         self.kinematics = self.parts.kinematics
@@ -118,7 +121,7 @@ class Tracker:
         predicted = None if state.hand is None else self.parts.motion.predicted(state.hand, dt_s)
         if all(view.is_empty for view in views):
             return self._unseen(state, predicted)
-        views = [self._undistorted(view, index) for index, view in enumerate(views)]
+        views = self._worked_on(views)
         looks = state.appearance or self.parts.segmentation.initial_appearances(views)
         scene = self._observed(self.parts.segmentation.scene(views, looks, time_s))
         self._last = (looks, scene)
@@ -171,10 +174,10 @@ class Tracker:
     @single_threaded()
     def scene(self, state: TrackerState, views: Sequence[View], time_s: float) -> Scene:
         """What `step` sees in the views of one time; the scene of its last call where views and colours are those."""
-        own = [self._undistorted(view, index) for index, view in enumerate(views)]
+        own = self._worked_on(views)
         if self._last is not None:
             looks, scene = self._last
-            if looks is state.appearance and scene.time_s == time_s and _are_same(scene.views, own):
+            if looks is state.appearance and scene.time_s == time_s and all(map(is_same_view, scene.views, own)):
                 return scene
         return self._observed(self.parts.segmentation.scene(own, state.appearance, time_s))
 
@@ -239,15 +242,9 @@ class Tracker:
         if not math.isfinite(time_s) or (state.time_s is not None and not time_s > state.time_s):
             raise ValueError(f"time_s: expected a finite time after {state.time_s}, got {time_s!r}")
 
-    def _undistorted(self, view: View, index: int) -> View:
-        """With its keypoints as the camera without distortion would see them."""
-        given, used = self.cameras[index], self.parts.cameras[index]
-        if view.keypoints is None or not given.has_distortion or used.has_distortion:
-            return view
-        points = given.plane_from_pixels(view.keypoints.points_px.to(used.intrinsics))
-        seen = view.keypoints
-        moved = HandKeypoints(points_px=used.pixels_from_plane(points), points=seen.points, score=seen.score)
-        return replace(view, keypoints=moved)
+    def _worked_on(self, views: Sequence[View]) -> list[View]:
+        """Of bounded size, and with keypoints as cameras without distortion would see them where these are used."""
+        return [self._working.of(view, index, self.parts.cameras[index]) for index, view in enumerate(views)]
 
     def _with_agreements(
         self, found: Candidate | None, scene: Scene, shape: Tensor, seen: LearnedPosture | None = None
@@ -440,7 +437,7 @@ class Tracker:
             pose=posed.pose,
             pose_std=posed.pose_std,
             keypoints=posed.keypoints,
-            keypoints_px=torch.stack([camera.project(posed.keypoints) for camera in self.parts.own_cameras]),
+            keypoints_px=torch.stack([camera.project(posed.keypoints) for camera in self.own_cameras]),
             keypoints_cov=posed.keypoints_cov + scale_covariance(posed.keypoints, self._scale_std),
             overlaps=found.agreement.overlaps,
             overlap=found.overlap,
@@ -457,16 +454,13 @@ class Tracker:
 
     @property
     def own_cameras(self) -> tuple[Camera, ...]:
-        """The cameras in the tracker's world, as they take pictures."""
-        return self.parts.own_cameras
+        """The cameras in the tracker's world, as they take pictures; float64."""
+        pairs = zip(self.cameras, self.parts.cameras, strict=True)
+        return tuple(
+            replace(own.to(dtype=torch.float64), rotation=used.rotation, translation=used.translation)
+            for own, used in pairs
+        )
 
     def pose_of(self, state: TrackerState) -> HandPose | None:
         """Where a state's hand is believed to be; None while there is none."""
         return None if state.hand is None else self.parts.motion.pose(state.hand)
-
-
-def _are_same(some: Sequence[View], others: Sequence[View]) -> bool:
-    """Whether views are the very same pictures, masks and keypoints."""
-    fields = ("image", "mask", "keypoints")
-    pairs = zip(some, others, strict=True)
-    return all(getattr(one, name) is getattr(other, name) for one, other in pairs for name in fields)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 
@@ -48,6 +48,10 @@ class PicturePart:
 
     def image(self, whole: UInt8[Tensor, "height width 3"]) -> UInt8[Tensor, "part_height part_width 3"]:
         """The part of a picture."""
+        return torch.from_numpy(self._resampled(whole.cpu().numpy()))
+
+    def values(self, whole: Float[Tensor, "height width 3"]) -> Float[Tensor, "part_height part_width 3"]:
+        """The part of an array of numbers."""
         return torch.from_numpy(self._resampled(whole.cpu().numpy()))
 
     def mask(self, whole: Bool[Tensor, "height width"]) -> Bool[Tensor, "part_height part_width"]:

@@ -8,6 +8,8 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from torchhand.image.operations import PicturePart
+
 
 @dataclass(frozen=True, kw_only=True)
 class BackgroundPlate:
@@ -17,6 +19,10 @@ class BackgroundPlate:
     """Median picture of the empty scene."""
     noise: Float[Tensor, "height width 3"]
     """Standard deviation per pixel and channel, 8-bit levels."""
+
+    def of_part(self, part: PicturePart) -> "BackgroundPlate":
+        """The plate of a part of the picture, resampled."""
+        return BackgroundPlate(colour=part.image(self.colour), noise=part.values(self.noise))
 
 
 def learn_background(frames: UInt8[Tensor, "frames height width 3"], *, min_noise: float = 2.5) -> BackgroundPlate:

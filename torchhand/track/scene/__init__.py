@@ -27,6 +27,7 @@ from torchhand.track.scene.segmentation import (
 from torchhand.track.scene.silhouettes import Images, LearnedSkin, Masks, PackedMask, ViewSilhouettes
 from torchhand.track.scene.update_rule import UpdateRule
 from torchhand.track.scene.views import HandKeypoints, ObservationsOf, Scene, View
+from torchhand.track.scene.working_views import WorkingViews, is_same_view
 
 __all__ = [
     "MAX_BEYOND",
@@ -52,9 +53,11 @@ __all__ = [
     "UpdateRule",
     "View",
     "ViewSilhouettes",
+    "WorkingViews",
     "credible_posture",
     "detected_hand",
     "deviations_of_digits",
+    "is_same_view",
     "learned_observations",
     "mean_overlap",
     "parts_of",
