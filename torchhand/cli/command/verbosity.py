@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextvars import ContextVar
-from typing import TextIO
+from typing import Any
 
 LIBRARY = __name__.partition(".")[0]
 ERROR = ": error: "
@@ -28,7 +28,9 @@ def telling() -> Iterator[None]:
 
 def tell(name: str, *, is_quiet: bool, is_verbose: bool) -> None:
     """Tell nothing but errors, or what the library logs and the traceback of an error, until the command ends."""
-    stack = _until_the_end.get()
+    stack = _until_the_end.get(None)
+    if stack is None:  # arguments are read by themselves
+        return
     if is_quiet:
         stack.enter_context(contextlib.redirect_stderr(_ErrorsAlone(sys.stderr)))
     if is_verbose:
@@ -79,7 +81,7 @@ class _BesideBars(logging.Handler):
 class _ErrorsAlone(io.TextIOBase):
     """Passes lines that tell of errors, and no others. No terminal, so that no progress bar is drawn on it."""
 
-    def __init__(self, behind: TextIO) -> None:
+    def __init__(self, behind: Any) -> None:
         super().__init__()
         self._behind, self._line = behind, ""
 

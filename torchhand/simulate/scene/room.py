@@ -8,16 +8,22 @@ Box = tuple[float, float, float, float]
 
 Colour = tuple[float, float, float]
 
-_WALL: Colour = (148, 158, 166)
-_FLOOR: Colour = (92, 98, 104)
-_SKIRTING: Colour = (176, 182, 188)
-_FRAME: Colour = (214, 220, 226)
-_SKY: Colour = (206, 226, 244)
-_TREES: Colour = (112, 140, 118)
-_BOARD: Colour = (70, 74, 80)
-_BOOKS: tuple[Colour, ...] = ((62, 82, 112), (70, 104, 100), (150, 158, 166), (96, 76, 108), (38, 46, 58))
-_SOFA: Colour = (74, 98, 118)
-_CUSHION: Colour = (126, 152, 156)
+_WALL: Colour = (148.0, 158.0, 166.0)
+_FLOOR: Colour = (92.0, 98.0, 104.0)
+_SKIRTING: Colour = (176.0, 182.0, 188.0)
+_FRAME: Colour = (214.0, 220.0, 226.0)
+_SKY: Colour = (206.0, 226.0, 244.0)
+_TREES: Colour = (112.0, 140.0, 118.0)
+_BOARD: Colour = (70.0, 74.0, 80.0)
+_BOOKS: tuple[Colour, ...] = (
+    (62.0, 82.0, 112.0),
+    (70.0, 104.0, 100.0),
+    (150.0, 158.0, 166.0),
+    (96.0, 76.0, 108.0),
+    (38.0, 46.0, 58.0),
+)
+_SOFA: Colour = (74.0, 98.0, 118.0)
+_CUSHION: Colour = (126.0, 152.0, 156.0)
 _BLUR = 0.011  # of what is out of focus, share of the height
 
 
@@ -33,8 +39,8 @@ def room_picture(width: int, height: int, chance: np.random.Generator) -> np.nda
         _books(room, shelf, bottom, chance)
     frame = window[2] + 0.12
     if frame + 0.16 < shelf:
-        room.fill((frame, 0.14, frame + 0.16, 0.36), (54, 58, 64))
-        room.fill((frame + 0.012, 0.152, frame + 0.148, 0.348), (122, 146, 160), 0.8 + 0.6 * room.y)
+        room.fill((frame, 0.14, frame + 0.16, 0.36), (54.0, 58.0, 64.0))
+        room.fill((frame + 0.012, 0.152, frame + 0.148, 0.348), (122.0, 146.0, 160.0), 0.8 + 0.6 * room.y)
     _sofa(room, 0.16 * room.aspect * chance.random(), chance)
     return room.photographed()
 
@@ -64,9 +70,9 @@ def _wall(room: _Room, window: Box) -> None:
     floor = 0.87
     middle = 0.5 * (window[0] + window[2])
     glow = np.exp(-((room.x - middle) ** 2 + (room.y - 0.3) ** 2) / 0.9)  # beside the window
-    room.fill((0, 0, room.aspect, floor), _WALL, 0.72 + 0.4 * glow)
-    room.fill((0, floor, room.aspect, 1), _FLOOR, 0.9 + 0.3 * glow)
-    room.fill((0, floor - 0.025, room.aspect, floor), _SKIRTING)
+    room.fill((0.0, 0.0, room.aspect, floor), _WALL, 0.72 + 0.4 * glow)
+    room.fill((0.0, floor, room.aspect, 1.0), _FLOOR, 0.9 + 0.3 * glow)
+    room.fill((0.0, floor - 0.025, room.aspect, floor), _SKIRTING)
 
 
 def _window(room: _Room, window: Box) -> None:
