@@ -23,8 +23,6 @@ def test_the_demo_tracks_what_it_simulated(demo: Path) -> None:
     track = load_track(demo / "track")
     assert track.status.tolist() == ["tracked"] * FRAMES
     figures = evaluate(track, load_truth(demo / "simulated"))
-    assert figures["planar_motion"]["displacement_rms_px"] < 2.5
-    assert figures["planar_motion"]["rotation_rms_deg"] < 0.7
     assert figures["position_2d_px"]["mean"] < 4.0
     assert figures["position_mm"]["aligned"]["mean"] < 5.0
 
