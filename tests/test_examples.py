@@ -46,7 +46,7 @@ def test_a_video_becomes_a_table(tmp_path: Path) -> None:
         for _ in range(2):
             video.write(image)
     assert example("track_a_video").main(tmp_path / "video.mp4", "right", tmp_path / "index.csv") == 2
-    rows = list(csv.DictReader((tmp_path / "index.csv").open()))
+    rows = list(csv.DictReader((tmp_path / "index.csv").read_text().splitlines()))
     assert [row["status"] for row in rows] == ["tracked", "tracked"]
     assert abs(float(rows[1]["index_pip_fe_deg"])) < 25  # the hand is open
     assert 0 < float(rows[1]["index_pip_fe_std_deg"]) < 30

@@ -1,10 +1,8 @@
 """What the README and the pages under docs/ show must run and be there."""
 
-import dataclasses
 import importlib
 import importlib.util
 import re
-import typing
 from pathlib import Path
 
 import cv2
@@ -12,8 +10,6 @@ import pytest
 
 import torchhand
 from tests.studio import Studio
-from torchhand.cli.command import arguments_of
-from torchhand.cli.main import command_descriptions
 from torchhand.files import write_video
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -149,43 +145,3 @@ def test_the_readme_links_absolutely_and_fits_two_pages() -> None:
     assert [target for target in targets if not target.startswith("https://")] == []
     assert any(target.startswith(RAW) for target in targets)
     assert len(README.splitlines()) <= 160
-
-
-def test_every_command_is_told() -> None:
-    rows = re.findall(r"^\| `(\w+)", PAGES["docs/commands.md"], flags=re.MULTILINE)
-    assert set(command_descriptions()) <= set(rows)
-
-
-def test_options_that_pages_name_exist() -> None:
-    """Of every command line in a block of code or in backticks."""
-    lines = [
-        line
-        for text in PAGES.values()
-        for block in re.findall(r"```\n(.*?)```|`(torchhand [^`]+)`", text, flags=re.DOTALL)
-        for line in "".join(block).splitlines()
-    ]
-    checked = 0
-    for line in lines:
-        found = re.match(r"(?:bash )?torchhand (\w+)(.*)", line.partition("#")[0])
-        if found is None or found[1] not in command_descriptions() or found[2].strip().startswith("ueda"):
-            continue
-        record = arguments_of(f"torchhand.cli.{found[1]}")
-        known = {"--help", "--quiet", "--verbose", "--print-config"} | option_names(record)
-        wrong = set(re.findall(r"(?<=\s)--[a-z][\w-]*", found[2])) - known
-        assert wrong == set(), line
-        checked += 1
-    assert checked > 20
-
-
-def option_names(record: type | None) -> set[str]:
-    """Of a command's record, and of the records in it."""
-    assert record is not None
-    names = set()
-    for name, kind in typing.get_type_hints(record, include_extras=True).items():
-        inner = typing.get_args(kind)[0] if typing.get_args(kind) else kind
-        if dataclasses.is_dataclass(inner):
-            names |= option_names(inner if isinstance(inner, type) else None)
-        called = [extra.name for extra in getattr(kind, "__metadata__", ()) if getattr(extra, "name", None)]
-        word = (called or [name])[0].replace("_", "-")
-        names |= {f"--{word}", f"--no-{word}"}
-    return names
