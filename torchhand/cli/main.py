@@ -79,14 +79,15 @@ def _print_completion(words: Sequence[str]) -> int:
     if len(words) != 1 or words[0] not in SHELLS:
         print(f"torchhand: error: {COMPLETION}: expected one of {', '.join(SHELLS)}", file=sys.stderr)
         return 2
-    records = []
+    records: list[Any] = []
     for name in command_descriptions():
         module = f"{cli.__name__}.{name}"
         record: Any = arguments_of(module) or importlib.import_module(module).Arguments
         whole = whole_record(record, has_settings=has_settings(module))
         records.append(Annotated[whole, tyro.conf.subcommand(name, prefix_name=False)])
     try:
-        tyro.cli(Union[tuple(records)], args=["--tyro-print-completion", words[0]], prog="torchhand")  # noqa: UP007
+        any_command: Any = Union[tuple(records)]  # noqa: UP007 - made at run time
+        tyro.cli(any_command, args=["--tyro-print-completion", words[0]], prog="torchhand")
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else 0
     return 0

@@ -46,7 +46,7 @@ def is_verbose() -> bool:
 def _logged(name: str) -> Iterator[None]:
     """The library's log on stderr, beside a progress bar that may run; at the end duration and memory."""
     logger, handler = logging.getLogger(LIBRARY), _BesideBars()
-    handler.setFormatter(_SinceStart(f"torchhand {name}: %(elapsed)7.2f s  %(message)s"))
+    handler.setFormatter(_SinceStart(name))
     level = logger.level
     logger.addHandler(handler)
     logger.setLevel(logging.DEBUG)
@@ -62,13 +62,12 @@ def _logged(name: str) -> Iterator[None]:
 
 
 class _SinceStart(logging.Formatter):
-    def __init__(self, pattern: str) -> None:
-        super().__init__(pattern)
-        self._began = time.time()
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self._name, self._began = name, time.time()
 
     def format(self, record: logging.LogRecord) -> str:
-        record.elapsed = record.created - self._began
-        return super().format(record)
+        return f"torchhand {self._name}: {record.created - self._began:7.2f} s  {record.getMessage()}"
 
 
 class _BesideBars(logging.Handler):

@@ -45,7 +45,7 @@ class _Canvas:
 
     def behind(self, *names: BackgroundKind) -> None:
         """One of some backgrounds of simulated hands."""
-        some = [name for name in _BEHIND if not names or name in names]
+        some: list[BackgroundKind] = [name for name in _BEHIND if not names or name in names]
         pick = some[int(self.chance.integers(len(some)))]
         self.pixels[:] = BACKGROUNDS[pick](self.width, self.height, self.chance)
         if self.chance.random() < 0.5:
