@@ -33,9 +33,6 @@ def _example(page: str, words: str) -> str:
     return found
 
 
-both = pytest.mark.parametrize("page", ["README.md", "docs/library.md"])
-
-
 class _Webcam:
     """Two pictures of an open hand, then the end."""
 
@@ -47,9 +44,8 @@ class _Webcam:
         return (True, self._pictures.pop()) if self._pictures else (False, None)
 
 
-@both
 def test_the_recording_example_fits_a_hand_and_tracks_it(
-    page: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     image = Studio().placed(size=0.75, camera=Studio().camera(480, 360)).picture()
@@ -58,26 +54,23 @@ def test_the_recording_example_fits_a_hand_and_tracks_it(
         for _ in range(2):
             video.write(image)
     names: dict = {}
-    exec(compile(_example(page, "fit_hand"), page, "exec"), names)
+    exec(compile(_example("README.md", "fit_hand"), "README.md", "exec"), names)
     assert names["shape"].shape == (52,)
     assert names["estimate"].status == "tracked"
     assert names["estimate"].time_s > 0
     assert capsys.readouterr().out.count("tracked tensor(") == 2
 
 
-@both
-def test_the_webcam_example_tracks(
-    page: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_webcam_example_tracks(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(cv2, "VideoCapture", _Webcam)
     names: dict = {}
-    exec(compile(_example(page, "VideoCapture"), page, "exec"), names)
+    exec(compile(_example("README.md", "VideoCapture"), "README.md", "exec"), names)
     assert names["video"].number == 0
     assert names["estimate"].status == "tracked"
     assert capsys.readouterr().out.count("tracked tensor(") == 2
 
 
-@both
+@pytest.mark.parametrize("page", ["README.md", "docs/library.md"])
 def test_the_example_runs_and_its_gradients_are_those_of_the_pinch(page: str, capsys) -> None:
     names: dict = {}
     exec(compile(_example(page, "loss.backward()"), page, "exec"), names)
@@ -91,6 +84,11 @@ def test_the_example_runs_and_its_gradients_are_those_of_the_pinch(page: str, ca
         assert "thumb_cmc_fe" in capsys.readouterr().out
     else:
         assert names["poses"].shape == (64, 36)
+
+
+@pytest.mark.parametrize("words", ["fit_hand", "VideoCapture"])
+def test_the_library_page_repeats_what_the_readme_shows(words: str) -> None:
+    assert _example("docs/library.md", words) == _example("README.md", words)
 
 
 def test_every_python_block_is_run() -> None:

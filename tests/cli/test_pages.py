@@ -3,6 +3,7 @@
 import dataclasses
 import re
 import typing
+from functools import cache
 from pathlib import Path
 
 from torchhand.cli.command import arguments_of
@@ -28,17 +29,21 @@ def test_options_that_pages_name_exist() -> None:
         for block in re.findall(r"```\n(.*?)```|`(torchhand [^`]+)`", text, flags=re.DOTALL)
         for line in "".join(block).splitlines()
     ]
-    checked = 0
+    commands, checked = command_descriptions(), 0
     for line in lines:
         found = re.match(r"(?:bash )?torchhand (\w+)(.*)", line.partition("#")[0])
-        if found is None or found[1] not in command_descriptions() or found[2].strip().startswith("ueda"):
+        if found is None or found[1] not in commands or found[2].strip().startswith("ueda"):
             continue
-        record = arguments_of(f"torchhand.cli.{found[1]}")
-        known = {"--help", "--quiet", "--verbose", "--print-config"} | option_names(record)
+        known = {"--help", "--quiet", "--verbose", "--print-config"} | options_of(found[1])
         wrong = set(re.findall(r"(?<=\s)--[a-z][\w-]*", found[2])) - known
         assert wrong == set(), line
         checked += 1
     assert checked > 20
+
+
+@cache
+def options_of(command: str) -> set[str]:
+    return option_names(arguments_of(f"torchhand.cli.{command}"))
 
 
 def option_names(record: type | None) -> set[str]:
