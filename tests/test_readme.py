@@ -1,5 +1,6 @@
 """What the README and the pages under docs/ show must run and be there."""
 
+import ast
 import importlib
 import importlib.util
 import re
@@ -92,10 +93,24 @@ def test_the_library_page_repeats_what_the_readme_shows(words: str) -> None:
 
 
 def test_every_python_block_is_run() -> None:
-    """The blocks of README and library.md above, mano.md's below; those of examples.md are files, in test_examples."""
-    counts = {page: len(_examples(page)) for page in PAGES if _examples(page)}
-    assert counts.pop("docs/examples.md") == PAGES["docs/examples.md"].count("--8<--")
+    """The blocks of README, library.md and mano.md here; those of examples.md are files, which test_examples runs."""
+    counts = {page: len(_examples(page)) for page in ("README.md", "docs/library.md", "docs/mano.md")}
     assert counts == {"README.md": 3, "docs/library.md": 3, "docs/mano.md": 1}
+    assert len(_examples("docs/examples.md")) == PAGES["docs/examples.md"].count('--8<-- "docs/examples/')
+
+
+def _imports(page: str) -> list[str]:
+    """The import statements in the Python of a page, which must be Python."""
+    trees = [ast.parse(block) for block in _examples(page) if not block.startswith("--8<--")]
+    nodes = [node for tree in trees for node in ast.walk(tree)]
+    return [ast.unparse(node) for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_what_its_python_imports_is_there(page: str) -> None:
+    for statement in _imports(page):
+        if re.match(r"(from|import) torchhand\b", statement):
+            exec(compile(statement, page, "exec"), {})
 
 
 def test_the_example_for_those_who_come_from_mano_runs(capsys: pytest.CaptureFixture[str]) -> None:
