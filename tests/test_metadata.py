@@ -46,6 +46,8 @@ def test_what_is_checked_before_a_commit_is_what_the_tests_check() -> None:
     hooks = {hook["id"] for repo in read(".pre-commit-config.yaml")["repos"] for hook in repo["hooks"]}
     script = (REPOSITORY / "scripts" / "test.sh").read_text(encoding="utf-8")
     assert hooks == {"ruff-check", "ruff-format"}
+    [repo] = read(".pre-commit-config.yaml")["repos"]
+    assert f"ruff=={repo['rev'].removeprefix('v')}\n" in (REPOSITORY / "scripts" / "constraints.txt").read_text()
     assert all(f"-m {hook.replace('-', ' ')}" in script for hook in hooks)
 
 
