@@ -50,9 +50,10 @@ make_environment() {
         "$base" -m venv --clear "$environment" || return 1
     fi
     [ -t 1 ] || quiet=--quiet # progress bars only where someone looks at them
-    # torch first and by itself: the largest download, and the others then find it in place.
-    "$python" -m pip install $quiet -c "$repository/scripts/constraints.txt" torch || return 1
-    "$python" -m pip install $quiet -c "$repository/scripts/constraints.txt" -e "$requirement" || return 1
+    # torch first and by itself: the largest download, and the others then find it in place. Bytecode is made of what is
+    # imported, when it is: of all files it takes as long as installing them.
+    "$python" -m pip install $quiet --no-compile -c "$repository/scripts/constraints.txt" torch || return 1
+    "$python" -m pip install $quiet --no-compile -c "$repository/scripts/constraints.txt" -e "$requirement" || return 1
     echo "$stamp" >"$environment/stamp-$kind"
 }
 

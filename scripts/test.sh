@@ -28,6 +28,9 @@ if [ "$kind" = dev ]; then # of other versions, the checkers have other opinions
     check "pyright" "$python" -m pyright --pythonpath "$python"
     check "import layers" "$environment/bin/lint-imports"
     check "nothing that only tests reach" "$python" -m vulture
+    if "$python" -c 'import mkdocs, mkdocstrings' 2>/dev/null; then # the extra docs, which the tests do not need
+        check "pages" env NO_MKDOCS_2_WARNING=1 "$python" -m mkdocs build -q -f .mkdocs.yml --strict -d "$(mktemp -d)"
+    fi
     [ "$failed" = 0 ] || echo "One of the checks above failed; the tests run all the same."
 fi
 echo "== pytest, compiled and exported hands"

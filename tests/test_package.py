@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+FOR_PEOPLE = {"mesh.png", "preview.png", "prior.png", "signs.png"}
+"""Pictures of the model, which stay in the repository."""
 
 
 @pytest.fixture(scope="module")
@@ -57,13 +59,18 @@ def test_the_wheel_holds_models_and_configs(wheel: Path) -> None:
             path for path in (REPOSITORY / folder).rglob("*") if path.is_file() and "__pycache__" not in path.parts
         ]
         assert files, f"{folder} is empty"
-        missing = {f"torchhand/{path.relative_to(REPOSITORY).as_posix()}" for path in files} - inside
-        assert not missing
+        names = {f"torchhand/{path.relative_to(REPOSITORY).as_posix()}" for path in files}
+        assert {Path(name).name for name in names - inside} <= FOR_PEOPLE
     page = REPOSITORY / "torchhand" / "report" / "page"
     assert {f"torchhand/report/page/{path.name}" for path in page.iterdir()} <= inside
     assert "torchhand/cli/main.py" in inside
     assert any(name.endswith("licenses/LICENSE") for name in inside)
     assert not [name for name in inside if not name.startswith(("torchhand/", "torchhand-"))]
+
+
+def test_the_wheel_is_small(wheel: Path) -> None:
+    """Two thirds of it are the learned weights."""
+    assert wheel.stat().st_size < 5e6
 
 
 def test_models_and_configs_are_found_where_the_wheel_is_installed(environment: Path, tmp_path: Path) -> None:

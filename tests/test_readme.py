@@ -1,21 +1,37 @@
-"""What the README shows must run and be there."""
+"""What the README and the pages under docs/ show must run and be there."""
 
+import ast
 import importlib
+import importlib.util
 import re
 from pathlib import Path
 
 import cv2
 import pytest
 
+import torchhand
 from tests.studio import Studio
 from torchhand.files import write_video
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+PAGES = {
+    path.relative_to(REPOSITORY).as_posix(): path.read_text(encoding="utf-8")
+    for path in (REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md")))
+}
+README = PAGES["README.md"]
+RAW = "https://raw.githubusercontent.com/torchhand/torchhand/main/"
+ROOTS = (RAW, "https://github.com/torchhand/torchhand/tree/main/", "https://github.com/torchhand/torchhand/blob/main/")
+SITE = "https://torchhand.github.io/torchhand/"
 
 
-def _examples() -> list[str]:
-    return re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+def _examples(page: str) -> list[str]:
+    return re.findall(r"```python\n(.*?)```", PAGES[page], flags=re.DOTALL)
+
+
+def _example(page: str, words: str) -> str:
+    """The one that holds some words."""
+    (found,) = [example for example in _examples(page) if words in example]
+    return found
 
 
 class _Webcam:
@@ -29,7 +45,7 @@ class _Webcam:
         return (True, self._pictures.pop()) if self._pictures else (False, None)
 
 
-def test_the_first_example_fits_a_hand_and_tracks_it(
+def test_the_recording_example_fits_a_hand_and_tracks_it(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -39,7 +55,7 @@ def test_the_first_example_fits_a_hand_and_tracks_it(
         for _ in range(2):
             video.write(image)
     names: dict = {}
-    exec(compile(_examples()[0], "README.md", "exec"), names)
+    exec(compile(_example("README.md", "fit_hand"), "README.md", "exec"), names)
     assert names["shape"].shape == (52,)
     assert names["estimate"].status == "tracked"
     assert names["estimate"].time_s > 0
@@ -49,36 +65,96 @@ def test_the_first_example_fits_a_hand_and_tracks_it(
 def test_the_webcam_example_tracks(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(cv2, "VideoCapture", _Webcam)
     names: dict = {}
-    exec(compile(_examples()[2], "README.md", "exec"), names)
+    exec(compile(_example("README.md", "VideoCapture"), "README.md", "exec"), names)
     assert names["video"].number == 0
     assert names["estimate"].status == "tracked"
     assert capsys.readouterr().out.count("tracked tensor(") == 2
 
 
-def test_the_example_runs_and_its_gradients_are_those_of_the_pinch(capsys) -> None:
-    example = _examples()[1]
+@pytest.mark.parametrize("page", ["README.md", "docs/library.md"])
+def test_the_example_runs_and_its_gradients_are_those_of_the_pinch(page: str, capsys) -> None:
     names: dict = {}
-    exec(compile(example, "README.md", "exec"), names)
+    exec(compile(_example(page, "loss.backward()"), page, "exec"), names)
     gradient = names["pose"].grad
     assert gradient.isfinite().all()
     # The distance between two fingertips does not depend on where the hand is, but does on the thumb's joints.
     assert float(gradient[:3].abs().max()) < 1e-12
     assert float(gradient[6:9].abs().max()) > 1e-3
-    assert float(names["shape"].grad.abs().max()) > 1e-3
-    assert "thumb_cmc_fe" in capsys.readouterr().out
+    if "shape" in names:
+        assert float(names["shape"].grad.abs().max()) > 1e-3
+        assert "thumb_cmc_fe" in capsys.readouterr().out
+    else:
+        assert names["poses"].shape == (64, 36)
 
 
-def test_functions_that_it_names_exist() -> None:
-    names = re.findall(r"`torchhand\.([\w.]+)`", README)
-    assert names
-    for name in names:
-        door, *rest = name.split(".")
-        value: object = importlib.import_module(f"torchhand.{door}")
-        for part in rest:
-            value = getattr(value, part)
+@pytest.mark.parametrize("words", ["fit_hand", "VideoCapture"])
+def test_the_library_page_repeats_what_the_readme_shows(words: str) -> None:
+    assert _example("docs/library.md", words) == _example("README.md", words)
 
 
-def test_pictures_and_pages_that_it_names_exist() -> None:
-    targets = re.findall(r"\]\(([^)#]+)\)", README)
+def test_every_python_block_is_run() -> None:
+    """The blocks of README, library.md and mano.md here; those of examples.md are files, which test_examples runs."""
+    counts = {page: len(_examples(page)) for page in ("README.md", "docs/library.md", "docs/mano.md")}
+    assert counts == {"README.md": 3, "docs/library.md": 3, "docs/mano.md": 1}
+    assert len(_examples("docs/examples.md")) == PAGES["docs/examples.md"].count('--8<-- "docs/examples/')
+
+
+def _imports(page: str) -> list[str]:
+    """The import statements in the Python of a page, which must be Python."""
+    trees = [ast.parse(block) for block in _examples(page) if not block.startswith("--8<--")]
+    nodes = [node for tree in trees for node in ast.walk(tree)]
+    return [ast.unparse(node) for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_what_its_python_imports_is_there(page: str) -> None:
+    for statement in _imports(page):
+        if re.match(r"(from|import) torchhand\b", statement):
+            exec(compile(statement, page, "exec"), {})
+
+
+def test_the_example_for_those_who_come_from_mano_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    names: dict = {}
+    exec(compile(_examples("docs/mano.md")[0], "docs/mano.md", "exec"), names)
+    assert float(names["pose"].grad.abs().max()) > 1e-3
+    assert "[8, 2010, 3]" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_functions_that_it_names_exist(page: str) -> None:
+    for name in re.findall(r"`torchhand\.([\w.]+)`|^::: torchhand\.([\w.]+)$", PAGES[page], flags=re.MULTILINE):
+        value: object = torchhand
+        for place, part in enumerate(parts := "".join(name).split(".")):
+            module = f"torchhand.{'.'.join(parts[: place + 1])}"
+            is_package = place < len(parts) - 1 and importlib.util.find_spec(module) is not None
+            value = importlib.import_module(module) if is_package else getattr(value, part)
+
+
+def test_functions_are_named() -> None:
+    assert len(re.findall(r"`torchhand\.[\w.]+`", PAGES["docs/library.md"])) > 8
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_pictures_and_pages_that_it_names_exist(page: str) -> None:
+    missing = []
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", PAGES[page]):
+        root = next((root for root in ROOTS if target.startswith(root)), None)
+        if root is not None:
+            path = REPOSITORY / target.removeprefix(root)
+        elif target.startswith(SITE):
+            path = REPOSITORY / "docs" / f"{target.removeprefix(SITE).strip('/') or 'index'}.md"
+        elif target.startswith("https://"):
+            continue
+        else:
+            path = (REPOSITORY / page).parent / target
+        missing += [] if path.exists() else [target]
+    assert missing == []
+
+
+def test_the_readme_links_absolutely_and_fits_two_pages() -> None:
+    """So that it reads the same on a package index as in the repository."""
+    targets = re.findall(r"\]\(([^)]+)\)", README)
     assert targets
-    assert [target for target in targets if not (REPOSITORY / target).exists()] == []
+    assert [target for target in targets if not target.startswith("https://")] == []
+    assert any(target.startswith(RAW) for target in targets)
+    assert len(README.splitlines()) <= 160

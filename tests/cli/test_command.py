@@ -1,5 +1,6 @@
 """Exit codes and single lines: what every command does with success, mistakes, Ctrl-C and closed pipes."""
 
+import logging
 import os
 import subprocess
 import sys
@@ -11,7 +12,9 @@ import pytest
 import torch
 from tyro.conf import Positional
 
-from torchhand.cli.command import command, parse, threads
+from torchhand.cli.command import command, has_settings, parse, threads
+from torchhand.cli.main import command_descriptions
+from torchhand.cli.track import main as track
 from torchhand.errors import InputError
 
 NAME = f"torchhand {__name__.rpartition('.')[2]}"
@@ -162,3 +165,76 @@ def test_words_that_name_nothing_are_refused(word: str, complaint: str) -> None:
     with pytest.raises(InputError) as caught:
         parse(Arguments, ["--out", word], name="test")
     assert complaint in str(caught.value)
+
+
+@command
+def talkative(argv: Sequence[str] | None = None) -> int:
+    parse(Arguments, argv, name="thing")
+    logging.getLogger("torchhand.runs.run").debug("frame 3: tracked, 40 ms")
+    print("torchhand thing: a note", file=sys.stderr)
+    print("torchhand thing: error: one of many videos", file=sys.stderr)
+    print(f"result, a terminal: {sys.stderr.isatty()}")
+    return 0
+
+
+def test_a_command_tells_its_notes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert talkative(["3"]) == 0
+    out, err = capsys.readouterr()
+    assert out == "result, a terminal: False\n"
+    assert err == "torchhand thing: a note\ntorchhand thing: error: one of many videos\n"
+
+
+@pytest.mark.parametrize("word", ["--quiet", "-q"])
+def test_a_quiet_command_tells_errors_alone(word: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert talkative(["3", word]) == 0
+    out, err = capsys.readouterr()
+    assert out.startswith("result")
+    assert err == "torchhand thing: error: one of many videos\n"
+    assert talkative(["3"]) == 0
+    assert "a note" in capsys.readouterr().err, "only until the command ends"
+    assert talkative(["three", word]) == 2
+    assert capsys.readouterr().err.startswith(f"{NAME}: error: ")
+
+
+def test_a_verbose_command_tells_the_log_and_its_memory(capsys: pytest.CaptureFixture[str]) -> None:
+    assert talkative(["3", "--verbose"]) == 0
+    err = capsys.readouterr().err
+    assert " s  frame 3: tracked, 40 ms\n" in err
+    assert "memory at most" in err
+    assert talkative(["3"]) == 0
+    assert "frame 3" not in capsys.readouterr().err, "only until the command ends"
+
+
+def test_a_verbose_error_has_its_traceback(capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["nowhere.mp4", "--out", "nowhere"]
+    assert track(options) == 2
+    assert "Traceback" not in capsys.readouterr().err
+    assert track([*options, "-v"]) == 2
+    err = capsys.readouterr().err
+    assert "Traceback" in err
+    assert err.splitlines()[-1].startswith("torchhand track: error: nowhere.mp4")
+
+
+def test_quiet_and_verbose_exclude_each_other(capsys: pytest.CaptureFixture[str]) -> None:
+    assert thing(["3", "-q", "-v"]) == 2
+    assert "--quiet: expected no --verbose with it" in capsys.readouterr().err
+
+
+def test_settings_are_printed_as_a_configuration_that_makes_them_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["nowhere.mp4", "--out", str(tmp_path / "out"), "--print-config"]
+    assert track([*options, "--config", "contour_planar", "--set", "noise.rotation=80"]) == 0
+    printed = capsys.readouterr().out
+    assert "pose_space: planar\n" in printed
+    assert "  rotation: 80.0\n" in printed
+    (tmp_path / "own.yaml").write_text(printed)
+    assert track([*options, "--config", str(tmp_path / "own.yaml")]) == 0
+    assert capsys.readouterr().out == printed
+    assert not (tmp_path / "out").exists()
+
+
+def test_commands_with_settings_have_print_config() -> None:
+    asked = {name for name in command_descriptions() if has_settings(f"torchhand.cli.{name}")}
+    assert {"track", "track_multiview", "study"} <= asked
+    assert "report" not in asked

@@ -87,6 +87,8 @@ def test_the_errors_are_printed_and_saved(
         r"losses, frames to recover +1: 1\n",
         r"joint position \(camera or world frame\) +mean 4\.50, median 6\.00, largest 6\.00 mm",
         r"planar displacement since frame 0 +RMS 5\.000 px, largest 5\.000 px",
+        r"squared errors, as a share of what was expected +0\.25 \(1: honest, less: cautious, more: too sure\)",
+        r"joints inside their 95 % region +100\.0% \(95 % or more: not too sure\)",
         r"compute time per frame +median 12\.00 ms",
     ):
         assert re.search(pattern, text), pattern

@@ -213,8 +213,8 @@ def table(figures: dict[str, Any]) -> str:
         lines.append(("overlap with the tracker's own segmentation", f"median {median:.3f}"))
     if "uncertainty" in figures:
         honesty = figures["uncertainty"]
-        text = f"{honesty['fraction_inside']:.1%}, mean per dof {honesty['mean_per_dof']:.2f} (honest: 95 % and 1)"
-        lines.append(("NEES inside its 95 % band", text))
+        text = f"{honesty['mean_per_dof']:.2f} (1: honest, less: cautious, more: too sure)"
+        lines.append(("squared errors, as a share of what was expected", text))
         lines.append(("joints inside their 95 % region", _by_joint(honesty["by_joint"])))
     if "speed" in figures:
         lines.append(("compute time per frame", f"median {figures['speed']['median_ms_per_frame']:.2f} ms"))
@@ -235,14 +235,15 @@ def _quality_lines(quality: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _by_joint(joints: dict[str, dict[str, float]]) -> str:
-    """The mean over the joints, and the least and the most of them."""
+    """The mean over the joints, and the least of them."""
     shares = {name: one["fraction_in_95_percent_band"] for name, one in joints.items()}
     known = {name: share for name, share in shares.items() if math.isfinite(share)}
     if not known:
         return "unknown"
-    low, high = min(known, key=known.__getitem__), max(known, key=known.__getitem__)
+    low = min(known, key=known.__getitem__)
     mean = sum(known.values()) / len(known)
-    return f"{mean:.1%}; {low} {known[low]:.0%} to {high} {known[high]:.0%} (honest: 95 %)"
+    least = "" if known[low] == mean else f"; least {low}, {known[low]:.0%}"
+    return f"{mean:.1%}{least} (95 % or more: not too sure)"
 
 
 def _planar_lines(motion: dict[str, Any]) -> list[tuple[str, str]]:

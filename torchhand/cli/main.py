@@ -12,6 +12,7 @@ import pkgutil
 import sys
 from collections.abc import Sequence
 from importlib.util import find_spec
+from typing import Annotated, Any, Union
 
 import torchhand
 from torchhand import cli
@@ -23,7 +24,11 @@ USAGE = """usage: torchhand COMMAND [ARGUMENTS]
 commands:
 {commands}
 
-`torchhand COMMAND --help` explains one command, with an example."""
+`torchhand COMMAND --help` explains one command, with an example. `torchhand --completion SHELL` prints what completes
+commands and options in bash, zsh, fish or tcsh."""
+
+COMPLETION = "--completion"
+SHELLS = ("bash", "zsh", "fish", "tcsh")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -35,6 +40,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments[0] == "--version":
         print(f"torchhand {torchhand.__version__}")
         return 0
+    if arguments[0] == COMPLETION:
+        return _print_completion(arguments[1:])
     commands = command_descriptions()
     name = arguments[0].replace("-", "_")
     if name not in commands:
@@ -43,11 +50,47 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"torchhand: error: unknown command {arguments[0]!r}; {hint}", file=sys.stderr)
         return 2
     try:
+        if arguments[1:] in (["--help"], ["-h"]) and _print_help(name):
+            return 0
         module = importlib.import_module(f"{cli.__name__}.{name}")
     except KeyboardInterrupt:  # loading torch takes seconds: long enough to change one's mind
         print(f"torchhand {name}: stopped by Ctrl-C", file=sys.stderr)
         return 130
     return module.main(arguments[1:])
+
+
+def _print_help(name: str) -> bool:
+    """Print what `--help` does without loading what only the command needs; False where that cannot be."""
+    from torchhand.cli.command import arguments_of, has_settings, print_help
+
+    module = f"{cli.__name__}.{name}"
+    record = arguments_of(module)
+    if record is not None:
+        print_help(record, name=name, has_settings=has_settings(module))
+    return record is not None
+
+
+def _print_completion(words: Sequence[str]) -> int:
+    """Print the script that completes commands, options and their choices in a shell."""
+    import tyro
+
+    from torchhand.cli.command import arguments_of, has_settings, whole_record
+
+    if len(words) != 1 or words[0] not in SHELLS:
+        print(f"torchhand: error: {COMPLETION}: expected one of {', '.join(SHELLS)}", file=sys.stderr)
+        return 2
+    records: list[Any] = []
+    for name in command_descriptions():
+        module = f"{cli.__name__}.{name}"
+        record: Any = arguments_of(module) or importlib.import_module(module).Arguments
+        whole = whole_record(record, has_settings=has_settings(module))
+        records.append(Annotated[whole, tyro.conf.subcommand(name, prefix_name=False)])
+    try:
+        any_command: Any = Union[tuple(records)]  # noqa: UP007 - made at run time
+        tyro.cli(any_command, args=["--tyro-print-completion", words[0]], prog="torchhand")
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else 0
+    return 0
 
 
 def command_descriptions() -> dict[str, str]:

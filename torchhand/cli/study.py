@@ -141,7 +141,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if argv is None else list(argv)
     if words[:1] == [UEDA]:
         return study_ueda(words[1:])
-    arguments = parse(Arguments, argv, name="study")
+    arguments = parse(Arguments, argv, name="study", settings=_settings)
     settings = _settings(arguments)
     check_output_folder(arguments.out, resume=arguments.resume, overwrite=arguments.overwrite)
     side_by_side = arguments.threads

@@ -24,6 +24,7 @@ from torchhand.runs import (
     summary_of,
     track_sequence,
 )
+from torchhand.track import TrackerSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +98,7 @@ class Arguments:
 @command
 def main(argv: Sequence[str] | None = None) -> int:
     """Track every sequence of the input."""
-    arguments = parse(Arguments, argv, name="track")
+    arguments = parse(Arguments, argv, name="track", settings=_settings)
     request = _request(arguments)
     sequences = sequences_of(arguments.input)
     has_videos = expanded(arguments.input).is_dir() and Path(sequences[0][1]).is_file()
@@ -131,11 +132,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     return WRONG_INPUT if failed else DONE
 
 
+def _settings(arguments: Arguments) -> TrackerSettings:
+    return settings_of(arguments.config, arguments.changes, arguments.posture)
+
+
 def _request(arguments: Arguments) -> Request:
-    settings = settings_of(arguments.config, arguments.changes, arguments.posture)
     hand = None if arguments.hand is None else known_hand(arguments.hand)
     return Request(
-        settings=settings,
+        settings=_settings(arguments),
         config=arguments.config,
         side=arguments.side,
         hand=hand,

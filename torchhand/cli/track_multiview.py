@@ -107,7 +107,7 @@ class Arguments:
 @command
 def main(argv: Sequence[str] | None = None) -> int:
     """Track the hand through one recording."""
-    arguments = parse(Arguments, argv, name="track_multiview")
+    arguments = parse(Arguments, argv, name="track_multiview", settings=_settings)
     request = _request(arguments)
     with threads(arguments.threads), pixel_limit(arguments.max_megapixels):
         try:

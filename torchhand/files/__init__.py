@@ -44,7 +44,7 @@ from torchhand.files.results import (
     load_track,
 )
 from torchhand.files.rigs import RigFrame, RigSource, load_rig, offsets_of, open_rig, rig_notes
-from torchhand.files.settings import load_settings, save_settings, setting_in
+from torchhand.files.settings import load_settings, save_settings, setting_in, settings_text
 
 __all__ = [
     "DetectionLog",
@@ -99,5 +99,6 @@ __all__ = [
     "save_settings",
     "sequences_of",
     "setting_in",
+    "settings_text",
     "write_video",
 ]

@@ -53,7 +53,16 @@ def save_settings(settings: Any, path: str | Path, extra: Mapping[str, Any] | No
     if RUN_KEY in content:
         raise ValueError(f"settings: the field name {RUN_KEY!r} is reserved")
     content[RUN_KEY] = {"torchhand": __version__, **_plain(dict(extra or {}))}
-    write_text(Path(path), yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+    write_text(Path(path), _text(content))
+
+
+def settings_text(settings: Any) -> str:
+    """Every field, resolved, as YAML that `load_settings` reads."""
+    return _text(_plain(settings))
+
+
+def _text(content: dict[str, Any]) -> str:
+    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """One run: a recording of one camera or several, tracked frame by frame into a result folder, resumable."""
 
 import json
+import logging
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -40,6 +41,8 @@ PROBLEMS_SHOWN = 3
 RIG_CONVENTION = CONVENTION.replace(
     "camera frame of OpenCV: x right", "world frame of the rig's cameras (X_cam = R X_world + t), OpenCV's: x right"
 )
+
+_log = logging.getLogger(__name__)
 
 Say = Callable[[str], None]
 """Tells the user something on one line."""
@@ -230,6 +233,7 @@ def track_frames(run: Run, writer: TrackWriter, done: int, first: int, say: Say,
                     say(f"frame {frame.index}: {problem}")
                     shown.add(problem)
             counts[record.status] += 1
+            _log.debug("frame %d: %s, %.0f ms", frame.index, record.status, 1e3 * record.seconds)
             bar.set_postfix({name: count for name, count in counts.items() if count}, refresh=False)
             bar.update()
     if unread > len(shown):

@@ -1,6 +1,7 @@
 """Tracking into a result folder: a sequence of one camera, or a recording of several."""
 
 import contextlib
+import logging
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -33,6 +34,8 @@ from torchhand.track.multiview import HandInitialization, HandProposer, Initiali
 from torchhand.track.scene import ViewSilhouettes
 from torchhand.view import HandProjector
 
+_log = logging.getLogger(__name__)
+
 
 def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say) -> tuple[Track, HandProjector]:
     """Track one sequence into a result folder; returns the track and what projects its poses into the pictures.
@@ -58,6 +61,8 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
         method = request.settings.silhouette.method
         plate = plate_of(request.background, method, recording.width, recording.height)
         request = request.with_side(recording, say)
+        camera, count = recording.cameras[0], "unknown" if recording.count is None else recording.count
+        _log.debug("%s: %dx%d px, %s frames, %s hand", source, camera.width, camera.height, count, request.known_side)
         hand = load_hand_model().hand(side=request.known_side, dtype=torch.float64)
         tracker = Tracker(
             hand,
@@ -99,6 +104,7 @@ def _track_one(run: Run, recording: OneCameraRecording, writer: TrackWriter, req
     run.save_hand(writer.folder)
     _follow(run, recording, writer, done, request, say)
     if not request.is_causal:
+        _log.debug("forward pass done")
         smooth_frames(run, writer, say)
 
 
@@ -222,6 +228,7 @@ def _write_report(writer: TrackWriter, track: Track, request: Request) -> None:
     if not request.has_report or not len(track) or not (writer.folder / HAND_NAME).is_file():
         writer.drop(REPORT_NAME)
         return
+    _log.debug("frames and overlay done; the report")
     result = load_result(writer.folder, track=track, name=writer.out_dir.resolve().name)
     write_report(writer.folder / REPORT_NAME, [result if request.has_overlay else replace(result, overlay=None)])
 

@@ -170,7 +170,15 @@ def test_backgrounds(kind: str) -> None:
     assert pictures[0].shape == (60, 90, 3)
     assert torch.equal(pictures[0], pictures[1])
     spread = float(pictures[0].double().std((0, 1)).mean())
-    low, high = {"plain": (0, 0), "dark": (0, 0), "wall": (1, 20), "clutter": (40, 100), "blue": (1, 20)}[kind]
+    spreads = {
+        "plain": (0, 0),
+        "dark": (0, 0),
+        "wall": (1, 20),
+        "clutter": (40, 100),
+        "blue": (1, 20),
+        "room": (25, 60),
+    }
+    low, high = spreads[kind]
     assert low <= spread <= high
     assert torch.equal(pictures[0], pictures[2]) == (kind in ("plain", "dark"))
 

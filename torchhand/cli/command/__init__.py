@@ -1,6 +1,18 @@
 """What every command shares: reading its arguments, and turning the user's mistakes into one line and exit code 2."""
 
-from torchhand.cli.command.arguments import parse, threads
+from torchhand.cli.command.arguments import parse, print_help, threads, whole_record
 from torchhand.cli.command.guard import DONE, STOPPED_BY_USER, WRONG_INPUT, command
+from torchhand.cli.command.records import arguments_of, has_settings
 
-__all__ = ["DONE", "STOPPED_BY_USER", "WRONG_INPUT", "command", "parse", "threads"]
+__all__ = [
+    "DONE",
+    "STOPPED_BY_USER",
+    "WRONG_INPUT",
+    "arguments_of",
+    "command",
+    "has_settings",
+    "parse",
+    "print_help",
+    "threads",
+    "whole_record",
+]

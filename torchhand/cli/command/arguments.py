@@ -1,18 +1,19 @@
-"""A command's arguments, read into a record."""
+"""A command's arguments, read into a record, beside those that every command has."""
 
 import contextlib
 import inspect
 import io
 import sys
-from collections.abc import Iterator, Sequence
-from typing import TypeVar
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, make_dataclass
+from typing import Annotated, Any, TypeVar
 
-import torch
 import tyro
+from tyro.conf import FlagCreatePairsOff, arg
 
-from torchhand.cli.command.guard import WRONG_INPUT
+from torchhand.cli.command.guard import DONE, WRONG_INPUT
+from torchhand.cli.command.verbosity import tell
 from torchhand.errors import InputError
-from torchhand.files.disk import check_name
 
 Arguments = TypeVar("Arguments")
 
@@ -22,28 +23,85 @@ HELP_TEXT_INDENT = " " * 9  # in tyro's messages; names stand 4 columns further 
 UNWANTED = ("For full helptext", "Argument helptext")
 
 
-def parse(kind: type[Arguments], argv: Sequence[str] | None, *, name: str) -> Arguments:
+@dataclass(frozen=True, kw_only=True)
+class _OfEveryCommand:
+    quiet: Annotated[FlagCreatePairsOff[bool], arg(aliases=["-q"])] = False
+    """Nothing on stderr but errors: no progress, no notes. What a command prints as its result stays."""
+    verbose: Annotated[FlagCreatePairsOff[bool], arg(aliases=["-v"])] = False
+    """Tell more on stderr: every frame with its time, what a run is made of, its duration and memory, the traceback of
+    an error."""
+
+    def __post_init__(self) -> None:
+        if self.quiet and self.verbose:
+            raise ValueError("--quiet: expected no --verbose with it")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _OfSettings(_OfEveryCommand):
+    print_config: FlagCreatePairsOff[bool] = False
+    """Print the settings that the other options make, as YAML that --config reads, and do nothing else."""
+
+
+def parse(
+    kind: type[Arguments],
+    argv: Sequence[str] | None,
+    *,
+    name: str,
+    settings: Callable[[Arguments], Any] | None = None,
+) -> Arguments:
     """Read the command line into a record (a dataclass, whose docstring is the text of `--help`).
+
+    Every command has --quiet and --verbose too, which hold until it ends. settings: makes a command's settings from its
+    arguments; the command then has --print-config, which ends it with SystemExit, the settings printed.
 
     Raises:
         InputError: a word is empty or no UTF-8, the command line does not fit the record, or the record's own range
             check (ValueError) refuses it.
     """
+    # What loads torch is left to what needs it: help does not.
+    from torchhand.files.disk import check_name
+
     for word in sys.argv[1:] if argv is None else argv:
         if not word:
             raise InputError("expected a value, got an empty argument")  # as a path it would mean the current folder
         check_name(word)
+    given, common = _read(kind, argv, name, has_settings=settings is not None)
+    if settings is not None and common.print_config:
+        from torchhand.files import settings_text
+
+        print(settings_text(settings(given)), end="")
+        raise SystemExit(DONE)
+    tell(name, is_quiet=common.quiet, is_verbose=common.verbose)
+    return given
+
+
+def print_help(kind: type, *, name: str, has_settings: bool) -> None:
+    """What `--help` prints of a command with such a record."""
+    with contextlib.suppress(SystemExit):
+        _read(kind, ["--help"], name, has_settings=has_settings)
+
+
+def whole_record(kind: type, *, has_settings: bool) -> type:
+    """The record of a command together with what every command has."""
+    common = _OfSettings if has_settings else _OfEveryCommand
+    fields = [(part, Annotated[part_kind, arg(name="")]) for part, part_kind in (("given", kind), ("common", common))]
+    # The docstring whole: tyro on its own takes an "Example:" for a section of arguments and drops it.
+    return make_dataclass(kind.__name__, fields, namespace={"__doc__": inspect.getdoc(kind)})
+
+
+def _read(kind: type, argv: Sequence[str] | None, name: str, *, has_settings: bool) -> tuple[Any, Any]:
     complaint = io.StringIO()
+    whole = whole_record(kind, has_settings=has_settings)
     try:
         with contextlib.redirect_stderr(complaint):
-            # The docstring whole: tyro on its own takes an "Example:" for a section of arguments and drops it.
-            return tyro.cli(kind, args=argv, prog=f"torchhand {name}", description=inspect.getdoc(kind))
+            read: Any = tyro.cli(whole, args=argv, prog=f"torchhand {name}", description=inspect.getdoc(kind))
     except ValueError as error:
         raise InputError(str(error)) from error
     except SystemExit as stop:
         if stop.code != WRONG_INPUT:
             raise
         raise InputError(f"{_text_of_box(complaint.getvalue())} (see torchhand {name} --help)") from stop
+    return read.given, read.common
 
 
 @contextlib.contextmanager
@@ -53,6 +111,8 @@ def threads(count: int) -> Iterator[None]:
     Raises:
         InputError: not a number of threads.
     """
+    import torch
+
     if not 1 <= count <= MAX_THREADS:
         raise InputError(f"--threads: expected 1 to {MAX_THREADS}, got {count}")
     before = torch.get_num_threads()

@@ -5,9 +5,11 @@ import errno
 import functools
 import os
 import sys
+import traceback
 from collections.abc import Callable
 from typing import ParamSpec
 
+from torchhand.cli.command.verbosity import is_verbose, telling
 from torchhand.errors import DiskError, InputError
 
 Parameters = ParamSpec("Parameters")
@@ -31,7 +33,13 @@ def command(main: Callable[Parameters, int]) -> Callable[Parameters, int]:
     @functools.wraps(main)
     def guarded(*args: Parameters.args, **kwargs: Parameters.kwargs) -> int:
         try:
-            code = main(*args, **kwargs)
+            with telling():
+                try:
+                    code = main(*args, **kwargs)
+                except (InputError, OSError):
+                    if is_verbose():
+                        traceback.print_exc()
+                    raise
             sys.stdout.flush()
             return code
         except InputError as error:

@@ -30,7 +30,7 @@ class Arguments:
 
     out: Annotated[Path, arg(metavar="DIR")]
     """Folder for the sequence."""
-    motion: Literal["planar", "planar_point", "abduction", "flexion", "free", "wave", "leave"] = "planar"
+    motion: Literal["planar", "planar_point", "abduction", "flexion", "free", "wave", "greet", "leave"] = "planar"
     """Motion of the hand."""
     recorded: Annotated[Path | None, arg(metavar="FILE")] = None
     """Recorded joint angles of a sensing glove to play instead, with a small planar motion on top."""
@@ -68,7 +68,7 @@ class Arguments:
     surface: Literal["primitives", "mesh"] | None = None
     """Surface of the hand that is drawn: its 37 quadrics, or its skin; the quadrics, or the skin with a rig, if not
     given."""
-    background: Literal["plain", "dark", "wall", "clutter", "blue"] = "plain"
+    background: Literal["plain", "dark", "wall", "clutter", "blue", "room"] = "plain"
     """Background behind the hand."""
     skin: Literal["light", "medium", "brown", "dark"] = "light"
     """Colour of the skin."""

@@ -127,6 +127,17 @@ def _wave(stage: Stage) -> Course:
     return Course(posture="open", centre=torch.stack(room, -1), turn=torch.stack((0 * lean, 0 * lean, lean), -1))
 
 
+def _greet(stage: Stage) -> Course:
+    """An open hand held up to a camera: it moves and leans, its fingers close and spread, and bend a little in turn."""
+    spreading = _abduction(stage)
+    joints, sway = spreading.joints, stage.wander(3)
+    assert joints is not None
+    for i, finger in enumerate(FINGERS):
+        joints = joints + 0.3 * _bent(finger, bump((0.6 * len(FINGERS) + 0.4) * stage.progress - 0.6 * i))
+    lean = torch.deg2rad(torch.tensor((8.0, 10.0, 6.0), dtype=sway.dtype)) * sway
+    return Course(posture="open", centre=spreading.centre, turn=spreading.turn + lean, joints=joints)
+
+
 def _leave(stage: Stage) -> Course:
     """Small planar motion; the hand leaves the picture at one side, stays away for a while and comes back."""
     centre, turn = planar_course(stage, 0.4)
@@ -143,6 +154,7 @@ SCRIPTS: dict[str, Callable[[Stage], Course]] = {
     "flexion": _flexion,
     "free": _free,
     "wave": _wave,
+    "greet": _greet,
     "leave": _leave,
 }
 """The named scripts; the docstring of each says what it shows."""

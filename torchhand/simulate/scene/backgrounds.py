@@ -1,4 +1,4 @@
-"""What a simulated camera sees behind the hand: seeded pictures of five kinds."""
+"""What a simulated camera sees behind the hand: seeded pictures of six kinds."""
 
 from collections.abc import Callable
 from typing import Literal
@@ -9,7 +9,9 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-BackgroundKind = Literal["plain", "dark", "wall", "clutter", "blue"]
+from torchhand.simulate.scene.room import room_picture
+
+BackgroundKind = Literal["plain", "dark", "wall", "clutter", "blue", "room"]
 
 _CLUTTER_SHAPES = 90
 
@@ -21,7 +23,8 @@ def background_picture(
 
     plain: one cool colour; dark: nearly black; wall: a warm bright wall, unevenly lit, its colour near that of skin;
     clutter: overlapping shapes of all colours, skin's among them, with strong edges everywhere; blue: the boards of
-    the frame of Ueda et al. 2003, for a chroma key.
+    the frame of Ueda et al. 2003, for a chroma key; room: a wall with window, shelf and pictures behind a sofa, out of
+    focus, in cool light, as a webcam sees a room behind a hand.
     """
     if kind not in BACKGROUNDS:
         raise ValueError(f"background: expected one of {', '.join(BACKGROUNDS)}, got {kind!r}")
@@ -80,4 +83,5 @@ BACKGROUNDS: dict[BackgroundKind, Callable[[int, int, np.random.Generator], np.n
     "wall": _wall,
     "clutter": _clutter,
     "blue": _blue,
+    "room": room_picture,
 }

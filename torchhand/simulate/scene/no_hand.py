@@ -14,6 +14,7 @@ from torchhand.simulate.scene.backgrounds import BACKGROUNDS, BackgroundKind
 NoHandKind = Literal["face", "portrait", "arm", "wall", "table", "furniture", "texture", "things"]
 
 Colour = tuple[float, float, float]
+_BEHIND: tuple[BackgroundKind, ...] = ("plain", "dark", "wall", "clutter", "blue")
 _SKINS = ((235, 181, 153), (209, 150, 117), (156, 105, 77), (102, 66, 48))
 _HAIR = ((40, 30, 25), (90, 60, 40), (150, 110, 70), (190, 190, 185), (20, 20, 22))
 _WOODS = ((196, 150, 104), (222, 184, 135), (160, 110, 70), (120, 78, 50), (235, 205, 165))
@@ -43,8 +44,8 @@ class _Canvas:
         self.pixels = np.zeros((height, width, 3), np.float64)
 
     def behind(self, *names: BackgroundKind) -> None:
-        """One of the backgrounds of simulated hands, or a plain colour."""
-        some: list[BackgroundKind] = [name for name in BACKGROUNDS if not names or name in names]
+        """One of some backgrounds of simulated hands."""
+        some: list[BackgroundKind] = [name for name in _BEHIND if not names or name in names]
         pick = some[int(self.chance.integers(len(some)))]
         self.pixels[:] = BACKGROUNDS[pick](self.width, self.height, self.chance)
         if self.chance.random() < 0.5:

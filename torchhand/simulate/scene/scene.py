@@ -37,7 +37,7 @@ class SceneSettings:
     surface: SurfaceKind = "primitives"
     """primitives (the 37 quadrics) or mesh (the skinned one)"""
     background: BackgroundKind = "plain"
-    """plain, dark, wall, clutter or blue"""
+    """plain, dark, wall, clutter, blue or room"""
     skin: SkinTone = "light"
     """light, medium, brown or dark"""
     noise: float = 2.0
