@@ -18,7 +18,7 @@ from torchhand.export.conventions import (
 )
 from torchhand.export.formats import FORMATS, ExportOptions, Format, FormatName, format_of, write
 from torchhand.export.rigged import write_glb, write_x3d
-from torchhand.export.robots import LinkSolid, link_solids, write_mjcf, write_urdf
+from torchhand.export.robots import LinkSolid, MjcfSettings, link_solids, write_mjcf, write_urdf
 from torchhand.export.stream import StreamSettings, clip_of_stream, encode_clip, write_stream
 from torchhand.export.tracked_clip import clip_of_track, load_clip
 
@@ -30,6 +30,7 @@ __all__ = [
     "Format",
     "FormatName",
     "LinkSolid",
+    "MjcfSettings",
     "MotionClip",
     "StreamSettings",
     "bvh_names",

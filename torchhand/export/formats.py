@@ -1,5 +1,6 @@
 """All export formats under one roof: which file ending means which, and `write` for any of them."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +20,7 @@ from torchhand.export.clip import (
 )
 from torchhand.export.conventions import BapVersion, BvhNames, write_bap, write_bvh, write_mano, write_openxr
 from torchhand.export.rigged import X3DSkin, write_glb, write_x3d
-from torchhand.export.robots import meshes_folder, write_mjcf, write_urdf
+from torchhand.export.robots import LinkSolid, MjcfSettings, meshes_folder, srdf_path, write_mjcf, write_urdf
 from torchhand.export.stream import StreamSettings, write_stream
 from torchhand.hand import JOINT_DOFS
 from torchhand.hand.conventions import Numbering
@@ -43,12 +44,29 @@ class ExportOptions:
     """bap: version in the header."""
     x3d_skin: X3DSkin = "weights"
     """x3d: skin moved by its joints, or every frame's points as they are."""
+    mass_g: float | None = None
+    """urdf, mjcf: mass of the hand, g; else that of an adult's hand of this size."""
+    urdf_package: str | None = None
+    """urdf: ROS package that the files are put into, for meshes as package://NAME/…; else paths beside the file."""
+    mjcf_gravity: bool = False
+    """mjcf: let gravity act; the wrist is then held by a mocap body."""
+    mjcf_couplings: bool = True
+    """mjcf: bend the last joints of the fingers with their middle ones."""
+    mjcf_apart: bool = True
+    """mjcf: move the keyframes' joints a little where digits are in each other."""
     stream_step_deg: float = 3.5
     """stream: step of the joint angles, degrees. Smaller is finer and takes more bits."""
 
     def __post_init__(self) -> None:
+        if self.mass_g is not None and not 0 < self.mass_g <= 1e5:
+            raise ValueError(f"--mass-g: expected more than 0, 1e5 at most, got {self.mass_g:g}")
         if not 0 < self.stream_step_deg <= 30:
             raise ValueError(f"--stream-step-deg: expected more than 0, 30 at most, got {self.stream_step_deg:g}")
+
+    @property
+    def mass(self) -> float | None:
+        """Mass of the hand, kg, where it is given."""
+        return None if self.mass_g is None else 1e-3 * self.mass_g
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,14 +93,29 @@ def _bvh(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
     return []
 
 
-def _robot(writer: Callable) -> Callable[[MotionClip, Path, ExportOptions], list[str]]:
-    def write(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
-        solids = writer(clip, path)
-        mass = sum(solid.mass for solid in solids)
-        motion = ["holds the hand, not its motion"] if writer is write_urdf and len(clip) > 1 else []
-        return [f"{len(solids)} links of {1e3 * mass:.0f} g together, meshes in {meshes_folder(path).name}", *motion]
+def _urdf(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
+    solids = write_urdf(clip, path, mass=options.mass, package=options.urdf_package)
+    motion = ["holds the hand, not its motion"] if len(clip) > 1 else []
+    return [_links(solids, path), *motion]
 
-    return write
+
+def _mjcf(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
+    settings = MjcfSettings(
+        mass=options.mass,
+        has_gravity=options.mjcf_gravity,
+        has_couplings=options.mjcf_couplings,
+        is_apart=options.mjcf_apart,
+    )
+    solids, moved = write_mjcf(clip, path, settings)
+    notes = [_links(solids, path)]
+    if moved > 1e-4:
+        notes.append(f"joint angles of keyframes changed by up to {math.degrees(moved):.1f} degrees to part digits")
+    return notes
+
+
+def _links(solids: tuple[LinkSolid, ...], path: Path) -> str:
+    mass = sum(solid.mass for solid in solids)
+    return f"{len(solids)} links of {1e3 * mass:.0f} g together, meshes in {meshes_folder(path).name}"
 
 
 def _meshes(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
@@ -141,12 +174,15 @@ FORMATS: tuple[Format, ...] = (
     Format(name="glb", suffixes=(".glb",), write=_glb),
     Format(name="bvh", suffixes=(".bvh",), write=_bvh),
     Format(
-        name="urdf", suffixes=(".urdf",), write=_robot(write_urdf), files=lambda clip, path: [path, meshes_folder(path)]
+        name="urdf",
+        suffixes=(".urdf",),
+        write=_urdf,
+        files=lambda clip, path: [path, srdf_path(path), meshes_folder(path)],
     ),
     Format(
         name="mjcf",
         suffixes=(".xml", ".mjcf"),
-        write=_robot(write_mjcf),
+        write=_mjcf,
         files=lambda clip, path: [path, meshes_folder(path)],
     ),
     Format(name="obj", suffixes=(".obj",), write=_meshes, files=mesh_paths),

@@ -2,13 +2,15 @@
 
 from torchhand.export.robots.link_solids import LinkSolid, link_solids
 from torchhand.export.robots.meshes import meshes_folder
-from torchhand.export.robots.mjcf import write_mjcf
-from torchhand.export.robots.urdf import write_urdf
+from torchhand.export.robots.mjcf import MjcfSettings, write_mjcf
+from torchhand.export.robots.urdf import srdf_path, write_urdf
 
 __all__ = [
     "LinkSolid",
+    "MjcfSettings",
     "link_solids",
     "meshes_folder",
+    "srdf_path",
     "write_mjcf",
     "write_urdf",
 ]
