@@ -136,7 +136,7 @@ class OneCameraRecording:
         for frame in frames:
             view = View(image=frame.image)
             yield RecordedFrame(
-                index=frame.index, time_s=frame.index / self.fps, views=(view,), problems=(frame.problem,)
+                index=frame.index, time_s=frame.time_s, views=(view,), problems=(frame.problem,)
             )
 
     def warnings(self) -> Sequence[str]:
