@@ -1,7 +1,7 @@
 """Write a tracked or fitted hand in other programs' formats: GLB, BVH, URDF, MJCF, X3D, BAP, OBJ and more."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -9,7 +9,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.errors import InputError
-from torchhand.export import ExportOptions, FormatName, MotionClip, format_of, load_clip
+from torchhand.export import Axes, ExportOptions, FormatName, MotionClip, format_of, load_clip
 from torchhand.files.disk import expanded
 from torchhand.files.results import (
     CHECKPOINT_NAME,
@@ -51,11 +51,14 @@ class Arguments:
     frame: int | None = None
     """Only the frame of this number."""
     fps: float | None = None
-    """Frames per second; those of the tracked video if it is still there, else 30."""
+    """Frames per second, evenly; else the track's own times."""
     hand: Annotated[Path | None, arg(metavar="FILE")] = None
     """Another hand.json than the one beside the track."""
     up: Literal["y", "-y", "z", "-z"] = "-y"
     """Axis of the track's frame that points up: -y for one camera, that of the rig's world for several."""
+    axes: Axes | None = None
+    """Frame of what is written: camera (that of the track), y-up, z-up, wrist (the hand's own: x out of its back, y to
+    the fingers, the wrist at the origin) or mano (the wrist's with MANO's axes); else each format's usual one."""
     options: OmitArgPrefixes[ExportOptions] = ExportOptions()  # noqa: RUF009 - frozen
     """Options that only some formats ask."""
     overwrite: bool = False
@@ -78,6 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise InputError(f"--to: expected a file in an existing folder, got {target}")
     with threads(1):
         clip = load_clip(arguments.result, gaps=arguments.gaps, fps=arguments.fps, hand=arguments.hand, up=arguments.up)
+        clip = replace(clip, axes=arguments.axes)
         if arguments.frame is not None:
             clip = _only(arguments, clip)
         files = kind.files(clip, target)

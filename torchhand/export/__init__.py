@@ -1,6 +1,6 @@
 """Hands in motion in other programs' formats: one record that all writers take, one file per format, and readers."""
 
-from torchhand.export.clip import MotionClip, rest_clip, write_keypoints, write_mesh_frames
+from torchhand.export.clip import Axes, MotionClip, rest_clip, write_keypoints, write_mesh_frames
 from torchhand.export.conventions import (
     BapMotion,
     BvhMotion,
@@ -24,6 +24,7 @@ from torchhand.export.tracked_clip import clip_of_track, load_clip
 
 __all__ = [
     "FORMATS",
+    "Axes",
     "BapMotion",
     "BvhMotion",
     "ExportOptions",

@@ -18,7 +18,7 @@ from torchhand.export.clip import (
     write_keypoints,
     write_mesh_frames,
 )
-from torchhand.export.conventions import BapVersion, BvhNames, write_bap, write_bvh, write_mano, write_openxr
+from torchhand.export.conventions import BapVersion, BvhNames, held_path, write_bap, write_bvh, write_mano, write_openxr
 from torchhand.export.rigged import X3DSkin, write_glb, write_x3d
 from torchhand.export.robots import LinkSolid, MjcfSettings, meshes_folder, srdf_path, write_mjcf, write_urdf
 from torchhand.export.stream import StreamSettings, write_stream
@@ -172,7 +172,12 @@ def _stream(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
 
 FORMATS: tuple[Format, ...] = (
     Format(name="glb", suffixes=(".glb",), write=_glb),
-    Format(name="bvh", suffixes=(".bvh",), write=_bvh),
+    Format(
+        name="bvh",
+        suffixes=(".bvh",),
+        write=_bvh,
+        files=lambda clip, path: [path, *([held_path(path)] if clip.held else [])],
+    ),
     Format(
         name="urdf",
         suffixes=(".urdf",),

@@ -1,7 +1,7 @@
 """Motions in the conventions of others: BVH, MPEG-4 body animation parameters, MANO, OpenXR."""
 
 from torchhand.export.conventions.bap import BapMotion, BapVersion, clip_of_bap, read_bap, write_bap
-from torchhand.export.conventions.bvh import write_bvh
+from torchhand.export.conventions.bvh import held_path, write_bvh
 from torchhand.export.conventions.bvh_names import BvhNames, bvh_names
 from torchhand.export.conventions.bvh_reader import BvhMotion, clip_of_bvh, read_bvh
 from torchhand.export.conventions.mano import clip_of_mano, write_mano
@@ -17,6 +17,7 @@ __all__ = [
     "clip_of_bvh",
     "clip_of_mano",
     "clip_of_openxr",
+    "held_path",
     "read_bap",
     "read_bvh",
     "write_bap",

@@ -33,7 +33,7 @@ def write_bap(
     clip: MotionClip, path: str | Path, *, numbering: Numbering = "final", version: BapVersion = "3.1"
 ) -> Float64[Tensor, "frames 30"]:
     """Write the file; returns what of each joint angle it could not hold, radians."""
-    upright = clip.with_up("y")
+    upright = clip.at_constant_rate().placed("y-up")
     baps = baps_of_pose(upright.poses, numbering, clip.side)
     ids = bap_ids(numbering, clip.side)
     order = sorted(range(len(baps.names)), key=lambda i: ids[baps.names[i]])
@@ -43,12 +43,19 @@ def write_bap(
     lines = [
         f"{_NUMBERING_COMMENT} {numbering}",
         f"{_SIDE_COMMENT} {clip.side}; 1e-5 rad and mm; HumanoidRoot is the hand frame in a world with y up",
-        f"{version} {name} {clip.fps:.9g} {len(clip)}",
+        *_held_comments(upright),
+        f"{version} {name} {clip.fps:.9g} {len(upright)}",
     ]
     for frame, values in enumerate(baps.values[:, order].tolist()):
         lines += [mask, " ".join(map(str, (frame, *values)))]
     write_text(Path(path), "\n".join(lines) + "\n")
     return baps.residual
+
+
+def _held_comments(clip: MotionClip) -> list[str]:
+    """Places of the frames that repeat another's pose because their own was lost."""
+    held = [str(place) for place, is_own in enumerate(clip.is_own) if not is_own]
+    return [f"# held {' '.join(held)}"] if held else []
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,8 +1,8 @@
 """MANO's rotations as .npz: the arrays that smplx's layers and motion data sets use, written and read.
 
 global_orient (frames, 3), hand_pose (frames, 45), wrist (frames, 3) metres, joint_names (16,), is_rhand, fps, frame,
-flat_hand_mean True (zero is the flat hand), residual (frames, 21) metres. Frame: that of the poses (a camera's:
-OpenCV).
+time_s, held, flat_hand_mean True (zero is the flat hand), residual (frames, 21) metres. Frame: that of the poses (a
+camera's: OpenCV) unless other axes are asked for.
 """
 
 from pathlib import Path
@@ -28,7 +28,8 @@ _SHAPES = {"global_orient": 3, "hand_pose": 45, "wrist": 3}
 
 def write_mano(clip: MotionClip, path: str | Path) -> ManoPose:
     """Write the file; returns what it holds with what MANO's skeleton leaves out."""
-    mano = mano_of_pose(clip.kinematics, clip.poses, clip.shape)
+    placed = clip.placed("camera")
+    mano = mano_of_pose(clip.kinematics, placed.poses, clip.shape)
     rotations = mano.axis_angle.numpy()
     with replacing(Path(path)) as temporary, temporary.open("wb") as file:
         np.savez(
@@ -42,7 +43,9 @@ def write_mano(clip: MotionClip, path: str | Path) -> ManoPose:
             flat_hand_mean=np.array(True),
             fps=np.array(clip.fps),
             frame=np.array(clip.frame),
-            up=np.array(clip.up),
+            time_s=clip.seconds.numpy(),
+            held=~np.array(clip.is_own),
+            up=np.array(placed.up),
         )
     return mano
 

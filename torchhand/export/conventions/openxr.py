@@ -1,8 +1,8 @@
 """Poses of OpenXR's 26 hand joints as JSON, written and read.
 
-{"format": "torchhand openxr 1", "side", "fps", "joints": [26 names], "frames": [{"frame", "time", "poses": [26 of
-{"position": [x, y, z], "orientation": [x, y, z, w], "radius"}]}]}: what xrLocateHandJointsEXT returns, frame by frame,
-in a space as OpenXR's: metres, y up, -z forward.
+{"format": "torchhand openxr 1", "side", "fps", "joints": [26 names], "frames": [{"frame", "time", "held", "poses": [26
+of {"position": [x, y, z], "orientation": [x, y, z, w], "radius"}]}]}: what xrLocateHandJointsEXT returns, frame by
+frame, in a space as OpenXR's unless other axes are asked for: metres, y up, -z forward.
 """
 
 import json
@@ -26,15 +26,17 @@ _UNIT_LENGTH_SLACK = 1e-3
 
 def write_openxr(clip: MotionClip, path: str | Path) -> None:
     """Write the file."""
-    upright = clip.with_up("y")
+    upright = clip.placed("y-up")
     joints = openxr_joints(upright.frames)
     quaternions = continuous(quaternion_of_rotation(joints.rotation)).tolist()
     positions = joints.position.tolist()
+    seconds = clip.seconds.tolist()
     radii = openxr_radii(clip.model.shape_space, clip.shape).tolist()
     frames = [
         {
             "frame": clip.frame[t],
-            "time": t / clip.fps,
+            "time": seconds[t],
+            "held": not clip.is_own[t],
             "poses": [
                 {"position": positions[t][j], "orientation": quaternions[t][j], "radius": radii[j]}
                 for j in range(len(OPENXR_JOINTS))

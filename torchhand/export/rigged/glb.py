@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchhand import __version__
-from torchhand.export.clip import MotionClip
+from torchhand.export.clip import MotionClip, texture_atlas
 from torchhand.export.rigged.glb_container import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, GlbContainer
 from torchhand.export.rigged.linear_skin import MAX_TARGETS, LinearSkin, linear_skin
 from torchhand.geometry import continuous, quaternion_of_rotation
@@ -29,7 +29,7 @@ def write_glb(clip: MotionClip, path: str | Path, *, has_correctives: bool = Tru
 
     A clip of one frame becomes a posed hand without animation.
     """
-    upright = clip.with_up("y")
+    upright = clip.placed("y-up")
     skin = linear_skin(upright, max_targets=MAX_TARGETS if has_correctives else 0)
     glb = GlbContainer()
     rotation, translation = _local(upright)
@@ -94,26 +94,30 @@ def _nodes(quaternion: np.ndarray, shift: np.ndarray, clip: MotionClip) -> list[
 def _mesh(glb: GlbContainer, clip: MotionClip, skin: LinearSkin) -> dict[str, Any]:
     faces = clip.hand.faces
     posed = PosedMesh(vertices=skin.vertices, faces=faces, part_of_face=faces[:, 0])
-    joints, weights = _influences(skin.weights)
+    atlas = texture_atlas(clip.model, clip.side)
+    corner = atlas.vertex  # a vertex on the texture's seam stands twice
+    joints, weights = _influences(skin.weights[corner])
 
     def add(array: Tensor | np.ndarray, *, has_bounds: bool = False) -> int:
         stored = np.asarray(array, dtype=None if isinstance(array, np.ndarray) else np.float32)
         return glb.add(stored, target=ARRAY_BUFFER, has_bounds=has_bounds)
 
-    index = np.uint16 if len(skin.vertices) < 65535 else np.uint32
+    index = np.uint16 if len(corner) < 65535 else np.uint32
+    downwards = torch.stack((atlas.uv[:, 0], 1 - atlas.uv[:, 1]), -1)  # glTF's v grows downwards
     primitive: dict[str, Any] = {
         "attributes": {
-            "POSITION": add(skin.vertices, has_bounds=True),
-            "NORMAL": add(posed.vertex_normals()),
+            "POSITION": add(skin.vertices[corner], has_bounds=True),
+            "NORMAL": add(posed.vertex_normals()[corner]),
+            "TEXCOORD_0": add(downwards),
             "JOINTS_0": add(joints),
             "WEIGHTS_0": add(weights),
         },
-        "indices": glb.add(faces.reshape(-1).numpy().astype(index), target=ELEMENT_ARRAY_BUFFER),
+        "indices": glb.add(atlas.corners.reshape(-1).numpy().astype(index), target=ELEMENT_ARRAY_BUFFER),
         "material": 0,
     }
     mesh: dict[str, Any] = {"name": "hand", "primitives": [primitive]}
     if len(skin.targets):
-        primitive["targets"] = [{"POSITION": add(target, has_bounds=True)} for target in skin.targets]
+        primitive["targets"] = [{"POSITION": add(target[corner], has_bounds=True)} for target in skin.targets]
         mesh["weights"] = skin.target_weights[0].numpy().astype(np.float32).tolist()
         mesh["extras"] = {"targetNames": [f"corrective_{i}" for i in range(len(skin.targets))]}
     return mesh
@@ -140,7 +144,9 @@ def _animation(
     glb: GlbContainer, clip: MotionClip, quaternion: np.ndarray, shift: np.ndarray, skin: LinearSkin, mesh_node: int
 ) -> dict[str, Any]:
     time = glb.add(clip.seconds.numpy().astype(np.float32), has_bounds=True)
+    held = [place for place, is_own in enumerate(clip.is_own) if not is_own]
     animation: dict[str, Any] = {"name": clip.name, "samplers": [], "channels": []}
+    animation["extras"] = {"frame": list(clip.frame), "held": held}
 
     def add(node: int, path: str, values: np.ndarray) -> None:
         animation["channels"].append(

@@ -64,7 +64,7 @@ def write_mjcf(
 
 def mjcf_text(clip: MotionClip, solids: tuple[LinkSolid, ...], meshes: str, settings: MjcfSettings) -> str:
     """The model with its links' meshes in the folder `meshes`."""
-    upright = clip.with_up("z")
+    upright = clip.placed("z-up")
     root = ElementTree.Element("mujoco", {"model": clip.name})
     compiler = {"angle": "radian", "autolimits": "true", "meshdir": meshes, "inertiafromgeom": "false"}
     ElementTree.SubElement(root, "compiler", compiler)
