@@ -9,6 +9,7 @@ from torchhand.export.conventions import (
     clip_of_bvh,
     clip_of_mano,
     clip_of_openxr,
+    clip_of_xr_recording,
     read_bap,
     read_bvh,
     write_bap,
@@ -17,13 +18,25 @@ from torchhand.export.conventions import (
     write_openxr,
 )
 from torchhand.export.formats import FORMATS, ExportOptions, Format, FormatName, format_of, write
+from torchhand.export.motion_files import MOTION_SUFFIXES, load_motion
 from torchhand.export.rigged import write_glb, write_x3d
-from torchhand.export.robots import LinkSolid, MjcfSettings, link_solids, write_mjcf, write_urdf
-from torchhand.export.stream import StreamSettings, clip_of_stream, encode_clip, write_stream
+from torchhand.export.robots import (
+    LinkSolid,
+    MjcfSettings,
+    WristPoints,
+    link_solids,
+    teleoperation_message,
+    wrist_points,
+    write_mjcf,
+    write_teleoperation,
+    write_urdf,
+)
+from torchhand.export.stream import PoseStreamReader, StreamSettings, clip_of_stream, encode_clip, write_stream
 from torchhand.export.tracked_clip import clip_of_track, load_clip
 
 __all__ = [
     "FORMATS",
+    "MOTION_SUFFIXES",
     "Axes",
     "BapMotion",
     "BvhMotion",
@@ -33,7 +46,9 @@ __all__ = [
     "LinkSolid",
     "MjcfSettings",
     "MotionClip",
+    "PoseStreamReader",
     "StreamSettings",
+    "WristPoints",
     "bvh_names",
     "clip_of_bap",
     "clip_of_bvh",
@@ -41,13 +56,17 @@ __all__ = [
     "clip_of_openxr",
     "clip_of_stream",
     "clip_of_track",
+    "clip_of_xr_recording",
     "encode_clip",
     "format_of",
     "link_solids",
     "load_clip",
+    "load_motion",
     "read_bap",
     "read_bvh",
     "rest_clip",
+    "teleoperation_message",
+    "wrist_points",
     "write",
     "write_bap",
     "write_bvh",
@@ -58,6 +77,7 @@ __all__ = [
     "write_mjcf",
     "write_openxr",
     "write_stream",
+    "write_teleoperation",
     "write_urdf",
     "write_x3d",
 ]

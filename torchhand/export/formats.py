@@ -20,13 +20,25 @@ from torchhand.export.clip import (
 )
 from torchhand.export.conventions import BapVersion, BvhNames, held_path, write_bap, write_bvh, write_mano, write_openxr
 from torchhand.export.rigged import X3DSkin, write_glb, write_x3d
-from torchhand.export.robots import LinkSolid, MjcfSettings, meshes_folder, srdf_path, write_mjcf, write_urdf
+from torchhand.export.robots import (
+    JOINTS_SUFFIX,
+    LinkSolid,
+    MjcfSettings,
+    WristAxes,
+    meshes_folder,
+    srdf_path,
+    write_joints,
+    write_mjcf,
+    write_teleoperation,
+    write_urdf,
+)
 from torchhand.export.stream import StreamSettings, write_stream
 from torchhand.hand import JOINT_DOFS
 from torchhand.hand.conventions import Numbering
 
 FormatName = Literal[
-    "glb", "bvh", "urdf", "mjcf", "obj", "ply", "mano", "openxr", "keypoints", "angles", "bap", "x3d", "stream"
+    *("glb", "bvh", "urdf", "mjcf", "obj", "ply", "mano", "openxr", "keypoints", "angles", "joints", "teleoperation"),
+    *("bap", "x3d", "stream"),
 ]
 
 
@@ -54,12 +66,19 @@ class ExportOptions:
     """mjcf: bend the last joints of the fingers with their middle ones."""
     mjcf_apart: bool = True
     """mjcf: move the keyframes' joints a little where digits are in each other."""
+    teleop_axes: WristAxes = "mano"
+    """teleoperation: axes of the points in the wrist's frame: MANO's, our hand frame's, or the operator's (x out of the
+    palm, z to the fingers) that retargeting libraries use."""
     stream_step_deg: float = 3.5
     """stream: step of the joint angles, degrees. Smaller is finer and takes more bits."""
+    stream_packet: int = 15
+    """stream: poses of a packet, 1 to 255: a reader of a growing stream waits for so many; fewer take more bits."""
 
     def __post_init__(self) -> None:
         if self.mass_g is not None and not 0 < self.mass_g <= 1e5:
             raise ValueError(f"--mass-g: expected more than 0, 1e5 at most, got {self.mass_g:g}")
+        if not 1 <= self.stream_packet <= 255:
+            raise ValueError(f"--stream-packet: expected 1 to 255, got {self.stream_packet}")
         if not 0 < self.stream_step_deg <= 30:
             raise ValueError(f"--stream-step-deg: expected more than 0, 30 at most, got {self.stream_step_deg:g}")
 
@@ -151,6 +170,16 @@ def _bap(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
     return [f"BAPs have no {', '.join(names)}: lost up to {float(torch.rad2deg(lost.max())):.1f} degrees"]
 
 
+def _joints(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
+    write_joints(clip, path)
+    return []
+
+
+def _teleoperation(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
+    write_teleoperation(clip, path, axes=options.teleop_axes)
+    return []
+
+
 def _x3d(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
     write_x3d(clip, path, skin=options.x3d_skin)
     return []
@@ -161,7 +190,10 @@ def _stream(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
     default = StreamSettings()
     finer = min(1.0, step / default.step_deg)  # the root with the joints, never coarser than usual
     settings = StreamSettings(
-        step_deg=step, root_step_deg=finer * default.root_step_deg, root_step_mm=finer * default.root_step_mm
+        step_deg=step,
+        root_step_deg=finer * default.root_step_deg,
+        root_step_mm=finer * default.root_step_mm,
+        packet_poses=options.stream_packet,
     )
     figures = write_stream(clip, path, settings)
     return [
@@ -199,6 +231,8 @@ FORMATS: tuple[Format, ...] = (
         suffixes=(".keypoints.json", ".keypoints.npz", ".csv", ".npy", *KEYPOINT_SUFFIXES[:2]),
         write=_keypoints,
     ),
+    Format(name="joints", suffixes=(JOINTS_SUFFIX,), write=_joints),
+    Format(name="teleoperation", suffixes=(".teleop.jsonl",), write=_teleoperation),
     Format(name="angles", suffixes=(ANGLE_SUFFIX,), write=_angles),
     Format(name="bap", suffixes=(".bap",), write=_bap),
     Format(name="x3d", suffixes=(".x3d",), write=_x3d),

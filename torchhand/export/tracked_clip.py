@@ -10,7 +10,7 @@ import torch
 
 from torchhand.errors import InputError
 from torchhand.export.clip import MotionClip, Up, rest_clip
-from torchhand.export.stream import clip_of_stream
+from torchhand.export.motion_files import MOTION_SUFFIXES, is_motion_file, load_motion
 from torchhand.files import Track, load_hand, load_hand_model, load_track
 from torchhand.files.disk import expanded
 from torchhand.files.pictures import ASSUMED_FPS
@@ -29,10 +29,12 @@ def load_clip(
     fps: float | None = None,
     hand: str | Path | None = None,
     up: Up = "-y",
+    side: Side | None = None,
     model: HandModel | None = None,
 ) -> MotionClip:
     """The clip of a result folder, of a track.npz or track.jsonl with hand.json beside it, of a hand.json alone, or of
-    a pose stream (.thp), which has its own side, shape, fps and direction up.
+    a motion in a file of another program (`load_motion`), with the proportions of `hand` or the default ones. A pose
+    stream (.thp) has its own side, shape, fps and direction up.
 
     gaps: frames without an estimate repeat the last one before them ("hold"; those at the beginning the first after
         them) or are left out ("cut").
@@ -40,6 +42,7 @@ def load_clip(
         assumed of pictures.
     hand: another file than the hand.json beside the track.
     up: which axis of the track's frame points up.
+    side: of the hand, where a file of another program does not tell it.
 
     Raises InputError naming the file and what is wrong with it; a track without a single estimate is refused.
     """
@@ -47,20 +50,21 @@ def load_clip(
     model = model or load_hand_model()
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
+    if path.is_file() and is_motion_file(path):
+        if hand is not None and path.suffix == ".thp":
+            raise InputError(f"{path}: expected a track with another hand file, got a pose stream, which has its own")
+        shape = None if hand is None else _hand_of(expanded(hand), model)[1]
+        clip = load_motion(path, model, shape, side=side, up=up)
+        return clip if fps is None else replace(clip, fps=fps, time_s=())
     if path.is_file() and path.suffix == ".json":
         if hand is not None:
             raise InputError(f"{path}: expected a track with another hand file, got a hand file itself")
         side, shape = _hand_of(path, model)
         return rest_clip(model, side, shape, name=_plain(path.stem), fps=fps or ASSUMED_FPS)
-    if path.is_file() and path.suffix == ".thp":
-        if hand is not None:
-            raise InputError(f"{path}: expected a track with another hand file, got a pose stream, which has its own")
-        clip = clip_of_stream(path, model)
-        return clip if fps is None else replace(clip, fps=fps)
     if path.is_file() and path.suffix not in (".npz", ".jsonl"):
         raise InputError(
-            f"{path}: expected a result folder, track.npz, track.jsonl, hand.json or a pose stream (.thp), got"
-            f" {path.suffix or path.name!r}"
+            f"{path}: expected a result folder, track.npz, track.jsonl, hand.json or a motion"
+            f" ({', '.join(MOTION_SUFFIXES)}), got {path.suffix or path.name!r}"
         )
     folder = path if path.is_dir() else path.parent
     track = load_track(path)

@@ -65,6 +65,8 @@ class MotionClip:
     estimate."""
     status: tuple[str, ...] = ()
     """What the tracker said of each frame; empty where nothing was tracked."""
+    notes: tuple[str, ...] = ()
+    """What a user should know of how the clip came about, such as what was lost when another format was read."""
     axes: Axes | None = None
     """Frame that is asked of exports; each format's usual one where it is None."""
 

@@ -6,6 +6,7 @@ frame, in a space as OpenXR's unless other axes are asked for: metres, y up, -z 
 """
 
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,11 @@ def write_openxr(clip: MotionClip, path: str | Path) -> None:
     write_text(Path(path), json.dumps(content, allow_nan=False) + "\n")
 
 
+def is_openxr_file(content: Any) -> bool:
+    """Whether the content of a JSON file is of the form that `write_openxr` writes."""
+    return isinstance(content, dict) and content.get("format") == OPENXR_FORMAT
+
+
 def clip_of_openxr(
     path: str | Path, model: HandModel, shape: Float64[Tensor, "shape"] | None = None
 ) -> tuple[MotionClip, BoneFit]:
@@ -71,7 +77,7 @@ def clip_of_openxr(
     frames = content.get("frames")
     if not isinstance(frames, list) or not frames:
         raise InputError(f"{path}: frames: expected a list of one frame or more, got {short(frames)}")
-    positions, quaternions, numbers = [], [], []
+    positions, quaternions, numbers, held, times = [], [], [], [], []
     for t, frame in enumerate(frames):
         where = f"{path}: frames[{t}]"
         poses = frame.get("poses") if isinstance(frame, dict) else None
@@ -81,6 +87,8 @@ def clip_of_openxr(
         positions.append([_vector(where, poses, j, "position", 3) for j in range(len(poses))])
         quaternions.append([_vector(where, poses, j, "orientation", 4) for j in range(len(poses))])
         numbers.append(int(read_number(f"{where}.frame", frame.get("frame", t))))
+        held += [numbers[-1]] if frame.get("held") is True else []
+        times.append(read_number(f"{where}.time", frame.get("time", t / fps)))
     quaternion = torch.tensor(quaternions, dtype=torch.float64)
     lengths = quaternion.norm(dim=-1)
     if bool(((lengths - 1).abs() > _UNIT_LENGTH_SLACK).any()):
@@ -99,7 +107,9 @@ def clip_of_openxr(
         shape=model.shape_space.default.double() if shape is None else shape,
         poses=fit.pose,
         fps=fps,
+        time_s=tuple(times) if all(one < other for one, other in pairwise(times)) else (),
         frame=tuple(numbers),
+        held=tuple(held),
         name=path.stem,
         up="y",
     )
