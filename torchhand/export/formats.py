@@ -19,7 +19,7 @@ from torchhand.export.clip import (
     write_mesh_frames,
 )
 from torchhand.export.conventions import BapVersion, BvhNames, held_path, write_bap, write_bvh, write_mano, write_openxr
-from torchhand.export.rigged import X3DSkin, write_glb, write_x3d
+from torchhand.export.rigged import GlbSkeleton, X3DSkin, write_glb, write_x3d
 from torchhand.export.robots import (
     JOINTS_SUFFIX,
     LinkSolid,
@@ -48,6 +48,8 @@ class ExportOptions:
 
     correctives: bool = True
     """glb: carry the skin's pose correctives as morph targets."""
+    glb_skeleton: GlbSkeleton = "torchhand"
+    """glb: nodes named as our bones, or the 25 joints of WebXR with its names and axes."""
     bvh_names: BvhNames = "torchhand"
     """bvh: what the joints are called."""
     bap_numbering: Numbering = "final"
@@ -102,7 +104,7 @@ class Format:
 
 
 def _glb(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
-    skin = write_glb(clip, path, has_correctives=options.correctives)
+    skin = write_glb(clip, path, has_correctives=options.correctives, skeleton=options.glb_skeleton)
     notes = [f"skin within {1e3 * skin.error:.2f} mm of torchhand's with {len(skin.targets)} morph targets"]
     return notes + ([f"without them within {1e3 * skin.linear_error:.2f} mm"] if len(skin.targets) else [])
 

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from torchhand.export.clip import MotionClip, texture_atlas
 from torchhand.export.rigged.glb import write_glb
 from torchhand.hand import BONES, FINGERS, HandModel
+from torchhand.hand.conventions import openxr_joints
 
 FLOAT32 = 2e-6  # metres: rotations and weights are stored in float32, a hand measures 0.3 m and stands at 0.5 m
 
@@ -117,6 +118,25 @@ def test_bones_move_as_ours(clip: MotionClip, tmp_path: Path) -> None:
             assert np.abs(matrix[:3, :3] - upright.frames.rotation[t, i].numpy()).max() < 3e-6
         tips = np.stack([world[names.index(f"{finger}_tip")][:3, 3] for finger in FINGERS])
         assert np.abs(tips - upright.frames.keypoints[t, [4, 8, 12, 16, 20]].numpy()).max() < FLOAT32
+
+
+def test_webxr_joints_move_as_a_tracked_hand_has_them(clip: MotionClip, tmp_path: Path) -> None:
+    """25 joints by WebXR's names, with its axes, side by side; the skin is as near to ours as with our own bones."""
+    said = write_glb(clip, tmp_path / "hand.glb", skeleton="webxr")
+    glb, upright = Glb(tmp_path / "hand.glb"), clip.with_up("y")
+    skin = glb.json["skins"][0]
+    names = [glb.json["nodes"][joint]["name"] for joint in skin["joints"]]
+    assert len(names) == 25
+    assert names[0] == "wrist"
+    assert {"thumb-phalanx-proximal", "index-finger-phalanx-intermediate", "pinky-finger-tip"} <= set(names)
+    assert not any("children" in glb.json["nodes"][joint] for joint in skin["joints"])
+    joints, vertices = openxr_joints(upright.frames), texture_atlas(clip.model, clip.side).vertex.numpy()
+    ours = upright.vertices().numpy()
+    for t in range(len(clip)):
+        world = glb.world(t)[skin["joints"]]
+        assert np.abs(world[:, :3, 3] - joints.position[t, 1:].numpy()).max() < FLOAT32
+        assert np.abs(world[:, :3, :3] - joints.rotation[t, 1:].numpy()).max() < 3e-6
+        assert np.linalg.norm(glb.skinned(t) - ours[t][vertices], axis=-1).max() < said.error + FLOAT32
 
 
 def test_the_skin_is_as_far_from_ours_as_said(clip: MotionClip, tmp_path: Path) -> None:

@@ -46,9 +46,7 @@ def test_axes_are_the_anatomical_ones(clip: MotionClip) -> None:
     assert float(operator[4, 0]) > 0  # the thumb lies on the palm's side
     # What dex_retargeting multiplies by from the right (OPERATOR2MANO_RIGHT), transposed.
     to_operator = operator.T @ torch.linalg.pinv(mano.T)
-    published = torch.tensor(
-        [[0, -1, 0], [0, 0, 1], [-1, 0, 0]], dtype=torch.float64
-    )
+    published = torch.tensor([[0, -1, 0], [0, 0, 1], [-1, 0, 0]], dtype=torch.float64)
     if is_right:
         assert float((to_operator - published).abs().max()) < 1e-9
 
