@@ -19,7 +19,7 @@ from torchhand.export.clip import (
     write_mesh_frames,
 )
 from torchhand.export.conventions import BapVersion, BvhNames, held_path, write_bap, write_bvh, write_mano, write_openxr
-from torchhand.export.rigged import GlbSkeleton, X3DSkin, write_glb, write_x3d
+from torchhand.export.rigged import GlbSkeleton, X3DSkin, write_driven_glb, write_glb, write_x3d
 from torchhand.export.robots import (
     JOINTS_SUFFIX,
     LinkSolid,
@@ -33,6 +33,7 @@ from torchhand.export.robots import (
     write_urdf,
 )
 from torchhand.export.stream import StreamSettings, write_stream
+from torchhand.files.disk import expanded
 from torchhand.hand import JOINT_DOFS
 from torchhand.hand.conventions import Numbering
 
@@ -50,6 +51,8 @@ class ExportOptions:
     """glb: carry the skin's pose correctives as morph targets."""
     glb_skeleton: GlbSkeleton = "torchhand"
     """glb: nodes named as our bones, or the 25 joints of WebXR with its names and axes."""
+    glb_mesh: Path | None = None
+    """glb: a rigged hand mesh of others with WebXR's joint names (.glb), to be moved in place of ours."""
     bvh_names: BvhNames = "torchhand"
     """bvh: what the joints are called."""
     bap_numbering: Numbering = "final"
@@ -104,6 +107,9 @@ class Format:
 
 
 def _glb(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
+    if options.glb_mesh is not None:
+        write_driven_glb(clip, expanded(options.glb_mesh), path)
+        return [f"the mesh of {options.glb_mesh.name}, moved; its own animations are left out"]
     skin = write_glb(clip, path, has_correctives=options.correctives, skeleton=options.glb_skeleton)
     notes = [f"skin within {1e3 * skin.error:.2f} mm of torchhand's with {len(skin.targets)} morph targets"]
     return notes + ([f"without them within {1e3 * skin.linear_error:.2f} mm"] if len(skin.targets) else [])
