@@ -38,8 +38,21 @@ from torchhand.hand import JOINT_DOFS
 from torchhand.hand.conventions import Numbering
 
 FormatName = Literal[
-    *("glb", "bvh", "urdf", "mjcf", "obj", "ply", "mano", "openxr", "keypoints", "angles", "joints", "teleoperation"),
-    *("bap", "x3d", "stream"),
+    "glb",
+    "bvh",
+    "urdf",
+    "mjcf",
+    "obj",
+    "ply",
+    "mano",
+    "openxr",
+    "keypoints",
+    "joints",
+    "teleoperation",
+    "angles",
+    "bap",
+    "x3d",
+    "stream",
 ]
 
 

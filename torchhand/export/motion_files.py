@@ -22,7 +22,7 @@ from torchhand.export.robots import JOINTS_SUFFIX, clip_of_joints
 from torchhand.export.stream import clip_of_stream
 from torchhand.files.disk import read_json
 from torchhand.hand import BONES, HandModel, Side
-from torchhand.hand.conventions import NUMBERINGS, BoneFit
+from torchhand.hand.conventions import BoneFit
 
 MOTION_SUFFIXES = (".bvh", ".bap", ".thp", JOINTS_SUFFIX, ".mano.npz", ".openxr.json")
 _TOLD_FROM = math.radians(0.1)
@@ -54,8 +54,7 @@ def load_motion(
     if name.endswith(JOINTS_SUFFIX):
         return clip_of_joints(path, model, shape, up=up)
     if name.endswith(".bap"):
-        declared = read_bap(path).declared
-        numbering = next((one for one in NUMBERINGS if one == declared), "final")
+        numbering = "draft" if read_bap(path).declared == "draft" else "final"
         return clip_of_bap(path, model, shape, numbering=numbering, side=side)
     if name.endswith(".bvh"):
         return _told(*clip_of_bvh(path, model, shape))

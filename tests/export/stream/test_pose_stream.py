@@ -6,6 +6,7 @@ import struct
 import zlib
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -206,6 +207,6 @@ def test_missing_files_and_headers_that_are_none(tmp_path: Path) -> None:
         ({"dead_zone": 0.2}, "dead_zone: expected 0.5 to 1, got 0.2"),
     ],
 )
-def test_settings(settings: dict[str, float], message: str) -> None:
+def test_settings(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         StreamSettings(**settings)

@@ -93,6 +93,7 @@ def clip_of_mano(
     rotations = torch.from_numpy(np.concatenate((root, hand + mean), 1)).reshape(-1, len(MANO_JOINTS), 3)
     kinematics = model.kinematics(side, dtype=torch.float64)
     fit = pose_of_mano(kinematics, rotations, torch.from_numpy(wrist))
+    frame, time_s, held = _frames(arrays, len(hand))
     clip = MotionClip(
         model=model,
         side=side,
@@ -102,7 +103,9 @@ def clip_of_mano(
         name=path.stem.removesuffix(".mano"),
         up=_up(path, arrays),
         notes=notes,
-        **_frames(arrays, len(hand)),
+        frame=frame,
+        time_s=time_s,
+        held=held,
     )
     return clip, fit
 
@@ -149,17 +152,18 @@ def _zero_posture(
     return mano.axis_angle[1:].reshape(-1).numpy(), (note,)
 
 
-def _frames(arrays: dict[str, np.ndarray], count: int) -> dict[str, tuple]:
+def _frames(arrays: dict[str, np.ndarray], count: int) -> tuple[tuple[int, ...], tuple[float, ...], tuple[int, ...]]:
     """Numbers, times and held frames as our own files have them; nothing where others differ from that."""
-    found: dict[str, tuple] = {}
     number, time_s, held = (arrays.get(name, np.zeros(0)).reshape(-1) for name in ("frame", "time_s", "held"))
-    if len(number) == count and number.dtype.kind in "iu" and (np.diff(number) > 0).all():
-        found["frame"] = tuple(int(one) for one in number)
-        if len(held) == count and held.dtype.kind == "b":
-            found["held"] = tuple(int(one) for one in number[held])
-    if len(time_s) == count and time_s.dtype.kind == "f" and (np.diff(time_s) > 0).all():
-        found["time_s"] = tuple(time_s.tolist())
-    return found
+    is_numbered = len(number) == count and number.dtype.kind in "iu" and bool((np.diff(number) > 0).all())
+    numbers = number if is_numbered else np.arange(count)
+    is_marked = len(held) == count and held.dtype.kind == "b"
+    is_timed = len(time_s) == count and time_s.dtype.kind == "f" and bool((np.diff(time_s) > 0).all())
+    return (
+        tuple(int(one) for one in numbers),
+        tuple(time_s.tolist()) if is_timed else (),
+        tuple(int(one) for one in numbers[held]) if is_marked else (),
+    )
 
 
 def _checked(path: Path, name: str, array: np.ndarray, width: int, frames: int | None) -> np.ndarray:

@@ -96,7 +96,7 @@ def _told_side(holder: Any) -> Side | None:
 
 def _only_side(path: Path, frames: list[Any]) -> Side:
     """The one side that frames speak of."""
-    told = {said for frame in frames if (said := _told_side(frame)) is not None}
+    told: set[Side] = {said for frame in frames if (said := _told_side(frame)) is not None}
     for frame in frames:
         holders = (frame, frame.get("hands")) if isinstance(frame, dict) else ()
         told |= {side for side in _SIDES for one in holders if isinstance(one, dict) and one.get(side)}
@@ -155,8 +155,9 @@ def _unit(path: Path, quaternion: Tensor) -> Tensor:
 
 def _time(frame: dict[str, Any]) -> float | None:
     found = next((frame[key] for key in _TIMES if key in frame), None)
-    is_number = isinstance(found, int | float) and not isinstance(found, bool) and math.isfinite(found)
-    return float(found) if is_number else None
+    if isinstance(found, int | float) and not isinstance(found, bool) and math.isfinite(found):
+        return float(found)
+    return None
 
 
 def _seconds(times: list[float | None], content: Any) -> tuple[tuple[float, ...], float]:

@@ -107,9 +107,8 @@ def _rest(path: Path, nodes: list[dict[str, Any]], parents: dict[int, int], node
         matrix = matrix @ _local(nodes[one])
     scales = np.linalg.norm(matrix[:3, :3], axis=0)
     if not np.isfinite(matrix).all() or scales.min() <= 0 or np.ptp(scales) > _UNIFORM * scales.max():
-        raise InputError(
-            f"{path}: expected nodes with one scale each, got {scales.tolist()} at {nodes[node]['name']!r}"
-        )
+        told = ", ".join(f"{scale:g}" for scale in scales)
+        raise InputError(f"{path}: node {node}: expected one scale for all axes, got {told}")
     return _Place(matrix[:3, :3] / scales, matrix[:3, 3], float(scales.mean()))
 
 

@@ -47,9 +47,7 @@ class GlbContainer:
             raise InputError(f"{path}: expected JSON in its first chunk, got something else ({error})") from error
         buffers = content.pop("buffers", [{}]) if isinstance(content, dict) else []
         if len(buffers) != 1 or "uri" in buffers[0]:
-            raise InputError(
-                f"{path}: expected all arrays in the file itself, got {len(buffers)} buffers or other files"
-            )
+            raise InputError(f"{path}: expected all arrays in the file itself, got {len(buffers)} buffers or others")
         glb = cls()
         glb._views, glb._accessors = content.pop("bufferViews", []), content.pop("accessors", [])
         glb._bytes = bytearray(data[head.size + text + 8 : length])
