@@ -42,8 +42,8 @@ def write_urdf(
     solids = link_solids(clip, mass=mass)
     with written_meshes(path, solids) as meshes:
         folder = meshes if package is None else f"package://{package}/{meshes}"
-        write_text(srdf_path(path), srdf_text(_robot_name(clip)))
         write_text(path, urdf_text(clip, solids, folder))
+        write_text(srdf_path(path), srdf_text(_robot_name(clip)))
     return solids
 
 
