@@ -36,7 +36,7 @@ def _encoded(table: np.ndarray, partners: tuple[int | None, ...]) -> bytes:
 @pytest.mark.parametrize("step", [0.0, 0.2, 50.0])
 def test_tables_come_back(rows: int, step: float) -> None:
     table = np.rint(_walk(rows, 4, 2, step) + 17).astype(np.int64)
-    for size in (1, 13, 1000):
+    for size in (13, 1000):
         encoder, decoder = RowEncoder(PARTNERS), RowDecoder(PARTNERS)
         blocks = [table[start : start + size] for start in range(0, rows, size)]
         found = [decoder.block(encoder.block(block), len(block)) for block in blocks]
