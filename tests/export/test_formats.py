@@ -30,6 +30,8 @@ ONE_NAME_EACH = {
     "mano": "hand.mano.npz",
     "openxr": "hand.openxr.json",
     "keypoints": "hand.keypoints.json",
+    "joints": "hand.joints.csv",
+    "teleoperation": "hand.teleop.jsonl",
     "angles": "angles.csv",
     "bap": "hand.bap",
     "x3d": "hand.x3d",

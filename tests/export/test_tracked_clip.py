@@ -13,9 +13,11 @@ from scipy.spatial.transform import Rotation
 from torchhand.errors import InputError
 from torchhand.export.clip import MotionClip, rest_clip
 from torchhand.export.tracked_clip import load_clip
-from torchhand.files import load_track, write_video
+from torchhand.files import load_track
 from torchhand.files.results import write_npz
+from torchhand.geometry import rotation_from_vector
 from torchhand.hand import DOFS, HandModel
+from torchhand.hand.conventions import mano_from_hand
 
 
 def test_a_result_gives_its_poses(make_result: Callable[..., Path]) -> None:
@@ -41,7 +43,7 @@ def test_cut_gaps_are_left_out(make_result: Callable[..., Path]) -> None:
     known = load_clip(make_result(name="whole")).poses
     assert torch.equal(clip.poses, known[[1, 4]])
     assert (clip.frame, clip.held) == ((1, 4), ())
-    assert torch.equal(clip.seconds, torch.tensor([0.0, 1 / 30], dtype=torch.float64))
+    assert torch.equal(clip.seconds, torch.tensor([0.0, 3 / 30], dtype=torch.float64))
 
 
 def test_numbers_that_the_track_skips_are_gaps(make_result: Callable[..., Path]) -> None:
@@ -57,17 +59,56 @@ def test_a_track_without_any_pose_is_refused(make_result: Callable[..., Path], g
         load_clip(make_result(lost=tuple(range(6))), gaps=gaps)
 
 
-def test_the_rate_is_that_of_the_source_video(make_result: Callable[..., Path], tmp_path: Path) -> None:
-    folder = make_result()
+def test_times_and_rate_are_those_of_the_track(make_result: Callable[..., Path]) -> None:
+    """By its times, else by its header; the video is not looked at again."""
+    folder = make_result(lost=(2,))
     assert load_clip(folder).fps == 30.0
-    video = tmp_path / "clip.mp4"
-    with write_video(video, width=32, height=32, fps=12.0) as writer:
-        for _ in range(3):
-            writer.write(torch.zeros(32, 32, 3, dtype=torch.uint8))
     track = load_track(folder)
-    write_npz(replace(track, header={"side": "right", "source": str(video)}), folder / "track.npz")
-    assert load_clip(folder).fps == 12.0
-    assert load_clip(folder, fps=7.0).fps == 7.0
+    told = {"side": "right", "source": "gone.mp4", "made_with": {"frames_per_second": 59.94}}
+    write_npz(replace(track, header=told), folder / "track.npz")
+    assert load_clip(folder).fps == 59.94
+    times = np.array([1.0, 1.04, 1.08, 1.2, 1.24, 1.28])
+    write_npz(replace(track, header=told, time_s=times), folder / "track.npz")
+    for gaps in ("hold", "cut"):
+        clip = load_clip(folder, gaps=gaps)
+        kept = times if gaps == "hold" else np.delete(times, 2)
+        assert clip.fps == pytest.approx(25.0)
+        assert np.abs(clip.seconds.numpy() - (kept - 1.0)).max() < 1e-12
+    even = load_clip(folder, fps=7.0)
+    assert even.fps == 7.0
+    assert np.abs(even.seconds.numpy() - np.arange(6) / 7).max() < 1e-12
+
+
+def test_uneven_times_become_even_ones_where_a_format_has_one_rate(clip: MotionClip) -> None:
+    """A clip of which frames are left out is the same motion again once poses are interpolated to its rate."""
+    start, end = clip.poses[:1], clip.poses[-1:]
+    share = torch.arange(9, dtype=torch.float64)[:, None] / 8
+    line = start + share * (end - start)
+    line[:, 3:6] = torch.tensor((0.1, -0.2, 0.3), dtype=torch.float64) * (1 + 5 * share)  # about one axis
+    whole = replace(clip, poses=line, frame=())
+    kept = [0, 1, 3, 4, 8]
+    cut = replace(clip, poses=line[kept], frame=tuple(kept))
+    even = cut.at_constant_rate()
+    assert even.frame == tuple(range(9))
+    assert float((even.poses - whole.poses).abs().max()) < 1e-12
+    assert whole.at_constant_rate() is whole
+
+
+def test_axes_of_an_export(clip: MotionClip) -> None:
+    """The wrist's frames do not see how the hand is placed; the others are turned as a whole."""
+    turn = rotation_from_vector(clip.poses[:, 3:6])
+    points = clip.frames.keypoints
+    own = (points - points[:, :1]) @ turn
+    for axes, expected in (("wrist", own), ("mano", own @ mano_from_hand(clip.side).mT)):
+        placed = replace(clip, axes=axes).placed("camera")
+        assert float((placed.frames.keypoints - expected).abs().max()) < 1e-12
+    assert torch.equal(replace(clip, axes="camera").placed("y-up").frames.keypoints, points)
+    upright = replace(clip, axes="z-up").placed("camera").frames.keypoints
+    expected = points @ torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]], dtype=torch.float64)
+    assert float((upright - expected).abs().max()) < 1e-12
+    mano = replace(clip, axes="mano").placed("camera").frames.keypoints
+    forwards = mano[:, 9, 0]  # the knuckle of the middle finger: along -x of a right hand, +x of a left one
+    assert bool((forwards < -0.05).all() if clip.side == "right" else (forwards > 0.05).all())
 
 
 def test_a_hand_file_alone_gives_the_open_hand_upright(make_result: Callable[..., Path], model: HandModel) -> None:

@@ -17,13 +17,13 @@ from torchhand.hand import (
     FINGERS,
     JOINT_DOFS,
     KEYPOINTS,
+    Clearance,
     ConstraintSettings,
     PoseConstraints,
     penetration,
     place_primitives,
     primitive_sizes,
 )
-from torchhand.signs.clearance import Clearance
 from torchhand.signs.facing import sign_rotation
 from torchhand.signs.file import load_signs, save_signs
 from torchhand.signs.fit import solve_signs, table_angles

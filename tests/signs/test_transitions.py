@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 
 from torchhand.files import load_hand_model
-from torchhand.hand import DOFS, JOINT_DOFS
-from torchhand.signs.clearance import Clearance
+from torchhand.hand import DOFS, JOINT_DOFS, Clearance
 from torchhand.signs.file import load_signs
 from torchhand.signs.table import HANDSHAPES, SIGNS
 from torchhand.signs.transitions import RECIPES, choose_recipe, curve, sampled, waypoints

@@ -1,7 +1,7 @@
 """Write a tracked or fitted hand in other programs' formats: GLB, BVH, URDF, MJCF, X3D, BAP, OBJ and more."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -9,7 +9,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.errors import InputError
-from torchhand.export import ExportOptions, FormatName, MotionClip, format_of, load_clip
+from torchhand.export import Axes, ExportOptions, FormatName, MotionClip, format_of, load_clip
 from torchhand.files.disk import expanded
 from torchhand.files.results import (
     CHECKPOINT_NAME,
@@ -20,6 +20,7 @@ from torchhand.files.results import (
     NPZ_NAME,
     OVERLAY_NAME,
 )
+from torchhand.hand import Side
 
 _MAX_NAMED = 3
 RESULT_NAMES = (HAND_NAME, CONFIG_NAME, OVERLAY_NAME, CHECKPOINT_NAME, HEADER_NAME, JSONL_NAME, NPZ_NAME)
@@ -32,15 +33,17 @@ class Arguments:
 
     The ending of --to says which: .glb (skin and animation), .bvh, .urdf and .xml (MuJoCo) with a folder of link
     meshes, .obj and .ply (one file per frame), .mano.npz, .openxr.json, .keypoints.json/.npz and .csv (21 points),
-    angles.csv (every joint angle with its standard deviation, time and status), .bap (MPEG-4), .x3d (H-Anim), .thp (a
-    pose stream of a few hundred bits a second). A hand.json alone gives the open hand at rest; a .thp is read back.
+    .joints.csv (a URDF's joints), .teleop.jsonl (points in the wrist's frame), angles.csv (every joint angle with its
+    standard deviation, time and status), .bap (MPEG-4), .x3d (H-Anim), .thp (a pose stream of 1 to 3 kbit/s). A
+    hand.json alone gives the open hand at rest. BVH, MANO, OpenXR, WebXR, BAP, .joints.csv and .thp are read too.
 
     Example:
         torchhand export out/clip --to hand.glb
     """
 
-    result: Annotated[Positional[Path], arg(metavar="RESULT")]
-    """Result folder of `torchhand track`, its track.npz or track.jsonl, a hand.json, or a pose stream (.thp)."""
+    result: Annotated[Positional[Path], arg(metavar="IN")]
+    """Result folder of `torchhand track`, its track.npz or track.jsonl, a hand.json, or a motion in one of the formats
+    that are read."""
     to: Annotated[Path, arg(metavar="FILE")]
     """File to write."""
     format: FormatName | None = None
@@ -51,11 +54,16 @@ class Arguments:
     frame: int | None = None
     """Only the frame of this number."""
     fps: float | None = None
-    """Frames per second; those of the tracked video if it is still there, else 30."""
+    """Frames per second, evenly; else the track's own times."""
     hand: Annotated[Path | None, arg(metavar="FILE")] = None
     """Another hand.json than the one beside the track."""
+    side: Side | None = None
+    """Side of the hand, where a motion of another program does not tell it."""
     up: Literal["y", "-y", "z", "-z"] = "-y"
     """Axis of the track's frame that points up: -y for one camera, that of the rig's world for several."""
+    axes: Axes | None = None
+    """Frame of what is written: camera (that of the track), y-up, z-up, wrist (the hand's own: x out of its back, y to
+    the fingers, the wrist at the origin) or mano (the wrist's with MANO's axes); else each format's usual one."""
     options: OmitArgPrefixes[ExportOptions] = ExportOptions()  # noqa: RUF009 - frozen
     """Options that only some formats ask."""
     overwrite: bool = False
@@ -77,14 +85,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not target.absolute().parent.is_dir():
         raise InputError(f"--to: expected a file in an existing folder, got {target}")
     with threads(1):
-        clip = load_clip(arguments.result, gaps=arguments.gaps, fps=arguments.fps, hand=arguments.hand, up=arguments.up)
+        clip = load_clip(
+            arguments.result,
+            gaps=arguments.gaps,
+            fps=arguments.fps,
+            hand=arguments.hand,
+            up=arguments.up,
+            side=arguments.side,
+        )
+        clip = replace(clip, axes=arguments.axes)
         if arguments.frame is not None:
             clip = _only(arguments, clip)
         files = kind.files(clip, target)
         _check_free(arguments, files)
         notes = kind.write(clip, target, arguments.options)
     print(_summary(clip, kind.name, files))
-    for note in notes:
+    for note in (*clip.notes, *notes):
         print(f"note: {note}")
     return DONE
 

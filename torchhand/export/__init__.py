@@ -1,6 +1,6 @@
 """Hands in motion in other programs' formats: one record that all writers take, one file per format, and readers."""
 
-from torchhand.export.clip import MotionClip, rest_clip, write_keypoints, write_mesh_frames
+from torchhand.export.clip import Axes, MotionClip, rest_clip, write_keypoints, write_mesh_frames
 from torchhand.export.conventions import (
     BapMotion,
     BvhMotion,
@@ -9,6 +9,7 @@ from torchhand.export.conventions import (
     clip_of_bvh,
     clip_of_mano,
     clip_of_openxr,
+    clip_of_xr_recording,
     read_bap,
     read_bvh,
     write_bap,
@@ -17,21 +18,37 @@ from torchhand.export.conventions import (
     write_openxr,
 )
 from torchhand.export.formats import FORMATS, ExportOptions, Format, FormatName, format_of, write
+from torchhand.export.motion_files import MOTION_SUFFIXES, load_motion
 from torchhand.export.rigged import write_glb, write_x3d
-from torchhand.export.robots import LinkSolid, link_solids, write_mjcf, write_urdf
-from torchhand.export.stream import StreamSettings, clip_of_stream, encode_clip, write_stream
+from torchhand.export.robots import (
+    LinkSolid,
+    MjcfSettings,
+    WristPoints,
+    link_solids,
+    teleoperation_message,
+    wrist_points,
+    write_mjcf,
+    write_teleoperation,
+    write_urdf,
+)
+from torchhand.export.stream import PoseStreamReader, StreamSettings, clip_of_stream, encode_clip, write_stream
 from torchhand.export.tracked_clip import clip_of_track, load_clip
 
 __all__ = [
     "FORMATS",
+    "MOTION_SUFFIXES",
+    "Axes",
     "BapMotion",
     "BvhMotion",
     "ExportOptions",
     "Format",
     "FormatName",
     "LinkSolid",
+    "MjcfSettings",
     "MotionClip",
+    "PoseStreamReader",
     "StreamSettings",
+    "WristPoints",
     "bvh_names",
     "clip_of_bap",
     "clip_of_bvh",
@@ -39,13 +56,17 @@ __all__ = [
     "clip_of_openxr",
     "clip_of_stream",
     "clip_of_track",
+    "clip_of_xr_recording",
     "encode_clip",
     "format_of",
     "link_solids",
     "load_clip",
+    "load_motion",
     "read_bap",
     "read_bvh",
     "rest_clip",
+    "teleoperation_message",
+    "wrist_points",
     "write",
     "write_bap",
     "write_bvh",
@@ -56,6 +77,7 @@ __all__ = [
     "write_mjcf",
     "write_openxr",
     "write_stream",
+    "write_teleoperation",
     "write_urdf",
     "write_x3d",
 ]

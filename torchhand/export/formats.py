@@ -1,5 +1,6 @@
 """All export formats under one roof: which file ending means which, and `write` for any of them."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,15 +18,41 @@ from torchhand.export.clip import (
     write_keypoints,
     write_mesh_frames,
 )
-from torchhand.export.conventions import BapVersion, BvhNames, write_bap, write_bvh, write_mano, write_openxr
-from torchhand.export.rigged import X3DSkin, write_glb, write_x3d
-from torchhand.export.robots import meshes_folder, write_mjcf, write_urdf
+from torchhand.export.conventions import BapVersion, BvhNames, held_path, write_bap, write_bvh, write_mano, write_openxr
+from torchhand.export.rigged import GlbSkeleton, X3DSkin, write_driven_glb, write_glb, write_x3d
+from torchhand.export.robots import (
+    JOINTS_SUFFIX,
+    LinkSolid,
+    MjcfSettings,
+    WristAxes,
+    meshes_folder,
+    srdf_path,
+    write_joints,
+    write_mjcf,
+    write_teleoperation,
+    write_urdf,
+)
 from torchhand.export.stream import StreamSettings, write_stream
+from torchhand.files.disk import expanded
 from torchhand.hand import JOINT_DOFS
 from torchhand.hand.conventions import Numbering
 
 FormatName = Literal[
-    "glb", "bvh", "urdf", "mjcf", "obj", "ply", "mano", "openxr", "keypoints", "angles", "bap", "x3d", "stream"
+    "glb",
+    "bvh",
+    "urdf",
+    "mjcf",
+    "obj",
+    "ply",
+    "mano",
+    "openxr",
+    "keypoints",
+    "joints",
+    "teleoperation",
+    "angles",
+    "bap",
+    "x3d",
+    "stream",
 ]
 
 
@@ -35,6 +62,10 @@ class ExportOptions:
 
     correctives: bool = True
     """glb: carry the skin's pose correctives as morph targets."""
+    glb_skeleton: GlbSkeleton = "torchhand"
+    """glb: nodes named as our bones, or the 25 joints of WebXR with its names and axes."""
+    glb_mesh: Path | None = None
+    """glb: a rigged hand mesh of others with WebXR's joint names (.glb), to be moved in place of ours."""
     bvh_names: BvhNames = "torchhand"
     """bvh: what the joints are called."""
     bap_numbering: Numbering = "final"
@@ -43,12 +74,36 @@ class ExportOptions:
     """bap: version in the header."""
     x3d_skin: X3DSkin = "weights"
     """x3d: skin moved by its joints, or every frame's points as they are."""
+    mass_g: float | None = None
+    """urdf, mjcf: mass of the hand, g; else that of an adult's hand of this size."""
+    urdf_package: str | None = None
+    """urdf: ROS package that the files are put into, for meshes as package://NAME/…; else paths beside the file."""
+    mjcf_gravity: bool = False
+    """mjcf: let gravity act; the wrist is then held by a mocap body."""
+    mjcf_couplings: bool = True
+    """mjcf: bend the last joints of the fingers with their middle ones."""
+    mjcf_apart: bool = True
+    """mjcf: move the keyframes' joints a little where digits are in each other."""
+    teleop_axes: WristAxes = "mano"
+    """teleoperation: axes of the points in the wrist's frame: MANO's, our hand frame's, or the operator's (x out of the
+    palm, z to the fingers) that retargeting libraries use."""
     stream_step_deg: float = 3.5
     """stream: step of the joint angles, degrees. Smaller is finer and takes more bits."""
+    stream_packet: int = 15
+    """stream: poses of a packet, 1 to 255: a reader of a growing stream waits for so many; fewer take more bits."""
 
     def __post_init__(self) -> None:
+        if self.mass_g is not None and not 0 < self.mass_g <= 1e5:
+            raise ValueError(f"--mass-g: expected more than 0, 1e5 at most, got {self.mass_g:g}")
+        if not 1 <= self.stream_packet <= 255:
+            raise ValueError(f"--stream-packet: expected 1 to 255, got {self.stream_packet}")
         if not 0 < self.stream_step_deg <= 30:
             raise ValueError(f"--stream-step-deg: expected more than 0, 30 at most, got {self.stream_step_deg:g}")
+
+    @property
+    def mass(self) -> float | None:
+        """Mass of the hand, kg, where it is given."""
+        return None if self.mass_g is None else 1e-3 * self.mass_g
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +120,10 @@ class Format:
 
 
 def _glb(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
-    skin = write_glb(clip, path, has_correctives=options.correctives)
+    if options.glb_mesh is not None:
+        write_driven_glb(clip, expanded(options.glb_mesh), path)
+        return [f"the mesh of {options.glb_mesh.name}, moved; its own animations are left out"]
+    skin = write_glb(clip, path, has_correctives=options.correctives, skeleton=options.glb_skeleton)
     notes = [f"skin within {1e3 * skin.error:.2f} mm of torchhand's with {len(skin.targets)} morph targets"]
     return notes + ([f"without them within {1e3 * skin.linear_error:.2f} mm"] if len(skin.targets) else [])
 
@@ -75,14 +133,29 @@ def _bvh(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
     return []
 
 
-def _robot(writer: Callable) -> Callable[[MotionClip, Path, ExportOptions], list[str]]:
-    def write(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
-        solids = writer(clip, path)
-        mass = sum(solid.mass for solid in solids)
-        motion = ["holds the hand, not its motion"] if writer is write_urdf and len(clip) > 1 else []
-        return [f"{len(solids)} links of {1e3 * mass:.0f} g together, meshes in {meshes_folder(path).name}", *motion]
+def _urdf(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
+    solids = write_urdf(clip, path, mass=options.mass, package=options.urdf_package)
+    motion = ["holds the hand, not its motion"] if len(clip) > 1 else []
+    return [_links(solids, path), *motion]
 
-    return write
+
+def _mjcf(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
+    settings = MjcfSettings(
+        mass=options.mass,
+        has_gravity=options.mjcf_gravity,
+        has_couplings=options.mjcf_couplings,
+        is_apart=options.mjcf_apart,
+    )
+    solids, moved = write_mjcf(clip, path, settings)
+    notes = [_links(solids, path)]
+    if moved > 1e-4:
+        notes.append(f"joint angles of keyframes changed by up to {math.degrees(moved):.1f} degrees to part digits")
+    return notes
+
+
+def _links(solids: tuple[LinkSolid, ...], path: Path) -> str:
+    mass = sum(solid.mass for solid in solids)
+    return f"{len(solids)} links of {1e3 * mass:.0f} g together, meshes in {meshes_folder(path).name}"
 
 
 def _meshes(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
@@ -118,6 +191,16 @@ def _bap(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
     return [f"BAPs have no {', '.join(names)}: lost up to {float(torch.rad2deg(lost.max())):.1f} degrees"]
 
 
+def _joints(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
+    write_joints(clip, path)
+    return []
+
+
+def _teleoperation(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
+    write_teleoperation(clip, path, axes=options.teleop_axes)
+    return []
+
+
 def _x3d(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
     write_x3d(clip, path, skin=options.x3d_skin)
     return []
@@ -128,7 +211,10 @@ def _stream(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
     default = StreamSettings()
     finer = min(1.0, step / default.step_deg)  # the root with the joints, never coarser than usual
     settings = StreamSettings(
-        step_deg=step, root_step_deg=finer * default.root_step_deg, root_step_mm=finer * default.root_step_mm
+        step_deg=step,
+        root_step_deg=finer * default.root_step_deg,
+        root_step_mm=finer * default.root_step_mm,
+        packet_poses=options.stream_packet,
     )
     figures = write_stream(clip, path, settings)
     return [
@@ -139,14 +225,22 @@ def _stream(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
 
 FORMATS: tuple[Format, ...] = (
     Format(name="glb", suffixes=(".glb",), write=_glb),
-    Format(name="bvh", suffixes=(".bvh",), write=_bvh),
     Format(
-        name="urdf", suffixes=(".urdf",), write=_robot(write_urdf), files=lambda clip, path: [path, meshes_folder(path)]
+        name="bvh",
+        suffixes=(".bvh",),
+        write=_bvh,
+        files=lambda clip, path: [path, *([held_path(path)] if clip.held else [])],
+    ),
+    Format(
+        name="urdf",
+        suffixes=(".urdf",),
+        write=_urdf,
+        files=lambda clip, path: [path, srdf_path(path), meshes_folder(path)],
     ),
     Format(
         name="mjcf",
         suffixes=(".xml", ".mjcf"),
-        write=_robot(write_mjcf),
+        write=_mjcf,
         files=lambda clip, path: [path, meshes_folder(path)],
     ),
     Format(name="obj", suffixes=(".obj",), write=_meshes, files=mesh_paths),
@@ -158,6 +252,8 @@ FORMATS: tuple[Format, ...] = (
         suffixes=(".keypoints.json", ".keypoints.npz", ".csv", ".npy", *KEYPOINT_SUFFIXES[:2]),
         write=_keypoints,
     ),
+    Format(name="joints", suffixes=(JOINTS_SUFFIX,), write=_joints),
+    Format(name="teleoperation", suffixes=(".teleop.jsonl",), write=_teleoperation),
     Format(name="angles", suffixes=(ANGLE_SUFFIX,), write=_angles),
     Format(name="bap", suffixes=(".bap",), write=_bap),
     Format(name="x3d", suffixes=(".x3d",), write=_x3d),

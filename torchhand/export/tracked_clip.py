@@ -1,5 +1,6 @@
 """A result of tracking, or a fitted hand alone, as a clip: gaps held or cut, never written as NaN."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal, cast
@@ -9,8 +10,8 @@ import torch
 
 from torchhand.errors import InputError
 from torchhand.export.clip import MotionClip, Up, rest_clip
-from torchhand.export.stream import clip_of_stream
-from torchhand.files import Track, load_hand, load_hand_model, load_track, open_source
+from torchhand.export.motion_files import MOTION_SUFFIXES, is_motion_file, load_motion
+from torchhand.files import Track, load_hand, load_hand_model, load_track
 from torchhand.files.disk import expanded
 from torchhand.files.pictures import ASSUMED_FPS
 from torchhand.files.results import HAND_NAME
@@ -18,6 +19,7 @@ from torchhand.hand import DOFS, HandModel, Side
 
 Gaps = Literal["hold", "cut"]
 _MAX_FRAMES = 1_000_000
+_MAX_RATE = 1e6
 
 
 def load_clip(
@@ -27,16 +29,20 @@ def load_clip(
     fps: float | None = None,
     hand: str | Path | None = None,
     up: Up = "-y",
+    side: Side | None = None,
     model: HandModel | None = None,
 ) -> MotionClip:
     """The clip of a result folder, of a track.npz or track.jsonl with hand.json beside it, of a hand.json alone, or of
-    a pose stream (.thp), which has its own side, shape, fps and direction up.
+    a motion in a file of another program (`load_motion`), with the proportions of `hand` or the default ones. A pose
+    stream (.thp) has its own side, shape, fps and direction up.
 
     gaps: frames without an estimate repeat the last one before them ("hold"; those at the beginning the first after
         them) or are left out ("cut").
-    fps: that of the source video where it is not given and can be had, else the one that is assumed of pictures.
+    fps: a rate to play the frames at; where it is not given, the track's own times and rate, else the rate that is
+        assumed of pictures.
     hand: another file than the hand.json beside the track.
     up: which axis of the track's frame points up.
+    side: of the hand, where a file of another program does not tell it.
 
     Raises InputError naming the file and what is wrong with it; a track without a single estimate is refused.
     """
@@ -44,20 +50,21 @@ def load_clip(
     model = model or load_hand_model()
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
+    if path.is_file() and is_motion_file(path):
+        if hand is not None and path.suffix == ".thp":
+            raise InputError(f"{path}: expected a track with another hand file, got a pose stream, which has its own")
+        shape = None if hand is None else _hand_of(expanded(hand), model)[1]
+        clip = load_motion(path, model, shape, side=side, up=up)
+        return clip if fps is None else replace(clip, fps=fps, time_s=())
     if path.is_file() and path.suffix == ".json":
         if hand is not None:
             raise InputError(f"{path}: expected a track with another hand file, got a hand file itself")
         side, shape = _hand_of(path, model)
         return rest_clip(model, side, shape, name=_plain(path.stem), fps=fps or ASSUMED_FPS)
-    if path.is_file() and path.suffix == ".thp":
-        if hand is not None:
-            raise InputError(f"{path}: expected a track with another hand file, got a pose stream, which has its own")
-        clip = clip_of_stream(path, model)
-        return clip if fps is None else replace(clip, fps=fps)
     if path.is_file() and path.suffix not in (".npz", ".jsonl"):
         raise InputError(
-            f"{path}: expected a result folder, track.npz, track.jsonl, hand.json or a pose stream (.thp), got"
-            f" {path.suffix or path.name!r}"
+            f"{path}: expected a result folder, track.npz, track.jsonl, hand.json or a motion"
+            f" ({', '.join(MOTION_SUFFIXES)}), got {path.suffix or path.name!r}"
         )
     folder = path if path.is_dir() else path.parent
     track = load_track(path)
@@ -68,7 +75,7 @@ def load_clip(
         shape,
         side,
         gaps=gaps,
-        fps=fps or _source_fps(track),
+        fps=fps,
         name=_plain(folder.resolve().name),
         up=up,
         where=str(path),
@@ -82,14 +89,14 @@ def clip_of_track(
     side: Side,
     *,
     gaps: Gaps,
-    fps: float,
+    fps: float | None = None,
     name: str = "hand",
     up: Up = "-y",
     where: str = "track",
 ) -> MotionClip:
     """The clip of a track that was read already.
 
-    Frames whose numbers the track leaves out are gaps as well.
+    Frames whose numbers the track leaves out are gaps as well. Times are the track's own, unless a rate is given.
 
     Raises InputError where the track has other DOFs, another side than the hand, or no estimate at all.
     """
@@ -115,16 +122,20 @@ def clip_of_track(
     quality = None
     if track.finger_quality is not None:
         quality = torch.from_numpy(np.where(is_own[:, None], track.finger_quality[kept], np.nan).astype(np.float64))
+    cov = np.where(is_own[:, None, None, None], track.keypoints3d_cov[kept], np.nan)
+    times = None if fps is not None or track.time_s is None else _times(number, track.time_s, frame)
     said = dict(zip(number.tolist(), track.status.tolist(), strict=True))
     return MotionClip(
         model=model,
         side=side,
         shape=shape,
         poses=torch.from_numpy(track.pose[kept].astype(np.float64)),
-        fps=fps,
+        fps=fps or _rate(track, number),
+        time_s=() if times is None else tuple(times.tolist()),
         frame=tuple(int(f) for f in frame),
         held=tuple(int(f) for f in frame[~is_own]),
         pose_std=torch.from_numpy(std.astype(np.float64)),
+        keypoints_cov=torch.from_numpy(cov.astype(np.float64)) if np.isfinite(cov).any() else None,
         finger_quality=quality,
         status=tuple(str(said.get(int(f), "missing")) for f in frame),
         name=name,
@@ -149,14 +160,21 @@ def _hand_of(path: Path, model: HandModel) -> tuple[Side, torch.Tensor]:
     return cast(Side, fitted.side), shape
 
 
-def _source_fps(track: Track) -> float:
-    """Frame rate of the video that was tracked, if it is still there."""
-    source = track.header.get("source")
-    if not isinstance(source, str) or source.isdecimal() or not Path(source).exists():
-        return ASSUMED_FPS
-    try:
-        with open_source(source) as frames:
-            fps = frames.fps
-    except InputError:
-        return ASSUMED_FPS
-    return float(fps) if fps and np.isfinite(fps) and fps > 0 else ASSUMED_FPS
+def _times(number: np.ndarray, time_s: np.ndarray, frame: np.ndarray) -> np.ndarray | None:
+    """When these frames were taken, in between by their numbers; None where the track's times do not grow."""
+    if not (np.isfinite(time_s).all() and (np.diff(time_s) > 0).all()):
+        return None
+    return np.interp(frame, number, time_s)
+
+
+def _rate(track: Track, number: np.ndarray) -> float:
+    """Frames per second as the track's times have it, else as its header says, else as is assumed of pictures."""
+    if track.time_s is not None and len(number) > 1:
+        rate = float(np.median(np.diff(number) / np.diff(track.time_s))) if (np.diff(track.time_s) > 0).all() else 0.0
+        if np.isfinite(rate) and 0 < rate <= _MAX_RATE:
+            return rate
+    made_with = track.header.get("made_with")
+    told = made_with.get("frames_per_second") if isinstance(made_with, Mapping) else None
+    if isinstance(told, int | float) and not isinstance(told, bool) and 0 < told <= _MAX_RATE:
+        return float(told)
+    return ASSUMED_FPS

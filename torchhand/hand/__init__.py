@@ -1,5 +1,6 @@
 """The hand as torch modules: skeleton, shape, pose spaces, kinematics, primitives, skinned mesh, constraints, prior."""
 
+from torchhand.hand.clearance import Clearance
 from torchhand.hand.hand import Hand, HandState
 from torchhand.hand.kinematics import (
     BONES,
@@ -87,6 +88,7 @@ __all__ = [
     "TIPS",
     "Anthropometry",
     "AnthropometrySettings",
+    "Clearance",
     "ConstraintSettings",
     "Hand",
     "HandFrames",

@@ -9,6 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -36,6 +37,7 @@ from torchhand.track import PastFrame, Smoother, Tracker, TrackerSettings, Track
 
 CHECKPOINT_EVERY = 30
 """Frames from one saved state of the tracker to the next."""
+_PAST_FRAMES = 1000  # more than a smoothing window holds
 PROBLEMS_SHOWN = 3
 """Unreadable pictures that are reported one by one; the others are counted."""
 RIG_CONVENTION = CONVENTION.replace(
@@ -69,7 +71,8 @@ class Run:
         self.state, self._provenance = state, dict(provenance)
         self._smoother = Smoother(tracker, tracker.settings.smoothing_window_s)
         self._names = tuple(camera.name for camera in recording.cameras)
-        self._seconds: dict[int, float] = {}
+        self._past: dict[float, tuple[int, float]] = {}
+        """Of the last frames, by their times: index, and seconds of computing."""
         self._recorded_shape: Float[Tensor, "shape"] | None = None
 
     @property
@@ -89,15 +92,15 @@ class Run:
         if self.tracker.settings.smoothing_window_s > 0:
             scene = self.tracker.scene(state, frame.views, frame.time_s)
             self._smoother.remember(PastFrame.of(scene, estimate.keypoints, estimate.score))
-        self._keep_seconds(frame.index, seconds)
+        self._keep_past(frame, seconds)
         self.state = state
         if estimate.keypoints_px is not None:
             self._followed_px = estimate.keypoints_px
         problems = "; ".join(problem for problem in frame.problems if problem is not None)
         corrected = []
         for earlier in better:
-            index = round(earlier.time_s * self.recording.fps)
-            corrected.append(record_of(index, earlier, self._names, seconds=self._seconds.get(index, 0.0)))
+            index, spent = self._past[earlier.time_s]
+            corrected.append(record_of(index, earlier, self._names, seconds=spent))
         return record_of(frame.index, estimate, self._names, seconds=seconds, problems=problems), corrected
 
     def recall(self, track: Track, done: int, first: int) -> None:
@@ -105,11 +108,12 @@ class Run:
 
         done: frames that are tracked. first: number of the first one.
         """
-        window = round(self.tracker.settings.smoothing_window_s * self.recording.fps)
-        if window <= 0 or self.state is None:
+        window_s = self.tracker.settings.smoothing_window_s
+        if window_s <= 0 or self.state is None or self.state.time_s is None or track.time_s is None:
             return
+        begin = int(np.searchsorted(track.time_s, self.state.time_s - window_s)) - 1  # one more than are used
         rows = {int(frame): row for row, frame in enumerate(track.frame)}
-        with self.recording.opened(max(0, done - window)) as frames:
+        with self.recording.opened(min(done, max(0, begin))) as frames:
             for frame in frames:
                 if frame.index >= first + done:
                     break
@@ -120,7 +124,7 @@ class Run:
                 scene = self.tracker.scene(self.state, frame.views, frame.time_s)
                 score = 0.0 if is_lost else float(track.measures["score"][row])
                 self._smoother.remember(PastFrame.of(scene, None if is_lost else points, score))
-                self._keep_seconds(frame.index, float(track.seconds[row]))
+                self._keep_past(frame, float(track.seconds[row]))
 
     def checkpoint(self) -> dict[str, Any]:
         """State from which `go_on_from` continues exactly."""
@@ -172,10 +176,10 @@ class Run:
         }
         save_settings(self.tracker.settings, folder / CONFIG_NAME, content)
 
-    def _keep_seconds(self, index: int, seconds: float) -> None:
-        self._seconds[index] = seconds
-        if len(self._seconds) > 1000:
-            self._seconds.pop(next(iter(self._seconds)))
+    def _keep_past(self, frame: RecordedFrame, seconds: float) -> None:
+        self._past[frame.time_s] = frame.index, seconds
+        if len(self._past) > _PAST_FRAMES:
+            self._past.pop(next(iter(self._past)))
 
 
 def header_of(

@@ -9,9 +9,8 @@ from torch import Tensor
 
 from torchhand.errors import InputError
 from torchhand.geometry import rotation_from_vector, vector_from_rotation
-from torchhand.hand import HandModel, Side
+from torchhand.hand import Clearance, HandModel, Side
 from torchhand.numerics import ease
-from torchhand.signs.clearance import Clearance
 from torchhand.signs.fit import solve_signs
 from torchhand.signs.paths import TRACERS, hand_course
 from torchhand.signs.table import SIGNS

@@ -12,9 +12,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.hand import JOINT_DOFS
+from torchhand.hand import JOINT_DOFS, Clearance
 from torchhand.numerics import monotone_cubic
-from torchhand.signs.clearance import Clearance
 from torchhand.signs.table import HANDSHAPES
 
 _THUMB = torch.tensor([dof.startswith("thumb") for dof in JOINT_DOFS])

@@ -14,11 +14,13 @@ import trimesh
 from torchhand.errors import InputError
 from torchhand.export.clip import MotionClip
 from torchhand.export.robots.link_solids import link_solids
-from torchhand.export.robots.mjcf import write_mjcf
+from torchhand.export.robots.mjcf import MjcfSettings, write_mjcf
+from torchhand.export.robots.strength import HAND_MASS, joint_torques
 from torchhand.export.robots.urdf import write_urdf
 from torchhand.hand import BONES, DOFS, JOINT_DOFS, HandModel
 
 SAME_PLACE = 1e-6  # metres
+AS_TRACKED = MjcfSettings(has_couplings=False, is_apart=False)
 
 
 @pytest.fixture(scope="module")
@@ -55,15 +57,12 @@ def test_urdf_states_what_simulators_need(clip: MotionClip, tmp_path: Path) -> N
         assert limit is not None
         assert abs(float(limit.attrib["lower"]) - float(clip.skeleton.lower[i])) < 1e-11
         assert abs(float(limit.attrib["upper"]) - float(clip.skeleton.upper[i])) < 1e-11
-        assert float(limit.attrib["effort"]) > 0
+        assert 0.1 < float(limit.attrib["effort"]) < 15
         assert float(limit.attrib["velocity"]) > 0
-    moving = {j.find("child").attrib["link"] for j in joints.values() if j.attrib["type"] == "revolute"}  # pyright: ignore[reportOptionalMemberAccess]
     total = 0.0
     for link in root.iter("link"):
         inertial = link.find("inertial")
-        assert (inertial is not None) == (link.attrib["name"] in {*moving, "wrist"})
-        if inertial is None:
-            continue
+        assert inertial is not None  # PyBullet takes 1 kg for a link without, and tips would be five of these
         mass, entries = inertial.find("mass"), inertial.find("inertia")
         assert mass is not None
         assert entries is not None
@@ -76,6 +75,50 @@ def test_urdf_states_what_simulators_need(clip: MotionClip, tmp_path: Path) -> N
         for mesh in link.iter("mesh"):
             assert (tmp_path / mesh.attrib["filename"]).is_file()
     assert total == pytest.approx(sum(solid.mass for solid in solids), rel=1e-8)
+
+
+def test_srdf_names_links_and_pairs_of_the_robot(clip: MotionClip, tmp_path: Path) -> None:
+    write_urdf(clip, tmp_path / "hand.urdf")
+    robot = ElementTree.parse(tmp_path / "hand.urdf").getroot()
+    semantic = ElementTree.parse(tmp_path / "hand.srdf").getroot()
+    assert semantic.attrib["name"] == robot.attrib["name"]
+    links = {link.attrib["name"] for link in robot.iter("link")}
+    pairs = [(one.attrib["link1"], one.attrib["link2"]) for one in semantic.iter("disable_collisions")]
+    chains = [(chain.attrib["base_link"], chain.attrib["tip_link"]) for chain in semantic.iter("chain")]
+    assert {name for pair in [*pairs, *chains] for name in pair} <= links
+    assert len({frozenset(pair) for pair in pairs}) == len(pairs)
+    assert ("index_proximal", "index_middle") in pairs
+    assert ("index_distal", "thumb_distal") not in pairs
+
+
+def test_meshes_of_a_package(clip: MotionClip, tmp_path: Path) -> None:
+    write_urdf(clip, tmp_path / "hand.urdf", package="my_hands")
+    robot = ElementTree.parse(tmp_path / "hand.urdf").getroot()
+    files = [mesh.attrib["filename"] for mesh in robot.iter("mesh")]
+    assert files
+    for file in files:
+        assert file.startswith("package://my_hands/hand_urdf_meshes/")
+        assert (tmp_path / file.removeprefix("package://my_hands/")).is_file()
+    with pytest.raises(InputError, match="package: expected a name"):
+        write_urdf(clip, tmp_path / "hand.urdf", package="../elsewhere")
+
+
+def test_masses_are_those_of_an_adults_hand(clips: dict[str, MotionClip]) -> None:
+    clip = replace(clips["right"], shape=clips["right"].model.shape_space.default.double())
+    solids = link_solids(clip)
+    assert sum(solid.mass for solid in solids) == pytest.approx(HAND_MASS, rel=1e-9)
+    heavier = link_solids(clip, mass=0.5)
+    for one, other in zip(solids, heavier, strict=True):
+        assert other.mass == pytest.approx(one.mass * 0.5 / HAND_MASS, rel=1e-9)
+        assert other.inertia == pytest.approx(one.inertia * 0.5 / HAND_MASS, rel=1e-9)
+
+
+def test_torques_are_those_of_the_levers(clip: MotionClip) -> None:
+    torques = dict(zip(JOINT_DOFS, joint_torques(clip).tolist(), strict=True))
+    assert torques["index_dip_fe"] < torques["index_pip_fe"] < torques["index_mcp_fe"]
+    assert torques["little_mcp_fe"] < torques["ring_mcp_fe"] < torques["index_mcp_fe"] < 10
+    lever = float(clip.skeleton.tip_offset[1].norm())
+    assert torques["index_dip_fe"] == pytest.approx(65.0 * lever, rel=1e-6)  # straight, nothing is longer than it
 
 
 def _check_possible(mass: float, inertia: np.ndarray) -> None:
@@ -118,7 +161,7 @@ def test_links_are_possible_bodies_over_people(model: HandModel, clips: dict[str
 
 def test_mjcf_moves_as_ours(clip: MotionClip, tmp_path: Path, mujoco: ModuleType) -> None:
     numbered = replace(clip, frame=tuple(range(5, 12)))
-    solids = write_mjcf(numbered, tmp_path / "hand.xml")
+    solids, _ = write_mjcf(numbered, tmp_path / "hand.xml", AS_TRACKED)
     robot = mujoco.MjModel.from_xml_path(str(tmp_path / "hand.xml"))
     data, frames = mujoco.MjData(robot), clip.with_up("z").frames
     assert robot.nkey == len(clip)
@@ -143,9 +186,12 @@ def test_mjcf_moves_as_ours(clip: MotionClip, tmp_path: Path, mujoco: ModuleType
 
 
 def test_mujoco_finds_the_same_inertias_in_the_meshes(clip: MotionClip, tmp_path: Path, mujoco: ModuleType) -> None:
-    solids = write_mjcf(clip, tmp_path / "hand.xml")
+    solids, _ = write_mjcf(clip, tmp_path / "hand.xml", AS_TRACKED)
     text = (tmp_path / "hand.xml").read_text().replace('inertiafromgeom="false"', 'inertiafromgeom="true"')
-    text = text.replace("<mesh ", '<mesh inertia="exact" ').replace('type="mesh"', 'type="mesh" density="1100"')
+    solid = trimesh.Trimesh(solids[0].vertices, solids[0].faces, process=False)
+    density = f'type="mesh" density="{solids[0].mass / solid.volume:.12g}"'
+    text = text.replace("<mesh ", '<mesh inertia="exact" ').replace('type="mesh"', density)
+    text = text.replace('type="capsule"', 'type="capsule" density="0"')
     (tmp_path / "other.xml").write_text(text)
     robot = mujoco.MjModel.from_xml_path(str(tmp_path / "other.xml"))
     for solid, bone in zip(solids, BONES, strict=True):
@@ -157,7 +203,7 @@ def test_mujoco_finds_the_same_inertias_in_the_meshes(clip: MotionClip, tmp_path
 
 def test_a_hand_at_rest_stays_where_it_is(still: MotionClip, tmp_path: Path, mujoco: ModuleType) -> None:
     clip = replace(still, poses=still.poses.clone().index_fill_(1, torch.arange(6, 36), 0.02))
-    write_mjcf(clip, tmp_path / "hand.xml")
+    write_mjcf(clip, tmp_path / "hand.xml", MjcfSettings(has_couplings=False))
     robot = mujoco.MjModel.from_xml_path(str(tmp_path / "hand.xml"))
     data = mujoco.MjData(robot)
     mujoco.mj_resetDataKeyframe(robot, data, 0)
@@ -165,6 +211,46 @@ def test_a_hand_at_rest_stays_where_it_is(still: MotionClip, tmp_path: Path, muj
         mujoco.mj_step(robot, data)
     assert np.isfinite(data.qpos).all()
     assert np.abs(data.qpos - robot.key_qpos[0]).max() < 1e-3
+
+
+def test_servos_hold_a_hand_against_gravity(still: MotionClip, tmp_path: Path, mujoco: ModuleType) -> None:
+    poses = still.poses.clone().index_fill_(1, torch.arange(6, 36), 0.02)
+    poses[:, [DOFS.index(f"{finger}_pip_fe") for finger in ("index", "middle", "ring", "little")]] = 0.9
+    write_mjcf(replace(still, poses=poses), tmp_path / "hand.xml", MjcfSettings(has_gravity=True))
+    robot = mujoco.MjModel.from_xml_path(str(tmp_path / "hand.xml"))
+    data = mujoco.MjData(robot)
+    mujoco.mj_resetDataKeyframe(robot, data, 0)
+    for _ in range(1000):
+        mujoco.mj_step(robot, data)
+    assert np.abs(data.qpos[:3] - robot.key_qpos[0, :3]).max() < 2e-3
+    for dof in JOINT_DOFS:
+        wanted = 0.6 if dof.endswith("dip_fe") else float(poses[0, DOFS.index(dof)])
+        assert abs(float(data.joint(dof).qpos[0]) - wanted) < 0.02, dof
+    assert robot.nu == 26
+    write_mjcf(replace(still, poses=poses), tmp_path / "free.xml", MjcfSettings(has_couplings=False))
+    assert mujoco.MjModel.from_xml_path(str(tmp_path / "free.xml")).nu == 30
+
+
+def test_keyframes_part_digits_that_are_in_each_other(still: MotionClip, tmp_path: Path, mujoco: ModuleType) -> None:
+    poses = torch.zeros(1, 36, dtype=torch.float64)
+    for finger, aside in (("index", -0.15), ("middle", 0.0), ("ring", -0.12)):
+        poses[:, DOFS.index(f"{finger}_mcp_aa")] = aside
+    crossed = replace(still, poses=poses)
+
+    def deepest(settings: MjcfSettings) -> tuple[float, float]:
+        _, moved = write_mjcf(crossed, tmp_path / "hand.xml", settings)
+        robot = mujoco.MjModel.from_xml_path(str(tmp_path / "hand.xml"))
+        data = mujoco.MjData(robot)
+        mujoco.mj_resetDataKeyframe(robot, data, 0)
+        mujoco.mj_forward(robot, data)
+        return min((float(contact.dist) for contact in data.contact), default=0.0), moved
+
+    as_tracked, unmoved = deepest(AS_TRACKED)
+    parted, moved = deepest(MjcfSettings())
+    assert as_tracked < -4e-3
+    assert parted > -2e-3
+    assert unmoved == 0
+    assert 0 < moved < 0.5
 
 
 def test_mujoco_reads_the_urdf(clip: MotionClip, tmp_path: Path, mujoco: ModuleType) -> None:
@@ -190,7 +276,7 @@ def test_a_failed_export_leaves_the_old_robot(clip: MotionClip, tmp_path: Path) 
     with pytest.raises(InputError, match="cannot be written"):
         write_urdf(replace(clip, shape=clip.model.shape_space.default), tmp_path / "hand.urdf")
     after = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    assert after == {path: data for path, data in before.items() if path.suffix == ".obj"}
+    assert after == {path: data for path, data in before.items() if path.suffix in (".obj", ".srdf")}
     (tmp_path / "hand.urdf").rmdir()
     write_urdf(clip, tmp_path / "hand.urdf")
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before

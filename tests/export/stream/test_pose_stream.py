@@ -6,6 +6,7 @@ import struct
 import zlib
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,14 @@ from torchhand.cli.benchmarks import recorded_poses
 from torchhand.errors import InputError
 from torchhand.export import ExportOptions, load_clip, write
 from torchhand.export.clip import MotionClip
-from torchhand.export.stream.pose_stream import StreamSettings, clip_of_stream, encode_clip, unwrapped, write_stream
+from torchhand.export.stream.pose_stream import (
+    PoseStreamReader,
+    StreamSettings,
+    clip_of_stream,
+    encode_clip,
+    unwrapped,
+    write_stream,
+)
 from torchhand.files import load_hand_model
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import DOFS, Side
@@ -60,7 +68,8 @@ def test_finer_steps_cost_more_and_keep_more() -> None:
 def test_a_hand_at_rest_is_a_header(tmp_path: Path) -> None:
     clip = replace(_clip(1), poses=_clip().poses[60:61].expand(500, -1).contiguous(), frame=())
     figures = write_stream(clip, tmp_path / "a.thp")
-    assert figures.motion_bytes < 8
+    packets = 500 // StreamSettings().packet_poses + 1
+    assert figures.motion_bytes < 16 + 6 * packets  # counts, lengths, checksums, and hardly a pose
     assert (figures.mean_deg, figures.worst_deg) == (0.0, 0.0)
     assert torch.equal(clip_of_stream(tmp_path / "a.thp", MODEL).poses, clip.poses)
 
@@ -102,27 +111,64 @@ def test_recorded_motion_within_a_degree_and_a_kilobit(data_dir: Path) -> None:
 
 
 def _changed(data: bytes, **entries: object) -> bytes:
-    """The file with other entries in its header, its lengths and checksum right."""
-    header, stream, _ = struct.unpack("<III", data[4:16])
-    record = json.loads(zlib.decompress(data[16 : 16 + header])) | entries
+    """The stream with other entries in its header, its length and checksum right."""
+    length, _ = struct.unpack("<II", data[4:12])
+    record = json.loads(zlib.decompress(data[12 : 12 + length])) | entries
     packed = zlib.compress(json.dumps({k: v for k, v in record.items() if v is not None}).encode())
-    body = packed + data[16 + header :]
-    return data[:4] + struct.pack("<III", len(packed), stream, zlib.crc32(body)) + body
+    return data[:4] + struct.pack("<II", len(packed), zlib.crc32(packed)) + packed + data[12 + length :]
+
+
+def test_streams_are_decoded_while_they_grow() -> None:
+    """Whatever pieces they come in: all poses of whole packets, each as soon as its packet is whole."""
+    clip = replace(_clip(50), frame=tuple(range(100, 150)), held=(107, 108))
+    data, figures = encode_clip(clip, StreamSettings(packet_poses=12))
+    reader, poses, held = PoseStreamReader(MODEL), [], []
+    for place in range(len(data)):
+        found, is_held = reader.feed(data[place : place + 1])
+        poses.append(found)
+        held.append(is_held)
+        assert (reader.header is None) == (place + 1 < figures.header_bytes)
+    assert [len(one) for one in poses if len(one)] == [12, 12, 12, 12, 2]
+    assert reader.has_ended
+    whole, _ = PoseStreamReader(MODEL).feed(data)
+    assert torch.equal(torch.cat(poses), whole)
+    assert np.flatnonzero(np.concatenate(held)).tolist() == [7, 8]
+    assert float((whole - clip.poses)[:, 6:].abs().max()) < math.radians(0.56 * 3.5)
+
+
+def test_small_packets_cost_bits_and_nothing_else() -> None:
+    costs = [encode_clip(_clip(200), StreamSettings(packet_poses=size))[1] for size in (1, 15, 200)]
+    assert costs[0].motion_bytes > costs[1].motion_bytes > costs[2].motion_bytes
+    assert {one.worst_deg for one in costs} == {costs[0].worst_deg}
+
+
+def test_a_stream_that_was_cut_gives_its_whole_packets(tmp_path: Path) -> None:
+    data, figures = encode_clip(_clip(50), StreamSettings(packet_poses=10))
+    whole = PoseStreamReader(MODEL).feed(data)[0]
+    path = tmp_path / "a.thp"
+    for cut, poses in ((1, 50), (5, 50), (6, 40)):
+        path.write_bytes(data[:-cut])
+        clip = clip_of_stream(path, MODEL)
+        assert torch.equal(clip.poses, whole[:poses])
+        assert clip.notes == (f"the stream has no end yet: the {poses} poses that are whole were read",)
+    path.write_bytes(data[: figures.header_bytes + 3])
+    with pytest.raises(InputError, match="is cut short: expected a header and a packet of poses"):
+        clip_of_stream(path, MODEL)
 
 
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda d: b"", "expected a pose stream that begins with 'THP', got b''"),
+        (lambda d: b"", "is cut short: expected a header and a packet of poses, got 0 bytes"),
         (lambda d: b"glTF" + d, "expected a pose stream that begins with 'THP', got b'glT'"),
-        (lambda d: b"THP2" + d[4:], "expected a pose stream of version 1, got b'2'"),
-        (lambda d: d[:10], "is cut short: expected 16 bytes or more, got 10"),
-        (lambda d: d[:-1], "is cut short: expected"),
-        (lambda d: d + b"x", "goes on after its end"),
-        (lambda d: d[:40] + bytes([d[40] ^ 4]) + d[41:], "is damaged: its checksum is not that of its content"),
+        (lambda d: b"THP1" + d[4:], "expected a pose stream of version 2, got b'1'"),
+        (lambda d: d[:10], "is cut short: expected a header and a packet of poses, got 10 bytes"),
+        (lambda d: d + b"x", "goes on after its end by 1 bytes"),
+        (lambda d: d[:40] + bytes([d[40] ^ 4]) + d[41:], "header: is damaged: its checksum is not that of its content"),
+        (lambda d: d[:-8] + bytes([d[-8] ^ 4]) + d[-7:], "is damaged: packet 1 has another checksum than its content"),
         (lambda d: _changed(d, fps=None), "expected an entry 'fps', it has none"),
         (lambda d: _changed(d, fps=-1), "fps: expected more than 0"),
-        (lambda d: _changed(d, frames=0), "frames: expected 1 to 10000000, got 0"),
+        (lambda d: _changed(d, first="a"), "first: expected the number of a frame, got 'a'"),
         (lambda d: _changed(d, side="both"), "side: expected one of left, right, got 'both'"),
         (lambda d: _changed(d, dofs=["a"]), "dofs: expected names of degrees of freedom"),
         (lambda d: _changed(d, steps=[1.0]), "steps: expected a list of 34, got 1"),
@@ -147,7 +193,7 @@ def test_missing_files_and_headers_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         clip_of_stream(tmp_path / "none.thp", MODEL)
     for packed in (b"nonsense", zlib.compress(b"[1]"), zlib.compress(b"{")):
-        data = b"THP1" + struct.pack("<III", len(packed), 0, zlib.crc32(packed)) + packed
+        data = b"THP2" + struct.pack("<II", len(packed), zlib.crc32(packed)) + packed
         (tmp_path / "a.thp").write_bytes(data)
         with pytest.raises(InputError, match="header: expected "):
             clip_of_stream(tmp_path / "a.thp", MODEL)
@@ -161,6 +207,6 @@ def test_missing_files_and_headers_that_are_none(tmp_path: Path) -> None:
         ({"dead_zone": 0.2}, "dead_zone: expected 0.5 to 1, got 0.2"),
     ],
 )
-def test_settings(settings: dict[str, float], message: str) -> None:
+def test_settings(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         StreamSettings(**settings)

@@ -24,7 +24,7 @@ class Played(FrameSource):
         for index in range(self.count or 0):
             is_bad = index in self._bad
             image = None if is_bad else torch.full((3, 4, 3), index, dtype=torch.uint8)
-            yield Frame(index=index, image=image, problem="corrupt" if is_bad else None)
+            yield Frame(index=index, time_s=index / self.fps, image=image, problem="corrupt" if is_bad else None)
 
     def close(self) -> None:
         self.is_closed = True

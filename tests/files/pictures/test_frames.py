@@ -1,12 +1,20 @@
 """Choosing a source: what is what, and one clear line for what cannot be read."""
 
+import functools
+import http.server
+import socket
+import subprocess
+import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from torchhand.errors import InputError
-from torchhand.files.pictures import video
+from torchhand.files.pictures import webcam
 from torchhand.files.pictures.frame_source import FrameRange
 from torchhand.files.pictures.frames import open_source, sequences_of
 
@@ -57,10 +65,62 @@ def test_a_webcam_is_read_until_it_stops(monkeypatch, picture):
         def release(self):
             pass
 
-    monkeypatch.setattr(video, "_open_webcam", Webcam)
+    monkeypatch.setattr(webcam, "_open_webcam", Webcam)
     with open_source("7") as source:
         assert (source.name, source.fps, source.count) == ("webcam7", 30.0, None)
-        assert [frame.index for frame in source] == [0, 1, 2, 3]
+        frames = list(source)
+    assert [frame.index for frame in frames] == [0, 1, 2, 3]
+    times = [frame.time_s for frame in frames]
+    assert times[0] == 0.0
+    assert times == sorted(times)
+
+
+@pytest.mark.parametrize(
+    ("address", "name"),
+    [("rtsp://ann:secret@camera.example:554/live", "camera_example"), ("udp://127.0.0.1:5000", "127_0_0_1")],
+)
+def test_an_address_is_one_sequence_that_is_read_once(address: str, name: str):
+    assert sequences_of(address) == [(name, address)]
+
+
+def test_an_address_that_does_not_answer_is_told_without_its_password(capfd):
+    with socket.create_server(("127.0.0.1", 0)) as unused:
+        port = unused.getsockname()[1]
+    with pytest.raises(InputError, match=r"^http://ann:\*\*\*@127.0.0.1:\d+/a.mp4: cannot be read \(") as caught:
+        open_source(f"http://ann:secret@127.0.0.1:{port}/a.mp4")
+    assert "secret" not in str(caught.value)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_video_is_read_from_its_address(make_video):
+    path = make_video(frames=5)
+    handler = functools.partial(_QuietHandler, directory=str(path.parent))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        with open_source(f"http://127.0.0.1:{server.server_port}/{path.name}") as source:
+            frames = list(source)
+        server.shutdown()
+    assert source.name == "127_0_0_1"
+    assert [frame.index for frame in frames] == list(range(5))
+
+
+class _QuietHandler(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, format: str, *args: object) -> None:
+        pass
+
+
+def test_a_video_comes_through_a_pipe_where_it_can_be_read_in_order(monkeypatch, make_video, make_clip):
+    with subprocess.Popen(["cat", str(make_video("a.mkv", 7))], stdout=subprocess.PIPE) as cat:
+        monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=cat.stdout))
+        with open_source("-") as source:
+            assert [frame.index for frame in source] == list(range(7))
+    assert sequences_of("-") == [("stdin", "-")]
+    noise = np.random.default_rng(0).integers(0, 256, (20, 120, 160, 3), np.uint8)
+    path = make_clip("b.mp4", list(noise))  # its index stands at the end
+    with subprocess.Popen(["cat", str(path)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as cat:
+        monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=cat.stdout))
+        with pytest.raises(InputError, match="standard input: is no video that can be read in order"):
+            open_source("-")
 
 
 def test_a_missing_webcam(capfd):

@@ -3,16 +3,16 @@
 import weakref
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
 import torch
 
 from torchhand.errors import InputError
-from torchhand.files.pictures import video
 from torchhand.files.pictures.frame_source import Frame
 from torchhand.files.pictures.frames import open_source
-from torchhand.files.pictures.video import VideoSource
+from torchhand.files.pictures.video import VideoSource, _Clock
 
 FRAMES = 40
 
@@ -87,68 +87,137 @@ def test_a_video_that_breaks_off_ends_there_without_phantom_frames(make_video, c
     assert capfd.readouterr().err == ""
 
 
-class _Capture:
-    """A video whose container says what the test wants; frames that are False cannot be read."""
-
-    def __init__(self, pictures: list, fps: float, count: float) -> None:
-        self.pictures, self.fps, self.count = list(pictures), fps, count
-        self.seeks = 0
-
-    def isOpened(self) -> bool:
-        return True
-
-    def get(self, what: int) -> float:
-        return {cv2.CAP_PROP_FPS: self.fps, cv2.CAP_PROP_FRAME_COUNT: self.count}[what]
-
-    def set(self, *_) -> bool:
-        self.seeks += 1
-        return False
-
-    def read(self):
-        picture = self.pictures.pop(0) if self.pictures else False
-        return (False, None) if picture is False else (True, picture)
-
-    def grab(self) -> bool:
-        return self.read()[0]
-
-    def release(self) -> None:
-        pass
+def test_an_impossible_frame_rate_becomes_thirty(make_clip, picture):
+    path = make_clip("fast.mkv", [picture(i) for i in range(4)], codec="mjpeg", pix_fmt="yuvj420p", fps=90000)
+    with open_source(path) as source:
+        assert source.fps == 30.0
+        assert [frame.time_s for frame in source] == pytest.approx([0, 1 / 30, 2 / 30, 3 / 30])
 
 
-@pytest.mark.parametrize("fps", [float("nan"), 0.0, -1.0, 90000.0])
-def test_an_impossible_frame_rate_becomes_thirty(monkeypatch, make_video, picture, fps: float):
-    monkeypatch.setattr(video, "_open_file", lambda _: _Capture([picture(0)], fps, 1))
-    assert open_source(make_video()).fps == 30.0
+def _frames_of_avi(data: bytes) -> list[tuple[int, int]]:
+    """Where the pictures of an AVI file begin and end."""
+    found, at = [], data.index(b"movi") + 4
+    while (at := data.find(b"00dc", at)) >= 0 and at < data.index(b"idx1"):
+        size = int.from_bytes(data[at + 4 : at + 8], "little")
+        found.append((at + 8, at + 8 + size))
+        at += 8 + size
+    return found
 
 
-@pytest.mark.parametrize("count", [-1.0, 0.0, 2.0, 7.0, 500.0, 1e18, float("nan")])
-def test_a_container_may_lie_about_its_frame_count(monkeypatch, make_video, picture, count: float):
-    capture = _Capture([False, picture(1), picture(2), False, False, picture(5), picture(6)], 30.0, count)
-    monkeypatch.setattr(video, "_open_file", lambda _: capture)
-    with open_source(make_video(), start=1) as source:
+@pytest.mark.parametrize("count", [0, 2, 7, 500, 2**32 - 1])
+def test_a_container_may_lie_about_its_frame_count(make_video, count: int, capfd):
+    path = make_video("clip.avi", 7, codec="MJPG")
+    data = bytearray(path.read_bytes())
+    for at in (data.index(b"avih") + 24, data.index(b"strh") + 40):
+        assert data[at : at + 4] == (7).to_bytes(4, "little")
+        data[at : at + 4] = count.to_bytes(4, "little")
+    for index in (0, 3, 4):
+        begin, end = _frames_of_avi(data)[index]
+        data[begin:end] = bytes(end - begin)
+    path.write_bytes(data)
+    with open_source(path, start=1) as source:
         frames = list(source)
     assert [(frame.index, frame.image is None) for frame in frames] == [
         (1, False), (2, False), (3, True), (4, True), (5, False), (6, False)
     ]  # fmt: skip
     assert [_number(frame) for frame in frames if frame.image is not None] == [1, 2, 5, 6]
-    assert capture.seeks == 0
-    assert (source.ended_early is not None) == (count == 500.0)
+    assert [frame.time_s for frame in frames] == pytest.approx([frame.index / 25 for frame in frames])
+    assert (source.ended_early is not None) == (count == 500)
+    assert capfd.readouterr().err == ""
 
 
-def test_a_video_without_a_single_frame(monkeypatch, make_video):
-    monkeypatch.setattr(video, "_open_file", lambda _: _Capture([], 30.0, 100))
-    with pytest.raises(InputError, match="not a single frame can be decoded"):
-        open_source(make_video())
+def test_a_video_without_a_single_frame(make_video, capfd):
+    path = make_video("clip.avi", 7, codec="MJPG")
+    data = bytearray(path.read_bytes())
+    for begin, end in _frames_of_avi(data):
+        data[begin:end] = bytes(end - begin)
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"clip.avi: not a single frame can be decoded"):
+        open_source(path)
+    assert capfd.readouterr().err == ""
 
 
-def test_a_picture_size_that_changes(monkeypatch, make_video, picture):
-    pictures = [picture(0), picture(1), picture(2, width=32, height=24)]
-    monkeypatch.setattr(video, "_open_file", lambda _: _Capture(pictures, 30.0, 3))
+def test_a_picture_size_that_changes(make_clip, picture, tmp_path: Path):
+    large = make_clip("large.mkv", [picture(i) for i in range(2)], codec="mjpeg", pix_fmt="yuvj420p")
+    small = make_clip("small.mkv", [picture(2, width=32, height=24)], codec="mjpeg", pix_fmt="yuvj420p")
+    path = tmp_path / "both.mkv"
+    with av.open(str(path), "w") as joined, av.open(str(large)) as one, av.open(str(small)) as other:
+        stream = joined.add_stream_from_template(one.streams.video[0])
+        for index, packet in enumerate(p for container in (one, other) for p in container.demux(video=0) if p.size):
+            packet.stream, packet.pts, packet.dts = stream, 40 * index, 40 * index
+            joined.mux(packet)
     with (
-        open_source(make_video()) as source,
+        open_source(path) as source,
         pytest.raises(InputError, match="frame 2: expected a picture of 64x48 px like the first, got 32x24"),
     ):
         list(source)
+
+
+def test_a_variable_rate_keeps_its_times(make_clip, picture):
+    times_s = [0.0, 0.040, 0.060, 0.200, 0.240, 0.841, 0.900]
+    path = make_clip("vfr.mkv", [picture(i)[..., ::-1] for i in range(7)], times_s=times_s)  # with B-frames
+    with open_source(path) as source:
+        frames = list(source)
+    assert [_number(frame) for frame in frames] == list(range(7))
+    assert [frame.time_s for frame in frames] == pytest.approx(times_s, abs=1e-9)
+    with open_source(path, start=3, already_done=1) as source:
+        assert [frame.time_s for frame in source] == [frame.time_s for frame in frames[4:]]
+
+
+@pytest.mark.parametrize(
+    ("pts", "expected"),
+    [
+        ([5, 6, 6, 7, 8], [0.0, 0.1, 0.14, 0.2, 0.3]),  # said twice
+        ([None, None, None], [0.0, 0.04, 0.08]),
+        ([None, 30, 31], [0.0, 0.04, 0.1]),  # told from the second on, to the nearest unit
+        ([9, 2, 10], [0.0, 0.04, 0.1]),  # backwards
+    ],
+)
+def test_times_only_grow(pts: list[int | None], expected: list[float]):
+    clock = _Clock(0.1, 0.04)
+    assert [clock(one) for one in pts] == pytest.approx(expected)
+
+
+def test_a_turned_video_stands_upright(make_clip, picture):
+    wide = picture(0)[..., ::-1]
+    wide[:8, :8] = (0, 255, 0)  # the top left corner, which is at the top right when it is turned clockwise
+    path = make_clip("turned.mp4", [wide] * 3, turned=True)
+    with open_source(path) as source:
+        assert (source.width, source.height) == (48, 64)
+        images = [frame.image for frame in source]
+    assert all(image is not None and image.shape == (64, 48, 3) for image in images)
+    corner = images[0][2:6, 42:46].float().mean((0, 1))  # pyright: ignore[reportOptionalSubscript]
+    torch.testing.assert_close(corner, torch.tensor([0.0, 255.0, 0.0]), atol=20.0, rtol=0.0)
+
+
+@pytest.mark.parametrize(
+    ("codec", "pix_fmt", "options", "levels"),
+    [
+        ("libx264", "yuv420p", {}, 2),
+        ("libx264", "yuv420p", {"colorspace": "bt709", "color_range": "tv"}, 2),
+        ("libx264", "yuv420p", {"colorspace": "smpte170m", "color_range": "tv"}, 2),
+        ("libx264", "yuvj420p", {"color_range": "pc"}, 2),
+        ("libx264", "yuv420p10le", {}, 5),  # of which the two dither differently
+        ("libx264", "gray", {}, 2),
+        ("mjpeg", "yuvj422p", {}, 2),
+        ("ffv1", "bgr0", {}, 2),
+        ("ffv1", "gray16le", {}, 2),
+    ],
+)
+def test_pixels_are_those_of_opencv(make_clip, codec: str, pix_fmt: str, options: dict[str, str], levels: int):
+    """In every sampling, depth, matrix and range: another matrix is off by twenty levels, another range by sixteen."""
+    ramp = np.linspace(0, 255, 64, dtype=np.uint8)
+    image = np.stack([np.tile(ramp, (48, 1)), np.tile(ramp[::-1], (48, 1)), np.tile(ramp[:48, None], (1, 64))], -1)
+    path = make_clip("a.mkv", [image] * 2, codec=codec, pix_fmt=pix_fmt, options=options)
+    good, other = cv2.VideoCapture(str(path)).read()
+    assert good
+    with open_source(path) as source:
+        own = next(iter(source)).image
+    assert own is not None
+    difference = np.abs(own.numpy().astype(int) - other[..., ::-1].astype(int))
+    assert difference.max() <= levels
+    assert difference.mean() < 1.5
+    assert own.float().std() > 20  # ramps, and no grey
 
 
 def test_a_truncated_container_cannot_be_opened(make_video, capfd):

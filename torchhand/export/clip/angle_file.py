@@ -1,6 +1,6 @@
 """The joint angles over time as a table that spreadsheets and `pandas.read_csv` take as it is.
 
-A line per frame: frame, time_s (from the first frame on, by the frames' numbers), status, then for each of the 30 joint
+A line per frame: frame, time_s (from the first frame on), status, then for each of the 30 joint
 angles its value and its standard deviation, `NAME_deg` and `NAME_std_deg`, in degrees, and for each finger the
 probability that its tip is right, `FINGER_quality`.
 Frames without an estimate keep their line, with empty cells.
@@ -30,12 +30,13 @@ def write_angles(clip: MotionClip, path: str | Path) -> None:
     columns = [f"{name}_{kind}" for name in JOINT_DOFS for kind in _COLUMNS]
     columns += [f"{finger}_quality" for finger in FINGERS]
     lines = [",".join(("frame", "time_s", "status", *columns))]
+    seconds = clip.seconds.tolist()
     for t, number in enumerate(clip.frame):
         status = clip.status[t] if clip.status else ("lost" if number in held else "tracked")
         pairs = zip(angles[t], std[t], strict=True)
         cells = [_cell(value, empty=number in held) for pair in pairs for value in pair]
         cells += [_cell(value, empty=number in held) for value in quality[t]]
-        lines.append(",".join((str(number), repr((number - clip.frame[0]) / clip.fps), status, *cells)))
+        lines.append(",".join((str(number), repr(seconds[t]), status, *cells)))
     write_text(Path(path), "\n".join(lines) + "\n")
 
 

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Literal
 
 import torch
@@ -11,10 +12,17 @@ from torch import Tensor
 
 from torchhand.geometry import rotation_from_vector, vector_from_rotation
 from torchhand.hand import DOFS, Hand, HandFrames, HandKinematics, HandModel, Side, Skeleton
+from torchhand.hand.conventions import mano_from_hand
 from torchhand.hand.kinematics import sided_skeleton
 
 Up = Literal["y", "-y", "z", "-z"]
+Axes = Literal["camera", "y-up", "z-up", "wrist", "mano"]
+"""Frame of an export: that of the track (a camera's: OpenCV), one with y or z up, the hand's own (wrist at the origin,
+x out of the back of the hand, y towards the fingers), or the wrist's with MANO's axes (fingers along -x of the right
+hand, back of the hand to y)."""
 _FRAMES_AT_ONCE = 64
+_STEADY = 0.05
+"""Share of an interval by which times may be off those of the rate."""
 
 _Y_UP_FROM = {
     "y": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
@@ -27,7 +35,7 @@ _Y_UP_FROM = {
 
 @dataclass(frozen=True, kw_only=True)
 class MotionClip:
-    """One hand over time: whole poses at a constant rate, no gaps."""
+    """One hand over time: whole poses, no gaps."""
 
     model: HandModel
     side: Side
@@ -36,7 +44,9 @@ class MotionClip:
     poses: Float64[Tensor, "frames 36"]
     """Metres and radians in the order of DOFS; the rotation vector is the whole rotation."""
     fps: float
-    """Frames per second."""
+    """Frames per second; the usual rate where `time_s` tells another."""
+    time_s: tuple[float, ...] = ()
+    """When each frame was taken, seconds, increasing; by the rate and the frames' numbers where it is not given."""
     frame: tuple[int, ...] = ()
     """Number of each frame in its source; 0, 1, 2 ... where it is not given."""
     held: tuple[int, ...] = ()
@@ -48,11 +58,17 @@ class MotionClip:
     """Names of the poses' columns: DOFS."""
     pose_std: Float64[Tensor, "frames 36"] | None = None
     """Standard deviations of the poses, where they are known; NaN in frames without an estimate."""
+    keypoints_cov: Float64[Tensor, "frames 21 3 3"] | None = None
+    """Covariances of the keypoints in the poses' frame, m², where they are known; NaN in frames without an estimate."""
     finger_quality: Float64[Tensor, "frames 5"] | None = None
     """Probability that each fingertip is right, thumb to little, where it is known; NaN in frames without an
     estimate."""
     status: tuple[str, ...] = ()
     """What the tracker said of each frame; empty where nothing was tracked."""
+    notes: tuple[str, ...] = ()
+    """What a user should know of how the clip came about, such as what was lost when another format was read."""
+    axes: Axes | None = None
+    """Frame that is asked of exports; each format's usual one where it is None."""
 
     def __post_init__(self) -> None:
         if self.names != DOFS:
@@ -70,6 +86,10 @@ class MotionClip:
             object.__setattr__(self, "frame", tuple(range(len(self.poses))))
         if len(self.frame) != len(self.poses):
             raise ValueError(f"frame: expected {len(self.poses)} numbers, one per pose, got {len(self.frame)}")
+        if self.time_s and len(self.time_s) != len(self.poses):
+            raise ValueError(f"time_s: expected {len(self.poses)} times, one per pose, got {len(self.time_s)}")
+        if any(after <= before for before, after in pairwise(self.time_s)):
+            raise ValueError("time_s: expected increasing times, got others")
         if self.status and len(self.status) != len(self.poses):
             raise ValueError(f"status: expected {len(self.poses)}, one per pose, got {len(self.status)}")
         self.model.shape_space.check(self.shape)
@@ -77,10 +97,18 @@ class MotionClip:
     def __len__(self) -> int:
         return len(self.poses)
 
-    @property
+    @cached_property
     def seconds(self) -> Float64[Tensor, "frames"]:
         """When each frame is shown; the first at 0."""
-        return torch.arange(len(self), dtype=torch.float64) / self.fps
+        if self.time_s:
+            return torch.tensor([time - self.time_s[0] for time in self.time_s], dtype=torch.float64)
+        return torch.tensor([number - self.frame[0] for number in self.frame], dtype=torch.float64) / self.fps
+
+    @cached_property
+    def is_own(self) -> tuple[bool, ...]:
+        """Whether each frame's pose is its own, not one held because its own was lost."""
+        held = set(self.held)
+        return tuple(number not in held for number in self.frame)
 
     @cached_property
     def hand(self) -> Hand:
@@ -115,7 +143,58 @@ class MotionClip:
         poses = self.poses.clone()
         poses[:, :3] = self.poses[:, :3] @ turn.T
         poses[:, 3:6] = vector_from_rotation(turn @ rotation_from_vector(self.poses[:, 3:6]))
-        return replace(self, poses=poses, up=up)
+        return replace(self, poses=poses, up=up, keypoints_cov=self._turned_cov(turn))
+
+    def placed(self, usual: Axes) -> "MotionClip":
+        """The same motion in the frame that is asked for (`axes`), or in a format's usual one."""
+        axes = self.axes or usual
+        if axes == "camera":
+            return self
+        if axes in ("y-up", "z-up"):
+            return self.with_up("y" if axes == "y-up" else "z")
+        turn = torch.eye(3, dtype=torch.float64) if axes == "wrist" else mano_from_hand(self.side)
+        own_from_poses = turn @ rotation_from_vector(self.poses[:, 3:6]).mT
+        poses = self.poses.clone()
+        poses[:, :3], poses[:, 3:6] = 0.0, vector_from_rotation(turn)
+        return replace(self, poses=poses, up="y", keypoints_cov=self._turned_cov(own_from_poses))
+
+    def at_constant_rate(self) -> "MotionClip":
+        """The same motion at its rate throughout, for formats that know no times: in between poses are interpolated.
+
+        Itself where its times are those of the rate; else frames are numbered by the rate, and a frame is held where
+        the nearest one that was taken is.
+        """
+        seconds = self.seconds
+        grid = torch.arange(round(float(seconds[-1]) * self.fps) + 1, dtype=torch.float64) / self.fps
+        if len(grid) == len(seconds) and float((grid - seconds).abs().max()) * self.fps < _STEADY:
+            return self
+        after = torch.searchsorted(seconds, grid).clamp(1, len(seconds) - 1)
+        start, end = self.poses[after - 1], self.poses[after]
+        share = ((grid - seconds[after - 1]) / (seconds[after] - seconds[after - 1])).clamp(0, 1)[:, None]
+        poses = start + share * (end - start)
+        first = rotation_from_vector(start[:, 3:6])
+        rest = vector_from_rotation(first.mT @ rotation_from_vector(end[:, 3:6]))
+        poses[:, 3:6] = vector_from_rotation(first @ rotation_from_vector(share * rest))
+        nearest = torch.where(share[:, 0] < 0.5, after - 1, after).tolist()
+        number = range(self.frame[0], self.frame[0] + len(grid))
+        return MotionClip(
+            model=self.model,
+            side=self.side,
+            shape=self.shape,
+            poses=poses,
+            fps=self.fps,
+            frame=tuple(number),
+            held=tuple(n for n, place in zip(number, nearest, strict=True) if not self.is_own[place]),
+            name=self.name,
+            up=self.up,
+            axes=self.axes,
+        )
+
+    def _turned_cov(self, turn: Tensor) -> Tensor | None:
+        if self.keypoints_cov is None:
+            return None
+        turns = turn[..., None, :, :]
+        return turns @ self.keypoints_cov @ turns.mT
 
     def only(self, frame: int) -> "MotionClip":
         """The clip of the one frame with this number in its source. Raises ValueError where there is none."""
@@ -128,6 +207,8 @@ class MotionClip:
             self,
             poses=self.poses[rows],
             frame=(frame,),
+            time_s=self.time_s[rows],
+            keypoints_cov=None if self.keypoints_cov is None else self.keypoints_cov[rows],
             held=tuple({frame} & set(self.held)),
             pose_std=None if self.pose_std is None else self.pose_std[rows],
             finger_quality=None if self.finger_quality is None else self.finger_quality[rows],

@@ -22,7 +22,7 @@ from torchhand.hand.conventions import LARGEST_ID, NUMBERINGS, Numbering, bap_id
 
 BapVersion = Literal["3.1", "3.2"]
 FLAGS: dict[str, int] = {"3.1": 186, "3.2": 296}
-_NUMBERING_COMMENT, _SIDE_COMMENT = "# numbering", "# hand"
+_NUMBERING_COMMENT, _SIDE_COMMENT, _HELD_COMMENT = "# numbering", "# hand", "# held"
 _MAX_FRAMES = 10_000_000
 _LARGEST_VALUE = 1 << 31
 _UNITS = {"1e-5 rad": 1.0, "1e-5 pi rad": torch.pi}
@@ -33,7 +33,7 @@ def write_bap(
     clip: MotionClip, path: str | Path, *, numbering: Numbering = "final", version: BapVersion = "3.1"
 ) -> Float64[Tensor, "frames 30"]:
     """Write the file; returns what of each joint angle it could not hold, radians."""
-    upright = clip.with_up("y")
+    upright = clip.at_constant_rate().placed("y-up")
     baps = baps_of_pose(upright.poses, numbering, clip.side)
     ids = bap_ids(numbering, clip.side)
     order = sorted(range(len(baps.names)), key=lambda i: ids[baps.names[i]])
@@ -43,12 +43,19 @@ def write_bap(
     lines = [
         f"{_NUMBERING_COMMENT} {numbering}",
         f"{_SIDE_COMMENT} {clip.side}; 1e-5 rad and mm; HumanoidRoot is the hand frame in a world with y up",
-        f"{version} {name} {clip.fps:.9g} {len(clip)}",
+        *_held_comments(upright),
+        f"{version} {name} {clip.fps:.9g} {len(upright)}",
     ]
     for frame, values in enumerate(baps.values[:, order].tolist()):
         lines += [mask, " ".join(map(str, (frame, *values)))]
     write_text(Path(path), "\n".join(lines) + "\n")
     return baps.residual
+
+
+def _held_comments(clip: MotionClip) -> list[str]:
+    """Places of the frames that repeat another's pose because their own was lost."""
+    held = [str(place) for place, is_own in enumerate(clip.is_own) if not is_own]
+    return [f"{_HELD_COMMENT} {' '.join(held)}"] if held else []
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +66,8 @@ class BapMotion:
     """Version of the file, 3.1 or 3.2."""
     name: str
     fps: float
+    held: tuple[int, ...]
+    """Places of the frames that repeat another's pose, by the file's own comment."""
     declared: str | None
     """The numbering that the file's own comment names, if any."""
     flagged: tuple[int, ...]
@@ -118,6 +127,7 @@ def read_bap(path: str | Path) -> BapMotion:
         version=version,
         name=name,
         fps=fps,
+        held=_held(comments, frames),
         declared=declared[0] if declared else None,
         flagged=flagged,
         values=torch.tensor([[row.get(k, 0.0) for k in flagged] for row in rows], dtype=torch.float64).reshape(
@@ -165,9 +175,16 @@ def clip_of_bap(
         shape=model.shape_space.default.double() if shape is None else shape,
         poses=pose_of_baps(values.round().long(), numbering, own),
         fps=motion.fps,
+        held=motion.held,
         name=motion.name,
         up="y",
     )
+
+
+def _held(comments: list[str], frames: int) -> tuple[int, ...]:
+    """Places that the comment of held frames names, those beyond the end left out."""
+    words = [word for line in comments if line.startswith(_HELD_COMMENT) for word in line.split()[2:]]
+    return tuple(place for place in (int(word) for word in words if word.isdecimal()) if place < frames)
 
 
 def _taken(

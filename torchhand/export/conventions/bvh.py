@@ -2,9 +2,11 @@
 
 Frame: y up, z forward; centimetres and degrees. At zero angles the hand is ours with all angles zero and the joints'
 axes are parallel to the hand frame: x out of the back of the hand, y towards the fingers. The root has six channels, a
-joint three, its rotation being Rz · Rx · Ry. Fingertips are End Sites.
+joint three, its rotation being Rz · Rx · Ry. Fingertips are End Sites. The format has one rate and no comments: poses
+of uneven times are interpolated to it, and the numbers of held frames stand in NAME.held.json beside the file.
 """
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -24,15 +26,23 @@ _DIGITS = 6
 
 def write_bvh(clip: MotionClip, path: str | Path, *, names: BvhNames = "torchhand") -> None:
     """Write the file; joints are named as `bvh_names` says."""
-    upright = clip.with_up("y")
+    upright = clip.at_constant_rate().placed("y-up")
     rest = rest_rotations(upright.kinematics)
     lines = ["HIERARCHY", *_joint(upright, 0, bvh_names(clip.side, names), rest, "")]
     angles = torch.rad2deg(zxy_angles(bone_turns(upright.frames.rotation, rest)))
     angles = torch.from_numpy(np.unwrap(angles.numpy(), period=360.0, axis=0))
     rows = torch.cat((CENTIMETRES * upright.frames.position[:, :1], angles[:, _depth_first()]), 1).flatten(1)
-    lines += ["MOTION", f"Frames: {len(clip)}", f"Frame Time: {1 / clip.fps:.9g}"]
+    lines += ["MOTION", f"Frames: {len(upright)}", f"Frame Time: {1 / clip.fps:.9g}"]
     lines += [" ".join(_number(value) for value in row) for row in rows.tolist()]
     write_text(Path(path), "\n".join(lines) + "\n")
+    if upright.held:
+        places = [place for place, is_own in enumerate(upright.is_own) if not is_own]
+        write_text(held_path(Path(path)), json.dumps({"held": places, "fps": clip.fps}) + "\n")
+
+
+def held_path(path: Path) -> Path:
+    """The file beside a BVH file that lists its held frames, by their places."""
+    return path.with_suffix(".held.json")
 
 
 def zxy_angles(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:

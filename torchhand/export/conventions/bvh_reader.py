@@ -9,9 +9,9 @@ from torch import Tensor
 
 from torchhand.errors import InputError
 from torchhand.export.clip import MotionClip
-from torchhand.export.conventions.bvh import CENTIMETRES
+from torchhand.export.conventions.bvh import CENTIMETRES, held_path
 from torchhand.export.conventions.bvh_names import bvh_names, known_names
-from torchhand.files.disk import finite, read_lines_of, short, whole
+from torchhand.files.disk import finite, read_json, read_lines_of, short, whole
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import HandModel
 from torchhand.hand.conventions import BoneFit, bone_rotations, fit_bones, rest_rotations
@@ -93,9 +93,25 @@ def clip_of_bvh(
     rotation = bone_rotations(motion.rotations()[:, index], rest_rotations(kinematics))
     fit = fit_bones(kinematics, rotation, (motion.positions(wrist) + motion.offsets[wrist]) / CENTIMETRES)
     clip = MotionClip(
-        model=model, side=side, shape=shape, poses=fit.pose, fps=1 / motion.frame_time, name=path.stem, up="y"
+        model=model,
+        side=side,
+        shape=shape,
+        poses=fit.pose,
+        fps=1 / motion.frame_time,
+        held=_held(path, len(fit.pose)),
+        name=path.stem,
+        up="y",
     )
     return clip, fit
+
+
+def _held(path: Path, frames: int) -> tuple[int, ...]:
+    """Held frames as the file beside it lists them."""
+    beside = held_path(path)
+    content = read_json(beside) if beside.is_file() else {}
+    listed = content.get("held") if isinstance(content, dict) else None
+    places = listed if isinstance(listed, list) else []
+    return tuple(place for place in places if isinstance(place, int) and 0 <= place < frames)
 
 
 class _Reader:

@@ -1,10 +1,11 @@
 """MANO's rotations as .npz: the arrays that smplx's layers and motion data sets use, written and read.
 
 global_orient (frames, 3), hand_pose (frames, 45), wrist (frames, 3) metres, joint_names (16,), is_rhand, fps, frame,
-flat_hand_mean True (zero is the flat hand), residual (frames, 21) metres. Frame: that of the poses (a camera's:
-OpenCV).
+time_s, held, flat_hand_mean True (zero is the flat hand), residual (frames, 21) metres. Frame: that of the poses (a
+camera's: OpenCV) unless other axes are asked for.
 """
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -15,20 +16,23 @@ from torch import Tensor
 from torchhand.errors import InputError
 from torchhand.export.clip import MotionClip, Up
 from torchhand.files.disk import opened_arrays, replacing
-from torchhand.hand import HandModel, Side
+from torchhand.hand import DOFS, FINGERS, HandModel, Side
 from torchhand.hand.conventions import MANO_JOINTS, BoneFit, ManoPose, mano_of_pose, pose_of_mano
 
 _RATES = ("fps", "mocap_framerate", "mocap_frame_rate")
 _READ = (
     *("hand_pose", "global_orient", "wrist", "poses", "trans", "joint_names", "is_rhand", "flat_hand_mean"),
-    *(*_RATES, "frame", "up"),
+    *(*_RATES, "frame", "up", "time_s", "held", "hands_mean", "hands_components"),
 )
+_RELAXED_DEG = {"mcp": 20.0, "pip": 35.0, "dip": 20.0}
+"""Flexion of the fingers of a relaxed hand, which MANO's mean posture shows."""
 _SHAPES = {"global_orient": 3, "hand_pose": 45, "wrist": 3}
 
 
 def write_mano(clip: MotionClip, path: str | Path) -> ManoPose:
     """Write the file; returns what it holds with what MANO's skeleton leaves out."""
-    mano = mano_of_pose(clip.kinematics, clip.poses, clip.shape)
+    placed = clip.placed("camera")
+    mano = mano_of_pose(clip.kinematics, placed.poses, clip.shape)
     rotations = mano.axis_angle.numpy()
     with replacing(Path(path)) as temporary, temporary.open("wb") as file:
         np.savez(
@@ -42,7 +46,9 @@ def write_mano(clip: MotionClip, path: str | Path) -> ManoPose:
             flat_hand_mean=np.array(True),
             fps=np.array(clip.fps),
             frame=np.array(clip.frame),
-            up=np.array(clip.up),
+            time_s=clip.seconds.numpy(),
+            held=~np.array(clip.is_own),
+            up=np.array(placed.up),
         )
     return mano
 
@@ -52,8 +58,10 @@ def clip_of_mano(
 ) -> tuple[MotionClip, BoneFit]:
     """The motion of a file, and what our joints cannot do of it.
 
-    Takes our files and those of others with hand_pose (frames, 45) or poses (frames, 48), both with flat_hand_mean.
-    side: where the file has no is_rhand.
+    Takes our files and those of others with hand_pose (frames, 45) or poses (frames, 48). Principal components
+    (fewer than 45 numbers) need the file's own hands_components. Rotations about MANO's mean posture (flat_hand_mean
+    False) are added to the file's hands_mean, or to a relaxed hand of ours that is like it to some 10 degrees: the
+    clip's notes say so. side: where the file has no is_rhand.
 
     Raises InputError naming the array and what is wrong with it.
     """
@@ -62,16 +70,15 @@ def clip_of_mano(
         arrays = stored.chosen(_READ)
         names = list(stored)
     if "poses" in arrays and "hand_pose" not in arrays:
-        poses = _checked(path, "poses", arrays["poses"], 48, None)
+        width = arrays["poses"].shape[-1] if arrays["poses"].ndim == 2 else 48
+        poses = _checked(path, "poses", arrays["poses"], width if 3 < width < 48 else 48, None)
         arrays |= {"global_orient": poses[:, :3], "hand_pose": poses[:, 3:]}
     if "hand_pose" not in arrays:
         got = ", ".join(names[:5]) or "none"
         raise InputError(f"{path}: expected an array hand_pose (frames, 45) or poses (frames, 48), got {got}")
     if "joint_names" in arrays and tuple(map(str, arrays["joint_names"].reshape(-1))) != MANO_JOINTS:
         raise InputError(f"{path}: joint_names: expected MANO's {len(MANO_JOINTS)} in its order, got others")
-    if "flat_hand_mean" in arrays and not bool(arrays["flat_hand_mean"]):
-        raise InputError(f"{path}: flat_hand_mean: expected rotations from the flat hand (True), got False")
-    hand = _checked(path, "hand_pose", arrays["hand_pose"], 45, None)
+    hand = _without_components(path, arrays)
     given = {name: arrays.get(name, np.zeros((len(hand), 3))) for name in ("global_orient", "wrist")}
     if "wrist" not in arrays and "trans" in arrays:
         given["wrist"] = arrays["trans"]
@@ -82,19 +89,81 @@ def clip_of_mano(
     if own is not None and side is not None and own != side:
         raise InputError(f"{path}: expected a {side} hand, got a {own} one (is_rhand)")
     side = own or side or "right"
-    rotations = torch.from_numpy(np.concatenate((root, hand), 1)).reshape(-1, len(MANO_JOINTS), 3)
+    mean, notes = _zero_posture(path, arrays, model, side)
+    rotations = torch.from_numpy(np.concatenate((root, hand + mean), 1)).reshape(-1, len(MANO_JOINTS), 3)
     kinematics = model.kinematics(side, dtype=torch.float64)
     fit = pose_of_mano(kinematics, rotations, torch.from_numpy(wrist))
+    frame, time_s, held = _frames(arrays, len(hand))
     clip = MotionClip(
         model=model,
         side=side,
         shape=model.shape_space.default.double() if shape is None else shape,
         poses=fit.pose,
         fps=_scalar(path, arrays, _RATES, 30.0),
-        name=path.stem,
+        name=path.stem.removesuffix(".mano"),
         up=_up(path, arrays),
+        notes=notes,
+        frame=frame,
+        time_s=time_s,
+        held=held,
     )
     return clip, fit
+
+
+def is_mano_file(path: Path) -> bool:
+    """Whether a file holds MANO's rotations: hand_pose, or poses without the fields of a track."""
+    try:
+        with opened_arrays(path, complaint="expected arrays") as stored:
+            names = set(stored)
+    except InputError:
+        return False
+    return "hand_pose" in names or ("poses" in names and "pose_std" not in names)
+
+
+def _without_components(path: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """hand_pose (frames, 45), of principal components if need be."""
+    given = arrays["hand_pose"]
+    width = given.shape[-1] if given.ndim == 2 else 45
+    if not 0 < width < 45 or given.dtype.kind not in "fiu":
+        return _checked(path, "hand_pose", given, 45, None)
+    components = arrays.get("hands_components")
+    if components is None or components.ndim != 2 or components.shape[1] != 45 or len(components) < width:
+        raise InputError(
+            f"{path}: hand_pose: expected 45 rotations a frame, got {width} principal components, which need an array"
+            f" hands_components ({width} or more, 45) in the file"
+        )
+    return _checked(path, "hand_pose", given, width, None) @ components[:width].astype(np.float64)
+
+
+def _zero_posture(
+    path: Path, arrays: dict[str, np.ndarray], model: HandModel, side: Side
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """What is added to the hand's rotations, (45,), and what a user should know of it."""
+    if "flat_hand_mean" not in arrays or bool(arrays["flat_hand_mean"]):
+        return np.zeros(45), ()
+    if "hands_mean" in arrays:
+        return _checked(path, "hands_mean", arrays["hands_mean"].reshape(1, -1), 45, 1)[0], ()
+    relaxed = torch.zeros(len(DOFS), dtype=torch.float64)
+    for joint, angle in _RELAXED_DEG.items():
+        for finger in FINGERS[1:]:
+            relaxed[DOFS.index(f"{finger}_{joint}_fe")] = math.radians(angle)
+    mano = mano_of_pose(model.kinematics(side, dtype=torch.float64), relaxed)
+    note = "flat_hand_mean is False and the file has no hands_mean: a relaxed hand of ours stands for MANO's mean"
+    return mano.axis_angle[1:].reshape(-1).numpy(), (note,)
+
+
+def _frames(arrays: dict[str, np.ndarray], count: int) -> tuple[tuple[int, ...], tuple[float, ...], tuple[int, ...]]:
+    """Numbers, times and held frames as our own files have them; nothing where others differ from that."""
+    number, time_s, held = (arrays.get(name, np.zeros(0)).reshape(-1) for name in ("frame", "time_s", "held"))
+    is_numbered = len(number) == count and number.dtype.kind in "iu" and bool((np.diff(number) > 0).all())
+    numbers = number if is_numbered else np.arange(count)
+    is_marked = len(held) == count and held.dtype.kind == "b"
+    is_timed = len(time_s) == count and time_s.dtype.kind == "f" and bool((np.diff(time_s) > 0).all())
+    return (
+        tuple(int(one) for one in numbers),
+        tuple(time_s.tolist()) if is_timed else (),
+        tuple(int(one) for one in numbers[held]) if is_marked else (),
+    )
 
 
 def _checked(path: Path, name: str, array: np.ndarray, width: int, frames: int | None) -> np.ndarray:

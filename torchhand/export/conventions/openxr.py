@@ -1,11 +1,12 @@
 """Poses of OpenXR's 26 hand joints as JSON, written and read.
 
-{"format": "torchhand openxr 1", "side", "fps", "joints": [26 names], "frames": [{"frame", "time", "poses": [26 of
-{"position": [x, y, z], "orientation": [x, y, z, w], "radius"}]}]}: what xrLocateHandJointsEXT returns, frame by frame,
-in a space as OpenXR's: metres, y up, -z forward.
+{"format": "torchhand openxr 1", "side", "fps", "joints": [26 names], "frames": [{"frame", "time", "held", "poses": [26
+of {"position": [x, y, z], "orientation": [x, y, z, w], "radius"}]}]}: what xrLocateHandJointsEXT returns, frame by
+frame, in a space as OpenXR's unless other axes are asked for: metres, y up, -z forward.
 """
 
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -26,15 +27,17 @@ _UNIT_LENGTH_SLACK = 1e-3
 
 def write_openxr(clip: MotionClip, path: str | Path) -> None:
     """Write the file."""
-    upright = clip.with_up("y")
+    upright = clip.placed("y-up")
     joints = openxr_joints(upright.frames)
     quaternions = continuous(quaternion_of_rotation(joints.rotation)).tolist()
     positions = joints.position.tolist()
+    seconds = clip.seconds.tolist()
     radii = openxr_radii(clip.model.shape_space, clip.shape).tolist()
     frames = [
         {
             "frame": clip.frame[t],
-            "time": t / clip.fps,
+            "time": seconds[t],
+            "held": not clip.is_own[t],
             "poses": [
                 {"position": positions[t][j], "orientation": quaternions[t][j], "radius": radii[j]}
                 for j in range(len(OPENXR_JOINTS))
@@ -44,6 +47,11 @@ def write_openxr(clip: MotionClip, path: str | Path) -> None:
     ]
     content = {"format": OPENXR_FORMAT, "side": clip.side, "fps": clip.fps, "joints": OPENXR_JOINTS, "frames": frames}
     write_text(Path(path), json.dumps(content, allow_nan=False) + "\n")
+
+
+def is_openxr_file(content: Any) -> bool:
+    """Whether the content of a JSON file is of the form that `write_openxr` writes."""
+    return isinstance(content, dict) and content.get("format") == OPENXR_FORMAT
 
 
 def clip_of_openxr(
@@ -69,7 +77,7 @@ def clip_of_openxr(
     frames = content.get("frames")
     if not isinstance(frames, list) or not frames:
         raise InputError(f"{path}: frames: expected a list of one frame or more, got {short(frames)}")
-    positions, quaternions, numbers = [], [], []
+    positions, quaternions, numbers, held, times = [], [], [], [], []
     for t, frame in enumerate(frames):
         where = f"{path}: frames[{t}]"
         poses = frame.get("poses") if isinstance(frame, dict) else None
@@ -79,6 +87,8 @@ def clip_of_openxr(
         positions.append([_vector(where, poses, j, "position", 3) for j in range(len(poses))])
         quaternions.append([_vector(where, poses, j, "orientation", 4) for j in range(len(poses))])
         numbers.append(int(read_number(f"{where}.frame", frame.get("frame", t))))
+        held += [numbers[-1]] if frame.get("held") is True else []
+        times.append(read_number(f"{where}.time", frame.get("time", t / fps)))
     quaternion = torch.tensor(quaternions, dtype=torch.float64)
     lengths = quaternion.norm(dim=-1)
     if bool(((lengths - 1).abs() > _UNIT_LENGTH_SLACK).any()):
@@ -97,7 +107,9 @@ def clip_of_openxr(
         shape=model.shape_space.default.double() if shape is None else shape,
         poses=fit.pose,
         fps=fps,
+        time_s=tuple(times) if all(one < other for one, other in pairwise(times)) else (),
         frame=tuple(numbers),
+        held=tuple(held),
         name=path.stem,
         up="y",
     )

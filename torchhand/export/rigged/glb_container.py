@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from torchhand.errors import InputError
 from torchhand.files.disk import replacing
 
 _MAGIC, _VERSION, _JSON_CHUNK, _BINARY_CHUNK = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
@@ -23,6 +24,35 @@ class GlbContainer:
         self._views: list[dict[str, int]] = []
         self._accessors: list[dict[str, Any]] = []
         self._bytes = bytearray()
+
+    @classmethod
+    def read(cls, path: Path) -> "GlbContainer":
+        """The content and the arrays of a binary glTF 2.0 file, to which others can be added.
+
+        Raises InputError for another file, one that is cut short, and one whose arrays are in other files.
+        """
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+        head = struct.Struct("<IIIII")
+        if len(data) < head.size or head.unpack(data[: head.size])[::4] != (_MAGIC, _JSON_CHUNK):
+            raise InputError(f"{path}: expected binary glTF (.glb), got something else")
+        _, version, length, text, _ = head.unpack(data[: head.size])
+        if version != _VERSION or length > len(data) or head.size + text > length:
+            raise InputError(f"{path}: expected whole binary glTF of version {_VERSION}, got another or a cut file")
+        try:
+            content = json.loads(data[head.size : head.size + text])
+        except ValueError as error:
+            raise InputError(f"{path}: expected JSON in its first chunk, got something else ({error})") from error
+        buffers = content.pop("buffers", [{}]) if isinstance(content, dict) else []
+        if len(buffers) != 1 or "uri" in buffers[0]:
+            raise InputError(f"{path}: expected all arrays in the file itself, got {len(buffers)} buffers or others")
+        glb = cls()
+        glb._views, glb._accessors = content.pop("bufferViews", []), content.pop("accessors", [])
+        glb._bytes = bytearray(data[head.size + text + 8 : length])
+        glb.content = content
+        return glb
 
     def add(self, array: np.ndarray, *, target: int | None = None, has_bounds: bool = False) -> int:
         """Index of the accessor of an array (count, ...); matrices are given row by row and stored by columns.

@@ -14,10 +14,10 @@ from torch import Tensor
 from torchhand.export.clip import MotionClip
 from torchhand.hand import HandFrames
 
-MAX_TARGETS = 32
+MAX_TARGETS = 64
 ERROR_BOUND = 1e-4
 """Metres, at every vertex of the frames that the targets are made of."""
-_FRAMES_FOR_TARGETS = 192
+_FRAMES_FOR_TARGETS = 512
 _FRAMES_AT_ONCE = 32
 
 

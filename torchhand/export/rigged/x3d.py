@@ -28,12 +28,13 @@ _HEADER = (
 )
 _COLOUR = "0.80 0.58 0.47"
 _DEF = "hand_"
+_BOX_MARGIN = 0.03  # metres of skin beyond the keypoints
 _FIELD_OF_VIEW = 0.8  # radians
 
 
 def write_x3d(clip: MotionClip, path: str | Path, *, skin: X3DSkin = "weights") -> None:
     """Write the file."""
-    upright = clip.with_up("y")
+    upright = clip.placed("y-up")
     mesh = clip.model.mesh
     if mesh is None:
         raise ValueError(f"model: expected one with a mesh, {clip.model.name!r} has none")
@@ -59,10 +60,13 @@ def write_x3d(clip: MotionClip, path: str | Path, *, skin: X3DSkin = "weights") 
     if skin == "weights":
         points = {"DEF": "skin_points", "point": _numbers(at_bind.vertices), "containerField": "skinCoord"}
         ElementTree.SubElement(humanoid, "Coordinate", points)
-        _shape(humanoid, clip, {"USE": "skin_points"}, {"containerField": "skin"})
+        _shape(humanoid, clip, {"USE": "skin_points"}, {"containerField": "skin"} | _bounds(upright))
     else:
         first = clip.hand(upright.poses[0], clip.shape).vertices
-        _shape(scene, clip, {"DEF": "skin_points", "point": _numbers(first)}, {})
+        _shape(scene, clip, {"DEF": "skin_points", "point": _numbers(first)}, _bounds(upright))
+    if clip.held:
+        numbers = " ".join(str(place) for place, is_own in enumerate(clip.is_own) if not is_own)
+        ElementTree.SubElement(scene, "MetadataInteger", {"name": "held_frames", "value": numbers})
     if len(clip) > 1:
         _animate(scene, upright, bind, names, skin)
     ElementTree.indent(root, " ")
@@ -78,6 +82,13 @@ def _viewpoint(scene: ElementTree.Element, clip: MotionClip) -> None:
     view = {"description": clip.name, "fieldOfView": f"{_FIELD_OF_VIEW:g}", "position": _numbers(centre + back)}
     ElementTree.SubElement(scene, "Viewpoint", view | {"centerOfRotation": _numbers(centre)})
     ElementTree.SubElement(scene, "NavigationInfo", {"type": '"EXAMINE" "ANY"'})
+
+
+def _bounds(clip: MotionClip) -> dict[str, str]:
+    """A box about the hand in all frames: players that take the skin's box at rest do not draw a hand that left it."""
+    points = clip.frames.keypoints.flatten(0, 1)
+    low, high = points.amin(0) - _BOX_MARGIN, points.amax(0) + _BOX_MARGIN
+    return {"bboxCenter": _numbers(0.5 * (low + high)), "bboxSize": _numbers(high - low)}
 
 
 def _add(parent: ElementTree.Element, kind: str, name: str, attributes: dict[str, str]) -> ElementTree.Element:

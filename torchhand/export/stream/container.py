@@ -1,49 +1,113 @@
-"""The container of a pose stream: magic, version, lengths, checksum, and a header of which every entry is checked."""
+"""The container of a pose stream: a header of which every entry is checked, then packets that each have a checksum.
+
+b"THP2"; length and CRC-32 of the header (two unsigned 32-bit numbers, little-endian) and the header, JSON under zlib;
+then packets: count of poses (one byte), length of the content and the lower half of the CRC-32 of count and content
+(two bytes each, little-endian), the content. A packet of no poses ends the stream. So a stream can be read while it
+grows, and damage is found where it is.
+"""
 
 import json
 import struct
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from torchhand.errors import InputError
 from torchhand.export.clip import Up
 from torchhand.files.disk import read_number, read_numbers, short
 from torchhand.hand import DOFS, Side
 
-MAGIC, VERSION = b"THP", b"1"
-_LENGTHS = struct.Struct("<III")
+MAGIC, VERSION = b"THP", b"2"
+HELD = "held"
+"""Channel beside the degrees of freedom: 1 where a pose repeats another because its own was lost."""
+MAX_POSES = 255
+"""Of a packet."""
+_HEAD, _PACKET = struct.Struct("<II"), struct.Struct("<BHH")
 _LONGEST_HEADER = 1 << 20
-_MAX_FRAMES = 10_000_000
+_LARGEST_NUMBER = 1 << 53
 
 
-def packed_file(header: bytes, stream: bytes) -> bytes:
-    """The whole file."""
-    body = header + stream
-    return MAGIC + VERSION + _LENGTHS.pack(len(header), len(stream), zlib.crc32(body)) + body
+class Packet(NamedTuple):
+    """Some poses as they are coded."""
+
+    count: int
+    content: bytes
 
 
-def unpacked(path: Path, data: bytes) -> tuple[bytes, bytes]:
-    """Header and stream as they are in the file.
+def packed_header(header: dict[str, Any]) -> bytes:
+    """The beginning of a stream."""
+    packed = zlib.compress(json.dumps(header, separators=(",", ":")).encode(), 9)
+    return MAGIC + VERSION + _HEAD.pack(len(packed), zlib.crc32(packed)) + packed
 
-    Raises InputError for another kind or version of file, one that is cut short or damaged.
-    """
-    start = len(MAGIC) + len(VERSION) + _LENGTHS.size
-    if not data.startswith(MAGIC):
-        raise InputError(f"{path}: expected a pose stream that begins with {MAGIC.decode()!r}, got {data[:3]!r}")
-    if len(data) < start:
-        raise InputError(f"{path}: is cut short: expected {start} bytes or more, got {len(data)}")
-    version = data[len(MAGIC) : len(MAGIC) + len(VERSION)]
-    if version != VERSION:
-        raise InputError(f"{path}: expected a pose stream of version {VERSION.decode()}, got {version!r}")
-    header, stream, checksum = _LENGTHS.unpack(data[start - _LENGTHS.size : start])
-    body = data[start:]
-    if len(body) != header + stream:
-        fault = "is cut short" if len(body) < header + stream else "goes on after its end"
-        raise InputError(f"{path}: {fault}: expected {start + header + stream} bytes, got {len(data)}")
-    if zlib.crc32(body) != checksum:
-        raise InputError(f"{path}: is damaged: its checksum is not that of its content")
-    return body[:header], body[header:]
+
+def packed_packet(packet: Packet) -> bytes:
+    """The bytes of a packet."""
+    return _PACKET.pack(packet.count, len(packet.content), _checksum(packet)) + packet.content
+
+
+class StreamBuffer:
+    """Bytes of a stream as they come in: first gives its header, then its packets, each as soon as it is whole."""
+
+    def __init__(self, where: Path) -> None:
+        """where: what errors call the stream."""
+        self.where = where
+        self.has_ended = False
+        self._data = bytearray()
+        self._packets = 0
+
+    def add(self, data: bytes) -> None:
+        """Take the bytes that follow."""
+        self._data += data
+
+    def header(self) -> dict[str, Any] | None:
+        """The header, once; None where it is not whole yet.
+
+        Raises InputError for another kind or version of stream, and for a damaged header.
+        """
+        start = len(MAGIC) + len(VERSION)
+        known = bytes(self._data[: len(MAGIC)])
+        if known != MAGIC[: len(known)]:
+            raise InputError(f"{self.where}: expected a pose stream that begins with {MAGIC.decode()!r}, got {known!r}")
+        version = bytes(self._data[len(MAGIC) : start])
+        if version not in (b"", VERSION):
+            raise InputError(f"{self.where}: expected a pose stream of version {VERSION.decode()}, got {version!r}")
+        if len(self._data) < start + _HEAD.size:
+            return None
+        length, checksum = _HEAD.unpack(self._data[start : start + _HEAD.size])
+        end = start + _HEAD.size + length
+        if length > _LONGEST_HEADER:
+            raise InputError(f"{self.where}: header: is damaged: it has {length} bytes")
+        if len(self._data) < end:
+            return None
+        packed = bytes(self._data[start + _HEAD.size : end])
+        if zlib.crc32(packed) != checksum:
+            raise InputError(f"{self.where}: header: is damaged: its checksum is not that of its content")
+        del self._data[:end]
+        return read_header(self.where, packed)
+
+    def packet(self) -> Packet | None:
+        """The next packet; None where it is not whole yet, or the stream has ended.
+
+        Raises InputError for a damaged packet, and for bytes after the end.
+        """
+        if self.has_ended and self._data:
+            raise InputError(f"{self.where}: goes on after its end by {len(self._data)} bytes")
+        if self.has_ended or len(self._data) < _PACKET.size:
+            return None
+        count, length, checksum = _PACKET.unpack(self._data[: _PACKET.size])
+        if len(self._data) < _PACKET.size + length:
+            return None
+        found = Packet(count, bytes(self._data[_PACKET.size : _PACKET.size + length]))
+        if _checksum(found) != checksum:
+            raise InputError(f"{self.where}: is damaged: packet {self._packets} has another checksum than its content")
+        del self._data[: _PACKET.size + length]
+        self._packets += 1
+        self.has_ended = count == 0
+        return self.packet() if self.has_ended else found
+
+
+def _checksum(packet: Packet) -> int:
+    return zlib.crc32(bytes([packet.count]) + packet.content) & 0xFFFF
 
 
 def read_header(path: Path, packed: bytes) -> dict[str, Any]:
@@ -56,12 +120,12 @@ def read_header(path: Path, packed: bytes) -> dict[str, Any]:
     if not isinstance(header, dict):
         raise InputError(f"{path}: header: expected an object, got {short(header)}")
     where = f"{path}: header"
-    for key in ("fps", "frames", "name", "side", "up", "dofs", "steps", "still", "shape"):
+    for key in ("fps", "first", "name", "side", "up", "dofs", "steps", "still", "shape"):
         if key not in header:
             raise InputError(f"{where}: expected an entry {key!r}, it has none")
-    frames, names = header["frames"], header["dofs"]
-    if not isinstance(frames, int) or isinstance(frames, bool) or not 1 <= frames <= _MAX_FRAMES:
-        raise InputError(f"{where}: frames: expected 1 to {_MAX_FRAMES}, got {short(frames)}")
+    first, names = header["first"], header["dofs"]
+    if not isinstance(first, int) or isinstance(first, bool) or abs(first) > _LARGEST_NUMBER:
+        raise InputError(f"{where}: first: expected the number of a frame, got {short(first)}")
     allowed: dict[str, tuple[Side, ...] | tuple[Up, ...]] = {
         "side": ("left", "right"),
         "up": ("y", "-y", "z", "-z"),
@@ -71,7 +135,7 @@ def read_header(path: Path, packed: bytes) -> dict[str, Any]:
             raise InputError(f"{where}: {key}: expected one of {', '.join(choices)}, got {short(header[key])}")
     if not isinstance(header["name"], str):
         raise InputError(f"{where}: name: expected a text, got {short(header['name'])}")
-    if not isinstance(names, list) or any(name not in DOFS for name in names) or len(set(names)) < len(names):
+    if not isinstance(names, list) or any(name not in (*DOFS, HELD) for name in names) or len(set(names)) < len(names):
         raise InputError(f"{where}: dofs: expected names of degrees of freedom, each once, got {short(names)}")
     header["steps"] = read_numbers(f"{where}: steps", header["steps"], (len(names),))
     if any(step <= 0 for step in header["steps"]):

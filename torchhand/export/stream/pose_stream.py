@@ -1,29 +1,27 @@
 """Gestures at a low bit rate: poses as whole steps, predicted frame by frame, range coded (Ouhaddi and Horain 1998,
 section 9).
 
-A .thp file: b"THP" and the version's digit; lengths of header and stream and the CRC-32 of both (three unsigned 32-bit
-numbers, little-endian); the header, JSON under zlib; the stream of `step_coder`. The header names everything: fps,
-frames, side, shape, the DOFs that move, their steps, and the values of those that do not. No angle of any frame is off
-by more than `dead_zone` steps.
+A .thp stream is a header and packets of poses (`container`), which can be decoded while it grows. The header names
+everything: fps, number of the first frame, side, shape, the DOFs that move, their steps, and the values of those that
+do not. No angle of any frame is off by more than `dead_zone` steps.
 """
 
-import json
 import math
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 from torch import Tensor
 
 from torchhand.errors import InputError
 from torchhand.export.clip import MotionClip
-from torchhand.export.stream.container import packed_file, read_header, unpacked
+from torchhand.export.stream.container import HELD, MAX_POSES, Packet, StreamBuffer, packed_header, packed_packet
 from torchhand.files.disk import replacing
 from torchhand.hand import DOFS, FINGERS, ROOT_DOFS, HandModel
-from torchhand.numerics.coding import decode_rows, encode_rows, followed
+from torchhand.numerics.coding import RowDecoder, RowEncoder, followed
 
 _SHAPE_DIGITS = 9
 _NEIGHBOUR = dict(zip(FINGERS[2:], FINGERS[1:-1], strict=True))
@@ -41,6 +39,8 @@ class StreamSettings:
     """Step of its place, millimetres; above 0, 1000 at most."""
     dead_zone: float = 0.55
     """A value that is nearer than so many steps stays as it was; 0.5 to 1."""
+    packet_poses: int = 15
+    """Poses of a packet, 1 to 255: how many frames a reader of a growing stream waits. Fewer take more bits."""
 
     def __post_init__(self) -> None:
         for name, maximum in (("step_deg", 30), ("root_step_deg", 30), ("root_step_mm", 1000)):
@@ -48,6 +48,8 @@ class StreamSettings:
                 raise ValueError(f"{name}: expected more than 0, {maximum} at most, got {getattr(self, name):g}")
         if not 0.5 <= self.dead_zone <= 1:
             raise ValueError(f"dead_zone: expected 0.5 to 1, got {self.dead_zone:g}")
+        if not 1 <= self.packet_poses <= MAX_POSES:
+            raise ValueError(f"packet_poses: expected 1 to {MAX_POSES}, got {self.packet_poses}")
 
     def step_of(self, dof: str) -> float:
         """Step of one of DOFS, metres or radians."""
@@ -80,35 +82,44 @@ class StreamFigures:
 
 
 def encode_clip(clip: MotionClip, settings: StreamSettings | None = None) -> tuple[bytes, StreamFigures]:
-    """The clip as the bytes of a .thp file, and what they cost and keep."""
+    """The clip as the bytes of a .thp file, and what they cost and keep. Uneven times are made even first."""
     settings = settings or StreamSettings()
+    clip = clip.placed("camera").at_constant_rate()
     poses = clip.poses.clone()
     poses[:, 3:6] = unwrapped(poses[:, 3:6])
     moves = (poses != poses[0]).any(0).tolist()
     names = [dof for dof, does in zip(DOFS, moves, strict=True) if does]
     steps = [settings.step_of(dof) for dof in names]
-    columns = [DOFS.index(dof) for dof in names]
-    wanted = poses[:, columns].numpy()
+    wanted = poses[:, [DOFS.index(dof) for dof in names]].numpy()
     rows = followed(wanted / np.array(steps), settings.dead_zone)
-    stream = encode_rows(rows, _partners(names))
-    space = clip.model.shape_space
-    header = {
-        "fps": clip.fps,
-        "frames": len(clip),
-        "name": clip.name,
-        "side": clip.side,
-        "up": clip.up,
-        "dofs": names,
-        "steps": steps,
-        "still": {dof: float(poses[0, i]) for i, dof in enumerate(DOFS) if not moves[i] and float(poses[0, i]) != 0},
-        "shape": dict(zip(space.names, (float(f"{x:.{_SHAPE_DIGITS}g}") for x in clip.shape.tolist()), strict=True)),
-    }
-    packed = zlib.compress(json.dumps(header, separators=(",", ":")).encode(), 9)
-    data = packed_file(packed, stream)
     error = np.abs(rows * np.array(steps) - wanted)[:, [dof not in ROOT_DOFS for dof in names]]
-    return data, StreamFigures(
-        header_bytes=len(data) - len(stream),
-        motion_bytes=len(stream),
+    if clip.held:
+        names, steps = [*names, HELD], [*steps, 1.0]
+        rows = np.concatenate((rows, ~np.array(clip.is_own)[:, None]), 1, dtype=np.int64)
+    shape = [float(f"{value:.{_SHAPE_DIGITS}g}") for value in clip.shape.tolist()]
+    header = packed_header(
+        {
+            "fps": clip.fps,
+            "first": clip.frame[0],
+            "name": clip.name,
+            "side": clip.side,
+            "up": clip.up,
+            "dofs": names,
+            "steps": steps,
+            "still": {dof: float(poses[0, i]) for i, dof in enumerate(DOFS) if not moves[i] and float(poses[0, i])},
+            "shape": dict(zip(clip.model.shape_space.names, shape, strict=True)),
+        }
+    )
+    encoder = RowEncoder(_partners(names))
+    size = settings.packet_poses
+    packets = [
+        packed_packet(Packet(len(block), encoder.block(block)))
+        for block in (rows[start : start + size] for start in range(0, len(rows), size))
+    ]
+    motion = b"".join([*packets, packed_packet(Packet(0, b""))])
+    return header + motion, StreamFigures(
+        header_bytes=len(header),
+        motion_bytes=len(motion),
         seconds=len(clip) / clip.fps,
         mean_deg=math.degrees(float(error.mean())) if error.size else 0.0,
         worst_deg=math.degrees(float(error.max())) if error.size else 0.0,
@@ -123,11 +134,68 @@ def write_stream(clip: MotionClip, path: str | Path, settings: StreamSettings | 
     return figures
 
 
-def clip_of_stream(path: str | Path, model: HandModel) -> MotionClip:
-    """The motion of a .thp file.
+class PoseStreamReader:
+    """Decodes a pose stream while it grows: bytes in, as they come, poses out as soon as their packet is whole."""
 
-    Raises InputError for a file of another kind or version, one that is cut short or damaged, and for a hand that is
-    not of this model.
+    def __init__(self, model: HandModel, where: str | Path = "stream") -> None:
+        """model: whose hand the stream shows. where: what errors call the stream."""
+        self.model = model
+        self.header: dict[str, Any] | None = None
+        """What holds for all poses, once it has come: fps, name, side, up, shape …"""
+        self._buffer = StreamBuffer(Path(where))
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the end of the stream has come."""
+        return self._buffer.has_ended
+
+    def feed(self, data: bytes) -> tuple[Float64[Tensor, "poses 36"], Bool[np.ndarray, "poses"]]:
+        """The poses that these bytes complete, and which of them are held; none or many.
+
+        Raises InputError for another kind or version of stream, for damage, and for a hand that is not of this model.
+        """
+        self._buffer.add(data)
+        if self.header is None and not self._begin():
+            return torch.zeros(0, len(DOFS), dtype=torch.float64), np.zeros(0, dtype=bool)
+        assert self.header is not None
+        found = [np.zeros((0, len(self.header["dofs"])), dtype=np.int64)]
+        while (packet := self._buffer.packet()) is not None:
+            try:
+                found.append(self._decoder.block(packet.content, packet.count))
+            except ValueError as error:
+                raise InputError(f"{self._buffer.where}: is damaged ({error})") from error
+        rows = np.concatenate(found) * np.array(self.header["steps"])
+        poses = torch.zeros(len(rows), len(DOFS), dtype=torch.float64)
+        for dof, value in self.header["still"].items():
+            poses[:, DOFS.index(dof)] = value
+        held = np.zeros(len(rows), dtype=bool)
+        for column, name in enumerate(self.header["dofs"]):
+            if name == HELD:
+                held = rows[:, column] > 0.5
+            else:
+                poses[:, DOFS.index(name)] = torch.from_numpy(rows[:, column])
+        return poses, held
+
+    def _begin(self) -> bool:
+        """Read the header if it is whole."""
+        header = self._buffer.header()
+        if header is None:
+            return False
+        if set(header["shape"]) != set(self.model.shape_space.names):
+            wrong = sorted(set(header["shape"]) ^ set(self.model.shape_space.names))
+            raise InputError(
+                f"{self._buffer.where}: shape: expected the parameters of {self.model.name}, got others"
+                f" ({', '.join(wrong[:3])})"
+            )
+        self.header, self._decoder = header, RowDecoder(_partners(header["dofs"]))
+        return True
+
+
+def clip_of_stream(path: str | Path, model: HandModel) -> MotionClip:
+    """The motion of a .thp file; of one that still grows, or was cut short, that of its whole packets, with a note.
+
+    Raises InputError for a file of another kind or version, one that is damaged or has not one whole packet, and for a
+    hand that is not of this model.
     """
     path = Path(path)
     try:
@@ -136,22 +204,12 @@ def clip_of_stream(path: str | Path, model: HandModel) -> MotionClip:
         raise InputError(f"{path}: no such file") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    packed, stream = unpacked(path, data)
-    header = read_header(path, packed)
-    frames = header["frames"]
-    names = header["dofs"]
-    poses = torch.zeros(frames, len(DOFS), dtype=torch.float64)
-    for dof, value in header["still"].items():
-        poses[:, DOFS.index(dof)] = value
-    try:
-        rows = decode_rows(stream, frames, _partners(names)) * np.array(header["steps"])
-    except ValueError as error:
-        raise InputError(f"{path}: is damaged ({error})") from error
-    for column, dof in enumerate(names):
-        poses[:, DOFS.index(dof)] = torch.from_numpy(rows[:, column])
-    if set(header["shape"]) != set(model.shape_space.names):
-        wrong = sorted(set(header["shape"]) ^ set(model.shape_space.names))
-        raise InputError(f"{path}: shape: expected the parameters of {model.name}, got others ({', '.join(wrong[:3])})")
+    reader = PoseStreamReader(model, path)
+    poses, held = reader.feed(data)
+    header = reader.header
+    if header is None or not len(poses):
+        raise InputError(f"{path}: is cut short: expected a header and a packet of poses, got {len(data)} bytes")
+    note = f"the stream has no end yet: the {len(poses)} poses that are whole were read"
     try:
         return MotionClip(
             model=model,
@@ -159,8 +217,11 @@ def clip_of_stream(path: str | Path, model: HandModel) -> MotionClip:
             shape=torch.tensor([header["shape"][name] for name in model.shape_space.names], dtype=torch.float64),
             poses=poses,
             fps=header["fps"],
+            frame=tuple(range(header["first"], header["first"] + len(poses))),
+            held=tuple(header["first"] + int(place) for place in np.flatnonzero(held)),
             name=header["name"],
             up=header["up"],
+            notes=() if reader.has_ended else (note,),
         )
     except ValueError as error:
         raise InputError(f"{path}: {error}") from error

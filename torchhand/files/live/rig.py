@@ -34,7 +34,7 @@ class LiveRig:
     """Pictures of several cameras while they are taken: a context manager, and an iterator of `LivePictures`.
 
     Every source is read in a thread of its own. A webcam's pictures are stamped as they arrive; those of a file, or of
-    a folder, are handed over at its frame rate, whether somebody takes them or not, and carry the times of that rate. A
+    a folder, are handed over at their own times, whether somebody takes them or not. A
     camera that stalls is left out after `LiveSettings.patience_s` until it delivers again, one that has ended for good.
     The iteration ends with the last camera.
     """
@@ -116,7 +116,7 @@ class LiveRig:
         source, is_webcam = self._sources[camera]
         try:
             for frame in source:
-                stamp_s = self.now_s() if is_webcam else frame.index / source.fps
+                stamp_s = self.now_s() if is_webcam else frame.time_s
                 if self._stopped.wait(max(0.0, stamp_s - self.now_s())):
                     return
                 if frame.image is None:

@@ -20,6 +20,8 @@ class Frame:
 
     index: int
     """Place in the source, counted from 0 at its very first frame (also when reading starts later)."""
+    time_s: float
+    """When it is shown, or was taken, since the very first frame; greater than that of the frame before."""
     image: UInt8[Tensor, "height width 3"] | None
     """The picture, RGB; None where the frame could not be decoded."""
     problem: str | None = None
@@ -73,7 +75,7 @@ class FrameSource(ABC):
     name: str
     """Name of the sequence, fit for a folder name."""
     fps: float
-    """Frames per second, `ASSUMED_FPS` where the container lies or says nothing."""
+    """Frames per second, the mean where the rate varies; `ASSUMED_FPS` where the container lies or says nothing."""
     count: int | None
     """How many frames this reading will deliver, for a progress bar; containers lie, so nothing else may rely on it."""
     width: int

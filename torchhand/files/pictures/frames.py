@@ -1,13 +1,16 @@
-"""Where pictures come from: a video file, a folder of pictures, a folder of videos, a webcam number."""
+"""Where pictures come from: a video file, a folder of pictures or of videos, a webcam number, an address, a pipe."""
 
 import re
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from torchhand.errors import InputError
 from torchhand.files.disk import check_name, check_plain_file, expanded, short
+from torchhand.files.pictures.container import ADDRESS, STANDARD_INPUT, shown_address
 from torchhand.files.pictures.frame_source import ASSUMED_FPS, Frame, FrameRange, FrameSource
 from torchhand.files.pictures.pictures import PICTURE_SUFFIXES, PictureSource, natural_key
 from torchhand.files.pictures.video import VIDEO_SUFFIXES, VideoSource
+from torchhand.files.pictures.webcam import WebcamSource
 
 __all__ = ["ASSUMED_FPS", "Frame", "FrameRange", "FrameSource", "open_source", "sequences_of"]
 
@@ -20,7 +23,8 @@ _SUFFIXES = ", ".join(suffix[1:] for suffix in VIDEO_SUFFIXES + PICTURE_SUFFIXES
 def open_source(
     source: str | Path, *, start: int = 0, max_frames: int | None = None, already_done: int = 0
 ) -> FrameSource:
-    """Open one sequence: a video file, a picture, a folder of pictures (natural order) or a webcam number.
+    """Open one sequence: a video file, a picture, a folder of pictures (natural order), a webcam number, the address of
+    a stream, or `-` for a video on standard input; the last three are texts.
 
     Delivers frames start ... start + max_frames - 1 without the first `already_done` of them; after a resumed run none
     may remain, which is no error, whereas a `start` after the end is.
@@ -30,7 +34,9 @@ def open_source(
     frames = FrameRange(start=start, max_frames=max_frames, already_done=already_done)
     number = _webcam_number(source)
     if number is not None:
-        return VideoSource(_webcam_name(number), number, frames)
+        return WebcamSource(_webcam_name(number), number, frames)
+    if (name := _stream_name(source)) is not None:
+        return VideoSource(name, str(source), frames)
     path = _existing(source)
     if path.is_dir():
         pictures, videos = _content(path)
@@ -47,11 +53,13 @@ def open_source(
 def sequences_of(source: str | Path) -> list[tuple[str, str | Path]]:
     """Names and inputs for `open_source`: one per video of a folder of videos, otherwise the one that was given.
 
-    Names are unique and fit for folders. Nothing is opened yet; missing files and useless folders raise InputError.
+    An input is a text where it can be read only once: a webcam, an address, standard input. Names are unique and fit for folders. Nothing is opened yet; missing files and useless folders raise InputError.
     """
     number = _webcam_number(source)
     if number is not None:
         return [(_webcam_name(number), str(number))]
+    if (name := _stream_name(source)) is not None:
+        return [(name, str(source))]
     path = _existing(source)
     if not path.is_dir():
         return [(_name(path), path)]
@@ -72,6 +80,19 @@ def _webcam_number(source: str | Path) -> int | None:
     return int(text)
 
 
+def _stream_name(source: str | Path) -> str | None:
+    """Of an address or of standard input, fit for a folder; None for anything else."""
+    if source == STANDARD_INPUT:
+        return "stdin"
+    if not isinstance(source, str) or not ADDRESS.match(source):
+        return None
+    try:
+        host = urlsplit(source).hostname or ""
+    except ValueError:
+        raise InputError(f"{shown_address(source)}: is no address") from None
+    return "".join(letter if letter.isalnum() else "_" for letter in host) or "stream"
+
+
 def _webcam_name(number: int) -> str:
     return f"webcam{number}"
 
@@ -90,7 +111,8 @@ def _existing(source: str | Path) -> Path:
         path.stat()
     except FileNotFoundError:
         if _URL.match(str(source)):
-            raise InputError(f"{source}: addresses are not read; download the video, and name the file") from None
+            expected = "http, https, rtsp, rtmp, rtp, udp, tcp or srt://HOST/..."
+            raise InputError(f"{source}: expected an address such as {expected}, given as a text") from None
         raise InputError(f"{path}: no such file or folder (expected a video, a folder or a webcam number)") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error

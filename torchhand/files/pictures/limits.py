@@ -35,3 +35,8 @@ def size_problem(width: int, height: int) -> str:
     if width * height <= most * 1e6:
         return ""
     return f"expected at most {most:g} megapixels, got {width}x{height} px"
+
+
+def largest_size() -> int:
+    """Pixels of the largest picture that is read."""
+    return max(1, int(min(_limit.get() * 1e6, 2**31 - 1)))

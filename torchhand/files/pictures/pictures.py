@@ -65,11 +65,11 @@ class PictureSource(FrameSource):
             path = self._paths[index]
             raw, problem = read_raw(path)
             if raw is None:
-                yield Frame(index=index, image=None, problem=f"{path}: {problem}")
+                yield Frame(index=index, time_s=index / self.fps, image=None, problem=f"{path}: {problem}")
                 continue
             image = rgb8(raw, self._full_scale)
             check_size(str(path), image, width=self.width, height=self.height)
-            yield Frame(index=index, image=image)
+            yield Frame(index=index, time_s=index / self.fps, image=image)
 
     def close(self) -> None:
         pass

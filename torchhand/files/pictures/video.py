@@ -1,136 +1,206 @@
-"""Video files and webcams, read in order and never by seeking."""
+"""Video files, addresses of streams and standard input, read in order by FFmpeg and never by seeking."""
 
-import math
-import os
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
+import torch
+from jaxtyping import UInt8
+from torch import Tensor
 
 from torchhand.errors import InputError
-from torchhand.files.disk import check_name, check_plain_file, quiet_opencv
+from torchhand.files.pictures.container import STANDARD_INPUT, UNORDERED, open_container, shown_address
 from torchhand.files.pictures.frame_source import ASSUMED_FPS, Frame, FrameRange, FrameSource, check_size
 from torchhand.files.pictures.limits import size_problem
-from torchhand.files.pictures.pictures import rgb8
+
+if TYPE_CHECKING:
+    from av import VideoFrame, VideoStream
+    from av.container import InputContainer
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
 
-FILE_PATIENCE = 300
-"""Failed reads in a row after which a video file has ended; at the true end each costs microseconds."""
-WEBCAM_PATIENCE = 3
-"""Failed reads in a row after which a webcam has ended, each of which can take seconds."""
+_PATIENCE = 300
+"""Undecodable frames at the start after which a video holds none at all."""
 _LARGEST_FPS = 1000.0
 _LARGEST_COUNT = 10**8
+_FULL_RANGE = 2  # of RGB: 0 is black and 255 is white
+
+
+@dataclass(frozen=True)
+class _Decoded:
+    """What came out of the decoder for one frame."""
+
+    frame: "VideoFrame | None"
+    """None where it could not be decoded."""
+    pts: int | None
+    """Presentation time in units of the stream; None where the container tells none."""
 
 
 class VideoSource(FrameSource):
-    """Frames of a video file or a webcam.
+    """Frames of a video, in the order in which they are shown, upright, at the times at which they are shown.
 
-    OpenCV's seeking trusts the container's index, which may be wrong; so the frames before the range are read and
-    dropped. A failed read is a corrupt frame if a later read succeeds, and the end of the video if none does within
-    `FILE_PATIENCE`; the container's frame count is not asked.
+    Seeking trusts the container's index, which may be wrong; so the frames before the range are decoded and dropped.
+    What cannot be decoded is a corrupt frame; the container's frame count is not asked. Times are those of the file,
+    so a variable rate is kept; where they cannot be true, the rate is taken for constant.
     """
 
-    def __init__(self, name: str, device: Path | int, frames: FrameRange) -> None:
+    def __init__(self, name: str, place: Path | str, frames: FrameRange) -> None:
+        """place: a file, or (as texts) an address or `STANDARD_INPUT`. Raises InputError where it is no video."""
         self.name = name
-        self._what = f"webcam {device}" if isinstance(device, int) else str(device)
-        self._patience = WEBCAM_PATIENCE if isinstance(device, int) else FILE_PATIENCE
+        self._what = "standard input" if place == STANDARD_INPUT else shown_address(str(place))
         self._frames, self._used = frames, False
-        self._capture = _open_webcam(device) if isinstance(device, int) else _open_file(device)
-        fps = self._capture.get(cv2.CAP_PROP_FPS)
-        self.fps = float(fps) if math.isfinite(fps) and 0 < fps <= _LARGEST_FPS else ASSUMED_FPS
-        count = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        self._promised = int(count) if math.isfinite(count) and 0 < count < _LARGEST_COUNT else None
+        self._container, self._stream = open_container(place)
+        rate = float(self._stream.average_rate or self._stream.guessed_rate or 0)
+        is_credible = 0 < rate <= _LARGEST_FPS
+        self.fps = rate if is_credible else ASSUMED_FPS
+        self._clock = _Clock(float(self._stream.time_base or 0) if is_credible else 0.0, 1 / self.fps)
+        self._promised = _promised(self._container, self._stream, self.fps)
         self.count = frames.within(self._promised)
+        self._network_problem: str | None = None
+        self._decoded = self._in_order()
         # Everything up to the first good frame is read here, for its size, and handed out later.
-        self._peeked: deque[np.ndarray | None] = deque()
-        while (picture := self._read()) is None:
-            self._peeked.append(None)
-            if len(self._peeked) > self._patience:
-                self.close()
-                raise InputError(f"{self._what}: not a single frame can be decoded")
-        self._peeked.append(picture)
-        self.height, self.width = picture.shape[:2]
+        self._peeked: deque[_Decoded] = deque()
+        for one in self._decoded:
+            self._peeked.append(one)
+            if one.frame is not None or len(self._peeked) > _PATIENCE:
+                break
+        first = self._peeked[-1].frame if self._peeked else None
+        if first is None:
+            self.close()
+            reason = UNORDERED if place == STANDARD_INPUT else "not a single frame can be decoded"
+            raise InputError(f"{self._what}: {reason}")
+        if problem := size_problem(first.width, first.height):
+            self.close()
+            raise InputError(f"{self._what}: {problem} (--max-megapixels)")
+        is_turned = _quarter_turns(first) % 2 == 1
+        self.width, self.height = (first.height, first.width) if is_turned else (first.width, first.height)
 
     def __iter__(self) -> Iterator[Frame]:
         if self._used:
             raise ValueError("a source is read once; open it again")
         self._used = True
-        wanted, index, bad = self._frames, 0, 0  # bad: failed reads since the last good frame, index - 1
+        wanted, index = self._frames, 0
         if wanted.within(None) == 0:
             return
-        while wanted.end is None or index < wanted.end:
-            picture = self._next(decode=index + bad >= wanted.first)
-            if picture is None:
-                bad += 1
-                if bad > self._patience:
-                    self._report_end(index)
-                    return
-                continue
-            for lost in range(index, index + bad):
-                if wanted.holds(lost):
-                    yield Frame(index=lost, image=None, problem=f"{self._what}: frame {lost} is corrupt")
-            index, bad = index + bad, 0
-            if wanted.holds(index):
-                image = rgb8(picture, 255.0)
-                check_size(f"{self._what}, frame {index}", image, width=self.width, height=self.height)
-                yield Frame(index=index, image=image)
+        lost: list[tuple[int, float]] = []  # those at the very end are where the video breaks off
+        for one in self._all():
+            time_s = self._clock(one.pts)
+            if one.frame is None:
+                lost.append((index, time_s))
+            else:
+                for number, lost_s in lost:
+                    if wanted.holds(number):
+                        problem = f"{self._what}: frame {number} is corrupt"
+                        yield Frame(index=number, time_s=lost_s, image=None, problem=problem)
+                lost.clear()
+                if wanted.holds(index):
+                    image = _upright_rgb(one.frame)
+                    check_size(f"{self._what}, frame {index}", image, width=self.width, height=self.height)
+                    yield Frame(index=index, time_s=time_s, image=image)
             index += 1
+            if wanted.end is not None and index >= wanted.end and not lost:
+                return
+        self._report_end(index - len(lost))
 
     def close(self) -> None:
-        self._capture.release()
+        self._container.close()
 
     def _report_end(self, total: int) -> None:
-        """Called with the number of frames that the file turned out to hold."""
+        """Called with the number of frames that the video turned out to hold."""
         if total <= self._frames.start:
             raise InputError(f"{self._what}: start {self._frames.start} lies after the last frame ({total - 1})")
-        if self._promised is not None and total < self._promised:
+        if self._network_problem is not None:
+            self.ended_early = f"{self._what}: ended after {total} frames ({self._network_problem})"
+        elif self._promised is not None and total < self._promised:
             self.ended_early = f"{self._what}: the container promises {self._promised} frames, {total} could be read"
 
-    def _next(self, *, decode: bool) -> np.ndarray | None:
-        """The next frame, or None where it cannot be read; frames that nobody wants come as an empty array."""
-        if self._peeked:
-            return self._peeked.popleft()
-        if decode:
-            return self._read()
-        with quiet_opencv():
-            return np.empty((0, 0, 3), np.uint8) if self._capture.grab() else None
+    def _all(self) -> Iterator[_Decoded]:
+        while self._peeked:
+            yield self._peeked.popleft()
+        yield from self._decoded
 
-    def _read(self) -> np.ndarray | None:
-        with quiet_opencv():
+    def _in_order(self) -> Iterator[_Decoded]:
+        """Frames as they are shown, with the undecodable ones in their places among them."""
+        from av.error import FFmpegError
+
+        failed: list[int | None] = []
+        packets = self._container.demux(self._stream)
+        while True:
             try:
-                good, picture = self._capture.read()
-            except cv2.error:
-                return None
-        return picture if good and picture is not None and picture.size else None
+                packet = next(packets, None)
+            except FFmpegError as error:  # what follows is not there, or cannot be told from other things
+                self._network_problem = error.strerror if error.errno and error.errno > 0 else None
+                packet = None
+            if packet is None:
+                break
+            try:
+                frames = packet.decode()
+            except FFmpegError:
+                failed.append(packet.pts)
+                continue
+            for frame in frames:
+                pts = frame.pts
+                before = [one for one in failed if one is None or pts is None or one < pts]
+                failed = [one for one in failed if one is not None and pts is not None and one >= pts]
+                yield from (_Decoded(None, one) for one in before)
+                yield _Decoded(frame, pts)
+        yield from (_Decoded(None, one) for one in failed)
 
 
-def _open_file(path: Path) -> cv2.VideoCapture:
-    check_name(path)
-    if not check_plain_file(path):
-        raise InputError(f"{path}: is empty (0 bytes)")
-    try:
-        path.open("rb").close()  # the system says why it refuses, FFmpeg would not
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    with quiet_opencv():
-        # An absolute path, because FFmpeg takes "a:b.mp4" for a protocol; and FFmpeg by name, because other backends
-        # read numbered pictures as a video.
-        capture = cv2.VideoCapture(os.path.abspath(path), cv2.CAP_FFMPEG)
-    if not capture.isOpened():
-        raise InputError(f"{path}: is no video that can be opened (cut off, corrupt or of an unknown format)")
-    size = (int(capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
-    if problem := size_problem(*size):  # by the container's header: nothing has been decoded so far
-        capture.release()
-        raise InputError(f"{path}: {problem} (--max-megapixels)")
-    return capture
+class _Clock:
+    """Times of frames since the first, which only grow."""
+
+    def __init__(self, unit_s: float, step_s: float) -> None:
+        """unit_s: of the presentation times, 0 where they are not to be believed. step_s: from frame to frame then."""
+        self._unit_s, self._step_s = unit_s, step_s
+        self._first: int | None = None
+        self._count, self._last_s = 0, -1.0
+
+    def __call__(self, pts: int | None) -> float:
+        """Of the next frame."""
+        time_s = self._count * self._step_s if self._unit_s <= 0 else self._told(pts)
+        if self._count == 0:
+            time_s = 0.0
+        elif time_s is None or time_s <= self._last_s:
+            time_s = self._last_s + self._step_s
+        self._count, self._last_s = self._count + 1, time_s
+        return time_s
+
+    def _told(self, pts: int | None) -> float | None:
+        if pts is None:
+            return None
+        if self._first is None:  # after frames without a time
+            self._first = pts - round(self._count * self._step_s / self._unit_s)
+        return (pts - self._first) * self._unit_s
 
 
-def _open_webcam(number: int) -> cv2.VideoCapture:
-    with quiet_opencv():
-        capture = cv2.VideoCapture(number)
-    if not capture.isOpened():
-        raise InputError(f"webcam {number}: cannot be opened (not connected, in use, or no permission)")
-    return capture
+def _promised(container: "InputContainer", stream: "VideoStream", fps: float) -> int | None:
+    """Frames by the container's own account; by its duration where it does not count them."""
+    count = stream.frames
+    if count <= 0 and stream.duration and stream.time_base:
+        count = round(stream.duration * float(stream.time_base) * fps)
+    elif count <= 0 and container.duration:
+        count = round(container.duration / 1e6 * fps)
+    return count if 0 < count < _LARGEST_COUNT else None
+
+
+def _quarter_turns(frame: "VideoFrame") -> int:
+    """By which a picture is to be turned, counterclockwise."""
+    return round(getattr(frame, "rotation", 0) / 90) % 4
+
+
+def _upright_rgb(frame: "VideoFrame") -> UInt8[Tensor, "height width 3"]:
+    """The picture as it is to be seen, in the matrix and range that it says it has."""
+    colour = int(frame.colorspace)
+    rgb = frame.reformat(
+        format="rgb24",
+        src_colorspace=colour,
+        dst_colorspace=colour,
+        src_color_range=int(frame.color_range),
+        dst_color_range=_FULL_RANGE,
+    ).to_ndarray()
+    turns = _quarter_turns(frame)
+    return torch.from_numpy(np.ascontiguousarray(np.rot90(rgb, turns)) if turns else rgb)

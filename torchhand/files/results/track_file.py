@@ -148,7 +148,7 @@ def _read_npz(path: Path) -> Track:
         fields |= {name: arrays.get(name) if name in MISSING_FIELDS else arrays[name] for name in ARRAY_FIELDS}
         fields |= {name: str(arrays[name]) for name in ("units", "convention")}
         fields |= {"dof_names": tuple(np.atleast_1d(arrays["dof_names"]).tolist()), "measures": measures}
-        fields |= {name: arrays.get(name) for name in ("reason", "image")}
+        fields |= {name: arrays.get(name) for name in ("time_s", "reason", "image")}
         fields["header"] = json.loads(str(arrays["header"])) if "header" in arrays else {}
         check_fields(fields)
         fields = _in_64_bits(fields) | {"measures": _in_64_bits(measures)}

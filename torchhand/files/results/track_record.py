@@ -25,7 +25,7 @@ OF_PICTURES = ("image", "side", "shape", "shape_names", "K")
 WANTED_END = "wanted_end"
 """In the arrays of a run that has ended well: number of the frame after the last one that was wanted; -1 for all."""
 RESERVED_NAMES = (
-    *("frame", "status", "seconds", "reason", *ARRAY_FIELDS, "dof_names", "units", "convention", "header"),
+    *("frame", "time_s", "status", "seconds", "reason", *ARRAY_FIELDS, "dof_names", "units", "convention", "header"),
     *(WANTED_END, *OF_PICTURES),
 )
 """In a line of track.jsonl and in track.npz, every other name is that of a measure."""
@@ -85,6 +85,8 @@ class FrameRecord:
     finger_quality: Float[np.ndarray, "5"] | None = None
     """Probability that each fingertip, thumb to little, is where it is said to be (`Track.finger_quality`); None where
     nobody tells."""
+    time_s: float | None = None
+    """When the frame is shown or was taken, seconds since the source's first one; None where nobody tells."""
     measures: Mapping[str, float] = field(default_factory=dict)
     """Further numbers by name, such as how well the model fits; NaN where unknown. The same names in every frame."""
     reason: str | None = None
@@ -110,6 +112,7 @@ class FrameRecord:
         dofs: int,
         seconds: float,
         has_keypoints2d: bool = True,
+        time_s: float | None = None,
         measures: Mapping[str, float] | None = None,
         reason: str | None = None,
     ) -> "FrameRecord":
@@ -125,6 +128,7 @@ class FrameRecord:
             keypoints3d_cov=np.full((_KEYPOINTS, 3, 3), nan),
             seconds=seconds,
             finger_quality=np.full(_FINGERS, nan),
+            time_s=time_s,
             measures=measures or {},
             reason=reason,
         )
@@ -136,7 +140,8 @@ class FrameRecord:
 
     def as_json(self) -> str:
         """One line of strict JSON without its end: numbers exact to the last bit, whatever is not finite as null."""
-        content: dict[str, Any] = {"frame": self.frame, "status": self.status, "seconds": self.seconds}
+        time = {} if self.time_s is None else {"time_s": self.time_s}
+        content: dict[str, Any] = {"frame": self.frame, **time, "status": self.status, "seconds": self.seconds}
         content |= {name: float(value) if math.isfinite(value) else None for name, value in self.measures.items()}
         if self.reason is not None:
             content["reason"] = self.reason
@@ -166,6 +171,8 @@ class Track:
     finger_quality: Float64[np.ndarray, "t 5"] | None = None
     """Probability that each fingertip, thumb to little, lies within 20 mm of where it is, once the two hands are laid
     over one another; None in tracks that tell none."""
+    time_s: Float64[np.ndarray, " t"] | None = None
+    """When each frame is shown or was taken, seconds since the source's first one; None in tracks that tell none."""
     measures: Mapping[str, Float64[np.ndarray, " t"]] = field(default_factory=dict)
     """The records' measures by name; NaN where a record has none of that name."""
     reason: Shaped[np.ndarray, " t"] | None = None
@@ -184,7 +191,8 @@ class Track:
     def arrays(self) -> dict[str, np.ndarray]:
         """What track.npz holds."""
         arrays = {
-            name: getattr(self, name) for name in ("frame", "status", *ARRAY_FIELDS, "seconds", "reason", "image")
+            name: getattr(self, name)
+            for name in ("frame", "time_s", "status", *ARRAY_FIELDS, "seconds", "reason", "image")
         }
         arrays |= self.measures
         arrays |= {"dof_names": np.array(self.dof_names), "units": np.array(self.units)}
@@ -199,7 +207,8 @@ def check_fields(fields: Mapping[str, Any]) -> None:
     if not all(isinstance(name, str) for name in fields["dof_names"]):
         raise ValueError("dof_names: expected names, got others")
     measures = fields["measures"]
-    shapes: dict[str, tuple[int, ...]] = {"frame": (), "status": (), "seconds": (), "reason": (), "image": ()}
+    names = ("frame", "time_s", "status", "seconds", "reason", "image")
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(names, ())
     shapes |= _shapes(len(fields["dof_names"])) | dict.fromkeys(measures, ())
     frames = fields["frame"].shape[:1] or (0,)
     for name, shape in shapes.items():
@@ -220,7 +229,7 @@ def track_of(header: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> Tr
     """
     dof_names = tuple(header["dof_names"])
     shapes = _shapes(len(dof_names))
-    columns: dict[str, list[Any]] = {name: [] for name in ("frame", "status", "seconds", *ARRAY_FIELDS)}
+    columns: dict[str, list[Any]] = {name: [] for name in ("frame", "time_s", "status", "seconds", *ARRAY_FIELDS)}
     reasons: list[str | None] = []
     measures: dict[str, list[float]] = {}
     for row in rows:
@@ -233,7 +242,7 @@ def track_of(header: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> Tr
         reasons.append(row.get("reason"))
         for name, column in columns.items():
             # np.float64 of None is NaN; arrays are made row by row because they are far smaller than lists of numbers.
-            value = row.get(name) if name in MISSING_FIELDS else row[name]
+            value = row.get(name) if name in (*MISSING_FIELDS, "time_s") else row[name]
             is_array = name in ARRAY_FIELDS and value is not None
             column.append(np.asarray(value, dtype=np.float64).reshape(shapes[name]) if is_array else value)
     if wrong := [frame for frame in columns["frame"] if not isinstance(frame, int)]:
@@ -244,6 +253,7 @@ def track_of(header: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> Tr
         columns = {name: [column[place] for place in places] for name, column in columns.items()}
         measures = {name: [values[place] for place in places] for name, values in measures.items()}
         reasons = [reasons[place] for place in places]
+    times = None if None in columns["time_s"] else np.array(columns["time_s"], dtype=np.float64)
     missing = [name for name in MISSING_FIELDS if any(array is None for array in columns[name])]
     arrays: dict[str, Any] = {
         name: np.stack(columns[name]) if columns[name] else np.empty((0, *shape))
@@ -258,6 +268,7 @@ def track_of(header: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> Tr
         units=header["units"],
         convention=header["convention"],
         header=header,
+        time_s=times,
         measures={name: np.array(values, dtype=np.float64) for name, values in measures.items()},
         reason=np.array([reason or "" for reason in reasons], np.str_) if any(r is not None for r in reasons) else None,
         **{**dict.fromkeys(missing), **arrays},

@@ -1,9 +1,9 @@
 """Entropy coding of integers: a range coder, and steps of a sequence coded with it."""
 
-from torchhand.numerics.coding.step_coder import decode_rows, encode_rows, followed
+from torchhand.numerics.coding.step_coder import RowDecoder, RowEncoder, followed
 
 __all__ = [
-    "decode_rows",
-    "encode_rows",
+    "RowDecoder",
+    "RowEncoder",
     "followed",
 ]

@@ -1,6 +1,6 @@
 """Signals that rest or move in whole steps, as few bits: prediction from the frame before, in a closed loop.
 
-`followed` makes whole steps of numbers; `encode_rows` and `decode_rows` turn tables of steps into bytes and back. What
+`followed` makes whole steps of numbers; `RowEncoder` and `RowDecoder` turn tables of steps into bytes and back. What
 is coded is the change since the row before; its bits are modelled by what the same channel and its partner did lately,
 and the models learn as they go, the same on both sides. The decoder adds whole numbers up: nothing can drift.
 """
@@ -42,37 +42,49 @@ def followed(values: Float64[np.ndarray, "rows channels"], dead_zone: float) -> 
     return rows
 
 
-def encode_rows(rows: Int64[np.ndarray, "rows channels"], partners: Sequence[int | None]) -> bytes:
-    """The table as bytes.
+class RowEncoder:
+    """Turns tables of steps into bytes, block by block: each can be decoded as soon as it is whole."""
 
-    partners: for each channel an earlier one that tends to move with it, or None.
-    """
-    model, coder = _ChangeModel(partners, rows.shape[1]), RangeEncoder()
-    for change in np.diff(rows, axis=0, prepend=0).tolist():
-        model.code(coder, change)
-    return coder.finish()
+    def __init__(self, partners: Sequence[int | None]) -> None:
+        """partners: for each channel an earlier one that tends to move with it, or None."""
+        self._model = _ChangeModel(partners)
+        self._last: np.ndarray = np.zeros(len(partners), dtype=np.int64)
+
+    def block(self, rows: Int64[np.ndarray, "rows channels"]) -> bytes:
+        """The next rows as bytes."""
+        coder = RangeEncoder()
+        for change in np.diff(rows, axis=0, prepend=self._last[None]).tolist():
+            self._model.code(coder, change)
+        self._last = rows[-1] if len(rows) else self._last
+        return coder.finish()
 
 
-def decode_rows(data: bytes, count: int, partners: Sequence[int | None]) -> Int64[np.ndarray, "rows channels"]:
-    """The table of `count` rows that became these bytes.
+class RowDecoder:
+    """Turns the blocks of a `RowEncoder` with the same partners, in their order, back into rows."""
 
-    Raises ValueError for bytes that are no such table, as far as that can be told.
-    """
-    model, coder = _ChangeModel(partners, len(partners)), RangeDecoder(data)
-    rows, present = np.zeros((count, len(partners)), dtype=np.int64), [0] * len(partners)
-    for i in range(count):
-        change = model.code(coder, present)  # a decoder does not look at the values
-        present = [value + step for value, step in zip(present, change, strict=True)] if i else change
-        rows[i] = present
-    return rows
+    def __init__(self, partners: Sequence[int | None]) -> None:
+        self._model = _ChangeModel(partners)
+        self._last = [0] * len(partners)
+
+    def block(self, data: bytes, count: int) -> Int64[np.ndarray, "rows channels"]:
+        """The `count` rows of a block.
+
+        Raises ValueError for bytes that are no such table, as far as that can be told.
+        """
+        coder = RangeDecoder(data)
+        rows = np.zeros((count, len(self._last)), dtype=np.int64)
+        for i in range(count):
+            change = self._model.code(coder, self._last)  # a decoder does not look at the values
+            self._last = [value + step for value, step in zip(self._last, change, strict=True)]
+            rows[i] = self._last
+        return rows
 
 
 class _ChangeModel:
     """What changes are likely; writes a row of them, or reads one."""
 
-    def __init__(self, partners: Sequence[int | None], channels: int) -> None:
-        if len(partners) != channels:
-            raise ValueError(f"partners: expected {channels}, one per channel, got {len(partners)}")
+    def __init__(self, partners: Sequence[int | None]) -> None:
+        channels = len(partners)
         for channel, partner in enumerate(partners):
             if partner is not None and not 0 <= partner < channel:
                 raise ValueError(f"partners: expected earlier channels than {channel}, got {partner}")

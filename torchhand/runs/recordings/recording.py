@@ -135,9 +135,7 @@ class OneCameraRecording:
     def _frames(self, frames: FrameSource) -> Iterator[RecordedFrame]:
         for frame in frames:
             view = View(image=frame.image)
-            yield RecordedFrame(
-                index=frame.index, time_s=frame.index / self.fps, views=(view,), problems=(frame.problem,)
-            )
+            yield RecordedFrame(index=frame.index, time_s=frame.time_s, views=(view,), problems=(frame.problem,))
 
     def warnings(self) -> Sequence[str]:
         """Whether the recording ended early."""

@@ -45,7 +45,7 @@ class TwoPasses:
                 arrays[name][~known] = 0.0 if name == "seconds" else np.nan
         measures = {name: np.where(known, values[places], np.nan) for name, values in backward.measures.items()}
         unused: dict[str, Any] = {"keypoints2d": None, "reason": None}
-        own = {"frame": forward.frame, "status": forward.status, "measures": measures}
+        own = {"frame": forward.frame, "time_s": forward.time_s, "status": forward.status, "measures": measures}
         return cls(forward=forward, backward=replace(backward, **own, **unused, **arrays))
 
     @property
@@ -119,6 +119,7 @@ def joined_records(
         hand = combined_hand([_hand(track, row) for track, _ in used], share, kinematics, shape)
         yield FrameRecord(
             frame=int(forward.frame[row]),
+            time_s=_time_of(forward, row),
             status=status,
             pose=hand.pose.numpy(),
             pose_std=hand.pose_std.numpy(),
@@ -151,10 +152,15 @@ def joined_status(
     return found
 
 
+def _time_of(track: Track, row: int) -> float | None:
+    return None if track.time_s is None else float(track.time_s[row])
+
+
 def _unchanged(track: Track, row: int, status: FrameStatus, seconds: float) -> FrameRecord:
     """The record of a row as it is, but for its status and time."""
     return FrameRecord(
         frame=int(track.frame[row]),
+        time_s=_time_of(track, row),
         status=status,
         pose=track.pose[row],
         pose_std=track.pose_std[row],

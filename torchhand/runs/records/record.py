@@ -40,6 +40,7 @@ def record_of(
             dofs=len(DOFS),
             seconds=seconds,
             has_keypoints2d=not is_rig,
+            time_s=estimate.time_s,
             measures=measures | {"quality": math.nan, "score": math.nan},
             reason=reason,
         )
@@ -47,7 +48,14 @@ def record_of(
     if not is_rig and estimate.keypoints_px is not None:
         pixels = estimate.keypoints_px[0].double().cpu().numpy()
     return FrameRecord(
-        frame=index, status=estimate.status, keypoints2d=pixels, seconds=seconds, measures=measures, reason="", **known
+        frame=index,
+        time_s=estimate.time_s,
+        status=estimate.status,
+        keypoints2d=pixels,
+        seconds=seconds,
+        measures=measures,
+        reason="",
+        **known,
     )
 
 

@@ -6,18 +6,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.hand import (
-    DOFS,
-    JOINT_DOFS,
-    ConstraintSettings,
-    HandKinematics,
-    PoseConstraints,
-    PrimitiveSizes,
-    penetration,
-    place_primitives,
-    primitive_sizes,
-)
-from torchhand.hand.limits import ABDUCTIONS, FLEXIONS
+from torchhand.hand.kinematics import DOFS, JOINT_DOFS, HandKinematics
+from torchhand.hand.limits import ABDUCTIONS, FLEXIONS, ConstraintSettings, PoseConstraints
+from torchhand.hand.primitives import PrimitiveSizes, penetration, place_primitives, primitive_sizes
 from torchhand.numerics import LevenbergMarquardtSettings, levenberg_marquardt
 
 _ROOT = len(DOFS) - len(JOINT_DOFS)
