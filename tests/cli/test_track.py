@@ -1,8 +1,10 @@
 """`torchhand track`: what a run leaves, going on after a stop, and one line for whatever a user can get wrong."""
 
+import _thread
 import errno
 import json
 import shutil
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -472,16 +474,20 @@ def test_one_shape_for_the_whole_recording_and_again_where_it_is_resumed(
 
 
 class _Webcam(FrameSource):
-    """Delivers the clip and then, as a user would, presses Ctrl-C."""
+    """Delivers a picture of the clip when the one before is tracked, and then, as a user would, presses Ctrl-C."""
 
-    def __init__(self, frames: Path) -> None:
+    def __init__(self, frames: Path, lines: Path) -> None:
         self.name, self.fps, self.count, self.width, self.height = "webcam0", 30.0, None, WIDTH, HEIGHT
-        self.frames = frames
+        self.frames, self.lines = frames, lines
 
     def __iter__(self) -> Iterator[Frame]:
         with open_source(self.frames, max_frames=3) as source:
-            yield from source
-        raise KeyboardInterrupt
+            for count, frame in enumerate(source, start=1):
+                yield frame
+                while not self.lines.exists() or self.lines.read_bytes().count(b"\n") < count:
+                    time.sleep(0.01)
+        _thread.interrupt_main()
+        time.sleep(1)
 
     def close(self) -> None:
         pass
@@ -494,14 +500,18 @@ def test_a_webcam_ends_well_with_ctrl_c_and_draws_live(
 
     def open_webcam(source: str, **_: Any) -> _Webcam:
         opened.append(source)
-        return _Webcam(clip.frames)
+        return _Webcam(clip.frames, tmp_path / "out" / "track.jsonl")
 
-    monkeypatch.setattr("torchhand.runs.recordings.recording.open_source", open_webcam)
+    monkeypatch.setattr("torchhand.files.live.rig.open_source", open_webcam)
     monkeypatch.chdir(tmp_path)
     outcome = run("0", "--out", "out", "--camera", clip.camera, "--config", "contour_planar")
     assert outcome.code == 0
     assert opened == ["0"]  # and not a second time for the overlay
-    assert load_track(tmp_path / "out").status.tolist() == ["tracked"] * 3
+    track = load_track(tmp_path / "out")
+    assert track.status.tolist() == ["tracked"] * 3
+    assert track.time_s is not None
+    assert (np.diff(track.time_s) > 0).all()
+    assert "camera cam0: 3 pictures used, 0 dropped" in outcome.err
     with open_source(tmp_path / "out" / "overlay.mp4") as video:
         assert len(list(video)) == 3
     _assert_refused(run("0", "--out", "out", "--resume", *clip.options), "webcam 0: cannot be resumed")

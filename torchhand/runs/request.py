@@ -57,6 +57,8 @@ class Request:
     """Rig: frames by which cameras started before the others, by name."""
     is_causal: bool = False
     """Whether every frame is estimated from this and earlier ones alone."""
+    is_live: bool = False
+    """One camera: whether the newest picture is taken each time, and the others are dropped."""
     start: int = 0
     max_frames: int | None = None
     resume: bool = False

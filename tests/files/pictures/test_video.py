@@ -94,7 +94,7 @@ def test_an_impossible_frame_rate_becomes_thirty(make_clip, picture):
         assert [frame.time_s for frame in source] == pytest.approx([0, 1 / 30, 2 / 30, 3 / 30])
 
 
-def _frames_of_avi(data: bytes) -> list[tuple[int, int]]:
+def _frames_of_avi(data: bytearray) -> list[tuple[int, int]]:
     """Where the pictures of an AVI file begin and end."""
     found, at = [], data.index(b"movi") + 4
     while (at := data.find(b"00dc", at)) >= 0 and at < data.index(b"idx1"):

@@ -56,6 +56,7 @@ class LiveRig:
             (source, isinstance(given, str)) for source, given in zip(opened, sources, strict=True)
         ]  # and whether it is a webcam
         self.sizes = tuple((source.width, source.height) for source in opened)
+        self.names = tuple(source.name for source in opened)
         self.fps = min(source.fps for source in opened)
         self._pairing = Pairing(len(opened), settings or LiveSettings())
         self._changed, self._stopped = threading.Condition(), threading.Event()

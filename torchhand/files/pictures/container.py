@@ -69,13 +69,13 @@ def _opened(place: Path | str) -> "InputContainer":
         _check_file(place)
         options |= {"format_whitelist": _FORMATS, "protocol_whitelist": "file"}
         # An absolute path, because FFmpeg takes "a:b.mp4" for a protocol.
-        return av.open(os.path.abspath(place), options=options)
+        return av.open(os.path.abspath(place), "r", options=options)
     if place == STANDARD_INPUT:
         options |= {"format_whitelist": _PIPED_FORMATS, "protocol_whitelist": "pipe"}
         source = sys.stdin.buffer
-        return av.open(source if source.seekable() else _Pipe(source), options=options)
+        return av.open(source if source.seekable() else _Pipe(source), "r", options=options)
     options |= {"protocol_whitelist": _NETWORK}
-    return av.open(place, options=options, timeout=_PATIENCE_S)
+    return av.open(place, "r", options=options, timeout=_PATIENCE_S)
 
 
 class _Pipe:
