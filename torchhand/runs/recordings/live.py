@@ -94,6 +94,7 @@ class LiveCamera(_Live):
         Raises InputError for a source that cannot be opened, and for a camera that is wrong.
         """
         super().__init__([source], max_frames)
+        self.path = source
         [(self.width, self.height)], [self.name] = self._rig.sizes, self._rig.names
         try:
             self.cameras = (camera_for(camera, self.width, self.height),)

@@ -1,0 +1,43 @@
+"""The server of a page, for programs on this machine alone."""
+
+import contextlib
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from torchhand.errors import InputError
+
+if TYPE_CHECKING:
+    from viser import ViserServer as ViewerServer
+else:
+    ViewerServer = object
+
+HOST = "127.0.0.1"
+_PORTS = range(1, 65536)
+
+
+@contextlib.contextmanager
+def opened_server(port: int, *, title: str) -> Iterator["ViewerServer"]:
+    """A server at `port` of 127.0.0.1, or at the next free one, that ends with the block.
+
+    Raises InputError where viser is not installed.
+    """
+    if port not in _PORTS:
+        raise InputError(f"--port: expected {_PORTS[0]} to {_PORTS[-1]}, got {port}")
+    try:
+        import rich
+        import viser
+    except ImportError as error:
+        raise InputError(f"a page needs viser: pip install 'torchhand[view]' ({error})") from error
+    with rich.get_console().capture():  # it would print a box to standard output, which may be a stream
+        server = viser.ViserServer(host=HOST, port=port, label=title, verbose=False)
+    try:
+        server.gui.configure_theme(control_layout="fixed", control_width="large", show_logo=False)
+        yield server
+    finally:
+        with rich.get_console().capture():
+            server.stop()
+
+
+def address_of(server: "ViewerServer") -> str:
+    """What a browser opens."""
+    return f"http://{HOST}:{server.get_port()}"
