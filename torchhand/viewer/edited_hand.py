@@ -15,6 +15,7 @@ from torchhand.hand.limits import TIES
 from torchhand.signs import load_signs, standing_pose
 
 _ROOT = len(DOFS) - len(JOINT_DOFS)
+_TOLD_DEG = 1.0  # by which an angle that another leads is off
 POSE_FORMAT = "torchhand pose 1"
 
 
@@ -98,13 +99,14 @@ class EditedHand:
         """What limits, couplings, parts and prior say of it, in words."""
         density = float(self._prior.log_prob(self.pose, self.shape))
         ties = self._prior.constraints.tie_residuals(self.pose).tolist()
-        led = [f"{tie.name}: off by {math.degrees(amount):+.0f}°" for tie, amount in zip(TIES, ties, strict=True)]
+        off = [(tie, math.degrees(amount)) for tie, amount in zip(TIES, ties, strict=True)]
+        led = [f"{tie.name} ({amount:+.0f}°)" for tie, amount in off if abs(amount) >= _TOLD_DEG]
         return {
             "log-density": f"{density:.1f}" if math.isfinite(density) else "impossible",
             "couplings broken": self._prior.constraints.violation(self.pose).describe(),
             "proportions outside people's": self._prior.population.violation(self.shape).describe(),
             "parts overlap": penetration(self.state().primitives).describe(),
-            "led angles": "; ".join(led),
+            "angles that do not follow": "; ".join(led) or "none",
         }
 
     def as_json(self) -> str:

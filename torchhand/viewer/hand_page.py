@@ -29,6 +29,8 @@ class HandPage:
         """Sliders by degree of freedom: degrees, and millimetres of the wrist's place."""
         self.parameters: dict[str, Any] = {}
         """Sliders of the proportions by name, in their own units."""
+        self.exports: dict[str, Any] = {}
+        """Buttons by the file that they send."""
         self.told = server.gui.add_markdown("")
         tabs = server.gui.add_tab_group()
         with tabs.add_tab("Postures"):
@@ -124,7 +126,7 @@ class HandPage:
             ("pose.json: angles, proportions, keypoints", "pose.json", self.hand.as_json),
             ("hand.obj: the skin", "hand.obj", self.hand.as_obj),
         ):
-            button = self.server.gui.add_button(label, icon="download")
+            button = self.exports[file] = self.server.gui.add_button(label, icon="download")
             button.on_click(lambda event, file=file, content=content: self._send(event, file, content()))
 
     def _send(self, event: Any, file: str, text: str) -> None:

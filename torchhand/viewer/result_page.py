@@ -35,9 +35,10 @@ class ResultPage:
         """fps: frames a second, where the track tells no times."""
         self.server, self.track = server, track
         self.times_s = np.asarray(track.frame / fps if track.time_s is None else track.time_s)
-        self._hand = model.hand(shape, side=side, dtype=torch.float64)
+        self.hand = model.hand(shape, side=side, dtype=torch.float64)
         self._lock, self._stopped = threading.RLock(), threading.Event()
-        self._playing_since: tuple[float, float] | None = None
+        self.playing_since: tuple[float, float] | None = None
+        """When playing began, by the clock, and at what time of the track; None while it stands."""
         self.scene = HandInScene(server, model, side, has_balls=True)
         self._set_stage()
         gui = server.gui
@@ -61,7 +62,7 @@ class ResultPage:
         with self._lock, self.server.atomic():
             if track.has_hand[row]:
                 with torch.inference_mode():
-                    self.scene.show(self._hand(torch.from_numpy(track.pose[row])).vertices)
+                    self.scene.show(self.hand(torch.from_numpy(track.pose[row])).vertices)
                 self._show_tips(row)
             else:
                 self.scene.hide()
@@ -74,9 +75,9 @@ class ResultPage:
 
     def advance(self, now_s: float) -> None:
         """Show the frame whose time it is, where frames are playing; from the last one on to the first."""
-        if self._playing_since is None:
+        if self.playing_since is None:
             return
-        started_s, first_s = self._playing_since
+        started_s, first_s = self.playing_since
         length_s = max(self.times_s[-1] - self.times_s[0], 1e-3) + _TICK_S
         at_s = self.times_s[0] + (first_s - self.times_s[0] + (now_s - started_s) * self.speed.value) % length_s
         row = int(np.searchsorted(self.times_s, at_s, side="right")) - 1
@@ -89,7 +90,7 @@ class ResultPage:
 
     def _set_playing(self, is_playing: bool) -> None:
         now_s = time.monotonic()
-        self._playing_since = (now_s, float(self.times_s[int(self.frame.value)])) if is_playing else None
+        self.playing_since = (now_s, float(self.times_s[int(self.frame.value)])) if is_playing else None
 
     def _set_stage(self) -> None:
         self.server.scene.set_up_direction("-y")

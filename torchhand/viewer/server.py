@@ -28,14 +28,18 @@ def opened_server(port: int, *, title: str) -> Iterator["ViewerServer"]:
         import viser
     except ImportError as error:
         raise InputError(f"a page needs viser: pip install 'torchhand[view]' ({error})") from error
-    with rich.get_console().capture():  # it would print a box to standard output, which may be a stream
-        server = viser.ViserServer(host=HOST, port=port, label=title, verbose=False)
+    console = rich.get_console()
+    was_quiet, console.quiet = console.quiet, True  # it would print to standard output, which may be a stream
     try:
-        server.gui.configure_theme(control_layout="fixed", control_width="large", show_logo=False)
-        yield server
-    finally:
-        with rich.get_console().capture():
+        server = viser.ViserServer(host=HOST, port=port, label=title, verbose=False)
+        try:
+            server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+            server.gui.main_panel.dock_right()
+            yield server
+        finally:
             server.stop()
+    finally:
+        console.quiet = was_quiet
 
 
 def address_of(server: "ViewerServer") -> str:
