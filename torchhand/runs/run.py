@@ -1,7 +1,6 @@
 """One run: a recording of one camera or several, tracked frame by frame into a result folder, resumable."""
 
 import json
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -12,7 +11,6 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from tqdm import tqdm
 
 import torchhand
 from torchhand.files import (
@@ -30,6 +28,7 @@ from torchhand.files.results import CONFIG_NAME, CONVENTION, HAND_NAME, JSONL_NA
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS
 from torchhand.runs.keypoint_tracks import KeypointSource, with_keypoints
+from torchhand.runs.progress import progress
 from torchhand.runs.recordings import RecordedFrame, Recording
 from torchhand.runs.records import record_of
 from torchhand.track import PastFrame, Smoother, Tracker, TrackerSettings, TrackerState, restored_state, saved_state
@@ -122,6 +121,10 @@ class Run:
                 score = 0.0 if is_lost else float(track.measures["score"][row])
                 self._smoother.remember(PastFrame.of(scene, None if is_lost else points, score))
                 self._keep_past(frame, float(track.seconds[row]))
+
+    def restart(self) -> None:
+        """Forget the hand, its colours and its proportions; it is found anew in the frames that come."""
+        self.state, self._followed_px = None, None
 
     def checkpoint(self) -> dict[str, Any]:
         """State from which `go_on_from` continues exactly."""
@@ -217,7 +220,7 @@ def track_frames(run: Run, writer: TrackWriter, done: int, first: int, say: Say,
     left = None if recording.count is None else max(0, recording.count - done)
     with (
         recording.opened(done) as frames,
-        tqdm(total=left, desc=recording.name, unit="frame", dynamic_ncols=True, disable=not sys.stderr.isatty()) as bar,
+        progress(recording.name, left, say) as bar,
     ):
         for frame in frames:
             had_shape = run.shape is not None
@@ -234,8 +237,7 @@ def track_frames(run: Run, writer: TrackWriter, done: int, first: int, say: Say,
                     say(f"frame {frame.index}: {problem}")
                     shown.add(problem)
             counts[record.status] += 1
-            bar.set_postfix({name: count for name, count in counts.items() if count}, refresh=False)
-            bar.update()
+            bar.update(counts)
     if unread > len(shown):
         say(f"{recording.name}: {unread - len(shown)} more pictures are missing or unreadable")
     for line in recording.warnings():

@@ -16,19 +16,19 @@ from tqdm import tqdm
 
 from torchhand.detect import HandDetector
 from torchhand.errors import InputError
-from torchhand.files import FrameRecord, Track, TrackWriter, check_output_folder, load_hand_model, load_track
+from torchhand.files import Track, TrackWriter, check_output_folder, load_hand_model, load_track
 from torchhand.files.pictures import file_identity, input_identity, is_webcam, shown_address
 from torchhand.files.results import HAND_NAME, JSONL_NAME, OVERLAY_NAME, REPORT_NAME, STATUSES, UNFINISHED_NAME
 from torchhand.geometry import Camera
 from torchhand.report import load_result, write_report
 from torchhand.runs.detected_tracks import kept_detections
 from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks, with_keypoints
-from torchhand.runs.overlays import draw_live, write_overlay, write_views
+from torchhand.runs.live import opened_watchers, projector_of
+from torchhand.runs.overlays import write_overlay, write_views
 from torchhand.runs.recordings import (
     LiveCamera,
     LiveRecording,
     OneCameraRecording,
-    RecordedFrame,
     RigRecording,
     rig_plates,
 )
@@ -91,7 +91,7 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
             else:
                 with _keypoints(files, detectors, writer, recording, request.start, say) as run.keypoints:
                     _track_one(run, recording, writer, request, say)
-            track, projector = load_track(writer.folder), _projector(run)
+            track, projector = load_track(writer.folder), projector_of(run)
             if request.has_overlay and not is_read_once and not writer.is_finished and len(track):
                 write_overlay(writer.folder / OVERLAY_NAME, track, projector, source, recording.fps)
             if not writer.is_finished:
@@ -120,14 +120,9 @@ def _track_one(run: Run, recording: OneCamera, writer: TrackWriter, request: Req
 def _follow(run: Run, recording: OneCamera, writer: TrackWriter, done: int, request: Request, say: Say) -> None:
     """Track what is left of one camera's recording; what is read once, which is drawn meanwhile, until the user's
     Ctrl-C."""
-    is_drawn_live = recording.is_live and request.has_overlay
-    with draw_live(writer.folder / OVERLAY_NAME if is_drawn_live else None, recording) as live:
-
-        def draw(frame: RecordedFrame, record: FrameRecord) -> None:
-            live(_projector(run) if is_drawn_live else None, frame, record)
-
+    with opened_watchers(run, recording, writer, request, say) as watch:
         try:
-            track_frames(run, writer, done, request.start, say, draw)
+            track_frames(run, writer, done, request.start, say, watch)
         except KeyboardInterrupt:
             if not recording.is_live:
                 raise
@@ -429,11 +424,6 @@ def _asked(request: Request) -> dict[str, Any]:
         "max_frames": request.max_frames,
         "seed": request.seed,
     }
-
-
-def _projector(run: Run) -> HandProjector:
-    """What projects poses into the pictures of one camera."""
-    return HandProjector(run.tracker.kinematics, run.tracker.own_cameras[0], run.shape)
 
 
 def summary_of(name: str, track: Track, out_dir: Path) -> str:

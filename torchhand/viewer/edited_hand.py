@@ -30,7 +30,8 @@ class EditedHand:
         shape: Float[Tensor, "shape"] | None = None,
         seed: int = 0,
     ) -> None:
-        self.model, self.side = model, side
+        self.model = model
+        self.side: Side = side
         self.shape: Float64[Tensor, "shape"] = (model.shape_space.default if shape is None else shape).double().clone()
         self.pose: Float64[Tensor, "36"] = posture("open", dtype=torch.float64)
         self.follows = False

@@ -1,5 +1,6 @@
 """A page that shows a result over time: a slider, a hand in space, one angle's curve with its band, status in words."""
 
+import importlib
 import threading
 import time
 from typing import Any
@@ -99,7 +100,6 @@ class ResultPage:
         camera = self.server.initial_camera
         camera.position, camera.look_at = tuple(middle - (0.0, 0.0, 0.45)), tuple(middle)
         camera.up = (0.0, -1.0, 0.0)
-        self.server.scene.add_frame("/world", axes_length=0.05, axes_radius=0.002)
 
     def _show_tips(self, row: int) -> None:
         track, tips = self.track, list(TIPS)
@@ -127,7 +127,7 @@ class ResultPage:
 
     def _curve_of(self, dof: str) -> dict[str, Any]:
         """The angle over time and the band of one standard deviation, degrees."""
-        from viser import uplot
+        uplot: Any = importlib.import_module("viser.uplot")
 
         index = _ROOT + JOINT_DOFS.index(dof)
         value, std = (np.rad2deg(array[:, index]) for array in (self.track.pose, self.track.pose_std))

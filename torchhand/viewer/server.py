@@ -1,15 +1,14 @@
 """The server of a page, for programs on this machine alone."""
 
 import contextlib
+import importlib
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import Any
 
 from torchhand.errors import InputError
 
-if TYPE_CHECKING:
-    from viser import ViserServer as ViewerServer
-else:
-    ViewerServer = object
+ViewerServer = Any
+"""A viser.ViserServer, which need not be installed."""
 
 HOST = "127.0.0.1"
 _PORTS = range(1, 65536)
@@ -24,8 +23,7 @@ def opened_server(port: int, *, title: str) -> Iterator["ViewerServer"]:
     if port not in _PORTS:
         raise InputError(f"--port: expected {_PORTS[0]} to {_PORTS[-1]}, got {port}")
     try:
-        import rich
-        import viser
+        rich, viser = importlib.import_module("rich"), importlib.import_module("viser")
     except ImportError as error:
         raise InputError(f"a page needs viser: pip install 'torchhand[view]' ({error})") from error
     console = rich.get_console()

@@ -87,20 +87,27 @@ def draw_live(path: Path | None, recording: OneCameraRecording | LiveCamera) -> 
             image = _black(recording.width, recording.height) if image is None else image
             if projector is None:
                 return
-            picture = _drawn(
-                image,
-                projector,
-                status=record.status,
-                frame=record.frame,
-                pose=record.pose,
-                keypoints_px=record.keypoints2d,
-                overlap=record.measures.get("overlap", float("nan")),
-                finger_quality=record.finger_quality,
-            )
+            picture = drawn_over(image, projector, record)
             first_s.extend([] if first_s else [frame.time_s])
             video.write(picture, time_s=frame.time_s - first_s[0])
 
         yield draw
+
+
+def drawn_over(
+    image: UInt8[Tensor, "height width 3"], projector: HandProjector, record: FrameRecord
+) -> UInt8[Tensor, "overlay_height overlay_width 3"]:
+    """A picture with what was found in it."""
+    return _drawn(
+        image,
+        projector,
+        status=record.status,
+        frame=record.frame,
+        pose=record.pose,
+        keypoints_px=record.keypoints2d,
+        overlap=record.measures.get("overlap", float("nan")),
+        finger_quality=record.finger_quality,
+    )
 
 
 def _black(width: int, height: int) -> UInt8[Tensor, "height width 3"]:
