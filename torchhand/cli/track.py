@@ -34,8 +34,8 @@ class Arguments:
 
     DIR gets report.html, which opens in a browser, track.npz, track.jsonl with header.json, hand.json, config.yaml and
     overlay.mp4; of a folder of videos, one such folder per video. The hand is found by itself where it is open, or in
-    the --posture given, and stands out by its colours; else give --start-points. A webcam is tracked until Ctrl-C, the newest
-    picture each time. Streams (an address, or `-` for standard input) are read once, without a second pass.
+    the --posture given, and stands out by its colours; else give --start-points. A webcam is tracked until Ctrl-C,
+    the newest picture each time. Streams (an address, or `-` for standard input) are read once, without a second pass.
 
     Examples:
         torchhand track wave.mp4 --out out/wave --config contour_planar --side left

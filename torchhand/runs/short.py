@@ -68,6 +68,8 @@ def track(
             for frame in frames:
                 views = with_keypoints(frame, seen, followed_px).views
                 state, estimate = tracker.step(state, views, frame.time_s)
+                if isinstance(recording, LiveCamera):
+                    recording.keep_up(is_followed=estimate.pose is not None)
                 followed_px = followed_px if estimate.keypoints_px is None else estimate.keypoints_px
                 yield estimate
     finally:

@@ -39,8 +39,15 @@ class LiveRig:
     The iteration ends with the last camera.
     """
 
-    def __init__(self, sources: Sequence[str | Path | FrameSource], settings: LiveSettings | None = None) -> None:
-        """sources: as `open_source` takes them (the text "0" is the first webcam), or open ones.
+    def __init__(
+        self,
+        sources: Sequence[str | Path | FrameSource],
+        settings: LiveSettings | None = None,
+        *,
+        step_s: float | None = None,
+    ) -> None:
+        """sources: as `open_source` takes them (the text "0" is the first webcam), or open ones. step_s: where
+        pictures may be asked for in steps (`take_steps`), how long these are.
 
         Raises InputError for one that cannot be opened, and where there is none.
         """
@@ -58,7 +65,7 @@ class LiveRig:
         self.sizes = tuple((source.width, source.height) for source in opened)
         self.names = tuple(source.name for source in opened)
         self.fps = min(source.fps for source in opened)
-        self._pairing = Pairing(len(opened), settings or LiveSettings())
+        self._pairing = Pairing(len(opened), settings or LiveSettings(), step_s=step_s)
         self._changed, self._stopped = threading.Condition(), threading.Event()
         self._unreadable = [0] * len(opened)
         self._problems: list[str | None] = [None] * len(opened)
@@ -93,6 +100,12 @@ class LiveRig:
                         return
                     self._changed.wait(_LONGEST_WAIT_S)
             yield found
+
+    def take_steps(self, in_steps: bool) -> None:
+        """Whether from now on pictures are handed out at most `step_s` apart: older ones than the newest, until the
+        newest are reached. Else they are the newest."""
+        with self._changed:
+            self._pairing.in_steps = in_steps
 
     def counts(self) -> tuple[LiveCounts, ...]:
         """Of every camera, until now."""

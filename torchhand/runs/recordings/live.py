@@ -15,6 +15,9 @@ from torchhand.runs.recordings.recording import ASSUMED_CAMERA, RecordedFrame
 from torchhand.track import View
 
 _NO_PICTURE = "no picture of this time"
+_FOLLOWED_STEP_S = 0.2
+"""A hand that moves at half a metre a second, as people's do who show something, goes its own breadth in it; a frame is
+tracked in less than half of it, so that pictures which came during a search are passed faster than new ones come."""
 _LATENCIES = 100_000  # of the last frames, of which the summary tells
 
 
@@ -30,7 +33,7 @@ class _Live:
     def __init__(self, sources: Sequence[str | Path], max_frames: int | None) -> None:
         """sources: as `open_source` takes them. Raises InputError for those that cannot be opened."""
         self.source, self.max_frames = ",".join(shown_address(str(source)) for source in sources), max_frames
-        self._rig = LiveRig(sources)
+        self._rig = LiveRig(sources, step_s=_FOLLOWED_STEP_S if len(sources) == 1 else None)
         self.fps, self.count = self._rig.fps, max_frames
         self.cameras: tuple[Camera, ...] = ()
         self.notes: list[str] = []
@@ -47,6 +50,11 @@ class _Live:
             raise ValueError(f"done: expected 0, for live cameras are not read again, got {done}")
         with self._rig:
             yield self._numbered()
+
+    def keep_up(self, *, is_followed: bool) -> None:
+        """Tell after each frame whether a hand is followed in it: then the next picture is near enough to follow on,
+        and what a search has missed is made up for in steps; else it is the newest."""
+        self._rig.take_steps(is_followed)
 
     @property
     def latency_s(self) -> float | None:
