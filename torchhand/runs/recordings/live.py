@@ -61,6 +61,10 @@ class _Live:
         """From the last picture to its estimate; None before there is one."""
         return self._latencies_s[-1] if self._latencies_s else None
 
+    def now_s(self) -> float:
+        """Time since the start, seconds: that of the pictures."""
+        return self._rig.now_s()
+
     def dropped(self) -> int:
         """Pictures of all cameras that nobody had the time to look at."""
         return sum(one.dropped for one in self._rig.counts())
@@ -90,7 +94,7 @@ class _Live:
                     for camera, image in zip(self.cameras, pictures.images, strict=True)
                 ),
             )
-            self._latencies_s.append(self._rig.now_s() - pictures.time_s)  # who looked at it comes back
+            self._latencies_s.append(self.now_s() - pictures.time_s)  # who looked at it comes back
 
 
 class LiveCamera(_Live):

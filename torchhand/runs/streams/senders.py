@@ -3,10 +3,9 @@
 import contextlib
 import json
 import socket
-import sys
 import threading
 from collections.abc import Iterator, Sequence
-from typing import Any, Protocol, TextIO
+from typing import Any, Protocol, runtime_checkable
 from urllib.parse import urlsplit
 
 from torchhand.errors import InputError
@@ -17,6 +16,7 @@ _KINDS = ("udp", "osc", "ws")
 _EXPECTED = f"{STANDARD_OUTPUT}, udp://HOST:PORT, osc://HOST:PORT or ws://HOST:PORT"
 
 
+@runtime_checkable
 class Sender(Protocol):
     """One stream."""
 
@@ -50,7 +50,7 @@ def opened_streams(texts: Sequence[str]) -> Iterator[list[Sender]]:
 def _opened(text: str) -> Sender:
     address = _address(text)
     if address is None:
-        return _Lines(sys.stdout)
+        return _Lines()
     kind, host, port = address
     if kind == "ws":
         return _WebSockets(host, port)
@@ -77,11 +77,8 @@ def as_line(message: dict[str, Any]) -> str:
 class _Lines:
     """A line per frame on standard output."""
 
-    def __init__(self, file: TextIO) -> None:
-        self._file = file
-
     def send(self, message: dict[str, Any]) -> None:
-        print(as_line(message), file=self._file, flush=True)
+        print(as_line(message), flush=True)
 
     def close(self) -> None:
         pass
