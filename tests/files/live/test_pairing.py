@@ -133,7 +133,7 @@ def test_settings_that_cannot_be(settings: dict[str, float], message: str) -> No
 
 def test_what_waits_is_passed_in_steps_until_the_newest_is_reached() -> None:
     """A tracker that needs 0.1 s a picture after a search of 2 s: it never leaps, and ends at the newest."""
-    pairing = Pairing(1, LiveSettings(), step_s=0.2)
+    pairing = Pairing(1, LiveSettings(), keeps=True)
     now_s, clock, taken = 0.0, 0, list[float]()
 
     def pass_time(until_s: float) -> None:
@@ -145,7 +145,7 @@ def test_what_waits_is_passed_in_steps_until_the_newest_is_reached() -> None:
 
     pass_time(0.0)
     found = pairing.ready(now_s)
-    pairing.in_steps = True
+    pairing.step_s = 0.2
     pass_time(2.0)
     while len(taken) < 30 and (found := pairing.ready(now_s)) is not None:
         taken.append(found.time_s)
@@ -153,7 +153,7 @@ def test_what_waits_is_passed_in_steps_until_the_newest_is_reached() -> None:
     steps = [later - earlier for earlier, later in itertools.pairwise(taken)]
     assert max(steps) <= 0.2 + 1e-9
     assert now_s - taken[-1] < 0.2  # 2 s behind at first
-    pairing.in_steps = False
+    pairing.step_s = None
     pass_time(now_s + 3.0)
     found = pairing.ready(now_s)
     assert found is not None
@@ -163,11 +163,11 @@ def test_what_waits_is_passed_in_steps_until_the_newest_is_reached() -> None:
 
 def test_what_waits_does_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pairing_file, "_KEPT_BYTES", 36 * 10)
-    pairing = Pairing(1, LiveSettings(), step_s=0.2)
+    pairing = Pairing(1, LiveSettings(), keeps=True)
     for index in range(50):
         pairing.add(0, index / 30, torch.zeros(3, 4, 3, dtype=torch.uint8), index / 30)
     assert pairing.dropped[0] == 40
-    pairing.in_steps = True
+    pairing.step_s = 0.2
     taken = [found.time_s for _ in range(12) if (found := pairing.ready(2.0)) is not None]
     steps = [later - earlier for earlier, later in itertools.pairwise(taken[1:])]
     assert max(steps) <= 0.2 + 1e-9  # what is kept is spread over the time

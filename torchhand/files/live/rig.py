@@ -44,10 +44,10 @@ class LiveRig:
         sources: Sequence[str | Path | FrameSource],
         settings: LiveSettings | None = None,
         *,
-        step_s: float | None = None,
+        keeps: bool = False,
     ) -> None:
-        """sources: as `open_source` takes them (the text "0" is the first webcam), or open ones. step_s: where
-        pictures may be asked for in steps (`take_steps`), how long these are.
+        """sources: as `open_source` takes them (the text "0" is the first webcam), or open ones. keeps: whether
+        pictures wait, for those who ask for them in steps (`take_steps`).
 
         Raises InputError for one that cannot be opened, and where there is none.
         """
@@ -65,7 +65,7 @@ class LiveRig:
         self.sizes = tuple((source.width, source.height) for source in opened)
         self.names = tuple(source.name for source in opened)
         self.fps = min(source.fps for source in opened)
-        self._pairing = Pairing(len(opened), settings or LiveSettings(), step_s=step_s)
+        self._pairing = Pairing(len(opened), settings or LiveSettings(), keeps=keeps)
         self._changed, self._stopped = threading.Condition(), threading.Event()
         self._unreadable = [0] * len(opened)
         self._problems: list[str | None] = [None] * len(opened)
@@ -101,11 +101,11 @@ class LiveRig:
                     self._changed.wait(_LONGEST_WAIT_S)
             yield found
 
-    def take_steps(self, in_steps: bool) -> None:
-        """Whether from now on pictures are handed out at most `step_s` apart: older ones than the newest, until the
-        newest are reached. Else they are the newest."""
+    def take_steps(self, step_s: float | None) -> None:
+        """From now on pictures are handed out so far apart at most: older ones than the newest, until the newest are
+        reached. None: always the newest."""
         with self._changed:
-            self._pairing.in_steps = in_steps
+            self._pairing.step_s = step_s
 
     def counts(self) -> tuple[LiveCounts, ...]:
         """Of every camera, until now."""

@@ -18,7 +18,7 @@ STANDARD_INPUT = "-"
 ADDRESS = re.compile(r"^(https?|rtsps?|rtmps?|rtp|udp|tcp|srt)://", re.IGNORECASE)
 """Addresses of streams that are read."""
 UNORDERED = "is no video that can be read in order (Matroska, MPEG-TS and MP4 with its index in front can)"
-"""What is wrong with a video that comes through a pipe."""
+"""What is wrong with a video that comes through a pipe, or from a server that does not go back."""
 
 _FORMATS = "mov,matroska,avi,mpeg,mpegts,mpegvideo,m4v,h264,hevc,asf,flv,ogg"
 """Containers of videos. A playlist, a list of files or a text that calls itself a video is none."""

@@ -70,7 +70,7 @@ class VideoSource(FrameSource):
         first = self._peeked[-1].frame if self._peeked else None
         if first is None:
             self.close()
-            reason = UNORDERED if place == STANDARD_INPUT else "not a single frame can be decoded"
+            reason = UNORDERED if isinstance(place, str) else "not a single frame can be decoded"
             raise InputError(f"{self._what}: {reason}")
         if problem := size_problem(first.width, first.height):
             self.close()

@@ -15,9 +15,10 @@ from torchhand.runs.recordings.recording import ASSUMED_CAMERA, RecordedFrame
 from torchhand.track import View
 
 _NO_PICTURE = "no picture of this time"
-_FOLLOWED_STEP_S = 0.2
-"""A hand that moves at half a metre a second, as people's do who show something, goes its own breadth in it; a frame is
-tracked in less than half of it, so that pictures which came during a search are passed faster than new ones come."""
+_SHORTEST_STEP_S = 0.1
+"""A hand that moves at half a metre a second, as people's do who show something, goes half its breadth in it."""
+_CATCHING_UP = 1.5  # how much faster pictures are passed than they come, where some wait
+_PACE_FRAMES = 15  # over which the time that a frame takes is judged
 _LATENCIES = 100_000  # of the last frames, of which the summary tells
 
 
@@ -33,11 +34,13 @@ class _Live:
     def __init__(self, sources: Sequence[str | Path], max_frames: int | None) -> None:
         """sources: as `open_source` takes them. Raises InputError for those that cannot be opened."""
         self.source, self.max_frames = ",".join(shown_address(str(source)) for source in sources), max_frames
-        self._rig = LiveRig(sources, step_s=_FOLLOWED_STEP_S if len(sources) == 1 else None)
+        self._rig = LiveRig(sources, keeps=len(sources) == 1)
         self.fps, self.count = self._rig.fps, max_frames
         self.cameras: tuple[Camera, ...] = ()
         self.notes: list[str] = []
         self._latencies_s: deque[float] = deque(maxlen=_LATENCIES)
+        self._pace_s: deque[float] = deque([0.0], maxlen=_PACE_FRAMES)
+        self._taken_s = 0.0
 
     def close(self) -> None:
         """Let go of the cameras; may be called twice."""
@@ -53,8 +56,13 @@ class _Live:
 
     def keep_up(self, *, is_followed: bool) -> None:
         """Tell after each frame whether a hand is followed in it: then the next picture is near enough to follow on,
-        and what a search has missed is made up for in steps; else it is the newest."""
-        self._rig.take_steps(is_followed)
+        and what a search has missed is made up for in steps that are longer than the time they take; else it is the
+        newest."""
+        if not is_followed:
+            self._rig.take_steps(None)
+            return
+        self._pace_s.append(self.now_s() - self._taken_s)
+        self._rig.take_steps(max(_SHORTEST_STEP_S, _CATCHING_UP * statistics.median(self._pace_s)))
 
     @property
     def latency_s(self) -> float | None:
@@ -85,6 +93,7 @@ class _Live:
 
     def _numbered(self) -> Iterator[RecordedFrame]:
         for index, pictures in enumerate(islice(self._rig, self.max_frames)):
+            self._taken_s = self.now_s()
             yield RecordedFrame(
                 index=index,
                 time_s=pictures.time_s,

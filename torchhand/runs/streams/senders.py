@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import logging
 import socket
 import threading
 from collections.abc import Iterator, Sequence
@@ -13,6 +14,7 @@ from torchhand.runs.streams.message import osc_bundle
 
 STANDARD_OUTPUT = "jsonl"
 _KINDS = ("udp", "osc", "ws")
+_SILENT = logging.Logger("torchhand.websockets", logging.CRITICAL + 1)  # who goes away, or asks for a page, is no news
 _EXPECTED = f"{STANDARD_OUTPUT}, udp://HOST:PORT, osc://HOST:PORT or ws://HOST:PORT"
 
 
@@ -121,7 +123,7 @@ class _WebSockets:
                 connection.send(text)
 
         try:
-            self._server = serve(attend, host, port)
+            self._server = serve(attend, host, port, logger=_SILENT)
         except OSError as error:
             raise InputError(f"--stream: {host}:{port}: cannot be listened at ({error.strerror or error})") from error
         self._thread = threading.Thread(target=self._server.serve_forever, name="websockets", daemon=True)
