@@ -23,7 +23,6 @@ from torchhand.geometry import Camera
 from torchhand.report import load_result, write_report
 from torchhand.runs.detected_tracks import kept_detections
 from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks, with_keypoints
-from torchhand.runs.live import opened_watchers, projector_of
 from torchhand.runs.overlays import write_overlay, write_views
 from torchhand.runs.recordings import (
     LiveCamera,
@@ -35,6 +34,7 @@ from torchhand.runs.recordings import (
 from torchhand.runs.request import MEDIAPIPE, Request, check_start_points, plate_of
 from torchhand.runs.run import CHECKPOINT_EVERY, Run, Say, header_of, track_frames
 from torchhand.runs.second_pass import smooth_frames
+from torchhand.runs.watchers import opened_watchers, projector_of
 from torchhand.track import Keyframe, Tracker, TrackerState
 from torchhand.track.multiview import HandInitialization, HandProposer, Initialization, in_unit, initialize
 from torchhand.track.scene import ViewSilhouettes

@@ -1,5 +1,5 @@
-"""What looks at a run while it goes on: streams for other programs, a page, and the recorder of its pictures."""
+"""What a live run shows of itself on a page, and what it keeps of its pictures when it is asked to record."""
 
-from torchhand.runs.live.watchers import opened_watchers, projector_of
+from torchhand.runs.live.show import opened_show
 
-__all__ = ["opened_watchers", "projector_of"]
+__all__ = ["opened_show"]

@@ -3,6 +3,7 @@
 import contextlib
 import queue
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 from jaxtyping import UInt8
@@ -10,7 +11,6 @@ from torch import Tensor
 
 from torchhand.errors import InputError
 from torchhand.files import write_video
-from torchhand.runs.run import Say
 
 _WAITING = 120  # pictures that may wait for the encoder
 
@@ -20,7 +20,7 @@ _Picture = tuple[float, UInt8[Tensor, "height width 3"]]
 class Recorder:
     """One video after the other: `recording_1.mp4`, `recording_2.mp4` ..., with the times of the pictures."""
 
-    def __init__(self, folder: Path, fps: float, say: Say) -> None:
+    def __init__(self, folder: Path, fps: float, say: Callable[[str], None]) -> None:
         self._folder, self._fps, self._say = folder, fps, say
         self._pictures: queue.Queue[_Picture | None] | None = None
         self._thread: threading.Thread | None = None

@@ -2,7 +2,7 @@
 
 import contextlib
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from jaxtyping import Float
@@ -13,7 +13,6 @@ from torchhand.hand import Side
 from torchhand.runs.live.recorder import Recorder
 from torchhand.runs.overlays import drawn_over
 from torchhand.runs.recordings import LiveCamera, RecordedFrame
-from torchhand.runs.run import Say
 from torchhand.view import HandProjector
 from torchhand.viewer import LivePage, address_of, opened_server
 
@@ -69,7 +68,9 @@ class LiveShow:
 
 
 @contextlib.contextmanager
-def opened_show(port: int, recording: LiveCamera, side: Side, folder: Path, say: Say) -> Iterator[LiveShow]:
+def opened_show(
+    port: int, recording: LiveCamera, side: Side, folder: Path, say: Callable[[str], None]
+) -> Iterator[LiveShow]:
     """A page that shows a run until the block ends. folder: of the recordings.
 
     Raises InputError where viser is not installed.

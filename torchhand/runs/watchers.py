@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 
 from torchhand.files import FrameRecord, TrackWriter
 from torchhand.files.results import EMPTY_STATUSES, OVERLAY_NAME
-from torchhand.runs.live.show import opened_show
+from torchhand.runs.live import opened_show
 from torchhand.runs.overlays import draw_live
 from torchhand.runs.recordings import LiveCamera, OneCameraRecording, RecordedFrame
 from torchhand.runs.request import Request
