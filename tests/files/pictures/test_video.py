@@ -190,6 +190,10 @@ def test_a_turned_video_stands_upright(make_clip, picture):
     torch.testing.assert_close(corner, torch.tensor([0.0, 255.0, 0.0]), atol=20.0, rtol=0.0)
 
 
+@pytest.mark.skipif(
+    int(cv2.__version__.split(".")[0]) < 5 or int(av.__version__.split(".")[0]) < 18,
+    reason="older ones have other FFmpegs than each other, and OpenCV 4 takes every matrix for BT.601",
+)
 @pytest.mark.parametrize(
     ("codec", "pix_fmt", "options", "levels"),
     [

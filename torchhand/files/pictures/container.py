@@ -53,7 +53,7 @@ def open_container(place: Path | str) -> tuple["InputContainer", "VideoStream"]:
         container.close()
         raise InputError(f"{what}: is no video that can be opened (it holds none, or in a code that is not known)")
     context = stream.codec_context
-    if (context.width or context.height) and (problem := size_problem(context.width, context.height)):
+    if problem := _size_problem(place, context.width, context.height):
         container.close()
         raise InputError(f"{what}: {problem} (--max-megapixels)")
     context.options = {"max_pixels": str(largest_size())}
@@ -61,10 +61,25 @@ def open_container(place: Path | str) -> tuple["InputContainer", "VideoStream"]:
     return container, stream
 
 
-def _opened(place: Path | str) -> "InputContainer":
+def _size_problem(place: Path | str, width: int, height: int) -> str:
+    """Why pictures of that size are not read; empty where they are, or where no size is told before one is decoded."""
+    from av.error import FFmpegError
+
+    if not width and not height and isinstance(place, Path):  # forgotten, because no decoder takes so large ones
+        try:
+            with _opened(place, {"skip_frame": "all"}) as container:
+                context = container.streams.video[0].codec_context
+                width, height = context.width, context.height
+        except (FFmpegError, IndexError):
+            return ""
+    return size_problem(width, height) if width or height else ""
+
+
+def _opened(place: Path | str, decoding: dict[str, str] | None = None) -> "InputContainer":
+    """decoding: what decoders may not do while the container is looked at."""
     import av
 
-    options = {"max_pixels": str(largest_size())}
+    options = dict(decoding or {"max_pixels": str(largest_size())})
     if isinstance(place, Path):
         _check_file(place)
         options |= {"format_whitelist": _FORMATS, "protocol_whitelist": "file"}
