@@ -1,8 +1,11 @@
 """`torchhand track`: what a run leaves, going on after a stop, and one line for whatever a user can get wrong."""
 
+import _thread
 import errno
 import json
 import shutil
+import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -472,16 +475,20 @@ def test_one_shape_for_the_whole_recording_and_again_where_it_is_resumed(
 
 
 class _Webcam(FrameSource):
-    """Delivers the clip and then, as a user would, presses Ctrl-C."""
+    """Delivers a picture of the clip when the one before is tracked, and then, as a user would, presses Ctrl-C."""
 
-    def __init__(self, frames: Path) -> None:
+    def __init__(self, frames: Path, lines: Path) -> None:
         self.name, self.fps, self.count, self.width, self.height = "webcam0", 30.0, None, WIDTH, HEIGHT
-        self.frames = frames
+        self.frames, self.lines = frames, lines
 
     def __iter__(self) -> Iterator[Frame]:
         with open_source(self.frames, max_frames=3) as source:
-            yield from source
-        raise KeyboardInterrupt
+            for count, frame in enumerate(source, start=1):
+                yield frame
+                while not self.lines.exists() or self.lines.read_bytes().count(b"\n") < count:
+                    time.sleep(0.01)
+        _thread.interrupt_main()
+        time.sleep(1)
 
     def close(self) -> None:
         pass
@@ -494,17 +501,48 @@ def test_a_webcam_ends_well_with_ctrl_c_and_draws_live(
 
     def open_webcam(source: str, **_: Any) -> _Webcam:
         opened.append(source)
-        return _Webcam(clip.frames)
+        return _Webcam(clip.frames, tmp_path / "out" / "track.jsonl")
 
-    monkeypatch.setattr("torchhand.runs.recordings.recording.open_source", open_webcam)
+    monkeypatch.setattr("torchhand.files.live.rig.open_source", open_webcam)
     monkeypatch.chdir(tmp_path)
     outcome = run("0", "--out", "out", "--camera", clip.camera, "--config", "contour_planar")
     assert outcome.code == 0
     assert opened == ["0"]  # and not a second time for the overlay
-    assert load_track(tmp_path / "out").status.tolist() == ["tracked"] * 3
+    track = load_track(tmp_path / "out")
+    assert track.status.tolist() == ["tracked"] * 3
+    assert track.time_s is not None
+    assert (np.diff(track.time_s) > 0).all()
+    assert "camera cam0: 3 pictures used, 0 dropped" in outcome.err
     with open_source(tmp_path / "out" / "overlay.mp4") as video:
-        assert len(list(video)) == 3
+        assert len(list(video)) >= 2  # Ctrl-C may come before the last one is drawn
     _assert_refused(run("0", "--out", "out", "--resume", *clip.options), "webcam 0: cannot be resumed")
+
+
+def test_a_recording_is_played_live_to_other_programs(clip: Clip, run: Run, tmp_path: Path) -> None:
+    """The newest picture each time, every estimate at once on standard output, and nothing else there."""
+    out = tmp_path / "out"
+    outcome = run(clip.frames, "--out", out, "--live", "--no-page", "--stream", "jsonl", *clip.options)
+    assert outcome.code == 0
+    messages = [json.loads(line) for line in outcome.out.splitlines()]
+    track = load_track(out)
+    assert track.time_s is not None
+    assert [message["time_s"] for message in messages] == track.time_s.tolist()
+    assert [message["status"] for message in messages] == track.status.tolist()
+    np.testing.assert_allclose(list(messages[0]["angles"].values()), track.pose[0, 6:], atol=1e-6)
+    assert messages[0]["time_s"] == 0.0
+    assert len(messages) < len(clip.pictures)  # the first one took longer than the others lasted
+    assert "pictures used" in outcome.err
+    assert "saved in" in outcome.err
+
+
+def test_what_live_tracking_cannot_do(clip: Clip, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "out"
+    _assert_refused(run(clip.frames, "--out", out, "--live", "--resume", *clip.options), "--live", "--resume")
+    _assert_refused(run(clip.frames, "--out", out, "--live", "--start", "1", *clip.options), "--live", "--start")
+    _assert_refused(run(clip.frames, "--out", out, "--stream", "udp:9", *clip.options), "--stream", "udp://HOST:PORT")
+    _assert_refused(run("-", "--out", out, "--resume", *clip.options), "-: cannot be resumed")
+    monkeypatch.setitem(sys.modules, "viser", None)
+    _assert_refused(run(clip.frames, "--out", out, "--live", *clip.options), "pip install 'torchhand[view]'")
 
 
 # ---------------------------------------------------------------------------------------- pictures that are not right

@@ -1,4 +1,4 @@
-"""Track a hand through a video, a folder of pictures, a folder of videos or a webcam."""
+"""Track a hand through a video, a folder of pictures, a folder of videos, a webcam or a stream."""
 
 import sys
 from collections.abc import Sequence
@@ -15,7 +15,9 @@ from torchhand.files import Track, check_output_folder, sequences_of
 from torchhand.files.disk import expanded
 from torchhand.files.pictures import MAX_MEGAPIXELS, pixel_limit
 from torchhand.runs import (
+    STANDARD_OUTPUT,
     Request,
+    check_streams,
     how_to_go_on,
     keypoints_of,
     known_hand,
@@ -29,18 +31,21 @@ from torchhand.track import TrackerSettings
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
-    """Track a hand through a video, a folder of pictures, a folder of videos or a webcam.
+    """Track a hand through a video, a folder of pictures, a folder of videos, a webcam or a stream.
 
     DIR gets report.html, which opens in a browser, track.npz, track.jsonl with header.json, hand.json, config.yaml and
     overlay.mp4; of a folder of videos, one such folder per video. The hand is found by itself where it is open, or in
-    the --posture given, and stands out by its colours; else give --start-points. A webcam is tracked until Ctrl-C.
+    the --posture given, and stands out by its colours; else give --start-points. A webcam is tracked until Ctrl-C,
+    the newest picture each time. Streams (an address, or `-` for standard input) are read once, without a second pass.
 
-    Example:
+    Examples:
         torchhand track wave.mp4 --out out/wave --config contour_planar --side left
+        torchhand track 0 --out out/live --live --stream osc://127.0.0.1:9000
     """
 
     input: Annotated[Positional[str], arg(metavar="INPUT")]
-    """Video file, folder of pictures, folder of videos, or number of a webcam."""
+    """Video file, folder of pictures, folder of videos, number of a webcam, address of a stream (http, rtsp, rtmp, udp,
+    tcp, srt), or `-` for a video on standard input."""
     out: Annotated[Path, arg(metavar="DIR")]
     """Folder for the results."""
     config: Annotated[str, arg(metavar="NAME")] = "contour_full"
@@ -67,6 +72,16 @@ class Arguments:
     causal: bool = False
     """Estimate every frame from this and earlier ones alone, as a webcam's. Else a recording is followed a second time,
     from its end to its beginning: that takes as long again."""
+    live: bool = False
+    """Track as if live: always the newest picture, others are dropped; a video plays at its own rate. A page on
+    127.0.0.1 shows hand, picture and angles, starts anew and records (pip install torchhand[view])."""
+    page: bool = True
+    """With --live: serve the page."""
+    port: int = 8080
+    """Port of the page; the next free one where it is taken."""
+    stream: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="WHERE")] = ()
+    """Give every frame's estimate to other programs: jsonl (a line on standard output), udp://HOST:PORT (JSON),
+    osc://HOST:PORT, or ws://HOST:PORT (a WebSocket that is served; pip install torchhand[stream]); may be repeated."""
     start: Annotated[int, arg(metavar="N")] = 0
     """First frame, counted from 0."""
     max_frames: Annotated[int | None, arg(metavar="N")] = None
@@ -101,6 +116,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = parse(Arguments, argv, name="track", settings=_settings)
     request = _request(arguments)
     sequences = sequences_of(arguments.input)
+    if (arguments.live or arguments.stream) and len(sequences) > 1:
+        raise InputError(f"--live, --stream: expected one video, got a folder with {len(sequences)}")
     has_videos = expanded(arguments.input).is_dir() and Path(sequences[0][1]).is_file()
     jobs = [(name, source, arguments.out / name if has_videos else arguments.out) for name, source in sequences]
     for _, _, out_dir in jobs:
@@ -127,7 +144,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 _say(f"error: {error}")
                 failed.append(name)
                 continue
-            print(summary_of(name, track, out_dir))
+            told = summary_of(name, track, out_dir)
+            print(told, file=sys.stderr if STANDARD_OUTPUT in request.streams else sys.stdout)
             _warn_without_hand(name, track)
     return WRONG_INPUT if failed else DONE
 
@@ -137,6 +155,7 @@ def _settings(arguments: Arguments) -> TrackerSettings:
 
 
 def _request(arguments: Arguments) -> Request:
+    check_streams(arguments.stream)
     hand = None if arguments.hand is None else known_hand(arguments.hand)
     return Request(
         settings=_settings(arguments),
@@ -148,6 +167,9 @@ def _request(arguments: Arguments) -> Request:
         start_points=None if arguments.start_points is None else start_points_of(arguments.start_points),
         background=arguments.background,
         is_causal=arguments.causal,
+        is_live=arguments.live,
+        page_port=arguments.port if arguments.live and arguments.page else None,
+        streams=arguments.stream,
         start=arguments.start,
         max_frames=arguments.max_frames,
         resume=arguments.resume,

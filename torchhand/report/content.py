@@ -37,10 +37,11 @@ def content_of(result: Result) -> dict[str, Any]:
     if bool(known.any()):
         turn[known] = continuous(quaternion_of_rotation(rotation_from_vector(pose[known, 3:_FIRST])))
     std = np.rad2deg(track.pose_std[rows, _FIRST:])
+    time_s = track.frame / result.fps if track.time_s is None else track.time_s
     content = {
         "name": result.name,
         "side": result.side,
-        "time": packed(track.frame[rows] / result.fps, "i4", step=_TIME_STEP),
+        "time": packed(time_s[rows], "i4", step=_TIME_STEP),
         "frame": packed(track.frame[rows], "i4"),
         "status": packed(np.array([STATUSES.index(status) for status in track.status[rows]]), "u1"),
         "statuses": [status.replace("_", " ") for status in STATUSES],

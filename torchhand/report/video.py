@@ -51,7 +51,7 @@ def _encode(overlay: Path, small: Path, max_bytes: int) -> str:
                 if frame.image is None:
                     continue
                 picture = cv2.resize(frame.image.numpy(), (width, height), interpolation=cv2.INTER_AREA)
-                video.write(torch.from_numpy(picture))
+                video.write(torch.from_numpy(picture), time_s=frame.time_s)
                 bar.update()
     return (
         f"encoded anew at {width}×{height} px and some {rate / 1000:.0f} kbit/s, so that this page stays small;"

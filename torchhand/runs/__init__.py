@@ -8,10 +8,12 @@ from torchhand.runs.request import Request, keypoints_of, known_hand, settings_o
 from torchhand.runs.run import Run, Say, header_of
 from torchhand.runs.seen_hands import PALM_METRES, cameras_of_detections, same_frames, seen_keypoints
 from torchhand.runs.short import fit_hand, track
+from torchhand.runs.streams import STANDARD_OUTPUT, check_streams
 from torchhand.runs.tracking import how_to_go_on, summary_of, track_live_rig, track_rig, track_sequence
 
 __all__ = [
     "PALM_METRES",
+    "STANDARD_OUTPUT",
     "LiveRecording",
     "OneCameraRecording",
     "RecordedFrame",
@@ -22,6 +24,7 @@ __all__ = [
     "Say",
     "cameras_of_detections",
     "changes_of",
+    "check_streams",
     "fit_hand",
     "header_of",
     "how_to_go_on",

@@ -57,6 +57,12 @@ class Request:
     """Rig: frames by which cameras started before the others, by name."""
     is_causal: bool = False
     """Whether every frame is estimated from this and earlier ones alone."""
+    is_live: bool = False
+    """One camera: whether the newest picture is taken each time, and the others are dropped."""
+    page_port: int | None = None
+    """One camera, live: where a page shows what is tracked; None for none."""
+    streams: tuple[str, ...] = ()
+    """One camera: where estimates go while they are made (`torchhand.runs.streams`)."""
     start: int = 0
     max_frames: int | None = None
     resume: bool = False

@@ -2,7 +2,6 @@
 
 import json
 import logging
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -13,7 +12,6 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from tqdm import tqdm
 
 import torchhand
 from torchhand.files import (
@@ -31,6 +29,7 @@ from torchhand.files.results import CONFIG_NAME, CONVENTION, HAND_NAME, JSONL_NA
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS
 from torchhand.runs.keypoint_tracks import KeypointSource, with_keypoints
+from torchhand.runs.progress import progress
 from torchhand.runs.recordings import RecordedFrame, Recording
 from torchhand.runs.records import record_of
 from torchhand.track import PastFrame, Smoother, Tracker, TrackerSettings, TrackerState, restored_state, saved_state
@@ -126,6 +125,10 @@ class Run:
                 self._smoother.remember(PastFrame.of(scene, None if is_lost else points, score))
                 self._keep_past(frame, float(track.seconds[row]))
 
+    def restart(self) -> None:
+        """Forget the hand, its colours and its proportions; it is found anew in the frames that come."""
+        self.state, self._followed_px = None, None
+
     def checkpoint(self) -> dict[str, Any]:
         """State from which `go_on_from` continues exactly."""
         assert self.state is not None
@@ -220,7 +223,7 @@ def track_frames(run: Run, writer: TrackWriter, done: int, first: int, say: Say,
     left = None if recording.count is None else max(0, recording.count - done)
     with (
         recording.opened(done) as frames,
-        tqdm(total=left, desc=recording.name, unit="frame", dynamic_ncols=True, disable=not sys.stderr.isatty()) as bar,
+        progress(recording.name, left, say) as bar,
     ):
         for frame in frames:
             had_shape = run.shape is not None
@@ -238,8 +241,7 @@ def track_frames(run: Run, writer: TrackWriter, done: int, first: int, say: Say,
                     shown.add(problem)
             counts[record.status] += 1
             _log.debug("frame %d: %s, %.0f ms", frame.index, record.status, 1e3 * record.seconds)
-            bar.set_postfix({name: count for name, count in counts.items() if count}, refresh=False)
-            bar.update()
+            bar.update(counts)
     if unread > len(shown):
         say(f"{recording.name}: {unread - len(shown)} more pictures are missing or unreadable")
     for line in recording.warnings():

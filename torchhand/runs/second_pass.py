@@ -1,6 +1,5 @@
 """The second pass over a recording that was tracked: from the last frame to the first, then one result from both."""
 
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -9,11 +8,11 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
-from tqdm import tqdm
 
 from torchhand.files import Track, TrackWriter, load_track
 from torchhand.files.results import BACKWARD_NAME, JSONL_NAME
 from torchhand.runs.keypoint_tracks import with_keypoints
+from torchhand.runs.progress import progress
 from torchhand.runs.recordings import reversed_frames
 from torchhand.runs.records import (
     EVIDENCE,
@@ -49,7 +48,7 @@ def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
     writer.keep_forward()
     shape = _adopted_shape(run, forward, before, say)
     say("second pass: the hand is followed back from the last frame to the first (--causal does without)")
-    _follow_back(run, writer, forward)
+    _follow_back(run, writer, forward, say)
     if shape is not before:
         forward = _reshaped(forward, run.tracker, before, shape)
     passes = TwoPasses.of(forward, load_track(writer.folder / BACKWARD_NAME))
@@ -114,7 +113,7 @@ def _reshaped(track: Track, tracker: Tracker, before: Tensor, shape: Tensor) -> 
     return replace(track, pose=pose, keypoints3d=keypoints, keypoints2d=in_picture)
 
 
-def _follow_back(run: Run, writer: TrackWriter, forward: Track) -> None:
+def _follow_back(run: Run, writer: TrackWriter, forward: Track, say: Say) -> None:
     assert run.state is not None
     recording, follower = run.recording, BackwardPass(run.tracker, run.state, shape=run.shape)
     names = [camera.name for camera in recording.cameras]
@@ -125,13 +124,7 @@ def _follow_back(run: Run, writer: TrackWriter, forward: Track) -> None:
         run.keypoints.rewind()
     with (
         writer.lines_beside(BACKWARD_NAME) as lines,
-        tqdm(
-            total=count,
-            desc=f"{recording.name}, backwards",
-            unit="frame",
-            dynamic_ncols=True,
-            disable=not sys.stderr.isatty(),
-        ) as bar,
+        progress(f"{recording.name}, backwards", count, say) as bar,
     ):
         for frame in reversed_frames(recording, count):
             started, row = time.perf_counter(), rows[frame.index]

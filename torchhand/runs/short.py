@@ -12,13 +12,14 @@ from torch import Tensor
 from torchhand.detect import HandDetector
 from torchhand.errors import InputError
 from torchhand.files import load_hand_model, read_picture
+from torchhand.files.pictures import is_stream
 from torchhand.fit.open_hand import OpenHand, fit_open_hand, hand_in_picture
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import Side
 from torchhand.image import NoRegions
 from torchhand.runs.detected_tracks import DetectedTracks
 from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks, with_keypoints
-from torchhand.runs.recordings import OneCameraRecording
+from torchhand.runs.recordings import LiveCamera, OneCameraRecording
 from torchhand.runs.request import MEDIAPIPE, settings_of
 from torchhand.runs.side import find_side
 from torchhand.track import Estimate, Tracker, TrackerSettings
@@ -36,7 +37,8 @@ def track(
 ) -> Iterator[Estimate]:
     """The estimates of one camera's recording, one per frame, as they are made; poses in the camera's frame.
 
-    source: a video, a folder of pictures, or the number of a webcam. side: found out from the keypoints where none is
+    source: a video, a folder of pictures, the address of a stream, or the number of a webcam, whose newest picture is
+    taken each time. side: found out from the keypoints where none is
     given, right without any. camera: a file of its calibration; else a field of
     view is assumed. shape: proportions where they are known, such as those of `fit_hand`; else they are fitted.
     settings: those of the configuration contour_full where none are given. keypoints: a file of a detector's points, or
@@ -46,8 +48,10 @@ def track(
 
     Raises InputError for a source, a camera or keypoints that cannot be read.
     """
-    place = str(source) if isinstance(source, int) else Path(source)
-    recording = OneCameraRecording(place, camera)
+    if isinstance(source, int):
+        recording = LiveCamera(str(source), camera)
+    else:
+        recording = OneCameraRecording(str(source) if is_stream(source) else Path(source), camera)
     try:
         has_detector = keypoints == MEDIAPIPE
         files = [] if keypoints is None or has_detector else [Path(keypoints)]
@@ -64,6 +68,8 @@ def track(
             for frame in frames:
                 views = with_keypoints(frame, seen, followed_px).views
                 state, estimate = tracker.step(state, views, frame.time_s)
+                if isinstance(recording, LiveCamera):
+                    recording.keep_up(is_followed=estimate.pose is not None)
                 followed_px = followed_px if estimate.keypoints_px is None else estimate.keypoints_px
                 yield estimate
     finally:

@@ -17,18 +17,25 @@ from tqdm import tqdm
 
 from torchhand.detect import HandDetector
 from torchhand.errors import InputError
-from torchhand.files import FrameRecord, Track, TrackWriter, check_output_folder, load_hand_model, load_track
-from torchhand.files.pictures import file_identity, input_identity
+from torchhand.files import Track, TrackWriter, check_output_folder, load_hand_model, load_track
+from torchhand.files.pictures import file_identity, input_identity, is_webcam, shown_address
 from torchhand.files.results import HAND_NAME, JSONL_NAME, OVERLAY_NAME, REPORT_NAME, STATUSES, UNFINISHED_NAME
 from torchhand.geometry import Camera
 from torchhand.report import load_result, write_report
 from torchhand.runs.detected_tracks import kept_detections
 from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks, with_keypoints
-from torchhand.runs.overlays import draw_live, write_overlay, write_views
-from torchhand.runs.recordings import LiveRecording, OneCameraRecording, RecordedFrame, RigRecording, rig_plates
+from torchhand.runs.overlays import write_overlay, write_views
+from torchhand.runs.recordings import (
+    LiveCamera,
+    LiveRecording,
+    OneCameraRecording,
+    RigRecording,
+    rig_plates,
+)
 from torchhand.runs.request import MEDIAPIPE, Request, check_start_points, plate_of
 from torchhand.runs.run import CHECKPOINT_EVERY, Run, Say, header_of, track_frames
 from torchhand.runs.second_pass import smooth_frames
+from torchhand.runs.watchers import opened_watchers, projector_of
 from torchhand.track import Keyframe, Tracker, TrackerState
 from torchhand.track.multiview import HandInitialization, HandProposer, Initialization, in_unit, initialize
 from torchhand.track.scene import ViewSilhouettes
@@ -36,25 +43,33 @@ from torchhand.view import HandProjector
 
 _log = logging.getLogger(__name__)
 
+OneCamera = OneCameraRecording | LiveCamera
+"""What one camera gives."""
+
 
 def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say) -> tuple[Track, HandProjector]:
     """Track one sequence into a result folder; returns the track and what projects its poses into the pictures.
 
-    `source` is what `open_source` takes; a text is the number of a webcam, whose end is the user's Ctrl-C.
+    `source` is what `open_source` takes; a text is what can be read only once: the number of a webcam, which is tracked
+    live, whose end is the user's Ctrl-C; an address, or standard input.
 
     Raises InputError before anything is touched where the input, the camera, the start points or the folder are wrong,
     and on the way where the disk refuses or a picture has another size; what is tracked by then stays.
     """
-    is_webcam = isinstance(source, str)
-    request = request.causal() if is_webcam or request.is_causal else request
-    if is_webcam and request.resume:
-        raise InputError(f"webcam {source}: cannot be resumed: expected a video or a folder with --resume")
+    is_live = request.is_live or is_webcam(source)
+    is_read_once = is_live or isinstance(source, str)
+    request = request.causal() if is_read_once or request.is_causal else request
+    if is_read_once and request.resume:
+        what = f"webcam {source}" if is_webcam(source) else shown_address(str(source))
+        raise InputError(f"{what}: cannot be resumed: expected a video or a folder, and no --live, with --resume")
+    if is_live and (request.start or request.keypoints):
+        option = "--start" if request.start else "--keypoints FILE"
+        raise InputError(f"--live: expected none of what needs a recording with it, got {option}")
     check_output_folder(out_dir, resume=request.resume, overwrite=request.overwrite)
-    recording = OneCameraRecording(
-        source,
-        request.camera,
-        start=request.start,
-        max_frames=request.max_frames,
+    recording = (
+        LiveCamera(source, request.camera, max_frames=request.max_frames)
+        if is_live
+        else OneCameraRecording(source, request.camera, start=request.start, max_frames=request.max_frames)
     )
     try:
         check_start_points(request.start_points, recording.width, recording.height)
@@ -81,8 +96,8 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
             else:
                 with _keypoints(files, detectors, writer, recording, request.start, say) as run.keypoints:
                     _track_one(run, recording, writer, request, say)
-            track, projector = load_track(writer.folder), _projector(run)
-            if request.has_overlay and not is_webcam and not writer.is_finished and len(track):
+            track, projector = load_track(writer.folder), projector_of(run)
+            if request.has_overlay and not is_read_once and not writer.is_finished and len(track):
                 write_overlay(writer.folder / OVERLAY_NAME, track, projector, source, recording.fps)
             if not writer.is_finished:
                 _write_report(writer, track, request)
@@ -91,7 +106,7 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
         recording.close()
 
 
-def _track_one(run: Run, recording: OneCameraRecording, writer: TrackWriter, request: Request, say: Say) -> None:
+def _track_one(run: Run, recording: OneCamera, writer: TrackWriter, request: Request, say: Say) -> None:
     """Track what is left of one camera's recording, in both passes."""
     for line in (*recording.notes, *([] if writer.note is None else [writer.note])):
         say(line)
@@ -108,21 +123,17 @@ def _track_one(run: Run, recording: OneCameraRecording, writer: TrackWriter, req
         smooth_frames(run, writer, say)
 
 
-def _follow(
-    run: Run, recording: OneCameraRecording, writer: TrackWriter, done: int, request: Request, say: Say
-) -> None:
-    """Track what is left of one camera's recording; a webcam, which is drawn live, until the user's Ctrl-C."""
-    is_drawn_live = recording.is_live and request.has_overlay
-    with draw_live(writer.folder / OVERLAY_NAME if is_drawn_live else None, recording) as live:
-
-        def draw(frame: RecordedFrame, record: FrameRecord) -> None:
-            live(_projector(run) if is_drawn_live else None, frame, record)
-
+def _follow(run: Run, recording: OneCamera, writer: TrackWriter, done: int, request: Request, say: Say) -> None:
+    """Track what is left of one camera's recording; what is read once, which is drawn meanwhile, until the user's
+    Ctrl-C."""
+    with opened_watchers(run, recording, writer, request, say) as watch:
         try:
-            track_frames(run, writer, done, request.start, say, draw)
+            track_frames(run, writer, done, request.start, say, watch)
         except KeyboardInterrupt:
             if not recording.is_live:
                 raise
+            for line in recording.warnings():
+                say(line)
 
 
 def track_rig(folder: Path, out_dir: Path, request: Request, say: Say) -> Track:
@@ -342,7 +353,7 @@ def _keypoints(
     files: KeypointTracks | None,
     detectors: Sequence[HandDetector],
     writer: TrackWriter,
-    recording: OneCameraRecording | RigRecording | LiveRecording,
+    recording: OneCamera | RigRecording | LiveRecording,
     start: int,
     say: Say,
 ) -> Iterator[KeypointSource | None]:
@@ -358,7 +369,7 @@ def _keypoints(
 
 def _writer(
     out_dir: Path,
-    recording: OneCameraRecording | RigRecording | LiveRecording,
+    recording: OneCamera | RigRecording | LiveRecording,
     request: Request,
     detectors: Sequence[HandDetector],
 ) -> TrackWriter:
@@ -386,7 +397,7 @@ def _writer(
     )
 
 
-def _identity(recording: OneCameraRecording | RigRecording | LiveRecording) -> dict[str, Any]:
+def _identity(recording: OneCamera | RigRecording | LiveRecording) -> dict[str, Any]:
     """What tells the input from others of its name; nothing of live ones, which are never resumed."""
     if isinstance(recording, LiveRecording):
         return {}
@@ -420,11 +431,6 @@ def _asked(request: Request) -> dict[str, Any]:
         "max_frames": request.max_frames,
         "seed": request.seed,
     }
-
-
-def _projector(run: Run) -> HandProjector:
-    """What projects poses into the pictures of one camera."""
-    return HandProjector(run.tracker.kinematics, run.tracker.own_cameras[0], run.shape)
 
 
 def summary_of(name: str, track: Track, out_dir: Path) -> str:

@@ -61,7 +61,7 @@ def test_a_large_picture_is_not_decoded(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_a_large_video_is_not_decoded(make_video, monkeypatch: pytest.MonkeyPatch):
     path = make_video()
-    monkeypatch.setattr("torchhand.files.pictures.video.VideoSource._read", lambda _: pytest.fail("decoded"))
+    monkeypatch.setattr("torchhand.files.pictures.video.VideoSource._in_order", lambda _: pytest.fail("decoded"))
     with pixel_limit(0.003), pytest.raises(InputError, match=r"clip.mp4: expected at most 0.003 megapixels"):
         open_source(path)
 
@@ -92,8 +92,8 @@ def test_what_is_no_file_is_refused_at_once(tmp_path: Path, monkeypatch: pytest.
         ("1" * 21, "expected a webcam number of at most 4 digits"),
         ("1" * 5000, "expected a webcam number of at most 4 digits"),
         ("~nosuchuser/a.mp4", "no such home folder"),
-        ("https://example.com/a.mp4", "addresses are not read"),
-        ("rtsp://example.com/a", "addresses are not read"),
+        ("ftp://example.com/a.mp4", "expected an address such as http, https, rtsp"),
+        ("file:///etc/passwd", "expected an address such as http, https, rtsp"),
         ("a\0.mp4", "cannot be read"),
         (os.fsdecode(b"a\xff.mp4"), r"a\\xff.mp4: expected a name in UTF-8"),
     ],

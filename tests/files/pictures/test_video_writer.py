@@ -112,6 +112,15 @@ def test_browsers_play_it(tmp_path: Path):
     assert 0 < data.index(b"moov") < data.index(b"mdat")
 
 
+def test_frames_are_shown_at_the_times_given(tmp_path: Path):
+    times_s = [0.0, 0.04, 0.1, 0.5, 0.5333333]
+    with write_video(tmp_path / "overlay.mp4", width=64, height=48, fps=30000 / 1001) as video:
+        for i, time_s in enumerate(times_s):
+            video.write(_frame(i), time_s=time_s)
+    with open_source(tmp_path / "overlay.mp4") as source:
+        assert [frame.time_s for frame in source] == pytest.approx(times_s, abs=2e-5)
+
+
 def test_wrong_calls(tmp_path: Path):
     with pytest.raises(ValueError, match="sides of at least 16 px, got 8x48"):
         _write(tmp_path / "a.mp4", 1, width=8)

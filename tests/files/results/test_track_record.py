@@ -64,3 +64,17 @@ def test_a_tracker_says_what_a_record_takes() -> None:
     for status in get_args(FrameStatus):
         assert replace(_record(0), status=status).status == status
     assert get_args(FrameStatus) == STATUSES
+
+
+@pytest.mark.parametrize("name", ["track.npz", "track.jsonl"])
+def test_times_come_back_and_are_none_where_a_line_lacks_one(tmp_path: Path, name: str) -> None:
+    times_s = [0.0, 0.1 + 0.2, 0.75]
+    with TrackWriter(tmp_path / "out", HEADER) as writer:
+        for frame, time_s in enumerate(times_s):
+            writer.append(replace(_record(frame), time_s=time_s))
+    track = load_track(tmp_path / "out" / name)
+    assert track.time_s is not None
+    assert track.time_s.tolist() == times_s  # to the last bit
+    assert not track.measures
+    rows = [json.loads(record.as_json()) for record in (replace(_record(0), time_s=0.0), _record(1))]
+    assert track_of(HEADER.as_json(), rows).time_s is None

@@ -2,12 +2,15 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
+import torch
 
+from torchhand.files import write_video
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.runs import RecordedFrame
-from torchhand.runs.recordings import reversed_frames
+from torchhand.runs.recordings import OneCameraRecording, reversed_frames
 from torchhand.track import View
 
 WIDTH, HEIGHT = 40, 30
@@ -44,3 +47,16 @@ def test_every_frame_comes_once_the_last_one_first(held: int, monkeypatch: pytes
     frames = [frame.index for frame in reversed_frames(recording, 7)]
     assert frames == [11, 10, 9, 8, 7, 6, 5]
     assert len(recording.opened_at) == -(-7 // held)  # as many pictures at once as the memory holds
+
+
+def test_frames_have_the_times_of_the_video_wherever_reading_starts(tmp_path: Path) -> None:
+    times_s = [0.0, 0.04, 0.05, 0.3, 0.31, 0.9]
+    with write_video(tmp_path / "a.mp4", width=WIDTH, height=HEIGHT) as video:
+        for time_s in times_s:
+            video.write(torch.zeros(HEIGHT, WIDTH, 3, dtype=torch.uint8), time_s=time_s)
+    recording = OneCameraRecording(tmp_path / "a.mp4", None)
+    for done in (0, 3):
+        with recording.opened(done) as frames:
+            assert [frame.time_s for frame in frames] == pytest.approx(times_s[done:], abs=2e-5)
+    backwards = [frame.time_s for frame in reversed_frames(recording, len(times_s))]
+    assert backwards == pytest.approx(times_s[::-1], abs=2e-5)

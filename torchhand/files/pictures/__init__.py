@@ -1,7 +1,8 @@
 """Pictures, folders of pictures, videos and webcams in, videos out."""
 
+from torchhand.files.pictures.container import shown_address
 from torchhand.files.pictures.frame_source import ASSUMED_FPS, Frame, FrameRange, FrameSource
-from torchhand.files.pictures.frames import open_source, sequences_of
+from torchhand.files.pictures.frames import is_stream, is_webcam, open_source, sequences_of
 from torchhand.files.pictures.identity import file_identity, input_identity
 from torchhand.files.pictures.limits import MAX_MEGAPIXELS, pixel_limit, size_problem
 from torchhand.files.pictures.pictures import PICTURE_SUFFIXES, PictureSource, natural_key, read_picture
@@ -20,11 +21,14 @@ __all__ = [
     "VideoWriter",
     "file_identity",
     "input_identity",
+    "is_stream",
+    "is_webcam",
     "natural_key",
     "open_source",
     "pixel_limit",
     "read_picture",
     "sequences_of",
+    "shown_address",
     "size_problem",
     "write_video",
 ]

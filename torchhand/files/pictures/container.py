@@ -18,7 +18,7 @@ STANDARD_INPUT = "-"
 ADDRESS = re.compile(r"^(https?|rtsps?|rtmps?|rtp|udp|tcp|srt)://", re.IGNORECASE)
 """Addresses of streams that are read."""
 UNORDERED = "is no video that can be read in order (Matroska, MPEG-TS and MP4 with its index in front can)"
-"""What is wrong with a video that comes through a pipe."""
+"""What is wrong with a video that comes through a pipe, or from a server that does not go back."""
 
 _FORMATS = "mov,matroska,avi,mpeg,mpegts,mpegvideo,m4v,h264,hevc,asf,flv,ogg"
 """Containers of videos. A playlist, a list of files or a text that calls itself a video is none."""
@@ -53,7 +53,7 @@ def open_container(place: Path | str) -> tuple["InputContainer", "VideoStream"]:
         container.close()
         raise InputError(f"{what}: is no video that can be opened (it holds none, or in a code that is not known)")
     context = stream.codec_context
-    if (context.width or context.height) and (problem := size_problem(context.width, context.height)):
+    if problem := _size_problem(place, context.width, context.height):
         container.close()
         raise InputError(f"{what}: {problem} (--max-megapixels)")
     context.options = {"max_pixels": str(largest_size())}
@@ -61,21 +61,36 @@ def open_container(place: Path | str) -> tuple["InputContainer", "VideoStream"]:
     return container, stream
 
 
-def _opened(place: Path | str) -> "InputContainer":
+def _size_problem(place: Path | str, width: int, height: int) -> str:
+    """Why pictures of that size are not read; empty where they are, or where no size is told before one is decoded."""
+    from av.error import FFmpegError
+
+    if not width and not height and isinstance(place, Path):  # forgotten, because no decoder takes so large ones
+        try:
+            with _opened(place, {"skip_frame": "all"}) as container:
+                context = container.streams.video[0].codec_context
+                width, height = context.width, context.height
+        except (FFmpegError, IndexError):
+            return ""
+    return size_problem(width, height) if width or height else ""
+
+
+def _opened(place: Path | str, decoding: dict[str, str] | None = None) -> "InputContainer":
+    """decoding: what decoders may not do while the container is looked at."""
     import av
 
-    options = {"max_pixels": str(largest_size())}
+    options = dict(decoding or {"max_pixels": str(largest_size())})
     if isinstance(place, Path):
         _check_file(place)
         options |= {"format_whitelist": _FORMATS, "protocol_whitelist": "file"}
         # An absolute path, because FFmpeg takes "a:b.mp4" for a protocol.
-        return av.open(os.path.abspath(place), options=options)
+        return av.open(os.path.abspath(place), "r", options=options)
     if place == STANDARD_INPUT:
         options |= {"format_whitelist": _PIPED_FORMATS, "protocol_whitelist": "pipe"}
         source = sys.stdin.buffer
-        return av.open(source if source.seekable() else _Pipe(source), options=options)
+        return av.open(source if source.seekable() else _Pipe(source), "r", options=options)
     options |= {"protocol_whitelist": _NETWORK}
-    return av.open(place, options=options, timeout=_PATIENCE_S)
+    return av.open(place, "r", options=options, timeout=_PATIENCE_S)
 
 
 class _Pipe:

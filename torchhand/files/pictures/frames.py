@@ -7,12 +7,10 @@ from urllib.parse import urlsplit
 from torchhand.errors import InputError
 from torchhand.files.disk import check_name, check_plain_file, expanded, short
 from torchhand.files.pictures.container import ADDRESS, STANDARD_INPUT, shown_address
-from torchhand.files.pictures.frame_source import ASSUMED_FPS, Frame, FrameRange, FrameSource
+from torchhand.files.pictures.frame_source import FrameRange, FrameSource
 from torchhand.files.pictures.pictures import PICTURE_SUFFIXES, PictureSource, natural_key
 from torchhand.files.pictures.video import VIDEO_SUFFIXES, VideoSource
 from torchhand.files.pictures.webcam import WebcamSource
-
-__all__ = ["ASSUMED_FPS", "Frame", "FrameRange", "FrameSource", "open_source", "sequences_of"]
 
 _MAX_DIGITS = 4  # of a webcam's number
 _MAX_NAME = 256
@@ -53,7 +51,9 @@ def open_source(
 def sequences_of(source: str | Path) -> list[tuple[str, str | Path]]:
     """Names and inputs for `open_source`: one per video of a folder of videos, otherwise the one that was given.
 
-    An input is a text where it can be read only once: a webcam, an address, standard input. Names are unique and fit for folders. Nothing is opened yet; missing files and useless folders raise InputError.
+    An input is a text where it can be read only once: a webcam, an address, standard input.
+
+    Names are unique and fit for folders. Nothing is opened yet; missing files and useless folders raise InputError.
     """
     number = _webcam_number(source)
     if number is not None:
@@ -68,6 +68,16 @@ def sequences_of(source: str | Path) -> list[tuple[str, str | Path]]:
         return [(_name(path), path)]
     stems = [video.stem for video in videos]
     return [(video.stem if stems.count(video.stem) == 1 else video.name, video) for video in videos]
+
+
+def is_webcam(source: str | Path) -> bool:
+    """Whether `open_source` takes this for the number of a webcam."""
+    return _webcam_number(source) is not None
+
+
+def is_stream(source: str | Path) -> bool:
+    """Whether `open_source` takes this for an address or standard input."""
+    return _stream_name(source) is not None
 
 
 def _webcam_number(source: str | Path) -> int | None:

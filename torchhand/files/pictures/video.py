@@ -1,5 +1,6 @@
 """Video files, addresses of streams and standard input, read in order by FFmpeg and never by seeking."""
 
+import enum
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -26,7 +27,6 @@ _PATIENCE = 300
 """Undecodable frames at the start after which a video holds none at all."""
 _LARGEST_FPS = 1000.0
 _LARGEST_COUNT = 10**8
-_FULL_RANGE = 2  # of RGB: 0 is black and 255 is white
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class VideoSource(FrameSource):
         first = self._peeked[-1].frame if self._peeked else None
         if first is None:
             self.close()
-            reason = UNORDERED if place == STANDARD_INPUT else "not a single frame can be decoded"
+            reason = UNORDERED if isinstance(place, str) else "not a single frame can be decoded"
             raise InputError(f"{self._what}: {reason}")
         if problem := size_problem(first.width, first.height):
             self.close()
@@ -194,13 +194,20 @@ def _quarter_turns(frame: "VideoFrame") -> int:
 
 def _upright_rgb(frame: "VideoFrame") -> UInt8[Tensor, "height width 3"]:
     """The picture as it is to be seen, in the matrix and range that it says it has."""
-    colour = int(frame.colorspace)
+    from av.video.reformatter import ColorRange, Colorspace
+
+    matrix = _name_of(Colorspace, int(frame.colorspace), "DEFAULT")
     rgb = frame.reformat(
         format="rgb24",
-        src_colorspace=colour,
-        dst_colorspace=colour,
-        src_color_range=int(frame.color_range),
-        dst_color_range=_FULL_RANGE,
+        src_colorspace=matrix,
+        dst_colorspace=matrix,
+        src_color_range=_name_of(ColorRange, int(frame.color_range), "UNSPECIFIED"),
+        dst_color_range="JPEG",  # all of 0 to 255
     ).to_ndarray()
     turns = _quarter_turns(frame)
     return torch.from_numpy(np.ascontiguousarray(np.rot90(rgb, turns)) if turns else rgb)
+
+
+def _name_of(kind: type[enum.Enum], value: int, other: str) -> str:
+    """The name that this version of PyAV has for a value of FFmpeg's."""
+    return next((member.name for member in kind if member.value == value), other)

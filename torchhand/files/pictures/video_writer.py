@@ -18,6 +18,7 @@ _ENCODERS = ("libx264", "libopenh264")
 _SPEED, _QUALITY = {"libx264": {"preset": "superfast"}}, {"libx264": {"crf": "23"}}
 _SMALLEST_SIDE = 16
 _MAX_DENOMINATOR = 1001  # of a frame rate: 30000/1001 and the like are exact
+_TICKS = 90_000  # a second, at least: a unit of time in which a constant rate is exact, and any other time nearly
 
 
 class VideoWriter:
@@ -50,6 +51,9 @@ class VideoWriter:
         options = dict(_SPEED.get(encoder, {})) | (limits or _QUALITY.get(encoder, {}))
         stream = self._container.add_stream(encoder, rate=rate, options=options)
         assert isinstance(stream, av.VideoStream)
+        self._rate, self._last = rate, -1
+        self._ticks = rate.numerator * -(-_TICKS // rate.numerator)
+        stream.codec_context.time_base = Fraction(1, self._ticks)
         stream.width, stream.height = self._even
         stream.pix_fmt = "yuv420p"
         stream.codec_context.thread_count = 1  # the callers have threads of their own
@@ -57,8 +61,11 @@ class VideoWriter:
             stream.bit_rate = bits_per_second
         self._stream = stream
 
-    def write(self, image: UInt8[Tensor, "height width 3"]) -> None:
-        """Append one RGB frame of the size given at the start."""
+    def write(self, image: UInt8[Tensor, "height width 3"], *, time_s: float | None = None) -> None:
+        """Append one RGB frame of the size given at the start.
+
+        time_s: when it is shown, later than the one before; a frame after that by the rate where none is given.
+        """
         if tuple(image.shape[:2]) != (self._height, self._width):
             raise ValueError(
                 f"video: expected frames of {self._width}x{self._height} px, got {image.shape[1]}x{image.shape[0]}"
@@ -67,7 +74,10 @@ class VideoWriter:
 
         width, height = self._even
         frame = av.VideoFrame.from_ndarray(image[:height, :width].contiguous().cpu().numpy(), format="rgb24")
-        frame.pts = self.frames_written
+        step = round(self._ticks / self._rate) if self.frames_written else 1
+        at = self._last + step if time_s is None else round(time_s * self._ticks)
+        frame.pts, frame.time_base = max(at, self._last + 1), Fraction(1, self._ticks)
+        self._last = frame.pts
         with _explained(self._path):
             self._container.mux(self._stream.encode(frame))
         self.frames_written += 1

@@ -34,6 +34,7 @@ from torchhand.files.results.track_file import (
 from torchhand.files.results.track_record import (
     CONVENTION,
     DETERMINED,
+    EMPTY_STATUSES,
     STATUSES,
     UNITS,
     FrameRecord,
@@ -50,6 +51,7 @@ __all__ = [
     "CONVENTION",
     "DETECTIONS_NAME",
     "DETERMINED",
+    "EMPTY_STATUSES",
     "FIT_NAME",
     "FORWARD_NAME",
     "HAND_NAME",

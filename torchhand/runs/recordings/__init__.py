@@ -1,6 +1,6 @@
 """What runs read: recordings of one camera or several, and cameras that are watched while they take pictures."""
 
-from torchhand.runs.recordings.live import LiveRecording
+from torchhand.runs.recordings.live import LiveCamera, LiveRecording
 from torchhand.runs.recordings.recording import (
     OneCameraRecording,
     RecordedFrame,
@@ -11,6 +11,7 @@ from torchhand.runs.recordings.recording import (
 )
 
 __all__ = [
+    "LiveCamera",
     "LiveRecording",
     "OneCameraRecording",
     "RecordedFrame",

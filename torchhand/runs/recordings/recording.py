@@ -11,13 +11,14 @@ from typing import Protocol, runtime_checkable
 from torchhand.errors import InputError
 from torchhand.files import FrameSource, RigSource, camera_for, load_rig, open_rig, open_source, read_picture, rig_notes
 from torchhand.files.disk import expanded
-from torchhand.files.pictures import PICTURE_SUFFIXES
+from torchhand.files.pictures import PICTURE_SUFFIXES, shown_address
 from torchhand.files.rigs import mask_paths
 from torchhand.geometry import Camera
 from torchhand.image import BackgroundPlate, learn_background
 from torchhand.track import View
 from torchhand.track.multiview import evenly_spaced_frames
 
+ASSUMED_CAMERA = "no --camera given: a field of view is assumed, so distances are metric only up to that assumption"
 _MEMORY_BYTES = 2**28  # of the pictures that are held at once where a recording is read backwards
 _UNKNOWN_LENGTH = 300  # frames among which samples are taken where nobody knows how many there are
 
@@ -89,7 +90,7 @@ def reversed_frames(recording: Recording, count: int) -> Iterator[RecordedFrame]
 
 
 class OneCameraRecording:
-    """A video, a folder of pictures, or a webcam (a text that is its number)."""
+    """A video or a folder of pictures; or, as a text, what is read once: an address, or standard input."""
 
     def __init__(
         self,
@@ -100,7 +101,7 @@ class OneCameraRecording:
         max_frames: int | None = None,
     ) -> None:
         """Raises InputError for an input or a camera that is wrong."""
-        self.path, self.source, self.start, self.max_frames = source, str(source), start, max_frames
+        self.path, self.source, self.start, self.max_frames = source, shown_address(str(source)), start, max_frames
         self.is_live = isinstance(source, str)
         self._warnings: list[str] = []
         self._first: FrameSource | None = open_source(source, start=start, max_frames=max_frames)
@@ -114,9 +115,7 @@ class OneCameraRecording:
             raise
         self.notes: list[str] = []
         if self.cameras[0].is_assumed:
-            self.notes.append(
-                "no --camera given: a field of view is assumed, so distances are metric only up to that assumption"
-            )
+            self.notes.append(ASSUMED_CAMERA)
 
     @contextlib.contextmanager
     def opened(self, done: int) -> Iterator[Iterator[RecordedFrame]]:

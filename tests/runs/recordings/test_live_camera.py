@@ -1,0 +1,62 @@
+"""One camera as if live: numbered, at the pictures' own times, in steps while a hand is followed."""
+
+import itertools
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from torchhand.errors import InputError
+from torchhand.runs import Recording
+from torchhand.runs.recordings import LiveCamera
+
+FRAMES = 30
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("pictures")
+    for frame in range(FRAMES):
+        cv2.imwrite(str(folder / f"{frame}.png"), np.full((24, 32, 3), 8 * frame, np.uint8))
+    return folder
+
+
+def test_a_camera_is_a_recording_that_is_read_once(pictures: Path) -> None:
+    recording = LiveCamera(pictures, None, max_frames=4)
+    assert isinstance(recording, Recording)
+    assert (recording.width, recording.height, recording.count) == (32, 24, 4)
+    with recording.opened(0) as frames:
+        found = list(frames)
+    assert [frame.index for frame in found] == [0, 1, 2, 3]
+    for frame in found:
+        image = frame.views[0].image
+        assert image is not None
+        assert frame.time_s == pytest.approx(int(image[0, 0, 0]) / 8 / 30)
+    assert recording.latency_s is not None
+    told = recording.warnings()
+    assert "from a picture to its estimate" in told[0]
+    assert "4 pictures used" in told[1]
+    assert "a field of view is assumed" in recording.notes[0]
+
+
+def test_pictures_that_came_while_one_was_looked_at_are_passed_in_steps(pictures: Path) -> None:
+    recording = LiveCamera(pictures, None)
+    times_s = []
+    with recording.opened(0) as frames:
+        for frame in frames:
+            times_s.append(frame.time_s)
+            recording.keep_up(is_followed=True)
+            while len(times_s) == 4 and recording.now_s() < 0.95:  # a search
+                time.sleep(0.01)
+    steps = [later - earlier for earlier, later in itertools.pairwise(times_s)]
+    assert max(steps) <= 0.15  # not the newest after the search
+    assert min(steps) > 0
+    assert times_s[-1] == pytest.approx((FRAMES - 1) / 30)
+
+
+def test_a_camera_that_is_not_the_one_of_the_pictures(pictures: Path, tmp_path: Path) -> None:
+    (tmp_path / "cameras.json").write_text("[]")
+    with pytest.raises(InputError, match=r"cameras.json"):
+        LiveCamera(pictures, tmp_path / "cameras.json")
