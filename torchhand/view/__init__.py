@@ -12,6 +12,7 @@ from torchhand.view.outlines import (
     visible_points,
 )
 from torchhand.view.raster import Raycast, Surface, cast, mesh_silhouette, rasterize, raycast, shade, silhouette
+from torchhand.view.soft import SoftPicture, SoftRenderer, keypoint_maps, primitive_mesh
 
 __all__ = [
     "Contour",
@@ -23,13 +24,17 @@ __all__ = [
     "OutlineTable",
     "PrimitiveContours",
     "Raycast",
+    "SoftPicture",
+    "SoftRenderer",
     "Surface",
     "VisibleContour",
     "cast",
+    "keypoint_maps",
     "mesh_silhouette",
     "outline",
     "outline_table",
     "pixel_normals",
+    "primitive_mesh",
     "rasterize",
     "raycast",
     "shade",
