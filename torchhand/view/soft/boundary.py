@@ -20,7 +20,7 @@ from torchhand.view.soft.pieces import Pieces, cut_at_columns, cut_at_crossings,
 
 Kept = Literal["none", "outer", "all"]
 """Pieces of edges that are wanted: with what no other part of the surface is beyond, or those within it too."""
-_FULL = 1 - 1e-6  # coverage of a pixel through which the outer boundary cannot go
+_FULL = 1 - 1e-6  # coverage above which only rounding is missing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,7 @@ def boundary(
     pieces = cut_at_columns(rows, first, last, size)
     covered = coverage(pieces, first, last, contour.picture, size)
     shown = pieces.select(pieces.edge[:0]) if kept == "none" else shown_pieces(pieces, size[2])
-    is_full = covered.reshape(-1).index_select(0, shown.row * size[2] + shown.column) > _FULL
+    is_full = _surely_full(covered).reshape(-1).index_select(0, shown.row * size[2] + shown.column)
     ajar = cut_at_crossings(shown.select((~is_full).nonzero()[:, 0]), first, last, size[2])
     is_outer = ~lies_within(ajar, rows, first, last)
     if kept == "all":
@@ -62,6 +62,15 @@ def boundary(
         ends=contour.ends.index_select(0, shown.edge),
         is_outer=is_outer,
     )
+
+
+def _surely_full(covered: Float[Tensor, "pictures height width"]) -> Bool[Tensor, "pictures height width"]:
+    """Pixels that are covered with all of their neighbours.
+
+    A gap that is so narrow that it escapes the lines of a pixel opens into one beside it.
+    """
+    missing = torch.nn.functional.max_pool2d(1 - covered[:, None], 3, stride=1, padding=1)[:, 0]
+    return missing < 1 - _FULL
 
 
 def with_moving_boundary(
