@@ -2,7 +2,7 @@
 
     python docs/examples/fit_mask.py
 
-Draws the mask of a hand that the fit does not know, starts from eight open hands that are turned and placed wrongly,
+Draws the mask of a hand that the fit does not know, starts from four open hands that are turned and placed wrongly,
 and lets torch's Adam move their poses and proportions together until the silhouettes agree. Two fingers of a start may
 end in the place of one: that is what several starts are for. Any mask of a hand before a known camera will do instead
 of the one that is drawn here.
@@ -17,7 +17,7 @@ from torchhand.image import intersection_over_union
 from torchhand.losses import distance_map_loss, prior_loss, signed_distance, silhouette_loss
 from torchhand.view import SoftRenderer
 
-STEPS, SIZE = 120, 128
+STEPS, PLACING, SIZE = 150, 30, 128
 model = load_hand_model()
 camera = assumed_camera(SIZE, SIZE, horizontal_fov_deg=25.0, dtype=torch.float32)
 hand, prior = model.hand(), model.prior()
@@ -37,10 +37,10 @@ def wanted_mask() -> Tensor:
 
 
 def starts() -> Tensor:
-    """(8, 36): open hands about where the mask is, turned a little in the picture and away from it."""
-    poses = posture("open").expand(8, -1).clone()
+    """(4, 36): open hands about where the mask is, turned a little in the picture and away from it."""
+    poses = posture("open").expand(4, -1).clone()
     poses[:, :3] = torch.tensor((-0.02, 0.08, 0.63))
-    poses[:, 3:6] = 0.25 * torch.randn(8, 3, generator=torch.Generator().manual_seed(0))
+    poses[:, 3:6] = 0.25 * torch.randn(4, 3, generator=torch.Generator().manual_seed(0))
     return poses
 
 
@@ -54,8 +54,9 @@ def fit(mask: Tensor, start: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     )
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, STEPS)
     overlaps = []
-    for _ in range(STEPS):
-        poses = torch.cat((place, turns), -1)
+    for step in range(STEPS):
+        still = turns[:, 3:].detach() if step < PLACING else turns[:, 3:]  # first the hand as a whole
+        poses = torch.cat((place, turns[:, :3], still), -1)
         coverage = renderer.silhouette(hand(poses, shape, root_reference=facing).vertices, camera)
         loss = silhouette_loss(coverage, mask, reduction="sum")
         loss = loss + 0.02 * distance_map_loss(coverage, distance, reduction="sum")

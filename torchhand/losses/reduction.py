@@ -1,6 +1,6 @@
 """From one loss per element of a batch to what a training loop wants."""
 
-from typing import Literal
+from typing import Literal, get_args
 
 from torch import Tensor
 
@@ -10,10 +10,6 @@ Reduction = Literal["none", "mean", "sum"]
 
 def reduced(losses: Tensor, reduction: Reduction) -> Tensor:
     """The losses as `reduction` asks. Raises ValueError for another word."""
-    if reduction == "none":
-        return losses
-    if reduction == "mean":
-        return losses.mean()
-    if reduction == "sum":
-        return losses.sum()
-    raise ValueError(f"reduction: expected 'none', 'mean' or 'sum', got {reduction!r}")
+    if reduction not in get_args(Reduction):
+        raise ValueError(f"reduction: expected 'none', 'mean' or 'sum', got {reduction!r}")
+    return losses if reduction == "none" else losses.mean() if reduction == "mean" else losses.sum()

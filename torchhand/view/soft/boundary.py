@@ -69,8 +69,9 @@ def _surely_full(covered: Float[Tensor, "pictures height width"]) -> Bool[Tensor
 
     A gap that is so narrow that it escapes the lines of a pixel opens into one beside it.
     """
-    missing = torch.nn.functional.max_pool2d(1 - covered[:, None], 3, stride=1, padding=1)[:, 0]
-    return missing < 1 - _FULL
+    is_full = torch.nn.functional.pad(covered > _FULL, (1, 1, 1, 1), value=True)
+    is_full = is_full[:, :-2] & is_full[:, 1:-1] & is_full[:, 2:]
+    return is_full[..., :-2] & is_full[..., 1:-1] & is_full[..., 2:]
 
 
 def with_moving_boundary(
