@@ -42,7 +42,7 @@ def test_silhouettes_are_those_of_many_rays_a_pixel(kind: str, lens: int, hand: 
     state = hand(*hands(2))
     renderer = SoftRenderer(hand.faces)
     own = renderer.silhouette(state.vertices, camera)
-    rays = sampled(silhouette(posed_mesh(hand, state), camera.resized(FINER)))
+    rays = sampled(silhouette(posed_mesh(hand, state), camera.resized(float(FINER))))
     torch.testing.assert_close(own, rays, atol=0.15, rtol=0)  # of 64 rays, and where outlines cross
     assert float((own - rays).abs().sum() / rays.sum()) < 4e-3
     torch.testing.assert_close(own.sum((1, 2)), rays.sum((1, 2)), rtol=2e-3, atol=0)
@@ -57,7 +57,7 @@ def test_primitives_have_the_silhouettes_that_rays_have(hand: Hand, scene: Any) 
     primitives = hand(*hands(2)).primitives
     vertices, faces = primitive_mesh(primitives)
     own = SoftRenderer(faces).silhouette(vertices, camera)
-    rays = sampled(silhouette(primitives, camera.resized(FINER)))
+    rays = sampled(silhouette(primitives, camera.resized(float(FINER))))
     torch.testing.assert_close(own.sum((1, 2)), rays.sum((1, 2)), rtol=3e-3, atol=0)
     assert float((own - rays).abs().sum() / rays.sum()) < 0.01
 
@@ -89,7 +89,7 @@ def test_derivatives_of_areas_are_those_of_finite_differences(hand: Hand, scene:
     turn = torch.zeros(3, dtype=torch.float64)
     renderer = SoftRenderer(hand.faces)
 
-    def area(poses: Tensor, shapes: Tensor, turn: Tensor, focal: Tensor, scale: int = 1) -> Tensor:
+    def area(poses: Tensor, shapes: Tensor, turn: Tensor, focal: Tensor, scale: float = 1.0) -> Tensor:
         intrinsics = camera.intrinsics * torch.stack((focal, focal, focal / focal))[:, None]
         seen = replace(camera, intrinsics=intrinsics, rotation=rotation_from_vector(turn)).resized(scale)
         return renderer.silhouette(hand(poses, shapes).vertices, seen)[..., 1:-1, 1:-1].sum((1, 2)) / scale**2
@@ -103,13 +103,13 @@ def test_derivatives_of_areas_are_those_of_finite_differences(hand: Hand, scene:
         change[..., column] = step
         with torch.no_grad():
             ends = [
-                area(*(v + sign * change if i == which else v for i, v in enumerate(values)), scale=FINER)
+                area(*(v + sign * change if i == which else v for i, v in enumerate(values)), scale=float(FINER))
                 for sign in (1, -1)
             ]
         slope = (ends[0] - ends[1]) / (2 * step)
         assert float((grads[which][:, column] - slope).norm() / slope.norm()) < 0.01, (which, column)
     with torch.no_grad():
-        wider, narrower = (area(*values[:3], torch.tensor(f).double(), scale=FINER) for f in (1.002, 0.998))
+        wider, narrower = (area(*values[:3], torch.tensor(f).double(), scale=float(FINER)) for f in (1.002, 0.998))
     torch.testing.assert_close(grads[3], ((wider - narrower) / 4e-3).sum(), rtol=0.01, atol=0)
 
 
@@ -118,13 +118,14 @@ def test_depth_is_the_mean_of_what_rays_meet(hand: Hand, scene: Any) -> None:
     state = hand(*hands(2))
     picture = SoftRenderer(hand.faces).picture(state.vertices, camera)
     for index in range(2):
-        rays = cast(posed_mesh(hand, state).select(index), camera.resized(FINER)).depth
+        rays = cast(posed_mesh(hand, state).select(index), camera.resized(float(FINER))).depth
         hits = sampled(rays.isfinite()[None])[0]
         mean = sampled(rays.nan_to_num(posinf=0.0)[None])[0] / hits.clamp_min(1e-9)
         error = (picture.depth[index] - mean)[hits > 0].abs()
         assert float(error.mean()) < 6e-4
         assert float(error.median()) < 2e-4
-    assert torch.equal(picture.depth > 0, picture.coverage > 0)
+    assert (picture.depth[picture.coverage > 1e-6] > 0).all()
+    assert (picture.depth[picture.coverage == 0] == 0).all()
 
 
 def test_derivatives_of_depth_are_those_of_finite_differences(hand: Hand, scene: Any) -> None:
@@ -134,7 +135,7 @@ def test_derivatives_of_depth_are_those_of_finite_differences(hand: Hand, scene:
     renderer = SoftRenderer(hand.faces)
     weights = torch.randn(1, 1, 6, 6, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
 
-    def amount(poses: Tensor, scale: int = 1) -> Tensor:
+    def amount(poses: Tensor, scale: float = 1.0) -> Tensor:
         seen = camera.resized(scale)
         picture = renderer.picture(hand(poses, shapes).vertices, seen)
         weight = torch.nn.functional.interpolate(weights, size=(seen.height, seen.width), mode="bilinear")[0, 0]
@@ -142,11 +143,11 @@ def test_derivatives_of_depth_are_those_of_finite_differences(hand: Hand, scene:
 
     leaf = poses.clone().requires_grad_()
     (grad,) = torch.autograd.grad(amount(leaf).sum(), leaf)
-    for column, step in ((0, 1e-3), (2, 2e-3), (8, 5e-3), (14, 5e-3)):
+    for column, step in ((0, 1e-3), (2, 2e-3), (8, 1e-2), (14, 1e-2)):
         change = torch.zeros_like(poses)
         change[:, column] = step
         with torch.no_grad():
-            slope = (amount(poses + change, 4) - amount(poses - change, 4)) / (2 * step)
+            slope = (amount(poses + change, 4.0) - amount(poses - change, 4.0)) / (2 * step)
         assert float((grad[:, column] - slope).norm() / slope.norm()) < 0.05, column
 
 
@@ -160,7 +161,7 @@ def test_any_batch_of_hands_and_cameras(batch: tuple[int, ...], hand: Hand, scen
     torch.testing.assert_close(renderer.silhouette(vertices, camera), one_by_one.reshape(*batch, 40, 48))
     many = replace(
         camera,
-        **{n: getattr(camera, n).expand(*batch, *getattr(camera, n).shape) for n in ("rotation", "translation")},
+        **{n: getattr(camera, n).expand(*batch, *getattr(camera, n).shape) for n in ("rotation", "translation", "distortion")},
         intrinsics=camera.intrinsics.expand(*batch, 3, 3),
     )
     torch.testing.assert_close(renderer.silhouette(vertices, many), one_by_one.reshape(*batch, 40, 48))

@@ -100,6 +100,8 @@ def lies_within(asked: Pieces, rows: Pieces, first: Tensor, last: Tensor) -> Boo
     ax, ay, bx, by = torch.cat((first, last), 1).index_select(0, candidate).unbind(1)
     is_left = torch.lerp(ax, bx, (y - ay) / (by - ay)) < middle[:, 0].index_select(0, owner)
     sign = torch.where(by > ay, 1, -1) * is_left
-    goes_up = (last[:, 1] < first[:, 1]).index_select(0, asked.edge)
-    winding = -goes_up.long()  # outside of an edge that goes up is to its right
+    dx, dy = (last - first).unbind(1)
+    # Outside of an edge that goes up is to its right; a level one counts as seen from just below.
+    is_right_end = ((dy < 0) | ((dy == 0) & (dx < 0))).index_select(0, asked.edge)
+    winding = -is_right_end.long()
     return winding.index_add_(0, owner, sign) > 0
