@@ -1,6 +1,6 @@
 """What pixels show of a hand: rays cast at its primitives, triangles drawn with depth."""
 
-from torchhand.view.raster.raster import mesh_silhouette, nearest_faces, rasterize
+from torchhand.view.raster.raster import mesh_silhouette, nearest_faces, rasterize, rasterize_many
 from torchhand.view.raster.raycast import Raycast, raycast, shade
 from torchhand.view.raster.surface import Surface, cast, silhouette
 from torchhand.view.raster.triangles import SeenTriangles
@@ -13,6 +13,7 @@ __all__ = [
     "mesh_silhouette",
     "nearest_faces",
     "rasterize",
+    "rasterize_many",
     "raycast",
     "shade",
     "silhouette",

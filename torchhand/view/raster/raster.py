@@ -108,6 +108,30 @@ def _masks(
     return covers[..., :-1] > 0
 
 
+@own_precision
+def rasterize_many(
+    vertices_world: Float[Tensor, "meshes vertices 3"],
+    faces: Int[Tensor, "faces 3"],
+    camera: Camera,
+    *,
+    is_closed: bool = False,
+) -> tuple[Int[Tensor, "meshes height width"], Float[Tensor, "meshes height width"]]:
+    """Face (-1 where there is none) and depth (metres; infinite there) that every pixel sees of every mesh of a batch.
+
+    All meshes at once, before one camera without distortion; otherwise as `rasterize`.
+    """
+    if camera.has_distortion:
+        raise ValueError("camera: expected one without distortion")
+    size = (len(vertices_world), camera.height, camera.width)
+    with torch.no_grad():
+        seen = seen_triangles(vertices_world, faces, camera, is_closed=is_closed)
+        nearest, winner = _nearest_of(seen, size)
+        is_hit = winner < len(seen.face)
+        face = torch.cat((seen.face, seen.face.new_full((1,), -1))).index_select(0, winner)
+        depth = torch.where(is_hit, depth_of(nearest, camera), torch.inf)
+    return face.reshape(size), depth.reshape(size)
+
+
 def nearest_faces(
     seen: SeenTriangles, size: tuple[int, int, int]
 ) -> Int[Tensor, "meshes height width"]:
@@ -115,11 +139,15 @@ def nearest_faces(
 
     size: meshes, height, width. Corners are in px; no gradients.
     """
+    _, winner = _nearest_of(seen, size)
+    return torch.where(winner < len(seen.face), winner, -1).reshape(size)
+
+
+def _nearest_of(seen: SeenTriangles, size: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
     count, height, width = size
     triangle, row, column, nearness = _filled(seen, width, height)
     pixel = (seen.mesh.index_select(0, triangle) * height + row) * width + column
-    _, winner = _nearest(triangle, pixel, nearness, count * height * width, len(seen.face))
-    return torch.where(winner < len(seen.face), winner, -1).reshape(size)
+    return _nearest(triangle, pixel, nearness, count * height * width, len(seen.face))
 
 
 def _filled(seen: SeenTriangles, width: int, height: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
