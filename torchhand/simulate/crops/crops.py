@@ -7,11 +7,15 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from torchhand.geometry import vector_from_rotation
-from torchhand.hand import HandModel
-from torchhand.simulate.crops.drawing import BESIDE, drawn_hands
+from torchhand.hand import HandModel, posture
+from torchhand.simulate.crops.coarse import coarse_faces
+from torchhand.simulate.crops.drawing import drawn_hands
 from torchhand.simulate.crops.hands import CropHands, crop_hands
 from torchhand.simulate.crops.settings import CropSettings
 from torchhand.simulate.crops.surroundings import Backgrounds, developed, occluded
+
+_FACES = 1200  # of the hand in a crop of 128 px
+_DRAWN_AT_ONCE = 512  # postures and people
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,20 +55,32 @@ class CropMaker:
         """generator: draws the pictures that backgrounds are cut from."""
         self.settings = settings
         self._hand, self._prior = model.hand(), model.prior()
+        open_hand = self._hand(posture("open")).vertices
+        self._faces = coarse_faces(open_hand, self._hand.faces, round(_FACES * (settings.side_px / 128) ** 2))
+        self._people = self._prior.sample(0, generator)
         self._backgrounds = Backgrounds.made(settings.side_px, generator)
 
     @torch.no_grad()
     def crops(self, people: int, generator: torch.Generator) -> Crops:
-        """Crops of so many hands, `settings.views` of each one after the other. The same seed gives the same crops."""
+        """Crops of so many hands, `settings.views` of each one after the other.
+
+        A new maker with generators of the same seed gives the same crops.
+        """
         settings = self.settings
-        hands = crop_hands(self._hand, self._prior, people, settings, generator)
+        hands = crop_hands(self._hand, self._faces, self._drawn_people(people, generator), settings, generator)
         drawn = drawn_hands(hands, settings, generator)
-        behind = self._backgrounds.cut(len(hands.person), settings.side_px, generator)
-        picture = torch.where((drawn.kind == BESIDE)[:, None], behind, drawn.colour)
+        picture = drawn.before(self._backgrounds.cut(len(hands.person), settings.side_px, generator))
         picture, hidden = occluded(picture, settings, generator)
-        image = developed(picture, settings, generator)
-        depth = torch.where(drawn.depth.isfinite(), drawn.depth, 0.0)
-        return _labelled(hands, image, (drawn.label == 1) & ~hidden, depth)
+        return _labelled(hands, developed(picture, settings, generator), drawn.is_hand & ~hidden, drawn.depth)
+
+    def _drawn_people(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """Postures and people of the prior that no crop has shown yet; many are drawn together, which is faster."""
+        pose, shape = self._people
+        if len(pose) < count:
+            more = self._prior.sample(max(count, _DRAWN_AT_ONCE), generator)
+            pose, shape = (torch.cat(pair) for pair in zip((pose, shape), more, strict=True))
+        self._people = (pose[count:], shape[count:])
+        return pose[:count], shape[:count]
 
 
 def _labelled(hands: CropHands, image: Tensor, mask: Tensor, depth: Tensor) -> Crops:

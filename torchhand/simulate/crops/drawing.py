@@ -3,17 +3,15 @@
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.geometry import assumed_camera
-from torchhand.simulate.crops.hands import CropHands, last_labels
+from torchhand.simulate.crops.hands import HAND, CropHands, last_labels
 from torchhand.simulate.crops.settings import CropSettings
 from torchhand.simulate.scene import SKIN_TONES
 from torchhand.view import rasterize_many
 
-BESIDE, BARE, COVERED = 0, 1, 2
-"""What a pixel shows: nothing of the arm, skin, or a sleeve."""
 _FOCAL = 1.0  # of the camera that all crops share, over the crop's side
 
 
@@ -21,14 +19,22 @@ _FOCAL = 1.0  # of the camera that all crops share, over the crop's side
 class DrawnHands:
     """Hands without what is behind and before them."""
 
-    kind: Int[Tensor, "crops side side"]
-    """BESIDE, BARE or COVERED."""
-    label: Int[Tensor, "crops side side"]
-    """0 beside, 1 the hand, 2 to 255 the forearm."""
+    is_hand: Bool[Tensor, "crops side side"]
+    """Pixels of the hand, without its forearm."""
     depth: Float[Tensor, "crops side side"]
-    """z in the camera frame, metres; infinite beside."""
-    colour: Float[Tensor, "crops 3 side side"]
-    """RGB, 0 to 255; anything beside."""
+    """z of hand and forearm in the camera frame, metres; 0 beside."""
+    pixel: Int[Tensor, "drawn"]
+    """Pixels of hand and forearm, in the flat list of all crops' pixels."""
+    colour: Float[Tensor, "3 drawn"]
+    """RGB of these, 0 to 255."""
+
+    def before(self, pictures: Float[Tensor, "crops 3 side side"]) -> Float[Tensor, "crops 3 side side"]:
+        """The pictures with the hands drawn into them."""
+        area = self.depth[0].numel()
+        place = self.pixel + 2 * area * (self.pixel // area)
+        for channel, values in enumerate(self.colour):
+            pictures.view(-1).index_copy_(0, place + channel * area, values)
+        return pictures
 
 
 def drawn_hands(hands: CropHands, settings: CropSettings, generator: torch.Generator) -> DrawnHands:
@@ -40,18 +46,21 @@ def drawn_hands(hands: CropHands, settings: CropSettings, generator: torch.Gener
     intrinsics = torch.tensor(((_FOCAL * side, 0.0, 0.0), (0.0, _FOCAL * side, 0.0), (0.0, 0.0, 1.0)))
     camera = replace(camera, intrinsics=intrinsics.to(points))
     face, depth = rasterize_many(_without_arms(points, hands, last), hands.faces, camera, is_closed=True)
-    hit = (face.reshape(-1) >= 0).nonzero()[:, 0]
-    seen = face.reshape(-1).index_select(0, hit)
-    crop = hit // (side * side)
-    label = torch.zeros(count * side * side, dtype=torch.long)
-    label[hit] = hands.labels.index_select(0, seen)
-    brightness = torch.zeros(count * side * side, dtype=points.dtype)
-    brightness[hit] = _light(hands, generator).reshape(-1).index_select(0, crop * len(hands.faces) + seen)
-    label, brightness = label.reshape(face.shape), brightness.reshape(face.shape)
-    kind = torch.where(label == 0, BESIDE, torch.where(label <= skin[:, None, None], BARE, COVERED))
+    pixel = (face.reshape(-1) >= 0).nonzero()[:, 0]
+    seen = face.reshape(-1).index_select(0, pixel)
+    crop = pixel // (side * side)
+    label = hands.labels.index_select(0, seen)
+    brightness = _light(hands, generator).reshape(-1).index_select(0, crop * len(hands.faces) + seen)
+    is_covered = label > skin.index_select(0, crop)
     colours = _colours(hands, generator)
-    colour = torch.where((kind == COVERED)[:, None], colours[1][..., None, None], colours[0][..., None, None])
-    return DrawnHands(kind=kind, label=label, depth=depth, colour=colour * brightness[:, None])
+    own = torch.cat(colours).T.index_select(1, crop + count * is_covered)
+    is_hand = torch.zeros(face.numel(), dtype=torch.bool).index_copy_(0, pixel, label == HAND)
+    return DrawnHands(
+        is_hand=is_hand.reshape(face.shape),
+        depth=torch.where(depth.isfinite(), depth, 0.0),
+        pixel=pixel,
+        colour=own * brightness,
+    )
 
 
 def _before_one_camera(hands: CropHands, side: int) -> Float[Tensor, "crops points 3"]:
@@ -64,8 +73,8 @@ def _before_one_camera(hands: CropHands, side: int) -> Float[Tensor, "crops poin
 
 def _without_arms(points: Tensor, hands: CropHands, last: Int[Tensor, "crops"]) -> Float[Tensor, "crops points 3"]:
     """The forearms that are not there shrunk to a point."""
-    first = int(hands.faces[hands.labels == 1].max()) + 1
-    arms = torch.where((last == 1)[:, None, None], points[:, first:].mean(1, keepdim=True), points[:, first:])
+    first = hands.arm
+    arms = torch.where((last == HAND)[:, None, None], points[:, first:].mean(1, keepdim=True), points[:, first:])
     return torch.cat((points[:, :first], arms), 1)
 
 

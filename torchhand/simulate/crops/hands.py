@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.geometry import rotation_of_quaternion
-from torchhand.hand import Hand, HandPrior
+from torchhand.hand import Hand
 from torchhand.simulate.crops.forearms import FIRST_OF_FOREARM, LAST_OF_FOREARM, forearm_meshes
 from torchhand.simulate.crops.settings import CropSettings
 
@@ -32,6 +32,8 @@ class CropHands:
     """cam_from_hand"""
     joints: Float[Tensor, "crops 30"]
     shape: Float[Tensor, "crops shape"]
+    arm: int
+    """First point of the forearm."""
     focal: Float[Tensor, "crops"]
     """Focal length of each crop's camera, px."""
     centre: Float[Tensor, "crops 2"]
@@ -42,15 +44,19 @@ class CropHands:
 
 
 def crop_hands(
-    hand: Hand, prior: HandPrior, people: int, settings: CropSettings, generator: torch.Generator
+    hand: Hand,
+    hand_faces: Int[Tensor, "faces 3"],
+    people: tuple[Float[Tensor, "people 36"], Float[Tensor, "people shape"]],
+    settings: CropSettings,
+    generator: torch.Generator,
 ) -> CropHands:
-    """Postures and people of the prior, each before `settings.views` cameras."""
-    poses, shapes = prior.sample(people, generator)
+    """Hands in postures of theirs, each before `settings.views` cameras. hand_faces: on all or some of the vertices."""
+    poses, shapes = people
     with torch.no_grad():
         state = hand(poses, shapes)
     breadth = hand.shape_space.metric(shapes)["wrist_breadth"]
     arms, arm_faces, arm_labels = forearm_meshes(breadth, generator)
-    person = torch.arange(people).repeat_interleave(settings.views)
+    person = torch.arange(len(poses)).repeat_interleave(settings.views)
     count = len(person)
     turn = rotation_of_quaternion(
         torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=-1)
@@ -70,15 +76,16 @@ def crop_hands(
     centre = 0.5 * (settings.side_px - 1) + shift - focal[:, None] * 0.5 * (least + most)
     return CropHands(
         points=points,
-        faces=torch.cat((state.faces, arm_faces + state.vertices.shape[1])),
-        labels=torch.cat((torch.full((len(state.faces),), HAND), arm_labels)),
+        faces=torch.cat((hand_faces, arm_faces + state.vertices.shape[1])),
+        labels=torch.cat((torch.full((len(hand_faces),), HAND), arm_labels)),
         keypoints=state.keypoints[person] @ turn.mT + place[:, None],
         rotation=turn,
         joints=poses[person, 6:],
         shape=shapes[person],
+        arm=state.vertices.shape[1],
         focal=focal,
         centre=centre,
-        is_left=(torch.rand(people, generator=generator) < settings.left)[person],
+        is_left=(torch.rand(len(poses), generator=generator) < settings.left)[person],
         person=person,
     )
 

@@ -11,7 +11,6 @@ from torchhand.simulate.scene import BACKGROUNDS, background_picture
 
 _KINDS_OF_EACH = {"clutter": 10, "wall": 4}  # pictures of a kind in the bank, 2 of others
 _BANK_SCALE = 2  # side of a picture of the bank over that of a crop
-_REACH = 4  # px: half the width of the blur's kernel, 2 at the widest
 _SHARP = 0.6  # px: softness of an occluder's edge
 
 
@@ -31,16 +30,17 @@ class Backgrounds:
         return cls(pictures=torch.stack(pictures).movedim(-1, 1).float())
 
     def cut(self, count: int, side_px: int, generator: torch.Generator) -> Float[Tensor, "count 3 side side"]:
-        """Random squares, mirrored or not, brighter or darker, in colours that are shifted."""
+        """Random squares, brighter or darker, in colours that are shifted."""
         pictures, _, height, width = self.pictures.shape
         which = torch.randint(pictures, (count,), generator=generator).tolist()
         top = torch.randint(height - side_px + 1, (count,), generator=generator).tolist()
         left = torch.randint(width - side_px + 1, (count,), generator=generator).tolist()
+        gain = 0.5 + torch.rand(count, 1, 1, 1, generator=generator)
+        gain = gain * (1 + 0.15 * torch.randn(count, 3, 1, 1, generator=generator))
         cut = torch.empty(count, 3, side_px, side_px)
         for index, (own, y, x) in enumerate(zip(which, top, left, strict=True)):
-            cut[index] = self.pictures[own, :, y : y + side_px, x : x + side_px]
-        gain = 0.5 + torch.rand(count, 1, 1, 1, generator=generator)
-        return cut * (gain * (1 + 0.15 * torch.randn(count, 3, 1, 1, generator=generator)))
+            torch.mul(self.pictures[own, :, y : y + side_px, x : x + side_px], gain[index], out=cut[index])
+        return cut
 
 
 def occluded(
@@ -75,17 +75,14 @@ def developed(
     """Blur of lens and motion, the sensor's noise, and rounding."""
     count, _, side, _ = pictures.shape
     low, high = settings.blur_px
-    reach = _REACH if high > 1.2 else 3
-    taps = torch.arange(-reach, reach + 1, dtype=pictures.dtype)
-    flat = pictures.reshape(1, count * 3, side, side)
-    for axis in (2, 3):
-        std = low + (high - low) * torch.rand(count, 1, generator=generator)
-        kernel = torch.softmax(-0.5 * (taps / std).square(), -1).repeat_interleave(3, 0)
-        shape = (count * 3, 1, -1, 1) if axis == 2 else (count * 3, 1, 1, -1)
-        padding = (0, 0, reach, reach) if axis == 2 else (reach, reach, 0, 0)
-        flat = torch.nn.functional.pad(flat, padding, mode="replicate")
-        flat = torch.nn.functional.conv2d(flat, kernel.reshape(shape), groups=count * 3)
+    steps = torch.arange(side, dtype=pictures.dtype)
+    squared = (steps - steps[:, None]).square()
+    along_y, along_x = (
+        torch.softmax(-0.5 * squared / (low + (high - low) * torch.rand(count, 1, 1, generator=generator)).square(), -1)
+        for _ in range(2)
+    )
+    blurred = along_y[:, None] @ pictures @ along_x.mT[:, None]
     low, high = settings.noise
     std = low + (high - low) * torch.rand(count, 1, 1, 1, generator=generator)
-    noisy = flat.reshape(pictures.shape) + std * torch.randn(pictures.shape, generator=generator)
+    noisy = blurred + std * torch.randn(pictures.shape, generator=generator)
     return noisy.clamp_(0, 255).add_(0.5).to(torch.uint8).movedim(1, -1)
