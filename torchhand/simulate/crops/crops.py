@@ -1,5 +1,6 @@
 """Labelled crops of hands, a batch at a time."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
 import torch
@@ -43,6 +44,10 @@ class Crops:
     def __len__(self) -> int:
         return len(self.person)
 
+    def rows(self, rows: slice) -> "Crops":
+        """Some of the crops."""
+        return Crops(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
     def tensors(self) -> dict[str, Tensor]:
         """The fields by name."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
@@ -57,30 +62,29 @@ class CropMaker:
         self._hand, self._prior = model.hand(), model.prior()
         open_hand = self._hand(posture("open")).vertices
         self._faces = coarse_faces(open_hand, self._hand.faces, round(_FACES * (settings.side_px / 128) ** 2))
-        self._people = self._prior.sample(0, generator)
         self._backgrounds = Backgrounds.made(settings.side_px, generator)
 
-    @torch.no_grad()
-    def crops(self, people: int, generator: torch.Generator) -> Crops:
-        """Crops of so many hands, `settings.views` of each one after the other.
+    def batches(self, people: int, generator: torch.Generator) -> Iterator[Crops]:
+        """Crops of so many hands at a time without end, `settings.views` of each hand one after the other.
 
-        A new maker with generators of the same seed gives the same crops.
+        The same seed gives the same batches. Sixteen crops at a time are made fastest.
         """
+        pose, shape = self._prior.sample(0, generator)
+        while True:
+            if len(pose) < people:  # many are drawn together, which is faster
+                more = self._prior.sample(max(people, _DRAWN_AT_ONCE), generator)
+                pose, shape = (torch.cat(pair) for pair in zip((pose, shape), more, strict=True))
+            yield self._crops((pose[:people], shape[:people]), generator)
+            pose, shape = pose[people:], shape[people:]
+
+    @torch.no_grad()
+    def _crops(self, people: tuple[Tensor, Tensor], generator: torch.Generator) -> Crops:
         settings = self.settings
-        hands = crop_hands(self._hand, self._faces, self._drawn_people(people, generator), settings, generator)
+        hands = crop_hands(self._hand, self._faces, people, settings, generator)
         drawn = drawn_hands(hands, settings, generator)
         picture = drawn.before(self._backgrounds.cut(len(hands.person), settings.side_px, generator))
         picture, hidden = occluded(picture, settings, generator)
         return _labelled(hands, developed(picture, settings, generator), drawn.is_hand & ~hidden, drawn.depth)
-
-    def _drawn_people(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Postures and people of the prior that no crop has shown yet; many are drawn together, which is faster."""
-        pose, shape = self._people
-        if len(pose) < count:
-            more = self._prior.sample(max(count, _DRAWN_AT_ONCE), generator)
-            pose, shape = (torch.cat(pair) for pair in zip((pose, shape), more, strict=True))
-        self._people = (pose[count:], shape[count:])
-        return pose[:count], shape[:count]
 
 
 def _labelled(hands: CropHands, image: Tensor, mask: Tensor, depth: Tensor) -> Crops:

@@ -4,7 +4,8 @@ import io
 import json
 import tarfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -19,7 +20,7 @@ from torchhand.simulate.crops.settings import CropSettings
 from torchhand.simulate.crops.stream import seeded
 
 _JPEG_QUALITY = 92
-_AT_ONCE = 64
+_AT_ONCE = 16  # crops; more are slower, as they leave the cache
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,13 +50,13 @@ def write_shard(shard: Shard) -> Path:
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        generator = seeded(shard.seed, shard.index)
-        maker = CropMaker(load_hand_model(), shard.settings, generator)
-        views, done = shard.settings.views, 0
+        batches = _maker(shard.settings, shard.seed).batches(
+            max(1, _AT_ONCE // shard.settings.views), seeded(shard.seed, shard.index)
+        )
+        done = 0
         with explained_errors(shard.path), replacing(shard.path) as part, tarfile.open(part, "w") as archive:
             while done < shard.crops:
-                people = min(max(1, _AT_ONCE // views), (shard.crops - done) // views)
-                crops = maker.crops(people, generator)
+                crops = next(batches).rows(slice(shard.crops - done))
                 for name, content in _members(crops, shard, done):
                     entry = tarfile.TarInfo(name)
                     entry.size = len(content)
@@ -66,13 +67,19 @@ def write_shard(shard: Shard) -> Path:
     return shard.path
 
 
+@lru_cache(maxsize=1)
+def _maker(settings: CropSettings, seed: int) -> CropMaker:
+    """The same for all shards of a data set."""
+    return CropMaker(load_hand_model(), settings, seeded(seed))
+
+
 def about(settings: CropSettings) -> dict[str, object]:
     """What holds for all crops of a data set."""
     return {
         "dof_names": list(DOFS),
         "shape_names": list(load_hand_model().shape_space.names),
         "units": "metres, radians, px; OpenCV cameras, the centre of the first pixel is (0, 0)",
-        "settings": settings.__dict__,
+        "settings": asdict(settings),
     }
 
 

@@ -34,8 +34,8 @@ class CropStream(IterableDataset[dict[str, Tensor]]):
         self._epoch += 1
         generator = seeded(self._seed, worker, epoch)
         maker = CropMaker(self._model, self.settings, generator)
-        while True:
-            yield maker.crops(self._batch // self.settings.views, generator).tensors()
+        for crops in maker.batches(self._batch // self.settings.views, generator):
+            yield crops.tensors()
 
 
 def seeded(*numbers: int) -> torch.Generator:
