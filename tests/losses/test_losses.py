@@ -1,7 +1,9 @@
 """Losses for training loops: what they are at known answers, their slopes, and what they refuse."""
 
 import math
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -87,8 +89,7 @@ def test_losses_of_hands_are_those_of_the_prior_and_the_primitives() -> None:
 
 
 @pytest.mark.parametrize("loss", [silhouette_loss, distance_map_loss])
-def test_reductions_are_those_of_torch(loss: object) -> None:
-    assert callable(loss)
+def test_reductions_are_those_of_torch(loss: Callable[..., Tensor]) -> None:
     masks = squares(10, 14, 20)
     arguments = (masks.double(), masks[:1] if loss is silhouette_loss else signed_distance(masks[0]).double())
     each = loss(*arguments, reduction="none")
@@ -98,9 +99,7 @@ def test_reductions_are_those_of_torch(loss: object) -> None:
 
 
 def test_the_example_fits_a_hand_to_a_mask() -> None:
-    names: dict[str, object] = {"__name__": "example"}
+    names: dict[str, Any] = {"__name__": "example"}
     file = Path(__file__).resolve().parents[2] / "docs" / "examples" / "fit_mask.py"
     exec(compile(file.read_text(encoding="utf-8"), file, "exec"), names)
-    main = names["main"]
-    assert callable(main)
-    assert main() > 0.95
+    assert names["main"]() > 0.95

@@ -11,7 +11,17 @@ from torchhand.view.outlines import (
     pixel_normals,
     visible_points,
 )
-from torchhand.view.raster import Raycast, Surface, cast, mesh_silhouette, rasterize, rasterize_many, raycast, shade, silhouette
+from torchhand.view.raster import (
+    Raycast,
+    Surface,
+    cast,
+    mesh_silhouette,
+    rasterize,
+    rasterize_many,
+    raycast,
+    shade,
+    silhouette,
+)
 from torchhand.view.soft import SoftPicture, SoftRenderer, keypoint_maps, primitive_mesh
 
 __all__ = [

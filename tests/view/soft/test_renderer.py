@@ -109,7 +109,9 @@ def test_derivatives_of_areas_are_those_of_finite_differences(hand: Hand, scene:
         slope = (ends[0] - ends[1]) / (2 * step)
         assert float((grads[which][:, column] - slope).norm() / slope.norm()) < 0.01, (which, column)
     with torch.no_grad():
-        wider, narrower = (area(*values[:3], torch.tensor(f).double(), scale=float(FINER)) for f in (1.002, 0.998))
+        wider, narrower = (
+            area(poses, shapes, turn, torch.tensor(f).double(), scale=float(FINER)) for f in (1.002, 0.998)
+        )
     torch.testing.assert_close(grads[3], ((wider - narrower) / 4e-3).sum(), rtol=0.01, atol=0)
 
 
@@ -161,7 +163,10 @@ def test_any_batch_of_hands_and_cameras(batch: tuple[int, ...], hand: Hand, scen
     torch.testing.assert_close(renderer.silhouette(vertices, camera), one_by_one.reshape(*batch, 40, 48))
     many = replace(
         camera,
-        **{n: getattr(camera, n).expand(*batch, *getattr(camera, n).shape) for n in ("rotation", "translation", "distortion")},
+        **{
+            n: getattr(camera, n).expand(*batch, *getattr(camera, n).shape)
+            for n in ("rotation", "translation", "distortion")
+        },
         intrinsics=camera.intrinsics.expand(*batch, 3, 3),
     )
     torch.testing.assert_close(renderer.silhouette(vertices, many), one_by_one.reshape(*batch, 40, 48))

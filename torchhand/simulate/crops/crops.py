@@ -8,15 +8,13 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from torchhand.geometry import vector_from_rotation
-from torchhand.hand import HandModel, posture
-from torchhand.simulate.crops.coarse import coarse_faces
+from torchhand.hand import HandModel
 from torchhand.simulate.crops.drawing import drawn_hands
 from torchhand.simulate.crops.hands import CropHands, crop_hands
 from torchhand.simulate.crops.settings import CropSettings
 from torchhand.simulate.crops.surroundings import Backgrounds, developed, occluded
 
-_FACES = 1200  # of the hand in a crop of 128 px
-_DRAWN_AT_ONCE = 512  # postures and people
+_DRAWN_AT_ONCE = 256  # postures and people
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,8 +58,6 @@ class CropMaker:
         """generator: draws the pictures that backgrounds are cut from."""
         self.settings = settings
         self._hand, self._prior = model.hand(), model.prior()
-        open_hand = self._hand(posture("open")).vertices
-        self._faces = coarse_faces(open_hand, self._hand.faces, round(_FACES * (settings.side_px / 128) ** 2))
         self._backgrounds = Backgrounds.made(settings.side_px, generator)
 
     def batches(self, people: int, generator: torch.Generator) -> Iterator[Crops]:
@@ -80,7 +76,7 @@ class CropMaker:
     @torch.no_grad()
     def _crops(self, people: tuple[Tensor, Tensor], generator: torch.Generator) -> Crops:
         settings = self.settings
-        hands = crop_hands(self._hand, self._faces, people, settings, generator)
+        hands = crop_hands(self._hand, people, settings, generator)
         drawn = drawn_hands(hands, settings, generator)
         picture = drawn.before(self._backgrounds.cut(len(hands.person), settings.side_px, generator))
         picture, hidden = occluded(picture, settings, generator)
@@ -94,8 +90,12 @@ def _labelled(hands: CropHands, image: Tensor, mask: Tensor, depth: Tensor) -> C
     sign = torch.where(left, -1.0, 1.0)
     one = torch.ones_like(sign)
     keypoints = hands.keypoints * torch.stack((sign, one, one), -1)[:, None]
-    rotation = hands.rotation * torch.stack((sign, one, one), -1)[..., None] * torch.stack((one, one, sign), -1)[:, None]
-    centre = torch.where(left[:, None], torch.stack((side - 1 - hands.centre[:, 0], hands.centre[:, 1]), -1), hands.centre)
+    rotation = (
+        hands.rotation * torch.stack((sign, one, one), -1)[..., None] * torch.stack((one, one, sign), -1)[:, None]
+    )
+    centre = torch.where(
+        left[:, None], torch.stack((side - 1 - hands.centre[:, 0], hands.centre[:, 1]), -1), hands.centre
+    )
     intrinsics = torch.zeros(len(left), 3, 3)
     intrinsics[:, 0, 0] = intrinsics[:, 1, 1] = hands.focal
     intrinsics[:, :2, 2], intrinsics[:, 2, 2] = centre, 1

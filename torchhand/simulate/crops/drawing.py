@@ -92,7 +92,7 @@ def _light(hands: CropHands, generator: torch.Generator) -> Float[Tensor, "crops
     ambient = 0.25 + 0.5 * torch.rand(count, 1, generator=generator)
     strength = 0.6 + 0.6 * torch.rand(count, 1, generator=generator)
     lit = strength * (ambient + (1 - ambient) * diffuse.clamp_min(0))
-    return sum(lit.index_select(1, corner) for corner in hands.faces.unbind(-1)) / 3
+    return torch.stack([lit.index_select(1, corner) for corner in hands.faces.unbind(-1)]).mean(0)
 
 
 def _colours(hands: CropHands, generator: torch.Generator) -> tuple[Float[Tensor, "crops 3"], Float[Tensor, "crops 3"]]:

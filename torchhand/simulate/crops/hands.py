@@ -45,12 +45,11 @@ class CropHands:
 
 def crop_hands(
     hand: Hand,
-    hand_faces: Int[Tensor, "faces 3"],
     people: tuple[Float[Tensor, "people 36"], Float[Tensor, "people shape"]],
     settings: CropSettings,
     generator: torch.Generator,
 ) -> CropHands:
-    """Hands in postures of theirs, each before `settings.views` cameras. hand_faces: on all or some of the vertices."""
+    """Hands in postures of theirs, each before `settings.views` cameras."""
     poses, shapes = people
     with torch.no_grad():
         state = hand(poses, shapes)
@@ -58,9 +57,7 @@ def crop_hands(
     arms, arm_faces, arm_labels = forearm_meshes(breadth, generator)
     person = torch.arange(len(poses)).repeat_interleave(settings.views)
     count = len(person)
-    turn = rotation_of_quaternion(
-        torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=-1)
-    )
+    turn = rotation_of_quaternion(torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=-1))
     low, high = (math.log(end) for end in settings.distance)
     distance = torch.exp(low + (high - low) * torch.rand(count, generator=generator))
     ahead = torch.stack((0 * distance, 0 * distance, distance), -1)
@@ -76,8 +73,8 @@ def crop_hands(
     centre = 0.5 * (settings.side_px - 1) + shift - focal[:, None] * 0.5 * (least + most)
     return CropHands(
         points=points,
-        faces=torch.cat((hand_faces, arm_faces + state.vertices.shape[1])),
-        labels=torch.cat((torch.full((len(hand_faces),), HAND), arm_labels)),
+        faces=torch.cat((state.faces, arm_faces + state.vertices.shape[1])),
+        labels=torch.cat((torch.full((len(state.faces),), HAND), arm_labels)),
         keypoints=state.keypoints[person] @ turn.mT + place[:, None],
         rotation=turn,
         joints=poses[person, 6:],

@@ -16,7 +16,8 @@ class CropStream(IterableDataset[dict[str, Tensor]]):
 
         loader = DataLoader(CropStream(load_hand_model(), batch=64), batch_size=None, num_workers=2)
 
-    Every worker draws crops of its own; a worker's crops depend on `seed`, its number and how often it was started anew.
+    Every worker draws crops of its own. In one process the crops follow from `seed` and how often they were begun
+    anew; those of workers also from the seed that the DataLoader gives these.
     """
 
     def __init__(

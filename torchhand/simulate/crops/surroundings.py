@@ -7,9 +7,9 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from torchhand.simulate.crops.settings import CropSettings
-from torchhand.simulate.scene import BACKGROUNDS, background_picture
+from torchhand.simulate.scene import BACKGROUNDS, BackgroundKind, background_picture
 
-_KINDS_OF_EACH = {"clutter": 10, "wall": 4}  # pictures of a kind in the bank, 2 of others
+_KINDS_OF_EACH: dict[BackgroundKind, int] = {"clutter": 10, "wall": 4}  # pictures of a kind in the bank, 2 of others
 _BANK_SCALE = 2  # side of a picture of the bank over that of a crop
 _SHARP = 0.6  # px: softness of an occluder's edge
 

@@ -132,9 +132,7 @@ def rasterize_many(
     return face.reshape(size), depth.reshape(size)
 
 
-def nearest_faces(
-    seen: SeenTriangles, size: tuple[int, int, int]
-) -> Int[Tensor, "meshes height width"]:
+def nearest_faces(seen: SeenTriangles, size: tuple[int, int, int]) -> Int[Tensor, "meshes height width"]:
     """The triangle of the list, -1 where there is none, that every pixel of the meshes' pictures sees.
 
     size: meshes, height, width. Corners are in px; no gradients.

@@ -18,7 +18,10 @@ _OVERLAPPING = 1e-4  # of a pixel's area: less is rounding
 
 
 def coverage(
-    pieces: Pieces, first: Float[Tensor, "edges 2"], last: Float[Tensor, "edges 2"], picture: Int[Tensor, "edges"],
+    pieces: Pieces,
+    first: Float[Tensor, "edges 2"],
+    last: Float[Tensor, "edges 2"],
+    picture: Int[Tensor, "edges"],
     size: tuple[int, int, int],
 ) -> Float[Tensor, "pictures height width"]:
     """Share of each pixel's area within the union of the polygons. size: pictures, height, width."""
@@ -49,7 +52,7 @@ def _filled_right(place: Tensor, amount: Tensor, fraction: Tensor, size: tuple[i
 
 def united(first: Tensor, last: Tensor, picture: Tensor, size: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
     """Shares of each pixel, as the lines tell, that lie within the union and within two polygons or more."""
-    count, height, width = size
+    _, height, width = size
     lines = height * LINES
     y0, y1 = LINES * first[:, 1], LINES * last[:, 1]
     low, high = torch.minimum(y0, y1), torch.maximum(y0, y1)
