@@ -14,6 +14,7 @@ case "${1:-}" in --lowest | --highest)
     ;;
 esac
 make_environment "$kind" || exit 1
+unset PYTHONDONTWRITEBYTECODE # every process would compile the package anew: seconds, some hundred times
 
 failed=0
 check() {

@@ -7,6 +7,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from tests import checked_calls
+
+checked_calls.install()
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
@@ -17,6 +20,11 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
+
+
+def pytest_runtest_setup() -> None:
+    """Shapes are checked in the first calls of every test."""
+    checked_calls.begin_test()
 
 
 @pytest.fixture(scope="session")

@@ -105,7 +105,9 @@ def find_board(image: UInt8[Tensor, "height width 3"], board: Board) -> BoardCor
     columns, rows = (numbers % (board.columns - 1)).unique(), (numbers // (board.columns - 1)).unique()
     if len(columns) < 2 or len(rows) < 2:  # on one line
         return None
-    return BoardCorners(ids=numbers, points_px=_points(corners) - _CHARUCO_SHIFT)
+    # OpenCV 4.11 leaves some a pixel off where 5 does not: refined here, alike for both.
+    points = np.asarray(corners, dtype=np.float32).reshape(-1, 2) - np.float32(_CHARUCO_SHIFT)
+    return BoardCorners(ids=numbers, points_px=_points(_refined(grey, points, min(_REACH, 0.5 * (1 - board.marker)))))
 
 
 def other_board(image: UInt8[Tensor, "height width 3"], board: Board) -> str | None:
@@ -165,11 +167,14 @@ def _begins_at_white(grey: np.ndarray, grid: np.ndarray) -> bool:
     return ends[0] > ends[1]
 
 
-def _refined(grey: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Corners (n, 2) moved to where the gradients around them meet, within a quarter of the smallest square."""
+def _refined(grey: np.ndarray, corners: np.ndarray, reach: float = _REACH) -> np.ndarray:
+    """Corners (n, 2) moved to where the gradients around them meet, within `reach` of the smallest square's side.
+
+    Between the markers of a ChArUco board there is little room: a marker's edges in the window pull a corner away.
+    """
     distances = np.linalg.norm(corners[:, None] - corners[None], axis=-1)
     np.fill_diagonal(distances, np.inf)
-    half = int(np.clip(_REACH * distances.min(), 2, _MAX_REACH_PX))
+    half = int(np.clip(reach * distances.min(), 2, _MAX_REACH_PX))
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
     points = np.array(corners, order="C").reshape(-1, 1, 2)
     return cv2.cornerSubPix(grey, points, (half, half), (-1, -1), stop)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.stops import Stop, stop_after
 from torchhand.errors import InputError
 from torchhand.study.hypotheses.folder import RESULT_NAMES, StudyFolder, load_study, save_study
 from torchhand.study.hypotheses.record import Hypotheses
@@ -100,6 +101,24 @@ def test_an_older_result_stays_until_the_new_one_is_whole(tmp_path: Path) -> Non
     assert_same(resumed.load_batch(1), batch(3))
     finish(resumed, "new")
     assert (tmp_path / "study.csv").read_text() == "new"
+
+
+@pytest.mark.parametrize("moves", range(4))
+def test_killed_between_two_moves_the_new_result_is_whole_at_the_next_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moves: int
+) -> None:
+    finish(begun(tmp_path), "old")
+    other = begun(tmp_path, overwrite=True, header={"seed": 4})
+    other.save_batch(0, batch(0))
+    with monkeypatch.context() as patched:
+        stop_after(moves, tmp_path, patched)
+        with pytest.raises(Stop):
+            finish(other, "new")
+    again = begun(tmp_path, resume=True, header={"seed": 4})
+    assert_same(again.load_batch(0), batch(0))
+    header, _ = load_study(tmp_path / "hypotheses.npz")
+    assert header["seed"] == 4
+    assert {(tmp_path / name).read_text() for name in RESULT_NAMES[:-1]} == {"new"}
 
 
 def test_starting_afresh_forgets_what_was_begun(tmp_path: Path) -> None:

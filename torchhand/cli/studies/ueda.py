@@ -21,6 +21,7 @@ from torchhand.fit.hull import HullTorqueSettings, TorqueSteps
 from torchhand.study.ueda import (
     DEFAULT_STEPS,
     METHODS,
+    RESULT_NAMES,
     BentCase,
     PartsFolder,
     converge,
@@ -124,7 +125,7 @@ def study_ueda(argv: Sequence[str]) -> int:
             print(f"torchhand study: stopped by Ctrl-C; the same command with {option} goes on", file=sys.stderr)
             return STOPPED_BY_USER
         parts = {name: folder.parts[name] for name in plan}
-        with folder.finishing() as place:
+        with folder.finishing(RESULT_NAMES) as place:
             write_results(place, parts)
     print(printed(parts))
     print(f"saved in {arguments.out}")

@@ -7,6 +7,7 @@ from torchhand.files.results.poses_file import (
     PictureRecord,
     PosesWriter,
 )
+from torchhand.files.results.replacement import finish_replacement, replace_result
 from torchhand.files.results.results import (
     BACKWARD_NAME,
     CHECKPOINT_NAME,
@@ -72,6 +73,8 @@ __all__ = [
     "TrackHeader",
     "TrackWriter",
     "check_output_folder",
+    "finish_replacement",
     "load_track",
+    "replace_result",
     "write_npz",
 ]

@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,13 +11,12 @@ import numpy as np
 from torchhand.errors import InputError
 from torchhand.files import check_output_folder
 from torchhand.files.disk import explained_errors, opened_arrays, read_json, replacing, short, write_text
-from torchhand.files.results import CONFIG_NAME, UNFINISHED_NAME
+from torchhand.files.results import CONFIG_NAME, UNFINISHED_NAME, replace_result
 from torchhand.study.hypotheses.record import STATUS_NAMES, Hypotheses
 
 CSV_NAME, NPZ_NAME, PICTURE_NAME, HEADER_NAME = "study.csv", "hypotheses.npz", "study.png", "header.json"
 STUDY_FORMAT = "torchhand hypothesis study 1"
 RESULT_NAMES = (CSV_NAME, PICTURE_NAME, CONFIG_NAME, NPZ_NAME)
-"""In the order in which they are moved into place: the hypotheses themselves last."""
 
 _BATCHES = "batch_*.npz"
 _COMPLAINT = "is no hypothesis study that can be read"
@@ -28,8 +26,8 @@ class StudyFolder:
     """Where a study grows and ends.
 
     Batches are files in the sub-folder `unfinished`, each whole or not there, so that whatever ends the program loses
-    only what was under way. `finish` moves the results into place and takes the sub-folder away; until then an older
-    result stays.
+    only what was under way. `finishing` moves the results into place as one step and takes the sub-folder away; until
+    then an older result stays.
     """
 
     def __init__(self, out_dir: Path, header: Mapping[str, Any], *, resume: bool, overwrite: bool) -> None:
@@ -72,9 +70,7 @@ class StudyFolder:
     def finishing(self) -> Iterator[Path]:
         """A folder for the results (RESULT_NAMES), moved into place when the block ends well."""
         yield self.folder
-        with explained_errors(self.out_dir):
-            for name in RESULT_NAMES:
-                os.replace(self.folder / name, self.out_dir / name)
+        replace_result(self.out_dir, self.folder, RESULT_NAMES, dropped=())
         self._clear()
 
     def discard(self) -> None:
@@ -88,7 +84,8 @@ class StudyFolder:
 
     def _clear(self) -> None:
         with explained_errors(self.folder):
-            for path in [*self.folder.glob(_BATCHES), *(self.folder / name for name in (*RESULT_NAMES, HEADER_NAME))]:
+            # The header first: without it nothing was begun, whatever else is left.
+            for path in [*(self.folder / name for name in (HEADER_NAME, *RESULT_NAMES)), *self.folder.glob(_BATCHES)]:
                 path.unlink(missing_ok=True)
             for path in self.folder.glob(".*.partial.*"):
                 path.unlink(missing_ok=True)

@@ -5,12 +5,13 @@ from torchhand.study.ueda.cases import BentCase, open_recording, own_bent, recor
 from torchhand.study.ueda.compare import fit_errors
 from torchhand.study.ueda.folder import PartsFolder
 from torchhand.study.ueda.methods import METHODS
-from torchhand.study.ueda.results import DEFAULT_STEPS, comparison_rows, printed, write_results
+from torchhand.study.ueda.results import DEFAULT_STEPS, RESULT_NAMES, comparison_rows, printed, write_results
 from torchhand.study.ueda.stages import STAGES, stage_times
 
 __all__ = [
     "DEFAULT_STEPS",
     "METHODS",
+    "RESULT_NAMES",
     "STAGES",
     "BentCase",
     "PartsFolder",

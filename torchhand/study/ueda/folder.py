@@ -2,15 +2,14 @@
 
 import contextlib
 import json
-import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from torchhand.errors import InputError
 from torchhand.files import check_output_folder
 from torchhand.files.disk import explained_errors, read_json, short, write_text
-from torchhand.files.results import UNFINISHED_NAME
+from torchhand.files.results import UNFINISHED_NAME, finish_replacement, replace_result
 
 PARTS_NAME = "parts.json"
 HEADER_NAME = "header.json"
@@ -18,7 +17,7 @@ _PART = "part_{}.json"
 
 
 class PartsFolder:
-    """Parts grow in the sub-folder `unfinished`; `finishing` moves the results into place, `parts.json` last.
+    """Parts grow in the sub-folder `unfinished`; `finishing` moves the results into place as one step.
 
     Until then an older result stays. What is saved is JSON.
     """
@@ -32,6 +31,8 @@ class PartsFolder:
         """
         check_output_folder(out_dir, resume=resume, overwrite=overwrite)
         self.out_dir, self.folder = out_dir, out_dir / UNFINISHED_NAME
+        self._place = self.folder / "results"
+        finish_replacement(self.out_dir, self._place)
         self.header = json.loads(json.dumps(dict(header)))
         self.parts: dict[str, Any] = {}
         if resume:
@@ -48,17 +49,18 @@ class PartsFolder:
         write_text(self.folder / _PART.format(name), json.dumps(part) + "\n")
 
     @contextlib.contextmanager
-    def finishing(self) -> Iterator[Path]:
-        """A folder for the results, moved into place when the block ends well."""
-        place = self.folder / "results"
-        with explained_errors(place):
-            place.mkdir(exist_ok=True)
-        yield place
+    def finishing(self, names: Sequence[str]) -> Iterator[Path]:
+        """A folder for the results, moved into place when the block ends well.
+
+        names: of all results that a study can have; those of an older study that the new one lacks are removed.
+        """
+        with explained_errors(self._place):
+            self._place.mkdir(exist_ok=True)
+        yield self._place
         content = {"header": self.header, "parts": self.parts}
-        write_text(self.folder / PARTS_NAME, json.dumps(content, indent=1) + "\n")
-        with explained_errors(self.out_dir):
-            for path in [*sorted(place.iterdir()), self.folder / PARTS_NAME]:
-                os.replace(path, self.out_dir / path.name)
+        write_text(self._place / PARTS_NAME, json.dumps(content, indent=1) + "\n")
+        kept = [name for name in (*names, PARTS_NAME) if (self._place / name).exists()]
+        replace_result(self.out_dir, self._place, kept, dropped=[name for name in names if name not in kept])
         self._clear()
 
     def _earlier(self) -> dict[str, Any]:
@@ -92,9 +94,8 @@ class PartsFolder:
 
     def _clear(self) -> None:
         with explained_errors(self.folder):
-            results = self.folder / "results"
-            for path in [*self.folder.glob(_PART.format("*")), *results.glob("*"), self.folder / HEADER_NAME]:
+            for path in [self.folder / HEADER_NAME, *self.folder.glob(_PART.format("*")), *self._place.glob("*")]:
                 path.unlink(missing_ok=True)
-            for folder in (results, self.folder):
+            for folder in (self._place, self.folder):
                 with contextlib.suppress(OSError):
                     folder.rmdir()  # stays where someone else has put a file there

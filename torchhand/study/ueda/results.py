@@ -104,6 +104,11 @@ def printed(parts: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
+_CONVERGENCE, _COMPARISON = ("figure13.png", "figure14.png"), "comparison.png"
+RESULT_NAMES = ("convergence.csv", "stages.csv", "comparison.csv", *_CONVERGENCE, _COMPARISON)
+"""Of all that `write_results` can write."""
+
+
 def write_results(folder: Path, parts: Mapping[str, Any]) -> None:
     """CSV files and plots of what there is."""
     tables = {
@@ -116,14 +121,14 @@ def write_results(folder: Path, parts: Mapping[str, Any]) -> None:
             write_text(folder / f"{name}.csv", csv_text(rows))
     if tables["convergence"]:
         _write_picture(
-            folder / "figure13.png", _figure(parts, "error_deg", "error of the index, degrees", lambda error: error)
+            folder / _CONVERGENCE[0], _figure(parts, "error_deg", "error of the index, degrees", lambda error: error)
         )
         _write_picture(
-            folder / "figure14.png",
+            folder / _CONVERGENCE[1],
             _figure(parts, "inside_fraction", "vertices outside, %", lambda inside: 100 * (1 - inside)),
         )
     if tables["comparison"]:
-        _write_picture(folder / "comparison.png", _comparison(tables["comparison"]))
+        _write_picture(folder / _COMPARISON, _comparison(tables["comparison"]))
 
 
 def csv_text(rows: Rows) -> str:
