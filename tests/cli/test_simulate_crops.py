@@ -32,6 +32,8 @@ def test_shards_are_the_same_bytes_with_any_number_of_workers(tmp_path: Path) ->
             cv2.imdecode(np.frombuffer(contents[f"{key}.{kind}"], np.uint8), cv2.IMREAD_UNCHANGED)
             for kind in ("jpg", "mask.png")
         )
+        assert image is not None
+        assert mask is not None
         assert image.shape == (64, 64, 3)
         assert set(np.unique(mask)) <= {0, 255}
         assert np.shape(labels["keypoints"]) == (21, 3)

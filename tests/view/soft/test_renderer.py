@@ -96,16 +96,16 @@ def test_derivatives_of_areas_are_those_of_finite_differences(hand: Hand, scene:
 
     values = (poses, shapes, turn, torch.ones((), dtype=torch.float64))
     leaves = [value.clone().requires_grad_() for value in values]
-    whole = area(*leaves)
+    whole = area(leaves[0], leaves[1], leaves[2], leaves[3])
     grads = torch.autograd.grad(whole.sum(), leaves)
     for which, column, step in ((0, 2, 2e-3), (0, 3, 2e-3), (0, 5, 2e-3), (0, 8, 2e-3), (0, 14, 2e-3), (1, 0, 3e-3)):
         change = torch.zeros_like(values[which])
         change[..., column] = step
         with torch.no_grad():
-            ends = [
-                area(*(v + sign * change if i == which else v for i, v in enumerate(values)), scale=float(FINER))
-                for sign in (1, -1)
-            ]
+            ends = []
+            for sign in (1, -1):
+                a, b, c, d = (v + sign * change if i == which else v for i, v in enumerate(values))
+                ends.append(area(a, b, c, d, float(FINER)))
         slope = (ends[0] - ends[1]) / (2 * step)
         assert float((grads[which][:, column] - slope).norm() / slope.norm()) < 0.01, (which, column)
     with torch.no_grad():

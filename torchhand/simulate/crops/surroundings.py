@@ -25,7 +25,7 @@ class Backgrounds:
     def made(cls, side_px: int, generator: torch.Generator) -> "Backgrounds":
         """Backgrounds of every kind of the simulator."""
         side = _BANK_SCALE * side_px
-        kinds = [kind for kind in BACKGROUNDS for _ in range(_KINDS_OF_EACH.get(kind, 2))]
+        kinds: list[BackgroundKind] = [kind for kind in BACKGROUNDS for _ in range(_KINDS_OF_EACH.get(kind, 2))]
         pictures = [background_picture(kind, side, side, generator) for kind in kinds]
         return cls(pictures=torch.stack(pictures).movedim(-1, 1).float())
 
