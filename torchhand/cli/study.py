@@ -1,5 +1,6 @@
 """Study how well registration recovers a hand: thousands of perturbed starts on pictures whose hand is known."""
 
+import contextlib
 import math
 import os
 import re
@@ -15,6 +16,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
 from torchhand.cli.studies import UEDA, study_ueda
+from torchhand.cluster import Cluster
 from torchhand.errors import InputError
 from torchhand.files import check_output_folder, load_hand_model, load_settings
 from torchhand.fit import PostureResiduals
@@ -113,6 +115,10 @@ class Arguments:
     threads: int | None = None
     """Batches that are worked on side by side, on a core each; as many as there are cores, at most 4, if not given. The
     results do not depend on it."""
+    ray: Annotated[tuple[str, ...] | None, arg(metavar="[ADDRESS]")] = None
+    """Work on the batches in the processes of a Ray cluster (extra `cluster`): of the one at ADDRESS, such as auto or
+    HOST:6379, or, without one, of --threads processes on this machine, all its cores if not given. The results do not
+    depend on it, and are the same bytes where the processors are of one kind."""
     device: str = "cpu"
     """Device to compute on: cpu, or cuda."""
     resume: bool = False
@@ -123,6 +129,10 @@ class Arguments:
     def __post_init__(self) -> None:
         if not -(2**63) <= self.seed < 2**63:
             raise ValueError(f"--seed: expected a number of 64 bits, got {self.seed}")
+        if self.ray is not None and len(self.ray) > 1:
+            raise ValueError(f"--ray: expected one address or none, got {' '.join(self.ray)}")
+        if self.ray and self.threads is not None:
+            raise ValueError("--threads: expected none with an address of --ray, whose processors all work")
 
 
 @command
@@ -137,7 +147,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     side_by_side = arguments.threads
     if side_by_side is None:
         side_by_side = min(_MAX_SIDE_BY_SIDE, os.cpu_count() or 1)
-    with threads(side_by_side), threads(1):  # the first for its check: each of them computes with one
+    with (
+        threads(side_by_side),
+        threads(1),
+        _workers(arguments, side_by_side) as workers,
+    ):  # the first for its check: each of them computes with one
         work = _work(arguments, settings)
         folder = StudyFolder(arguments.out, work.header(), resume=arguments.resume, overwrite=arguments.overwrite)
         if folder.finished is not None:
@@ -145,7 +159,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(f"finished already: {arguments.out}")
             return DONE
         try:
-            hypotheses, seconds = work.run(folder, side_by_side)
+            hypotheses, seconds = work.run(folder, workers)
         except KeyboardInterrupt:
             option = "--resume in place of --overwrite" if arguments.overwrite else "--resume"
             _say(f"stopped by Ctrl-C; the same command with {option} goes on from {folder.folder}")
@@ -159,6 +173,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"{1e3 * seconds:.1f} ms per start; reference: {work.reference}")
     print(f"saved {CSV_NAME}, {PICTURE_NAME} and {NPZ_NAME} in {arguments.out}")
     return DONE
+
+
+def _workers(arguments: Arguments, side_by_side: int) -> contextlib.AbstractContextManager[int | Cluster]:
+    if arguments.ray is None:
+        return contextlib.nullcontext(side_by_side)
+    return Cluster(next(iter(arguments.ray), None), processes=arguments.threads)
 
 
 def _work(arguments: Arguments, settings: HypothesisStudySettings) -> Work:

@@ -37,41 +37,60 @@ def finish(folder: StudyFolder, text: str) -> None:
     with folder.finishing() as place:
         for name in RESULT_NAMES[:-1]:
             (place / name).write_text(text)
-        save_study(place / RESULT_NAMES[-1], folder.header, Hypotheses.joined([batch(0), batch(3)]), {"more": [1, 2]})
+        save_study(
+            place / RESULT_NAMES[-1], folder.header, Hypotheses.joined([batch(0), batch(3)], 6), {"more": [1, 2]}
+        )
 
 
 def test_batches_outlive_the_program(tmp_path: Path) -> None:
     first = begun(tmp_path / "out")
-    first.save_batch(0, batch(0))
-    first.save_batch(2, batch(3))
+    first.batches.save(2, batch(0))
+    first.batches.save(0, batch(3, 2))
     again = begun(tmp_path / "out", resume=True)
     assert again.finished is None
-    assert_same(again.load_batch(0), batch(0))
-    assert again.load_batch(1) is None
-    assert_same(again.load_batch(2), batch(3))
+    assert [number in again.batches for number in range(4)] == [True, False, True, False]
+    assert_same(again.batches.load(2), batch(0))
+    assert_same(again.batches.load(0), batch(3, 2))
 
 
-def test_a_damaged_batch_counts_as_none(tmp_path: Path) -> None:
+@pytest.mark.parametrize("left", [0, 10, 30, 100, 600, 1000])
+def test_what_is_damaged_counts_as_none_and_is_written_anew(tmp_path: Path, left: int) -> None:
     folder = begun(tmp_path / "out")
-    folder.save_batch(0, batch(0))
-    folder.save_batch(1, batch(3))
-    path = folder.folder / "batch_000000.npz"
-    path.write_bytes(path.read_bytes()[:300])
-    (folder.folder / "batch_000001.npz").write_bytes(b"")
+    folder.batches.save(0, batch(0))
+    whole = folder.batches.path.stat().st_size
+    folder.batches.save(1, batch(3))
+    path = folder.batches.path
+    path.write_bytes(path.read_bytes()[: whole + left])
     again = begun(tmp_path / "out", resume=True)
-    assert again.load_batch(0) is None
-    assert again.load_batch(1) is None
+    assert 0 in again.batches
+    assert 1 not in again.batches
+    again.batches.save(1, batch(4, 1))
+    assert_same(begun(tmp_path / "out", resume=True).batches.load(1), batch(4, 1))
+
+
+def test_a_flipped_bit_is_seen(tmp_path: Path) -> None:
+    folder = begun(tmp_path / "out")
+    folder.batches.save(0, batch(0))
+    path = folder.batches.path
+    content = bytearray(path.read_bytes())
+    content[-300] ^= 1
+    path.write_bytes(content)
+    assert 0 not in begun(tmp_path / "out", resume=True).batches
+    path.write_bytes(b"of another program")
+    again = begun(tmp_path / "out", resume=True)
+    again.batches.save(0, batch(1))
+    assert_same(begun(tmp_path / "out", resume=True).batches.load(0), batch(1))
 
 
 def test_finishing_leaves_the_results_alone(tmp_path: Path) -> None:
     folder = begun(tmp_path / "out")
-    folder.save_batch(0, batch(0))
-    (folder.folder / ".batch_000001.partial.npz").write_bytes(b"what a killed program leaves")
+    folder.batches.save(0, batch(0))
+    (folder.folder / ".header.partial.json").write_bytes(b"what a killed program leaves")
     finish(folder, "new")
     assert {path.name for path in (tmp_path / "out").iterdir()} == set(RESULT_NAMES)
     header, found = load_study(tmp_path / "out" / "hypotheses.npz")
     assert header == folder.header
-    assert_same(found, Hypotheses.joined([batch(0), batch(3)]))
+    assert_same(found, Hypotheses.joined([batch(0), batch(3)], 6))
     again = begun(tmp_path / "out", resume=True)
     assert_same(again.finished, found)
     assert {path.name for path in (tmp_path / "out").iterdir()} == set(RESULT_NAMES)
@@ -91,14 +110,14 @@ def test_an_older_result_stays_until_the_new_one_is_whole(tmp_path: Path) -> Non
     with pytest.raises(InputError, match="the output folder exists and is not empty"):
         begun(tmp_path)
     other = begun(tmp_path, overwrite=True, header={"seed": 4})
-    other.save_batch(0, batch(0))
+    other.batches.save(0, batch(0))
     assert (tmp_path / "study.csv").read_text() == "old"
     other.discard()
     assert {path.name for path in tmp_path.iterdir()} == set(RESULT_NAMES)
     other = begun(tmp_path, overwrite=True, header={"seed": 4})
-    other.save_batch(1, batch(3))
+    other.batches.save(1, batch(3))
     resumed = begun(tmp_path, resume=True, header={"seed": 4})
-    assert_same(resumed.load_batch(1), batch(3))
+    assert_same(resumed.batches.load(1), batch(3))
     finish(resumed, "new")
     assert (tmp_path / "study.csv").read_text() == "new"
 
@@ -109,21 +128,21 @@ def test_killed_between_two_moves_the_new_result_is_whole_at_the_next_start(
 ) -> None:
     finish(begun(tmp_path), "old")
     other = begun(tmp_path, overwrite=True, header={"seed": 4})
-    other.save_batch(0, batch(0))
+    other.batches.save(0, batch(0))
     with monkeypatch.context() as patched:
         stop_after(moves, tmp_path, patched)
         with pytest.raises(Stop):
             finish(other, "new")
     again = begun(tmp_path, resume=True, header={"seed": 4})
-    assert_same(again.load_batch(0), batch(0))
+    assert_same(again.batches.load(0), batch(0))
     header, _ = load_study(tmp_path / "hypotheses.npz")
     assert header["seed"] == 4
     assert {(tmp_path / name).read_text() for name in RESULT_NAMES[:-1]} == {"new"}
 
 
 def test_starting_afresh_forgets_what_was_begun(tmp_path: Path) -> None:
-    begun(tmp_path).save_batch(0, batch(0))
-    assert begun(tmp_path, overwrite=True).load_batch(0) is None
+    begun(tmp_path).batches.save(0, batch(0))
+    assert 0 not in begun(tmp_path, overwrite=True).batches
 
 
 def test_nothing_begun_leaves_nothing_when_discarded(tmp_path: Path) -> None:
@@ -134,7 +153,7 @@ def test_nothing_begun_leaves_nothing_when_discarded(tmp_path: Path) -> None:
 @pytest.mark.parametrize("is_finished", [False, True])
 def test_another_study_is_refused_by_name(is_finished: bool, tmp_path: Path) -> None:
     folder = begun(tmp_path)
-    folder.save_batch(0, batch(0))
+    folder.batches.save(0, batch(0))
     if is_finished:
         finish(folder, "old")
     where = tmp_path / ("hypotheses.npz" if is_finished else "unfinished/header.json")
@@ -171,12 +190,3 @@ def test_another_program_s_arrays_are_no_study(tmp_path: Path) -> None:
     np.savez(tmp_path / "b.npz", x=np.zeros(3))
     with pytest.raises(InputError, match=r"b.npz: is no hypothesis study that can be read \(KeyError: 'header"):
         load_study(tmp_path / "b.npz")
-
-
-def test_a_batch_of_differing_lengths_counts_as_none(tmp_path: Path) -> None:
-    folder = begun(tmp_path)
-    arrays: dict[str, Any] = batch(0).arrays() | {"cost": np.zeros(2)}
-    np.savez(folder.folder / "batch_000000.npz", **arrays)
-    np.savez(folder.folder / "batch_000001.npz", cost=np.zeros(2))
-    assert folder.load_batch(0) is None
-    assert folder.load_batch(1) is None

@@ -12,21 +12,22 @@ from torchhand.errors import InputError
 from torchhand.files import check_output_folder
 from torchhand.files.disk import explained_errors, opened_arrays, read_json, replacing, short, write_text
 from torchhand.files.results import CONFIG_NAME, UNFINISHED_NAME, replace_result
+from torchhand.study.hypotheses.batches import BatchFile
 from torchhand.study.hypotheses.record import STATUS_NAMES, Hypotheses
 
 CSV_NAME, NPZ_NAME, PICTURE_NAME, HEADER_NAME = "study.csv", "hypotheses.npz", "study.png", "header.json"
 STUDY_FORMAT = "torchhand hypothesis study 1"
 RESULT_NAMES = (CSV_NAME, PICTURE_NAME, CONFIG_NAME, NPZ_NAME)
 
-_BATCHES = "batch_*.npz"
+_BATCHES_NAME = "batches.bin"
 _COMPLAINT = "is no hypothesis study that can be read"
 
 
 class StudyFolder:
     """Where a study grows and ends.
 
-    Batches are files in the sub-folder `unfinished`, each whole or not there, so that whatever ends the program loses
-    only what was under way. `finishing` moves the results into place as one step and takes the sub-folder away; until
+    Batches are kept in one file of the sub-folder `unfinished`, so that whatever ends the program loses only what was
+    under way. `finishing` moves the results into place as one step and takes the sub-folder away; until
     then an older result stays.
     """
 
@@ -48,23 +49,7 @@ class StudyFolder:
             with explained_errors(self.folder):
                 self.folder.mkdir(parents=True, exist_ok=True)
             write_text(self.folder / HEADER_NAME, json.dumps(self.header, indent=1) + "\n")
-
-    def save_batch(self, index: int, hypotheses: Hypotheses) -> None:
-        """Keep one batch for good."""
-        path = self._batch(index)
-        with replacing(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, **hypotheses.arrays())  # pyright: ignore[reportArgumentType] - the stub lacks keywords
-
-    def load_batch(self, index: int) -> Hypotheses | None:
-        """A batch that was saved; None where there is none, or none that can be read."""
-        path = self._batch(index)
-        if not path.exists():
-            return None
-        try:
-            with opened_arrays(path, complaint=_COMPLAINT) as stored:
-                return Hypotheses.from_arrays(stored)
-        except (InputError, KeyError, ValueError):
-            return None
+        self.batches = BatchFile(self.folder / _BATCHES_NAME)
 
     @contextlib.contextmanager
     def finishing(self) -> Iterator[Path]:
@@ -79,14 +64,11 @@ class StudyFolder:
         with contextlib.suppress(OSError):
             self.out_dir.rmdir()  # only where it is empty
 
-    def _batch(self, index: int) -> Path:
-        return self.folder / _BATCHES.replace("*", f"{index:06d}")
-
     def _clear(self) -> None:
         with explained_errors(self.folder):
             # The header first: without it nothing was begun, whatever else is left.
-            for path in [*(self.folder / name for name in (HEADER_NAME, *RESULT_NAMES)), *self.folder.glob(_BATCHES)]:
-                path.unlink(missing_ok=True)
+            for name in (HEADER_NAME, *RESULT_NAMES, _BATCHES_NAME):
+                (self.folder / name).unlink(missing_ok=True)
             for path in self.folder.glob(".*.partial.*"):
                 path.unlink(missing_ok=True)
             with contextlib.suppress(OSError):

@@ -1,6 +1,6 @@
 """What becomes of every start of a hypothesis study, as arrays."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -72,6 +72,15 @@ class Hypotheses:
         return cls(**chosen)
 
     @classmethod
-    def joined(cls, parts: Sequence["Hypotheses"]) -> "Hypotheses":
-        """One after the other."""
-        return cls(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)})
+    def joined(cls, parts: Iterable["Hypotheses"], count: int) -> "Hypotheses":
+        """One after the other, `count` in all; no more than one of the parts is held at a time."""
+        arrays: dict[str, np.ndarray] = {}
+        end = 0
+        for part in parts:
+            begin, end = end, end + len(part)
+            for name, values in part.arrays().items():
+                whole = arrays.setdefault(name, np.empty((count, *values.shape[1:]), values.dtype))
+                whole[begin:end] = values
+        if end != count:
+            raise ValueError(f"expected {count} hypotheses, got {end}")
+        return cls(**arrays)

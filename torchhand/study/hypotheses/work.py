@@ -3,7 +3,7 @@
 import hashlib
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -16,6 +16,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 import torchhand
+from torchhand.cluster import Cluster
 from torchhand.files import camera_entry, load_hand_model, save_settings
 from torchhand.files.disk import write_text
 from torchhand.files.results import CONFIG_NAME
@@ -81,29 +82,35 @@ class Work:
             digest.update(f"{case.side} {camera.kind}".encode())
         return digest.hexdigest()
 
-    def run(self, folder: StudyFolder, side_by_side: int) -> tuple[Hypotheses, float]:
-        """All hypotheses in order, also those that the folder has; and seconds per start, 0 if none was left."""
+    def run(self, folder: StudyFolder, workers: int | Cluster) -> tuple[Hypotheses, float]:
+        """All hypotheses in order, also those that the folder has; and seconds per start, 0 if none was left.
+
+        workers: threads, or a cluster.
+        """
         plan = plan_batches(self.settings, len(self.cases))
-        done = {batch.index: found for batch in plan if (found := folder.load_batch(batch.index)) is not None}
-        left = [batch for batch in plan if batch.index not in done]
-        starts, before = self.settings.starts, sum(map(len, done.values()))
+        left = [batch for batch in plan if batch.index not in folder.batches]
+        starts = self.settings.starts
+        before = starts - sum(batch.count for batch in left)
         begun = time.perf_counter()
         is_hidden = not sys.stderr.isatty()
         with tqdm(total=starts, initial=before, desc="study", unit="start", disable=is_hidden, leave=False) as bar:
-            for batch, found in self._worked(left, side_by_side):
-                folder.save_batch(batch.index, found)
-                done[batch.index] = found
+            for batch, found in self._worked(left, workers):
+                folder.batches.save(batch.index, found)
                 bar.update(len(found))
         seconds = (time.perf_counter() - begun) / (starts - before) if left else 0.0
-        return Hypotheses.joined([done[batch.index] for batch in plan]), seconds
+        return Hypotheses.joined((folder.batches.load(batch.index) for batch in plan), starts), seconds
 
-    def _worked(self, plan: Sequence[StudyBatch], side_by_side: int) -> Iterator[tuple[StudyBatch, Hypotheses]]:
+    def worker(self, pictures: int = 1) -> Callable[[StudyBatch], Hypotheses]:
+        """What registers batches. It keeps what those of one picture share, for so many pictures."""
+        study = lru_cache(maxsize=pictures)(self.study)
+        return lambda batch: study(batch.case).run(batch, self.seed)
+
+    def _worked(self, plan: Sequence[StudyBatch], workers: int | Cluster) -> Iterator[tuple[StudyBatch, Hypotheses]]:
         """Batches as they are done. torch computes each with one thread, so that its company changes no number."""
-        study = lru_cache(maxsize=side_by_side)(self.study)  # batches of a picture follow each other
-
-        def work(batch: StudyBatch) -> Hypotheses:
-            return study(batch.case).run(batch, self.seed)
-
+        if isinstance(workers, Cluster):
+            yield from workers.done(self.worker, plan)
+            return
+        side_by_side, work = workers, self.worker(workers)
         if side_by_side == 1:
             yield from ((batch, work(batch)) for batch in plan)
             return
