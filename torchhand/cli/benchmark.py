@@ -16,6 +16,7 @@ import torchhand
 from torchhand.cli.benchmarks import (
     Figure,
     TrackingCase,
+    crops,
     filter_update,
     fit_hand_bones,
     keypoints_to_pose,
@@ -36,6 +37,7 @@ from torchhand.cli.benchmarks import (
     skinning,
     soak_of_filters,
     soak_of_tracking,
+    soft_silhouettes,
     synthetic_stream,
     track_memory,
     track_views,
@@ -55,6 +57,8 @@ Name = Literal[
     "skinning_gradients_64",
     "skinning_gradients_1024",
     "mesh_silhouettes",
+    "soft_silhouettes",
+    "crops",
     "mesh_volume",
     "pose_projection",
     "keypoints_to_pose",
@@ -112,7 +116,8 @@ class Arguments:
     """Write the figures as JSON as well."""
     only: Annotated[tuple[Name | Literal["soak"], ...], arg(metavar="NAME")] = ()
     """Measure these alone: kinematics_forward, kinematics_forward_backward, kinematics_compiled, skinning_forward_4096,
-    skinning_gradients_64, skinning_gradients_1024, mesh_silhouettes, mesh_volume, pose_projection, keypoints_to_pose,
+    skinning_gradients_64, skinning_gradients_1024, mesh_silhouettes, soft_silhouettes, crops, mesh_volume,
+    pose_projection, keypoints_to_pose,
     filter_update, registration, registration_many, lm_iteration_jacfwd, lm_iteration_pypose, octree_level7,
     octree_level8, track_planar_360x288, track_full_640x480, track_full_points_640x480, track_full_twice_640x480,
     track_full_twice_points_640x480, track_full_without_network_640x480, track_distance_640x480,
@@ -205,6 +210,8 @@ _MEASURES: dict[Name, Callable[[str, int | None], Figure]] = {
     "skinning_gradients_64": partial(skinning, count=64, has_gradients=True, must=1 / 0.7, aim=1 / 0.4),
     "skinning_gradients_1024": partial(skinning, count=1024, has_gradients=True, must=1 / 0.7, aim=1 / 0.4),
     "mesh_silhouettes": mesh_silhouettes,
+    "soft_silhouettes": soft_silhouettes,
+    "crops": crops,
     "mesh_volume": mesh_volume,
     "pose_projection": pose_projection,
     "keypoints_to_pose": keypoints_to_pose,

@@ -1,5 +1,15 @@
 """Seeded sequences of a moving hand with exact truth."""
 
+from torchhand.simulate.crops import (
+    FIRST_OF_FOREARM,
+    FOREARM_LENGTH,
+    LAST_OF_FOREARM,
+    CropMaker,
+    Crops,
+    CropSettings,
+    CropStream,
+    forearm_meshes,
+)
 from torchhand.simulate.folder import check_sequence_folder
 from torchhand.simulate.motion import (
     GLOVE_COLUMNS,
@@ -36,11 +46,18 @@ from torchhand.simulate.writer import write_sequence
 
 __all__ = [
     "BACKGROUNDS",
+    "FIRST_OF_FOREARM",
+    "FOREARM_LENGTH",
     "GLOVE_COLUMNS",
+    "LAST_OF_FOREARM",
     "NO_HAND",
     "SCRIPTS",
     "SKIN_TONES",
     "VIEWS",
+    "CropMaker",
+    "CropSettings",
+    "CropStream",
+    "Crops",
     "GloveRecording",
     "Motion",
     "NoHandKind",
@@ -50,6 +67,7 @@ __all__ = [
     "background_picture",
     "check_sequence_folder",
     "facing",
+    "forearm_meshes",
     "hand_length",
     "joints_of_glove",
     "named_rig",

@@ -11,7 +11,18 @@ from torchhand.view.outlines import (
     pixel_normals,
     visible_points,
 )
-from torchhand.view.raster import Raycast, Surface, cast, mesh_silhouette, rasterize, raycast, shade, silhouette
+from torchhand.view.raster import (
+    Raycast,
+    Surface,
+    cast,
+    mesh_silhouette,
+    rasterize,
+    rasterize_many,
+    raycast,
+    shade,
+    silhouette,
+)
+from torchhand.view.soft import SoftPicture, SoftRenderer, keypoint_maps, primitive_mesh
 
 __all__ = [
     "Contour",
@@ -23,14 +34,19 @@ __all__ = [
     "OutlineTable",
     "PrimitiveContours",
     "Raycast",
+    "SoftPicture",
+    "SoftRenderer",
     "Surface",
     "VisibleContour",
     "cast",
+    "keypoint_maps",
     "mesh_silhouette",
     "outline",
     "outline_table",
     "pixel_normals",
+    "primitive_mesh",
     "rasterize",
+    "rasterize_many",
     "raycast",
     "shade",
     "silhouette",

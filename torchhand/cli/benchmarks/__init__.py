@@ -6,6 +6,7 @@ from torchhand.cli.benchmarks.hand import kinematics_compiled, kinematics_forwar
 from torchhand.cli.benchmarks.iteration import lm_iteration_jacfwd, lm_iteration_pypose
 from torchhand.cli.benchmarks.model import keypoints_to_pose, mesh_silhouettes, mesh_volume, pose_projection
 from torchhand.cli.benchmarks.multiview import track_views, track_views_memory
+from torchhand.cli.benchmarks.pictures import crops, soft_silhouettes
 from torchhand.cli.benchmarks.registration import many_hypotheses, one_registration
 from torchhand.cli.benchmarks.runs import own_environment
 from torchhand.cli.benchmarks.soak import soak_of_filters, soak_of_tracking
@@ -16,6 +17,7 @@ from torchhand.cli.benchmarks.volume import frame_cameras, octree
 __all__ = [
     "Figure",
     "TrackingCase",
+    "crops",
     "filter_update",
     "fit_hand_bones",
     "frame_cameras",
@@ -38,6 +40,7 @@ __all__ = [
     "skinning",
     "soak_of_filters",
     "soak_of_tracking",
+    "soft_silhouettes",
     "synthetic_stream",
     "track_memory",
     "track_views",

@@ -8,8 +8,9 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 from torch.nn import functional
 
-from torchhand.learn.proposals.rendering import FIRST_OF_FOREARM, HAND, HAND_SHARE, LAST_OF_FOREARM, RenderedHands
+from torchhand.learn.proposals.rendering import HAND, HAND_SHARE, RenderedHands
 from torchhand.propose import SIDE_PX, SquareViews, gaussian_blur_of, network_channels, views_towards
+from torchhand.simulate import FIRST_OF_FOREARM, LAST_OF_FOREARM
 
 _WIDE = 0.4
 _ROLL = math.radians(18)  # standard deviation of their turn

@@ -8,26 +8,20 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
-from torchhand.geometry import assumed_camera, rotation_from_vector, rotation_of_quaternion
+from torchhand.geometry import assumed_camera, rotation_of_quaternion
 from torchhand.hand import HandModel
 from torchhand.learn.proposals.postures import drawn_hands
 from torchhand.propose import palm_middle, views_towards
+from torchhand.simulate import forearm_meshes
 from torchhand.view import rasterize
 
 RENDERED_PX = 96
 HAND_SHARE = 0.58
 """Half the side of the smallest square around the hand, over half that of the picture."""
-FOREARM_LENGTH = 0.24
-"""Metres."""
-HAND, FIRST_OF_FOREARM, LAST_OF_FOREARM = 1, 2, 255
-"""Labels."""
+HAND = 1
+"""Label."""
 _DEPTH_RANGE = 0.15  # metres before and behind the palm
 _DISTANCES = (0.22, 1.6)  # metres, from the camera to the palm
-_RINGS, _SPOKES = 25, 16
-_THICKNESS, _WIDENING = 0.72, 1.45  # of the forearm: thickness over breadth, and breadth at the elbow over the wrist's
-_ROUND = 0.12  # share of the forearm over which its end is rounded
-_OVERLAP = 0.012  # metres by which the forearm reaches into the palm
-_WRIST_BEND = (0.45, 0.25)  # radians: standard deviations of the wrist's flexion and abduction
 _STEEP, _KEPT_STEEP = 0.75, 0.4  # hands that point along the line of sight more than that are rarer by that factor
 _AT_ONCE = 256
 
@@ -93,7 +87,7 @@ def _rendered(model: HandModel, joints: Tensor, shape: Tensor, generator: torch.
     with torch.no_grad():
         state = hand(torch.cat((torch.zeros(count, 6), joints), -1), shape)
     metric = model.shape_space.to(dtype=torch.float32).metric(shape)
-    forearm, forearm_faces, forearm_labels = _forearms(metric["wrist_breadth"], generator)
+    forearm, forearm_faces, forearm_labels = forearm_meshes(metric["wrist_breadth"], generator)
     low, high = (math.log(end) for end in _DISTANCES)
     distance = (low + (high - low) * torch.rand(count, generator=generator)).exp()
     palm = (turn @ palm_middle(state.keypoints)[..., None]).squeeze(-1)
@@ -158,36 +152,3 @@ def _looking_at(points: Float[Tensor, "hands points 3"]) -> Float[Tensor, "hands
     ahead = torch.cat((middle, torch.ones_like(middle[:, :1])), -1)
     up = torch.tensor((0.0, -1.0, 0.0)).expand_as(ahead)
     return views_towards(ahead, up, torch.ones(len(ahead))).cam_from_view
-
-
-def _forearms(
-    wrist_breadth: Float[Tensor, "*#hands"], generator: torch.Generator
-) -> tuple[Float[Tensor, "hands points 3"], Int[Tensor, "faces 3"], Int[Tensor, "faces"]]:
-    """Elliptic cones in the frames of the hands, closed, bent at the wrist; the labels of their faces."""
-    count = len(wrist_breadth)
-    spread = 1 + 0.1 * torch.randn(count, 2, generator=generator)
-    along = torch.linspace(0, 1, _RINGS)
-    angle = torch.arange(_SPOKES) * (2 * math.pi / _SPOKES)
-    rounded = (along / _ROUND).clamp_max(1).sqrt()  # the end inside the palm
-    half = 0.5 * wrist_breadth[:, None, None] * ((0.6 + 0.4 * rounded) * (1 + (_WIDENING - 1) * along))[:, None]
-    x = _THICKNESS * half * spread[:, :1, None] * angle.cos()
-    z = half * spread[:, 1:, None] * angle.sin()
-    y = (_OVERLAP - FOREARM_LENGTH * along)[:, None].expand_as(x)
-    points = torch.stack((x, y, z), -1).flatten(1, 2)
-    ends = points.unflatten(1, (_RINGS, _SPOKES))[:, [0, -1]].mean(2)
-    flexion, abduction = (std * torch.randn(count, generator=generator) for std in _WRIST_BEND)
-    bend = rotation_from_vector(torch.stack((abduction, 0 * abduction, flexion), -1))
-    ring, spoke = torch.meshgrid(torch.arange(_RINGS - 1), torch.arange(_SPOKES), indexing="ij")
-    here, beside = ring * _SPOKES + spoke, ring * _SPOKES + (spoke + 1) % _SPOKES
-    sides = torch.cat(
-        (torch.stack((here, beside, here + _SPOKES), -1), torch.stack((beside, beside + _SPOKES, here + _SPOKES), -1))
-    ).flatten(0, 1)
-    caps = [
-        torch.stack((torch.full((_SPOKES,), _RINGS * _SPOKES + end), *pair), -1)
-        for end, pair in enumerate(((beside[0], here[0]), (here[-1] + _SPOKES, beside[-1] + _SPOKES)))
-    ]
-    step = (LAST_OF_FOREARM - FIRST_OF_FOREARM) / (_RINGS - 2)
-    of_sides = (FIRST_OF_FOREARM + step * ring).round().long().reshape(-1).repeat(2)
-    of_caps = torch.tensor((FIRST_OF_FOREARM, LAST_OF_FOREARM)).repeat_interleave(_SPOKES)
-    faces = torch.cat((sides, *caps))
-    return torch.cat((points, ends), 1) @ bend.mT, faces, torch.cat((of_sides, of_caps))

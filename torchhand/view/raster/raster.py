@@ -42,7 +42,10 @@ def rasterize(
     with torch.no_grad():
         normals = None if vertex_normals is None else vertex_normals[None]
         seen = seen_triangles(vertices_world[None], faces, camera, normals, is_closed=is_closed)
-        triangle, row, column, nearness = (_tested if camera.has_distortion else _filled)(seen, camera)
+        if camera.has_distortion:
+            triangle, row, column, nearness = _tested(seen, camera)
+        else:
+            triangle, row, column, nearness = _filled(seen, camera.width, camera.height)
         if len(triangle):
             (top, bottom), (left, right) = (tuple(map(int, x.aminmax())) for x in (row, column))
             window = (slice(top, bottom + 1), slice(left, right + 1))
@@ -105,9 +108,49 @@ def _masks(
     return covers[..., :-1] > 0
 
 
-def _filled(seen: SeenTriangles, camera: Camera) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+@own_precision
+def rasterize_many(
+    vertices_world: Float[Tensor, "meshes vertices 3"],
+    faces: Int[Tensor, "faces 3"],
+    camera: Camera,
+    *,
+    is_closed: bool = False,
+) -> tuple[Int[Tensor, "meshes height width"], Float[Tensor, "meshes height width"]]:
+    """Face (-1 where there is none) and depth (metres; infinite there) that every pixel sees of every mesh of a batch.
+
+    All meshes at once, before one camera without distortion; otherwise as `rasterize`.
+    """
+    if camera.has_distortion:
+        raise ValueError("camera: expected one without distortion")
+    size = (len(vertices_world), camera.height, camera.width)
+    with torch.no_grad():
+        seen = seen_triangles(vertices_world, faces, camera, is_closed=is_closed)
+        nearest, winner = _nearest_of(seen, size)
+        is_hit = winner < len(seen.face)
+        face = torch.cat((seen.face, seen.face.new_full((1,), -1))).index_select(0, winner)
+        depth = torch.where(is_hit, depth_of(nearest, camera), torch.inf)
+    return face.reshape(size), depth.reshape(size)
+
+
+def nearest_faces(seen: SeenTriangles, size: tuple[int, int, int]) -> Int[Tensor, "meshes height width"]:
+    """The triangle of the list, -1 where there is none, that every pixel of the meshes' pictures sees.
+
+    size: meshes, height, width. Corners are in px; no gradients.
+    """
+    _, winner = _nearest_of(seen, size)
+    return torch.where(winner < len(seen.face), winner, -1).reshape(size)
+
+
+def _nearest_of(seen: SeenTriangles, size: tuple[int, int, int]) -> tuple[Tensor, Tensor]:
+    count, height, width = size
+    triangle, row, column, nearness = _filled(seen, width, height)
+    pixel = (seen.mesh.index_select(0, triangle) * height + row) * width + column
+    return _nearest(triangle, pixel, nearness, count * height * width, len(seen.face))
+
+
+def _filled(seen: SeenTriangles, width: int, height: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Triangle, row, column and nearness wherever a triangle covers a pixel, run by run."""
-    spans = row_spans(seen.corners, camera.width, camera.height)
+    spans = row_spans(seen.corners, width, height)
     steps = spans.last - spans.first
     row = spans.row.to(seen.nearness)
     ends = [torch.stack((column.to(row), row), -1) for column in (spans.first, spans.last)]

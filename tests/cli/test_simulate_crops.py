@@ -1,0 +1,42 @@
+"""Labelled crops in WebDataset's form, by the command."""
+
+import json
+import tarfile
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from torchhand.cli.simulate_crops import main
+
+
+def test_shards_are_the_same_bytes_with_any_number_of_workers(tmp_path: Path) -> None:
+    options = ["--count", "16", "--shard", "8", "--side-px", "64", "--seed", "5"]
+    for workers in ("1", "2"):
+        assert main(["--out", str(tmp_path / workers), *options, "--workers", workers]) == 0
+    names = sorted(path.name for path in (tmp_path / "1").iterdir())
+    assert names == ["about.json", "crops-000000.tar", "crops-000001.tar"]
+    for name in names:
+        assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes(), name
+    contents = {}
+    with tarfile.open(tmp_path / "1" / "crops-000001.tar") as archive:
+        for entry in archive:
+            member = archive.extractfile(entry)
+            assert member is not None
+            contents[entry.name] = member.read()
+    keys = sorted({name.partition(".")[0] for name in contents})
+    assert len(keys) == 8
+    for key in keys:
+        labels = json.loads(contents[f"{key}.json"])
+        image, mask = (
+            cv2.imdecode(np.frombuffer(contents[f"{key}.{kind}"], np.uint8), cv2.IMREAD_UNCHANGED)
+            for kind in ("jpg", "mask.png")
+        )
+        assert image is not None
+        assert mask is not None
+        assert image.shape == (64, 64, 3)
+        assert set(np.unique(mask)) <= {0, 255}
+        assert np.shape(labels["keypoints"]) == (21, 3)
+        assert labels["side"] in ("left", "right")
+    assert main(["--out", str(tmp_path / "1"), *options]) == 2
+    assert main(["--out", str(tmp_path / "3"), "--count", "6"]) == 2

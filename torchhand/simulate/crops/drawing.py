@@ -1,0 +1,107 @@
+"""Pictures of crops' hands: skin and sleeves of many colours under many lights."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from torchhand.geometry import assumed_camera
+from torchhand.simulate.crops.hands import HAND, CropHands, last_labels
+from torchhand.simulate.crops.settings import CropSettings
+from torchhand.simulate.scene import SKIN_TONES
+from torchhand.view import rasterize_many
+
+_FOCAL = 1.0  # of the camera that all crops share, over the crop's side
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrawnHands:
+    """Hands without what is behind and before them."""
+
+    is_hand: Bool[Tensor, "crops side side"]
+    """Pixels of the hand, without its forearm."""
+    depth: Float[Tensor, "crops side side"]
+    """z of hand and forearm in the camera frame, metres; 0 beside."""
+    pixel: Int[Tensor, "drawn"]
+    """Pixels of hand and forearm, in the flat list of all crops' pixels."""
+    colour: Float[Tensor, "3 drawn"]
+    """RGB of these, 0 to 255."""
+
+    def before(self, pictures: Float[Tensor, "crops 3 side side"]) -> Float[Tensor, "crops 3 side side"]:
+        """The pictures with the hands drawn into them."""
+        area = self.depth[0].numel()
+        place = self.pixel + 2 * area * (self.pixel // area)
+        for channel, values in enumerate(self.colour):
+            pictures.view(-1).index_copy_(0, place + channel * area, values)
+        return pictures
+
+
+def drawn_hands(hands: CropHands, settings: CropSettings, generator: torch.Generator) -> DrawnHands:
+    """Every crop's hand, seen along the rays through the middles of the pixels."""
+    count, side = len(hands.points), settings.side_px
+    points = _before_one_camera(hands, side)
+    skin, last = last_labels(count, settings, generator)
+    camera = assumed_camera(side, side, dtype=points.dtype)
+    intrinsics = torch.tensor(((_FOCAL * side, 0.0, 0.0), (0.0, _FOCAL * side, 0.0), (0.0, 0.0, 1.0)))
+    camera = replace(camera, intrinsics=intrinsics.to(points))
+    face, depth = rasterize_many(_without_arms(points, hands, last), hands.faces, camera, is_closed=True)
+    pixel = (face.reshape(-1) >= 0).nonzero()[:, 0]
+    seen = face.reshape(-1).index_select(0, pixel)
+    crop = pixel // (side * side)
+    label = hands.labels.index_select(0, seen)
+    brightness = _light(hands, generator).reshape(-1).index_select(0, crop * len(hands.faces) + seen)
+    is_covered = label > skin.index_select(0, crop)
+    colours = _colours(hands, generator)
+    own = torch.cat(colours).T.index_select(1, crop + count * is_covered)
+    is_hand = torch.zeros(face.numel(), dtype=torch.bool).index_copy_(0, pixel, label == HAND)
+    return DrawnHands(
+        is_hand=is_hand.reshape(face.shape),
+        depth=torch.where(depth.isfinite(), depth, 0.0),
+        pixel=pixel,
+        colour=own * brightness,
+    )
+
+
+def _before_one_camera(hands: CropHands, side: int) -> Float[Tensor, "crops points 3"]:
+    """The points moved within planes of equal depth, so that one camera with its principal point at (0, 0) shows each
+    hand where its own does."""
+    x, y, z = hands.points.unbind(-1)
+    focal, (u, v) = hands.focal[:, None], hands.centre[:, :, None].unbind(1)
+    return torch.stack((focal * x + u * z, focal * y + v * z, _FOCAL * side * z), -1) / (_FOCAL * side)
+
+
+def _without_arms(points: Tensor, hands: CropHands, last: Int[Tensor, "crops"]) -> Float[Tensor, "crops points 3"]:
+    """The forearms that are not there shrunk to a point."""
+    first = hands.arm
+    arms = torch.where((last == HAND)[:, None, None], points[:, first:].mean(1, keepdim=True), points[:, first:])
+    return torch.cat((points[:, :first], arms), 1)
+
+
+def _light(hands: CropHands, generator: torch.Generator) -> Float[Tensor, "crops faces"]:
+    """Brightness of every face: ambient and diffuse light, with normals that are means over neighbours."""
+    points, count = hands.points, len(hands.points)
+    a, b, c = (points.index_select(1, corner) for corner in hands.faces.unbind(-1))
+    normal = torch.linalg.cross(b - a, c - a)
+    smooth = torch.zeros_like(points)
+    for corner in hands.faces.unbind(-1):
+        smooth.index_add_(1, corner, normal)
+    towards = torch.randn(count, 3, generator=generator) * torch.tensor((0.8, 0.8, 0.3))
+    towards = torch.nn.functional.normalize(towards + torch.tensor((0.0, -0.4, -1.0)), dim=-1)
+    diffuse = (smooth @ towards[..., None]).squeeze(-1) / smooth.norm(dim=-1).clamp_min(1e-12)
+    ambient = 0.25 + 0.5 * torch.rand(count, 1, generator=generator)
+    strength = 0.6 + 0.6 * torch.rand(count, 1, generator=generator)
+    lit = strength * (ambient + (1 - ambient) * diffuse.clamp_min(0))
+    return torch.stack([lit.index_select(1, corner) for corner in hands.faces.unbind(-1)]).mean(0)
+
+
+def _colours(hands: CropHands, generator: torch.Generator) -> tuple[Float[Tensor, "crops 3"], Float[Tensor, "crops 3"]]:
+    """RGB of each crop's skin, between two of the tones and the same in all views of a hand, and of its sleeve."""
+    tones = 255 * torch.tensor(list(SKIN_TONES.values()))
+    people = int(hands.person[-1]) + 1
+    which = torch.rand(people, generator=generator) * (len(tones) - 1)
+    below = which.long().clamp_max(len(tones) - 2)
+    skin = torch.lerp(tones[below], tones[below + 1], (which - below)[:, None])
+    skin = skin * (1 + 0.06 * torch.randn(people, 3, generator=generator))
+    sleeve = 255 * torch.rand(people, 3, generator=generator)
+    return skin[hands.person], sleeve[hands.person]

@@ -1,0 +1,98 @@
+"""Random hands before the cameras of their crops."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from torchhand.geometry import rotation_of_quaternion
+from torchhand.hand import Hand
+from torchhand.simulate.crops.forearms import FIRST_OF_FOREARM, LAST_OF_FOREARM, forearm_meshes
+from torchhand.simulate.crops.settings import CropSettings
+
+HAND = 1
+"""Label of the hand's faces."""
+_SHIFT = 0.15  # of the middle of the hand's box from that of the crop, over the crop's side: largest
+
+
+@dataclass(frozen=True, kw_only=True)
+class CropHands:
+    """Right hands, one for each crop; those of left hands are mirrored when the crop is done."""
+
+    points: Float[Tensor, "crops points 3"]
+    """Vertices of hand and forearm in the camera frame, metres."""
+    faces: Int[Tensor, "faces 3"]
+    labels: Int[Tensor, "faces"]
+    """1 of the hand, 2 to 255 of the forearm from the wrist to its end."""
+    keypoints: Float[Tensor, "crops 21 3"]
+    """Keypoints in the camera frame, metres."""
+    rotation: Float[Tensor, "crops 3 3"]
+    """cam_from_hand"""
+    joints: Float[Tensor, "crops 30"]
+    shape: Float[Tensor, "crops shape"]
+    arm: int
+    """First point of the forearm."""
+    focal: Float[Tensor, "crops"]
+    """Focal length of each crop's camera, px."""
+    centre: Float[Tensor, "crops 2"]
+    """Principal point of each crop's camera, px."""
+    is_left: Bool[Tensor, "crops"]
+    person: Int[Tensor, "crops"]
+    """Index of the hand that a crop shows, in the batch."""
+
+
+def crop_hands(
+    hand: Hand,
+    people: tuple[Float[Tensor, "people 36"], Float[Tensor, "people shape"]],
+    settings: CropSettings,
+    generator: torch.Generator,
+) -> CropHands:
+    """Hands in postures of theirs, each before `settings.views` cameras."""
+    poses, shapes = people
+    with torch.no_grad():
+        state = hand(poses, shapes)
+    breadth = hand.shape_space.metric(shapes)["wrist_breadth"]
+    arms, arm_faces, arm_labels = forearm_meshes(breadth, generator)
+    person = torch.arange(len(poses)).repeat_interleave(settings.views)
+    count = len(person)
+    turn = rotation_of_quaternion(torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=-1))
+    low, high = (math.log(end) for end in settings.distance)
+    distance = torch.exp(low + (high - low) * torch.rand(count, generator=generator))
+    ahead = torch.stack((0 * distance, 0 * distance, distance), -1)
+    place = ahead - (turn @ state.keypoints.mean(1)[person][..., None]).squeeze(-1)
+    vertices = torch.cat((state.vertices, arms), 1)
+    points = vertices[person] @ turn.mT + place[:, None]
+    plane = points[:, : state.vertices.shape[1]]
+    plane = plane[..., :2] / plane[..., 2:]
+    least, most = plane.amin(1), plane.amax(1)
+    share = settings.fill[0] + (settings.fill[1] - settings.fill[0]) * torch.rand(count, generator=generator)
+    focal = settings.side_px * share / (most - least).amax(-1)
+    shift = settings.side_px * _SHIFT * (2 * torch.rand(count, 2, generator=generator) - 1)
+    centre = 0.5 * (settings.side_px - 1) + shift - focal[:, None] * 0.5 * (least + most)
+    return CropHands(
+        points=points,
+        faces=torch.cat((state.faces, arm_faces + state.vertices.shape[1])),
+        labels=torch.cat((torch.full((len(state.faces),), HAND), arm_labels)),
+        keypoints=state.keypoints[person] @ turn.mT + place[:, None],
+        rotation=turn,
+        joints=poses[person, 6:],
+        shape=shapes[person],
+        arm=state.vertices.shape[1],
+        focal=focal,
+        centre=centre,
+        is_left=(torch.rand(len(poses), generator=generator) < settings.left)[person],
+        person=person,
+    )
+
+
+def last_labels(
+    count: int, settings: CropSettings, generator: torch.Generator
+) -> tuple[Int[Tensor, "crops"], Int[Tensor, "crops"]]:
+    """Last label that is skin, and last one that is there at all, of each crop."""
+    has_arm = torch.rand(count, generator=generator) < settings.forearm
+    has_sleeve = torch.rand(count, generator=generator) < settings.sleeve
+    begin = torch.randint(FIRST_OF_FOREARM, LAST_OF_FOREARM // 2, (count,), generator=generator)
+    skin = torch.where(has_arm, torch.where(has_sleeve, begin, LAST_OF_FOREARM), HAND)
+    return skin, torch.where(has_arm, LAST_OF_FOREARM, HAND)
