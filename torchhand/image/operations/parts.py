@@ -63,6 +63,11 @@ class PicturePart:
         scale = np.divide(self.part, self.size)
         return (np.asarray(points_px, np.float64) + 0.5) * scale - 0.5 + np.asarray(self.corner)
 
+    def part_px(self, points_px: np.ndarray) -> np.ndarray:
+        """Points (..., 2) of the whole picture in the part."""
+        scale = np.divide(self.size, self.part)
+        return (np.asarray(points_px, np.float64) - np.asarray(self.corner) + 0.5) * scale - 0.5
+
     def _resampled(self, whole: np.ndarray) -> np.ndarray:
         (x, y), (width, height) = self.corner, self.part
         cut = np.ascontiguousarray(whole[y : y + height, x : x + width])

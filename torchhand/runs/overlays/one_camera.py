@@ -13,11 +13,13 @@ from tqdm import tqdm
 
 from torchhand.draw import draw_overlay, overlay_size
 from torchhand.files import FrameRecord, Track, open_source, write_video
+from torchhand.image import PicturePart
 from torchhand.numerics import single_threaded
 from torchhand.runs.recordings import LiveCamera, OneCameraRecording, RecordedFrame
 from torchhand.runs.records import undetermined_fingers
 from torchhand.view import HandProjector
 
+_MAX_PIXELS = 2_100_000  # a little over full HD
 Draw = Callable[[HandProjector | None, RecordedFrame, FrameRecord], None]
 
 
@@ -62,7 +64,7 @@ def _timed_frames(
 def write_overlay(path: Path, track: Track, projector: HandProjector, source: str | Path, fps: float) -> None:
     """The whole overlay video; `projector` holds the camera frame's camera and the fitted shape."""
     camera = projector.camera
-    width, height = overlay_size(camera.width, camera.height)
+    width, height = overlay_size(*_shown(camera.width, camera.height).size)
     with (
         write_video(path, width=width, height=height, fps=fps) as video,
         tqdm(total=len(track), desc="overlay", unit="frame", disable=not sys.stderr.isatty()) as bar,
@@ -78,7 +80,7 @@ def draw_live(path: Path | None, recording: OneCameraRecording | LiveCamera) -> 
     if path is None:
         yield lambda projector, frame, record: None
         return
-    width, height = overlay_size(recording.width, recording.height)
+    width, height = overlay_size(*_shown(recording.width, recording.height).size)
     with write_video(path, width=width, height=height, fps=recording.fps) as video:
         first_s: list[float] = []
 
@@ -110,6 +112,11 @@ def drawn_over(
     )
 
 
+def _shown(width: int, height: int) -> PicturePart:
+    """A picture at the size in which it is shown."""
+    return PicturePart.of((0, 0), (width, height), _MAX_PIXELS)
+
+
 def _black(width: int, height: int) -> UInt8[Tensor, "height width 3"]:
     return torch.zeros(height, width, 3, dtype=torch.uint8)
 
@@ -128,6 +135,11 @@ def _drawn(
     finger_quality: np.ndarray | None,
 ) -> UInt8[Tensor, "overlay_height overlay_width 3"]:
     has_pose = bool(np.isfinite(pose).all())
+    part = _shown(image.shape[1], image.shape[0])
+    if part.size != part.part:
+        camera = projector.camera.of_part(part.corner, part.part, part.size)
+        image, projector = part.image(image), HandProjector(projector.kinematics, camera, projector.shape)
+        keypoints_px = None if keypoints_px is None else part.part_px(keypoints_px)
     return draw_overlay(
         image,
         projector,

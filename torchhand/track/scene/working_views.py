@@ -3,13 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.geometry import Camera
 from torchhand.image import BackgroundPlate, PicturePart
-from torchhand.track.scene.views import HandKeypoints, View
+from torchhand.track.scene.views import View
 
 
 class WorkingViews:
@@ -40,7 +41,8 @@ class WorkingViews:
             points = used.pixels_from_plane(given.plane_from_pixels(keypoints.points_px.to(used.intrinsics)))
             keypoints = replace(keypoints, points_px=points)
         elif keypoints is not None:
-            keypoints = _reduced(keypoints, part)
+            points = torch.from_numpy(part.part_px(keypoints.points_px.cpu().numpy())).to(keypoints.points_px)
+            keypoints = replace(keypoints, points_px=points)
         image = view.image if is_whole or view.image is None else part.image(view.image)
         mask = view.mask if is_whole or view.mask is None else part.mask(view.mask)
         own = View(image=image, mask=mask, keypoints=keypoints)
@@ -65,24 +67,10 @@ class WorkingViews:
         """Two points of the first camera's picture, (x, y, x, y)."""
         if points is None:
             return None
-        (across, down), (x0, y0, x1, y1) = _scales(self._parts[0]), points
-        return (
-            (x0 + 0.5) * across - 0.5,
-            (y0 + 0.5) * down - 0.5,
-            (x1 + 0.5) * across - 0.5,
-            (y1 + 0.5) * down - 0.5,
-        )
+        (x0, y0), (x1, y1) = self._parts[0].part_px(np.reshape(points, (2, 2))).tolist()
+        return x0, y0, x1, y1
 
 
 def is_same_view(one: View, other: View) -> bool:
     """Whether two views are the very same picture, mask and keypoints."""
     return all(getattr(one, name) is getattr(other, name) for name in ("image", "mask", "keypoints"))
-
-
-def _reduced(keypoints: HandKeypoints, part: PicturePart) -> HandKeypoints:
-    scale = keypoints.points_px.new_tensor(_scales(part))
-    return replace(keypoints, points_px=(keypoints.points_px + 0.5) * scale - 0.5)
-
-
-def _scales(part: PicturePart) -> tuple[float, float]:
-    return part.size[0] / part.part[0], part.size[1] / part.part[1]
