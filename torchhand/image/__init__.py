@@ -31,6 +31,7 @@ from torchhand.image.fingers import (
     refine_silhouette,
 )
 from torchhand.image.operations import (
+    WORKING_PIXELS,
     PicturePart,
     binomial_blur,
     closed,
@@ -80,6 +81,7 @@ from torchhand.image.segmentation import (
 
 __all__ = [
     "GREY",
+    "WORKING_PIXELS",
     "BackgroundPlate",
     "Boundary",
     "ColourModel",

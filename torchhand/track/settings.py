@@ -7,7 +7,7 @@ from torchhand.errors import require, require_positive
 from torchhand.fit.detect import FitSettings
 from torchhand.fit.keypoints import KeypointSettings
 from torchhand.hand import POSE_SPACES, POSTURES
-from torchhand.image import SilhouetteSettings
+from torchhand.image import WORKING_PIXELS, SilhouetteSettings
 from torchhand.numerics import MotionModel
 from torchhand.track.belief import NoiseSettings
 from torchhand.track.extended import ExtendedUpdateSettings
@@ -60,7 +60,7 @@ class TrackerSettings:
     which it has not been measured."""
     smoothing_window_s: float = 0.0
     """How far a hand that was found anew is followed back, to correct the frames before, seconds; 0 or more."""
-    max_pixels: int = 2_100_000
+    max_pixels: int = WORKING_PIXELS
     """Pixels of a picture that is worked on: larger ones are reduced to as many, which is a little over full HD; an
     outline says no more of a hand in a larger picture. 10,000 or more."""
     check_side_px: int = 320

@@ -16,10 +16,11 @@ from torchhand.image.operations.morphology import (
     square_kernel,
 )
 from torchhand.image.operations.overlaps import hand_region, intersection_over_union
-from torchhand.image.operations.parts import PicturePart
+from torchhand.image.operations.parts import WORKING_PIXELS, PicturePart
 from torchhand.image.operations.reduction import reduced, reduced_mask
 
 __all__ = [
+    "WORKING_PIXELS",
     "PicturePart",
     "binomial_blur",
     "bounding_box",

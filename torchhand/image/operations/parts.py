@@ -9,6 +9,9 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+WORKING_PIXELS = 2_100_000
+"""To which larger pictures are reduced, a little over full HD: an outline says no more of a hand in a larger one."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PicturePart:

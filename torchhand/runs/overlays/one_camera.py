@@ -13,13 +13,12 @@ from tqdm import tqdm
 
 from torchhand.draw import draw_overlay, overlay_size
 from torchhand.files import FrameRecord, Track, open_source, write_video
-from torchhand.image import PicturePart
+from torchhand.image import WORKING_PIXELS, PicturePart
 from torchhand.numerics import single_threaded
 from torchhand.runs.recordings import LiveCamera, OneCameraRecording, RecordedFrame
 from torchhand.runs.records import undetermined_fingers
 from torchhand.view import HandProjector
 
-_MAX_PIXELS = 2_100_000  # a little over full HD
 Draw = Callable[[HandProjector | None, RecordedFrame, FrameRecord], None]
 
 
@@ -114,7 +113,7 @@ def drawn_over(
 
 def _shown(width: int, height: int) -> PicturePart:
     """A picture at the size in which it is shown."""
-    return PicturePart.of((0, 0), (width, height), _MAX_PIXELS)
+    return PicturePart.of((0, 0), (width, height), WORKING_PIXELS)
 
 
 def _black(width: int, height: int) -> UInt8[Tensor, "height width 3"]:

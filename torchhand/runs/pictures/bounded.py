@@ -6,11 +6,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.geometry import Camera
+from torchhand.image import WORKING_PIXELS
 from torchhand.track import View
 from torchhand.track.scene import WorkingViews
 from torchhand.track.single import SinglePose, SinglePoseFitter
-
-_MAX_PIXELS = 2_100_000  # full HD; an outline says no more of a hand in a larger picture
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +26,7 @@ class BoundedView:
         """The view itself where it is small enough."""
         if view.image is None or tuple(view.image.shape[:2]) != (camera.height, camera.width):
             return cls(view=view, camera=camera)
-        working = WorkingViews((camera,), _MAX_PIXELS)
+        working = WorkingViews((camera,), WORKING_PIXELS)
         (used,) = working.cameras
         return cls(view=working.of(view, 0, used), camera=used, working=working)
 

@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
 import torch
 from jaxtyping import Bool, UInt8
 from torch import Tensor
@@ -16,7 +15,7 @@ from torchhand.files import FittedHand, camera_for, load_hand_model, open_source
 from torchhand.fit.open_hand import fit_open_hand
 from torchhand.geometry import Camera
 from torchhand.hand import HandPose, Side
-from torchhand.image import NoRegions, bootstrap_skin, find_open_hand
+from torchhand.image import WORKING_PIXELS, NoRegions, PicturePart, bootstrap_skin, find_open_hand
 from torchhand.simulate import hand_length
 from torchhand.study.hypotheses.case_study import StudyCase
 from torchhand.study.hypotheses.known_poses import KnownPoses, load_known_poses
@@ -114,12 +113,12 @@ def _sequence(given: Given, folder: Path) -> Cases:
     unknown = next((number for number in numbers if not bool(known.pose[number].isfinite().all())), None)
     if unknown is not None:
         raise InputError(f"{folder / TRUTH_NAME}: frame {unknown}: expected a pose, or keypoints to fit, got none")
-    pictures, camera = _pictures(folder / FRAMES_NAME, numbers, given.camera or folder / CAMERAS_NAME)
+    pictures = _pictures(folder / FRAMES_NAME, numbers, given.camera or folder / CAMERAS_NAME)
     masks = numbered_pictures(folder / MASKS_NAME)
     return Cases(
         cases=[
-            _known_case(known, number, image, _mask(folder, masks, number, image), camera)
-            for number, image in zip(numbers, pictures, strict=True)
+            _known_case(known, number, image, _mask(folder, masks, number, image, pictures.part), pictures.camera)
+            for number, image in zip(numbers, pictures.images, strict=True)
         ],
         reference=known.source,
     )
@@ -137,7 +136,9 @@ def _known_case(known: KnownPoses, number: int, image: Tensor, mask: Tensor, cam
     )
 
 
-def _mask(folder: Path, masks: dict[int, Path], number: int, image: Tensor) -> Bool[Tensor, "height width"]:
+def _mask(
+    folder: Path, masks: dict[int, Path], number: int, image: Tensor, part: PicturePart
+) -> Bool[Tensor, "height width"]:
     """Mask from masks/ where the folder has them, else by the skin's colour."""
     if not masks:
         start = bootstrap_skin(image)
@@ -146,15 +147,14 @@ def _mask(folder: Path, masks: dict[int, Path], number: int, image: Tensor) -> B
         return start.mask
     if number not in masks:
         raise InputError(f"{folder / MASKS_NAME}: expected a mask of every frame, lacks number {number}")
-    mask = load_mask(masks[number])
-    _check_size(masks[number], mask, image)
-    return torch.from_numpy(mask)
+    return _reduced_mask(masks[number], torch.from_numpy(load_mask(masks[number])), part)
 
 
-def _check_size(path: Path, mask: np.ndarray, image: Tensor) -> None:
-    if mask.shape[:2] != image.shape[:2]:
-        expected, got = (f"{size[1]}x{size[0]}" for size in (image.shape, mask.shape))
+def _reduced_mask(path: Path, mask: Bool[Tensor, "height width"], part: PicturePart) -> Bool[Tensor, "_height _width"]:
+    if tuple(mask.shape[::-1]) != part.part:
+        expected, got = (f"{size[0]}x{size[1]}" for size in (part.part, mask.shape[::-1]))
         raise InputError(f"{path}: expected a mask of {expected} px, the size of the picture, got {got}")
+    return part.mask(mask)
 
 
 # ------------------------------------------------------------------ pictures without truth
@@ -162,27 +162,26 @@ def _check_size(path: Path, mask: np.ndarray, image: Tensor) -> None:
 
 def _found(given: Given, source: Path) -> Cases:
     numbers = given.frames
-    pictures, camera = _pictures(source, numbers, given.camera)
-    if given.mask is not None and len(pictures) != 1:
-        raise InputError(f"--mask: expected one picture with it, got {len(pictures)}")
-    numbers = tuple(range(len(pictures))) if numbers is None else numbers
+    pictures = _pictures(source, numbers, given.camera)
+    if given.mask is not None and len(pictures.images) != 1:
+        raise InputError(f"--mask: expected one picture with it, got {len(pictures.images)}")
+    numbers = tuple(range(len(pictures.images))) if numbers is None else numbers
     place = {"rotation": torch.eye(3).double(), "translation": torch.zeros(3).double()}
     cases = [
-        _found_case(source, number, image, replace(camera, **place), given)
-        for number, image in zip(numbers, pictures, strict=True)
+        _found_case(source, number, image, replace(pictures, camera=replace(pictures.camera, **place)), given)
+        for number, image in zip(numbers, pictures.images, strict=True)
     ]
     return Cases(cases=cases, reference="the best registration about the fit of an open hand", is_final=False)
 
 
-def _found_case(source: Path, number: int, image: Tensor, camera: Camera, given: Given) -> StudyCase:
+def _found_case(source: Path, number: int, image: Tensor, pictures: "_Pictures", given: Given) -> StudyCase:
+    camera = pictures.camera
     side: Side = _side_of(given) or "right"
     where = source if source.is_file() else f"{source}: frame {number}"
     if given.mask is None:
         mask = find_open_hand(image).mask
     else:
-        pixels = read_picture(given.mask)
-        _check_size(given.mask, pixels.numpy(), image)
-        mask = pixels.amax(-1) > 127
+        mask = _reduced_mask(given.mask, read_picture(given.mask).amax(-1) > 127, pictures.part)
     if not bool(mask.any()):
         raise InputError(f"{where}: no hand: nothing of a hand's size stands out by colour or brightness; give --mask")
     kinematics = load_hand_model().kinematics(side, dtype=torch.float64)
@@ -212,11 +211,20 @@ def _found_case(source: Path, number: int, image: Tensor, camera: Camera, given:
 # ------------------------------------------------------------------ what they share
 
 
-def _pictures(
-    source: Path, numbers: Sequence[int] | None, camera: Path | None
-) -> tuple[list[UInt8[Tensor, "height width 3"]], Camera]:
-    """The pictures of the given numbers, or all, and their camera."""
+@dataclass(frozen=True, kw_only=True)
+class _Pictures:
+    """Pictures of one camera, reduced where they are large."""
+
+    images: Sequence[UInt8[Tensor, "height width 3"]]
+    camera: Camera
+    part: PicturePart
+    """How the pictures were reduced."""
+
+
+def _pictures(source: Path, numbers: Sequence[int] | None, camera: Path | None) -> _Pictures:
+    """The pictures of the given numbers, or all."""
     images: list[Tensor] = []
+    part: PicturePart | None = None
     spans = [(0, None)] if numbers is None else [(number, 1) for number in numbers]
     size = (0, 0)
     for start, count in spans:
@@ -226,10 +234,14 @@ def _pictures(
             for frame in frames:
                 if frame.image is None:
                     raise InputError(f"{frame.problem}")
-                images.append(frame.image)
+                part = part or PicturePart.of((0, 0), size, WORKING_PIXELS)
+                images.append(part.image(frame.image))
             if len(images) == before:
                 raise InputError(f"--frames: {source} has no frame {start}")
-    return images, camera_for(camera, *size)
+    assert part is not None  # there is a picture
+    used = camera_for(camera, *size)
+    used = used if part.size == part.part else used.of_part(part.corner, part.part, part.size)
+    return _Pictures(images=images, camera=used, part=part)
 
 
 def _side_of(given: Given) -> Side | None:
