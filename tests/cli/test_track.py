@@ -869,3 +869,11 @@ def _plain(clip: Clip) -> np.ndarray:
     """The colour of the clip's plain background everywhere, BGR."""
     colour = np.median(clip.pictures[0][:5], (0, 1)).astype(np.uint8)
     return np.ascontiguousarray(np.broadcast_to(colour, clip.pictures[0].shape))
+
+
+def test_a_cluster_wants_a_folder_of_videos(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "one.mp4").touch()
+    assert main([str(tmp_path / "one.mp4"), "--out", str(tmp_path / "out"), "--ray"]) == 2
+    assert "--ray: expected a folder of videos with it, got" in capsys.readouterr().err
+    assert main([str(tmp_path / "one.mp4"), "--out", str(tmp_path / "out"), "--ray", "one", "two"]) == 2
+    assert "--ray: expected one address or none, got one two" in capsys.readouterr().err

@@ -3,7 +3,7 @@
 import pytest
 
 from torchhand.runs import progress as progress_file
-from torchhand.runs.progress import progress
+from torchhand.runs.progress import progress, untold_progress
 
 
 def test_a_line_every_ten_seconds(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -27,3 +27,12 @@ def test_nobody_knows_how_many_frames_a_camera_gives(monkeypatch: pytest.MonkeyP
         now_s = 12.0
         bar.update()
     assert said == ["webcam0: 1 frames, 0.1 per second"]
+
+
+def test_what_nobody_reads_before_the_end_is_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s, said = 0.0, list[str]()
+    monkeypatch.setattr(progress_file.time, "monotonic", lambda: now_s)
+    with untold_progress(), progress("wave", 100, said.append) as bar:
+        now_s = 12.0
+        bar.update()
+    assert said == []

@@ -14,7 +14,7 @@ import torch
 from tqdm import tqdm
 from tyro.conf import Positional, UseAppendAction, arg
 
-from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
+from torchhand.cli.command import DONE, STOPPED_BY_USER, command, one_address, parse, threads
 from torchhand.cli.studies import UEDA, study_ueda
 from torchhand.cluster import Cluster
 from torchhand.errors import InputError
@@ -129,9 +129,7 @@ class Arguments:
     def __post_init__(self) -> None:
         if not -(2**63) <= self.seed < 2**63:
             raise ValueError(f"--seed: expected a number of 64 bits, got {self.seed}")
-        if self.ray is not None and len(self.ray) > 1:
-            raise ValueError(f"--ray: expected one address or none, got {' '.join(self.ray)}")
-        if self.ray and self.threads is not None:
+        if one_address(self.ray) is not None and self.threads is not None:
             raise ValueError("--threads: expected none with an address of --ray, whose processors all work")
 
 
@@ -178,7 +176,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _workers(arguments: Arguments, side_by_side: int) -> contextlib.AbstractContextManager[int | Cluster]:
     if arguments.ray is None:
         return contextlib.nullcontext(side_by_side)
-    return Cluster(next(iter(arguments.ray), None), processes=arguments.threads)
+    return Cluster(one_address(arguments.ray), processes=arguments.threads)
 
 
 def _work(arguments: Arguments, settings: HypothesisStudySettings) -> Work:

@@ -9,14 +9,16 @@ from typing import Annotated, Literal
 from tqdm import tqdm
 from tyro.conf import Positional, UseAppendAction, arg
 
-from torchhand.cli.command import DONE, STOPPED_BY_USER, WRONG_INPUT, command, parse, threads
+from torchhand.cli.command import DONE, STOPPED_BY_USER, WRONG_INPUT, command, one_address, parse, threads
+from torchhand.cluster import Cluster
 from torchhand.errors import DiskError, InputError
-from torchhand.files import Track, check_output_folder, sequences_of
+from torchhand.files import check_output_folder, sequences_of
 from torchhand.files.disk import expanded
 from torchhand.files.pictures import MAX_MEGAPIXELS, pixel_limit
 from torchhand.runs import (
     STANDARD_OUTPUT,
     Request,
+    Video,
     check_streams,
     how_to_go_on,
     keypoints_of,
@@ -25,6 +27,8 @@ from torchhand.runs import (
     start_points_of,
     summary_of,
     track_sequence,
+    track_videos,
+    without_hand,
 )
 from torchhand.track import TrackerSettings
 
@@ -102,12 +106,17 @@ class Arguments:
     """Seed of everything that is random (the contour tracker draws nothing at random)."""
     threads: int = 1
     """Threads of one tracker; its tensors are small, and more than one is slower."""
+    ray: Annotated[tuple[str, ...] | None, arg(metavar="[ADDRESS]")] = None
+    """Track the videos of a folder side by side, in the processes of a Ray cluster (extra `cluster`): of the one at
+    ADDRESS, such as auto or HOST:6379, where the paths must lead to the same files, or, without one, on all cores of
+    this machine. The results are the same."""
     max_megapixels: float = MAX_MEGAPIXELS
     """Largest pictures that are read; what is larger by its header is refused before it is decoded."""
 
     def __post_init__(self) -> None:
         if not -(2**63) <= self.seed < 2**63:
             raise ValueError(f"--seed: expected a number of 64 bits, got {self.seed}")
+        one_address(self.ray)
 
 
 @command
@@ -119,9 +128,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     if (arguments.live or arguments.stream) and len(sequences) > 1:
         raise InputError(f"--live, --stream: expected one video, got a folder with {len(sequences)}")
     has_videos = expanded(arguments.input).is_dir() and Path(sequences[0][1]).is_file()
-    jobs = [(name, source, arguments.out / name if has_videos else arguments.out) for name, source in sequences]
-    for _, _, out_dir in jobs:
-        check_output_folder(out_dir, resume=request.resume, overwrite=request.overwrite)
+    videos = [
+        Video(name=name, source=source, out_dir=arguments.out / name if has_videos else arguments.out)
+        for name, source in sequences
+    ]
+    for video in videos:
+        check_output_folder(video.out_dir, resume=request.resume, overwrite=request.overwrite)
+    if arguments.ray is not None:
+        if not has_videos:
+            raise InputError(f"--ray: expected a folder of videos with it, got {arguments.input}")
+        return _track_on_cluster(arguments, request, videos)
     failed: list[str] = []
     said: set[str] = set()
 
@@ -132,22 +148,46 @@ def main(argv: Sequence[str] | None = None) -> int:
             _say(line)
 
     with threads(arguments.threads), pixel_limit(arguments.max_megapixels):
-        for name, source, out_dir in jobs:
+        for video in videos:
             try:
-                track, _ = track_sequence(source, out_dir, request, say)
+                track, _ = track_sequence(video.source, video.out_dir, request, say)
             except KeyboardInterrupt:
-                _say(how_to_go_on(out_dir, overwrite=request.overwrite))
+                _say(how_to_go_on(video.out_dir, overwrite=request.overwrite))
                 return STOPPED_BY_USER
             except (InputError, OSError) as error:
                 if not has_videos or isinstance(error, DiskError):
                     raise
                 _say(f"error: {error}")
-                failed.append(name)
+                failed.append(video.name)
                 continue
-            told = summary_of(name, track, out_dir)
+            told = summary_of(video.name, track, video.out_dir)
             print(told, file=sys.stderr if STANDARD_OUTPUT in request.streams else sys.stdout)
-            _warn_without_hand(name, track)
+            line = without_hand(video.name, track)
+            if line is not None:
+                _say(line)
     return WRONG_INPUT if failed else DONE
+
+
+def _track_on_cluster(arguments: Arguments, request: Request, videos: Sequence[Video]) -> int:
+    has_failed = False
+    try:
+        with Cluster(one_address(arguments.ray)) as cluster:
+            hidden = not sys.stderr.isatty()
+            with tqdm(total=len(videos), desc="track", unit="video", disable=hidden, leave=False) as bar:
+                for video, report in track_videos(cluster, request, videos, arguments.max_megapixels):
+                    bar.update()
+                    for line in report.said:
+                        _say(f"{video.name}: {line.removeprefix(f'{video.name}: ')}")
+                    if report.error:
+                        _say(f"error: {report.error}")
+                        has_failed = True
+                    else:
+                        print(report.summary)
+    except KeyboardInterrupt:
+        option = "--resume in place of --overwrite" if arguments.overwrite else "--resume"
+        _say(f"stopped by Ctrl-C; the same command with {option} goes on")
+        return STOPPED_BY_USER
+    return WRONG_INPUT if has_failed else DONE
 
 
 def _settings(arguments: Arguments) -> TrackerSettings:
@@ -179,12 +219,6 @@ def _request(arguments: Arguments) -> Request:
         has_report=arguments.report,
         seed=arguments.seed,
     )
-
-
-def _warn_without_hand(name: str, track: Track) -> None:
-    if len(track) and not any(status in ("tracked", "recovered") for status in track.status):
-        reason = "" if track.reason is None else next((f" ({text})" for text in track.reason if text), "")
-        _say(f"{name}: no hand was found{reason}; name its --posture, or give --start-points")
 
 
 def _say(line: str) -> None:

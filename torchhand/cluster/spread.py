@@ -3,8 +3,10 @@
 import contextlib
 import functools
 import importlib
+import os
 import uuid
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
 
@@ -60,7 +62,7 @@ class Cluster:
         here; a worker that is lost is replaced, and its items are done again.
         """
         run = self._ray.remote(num_cpus=1, max_retries=-1)(_run)
-        shared, token = self._ray.put(make_work), uuid.uuid4().hex
+        shared, token = self._ray.put((make_work, Path.cwd())), uuid.uuid4().hex
         waiting, running = iter(items), dict[Any, Item]()
         while True:
             for item in waiting:
@@ -88,7 +90,10 @@ def _run(token: str, shared: Sequence[Any], item: Any) -> Any:
 
 
 @functools.lru_cache(maxsize=1)
-def _work(token: str, make_work: Any) -> Callable[[Any], Any]:
+def _work(token: str, shared: Any) -> Callable[[Any], Any]:
     """What the worker makes once: for the token, since references to one object may differ."""
     torch.set_num_threads(1)
-    return importlib.import_module("ray").get(make_work)()
+    make, folder = importlib.import_module("ray").get(shared)
+    with contextlib.suppress(OSError):
+        os.chdir(folder)  # relative paths lead where they lead for who asks
+    return make()

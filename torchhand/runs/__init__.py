@@ -10,6 +10,7 @@ from torchhand.runs.seen_hands import PALM_METRES, cameras_of_detections, same_f
 from torchhand.runs.short import fit_hand, track
 from torchhand.runs.streams import STANDARD_OUTPUT, check_streams
 from torchhand.runs.tracking import how_to_go_on, summary_of, track_live_rig, track_rig, track_sequence
+from torchhand.runs.videos import Video, VideoReport, track_videos, without_hand
 
 __all__ = [
     "PALM_METRES",
@@ -22,6 +23,8 @@ __all__ = [
     "RigRecording",
     "Run",
     "Say",
+    "Video",
+    "VideoReport",
     "cameras_of_detections",
     "changes_of",
     "check_streams",
@@ -41,5 +44,7 @@ __all__ = [
     "track_live_rig",
     "track_rig",
     "track_sequence",
+    "track_videos",
     "undetermined_fingers",
+    "without_hand",
 ]

@@ -4,11 +4,13 @@ import contextlib
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextvars import ContextVar
 from typing import Any
 
 from tqdm import tqdm
 
 _EVERY_S = 10.0  # from line to line
+_is_told: ContextVar[bool] = ContextVar("is_told", default=True)
 
 
 class Progress:
@@ -28,7 +30,7 @@ class Progress:
             self._bar.update()
             return
         now_s = time.monotonic()
-        if now_s - self._said_s >= _EVERY_S:
+        if _is_told.get() and now_s - self._said_s >= _EVERY_S:
             self._said_s = now_s
             self._say(self._line(told, now_s - self._started_s))
 
@@ -38,6 +40,16 @@ class Progress:
         left = "" if self._total is None else f", {max(0, self._total - self._count) / rate:.0f} s left"
         kinds = "".join(f", {count} {name}" for name, count in told.items())
         return f"{self._what}: {done} frames, {rate:.1f} per second{left}{kinds}"
+
+
+@contextlib.contextmanager
+def untold_progress() -> Iterator[None]:
+    """No lines within the block: nobody reads them before all is done."""
+    before = _is_told.set(False)
+    try:
+        yield
+    finally:
+        _is_told.reset(before)
 
 
 @contextlib.contextmanager

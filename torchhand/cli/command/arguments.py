@@ -104,6 +104,17 @@ def _read(kind: type, argv: Sequence[str] | None, name: str, *, has_settings: bo
     return read.given, read.common
 
 
+def one_address(ray: Sequence[str] | None) -> str | None:
+    """What a command calls --ray [ADDRESS]: the address, if one is given.
+
+    Raises:
+        ValueError: several addresses.
+    """
+    if ray is not None and len(ray) > 1:
+        raise ValueError(f"--ray: expected one address or none, got {' '.join(ray)}")
+    return ray[0] if ray else None
+
+
 @contextlib.contextmanager
 def threads(count: int) -> Iterator[None]:
     """torch computes with so many threads inside the block, for what a command calls --threads.

@@ -1,0 +1,58 @@
+"""Videos of a folder: what a lost worker had begun is gone on with, and every video has its own report."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from torchhand.cluster import Cluster
+from torchhand.errors import DiskError, InputError
+from torchhand.runs import Request, Video, settings_of, track_videos, videos
+
+REQUEST = Request(settings=settings_of("contour_planar"), config="contour_planar")
+
+
+class Here(Cluster):
+    """A cluster of this process alone."""
+
+    def __init__(self) -> None:
+        pass
+
+    def done(self, make_work: Any, items: Any) -> Any:
+        work = make_work()
+        return ((item, work(item)) for item in items)
+
+
+def _tracked(request: Request, items: list[Video]) -> dict[str, Any]:
+    return {video.name: report for video, report in track_videos(Here(), request, items, 64.0)}
+
+
+def test_each_video_has_its_report(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    asked: dict[str, bool] = {}
+
+    def track(source: Path, out_dir: Path, request: Request, say: Any) -> Any:
+        asked[source.name] = request.resume
+        say("what it says")
+        raise InputError(f"{source}: is none")
+
+    monkeypatch.setattr(videos, "track_sequence", track)
+    begun = Video(name="begun", source=tmp_path / "begun.mp4", out_dir=tmp_path / "begun")
+    begun.out_dir.mkdir()
+    (begun.out_dir / "track.jsonl").touch()
+    new = Video(name="new", source=tmp_path / "new.mp4", out_dir=tmp_path / "new")
+    reports = _tracked(REQUEST, [begun, new])
+    assert asked == {"begun.mp4": True, "new.mp4": False}
+    assert reports["new"].error == f"{tmp_path / 'new.mp4'}: is none"
+    assert reports["new"].said == ("what it says",)
+    assert _tracked(replace(REQUEST, overwrite=True), [begun])["begun"].error
+    assert asked["begun.mp4"] is False
+
+
+def test_a_full_disk_ends_all_of_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def track(*_: Any) -> Any:
+        raise DiskError("no space")
+
+    monkeypatch.setattr(videos, "track_sequence", track)
+    with pytest.raises(DiskError, match="no space"):
+        _tracked(REQUEST, [Video(name="one", source=tmp_path / "one.mp4", out_dir=tmp_path / "one")])
