@@ -35,6 +35,7 @@ CASES = [
             "points_per_generator": 2,
             "points_per_arc": 4,
             "shape_frames": 0,
+            "max_pixels": 10_000,
             "check_side_px": 64,
         }.items()
     ],
