@@ -29,8 +29,7 @@ def begin_test() -> None:
 
 def install() -> None:
     """Let jaxtyping's import hook decorate with this in place of its own decorator."""
-    if not isinstance(jaxtyping.jaxtyped, functools.partial):  # of another import of this file
-        decorators.jaxtyped = jaxtyping.jaxtyped = functools.partial(_checked)
+    decorators.jaxtyped = jaxtyping.jaxtyped = _checked
 
 
 def _checked(*decorated: Any, **options: Any) -> Any:

@@ -146,10 +146,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     if side_by_side is None:
         side_by_side = min(_MAX_SIDE_BY_SIDE, os.cpu_count() or 1)
     with (
-        threads(side_by_side),
+        threads(side_by_side),  # for its check alone: each of them computes with one
         threads(1),
         _workers(arguments, side_by_side) as workers,
-    ):  # the first for its check: each of them computes with one
+    ):
         work = _work(arguments, settings)
         folder = StudyFolder(arguments.out, work.header(), resume=arguments.resume, overwrite=arguments.overwrite)
         if folder.finished is not None:

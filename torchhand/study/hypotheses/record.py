@@ -78,9 +78,10 @@ class Hypotheses:
         end = 0
         for part in parts:
             begin, end = end, end + len(part)
-            for name, values in part.arrays().items():
-                whole = arrays.setdefault(name, np.empty((count, *values.shape[1:]), values.dtype))
-                whole[begin:end] = values
+            own = part.arrays()
+            arrays = arrays or {name: np.empty((count, *one.shape[1:]), one.dtype) for name, one in own.items()}
+            for name, values in own.items():
+                arrays[name][begin:end] = values
         if end != count:
             raise ValueError(f"expected {count} hypotheses, got {end}")
         return cls(**arrays)
