@@ -50,7 +50,7 @@ def soft_silhouettes(name: str, repeats: int | None) -> Figure:
 
 
 def crops(name: str, repeats: int | None) -> Figure:
-    """CPU milliseconds of one core for a labelled crop in a shard, of which two cores are to make a thousand a second."""
+    """CPU milliseconds for a labelled crop in a shard; two cores are to make a thousand of them a second."""
     cpu_ms, wall_ms = [], []
     with tempfile.TemporaryDirectory() as folder:
         settings = CropSettings()
