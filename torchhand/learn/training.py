@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -34,6 +34,7 @@ class LossWeights:
     """Energy of the prior, nats."""
 
 
+@runtime_checkable
 class LossSettings(Protocol):
     """What of the settings of a training its loss depends on."""
 

@@ -27,10 +27,10 @@ def cut(image: UInt8[np.ndarray, "..."], window: Window, side_px: int = SIDE_PX)
     """The window's pixels, averaged; beyond the picture's edge its outermost ones go on."""
     x, y, side = window
     height, width = image.shape[:2]
-    beyond = [max(0, -y), max(0, y + side - height), max(0, -x), max(0, x + side - width)]
-    if any(beyond):
-        image = cv2.copyMakeBorder(image, *beyond, cv2.BORDER_REPLICATE)
-    top, left = y + beyond[0], x + beyond[2]
+    above, below, before, after = max(0, -y), max(0, y + side - height), max(0, -x), max(0, x + side - width)
+    if above or below or before or after:
+        image = cv2.copyMakeBorder(image, above, below, before, after, cv2.BORDER_REPLICATE)
+    top, left = y + above, x + before
     return cv2.resize(image[top : top + side, left : left + side], (side_px, side_px), interpolation=cv2.INTER_AREA)
 
 

@@ -12,7 +12,7 @@ from torchhand.learn import Samples
 from torchhand.propose import SIDE_PX
 from torchhand.simulate import CropMaker, CropSettings
 
-LOOKS = CropSettings(side_px=SIDE_PX, left=0.0, blur_px=(0.3, 0.8))
+LOOKS = CropSettings(side_px=SIDE_PX, left=0.0, blur_px=(0.3, 0.8), roll_deg=25.0)
 _PEOPLE = 16
 
 

@@ -24,7 +24,7 @@ class PictureTraining:
 
     seed: int = 0
     """Seed of everything that is random."""
-    steps: int = 3000
+    steps: int = 4000
     """Steps on crops of the simulator alone."""
     recorded_steps: int = 800
     """Steps on crops of the simulator and of a recording, after those; 0 without a recording."""
@@ -36,7 +36,7 @@ class PictureTraining:
     """Largest step of Adam; it rises over the first twentieth and falls to zero as a cosine."""
     recorded_rate: float = 6e-4
     """The same of the steps with a recording."""
-    crops: int = 12_000
+    pool: int = 20_000
     """Simulated crops to train on."""
     held_out: int = 800
     """Other ones, to measure on."""
@@ -55,7 +55,7 @@ class PictureTraining:
 
     def __post_init__(self) -> None:
         ranges = {"seed": (0, 2**62), "steps": (1, 10_000_000), "recorded_steps": (0, 10_000_000)}
-        ranges |= {"batch": (2, 100_000), "recorded_batch": (1, 100_000), "crops": (8, 10_000_000), "views": (1, 64)}
+        ranges |= {"batch": (2, 100_000), "recorded_batch": (1, 100_000), "pool": (8, 10_000_000), "views": (1, 64)}
         ranges |= {"held_out": (8, 1_000_000), "width": (1, 256), "hidden": (8, 8192), "blocks": (0, 64)}
         for name, (low, high) in ranges.items():
             require(low <= getattr(self, name) <= high, name, f"{low} to {high}", getattr(self, name))
@@ -163,5 +163,5 @@ def simulated_data(
     settings: PictureTraining, model: HandModel, tick: Any = lambda count: None
 ) -> tuple[SimulatedCrops, SimulatedCrops]:
     """Crops to train on, and crops to measure on."""
-    own = simulated_crops(model, settings.crops, step_generator(settings.seed, -1), tick)
+    own = simulated_crops(model, settings.pool, step_generator(settings.seed, -1), tick)
     return own, simulated_crops(model, settings.held_out, step_generator(settings.seed, -2), tick)

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchhand.geometry import rotation_of_quaternion
+from torchhand.geometry import rotation_from_vector, rotation_of_quaternion
 from torchhand.hand import Hand
 from torchhand.simulate.crops.forearms import FIRST_OF_FOREARM, LAST_OF_FOREARM, forearm_meshes
 from torchhand.simulate.crops.settings import CropSettings
@@ -62,6 +62,8 @@ def crop_hands(
     person = torch.arange(len(poses)).repeat_interleave(settings.views)
     count = len(person)
     turn = rotation_of_quaternion(torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=-1))
+    if settings.roll_deg is not None:
+        turn = _rolled(turn, settings.roll_deg, generator)
     low, high = (math.log(end) for end in settings.distance)
     distance = torch.exp(low + (high - low) * torch.rand(count, generator=generator))
     ahead = torch.stack((0 * distance, 0 * distance, distance), -1)
@@ -118,3 +120,11 @@ def _smooth_normals(
     at_points = torch.nn.functional.normalize(at_points.view_as(vertices), dim=-1)
     a, b, c = (at_points.index_select(0, corner) for corner in faces.unbind(-1))
     return a.add_(b).add_(c).div_(3).movedim(0, 1)
+
+
+def _rolled(turn: Float[Tensor, "crops 3 3"], std_deg: float, generator: torch.Generator) -> Float[Tensor, "crops 3 3"]:
+    """Turned about the line of sight until the fingers (y of the hand) point upwards, and then by a random angle."""
+    upwards = torch.atan2(-turn[:, 0, 1], -turn[:, 1, 1])  # from the way the fingers point to -y of the picture
+    angle = upwards + math.radians(std_deg) * torch.randn(len(turn), generator=generator)
+    about = torch.stack((0 * angle, 0 * angle, angle), -1)
+    return rotation_from_vector(about) @ turn
