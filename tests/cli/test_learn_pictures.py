@@ -13,7 +13,9 @@ from tests.learn.pictures.conftest import SMALL, Recording
 from tests.learn.pictures.conftest import recording as recording
 from torchhand.cli.learn_pose import main
 from torchhand.cli.learning import from_pictures
-from torchhand.learn.pictures import load_picture_record, recorded_crops
+from torchhand.files import load_hand_model
+from torchhand.learn.pictures import load_picture_record, recorded_crops, recorded_figures
+from torchhand.learn.pictures.teaching import Teacher
 
 
 @pytest.fixture(autouse=True)
@@ -60,7 +62,11 @@ def test_a_training_that_is_broken_off_twice_ends_in_the_same_bytes(
     assert figures["simulator"] == rows[1]
     assert figures["recording"] == rows[-1]
     assert 0 <= rows[-1]["judge/overlap"] <= 1
-    assert len(recorded_crops(recording.pictures, recording.points, range(5, 8))) == 3
+    record, crops = load_picture_record(whole), recorded_crops(recording.pictures, recording.points, range(5, 8))
+    teacher, network = Teacher(load_hand_model()), record.network(load_hand_model())
+    assert recorded_figures(network, crops, teacher)["points_px"] == pytest.approx(
+        rows[-1]["judge/points_px"], rel=1e-6
+    )
     assert (whole / "events").is_dir() == (importlib.util.find_spec("tensorboard") is not None)
     assert main(["--pictures", "--out", str(broken), "--resume", "--frames", "0", "3"]) == 2
     assert "--frames: expected (0, 4), as " in capsys.readouterr().err

@@ -1,5 +1,6 @@
 """A network from pictures to hands, trained on the simulator and taught by silhouettes and points of recordings."""
 
+from torchhand.learn.pictures.cutting import cut, moved_intrinsics, window_about
 from torchhand.learn.pictures.measuring import (
     RECORDED_FIGURES,
     TrueCrops,
@@ -30,7 +31,9 @@ __all__ = [
     "RecordedCrops",
     "SimulatedCrops",
     "TrueCrops",
+    "cut",
     "load_picture_record",
+    "moved_intrinsics",
     "new_picture_training",
     "picture_data",
     "recorded_crops",
@@ -41,4 +44,5 @@ __all__ = [
     "still_crops",
     "train_from_pictures",
     "true_figures",
+    "window_about",
 ]

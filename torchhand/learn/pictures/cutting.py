@@ -13,7 +13,7 @@ Window = tuple[int, int, int]
 """Left and upper edge, and side, of a square, px."""
 
 
-def window_about(points_px: Float[Tensor, "21 2"], *, share: float = SHARE, shift: Tensor | None = None) -> Window:
+def window_about(points_px: Float[Tensor, "points 2"], *, share: float = SHARE, shift: Tensor | None = None) -> Window:
     """The square about the box of some points. share: as SHARE. shift: of its middle, over its side."""
     low, high = points_px.amin(0), points_px.amax(0)
     side = max(4.0, float((high - low).amax()) / share)

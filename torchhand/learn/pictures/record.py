@@ -12,9 +12,11 @@ import torch
 
 from torchhand.errors import InputError
 from torchhand.files.disk import replacing, write_text
+from torchhand.hand import HandModel
 from torchhand.learn import CURVE_NAME, MODEL_NAME, Curve, LossWeights, curve_text
+from torchhand.learn.pictures.network import PictureNetwork
 from torchhand.learn.pictures.teaching import TeachingWeights
-from torchhand.learn.pictures.training import PictureProgress, PictureTraining
+from torchhand.learn.pictures.training import PictureProgress, PictureTraining, new_picture_training
 
 LOG_NAME, EVENTS_NAME = "log.jsonl", "events"
 _FORMAT = "torchhand learn_pose --pictures 1"
@@ -30,6 +32,12 @@ class PictureRecord:
     curve: Curve
     kept: dict[str, Any]
     """State of network and optimiser, and the step."""
+
+    def network(self, model: HandModel) -> PictureNetwork:
+        """The network as it was saved, to be used."""
+        network = new_picture_training(self.settings, model, torch.zeros(30)).network
+        network.load_state_dict(self.kept["network"])
+        return network.eval()
 
     def restored(self, training: PictureProgress) -> PictureProgress:
         """The training (as `new_picture_training` made it) at the point where this was saved."""
