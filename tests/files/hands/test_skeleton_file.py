@@ -62,8 +62,8 @@ def test_an_edited_hand_is_parsed_anew(urdf: Path) -> None:
 def test_damaged_files_are_refused(urdf: Path, change: dict[str, np.ndarray], message: str) -> None:
     path = urdf.with_name(SKELETON_NAME)
     with np.load(path) as stored:
-        arrays: dict[str, Any] = dict(stored)
-    np.savez(path, **(arrays | change))
+        arrays: dict[str, Any] = {**stored, **change}
+    np.savez(path, **arrays)
     with pytest.raises(InputError, match=message):
         load_skeleton(urdf)
     path.write_bytes(path.read_bytes()[:900])
