@@ -26,7 +26,7 @@ class PictureTraining:
     """Seed of everything that is random."""
     steps: int = 4000
     """Steps on crops of the simulator alone."""
-    recorded_steps: int = 800
+    recorded_steps: int = 400
     """Steps on crops of the simulator and of a recording, after those; 0 without a recording."""
     batch: int = 64
     """Crops of the simulator per step."""
