@@ -14,8 +14,7 @@ from tests.learn.pictures.conftest import recording as recording
 from torchhand.cli.learn_pose import main
 from torchhand.cli.learning import from_pictures
 from torchhand.files import load_hand_model
-from torchhand.learn.pictures import load_picture_record, recorded_crops, recorded_figures
-from torchhand.learn.pictures.teaching import Teacher
+from torchhand.learn.pictures import Teacher, load_picture_record, recorded_crops, recorded_figures
 
 
 @pytest.fixture(autouse=True)

@@ -11,6 +11,7 @@ from torchhand.learn.pictures.measuring import (
 from torchhand.learn.pictures.record import LOG_NAME, load_picture_record, save_picture_record
 from torchhand.learn.pictures.recorded import RecordedCrops, recorded_crops
 from torchhand.learn.pictures.simulated import SimulatedCrops
+from torchhand.learn.pictures.teaching import Teacher
 from torchhand.learn.pictures.training import (
     PictureData,
     PictureProgress,
@@ -30,6 +31,7 @@ __all__ = [
     "PictureTraining",
     "RecordedCrops",
     "SimulatedCrops",
+    "Teacher",
     "TrueCrops",
     "cut",
     "load_picture_record",
