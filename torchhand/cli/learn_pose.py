@@ -14,10 +14,11 @@ from tyro.conf import arg
 
 import torchhand
 from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
+from torchhand.cli.learning import PictureJob, Sources, check_same, check_training_folder, learn_from_pictures
 from torchhand.draw import draw_chart
 from torchhand.errors import InputError
 from torchhand.files import load_hand_model
-from torchhand.files.disk import explained_errors, replacing, write_text
+from torchhand.files.disk import replacing, write_text
 from torchhand.hand import Side
 from torchhand.learn import (
     CURVE_NAME,
@@ -45,6 +46,7 @@ from torchhand.learn import (
 PICTURE_NAME, FIGURES_NAME = "curve.png", "figures.json"
 MEASUREMENTS = 40  # along the curve
 MIN_STEPS = 25  # between two of them
+_COUNTS = ("steps", "seed", "batch", "pool")
 SHOWN = ("flexion_deg", "root_relative_mm", "aligned_mm")
 """Figures that curve.png shows."""
 
@@ -57,29 +59,44 @@ class Arguments:
     curve.png and figures.json: errors on hands it has never seen, and those of one mean posture for all of them, turned
     as fits best. The same arguments give the same network on the same machine.
 
-    Example:
+    With --pictures a network sees crops of pictures: those of the simulator first, then also those of VIDEO, where the
+    silhouette (by the colours of skin) and the detected points are its only teachers. log.jsonl and, where the package
+    tensorboard is installed, events/ hold the curve as well.
+
+    Examples:
         torchhand learn_pose --out out/learn --evaluate data/real/joints3d_stills --side left
+        torchhand learn_pose --pictures --out out/seen --video hand.mp4 --keypoints hand.npz --frames 0 400
     """
 
     out: Annotated[Path, arg(metavar="DIR")]
     """Folder for the results."""
     steps: int | None = None
-    """Steps of training; 4000 if not given."""
+    """Steps of training; 4000 if not given; with --pictures those on the simulator alone."""
     seed: int | None = None
     """Seed of everything that is random; 0 if not given."""
     batch: int | None = None
-    """Hands per step; 256 if not given."""
+    """Hands per step; 256 if not given, with --pictures 64."""
     pool: int | None = None
-    """Hands of the prior to train on; 20000 if not given."""
+    """Hands of the prior, or crops of the simulator, to train on; 20000 if not given."""
     resume: bool = False
     """Go on with an interrupted training; a finished one is only evaluated."""
     overwrite: bool = False
     """Replace an older training in DIR."""
     evaluate: Annotated[Path | None, arg(metavar="FOLDER")] = None
     """Measure the network on pictures with truth.npz: image names, K (N, 3, 3) and keypoints3d (N, 21, 3) in metres in
-    the camera frame. It sees their projections."""
+    the camera frame. It sees their projections; with --pictures the pictures in images/, cut around these."""
     side: Literal["left", "right"] = "right"
     """Which hand FOLDER shows; the network is of a right hand and sees left ones in the mirror."""
+    pictures: bool = False
+    """Learn from crops of pictures in place of points."""
+    video: Annotated[Path | None, arg(metavar="VIDEO")] = None
+    """With --pictures: recording to learn from as well, unlabelled."""
+    keypoints: Annotated[Path | None, arg(metavar="FILE")] = None
+    """What a detector found in VIDEO; see fit_keypoints."""
+    frames: tuple[int, int] = (0, 1_000_000)
+    """First and last frame of VIDEO to learn from."""
+    judge: tuple[int, int] | None = None
+    """First and last frame of VIDEO to measure on."""
     threads: int = 1
     """Threads of the training; small tensors gain little by more than one."""
 
@@ -88,6 +105,10 @@ class Arguments:
 def main(argv: Sequence[str] | None = None) -> int:
     """Train, or go on training, and measure."""
     arguments = parse(Arguments, argv, name="learn_pose")
+    if arguments.pictures:
+        return learn_from_pictures(_picture_job(arguments))
+    if arguments.video is not None or arguments.keypoints is not None or arguments.judge is not None:
+        raise InputError("--video, --keypoints, --judge: expected with --pictures alone; got them without it")
     stills = (
         None if arguments.evaluate is None else load_stills(arguments.evaluate)
     )  # a mistake is told before training
@@ -114,30 +135,38 @@ def main(argv: Sequence[str] | None = None) -> int:
     return DONE
 
 
+def _picture_job(arguments: Arguments) -> PictureJob:
+    """What of the arguments says how to learn from pictures."""
+    given = {name: value for name in _COUNTS if (value := getattr(arguments, name)) is not None}
+    paths = {name: getattr(arguments, name) for name in ("video", "keypoints", "evaluate")}
+    return PictureJob(
+        out=arguments.out,
+        given=given,
+        sources=Sources(
+            **{name: None if path is None else str(path) for name, path in paths.items()},
+            frames=arguments.frames,
+            judge=arguments.judge,
+            side=arguments.side,
+        ),
+        resume=arguments.resume,
+        overwrite=arguments.overwrite,
+        threads=arguments.threads,
+    )
+
+
 def _begin(arguments: Arguments) -> tuple[TrainingSettings, Curve, dict[str, Any] | None]:
     """Settings, and of a training to go on with its curve and state."""
-    if arguments.resume and arguments.overwrite:
-        raise InputError("expected at most one of --resume and --overwrite, got both")
-    given = {
-        name: value for name in ("steps", "seed", "batch", "pool") if (value := getattr(arguments, name)) is not None
-    }
+    given = {name: value for name in _COUNTS if (value := getattr(arguments, name)) is not None}
     if arguments.resume:
+        check_training_folder(arguments.out, resume=True, overwrite=arguments.overwrite)
         record = load_record(arguments.out)
-        for name, value in given.items():
-            if value != (own := getattr(record.settings, name)):
-                raise InputError(f"--{name}: expected {own}, as {arguments.out / MODEL_NAME} has it, got {value}")
+        check_same(given, record.settings, arguments.out)
         return record.settings, record.curve, record.kept
-    if (arguments.out / MODEL_NAME).exists() and not arguments.overwrite:
-        raise InputError(
-            f"{arguments.out}: holds {MODEL_NAME} of an earlier training; give another folder, or --resume to go on, or"
-            " --overwrite to replace it"
-        )
     try:
         settings = replace(TrainingSettings(), **given)
     except ValueError as error:
         raise InputError(f"--{error}") from error
-    with explained_errors(arguments.out):
-        arguments.out.mkdir(parents=True, exist_ok=True)
+    check_training_folder(arguments.out, resume=False, overwrite=arguments.overwrite)
     return settings, [], None
 
 

@@ -3,9 +3,10 @@
 from torchhand.learn.data import HandPool, Samples, SampleSettings, draw_samples, hand_pool
 from torchhand.learn.estimate import estimate_hands
 from torchhand.learn.figures import FIGURES, Figures, baseline_of, figures_of
+from torchhand.learn.loop import Loss, descend, warmed_cosine
 from torchhand.learn.network import HandEstimate, PoseNetwork
-from torchhand.learn.observation import MIN_SEEN, Observation, mirrored, observe
-from torchhand.learn.record import CURVE_NAME, MODEL_NAME, Curve, TrainingRecord, load_record, save_record
+from torchhand.learn.observation import FEATURES, MIN_SEEN, Observation, mirrored, observe
+from torchhand.learn.record import CURVE_NAME, MODEL_NAME, Curve, TrainingRecord, curve_text, load_record, save_record
 from torchhand.learn.stills import Stills, load_stills
 from torchhand.learn.training import (
     LossWeights,
@@ -23,6 +24,7 @@ from torchhand.learn.training import (
 
 __all__ = [
     "CURVE_NAME",
+    "FEATURES",
     "FIGURES",
     "MIN_SEEN",
     "MODEL_NAME",
@@ -30,6 +32,7 @@ __all__ = [
     "Figures",
     "HandEstimate",
     "HandPool",
+    "Loss",
     "LossWeights",
     "Observation",
     "PoseNetwork",
@@ -41,6 +44,8 @@ __all__ = [
     "TrainingRecord",
     "TrainingSettings",
     "baseline_of",
+    "curve_text",
+    "descend",
     "draw_samples",
     "estimate_hands",
     "figures_of",
@@ -57,4 +62,5 @@ __all__ = [
     "snapshot",
     "train",
     "training_data",
+    "warmed_cosine",
 ]

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchhand.hand import JOINT_DOFS, HandModel, HandPrior
 from torchhand.learn.data import HandPool, Samples, SampleSettings, draw_samples, hand_pool
+from torchhand.learn.loop import descend, warmed_cosine
 from torchhand.learn.network import HandEstimate, PoseNetwork
 from torchhand.learn.observation import observe
 
@@ -31,6 +32,17 @@ class LossWeights:
     """Mean absolute error of the joint angles, radians."""
     energy: float = 1e-3
     """Energy of the prior, nats."""
+
+
+@runtime_checkable
+class LossSettings(Protocol):
+    """What of the settings of a training its loss depends on."""
+
+    @property
+    def weights(self) -> LossWeights: ...
+
+    @property
+    def energy_hands(self) -> int: ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,29 +136,31 @@ def train(training: Training, data: TrainingData, *, pause_every: int) -> Iterat
     ends as one that was not.
     """
     settings = training.settings
-    losses = []
-    while training.step < settings.steps:
-        for group in training.optimiser.param_groups:
-            group["lr"] = learning_rate(settings, training.step)
-        generator = _generator(settings.seed, training.step + 1)
+
+    def loss_at(step: int) -> tuple[Tensor, Tensor]:
+        generator = _generator(settings.seed, step + 1)
         rows = torch.randint(len(data.pool), (settings.batch,), generator=generator)
         samples = draw_samples(data.pool, rows, settings.samples, generator)
         estimate = training.network(observe(samples.points_plane, samples.seen))
         loss = sum(loss_terms(estimate, samples, data.prior, settings).values(), torch.zeros(()))
-        training.optimiser.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(training.network.parameters(), 1.0)
-        training.optimiser.step()
-        training.step += 1
-        losses.append(float(loss.detach()))
-        if training.step % pause_every == 0 or training.step == settings.steps:
-            training.loss = sum(losses) / len(losses)
-            losses = []
-            yield training
+        return loss, loss
+
+    steps = range(training.step, settings.steps)
+    for step, loss in descend(
+        training.network,
+        training.optimiser,
+        loss_at,
+        steps=steps,
+        rate_at=lambda step: learning_rate(settings, step),
+        clipped=1.0,
+        report_every=pause_every,
+    ):
+        training.step, training.loss = step, loss
+        yield training
 
 
 def loss_terms(
-    estimate: HandEstimate, samples: Samples, prior: HandPrior, settings: TrainingSettings
+    estimate: HandEstimate, samples: Samples, prior: HandPrior, settings: LossSettings
 ) -> dict[str, Float[Tensor, ""]]:
     """The weighted terms of the loss by name, means over the hands."""
     weights, few = settings.weights, slice(settings.energy_hands)
@@ -168,8 +182,7 @@ def loss_terms(
 
 def learning_rate(settings: TrainingSettings, step: int) -> float:
     """Learning rate of one step: up over the first twentieth, then down to zero along a cosine."""
-    fraction = (step + 1) / settings.steps
-    return settings.learning_rate * min(fraction * 20, 0.5 * (1 + math.cos(math.pi * fraction)) + 1e-3)
+    return settings.learning_rate * warmed_cosine((step + 1) / settings.steps)
 
 
 def snapshot(training: Training) -> dict[str, Any]:

@@ -71,6 +71,16 @@ def test_occluders_hide_parts_of_the_mask_and_forearms_do_not_count() -> None:
     assert torch.equal(free.mask, free.depth > 0)
 
 
+def test_hands_can_be_held_upright() -> None:
+    """Fingers upwards in the picture; from other sides as before."""
+    crops = made(CropSettings(side_px=32, roll_deg=0.0, left=0.5), people=8)
+    fingers = crops.keypoints[:, 9] - crops.keypoints[:, 0]
+    across, up = fingers[:, 0], -fingers[:, 1]
+    assert (up > 0).all()
+    assert float((across.abs() / up).median()) < 0.15
+    assert float(crops.pose[:, 3:6].std()) > 0.5
+
+
 def test_the_same_seed_gives_the_same_crops_and_a_worker_its_own() -> None:
     settings = CropSettings(side_px=48)
     one, same, other = made(settings, 2), made(settings, 2), made(settings, 2, seed=1)

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from torchhand.errors import require
+from torchhand.learn import descend, warmed_cosine
 from torchhand.learn.presence.things import RenderedThings
 from torchhand.learn.proposals import RenderedHands, generator_of, observed_channels, seen_hands
 from torchhand.propose import SIDE_PX, PresenceNetwork
@@ -65,25 +66,25 @@ def train_presence(
     `report_every` steps and at the end. The network is changed."""
     optimiser = torch.optim.AdamW(network.parameters(), lr=settings.learning_rate, weight_decay=_WEIGHT_DECAY)
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    losses: list[float] = []
-    for step in range(settings.steps):
-        fraction = (step + 1) / settings.steps
-        rate = settings.learning_rate * min(20 * fraction, 0.5 * (1 + math.cos(math.pi * fraction)) + 1e-3)
-        for group in optimiser.param_groups:
-            group["lr"] = rate
+
+    def loss_at(step: int) -> tuple[Tensor, Tensor]:
         channels, is_hand = seen_either(hands, things, settings.batch, generator_of(settings.seed, step + 1))
         network.train()
         told = network(channels)
         loss = nn.functional.binary_cross_entropy_with_logits(told, is_hand.to(told))
-        optimiser.zero_grad()
-        loss.backward()
-        nn.utils.clip_grad_norm_(network.parameters(), _CLIPPED)
-        optimiser.step()
-        losses.append(float(loss.detach()))
-        if (step + 1) % report_every == 0 or step + 1 == settings.steps:
-            network.eval()
-            yield step + 1, sum(losses) / len(losses)
-            losses = []
+        return loss, loss
+
+    for step, loss in descend(
+        network,
+        optimiser,
+        loss_at,
+        steps=range(settings.steps),
+        rate_at=lambda step: settings.learning_rate * warmed_cosine((step + 1) / settings.steps),
+        clipped=_CLIPPED,
+        report_every=report_every,
+    ):
+        network.eval()
+        yield step, loss
 
 
 def seen_either(

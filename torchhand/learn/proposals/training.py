@@ -1,16 +1,16 @@
 """Training of the proposal network on rendered hands; everything random follows from the seed and the step's number."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchhand.errors import require
 from torchhand.geometry import rotation_of_quaternion
 from torchhand.hand import HandKinematics, HandModel
+from torchhand.learn import descend, warmed_cosine
 from torchhand.learn.proposals.observing import SeenHands, seen_hands
 from torchhand.learn.proposals.rendering import RenderedHands
 from torchhand.propose import ProposalNetwork, ViewedHands, palm_middle
@@ -82,12 +82,8 @@ def train_proposals(
     kinematics = model.kinematics(dtype=torch.float32)
     optimiser = torch.optim.AdamW(network.parameters(), lr=settings.learning_rate, weight_decay=_WEIGHT_DECAY)
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    losses: list[float] = []
-    for step in range(settings.steps):
-        fraction = (step + 1) / settings.steps
-        rate = settings.learning_rate * min(20 * fraction, 0.5 * (1 + math.cos(math.pi * fraction)) + 1e-3)
-        for group in optimiser.param_groups:
-            group["lr"] = rate
+
+    def loss_at(step: int) -> tuple[Tensor, Tensor]:
         generator = generator_of(settings.seed, step + 1)
         rows = torch.randint(len(hands), (settings.batch,), generator=generator)
         seen = seen_hands(hands.rows(rows), generator)
@@ -95,15 +91,18 @@ def train_proposals(
         found = network(seen.channels)
         errors = hypothesis_errors(found, seen, kinematics)
         loss = mixture_loss(found, errors)
-        start = loss + 2 * max(0.0, 1 - fraction / _WARM_UP) * errors.mean()
-        optimiser.zero_grad()
-        start.backward()
-        nn.utils.clip_grad_norm_(network.parameters(), _CLIPPED)
-        optimiser.step()
-        losses.append(float(loss.detach()))
-        if (step + 1) % report_every == 0 or step + 1 == settings.steps:
-            yield Progress(step=step + 1, loss=sum(losses) / len(losses), network=network.eval())
-            losses = []
+        return loss + 2 * max(0.0, 1 - (step + 1) / settings.steps / _WARM_UP) * errors.mean(), loss
+
+    for step, loss in descend(
+        network,
+        optimiser,
+        loss_at,
+        steps=range(settings.steps),
+        rate_at=lambda step: settings.learning_rate * warmed_cosine((step + 1) / settings.steps),
+        clipped=_CLIPPED,
+        report_every=report_every,
+    ):
+        yield Progress(step=step, loss=loss, network=network.eval())
 
 
 def hypothesis_errors(found: ViewedHands, seen: SeenHands, kinematics: HandKinematics) -> Float[Tensor, "hands k"]:

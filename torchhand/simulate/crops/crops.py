@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
+import cv2
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
@@ -12,7 +13,7 @@ from torchhand.hand import HandModel
 from torchhand.simulate.crops.drawing import drawn_hands
 from torchhand.simulate.crops.hands import CropHands, crop_hands
 from torchhand.simulate.crops.settings import CropSettings
-from torchhand.simulate.crops.surroundings import Backgrounds, developed, occluded
+from torchhand.simulate.crops.surroundings import Backgrounds, Sensor, occluded
 
 _DRAWN_AT_ONCE = 256  # postures and people
 
@@ -59,6 +60,7 @@ class CropMaker:
         self.settings = settings
         self._hand, self._prior = model.hand(), model.prior()
         self._backgrounds = Backgrounds.made(settings.side_px, generator)
+        self._sensor = Sensor.made(generator)
 
     def batches(self, people: int, generator: torch.Generator) -> Iterator[Crops]:
         """Crops of so many hands at a time without end, `settings.views` of each hand one after the other.
@@ -80,13 +82,16 @@ class CropMaker:
         drawn = drawn_hands(hands, settings, generator)
         picture = drawn.before(self._backgrounds.cut(len(hands.person), settings.side_px, generator))
         picture, hidden = occluded(picture, settings, generator)
-        return _labelled(hands, developed(picture, settings, generator), drawn.is_hand & ~hidden, drawn.depth)
+        image = self._sensor.developed(picture, settings, generator)
+        return _labelled(hands, image, drawn.is_hand & ~hidden, drawn.depth)
 
 
 def _labelled(hands: CropHands, image: Tensor, mask: Tensor, depth: Tensor) -> Crops:
     """The crops, those of left hands mirrored: in the picture, and in their labels."""
     left, side = hands.is_left, image.shape[1]
-    flipped = [torch.where(left.reshape(-1, *[1] * (x.ndim - 1)), x.flip(2), x) for x in (image, mask, depth)]
+    for index in left.nonzero()[:, 0].tolist():
+        for pixels in (image[index], mask.view(torch.uint8)[index], depth[index]):
+            cv2.flip(pixels.numpy(), 1, dst=pixels.numpy())
     sign = torch.where(left, -1.0, 1.0)
     one = torch.ones_like(sign)
     keypoints = hands.keypoints * torch.stack((sign, one, one), -1)[:, None]
@@ -102,9 +107,9 @@ def _labelled(hands: CropHands, image: Tensor, mask: Tensor, depth: Tensor) -> C
     # The wrist is the hand frame's origin.
     root = torch.cat((keypoints[:, 0], vector_from_rotation(rotation)), -1)
     return Crops(
-        image=flipped[0].contiguous(),
-        mask=flipped[1],
-        depth=flipped[2],
+        image=image,
+        mask=mask,
+        depth=depth,
         keypoints=keypoints,
         keypoints_px=hands.focal[:, None, None] * keypoints[..., :2] / keypoints[..., 2:] + centre[:, None],
         intrinsics=intrinsics,

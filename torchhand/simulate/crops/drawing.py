@@ -25,15 +25,12 @@ class DrawnHands:
     """z of hand and forearm in the camera frame, metres; 0 beside."""
     pixel: Int[Tensor, "drawn"]
     """Pixels of hand and forearm, in the flat list of all crops' pixels."""
-    colour: Float[Tensor, "3 drawn"]
+    colour: Float[Tensor, "drawn 3"]
     """RGB of these, 0 to 255."""
 
-    def before(self, pictures: Float[Tensor, "crops 3 side side"]) -> Float[Tensor, "crops 3 side side"]:
+    def before(self, pictures: Float[Tensor, "crops side side 3"]) -> Float[Tensor, "crops side side 3"]:
         """The pictures with the hands drawn into them."""
-        area = self.depth[0].numel()
-        place = self.pixel + 2 * area * (self.pixel // area)
-        for channel, values in enumerate(self.colour):
-            pictures.view(-1).index_copy_(0, place + channel * area, values)
+        pictures.view(-1, 3).index_copy_(0, self.pixel, self.colour)
         return pictures
 
 
@@ -46,20 +43,18 @@ def drawn_hands(hands: CropHands, settings: CropSettings, generator: torch.Gener
     intrinsics = torch.tensor(((_FOCAL * side, 0.0, 0.0), (0.0, _FOCAL * side, 0.0), (0.0, 0.0, 1.0)))
     camera = replace(camera, intrinsics=intrinsics.to(points))
     face, depth = rasterize_many(_without_arms(points, hands, last), hands.faces, camera, is_closed=True)
-    pixel = (face.reshape(-1) >= 0).nonzero()[:, 0]
-    seen = face.reshape(-1).index_select(0, pixel)
-    crop = pixel // (side * side)
-    label = hands.labels.index_select(0, seen)
-    brightness = _light(hands, generator).reshape(-1).index_select(0, crop * len(hands.faces) + seen)
-    is_covered = label > skin.index_select(0, crop)
-    colours = _colours(hands, generator)
-    own = torch.cat(colours).T.index_select(1, crop + count * is_covered)
-    is_hand = torch.zeros(face.numel(), dtype=torch.bool).index_copy_(0, pixel, label == HAND)
+    is_seen = face >= 0
+    pixel = is_seen.view(-1).nonzero()[:, 0]
+    seen = face.view(-1).index_select(0, pixel)
+    crop = torch.repeat_interleave(is_seen.flatten(1).sum(1))
+    brightness = _light(hands, generator).view(-1).index_select(0, crop * len(hands.faces) + seen)
+    is_covered = hands.labels.index_select(0, seen) > skin.index_select(0, crop)
+    own = torch.cat(_colours(hands, generator)).index_select(0, crop + count * is_covered)
     return DrawnHands(
-        is_hand=is_hand.reshape(face.shape),
-        depth=torch.where(depth.isfinite(), depth, 0.0),
+        is_hand=is_seen & (face < hands.hand_faces),
+        depth=depth.masked_fill_(~is_seen, 0.0),
         pixel=pixel,
-        colour=own * brightness,
+        colour=own * brightness[:, None],
     )
 
 
@@ -80,19 +75,14 @@ def _without_arms(points: Tensor, hands: CropHands, last: Int[Tensor, "crops"]) 
 
 def _light(hands: CropHands, generator: torch.Generator) -> Float[Tensor, "crops faces"]:
     """Brightness of every face: ambient and diffuse light, with normals that are means over neighbours."""
-    points, count = hands.points, len(hands.points)
-    a, b, c = (points.index_select(1, corner) for corner in hands.faces.unbind(-1))
-    normal = torch.linalg.cross(b - a, c - a)
-    smooth = torch.zeros_like(points)
-    for corner in hands.faces.unbind(-1):
-        smooth.index_add_(1, corner, normal)
+    count, views = len(hands.points), len(hands.points) // len(hands.normals)
     towards = torch.randn(count, 3, generator=generator) * torch.tensor((0.8, 0.8, 0.3))
     towards = torch.nn.functional.normalize(towards + torch.tensor((0.0, -0.4, -1.0)), dim=-1)
-    diffuse = (smooth @ towards[..., None]).squeeze(-1) / smooth.norm(dim=-1).clamp_min(1e-12)
+    in_hand = (towards[:, None] @ hands.rotation).unflatten(0, (-1, views))[:, :, 0]
+    diffuse = (in_hand @ hands.normals.mT).flatten(0, 1).clamp_min_(0)
     ambient = 0.25 + 0.5 * torch.rand(count, 1, generator=generator)
     strength = 0.6 + 0.6 * torch.rand(count, 1, generator=generator)
-    lit = strength * (ambient + (1 - ambient) * diffuse.clamp_min(0))
-    return torch.stack([lit.index_select(1, corner) for corner in hands.faces.unbind(-1)]).mean(0)
+    return diffuse.mul_(strength * (1 - ambient)).add_(strength * ambient)
 
 
 def _colours(hands: CropHands, generator: torch.Generator) -> tuple[Float[Tensor, "crops 3"], Float[Tensor, "crops 3"]]:

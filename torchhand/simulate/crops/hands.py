@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchhand.geometry import rotation_of_quaternion
+from torchhand.geometry import rotation_from_vector, rotation_of_quaternion
 from torchhand.hand import Hand
 from torchhand.simulate.crops.forearms import FIRST_OF_FOREARM, LAST_OF_FOREARM, forearm_meshes
 from torchhand.simulate.crops.settings import CropSettings
@@ -24,8 +24,12 @@ class CropHands:
     points: Float[Tensor, "crops points 3"]
     """Vertices of hand and forearm in the camera frame, metres."""
     faces: Int[Tensor, "faces 3"]
+    normals: Float[Tensor, "people faces 3"]
+    """Means of the unit normals at each face's corners, in the frames of the hands."""
     labels: Int[Tensor, "faces"]
     """1 of the hand, 2 to 255 of the forearm from the wrist to its end."""
+    hand_faces: int
+    """Number of the hand's faces, which come first."""
     keypoints: Float[Tensor, "crops 21 3"]
     """Keypoints in the camera frame, metres."""
     rotation: Float[Tensor, "crops 3 3"]
@@ -58,11 +62,16 @@ def crop_hands(
     person = torch.arange(len(poses)).repeat_interleave(settings.views)
     count = len(person)
     turn = rotation_of_quaternion(torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=-1))
+    if settings.roll_deg is not None:
+        turn = _rolled(turn, settings.roll_deg, generator)
     low, high = (math.log(end) for end in settings.distance)
     distance = torch.exp(low + (high - low) * torch.rand(count, generator=generator))
     ahead = torch.stack((0 * distance, 0 * distance, distance), -1)
     place = ahead - (turn @ state.keypoints.mean(1)[person][..., None]).squeeze(-1)
-    vertices = torch.cat((state.vertices, arms), 1)
+    vertices, faces = (
+        torch.cat((state.vertices, arms), 1),
+        torch.cat((state.faces, arm_faces + state.vertices.shape[1])),
+    )
     points = vertices[person] @ turn.mT + place[:, None]
     plane = points[:, : state.vertices.shape[1]]
     plane = plane[..., :2] / plane[..., 2:]
@@ -73,8 +82,10 @@ def crop_hands(
     centre = 0.5 * (settings.side_px - 1) + shift - focal[:, None] * 0.5 * (least + most)
     return CropHands(
         points=points,
-        faces=torch.cat((state.faces, arm_faces + state.vertices.shape[1])),
+        faces=faces,
+        normals=_smooth_normals(vertices, faces),
         labels=torch.cat((torch.full((len(state.faces),), HAND), arm_labels)),
+        hand_faces=len(state.faces),
         keypoints=state.keypoints[person] @ turn.mT + place[:, None],
         rotation=turn,
         joints=poses[person, 6:],
@@ -96,3 +107,24 @@ def last_labels(
     begin = torch.randint(FIRST_OF_FOREARM, LAST_OF_FOREARM // 2, (count,), generator=generator)
     skin = torch.where(has_arm, torch.where(has_sleeve, begin, LAST_OF_FOREARM), HAND)
     return skin, torch.where(has_arm, LAST_OF_FOREARM, HAND)
+
+
+def _smooth_normals(
+    vertices: Float[Tensor, "people points 3"], faces: Int[Tensor, "faces 3"]
+) -> Float[Tensor, "people faces 3"]:
+    vertices = vertices.movedim(0, 1).contiguous()  # whole rows are gathered and added
+    a, b, c = (vertices.index_select(0, corner) for corner in faces.unbind(-1))
+    of_faces, at_points = torch.linalg.cross(b - a, c - a).flatten(1), torch.zeros_like(vertices).flatten(1)
+    for corner in faces.unbind(-1):
+        at_points.index_add_(0, corner, of_faces)
+    at_points = torch.nn.functional.normalize(at_points.view_as(vertices), dim=-1)
+    a, b, c = (at_points.index_select(0, corner) for corner in faces.unbind(-1))
+    return a.add_(b).add_(c).div_(3).movedim(0, 1)
+
+
+def _rolled(turn: Float[Tensor, "crops 3 3"], std_deg: float, generator: torch.Generator) -> Float[Tensor, "crops 3 3"]:
+    """Turned about the line of sight until the fingers (y of the hand) point upwards, and then by a random angle."""
+    upwards = torch.atan2(-turn[:, 0, 1], -turn[:, 1, 1])  # from the way the fingers point to -y of the picture
+    angle = upwards + math.radians(std_deg) * torch.randn(len(turn), generator=generator)
+    about = torch.stack((0 * angle, 0 * angle, angle), -1)
+    return rotation_from_vector(about) @ turn

@@ -25,6 +25,9 @@ class CropSettings:
     """Standard deviation of the sensor's noise, drawn from this range, grey levels of 255."""
     distance: tuple[float, float] = (0.25, 1.2)
     """Distance of the camera from the middle of the hand, metres."""
+    roll_deg: float | None = None
+    """Standard deviation of the hands' turn about the line of sight from fingers upwards, degrees, 0 to 180; any turn
+    if not given."""
     fill: tuple[float, float] = (0.6, 1.0)
     """Larger side of the hand's box over that of the crop."""
 
@@ -35,6 +38,8 @@ class CropSettings:
         for name in ("left", "forearm", "sleeve", "occluder"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name}: expected a share, 0 to 1, got {getattr(self, name)}")
+        if self.roll_deg is not None and not 0 <= self.roll_deg <= 180:
+            raise ValueError(f"roll_deg: expected 0 to 180, got {self.roll_deg}")
         ranges = (("blur_px", 0.3, 2.0), ("noise", 0.0, 100.0), ("distance", 0.15, 10.0), ("fill", 0.1, 1.5))
         for name, lowest, highest in ranges:
             low, high = getattr(self, name)

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import cv2
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
@@ -11,6 +13,7 @@ from torchhand.simulate.scene import BACKGROUNDS, BackgroundKind, background_pic
 
 _KINDS_OF_EACH: dict[BackgroundKind, int] = {"clutter": 10, "wall": 4}  # pictures of a kind in the bank, 2 of others
 _BANK_SCALE = 2  # side of a picture of the bank over that of a crop
+_NOISE_BANK = 1 << 20  # numbers
 _SHARP = 0.6  # px: softness of an occluder's edge
 
 
@@ -18,7 +21,7 @@ _SHARP = 0.6  # px: softness of an occluder's edge
 class Backgrounds:
     """Pictures from which crops' backgrounds are cut."""
 
-    pictures: Float[Tensor, "pictures 3 height width"]
+    pictures: Float[Tensor, "pictures height width 3"]
     """RGB, 0 to 255."""
 
     @classmethod
@@ -27,27 +30,29 @@ class Backgrounds:
         side = _BANK_SCALE * side_px
         kinds: list[BackgroundKind] = [kind for kind in BACKGROUNDS for _ in range(_KINDS_OF_EACH.get(kind, 2))]
         pictures = [background_picture(kind, side, side, generator) for kind in kinds]
-        return cls(pictures=torch.stack(pictures).movedim(-1, 1).float())
+        return cls(pictures=torch.stack(pictures).float())
 
-    def cut(self, count: int, side_px: int, generator: torch.Generator) -> Float[Tensor, "count 3 side side"]:
+    def cut(self, count: int, side_px: int, generator: torch.Generator) -> Float[Tensor, "count side side 3"]:
         """Random squares, brighter or darker, in colours that are shifted."""
-        pictures, _, height, width = self.pictures.shape
+        pictures, height, width, _ = self.pictures.shape
         which = torch.randint(pictures, (count,), generator=generator).tolist()
         top = torch.randint(height - side_px + 1, (count,), generator=generator).tolist()
         left = torch.randint(width - side_px + 1, (count,), generator=generator).tolist()
-        gain = 0.5 + torch.rand(count, 1, 1, 1, generator=generator)
-        gain = gain * (1 + 0.15 * torch.randn(count, 3, 1, 1, generator=generator))
-        cut = torch.empty(count, 3, side_px, side_px)
+        gain = 0.5 + torch.rand(count, 1, generator=generator)
+        gain = (
+            (gain * (1 + 0.15 * torch.randn(count, 3, generator=generator))).repeat(1, side_px).unflatten(-1, (-1, 3))
+        )
+        cut = torch.empty(count, side_px, side_px, 3)
         for index, (own, y, x) in enumerate(zip(which, top, left, strict=True)):
-            torch.mul(self.pictures[own, :, y : y + side_px, x : x + side_px], gain[index], out=cut[index])
+            torch.mul(self.pictures[own, y : y + side_px, x : x + side_px], gain[index], out=cut[index])
         return cut
 
 
 def occluded(
-    pictures: Float[Tensor, "count 3 side side"], settings: CropSettings, generator: torch.Generator
-) -> tuple[Float[Tensor, "count 3 side side"], Bool[Tensor, "count side side"]]:
+    pictures: Float[Tensor, "count side side 3"], settings: CropSettings, generator: torch.Generator
+) -> tuple[Float[Tensor, "count side side 3"], Bool[Tensor, "count side side"]]:
     """The pictures with an ellipse, a box or a bar before some of them, and where that is."""
-    count, _, side, _ = pictures.shape
+    count, side, _, _ = pictures.shape
     hidden = torch.zeros(count, side, side, dtype=torch.bool)
     chosen = (torch.rand(count, generator=generator) < settings.occluder).nonzero()[:, 0]
     if not len(chosen):
@@ -63,26 +68,36 @@ def occluded(
     square_one = torch.maximum((along / long).abs(), (across / short).abs())
     inside = 1 - torch.where(uniform[:, 5] < 0.5, round_one, square_one)
     share = (0.5 + inside * short / _SHARP).clamp(0, 1)
-    colour = 255 * torch.rand(some, 3, 1, 1, generator=generator)
-    pictures[chosen] = torch.lerp(pictures[chosen], colour.expand(some, 3, side, side), share[:, None])
+    colour = 255 * torch.rand(some, 1, 1, 3, generator=generator)
+    pictures[chosen] = torch.lerp(pictures[chosen], colour.expand(some, side, side, 3), share[..., None])
     hidden[chosen] = share > 0.5
     return pictures, hidden
 
 
-def developed(
-    pictures: Float[Tensor, "count 3 side side"], settings: CropSettings, generator: torch.Generator
-) -> UInt8[Tensor, "count side side 3"]:
-    """Blur of lens and motion, the sensor's noise, and rounding."""
-    count, _, side, _ = pictures.shape
-    low, high = settings.blur_px
-    steps = torch.arange(side, dtype=pictures.dtype)
-    squared = (steps - steps[:, None]).square()
-    along_y, along_x = (
-        torch.softmax(-0.5 * squared / (low + (high - low) * torch.rand(count, 1, 1, generator=generator)).square(), -1)
-        for _ in range(2)
-    )
-    blurred = along_y[:, None] @ pictures @ along_x.mT[:, None]
-    low, high = settings.noise
-    std = low + (high - low) * torch.rand(count, 1, 1, 1, generator=generator)
-    noisy = blurred + std * torch.randn(pictures.shape, generator=generator)
-    return noisy.clamp_(0, 255).add_(0.5).to(torch.uint8).movedim(1, -1)
+@dataclass(frozen=True, kw_only=True)
+class Sensor:
+    """What a camera makes of pictures: its lens blurs, its sensor adds noise and rounds."""
+
+    noise: np.ndarray
+    """Normal random numbers, of which every picture takes a stretch that begins anywhere."""
+
+    @classmethod
+    def made(cls, generator: torch.Generator) -> "Sensor":
+        return cls(noise=torch.randn(_NOISE_BANK, generator=generator).numpy())
+
+    def developed(
+        self, pictures: Float[Tensor, "count side side 3"], settings: CropSettings, generator: torch.Generator
+    ) -> UInt8[Tensor, "count side side 3"]:
+        """Blur of lens and motion, the sensor's noise, and rounding."""
+        count, values = len(pictures), pictures[0].numel()
+        low, high = settings.blur_px
+        blur = (low + (high - low) * torch.rand(count, 2, generator=generator)).tolist()
+        low, high = settings.noise
+        noise = (low + (high - low) * torch.rand(count, generator=generator)).tolist()
+        begin = torch.randint(len(self.noise) - values + 1, (count,), generator=generator).tolist()
+        done = np.empty(pictures.shape, np.uint8)
+        for picture, out, (x, y), std, first in zip(pictures.numpy(), done, blur, noise, begin, strict=True):
+            blurred = cv2.GaussianBlur(picture, (0, 0), sigmaX=x, sigmaY=y, borderType=cv2.BORDER_REPLICATE)
+            own = self.noise[first : first + values].reshape(picture.shape)
+            cv2.addWeighted(blurred, 1, own, std, 0, dst=out, dtype=cv2.CV_8U)
+        return torch.from_numpy(done)

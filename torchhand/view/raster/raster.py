@@ -8,10 +8,11 @@ from torch import Tensor
 
 from torchhand.geometry import Camera
 from torchhand.precision import own_precision
+from torchhand.view.raster.compiled import can_compile, nearest_compiled
 from torchhand.view.raster.normals import face_normals, mixed_normals
 from torchhand.view.raster.raycast import Raycast
 from torchhand.view.raster.spans import numbered, row_spans, tested_pixels
-from torchhand.view.raster.triangles import SeenTriangles, depth_of, seen_triangles, slopes
+from torchhand.view.raster.triangles import SeenTriangles, all_ahead, depth_of, placed, seen_triangles, slopes
 
 _AT_ONCE = 1 << 24  # pixels of the pictures drawn together
 
@@ -122,14 +123,31 @@ def rasterize_many(
     """
     if camera.has_distortion:
         raise ValueError("camera: expected one without distortion")
-    size = (len(vertices_world), camera.height, camera.width)
     with torch.no_grad():
-        seen = seen_triangles(vertices_world, faces, camera, is_closed=is_closed)
-        nearest, winner = _nearest_of(seen, size)
-        is_hit = winner < len(seen.face)
-        face = torch.cat((seen.face, seen.face.new_full((1,), -1))).index_select(0, winner)
-        depth = torch.where(is_hit, depth_of(nearest, camera), torch.inf)
-    return face.reshape(size), depth.reshape(size)
+        points = camera.cam_from_world(vertices_world)
+        is_whole = all_ahead(points)
+        if can_compile(points):
+            away = float(torch.linalg.det(camera.intrinsics[:2, :2]).sign()) if is_closed else 0.0
+            pixels, nearness = placed(points, camera)
+            nearest, face = nearest_compiled(pixels, nearness, faces, is_whole, (camera.height, camera.width), away)
+            others = [~is_whole]
+        else:
+            nearest = points.new_empty(len(points), camera.height, camera.width)
+            face = torch.empty_like(nearest, dtype=torch.long)
+            others = [is_whole, ~is_whole]  # few are cut, and these take their time
+        for rows in (which.nonzero()[:, 0] for which in others):
+            if len(rows):
+                nearest[rows], face[rows] = _drawn(vertices_world[rows], faces, camera, is_closed)
+        return face, depth_of(nearest, camera).masked_fill_(face < 0, torch.inf)
+
+
+def _drawn(vertices_world: Tensor, faces: Tensor, camera: Camera, is_closed: bool) -> tuple[Tensor, Tensor]:
+    """Nearness and face of what every pixel sees."""
+    size = (len(vertices_world), camera.height, camera.width)
+    seen = seen_triangles(vertices_world, faces, camera, is_closed=is_closed)
+    nearest, winner = _nearest_of(seen, size)
+    face = torch.cat((seen.face, seen.face.new_full((1,), -1))).index_select(0, winner)
+    return nearest.reshape(size), face.reshape(size)
 
 
 def nearest_faces(seen: SeenTriangles, size: tuple[int, int, int]) -> Int[Tensor, "meshes height width"]:

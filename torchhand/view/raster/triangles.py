@@ -68,6 +68,19 @@ def seen_triangles(
     )
 
 
+def all_ahead(points_cam: Float[Tensor, "meshes vertices 3"]) -> Bool[Tensor, "meshes"]:
+    """Whether nothing of a mesh is cut off."""
+    least, most = points_cam.flatten(1).aminmax(dim=1)
+    return (points_cam[..., 2].amin(1) >= NEAREST) & least.isfinite() & most.isfinite()
+
+
+def placed(
+    points_cam: Float[Tensor, "meshes vertices 3"], camera: Camera
+) -> tuple[Float[Tensor, "meshes vertices 2"], Float[Tensor, "meshes vertices"]]:
+    """Corners and nearness, as `SeenTriangles` has them, of points in front of the camera."""
+    return _on_grid(points_cam, camera), _nearness(points_cam[..., 2], camera)
+
+
 def depth_of(nearness: Tensor, camera: Camera) -> Tensor:
     """Inverse of what `SeenTriangles.nearness` says; metres."""
     return -nearness if camera.kind == "orthographic" else nearness.reciprocal()
