@@ -52,11 +52,12 @@ def unwrapped(
     start: the one before the first, where there is one.
     """
     found = vectors.clone()
+    before = vectors[0] if start is None else start[0]
     for i in range(0 if start is not None else 1, len(found)):
-        before, here = found[i - 1] if i else start[0], vectors[i]
+        here = vectors[i]
         axis = torch.nn.functional.normalize(here if float(here.norm()) > 1e-9 else before, dim=0)
         turns = torch.round((before - here) @ axis / (2 * math.pi))
-        found[i] = here + 2 * math.pi * turns * axis
+        before = found[i] = here + 2 * math.pi * turns * axis
     return found
 
 

@@ -31,7 +31,8 @@ class PoseFile:
         """Raises InputError where the file cannot be made."""
         with explained_errors(path):
             self._file: BinaryIO = path.open("wb")
-        self._path, self._side, self._fps = path, side, fps
+        self._path, self._fps = path, fps
+        self._side: Side = side
         self._writer: PoseStreamWriter | None = None
         self._start_s, self._written = 0.0, 0
         self._pose: Float[Tensor, "1 36"] = torch.zeros(1, len(DOFS), dtype=torch.float64)
