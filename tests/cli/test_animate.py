@@ -132,12 +132,15 @@ def test_the_camera_sees_the_hand_whatever_its_size() -> None:
 def test_the_sheet_in_the_model_folder_is_that_of_the_signs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = models_dir() / "generic_hand"
     (tmp_path / "signs.json").write_bytes((folder / "signs.json").read_bytes())
-    assert build_signs.main(["--out", str(tmp_path), "--sheet-only"]) == 0
-    drawn, known = (cv2.imread(str(place / "signs.png")) for place in (tmp_path, folder))
-    assert drawn is not None
-    assert known is not None
-    assert np.abs(drawn.astype(int) - known).mean() < 0.6  # letters are drawn a little otherwise by OpenCV 4
-    assert (folder / "signs.png").stat().st_size < 300_000
+    two_views = tmp_path / "two.png"
+    assert build_signs.main(["--out", str(tmp_path), "--sheet-only", "--two-views", str(two_views)]) == 0
+    pairs = ((tmp_path / "signs.png", folder / "signs.png"), (two_views, REPOSITORY / "docs" / "images" / "signs.png"))
+    for drawn_path, known_path in pairs:
+        drawn, known = (cv2.imread(str(path)) for path in (drawn_path, known_path))
+        assert drawn is not None
+        assert known is not None
+        assert np.abs(drawn.astype(int) - known).mean() < 0.6  # letters are drawn a little otherwise by OpenCV 4
+        assert known_path.stat().st_size < 300_000
     assert build_signs.main(["--out", str(tmp_path / "none")]) == 2
     assert "--out: expected an existing folder" in capsys.readouterr().err
 

@@ -21,6 +21,7 @@ import torchhand
 from tests.report.reading import video_of
 from torchhand.cli.command import threads
 from torchhand.cli.track import main
+from torchhand.export import clip_of_stream
 from torchhand.files import (
     Frame,
     FrameSource,
@@ -521,7 +522,9 @@ def test_a_webcam_ends_well_with_ctrl_c_and_draws_live(
 def test_a_recording_is_played_live_to_other_programs(clip: Clip, run: Run, tmp_path: Path) -> None:
     """The newest picture each time, every estimate at once on standard output, and nothing else there."""
     out = tmp_path / "out"
-    outcome = run(clip.frames, "--out", out, "--live", "--no-page", "--stream", "jsonl", *clip.options)
+    grown = tmp_path / "live.thp"
+    streams = ("--stream", "jsonl", "--stream", grown)
+    outcome = run(clip.frames, "--out", out, "--live", "--no-page", *streams, *clip.options)
     assert outcome.code == 0
     messages = [json.loads(line) for line in outcome.out.splitlines()]
     track = load_track(out)
@@ -533,6 +536,11 @@ def test_a_recording_is_played_live_to_other_programs(clip: Clip, run: Run, tmp_
     assert len(messages) < len(clip.pictures)  # the first one took longer than the others lasted
     assert "pictures used" in outcome.err
     assert "saved in" in outcome.err
+    stream = clip_of_stream(grown, load_hand_model())
+    assert stream.notes == ()  # it was ended
+    assert len(stream) == 1 + round(stream.fps * messages[-1]["time_s"])
+    assert float((stream.poses[0] - torch.from_numpy(track.pose[0]))[6:].abs().max()) < np.radians(2)
+    _assert_refused(run(clip.frames, "--out", out, "--stream", grown, *clip.options), "--stream", "is there already")
 
 
 def test_what_live_tracking_cannot_do(clip: Clip, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

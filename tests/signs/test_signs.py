@@ -20,6 +20,7 @@ from torchhand.hand import (
     Clearance,
     ConstraintSettings,
     PoseConstraints,
+    Primitives,
     penetration,
     place_primitives,
     primitive_sizes,
@@ -127,11 +128,85 @@ def test_thumbs_are_in_the_right_place() -> None:
         p = _points(sign)
         middle = p["middle_pip"] if sign != "I" else p["index_pip"]
         assert float((p["thumb_tip"] - middle)[0]) < 0, sign
-    for sign, nearer, further in (("T", "index", "middle"), ("N", "middle", "ring"), ("M", "ring", "little")):
-        p = _points(sign)  # between two fingers, behind the bent ones
-        across = float(p["thumb_tip"][2])
-        assert float(p[f"{further}_pip"][2]) - 0.004 < across < float(p[f"{nearer}_pip"][2]) + 0.012, sign
-        assert sign == "T" or float(p["thumb_tip"][0]) > float(p[f"{nearer}_pip"][0]), sign
+
+
+def _bend(sign: str, finger: str) -> tuple[Tensor, Tensor]:
+    """PIP joint, and unit vectors (rows): the axis about which the finger bends, towards the thumb's side; out of the
+    palmar sides of its proximal and middle segments."""
+    p = _points(sign)
+    mcp, pip, dip = (p[f"{finger}_{joint}"] for joint in ("mcp", "pip", "dip"))
+    axis = torch.linalg.cross(dip - pip, pip - mcp)
+    axis = axis * axis[2].sign() / axis.norm()
+    palmar = [torch.linalg.cross(axis, bone / bone.norm()) for bone in (pip - mcp, dip - pip)]
+    return pip, torch.stack((axis, *palmar))
+
+
+@pytest.mark.parametrize(
+    ("sign", "above", "behind"),
+    [("T", ("index",), "middle"), ("N", ("index", "middle"), "ring"), ("M", ("index", "middle", "ring"), "little")],
+)
+def test_thumbs_come_out_between_two_fingers(sign: str, above: tuple[str, ...], behind: str) -> None:
+    p = _points(sign)
+    thumb = [p[f"thumb_{joint}"] for joint in ("mcp", "ip", "tip")]
+    for finger in above:  # the thumb passes through the plane of every finger above it inside that finger's bend
+        pip, axes = _bend(sign, finger)
+        heights = [float((point - pip) @ axes[0]) for point in thumb]
+        (k,) = (k for k in range(2) if heights[k] > 0 > heights[k + 1])
+        share = heights[k] / (heights[k] - heights[k + 1])
+        crossing = thumb[k] + share * (thumb[k + 1] - thumb[k]) - pip
+        assert min((axes[1:] @ crossing).tolist()) > 0.004, finger
+    primitives = place_primitives(
+        KINEMATICS(_posed(sign)), primitive_sizes(MODEL.shape_space, KINEMATICS.default_shape)
+    )
+    tip, radius = _tip_ball(primitives, "thumb")
+    pip, axes = _bend(sign, above[-1])
+    assert float((tip - pip) @ axes[0]) < -0.003  # beyond the last of them
+    pip, axes = _bend(sign, behind)
+    assert float((tip - pip) @ axes[0]) > 0.003  # and before the next one
+    (gap, one), (other_gap, other) = (_nearest(primitives, tip, finger) for finger in (above[-1], behind))
+    assert max(gap, other_gap) - radius < 0.005  # near both, with one on either side
+    cosine = (one - tip) @ (other - tip) / ((one - tip).norm() * (other - tip).norm())
+    assert math.degrees(math.acos(float(cosine))) > 115
+
+
+def _tip_ball(primitives: Primitives, digit: str) -> tuple[Tensor, float]:
+    tip, ball = CONE_NAMES.index(f"{digit}_distal"), primitives.sizes
+    radius = float(ball.cone_start[tip, 0] * ball.cone_end_scale[tip])
+    return primitives.cone_position[tip] + primitives.cone_rotation[tip, :, 1] * ball.cone_length[tip], radius
+
+
+def _nearest(primitives: Primitives, point: Tensor, digit: str) -> tuple[float, Tensor]:
+    """Distance of a point from a digit's skin, and the middle of the ball of the digit that is nearest."""
+    share = torch.linspace(0, 1, 401, dtype=torch.float64)[:, None]
+    found = []
+    for cone in (i for i, name in enumerate(CONE_NAMES) if name.startswith(digit)):
+        sizes = primitives.sizes
+        middles = (
+            primitives.cone_position[cone] + share * sizes.cone_length[cone] * primitives.cone_rotation[cone, :, 1]
+        )
+        radii = sizes.cone_start[cone, 0] * (1 + share[:, 0] * (sizes.cone_end_scale[cone] - 1))
+        gaps = (middles - point).norm(dim=-1) - radii
+        found.append((float(gaps.min()), middles[int(gaps.argmin())]))
+    return min(found, key=lambda pair: pair[0])
+
+
+@pytest.mark.parametrize("sign", ["E", "O", "0"])
+def test_fingertips_lie_on_the_thumb(sign: str) -> None:
+    primitives = place_primitives(
+        KINEMATICS(_posed(sign)), primitive_sizes(MODEL.shape_space, KINEMATICS.default_shape)
+    )
+    for finger in FINGERS[1:]:
+        tip, radius = _tip_ball(primitives, finger)
+        assert abs(_nearest(primitives, tip, "thumb")[0] - radius) < 0.5e-3, finger
+
+
+def test_g_points_with_two_parallel_digits() -> None:
+    p = _points("G")
+    index, thumb = p["index_tip"] - p["index_mcp"], p["thumb_tip"] - p["thumb_ip"]
+    assert math.degrees(math.acos(float(index @ thumb / (index.norm() * thumb.norm())))) < 15
+    primitives = place_primitives(KINEMATICS(_posed("G")), primitive_sizes(MODEL.shape_space, KINEMATICS.default_shape))
+    tip, radius = _tip_ball(primitives, "thumb")
+    assert 0.005 < _nearest(primitives, tip, "index")[0] - radius < 0.025
 
 
 def test_r_is_crossed() -> None:
@@ -161,9 +236,14 @@ def test_where_hands_turn() -> None:
             assert float((rotation @ fingers)[1]) < -0.99  # up
     for sign in "PQ":
         assert float((sign_rotation(sign) @ palm)[1]) > 0.8  # down
-    for sign in "CGO0":
+    for sign in "CO0":
         assert float((sign_rotation(sign) @ palm)[0]) > 0.7  # to the viewer's right
-    assert float((sign_rotation("H") @ fingers)[0]) > 0.9
+    for sign in "GH":
+        assert float((sign_rotation(sign) @ fingers)[0]) > 0.9  # to the viewer's right, ...
+        assert float((sign_rotation(sign) @ palm)[2]) > 0.9  # ... the back to the viewer
+    for sign in "12345":
+        assert float((sign_rotation(sign) @ palm)[2]) > 0.99  # to the signer
+        assert float((sign_rotation(sign) @ fingers)[1]) < -0.99
 
 
 def test_left_hands_are_mirror_images() -> None:

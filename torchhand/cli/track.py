@@ -85,7 +85,8 @@ class Arguments:
     """Port of the page; the next free one where it is taken."""
     stream: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="WHERE")] = ()
     """Give every frame's estimate to other programs: jsonl (a line on standard output), udp://HOST:PORT (JSON),
-    osc://HOST:PORT, or ws://HOST:PORT (a WebSocket that is served; pip install torchhand[stream]); may be repeated."""
+    osc://HOST:PORT, ws://HOST:PORT (a WebSocket that is served; pip install torchhand[stream]), or FILE.thp (a pose
+    stream that grows frame by frame); may be repeated."""
     start: Annotated[int, arg(metavar="N")] = 0
     """First frame, counted from 0."""
     max_frames: Annotated[int | None, arg(metavar="N")] = None
@@ -195,7 +196,7 @@ def _settings(arguments: Arguments) -> TrackerSettings:
 
 
 def _request(arguments: Arguments) -> Request:
-    check_streams(arguments.stream)
+    check_streams(arguments.stream, may_replace=arguments.overwrite)
     hand = None if arguments.hand is None else known_hand(arguments.hand)
     return Request(
         settings=_settings(arguments),

@@ -31,7 +31,15 @@ from torchhand.export.robots import (
     write_teleoperation,
     write_urdf,
 )
-from torchhand.export.stream import PoseStreamReader, StreamSettings, clip_of_stream, encode_clip, write_stream
+from torchhand.export.stream import (
+    PoseStreamReader,
+    PoseStreamWriter,
+    StreamHead,
+    StreamSettings,
+    clip_of_stream,
+    encode_clip,
+    write_stream,
+)
 from torchhand.export.tracked_clip import clip_of_track, load_clip
 
 __all__ = [
@@ -47,6 +55,8 @@ __all__ = [
     "MjcfSettings",
     "MotionClip",
     "PoseStreamReader",
+    "PoseStreamWriter",
+    "StreamHead",
     "StreamSettings",
     "WristPoints",
     "bvh_names",

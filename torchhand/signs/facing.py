@@ -9,7 +9,7 @@ from torchhand.geometry import rotation_from_vector
 from torchhand.hand import Side
 from torchhand.signs.table import FACINGS, Facing
 
-_ABOUT_UP_DEG = {"palm": 0.0, "quarter": 32.0, "side": 58.0}
+_ABOUT_UP_DEG = {"palm": 0.0, "quarter": 32.0, "side": 58.0, "back": 180.0}
 """Turn of the palm from the viewer to the signer's other side."""
 # Images of the hand's x (out of its back), y (along the fingers) and z (thumb's side) in the camera frame (x right, y
 # down, z forward).
@@ -22,8 +22,9 @@ _DOWN_TILT_DEG = (-20.0, 38.0, 0.0)
 def sign_rotation(sign: str, side: Side = "right") -> Float[Tensor, "3 3"]:
     """cam_from_hand of one of SIGNS, float64.
 
-    palm: upright, the palm to the viewer. quarter, side: turned so that the palm looks more and more to the viewer's
-    right. across: fingers to the viewer's right, the back to the viewer. down: the palm down. Of a left hand mirrored.
+    palm, back: upright, the palm or the back to the viewer. quarter, side: turned so that the palm looks more and more
+    to the viewer's right. across: fingers to the viewer's right, the back to the viewer. down: the palm down. Of a left
+    hand mirrored.
     """
     rotation = _right(FACINGS.get(sign, "palm"))
     if side == "right":

@@ -2,7 +2,8 @@
 
 Codes of the joints are those of Johnson and Liddell: E straight, i half bent, F bent; one letter
 each for MCP, PIP and DIP. Degrees are design values, a starting point: `sign_fit` solves the contacts.
-Signs of one shape share a row: H is U pointing sideways, P is K and Q is G pointing down, J is I and Z is 1 in motion.
+Signs of one shape share a row: H is U pointing sideways, P is K pointing down, J is I and Z is 1 in motion. Q is
+G with the index pointing down from its knuckle.
 """
 
 from dataclasses import dataclass, field
@@ -10,7 +11,7 @@ from typing import Literal
 
 Spread = Literal["wide", "half", "together"]
 ThumbPlace = Literal["beside", "across", "opposed", "out", "under"]
-Facing = Literal["palm", "quarter", "side", "across", "down"]
+Facing = Literal["palm", "back", "quarter", "side", "across", "down"]
 
 MCP_DEG = {"E": 0.0, "h": 20.0, "i": 40.0, "m": 62.0, "F": 85.0}
 PIP_DEG = {"E": 0.0, "h": 25.0, "i": 50.0, "m": 80.0, "F": 100.0}
@@ -49,6 +50,10 @@ class Handshape:
     """Segments that touch, wherever."""
     gap: tuple[tuple[str, str, float], ...] = ()
     """Points that keep a distance, metres."""
+    rest: tuple[str, ...] = ()
+    """Fingers whose very tips lie on the thumb."""
+    between: tuple[str, str] | None = None
+    """Neighbouring fingers that have the thumb's tip between them: it passes below the first, which is bent over it."""
     crossed: bool = False
     """Index and middle finger are crossed: the middle one behind the index, its tip on the thumb's side."""
     straight_thumb: bool = False
@@ -85,10 +90,21 @@ _O = Handshape(
     thumb="opposed",
     meet=(("thumb_pad", "index_tip"),),
     touch=(("thumb_distal", "middle_distal"),),
+    rest=("ring", "little"),
     free=("index", "middle", "ring", "little"),
 )
 
-_G = Handshape(index="FEE", middle=_F, ring=_F, little=_F, thumb="beside", thumb_deg=(20.0, 25.0, 5.0, 0.0))
+_G = Handshape(
+    index="EEE",
+    middle=_F,
+    ring=_F,
+    little=_F,
+    thumb="beside",
+    thumb_deg=(0.0, 10.0, 0.0, 0.0),
+    gap=(("thumb_pad", "index_side", 0.015),),
+    straight_thumb=True,
+)
+_Q = Handshape(index="FEE", middle=_F, ring=_F, little=_F, thumb="beside", thumb_deg=(20.0, 25.0, 5.0, 0.0))
 _K = Handshape(
     index="EEE",
     middle="FEE",
@@ -144,7 +160,7 @@ HANDSHAPES: dict[str, Handshape] = {
         ring="iFF",
         little="iFF",
         thumb="across",
-        touch=(("thumb_distal", "index_distal"), ("thumb_distal", "middle_distal"), ("thumb_distal", "ring_distal")),
+        rest=("index", "middle", "ring", "little"),
         free=("index", "middle", "ring", "little"),
     ),
     "F": _NINE,
@@ -160,7 +176,8 @@ HANDSHAPES: dict[str, Handshape] = {
         ring="Fmi",
         little="FFi",
         thumb="under",
-        meet=(("thumb_tip", "little_side"),),
+        touch=(("thumb_distal", "little_proximal"), ("thumb_distal", "ring_proximal")),
+        between=("ring", "little"),
         free=("index", "middle", "ring"),
     ),
     "N": Handshape(
@@ -169,12 +186,13 @@ HANDSHAPES: dict[str, Handshape] = {
         ring="FFi",
         little="FFi",
         thumb="under",
-        meet=(("thumb_tip", "ring_side"),),
         touch=(("thumb_distal", "ring_proximal"),),
+        between=("middle", "ring"),
+        free=("index", "middle"),
     ),
     "O": _O,
     "P": _K,
-    "Q": _G,
+    "Q": _Q,
     "R": Handshape(
         index="EEE",
         middle="EEE",
@@ -191,8 +209,12 @@ HANDSHAPES: dict[str, Handshape] = {
         middle=_F,
         ring=_F,
         little=_F,
+        spread=("half", "together", "together"),
         thumb="under",
-        meet=(("thumb_tip", "middle_side"),),
+        thumb_deg=(10.0, 5.0, 50.0, 10.0),
+        straight_thumb=True,
+        touch=(("thumb_distal", "middle_proximal"), ("thumb_distal", "index_middle")),
+        between=("index", "middle"),
         free=("index",),
     ),
     "U": _U,
@@ -265,7 +287,7 @@ SIGNS = "".join(HANDSHAPES)
 
 FACINGS: dict[str, Facing] = {
     "C": "side",
-    "G": "side",
+    "G": "across",
     "H": "across",
     "K": "quarter",
     "O": "side",
@@ -273,5 +295,6 @@ FACINGS: dict[str, Facing] = {
     "Q": "down",
     "X": "quarter",
     "0": "side",
+    **dict.fromkeys("12345", "back"),
 }
 """Where the hand turns; those not named show the palm."""

@@ -16,14 +16,8 @@ from torchhand.cli.benchmarks import recorded_poses
 from torchhand.errors import InputError
 from torchhand.export import ExportOptions, load_clip, write
 from torchhand.export.clip import MotionClip
-from torchhand.export.stream.pose_stream import (
-    PoseStreamReader,
-    StreamSettings,
-    clip_of_stream,
-    encode_clip,
-    unwrapped,
-    write_stream,
-)
+from torchhand.export.stream.channels import StreamSettings, unwrapped
+from torchhand.export.stream.pose_stream import PoseStreamReader, clip_of_stream, encode_clip, write_stream
 from torchhand.files import load_hand_model
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import DOFS, Side

@@ -18,44 +18,12 @@ from torch import Tensor
 
 from torchhand.errors import InputError
 from torchhand.export.clip import MotionClip
-from torchhand.export.stream.container import HELD, MAX_POSES, Packet, StreamBuffer, packed_header, packed_packet
+from torchhand.export.stream.channels import StreamSettings, partners, unwrapped
+from torchhand.export.stream.container import HELD, StreamBuffer
+from torchhand.export.stream.writer import PoseStreamWriter, StreamHead
 from torchhand.files.disk import replacing
-from torchhand.hand import DOFS, FINGERS, ROOT_DOFS, HandModel
-from torchhand.numerics.coding import RowDecoder, RowEncoder, followed
-
-_SHAPE_DIGITS = 9
-_NEIGHBOUR = dict(zip(FINGERS[2:], FINGERS[1:-1], strict=True))
-
-
-@dataclass(frozen=True, kw_only=True)
-class StreamSettings:
-    """How fine a stream is; the defaults keep recorded human motion within 1 degree on average."""
-
-    step_deg: float = 3.5
-    """Step of the joint angles, degrees; above 0, 30 at most."""
-    root_step_deg: float = 1.5
-    """Step of the rotation vector of the whole hand, degrees; above 0, 30 at most."""
-    root_step_mm: float = 2.0
-    """Step of its place, millimetres; above 0, 1000 at most."""
-    dead_zone: float = 0.55
-    """A value that is nearer than so many steps stays as it was; 0.5 to 1."""
-    packet_poses: int = 15
-    """Poses of a packet, 1 to 255: how many frames a reader of a growing stream waits. Fewer take more bits."""
-
-    def __post_init__(self) -> None:
-        for name, maximum in (("step_deg", 30), ("root_step_deg", 30), ("root_step_mm", 1000)):
-            if not 0 < getattr(self, name) <= maximum:
-                raise ValueError(f"{name}: expected more than 0, {maximum} at most, got {getattr(self, name):g}")
-        if not 0.5 <= self.dead_zone <= 1:
-            raise ValueError(f"dead_zone: expected 0.5 to 1, got {self.dead_zone:g}")
-        if not 1 <= self.packet_poses <= MAX_POSES:
-            raise ValueError(f"packet_poses: expected 1 to {MAX_POSES}, got {self.packet_poses}")
-
-    def step_of(self, dof: str) -> float:
-        """Step of one of DOFS, metres or radians."""
-        if dof.startswith("root_t"):
-            return 1e-3 * self.root_step_mm
-        return math.radians(self.root_step_deg if dof in ROOT_DOFS else self.step_deg)
+from torchhand.hand import DOFS, JOINT_DOFS, HandModel
+from torchhand.numerics.coding import RowDecoder, followed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,38 +55,26 @@ def encode_clip(clip: MotionClip, settings: StreamSettings | None = None) -> tup
     clip = clip.placed("camera").at_constant_rate()
     poses = clip.poses.clone()
     poses[:, 3:6] = unwrapped(poses[:, 3:6])
-    moves = (poses != poses[0]).any(0).tolist()
-    names = [dof for dof, does in zip(DOFS, moves, strict=True) if does]
-    steps = [settings.step_of(dof) for dof in names]
-    wanted = poses[:, [DOFS.index(dof) for dof in names]].numpy()
-    rows = followed(wanted / np.array(steps), settings.dead_zone)
-    error = np.abs(rows * np.array(steps) - wanted)[:, [dof not in ROOT_DOFS for dof in names]]
-    if clip.held:
-        names, steps = [*names, HELD], [*steps, 1.0]
-        rows = np.concatenate((rows, ~np.array(clip.is_own)[:, None]), 1, dtype=np.int64)
-    shape = [float(f"{value:.{_SHAPE_DIGITS}g}") for value in clip.shape.tolist()]
-    header = packed_header(
-        {
-            "fps": clip.fps,
-            "first": clip.frame[0],
-            "name": clip.name,
-            "side": clip.side,
-            "up": clip.up,
-            "dofs": names,
-            "steps": steps,
-            "still": {dof: float(poses[0, i]) for i, dof in enumerate(DOFS) if not moves[i] and float(poses[0, i])},
-            "shape": dict(zip(clip.model.shape_space.names, shape, strict=True)),
-        }
+    still = {dof: float(poses[0, i]) for i, dof in enumerate(DOFS) if bool((poses[:, i] == poses[0, i]).all())}
+    head = StreamHead(
+        model=clip.model,
+        side=clip.side,
+        shape=clip.shape.double(),
+        fps=clip.fps,
+        first=clip.frame[0],
+        name=clip.name,
+        up=clip.up,
+        still=still,
+        has_held=bool(clip.held),
     )
-    encoder = RowEncoder(_partners(names))
-    size = settings.packet_poses
-    packets = [
-        packed_packet(Packet(len(block), encoder.block(block)))
-        for block in (rows[start : start + size] for start in range(0, len(rows), size))
-    ]
-    motion = b"".join([*packets, packed_packet(Packet(0, b""))])
-    return header + motion, StreamFigures(
-        header_bytes=len(header),
+    writer = PoseStreamWriter(head, settings)
+    motion = writer.add(poses, ~np.array(clip.is_own) if clip.held else None) + writer.end()
+    moving = [dof for dof in JOINT_DOFS if dof not in still]
+    wanted = poses[:, [DOFS.index(dof) for dof in moving]].numpy()
+    steps = np.array([settings.step_of(dof) for dof in moving])
+    error = np.abs(followed(wanted / steps, settings.dead_zone) * steps - wanted)
+    return writer.head + motion, StreamFigures(
+        header_bytes=len(writer.head),
         motion_bytes=len(motion),
         seconds=len(clip) / clip.fps,
         mean_deg=math.degrees(float(error.mean())) if error.size else 0.0,
@@ -187,7 +143,7 @@ class PoseStreamReader:
                 f"{self._buffer.where}: shape: expected the parameters of {self.model.name}, got others"
                 f" ({', '.join(wrong[:3])})"
             )
-        self.header, self._decoder = header, RowDecoder(_partners(header["dofs"]))
+        self.header, self._decoder = header, RowDecoder(partners(header["dofs"]))
         return True
 
 
@@ -225,30 +181,3 @@ def clip_of_stream(path: str | Path, model: HandModel) -> MotionClip:
         )
     except ValueError as error:
         raise InputError(f"{path}: {error}") from error
-
-
-def unwrapped(vectors: Float64[Tensor, "frames 3"]) -> Float64[Tensor, "frames 3"]:
-    """The same rotations as rotation vectors without jumps by a whole turn: each the nearest to the one before."""
-    found = vectors.clone()
-    for i in range(1, len(found)):
-        before, here = found[i - 1], vectors[i]
-        axis = torch.nn.functional.normalize(here if float(here.norm()) > 1e-9 else before, dim=0)
-        turns = torch.round((before - here) @ axis / (2 * math.pi))
-        found[i] = here + 2 * math.pi * turns * axis
-    return found
-
-
-def _partners(names: list[str]) -> list[int | None]:
-    """Which DOF each tends to move with: a DIP with its PIP, a finger's joint with its neighbour's, the thumb's joints
-    with its first."""
-    found: list[int | None] = []
-    for place, dof in enumerate(names):
-        finger, _, joint = dof.partition("_")
-        if joint == "dip_fe":
-            likely = f"{finger}_pip_fe"
-        elif finger in _NEIGHBOUR:
-            likely = f"{_NEIGHBOUR[finger]}_{joint}"
-        else:
-            likely = {"index": "index_mcp_fe", "thumb": "thumb_cmc_fe"}.get(finger, "")
-        found.append(names.index(likely) if likely in names[:place] else None)
-    return found

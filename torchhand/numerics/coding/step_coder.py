@@ -22,9 +22,15 @@ _NO_PARTNER = 3
 _UNLIKELY = 0.3
 
 
-def followed(values: Float64[np.ndarray, "rows channels"], dead_zone: float) -> Int64[np.ndarray, "rows channels"]:
+def followed(
+    values: Float64[np.ndarray, "rows channels"],
+    dead_zone: float,
+    *,
+    start: Int64[np.ndarray, "channels"] | None = None,
+) -> Int64[np.ndarray, "rows channels"]:
     """Whole numbers that follow the values: they stay as long as a value is less than `dead_zone` from them, and then
-    go to the nearest. Never further than max(dead_zone, ½) away.
+    go to the nearest. Never further than max(dead_zone, ½) away. start: those before the first row, where there are
+    any.
 
     Raises ValueError for a dead zone below ½, which would let noise flicker, or above 1, and for values that are not
     finite.
@@ -34,10 +40,10 @@ def followed(values: Float64[np.ndarray, "rows channels"], dead_zone: float) -> 
     if not np.isfinite(values).all():
         raise ValueError("values: expected finite numbers")
     rows = np.zeros(values.shape, dtype=np.int64)
-    present = np.zeros(values.shape[1], dtype=np.int64)
+    present = start
     for i, row in enumerate(values):
         nearest = np.rint(row).astype(np.int64)
-        present = nearest if i == 0 else np.where(np.abs(row - present) < dead_zone, present, nearest)
+        present = nearest if present is None else np.where(np.abs(row - present) < dead_zone, present, nearest)
         rows[i] = present
     return rows
 

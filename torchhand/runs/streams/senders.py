@@ -11,11 +11,12 @@ from urllib.parse import urlsplit
 
 from torchhand.errors import InputError
 from torchhand.runs.streams.message import osc_bundle
+from torchhand.runs.streams.pose_file import SUFFIX, check_pose_file, is_pose_file
 
 STANDARD_OUTPUT = "jsonl"
 _KINDS = ("udp", "osc", "ws")
 _SILENT = logging.Logger("torchhand.websockets", logging.CRITICAL + 1)  # who goes away, or asks for a page, is no news
-_EXPECTED = f"{STANDARD_OUTPUT}, udp://HOST:PORT, osc://HOST:PORT or ws://HOST:PORT"
+_EXPECTED = f"{STANDARD_OUTPUT}, udp://HOST:PORT, osc://HOST:PORT, ws://HOST:PORT or FILE{SUFFIX}"
 
 
 @runtime_checkable
@@ -29,20 +30,24 @@ class Sender(Protocol):
     def close(self) -> None: ...
 
 
-def check_streams(texts: Sequence[str]) -> None:
-    """Raise InputError for what is no stream, and for one that is named twice."""
+def check_streams(texts: Sequence[str], *, may_replace: bool = False) -> None:
+    """Raise InputError for what is no stream, for one that is named twice, and for a file that cannot be made or, but
+    for may_replace, is there already."""
     for place, text in enumerate(texts):
-        _address(text)
+        if is_pose_file(text):
+            check_pose_file(text, may_replace=may_replace)
+        else:
+            _address(text)
         if text in texts[:place]:
             raise InputError(f"--stream: expected each stream once, got {text} again")
 
 
 @contextlib.contextmanager
 def opened_streams(texts: Sequence[str]) -> Iterator[list[Sender]]:
-    """Senders, which end with the block. Raises InputError for those that cannot be had."""
+    """Senders, which end with the block, of all but files. Raises InputError for those that cannot be had."""
     with contextlib.ExitStack() as stack:
         senders: list[Sender] = []
-        for text in texts:
+        for text in (text for text in texts if not is_pose_file(text)):
             sender = _opened(text)
             stack.callback(sender.close)
             senders.append(sender)
