@@ -179,6 +179,7 @@ class CaseStudy:
             rotation_deg=known(ended.rotation_deg),
             contour_px=known(contour_px),
             cost=torch.where(failed, torch.inf, found.cost).cpu().numpy(),
+            misfit=torch.where(failed, torch.inf, found.misfit).cpu().numpy(),
             status=found.status.cpu().numpy(),
             iterations=found.iterations.cpu().numpy(),
             pose=known(found.pose.vector),

@@ -34,7 +34,8 @@ CONVENTION = (
     "one row per start; pose in the world of the camera file, its rotation vector that of world_from_hand;"
     " perturbation of the free parameters, its rotation applied to the left of the reference's; errors against"
     " reference_pose of the same frame: angle_deg mean of the pose space's joint angles, keypoint_mm mean of the 21"
-    " keypoints, rotation_deg of the orientation; NaN and infinite cost where the status is failed or no_data"
+    " keypoints, rotation_deg of the orientation; misfit the part of the"
+    " picture in the cost; NaN, infinite cost and misfit where the status is failed or no_data"
 )
 
 
