@@ -89,7 +89,11 @@ def test_a_factor_of_ones_own_is_one_class() -> None:
         ("crossed: observation", "crossed: noise", "crossed: expected one of observation, .* got 'noise'"),
         ("occlusion: 0.1", "blur_px: 1", "fixed: expected no factor that is varied, got 'blur_px'"),
         ("design: {latin_hypercube: 6}", "design: full", "blur_px: expected levels"),
-        ("design: {latin_hypercube: 6}", "design: {latin_hypercube: 0}", "latin_hypercube: expected 1 to 100000, got 0"),
+        (
+            "design: {latin_hypercube: 6}",
+            "design: {latin_hypercube: 0}",
+            "latin_hypercube: expected 1 to 100000, got 0",
+        ),
     ],
 )
 def test_mistakes_are_named(tmp_path: Path, old: str, new: str, message: str) -> None:

@@ -60,7 +60,7 @@ def test_an_interrupted_study_goes_on_to_the_same_bytes(
         run_study(STUDY, tmp_path / "study")
     monkeypatch.setattr(CellRegistration, "__call__", plain)
     other = Study(factors=STUDY.factors, fixed=STUDY.fixed, trials=2, pictures=2, seed=1)
-    with pytest.raises(InputError, match="cannot be resumed: study.seed was 0, is now 1"):
+    with pytest.raises(InputError, match=r"cannot be resumed: study\.seed was 0, is now 1"):
         run_study(other, tmp_path / "study", resume=True)
     run_study(STUDY, tmp_path / "study", workers=2, resume=True)
     assert content(tmp_path / "study") == content(whole)

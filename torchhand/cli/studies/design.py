@@ -64,7 +64,9 @@ def study_design(argv: Sequence[str]) -> int:
     arguments = parse(Arguments, argv, name=f"study {DESIGN}")
     check_output_folder(arguments.out, resume=arguments.resume, overwrite=arguments.overwrite)
     path = _file_of(arguments.study)
-    changed = {name: value for name in ("trials", "pictures", "seed") if (value := getattr(arguments, name)) is not None}
+    changed = {
+        name: value for name in ("trials", "pictures", "seed") if (value := getattr(arguments, name)) is not None
+    }
     try:
         study = replace(load_study(path), **changed)
     except ValueError as error:

@@ -1,7 +1,8 @@
 """Studies that people design themselves: factors, a design, and what becomes of registration in every cell."""
 
 from torchhand.study.designed.designs import Between, Design, Full, LatinHypercube, OneAtATime
-from torchhand.study.designed.factors import FACTORS, Choice, Factor, Number
+from torchhand.study.designed.factor import Choice, Factor, Number
+from torchhand.study.designed.factors import FACTORS
 from torchhand.study.designed.perturbations import (
     GaussianPerturbation,
     Perturbation,

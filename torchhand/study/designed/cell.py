@@ -1,7 +1,7 @@
 """The trials of one cell on one picture: starts, registration, errors."""
 
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -10,7 +10,16 @@ from torch import Tensor
 
 from torchhand.evaluate import PoseErrors, pose_errors
 from torchhand.files import load_hand_model
-from torchhand.fit import GaussianPrior, Observation, PostureResiduals, Problem, Solutions, SolveStatus, free_bounds, solve
+from torchhand.fit import (
+    GaussianPrior,
+    Observation,
+    PostureResiduals,
+    Problem,
+    Solutions,
+    SolveStatus,
+    free_bounds,
+    solve,
+)
 from torchhand.fit.contour import SEARCH, ContourObservation, ContourSettings, picture_contours
 from torchhand.fit.keypoints import KeypointSettings, PictureKeypoints
 from torchhand.hand import HandPose, PoseConstraints, PoseSpace, named_pose_space
@@ -24,6 +33,8 @@ from torchhand.view import HandProjector, PrimitiveContours, outline_table
 _ROOT = 6
 _KEPT = 64  # rendered hands, some MB each
 _AT_ONCE = 128
+_LOOK = ("noise", "blur_px", "skin", "ambient", "shape_spread", "cameras")
+"""Fields of a trial that rendered pictures depend on."""
 _CONTOURS = {
     "contour": ContourSettings(contour_weight=0.0, valley_weight=0.0),
     "distance_map": ContourSettings(coverage_weight=0.0),
@@ -44,26 +55,21 @@ def planned(study: Study) -> list[StudyBatch]:
     return plan
 
 
-@dataclass(frozen=True, kw_only=True)
 class CellRegistration:
     """Registers batches of a study; what it keeps from one to the next changes no number."""
 
-    study: Study
+    def __init__(self, study: Study) -> None:
+        self.study, self._model = study, load_hand_model()
+        self._kinematics = self._model.kinematics(SIDE, dtype=torch.float64)
+        self._prior = self._model.prior(dtype=torch.float64)
+        self._postures = PostureResiduals.of(self._model.prior().postures)
+        self._constraints = PoseConstraints(self._model.skeleton)
+        self._rendered = lru_cache(maxsize=_KEPT)(self._render)
 
-    def __post_init__(self) -> None:
-        model, study = load_hand_model(), self.study
-        kinematics = model.kinematics(SIDE, dtype=torch.float64)
-        prior = model.prior(dtype=torch.float64)
-        postures, constraints = PostureResiduals.of(model.prior().postures), PoseConstraints(model.skeleton)
-
-        @lru_cache(maxsize=_KEPT)
-        def rendered(number: int, *look: object) -> RenderedHand:
-            names = ("noise", "blur_px", "skin", "ambient", "shape_spread", "cameras")
-            return rendered_hand(number, Trial(**dict(zip(names, look, strict=True))), study.space, prior, study.seed)
-
-        parts = {"_kinematics": kinematics, "_postures": postures, "_constraints": constraints, "_rendered": rendered}
-        for name, part in (*parts.items(), ("_model", model)):
-            object.__setattr__(self, name, part)
+    def _render(self, number: int, *look: Any) -> RenderedHand:
+        """The hand of that number; look: of the trial, what its pictures depend on (`_LOOK`)."""
+        trial = Trial(**dict(zip(_LOOK, look, strict=True)))
+        return rendered_hand(number, trial, self.study.space, self._prior, self.study.seed)
 
     def __call__(self, batch: StudyBatch) -> Hypotheses:
         """The same for the same study, whatever was done before."""
@@ -71,7 +77,7 @@ class CellRegistration:
         trial = self.study.cells[index].trial
         seed = seed_of(self.study.seed, "cell", index, number)
         generator = torch.Generator().manual_seed(seed)
-        look = (trial.noise, trial.blur_px, trial.skin, trial.ambient, trial.shape_spread, trial.cameras)
+        look = (getattr(trial, name) for name in _LOOK)
         hand = seen_hand(self._rendered(number, *look), trial, generator)
         space = named_pose_space(self.study.space).about(hand.pose.dofs)
         change = trial.scale * trial.perturbation.draw(space, batch.count, generator)
@@ -155,6 +161,4 @@ class CellRegistration:
 
     def _errors(self, hand: SeenHand, space: PoseSpace, hands: HandPose) -> PoseErrors:
         truth, joints, shape = hand.pose, space.basis[_ROOT:].any(-1), self._kinematics.default_shape
-        return pose_errors(
-            self._kinematics, shape, hands.dofs, hands.reference, truth.dofs, truth.reference, joints
-        )
+        return pose_errors(self._kinematics, shape, hands.dofs, hands.reference, truth.dofs, truth.reference, joints)

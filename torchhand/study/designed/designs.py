@@ -103,5 +103,6 @@ def design_of(given: Any) -> Design:
     if isinstance(given, str):
         require(given in named, "design", "full, one_at_a_time or {latin_hypercube: N}", given)
         return named[given]
-    require(hasattr(given, "cells"), "design", "full, one_at_a_time or {latin_hypercube: N}", given)
-    return given
+    if isinstance(given, Design):
+        return given
+    raise ValueError(f"design: expected full, one_at_a_time or {{latin_hypercube: N}}, got {given!r}")

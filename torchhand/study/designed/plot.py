@@ -14,7 +14,6 @@ from torchhand.study.hypotheses import wilson_interval
 
 _BINS = 6  # of the values that a Latin hypercube draws
 _PANEL = (3.6, 3.0)  # inches
-_COLUMNS = 3
 _PERCENT = 100.0
 
 
@@ -27,26 +26,29 @@ def require_matplotlib() -> None:
 
 
 def draw_study(study: Study, rows: Sequence[CellRow], path: Path) -> None:
-    """Write the plot, PNG: a panel per factor, a line per level of the crossed one; trials of equal values together.
+    """Write the plot, PNG: for every factor success above and errors below, a line per level of the crossed factor.
 
-    The other factors are pooled, but those of a one-at-a-time design, which are at their first levels.
+    Trials of equal values are taken together. The other factors are pooled, but those of a one-at-a-time design, which
+    are at their first levels.
     """
     require_matplotlib()
     figure_module: Any = importlib.import_module("matplotlib.figure")
-    panels = [name for name in study.factors if name != study.crossed] or list(study.factors)
-    columns = min(_COLUMNS, len(panels))
-    lines = math.ceil(len(panels) / columns)
-    size = (_PANEL[0] * columns, _PANEL[1] * lines + 0.3)
+    names = [name for name in study.factors if name != study.crossed] or list(study.factors)
+    size = (_PANEL[0] * max(2, len(names)), 2 * _PANEL[1] + 0.3)
     figure = figure_module.Figure(figsize=size, layout="constrained", dpi=100)
-    for index, name in enumerate(panels):
-        axes = figure.add_subplot(lines, columns, index + 1)
+    panels = figure.subplots(2, len(names), squeeze=False, sharex="col", sharey="row")
+    for column, name in enumerate(names):
+        above, below = panels[:, column]
         for level in _levels(study):
-            _draw_line(axes, study, rows, name, level)
-        axes.set(xlabel=name, ylim=(0, 102), ylabel=f"success (≤ {study.success_deg:g}°), %")
-        axes.grid(alpha=0.3)
-        axes.spines[["top", "right"]].set_visible(False)
-    if study.crossed is not None and study.crossed not in panels:
-        handles, labels = figure.axes[0].get_legend_handles_labels()
+            _draw_line(above, below, study, rows, name, level)
+        below.set(xlabel=name)
+        for axes in (above, below):
+            axes.grid(alpha=0.3)
+            axes.spines[["top", "right"]].set_visible(False)
+    panels[0, 0].set(ylabel=f"success (joints within {study.success_deg:g}°), %", ylim=(0, 102))
+    panels[1, 0].set(ylabel="median keypoint error, mm", ylim=(0, None))
+    if study.crossed in study.factors and study.crossed not in names:
+        handles, labels = panels[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False)
     figure.savefig(path, format="png", metadata={"Software": None})
 
@@ -58,7 +60,7 @@ def _levels(study: Study) -> list[Any]:
     return list(dict.fromkeys(text_of(cell.values[study.crossed]) for cell in study.cells))
 
 
-def _draw_line(axes: Any, study: Study, rows: Sequence[CellRow], name: str, level: Any) -> None:
+def _draw_line(above: Any, below: Any, study: Study, rows: Sequence[CellRow], name: str, level: Any) -> None:
     chosen = [
         (text_of(cell.values[name]), row)
         for cell, row in zip(study.cells, rows, strict=True)
@@ -70,11 +72,11 @@ def _draw_line(axes: Any, study: Study, rows: Sequence[CellRow], name: str, leve
     shares = [sum(row.successes for row in own) / sum(row.trials for row in own) for _, own in found]
     ends = [wilson_interval(sum(row.successes for row in own), sum(row.trials for row in own)) for _, own in found]
     label = None if level is None else f"{study.crossed} {level}" if isinstance(level, (int, float)) else level
-    below = [_PERCENT * (share - low) for share, (low, _) in zip(shares, ends, strict=True)]
-    above = [_PERCENT * (high - share) for share, (_, high) in zip(shares, ends, strict=True)]
-    axes.errorbar(
-        x, [_PERCENT * share for share in shares], (below, above), marker="o", ms=4, lw=1.3, capsize=2, label=label
-    )
+    lower = [max(0.0, _PERCENT * (share - low)) for share, (low, _) in zip(shares, ends, strict=True)]
+    upper = [max(0.0, _PERCENT * (high - share)) for share, (_, high) in zip(shares, ends, strict=True)]
+    style = {"marker": "o", "ms": 4, "lw": 1.3, "label": label}
+    above.errorbar(x, [_PERCENT * share for share in shares], (lower, upper), capsize=2, **style)
+    below.plot(x, [sum(row.keypoint_median_mm for row in own) / len(own) for _, own in found], **style)
 
 
 def _is_alone(study: Study, values: Any, name: str) -> bool:

@@ -9,7 +9,8 @@ from torchhand.errors import InputError, require, require_positive
 from torchhand.files import load_settings
 from torchhand.files.disk import read_plain_file, read_yaml, suggestion
 from torchhand.study.designed.designs import Between, Design, Range, Values, design_of
-from torchhand.study.designed.factors import FACTORS, Factor
+from torchhand.study.designed.factor import Factor
+from torchhand.study.designed.factors import FACTORS
 from torchhand.study.designed.trial import Trial
 from torchhand.study.hypotheses import STUDY_SPACES
 
@@ -155,7 +156,7 @@ class _PlainFields:
 
 
 def _range(values: Any) -> Any:
-    if isinstance(values, dict) and set(values) == {"low", "high"}:
-        if all(isinstance(end, (int, float)) for end in values.values()):
-            return Between(values["low"], values["high"])
+    is_between = isinstance(values, dict) and set(values) == {"low", "high"}
+    if is_between and all(isinstance(end, (int, float)) for end in values.values()):
+        return Between(values["low"], values["high"])
     return values

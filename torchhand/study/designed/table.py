@@ -16,7 +16,7 @@ _PRINTED = 40
 
 @dataclass(frozen=True, kw_only=True)
 class CellRow:
-    """What became of the trials of a cell. Quantiles count failures as infinite errors; intervals are Wilson's, 95 %."""
+    """What became of a cell's trials. Quantiles count failures as infinite errors; intervals are Wilson's, 95 %."""
 
     trials: int
     successes: int
@@ -53,7 +53,10 @@ def _row(study: Study, cell: Cell, own: Hypotheses) -> CellRow:
     best = best_of_trials(own, cell.trial.hypotheses)
     count, is_success = len(best), best.is_success(study.success_deg)
     is_converged = best.status == SolveStatus.CONVERGED.value
-    interval, of_converged = wilson_interval(int(is_success.sum()), count), wilson_interval(int(is_converged.sum()), count)
+    interval, of_converged = (
+        wilson_interval(int(is_success.sum()), count),
+        wilson_interval(int(is_converged.sum()), count),
+    )
 
     def quantiles(values: np.ndarray) -> tuple[float, float]:
         return quantile_with_failures(values, 0.5), quantile_with_failures(values, 0.9)
@@ -106,6 +109,8 @@ def printed_table(study: Study, rows: Sequence[CellRow]) -> str:
             ]
         )
     widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
-    text = "\n".join("  ".join(one.ljust(width) for one, width in zip(line, widths, strict=True)).rstrip() for line in lines)
+    text = "\n".join(
+        "  ".join(one.ljust(width) for one, width in zip(line, widths, strict=True)).rstrip() for line in lines
+    )
     left = len(rows) - _PRINTED
     return text if left <= 0 else f"{text}\n... and {left} more cells"

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+from torchhand.simulate import SkinTone
 from torchhand.study.designed.perturbations import Perturbation, UniformPerturbation
 
 ObservationKind = Literal["contour", "distance_map", "outline", "points", "all"]
@@ -37,7 +38,7 @@ class Trial:
     """Standard deviation of the silhouette's boundary, px."""
     occlusion: float = 0.0
     """Share of the silhouette that a disc hides, as one of the background's colour would, and the points behind it."""
-    skin: str = "light"
+    skin: SkinTone = "light"
     ambient: float = 0.45
     """Share of the light that comes from everywhere."""
     dropout: float = 0.0

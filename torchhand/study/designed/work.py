@@ -22,7 +22,6 @@ from torchhand.study.hypotheses import (
     NPZ_NAME,
     PICTURE_NAME,
     Hypotheses,
-    StudyBatch,
     StudyFolder,
     run_batches,
     save_study,
@@ -87,7 +86,7 @@ class _Making:
     study: Study
 
     def __call__(self, threads: int = 1) -> CellRegistration:
-        return CellRegistration(study=self.study)
+        return CellRegistration(self.study)
 
 
 def _header(study: Study) -> Mapping[str, Any]:

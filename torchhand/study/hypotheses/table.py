@@ -48,7 +48,8 @@ class StudyRow:
     statuses: tuple[float, ...]
     """Shares, in the order of STATUS_NAMES."""
     best_of: tuple[float, ...]
-    """Success of that of so many starts which explains the picture best, as the settings list them; NaN where there are not so many."""
+    """Success of the one of so many starts that explains the picture best, as the settings list them; NaN where there
+    are not so many."""
 
     @property
     def failed(self) -> float:

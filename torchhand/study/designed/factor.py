@@ -32,7 +32,9 @@ class Number:
     def value(self, given: Any) -> float | int:
         kind, number = "a whole number" if self.is_whole else "a number", given
         is_number = isinstance(number, (int, float)) and not isinstance(number, bool)
-        require(is_number and self.low <= number <= self.high, self.name, f"{kind}, {self.low:g} to {self.high:g}", given)
+        require(
+            is_number and self.low <= number <= self.high, self.name, f"{kind}, {self.low:g} to {self.high:g}", given
+        )
         require(not self.is_whole or number == round(number), self.name, kind, given)
         return round(number) if self.is_whole else float(number)
 
