@@ -49,7 +49,9 @@ def draw_study(study: Study, rows: Sequence[CellRow], path: Path) -> None:
     panels[1, 0].set(ylabel="median keypoint error, mm", ylim=(0, None))
     if study.crossed in study.factors and study.crossed not in names:
         handles, labels = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False)
+        figure.legend(
+            handles, labels, loc="outside upper center", ncols=len(labels), title=study.crossed, frameon=False
+        )
     figure.savefig(path, format="png", metadata={"Software": None})
 
 
@@ -71,7 +73,7 @@ def _draw_line(above: Any, below: Any, study: Study, rows: Sequence[CellRow], na
     x = [place for place, _ in found]
     shares = [sum(row.successes for row in own) / sum(row.trials for row in own) for _, own in found]
     ends = [wilson_interval(sum(row.successes for row in own), sum(row.trials for row in own)) for _, own in found]
-    label = None if level is None else f"{study.crossed} {level}" if isinstance(level, (int, float)) else level
+    label = f"{level:g}" if isinstance(level, (int, float)) else level
     lower = [max(0.0, _PERCENT * (share - low)) for share, (low, _) in zip(shares, ends, strict=True)]
     upper = [max(0.0, _PERCENT * (high - share)) for share, (_, high) in zip(shares, ends, strict=True)]
     style = {"marker": "o", "ms": 4, "lw": 1.3, "label": label}
