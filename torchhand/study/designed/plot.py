@@ -35,7 +35,7 @@ def draw_study(study: Study, rows: Sequence[CellRow], path: Path) -> None:
     figure_module: Any = importlib.import_module("matplotlib.figure")
     names = [name for name in study.factors if name != study.crossed] or list(study.factors)
     size = (_PANEL[0] * max(2, len(names)), 2 * _PANEL[1] + 0.3)
-    figure = figure_module.Figure(figsize=size, layout="constrained", dpi=100)
+    figure = figure_module.Figure(figsize=size, layout="constrained", dpi=80)
     panels = figure.subplots(2, len(names), squeeze=False, sharex="col", sharey="row")
     for column, name in enumerate(names):
         above, below = panels[:, column]
