@@ -170,6 +170,9 @@ def test_the_cost_is_that_of_the_result_itself(points: Points, generator: torch.
     factors = [one.associate(posed, SCHEDULE[-1]) for one in (*own.observations, *own.priors)]
     cost = torch.stack([factor.equations(posed).cost for factor in factors]).sum(0)
     torch.testing.assert_close(found.cost, cost, atol=0, rtol=1e-9)
+    of_points = factors[0].equations(posed).cost
+    torch.testing.assert_close(found.misfit, of_points, atol=1e-12 * float(cost.max()), rtol=1e-9)
+    assert bool((found.misfit < found.cost).all())
     torch.testing.assert_close(found.explained_by("points").distance, factors[0].explained()[0].distance)
     matrices = torch.linalg.inv(found.covariance)
     assert float(torch.linalg.eigvalsh(matrices).min()) > 0

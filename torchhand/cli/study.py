@@ -15,7 +15,7 @@ from tqdm import tqdm
 from tyro.conf import Positional, UseAppendAction, arg
 
 from torchhand.cli.command import DONE, STOPPED_BY_USER, command, one_address, parse, threads
-from torchhand.cli.studies import UEDA, study_ueda
+from torchhand.cli.studies import DESIGN, UEDA, study_design, study_ueda
 from torchhand.cluster import Cluster
 from torchhand.errors import InputError
 from torchhand.files import check_output_folder, load_hand_model, load_settings
@@ -61,6 +61,7 @@ class Arguments:
         torchhand study --out out/study --starts 10000
         torchhand study out/sequence --out out/study --frames 0,20,40 --surface mesh
         torchhand study ueda --help     (another study: hands fitted into hulls, Ueda et al. 2003)
+        torchhand study design --help   (studies of your own design: factors, cells, outcomes)
     """
 
     input: Annotated[Positional[Path | None], arg(metavar="INPUT")] = None
@@ -135,10 +136,12 @@ class Arguments:
 
 @command
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one study, or go on with it; `ueda` as the first word asks for that of Ueda et al. (2003)."""
+    """Run one study, or go on with it; the first words `ueda` and `design` ask for other studies."""
     words = sys.argv[1:] if argv is None else list(argv)
     if words[:1] == [UEDA]:
         return study_ueda(words[1:])
+    if words[:1] == [DESIGN]:
+        return study_design(words[1:])
     arguments = parse(Arguments, argv, name="study", settings=_settings)
     settings = _settings(arguments)
     check_output_folder(arguments.out, resume=arguments.resume, overwrite=arguments.overwrite)

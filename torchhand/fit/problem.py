@@ -126,6 +126,11 @@ class Linearization:
         _, moving = self.problem.dofs_of(self.values)
         return self._in_free(self.sum(self.factors, self.hands), moving)
 
+    def misfit(self, cost: Float[Tensor, "k"]) -> Float[Tensor, "k"]:
+        """What the observations alone have in the cost at the hands that data were associated with."""
+        priors = self.factors[len(self.factors) - len(self.problem.priors) :]
+        return cost - sum((one.equations(self.hands).cost for one in priors), torch.zeros_like(cost))
+
     def equations(self, values: Float[Tensor, "n free"], rows: Int[Tensor, "n"]) -> NormalEquations:
         """Normal equations in the free parameters, at other values of the given rows."""
         is_all = len(rows) == len(self.hands)

@@ -57,6 +57,9 @@ class Solutions:
     cost: Float[Tensor, "*hypotheses"]
     """Nats, associated at the pose itself with the tolerance of the last stage: comparable between hypotheses; infinite
     if failed."""
+    misfit: Float[Tensor, "*hypotheses"]
+    """Nats of the observations alone, without the priors: what hypotheses with priors of their own, such as about their
+    starts, have in common. Infinite if failed."""
     status: Int[Tensor, "*hypotheses"]
     """Numbers of `SolveStatus`."""
     iterations: Int[Tensor, "*hypotheses"]
@@ -82,6 +85,7 @@ class Solutions:
         return Solutions(
             pose=self.pose.reshape(-1)[rows],
             cost=self.cost.reshape(-1)[rows],
+            misfit=self.misfit.reshape(-1)[rows],
             status=self.status.reshape(-1)[rows],
             iterations=self.iterations.reshape(-1)[rows],
             covariance=self.covariance.reshape(-1, free, free)[rows],
@@ -95,6 +99,7 @@ class Solutions:
             one,
             pose=one.pose[0],
             cost=one.cost[0],
+            misfit=one.misfit[0],
             status=one.status[0],
             iterations=one.iterations[0],
             covariance=one.covariance[0],
@@ -163,6 +168,7 @@ def _solved(problem: Problem, start: HandPose, schedule: Schedule) -> Solutions:
             reference=torch.where(failed[:, None, None], start.reference, pose.reference),
         ),
         cost=kept.cost,
+        misfit=kept.misfit,
         status=torch.where(failed, SolveStatus.FAILED.value, status.clamp_max(Status.STALLED.value)),
         iterations=iterations,
         covariance=covariance_of(kept.matrix, ~failed),
@@ -214,6 +220,7 @@ class _Evaluated:
     values: Float[Tensor, "k free"]
     reference: Float[Tensor, "k 3 3"]
     cost: Float[Tensor, "k"]
+    misfit: Float[Tensor, "k"]
     matrix: Float[Tensor, "k free free"]
     explained: tuple[Explained, ...]
 
@@ -228,6 +235,7 @@ class _Evaluated:
             values=here.values,
             reference=here.hands.pose.reference,
             cost=torch.where(is_sound, found.cost, torch.inf),
+            misfit=torch.where(is_sound, here.misfit(found.cost), torch.inf),
             matrix=found.matrix,
             explained=explained,
         )
@@ -250,6 +258,7 @@ class _Evaluated:
             values=chosen(self.values, other.values),
             reference=chosen(self.reference, other.reference),
             cost=chosen(self.cost, other.cost),
+            misfit=chosen(self.misfit, other.misfit),
             matrix=chosen(self.matrix, other.matrix),
             explained=tuple(better_of(*pair) for pair in zip(self.explained, other.explained, strict=True)),
         )
@@ -268,9 +277,11 @@ def covariance_of(
 def _unmoved(problem: Problem, start: HandPose, status: SolveStatus) -> Solutions:
     size, count, like = problem.space.size, len(start), problem.space.basis
     zeros = torch.zeros(count, dtype=torch.long, device=like.device)
+    nothing = like.new_full((count,), torch.inf)
     return Solutions(
         pose=start,
-        cost=like.new_full((count,), torch.inf),
+        cost=nothing,
+        misfit=nothing,
         status=zeros + status.value,
         iterations=zeros,
         covariance=like.new_full((count, size, size), torch.nan),

@@ -185,7 +185,7 @@ def test_what_is_no_study_is_not_resumed(tmp_path: Path) -> None:
 
 def test_another_program_s_arrays_are_no_study(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", header=np.array('{"format": "else"}'), status=np.array(["failed"]))
-    with pytest.raises(InputError, match="expected the format 'torchhand hypothesis study 1', got 'else'"):
+    with pytest.raises(InputError, match="expected the format 'torchhand hypothesis study 2', got 'else'"):
         load_study(tmp_path / "a.npz")
     np.savez(tmp_path / "b.npz", x=np.zeros(3))
     with pytest.raises(InputError, match=r"b.npz: is no hypothesis study that can be read \(KeyError: 'header"):

@@ -37,12 +37,12 @@ def test_nothing_tried_tells_nothing() -> None:
 @pytest.mark.parametrize("tries", [1, 2, 5, 8])
 def test_best_of_several_is_the_mean_over_all_choices(tries: int) -> None:
     chance = np.random.default_rng(tries)
-    cost, is_success = chance.normal(size=8), chance.random(8) < 0.5
-    cost[3] = np.inf
+    misfit, is_success = chance.normal(size=8), chance.random(8) < 0.5
+    misfit[3] = np.inf
     is_success[3] = False
     choices = [list(chosen) for chosen in itertools.combinations(range(8), tries)]
-    brute = np.mean([is_success[chosen[int(np.argmin(cost[chosen]))]] for chosen in choices])
-    assert success_of_best(cost, is_success, tries) == pytest.approx(brute, abs=1e-12)
+    brute = np.mean([is_success[chosen[int(np.argmin(misfit[chosen]))]] for chosen in choices])
+    assert success_of_best(misfit, is_success, tries) == pytest.approx(brute, abs=1e-12)
 
 
 @pytest.mark.parametrize(("count", "tries"), [(1, 1), (6, 1), (6, 4), (6, 6), (5000, 16)])

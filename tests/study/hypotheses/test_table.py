@@ -42,6 +42,7 @@ def hypotheses(count: int = 40, frames: int = 2) -> Hypotheses:
         rotation_deg=known(chance.uniform(0, 10, count)),
         contour_px=known(chance.uniform(0, 2, count)),
         cost=np.where(failed, np.inf, chance.uniform(0, 100, count)),
+        misfit=np.where(failed, np.inf, chance.uniform(0, 100, count)),
         status=np.where(failed, 2, index % 2),
         iterations=np.full(count, 9),
         pose=np.where(failed[:, None], np.nan, chance.normal(size=(count, 36))),
@@ -77,14 +78,14 @@ def test_failures_are_no_successes_and_count_in_the_quantiles() -> None:
     assert row.success <= 0.5
 
 
-def test_costs_of_different_pictures_are_not_compared() -> None:
+def test_misfits_of_different_pictures_are_not_compared() -> None:
     made = hypotheses()
     row = study_rows(made, SETTINGS)[0]
     shift = np.where(made.frame == 7, 1e6, 0.0)
-    arrays = made.arrays() | {"cost": made.cost + shift}
+    arrays = made.arrays() | {"misfit": made.misfit + shift}
     assert study_rows(Hypotheses.from_arrays(arrays), SETTINGS)[0].best_of[:3] == row.best_of[:3]
     own = [made.select((made.level == 1) & (made.frame == frame)) for frame in (7, 8)]
-    expected = [success_of_best(one.cost, one.is_success(5.0), 3) for one in own]
+    expected = [success_of_best(one.misfit, one.is_success(5.0), 3) for one in own]
     assert row.best_of[2] == pytest.approx(np.mean(expected))
     assert row.best_of[0] == pytest.approx(row.success)
     assert math.isnan(row.best_of[3])
@@ -115,6 +116,6 @@ def test_the_terminal_gets_a_line_per_size() -> None:
 
 
 def test_arrays_of_differing_lengths_are_no_hypotheses() -> None:
-    arrays = hypotheses().arrays() | {"cost": np.zeros(3)}
+    arrays = hypotheses().arrays() | {"misfit": np.zeros(3)}
     with pytest.raises(ValueError, match=r"expected arrays of one length, got \[3, 40\]"):
         Hypotheses.from_arrays(arrays)

@@ -180,6 +180,7 @@ def solutions(pose: HandPose, cost: list[float]) -> Solutions:
     return Solutions(
         pose=pose,
         cost=torch.tensor(cost, dtype=torch.float64),
+        misfit=torch.tensor(cost, dtype=torch.float64),
         status=torch.full((count,), SolveStatus.CONVERGED.value),
         iterations=torch.zeros(count, dtype=torch.long),
         covariance=1e-4 * torch.eye(space.size, dtype=torch.float64).repeat(count, 1, 1),

@@ -4,7 +4,7 @@ from torchhand.simulate.scene.backgrounds import BACKGROUNDS, BackgroundKind, ba
 from torchhand.simulate.scene.forearm import cast_forearm
 from torchhand.simulate.scene.mask_noise import noisy_mask
 from torchhand.simulate.scene.no_hand import NO_HAND, NoHandKind, picture_without_hand
-from torchhand.simulate.scene.scene import SKIN_TONES, RenderedFrame, SceneSettings, render_sequence
+from torchhand.simulate.scene.scene import SKIN_TONES, RenderedFrame, SceneSettings, SkinTone, render_sequence
 
 __all__ = [
     "BACKGROUNDS",
@@ -14,6 +14,7 @@ __all__ = [
     "NoHandKind",
     "RenderedFrame",
     "SceneSettings",
+    "SkinTone",
     "background_picture",
     "cast_forearm",
     "noisy_mask",

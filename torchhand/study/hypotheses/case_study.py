@@ -179,6 +179,7 @@ class CaseStudy:
             rotation_deg=known(ended.rotation_deg),
             contour_px=known(contour_px),
             cost=torch.where(failed, torch.inf, found.cost).cpu().numpy(),
+            misfit=torch.where(failed, torch.inf, found.misfit).cpu().numpy(),
             status=found.status.cpu().numpy(),
             iterations=found.iterations.cpu().numpy(),
             pose=known(found.pose.vector),
@@ -195,19 +196,25 @@ class CaseStudy:
 
     def _registered(self, starts: HandPose, expected: HandPose | None) -> Solutions:
         """expected: one hand for all starts, or one for each."""
-        priors: list[ConstraintPrior | PosturePrior | GaussianPrior] = [
-            ConstraintPrior(constraints=self._constraints, has_ties=self._postures is None)
-        ]
-        if self._postures is not None:
-            priors.append(PosturePrior(postures=self._postures))
-        if expected is not None:
-            priors.append(GaussianPrior.of_std(expected, self._std, self.space))
+        belief = None if expected is None else GaussianPrior.of_std(expected, self._std, self.space)
         observation = ContourObservation(picture=self.picture, contours=self.contours, settings=self.settings.contour)
         problem = Problem(
             space=self.space,
             skeleton=self.model.skeleton,
             shape=self.shape,
             observations=(observation,),
-            priors=tuple(priors),
+            priors=study_priors(self._constraints, self._postures, belief),
         )
         return solve(problem, starts, self.settings.schedule, at_once=self.settings.batch)
+
+
+def study_priors(
+    constraints: PoseConstraints, postures: PostureResiduals | None, belief: GaussianPrior | None
+) -> tuple[ConstraintPrior | PosturePrior | GaussianPrior, ...]:
+    """What a study's registrations know beside the picture; the postures, where given, hold the ties of joints."""
+    known = (
+        ConstraintPrior(constraints=constraints, has_ties=postures is None),
+        None if postures is None else PosturePrior(postures=postures),
+        belief,
+    )
+    return tuple(one for one in known if one is not None)

@@ -16,7 +16,7 @@ from torchhand.study.hypotheses.batches import BatchFile
 from torchhand.study.hypotheses.record import STATUS_NAMES, Hypotheses
 
 CSV_NAME, NPZ_NAME, PICTURE_NAME, HEADER_NAME = "study.csv", "hypotheses.npz", "study.png", "header.json"
-STUDY_FORMAT = "torchhand hypothesis study 1"
+STUDY_FORMAT = "torchhand hypothesis study 2"
 RESULT_NAMES = (CSV_NAME, PICTURE_NAME, CONFIG_NAME, NPZ_NAME)
 
 _BATCHES_NAME = "batches.bin"

@@ -33,15 +33,15 @@ def rank_weights(count: int, tries: int) -> Float[np.ndarray, "count"]:
     return (tries / count) * np.cumprod(np.concatenate(([1.0], ratio)))
 
 
-def success_of_best(cost: Float[np.ndarray, "starts"], is_success: Bool[np.ndarray, "starts"], tries: int) -> float:
-    """Expected success of the cheapest of `tries` starts: the mean over all choices of so many of them.
+def success_of_best(misfit: Float[np.ndarray, "starts"], is_success: Bool[np.ndarray, "starts"], tries: int) -> float:
+    """Expected success of the best of `tries` starts, by their misfits: the mean over all choices of so many of them.
 
-    Costs of one picture; infinite ones are failures. NaN where there are fewer starts. Of equal costs the first wins.
+    Misfits on one picture; infinite ones are failures. NaN where there are fewer starts. Of equal ones the first wins.
     """
-    if tries > len(cost):
+    if tries > len(misfit):
         return float("nan")
-    order = np.argsort(cost, kind="stable")
-    return float(rank_weights(len(cost), tries) @ is_success[order])
+    order = np.argsort(misfit, kind="stable")
+    return float(rank_weights(len(misfit), tries) @ is_success[order])
 
 
 def quantile_with_failures(values: Float[np.ndarray, "starts"], fraction: float) -> float:

@@ -14,7 +14,7 @@ STATUS_NAMES = tuple(status.name.lower() for status in SolveStatus)
 
 @dataclass(frozen=True, kw_only=True)
 class Hypotheses:
-    """One row per start. What failed has NaN errors and pose, and infinite cost."""
+    """One row per start. What failed has NaN errors and pose, and infinite cost and misfit."""
 
     frame: Int[np.ndarray, "starts"]
     batch: Int[np.ndarray, "starts"]
@@ -35,7 +35,9 @@ class Hypotheses:
     contour_px: Float[np.ndarray, "starts"]
     """Mean distance of the picture's contour from the model's outline."""
     cost: Float[np.ndarray, "starts"]
-    """Comparable within a frame."""
+    """Nats that were minimised, the priors among them: that about the start is another for every start."""
+    misfit: Float[np.ndarray, "starts"]
+    """Nats of the picture alone: comparable within a frame."""
     status: Int[np.ndarray, "starts"]
     """Index into STATUS_NAMES."""
     iterations: Int[np.ndarray, "starts"]

@@ -43,7 +43,7 @@ class HypothesisStudySettings:
     success_deg: float = 5.0
     """Largest mean error of the joint angles of a success; above 0."""
     best_of: tuple[int, ...] = (1, 2, 4, 8, 16)
-    """Numbers of starts of which the cheapest is evaluated; increasing, 1 or more."""
+    """Numbers of starts of which that with the least misfit is evaluated; increasing, 1 or more."""
     schedule: Schedule = SEARCH
     """Registration from coarse to fine; at least one stage."""
     contour: ContourSettings = field(default_factory=ContourSettings)

@@ -48,7 +48,8 @@ class StudyRow:
     statuses: tuple[float, ...]
     """Shares, in the order of STATUS_NAMES."""
     best_of: tuple[float, ...]
-    """Success of the cheapest of so many starts, as the settings list them; NaN where there are not so many."""
+    """Success of the one of so many starts that explains the picture best, as the settings list them; NaN where there
+    are not so many."""
 
     @property
     def failed(self) -> float:
@@ -113,9 +114,9 @@ def _row(
 
 
 def _best_of(own: Hypotheses, is_success: np.ndarray, tries: int) -> float:
-    """Mean over the frames: costs of different pictures do not compare."""
+    """Mean over the frames: misfits of different pictures do not compare."""
     per_frame = [
-        success_of_best(own.cost[own.frame == frame], is_success[own.frame == frame], tries)
+        success_of_best(own.misfit[own.frame == frame], is_success[own.frame == frame], tries)
         for frame in np.unique(own.frame)
     ]
     return float(np.mean(per_frame)) if per_frame else float("nan")

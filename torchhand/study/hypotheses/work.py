@@ -1,10 +1,7 @@
 """A hypothesis study at work: batch by batch into its folder, and the results of all of them."""
 
 import hashlib
-import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -13,7 +10,6 @@ from typing import Any
 import cv2
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 import torchhand
 from torchhand.cluster import Cluster
@@ -26,6 +22,7 @@ from torchhand.study.hypotheses.case_study import CaseStudy, StudyBatch, StudyCa
 from torchhand.study.hypotheses.folder import CSV_NAME, NPZ_NAME, PICTURE_NAME, StudyFolder, save_study
 from torchhand.study.hypotheses.plot import draw_study
 from torchhand.study.hypotheses.record import Hypotheses
+from torchhand.study.hypotheses.running import run_batches
 from torchhand.study.hypotheses.settings import HypothesisStudySettings
 from torchhand.study.hypotheses.table import StudyRow, csv_text, study_rows
 
@@ -34,7 +31,8 @@ CONVENTION = (
     "one row per start; pose in the world of the camera file, its rotation vector that of world_from_hand;"
     " perturbation of the free parameters, its rotation applied to the left of the reference's; errors against"
     " reference_pose of the same frame: angle_deg mean of the pose space's joint angles, keypoint_mm mean of the 21"
-    " keypoints, rotation_deg of the orientation; NaN and infinite cost where the status is failed or no_data"
+    " keypoints, rotation_deg of the orientation; misfit the part of the"
+    " picture in the cost; NaN, infinite cost and misfit where the status is failed or no_data"
 )
 
 
@@ -87,45 +85,12 @@ class Work:
 
         workers: threads, or a cluster.
         """
-        plan = plan_batches(self.settings, len(self.cases))
-        left = [batch for batch in plan if batch.index not in folder.batches]
-        starts = self.settings.starts
-        before = starts - sum(batch.count for batch in left)
-        begun = time.perf_counter()
-        is_hidden = not sys.stderr.isatty()
-        with tqdm(total=starts, initial=before, desc="study", unit="start", disable=is_hidden, leave=False) as bar:
-            for batch, found in self._worked(left, workers):
-                folder.batches.save(batch.index, found)
-                bar.update(len(found))
-        seconds = (time.perf_counter() - begun) / (starts - before) if left else 0.0
-        return Hypotheses.joined((folder.batches.load(batch.index) for batch in plan), starts), seconds
+        return run_batches(plan_batches(self.settings, len(self.cases)), self.worker, folder, workers)
 
     def worker(self, pictures: int = 1) -> Callable[[StudyBatch], Hypotheses]:
         """What registers batches. It keeps what those of one picture share, for so many pictures."""
         study = lru_cache(maxsize=pictures)(self.study)
         return lambda batch: study(batch.case).run(batch, self.seed)
-
-    def _worked(self, plan: Sequence[StudyBatch], workers: int | Cluster) -> Iterator[tuple[StudyBatch, Hypotheses]]:
-        """Batches as they are done. torch computes each with one thread, so that its company changes no number."""
-        if isinstance(workers, Cluster):
-            yield from workers.done(self.worker, plan)
-            return
-        side_by_side, work = workers, self.worker(workers)
-        if side_by_side == 1:
-            yield from ((batch, work(batch)) for batch in plan)
-            return
-        waiting = iter(plan)
-        running: dict[Future[Hypotheses], StudyBatch] = {}
-        with ThreadPoolExecutor(side_by_side, initializer=torch.set_num_threads, initargs=(1,)) as pool:
-            while True:
-                for batch in waiting:
-                    running[pool.submit(work, batch)] = batch
-                    if len(running) == side_by_side:
-                        break
-                if not running:
-                    return
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    yield running.pop(future), future.result()
 
     def save(self, folder: StudyFolder, hypotheses: Hypotheses) -> list[StudyRow]:
         """Write the results and move them into place; returns the rows of the table."""
@@ -144,7 +109,7 @@ class Work:
         }
         with folder.finishing() as place:
             write_text(place / CSV_NAME, csv_text(rows, self.settings))
-            _write_picture(place / PICTURE_NAME, draw_study(rows, self.settings))
+            write_picture(place / PICTURE_NAME, draw_study(rows, self.settings))
             self._save_config(place / CONFIG_NAME)
             save_study(place / NPZ_NAME, folder.header, hypotheses, further)
         return rows
@@ -167,6 +132,6 @@ class Work:
         save_settings(self.settings, path, run)
 
 
-def _write_picture(path: Path, picture: Tensor) -> None:
+def write_picture(path: Path, picture: Tensor) -> None:
     _, encoded = cv2.imencode(".png", cv2.cvtColor(picture.numpy(), cv2.COLOR_RGB2BGR))
     path.write_bytes(encoded.tobytes())  # so that the system says why it refuses
