@@ -8,12 +8,14 @@ are read as a posture once, and hands are compared with the posture.
 import json
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import read_back
 from torchhand.fit import Equations, Explained, PosedHands, Stage
 from torchhand.fit.keypoints.points import KeypointSettings
 from torchhand.fit.keypoints.prior import missing_fraction, natural_posture
@@ -70,9 +72,9 @@ class PostureKeypoints:
         told = (missing_fraction(is_known.to(points))[:, -len(JOINT_DOFS) :] < 0.5) & is_placed
         return cls(pose=pose, precision=torch.where(told, std.square().reciprocal(), 0.0), view=view)
 
-    @property
+    @cached_property
     def is_empty(self) -> bool:
-        return not bool((self.precision > 0).any())
+        return not read_back(self.precision > 0).any()
 
     @property
     def angles(self) -> Float[Tensor, "#rows 30"]:

@@ -1,11 +1,13 @@
 """Keypoints in space of which neither place nor size is known, as an observation: MediaPipe's world landmarks."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import read_back
 from torchhand.fit import Equations, Explained, PosedHands, Stage
 from torchhand.fit.keypoints.points import Detector, equations_of_points
 from torchhand.hand import HandKinematics
@@ -29,9 +31,9 @@ class RelativeKeypoints:
     detector: Detector | None = None
     """Properties of the detector; None for one whose keypoints are ours."""
 
-    @property
+    @cached_property
     def is_empty(self) -> bool:
-        return not bool(self.is_known.any())
+        return not read_back(self.is_known).any()
 
     @property
     def is_known(self) -> Bool[Tensor, "rows 21"]:

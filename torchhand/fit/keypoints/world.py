@@ -1,11 +1,13 @@
 """Keypoints in the world as an observation: points of known place, in metres or in a unit that is to be found."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import read_back
 from torchhand.fit import Equations, Explained, PosedHands, Stage
 from torchhand.fit.keypoints.points import Detector, KeypointSettings, equations_of_points, trusted_fraction
 from torchhand.hand import HandKinematics
@@ -31,9 +33,9 @@ class WorldKeypoints:
     detector: Detector | None = None
     """Properties of the detector; None for one that measures in metres and whose keypoints are ours."""
 
-    @property
+    @cached_property
     def is_empty(self) -> bool:
-        return not bool(self.is_known.any())
+        return not read_back(self.is_known).any()
 
     @property
     def is_known(self) -> Bool[Tensor, "#rows 21"]:
