@@ -1,10 +1,10 @@
 """The device that work runs on, and the one place where work in progress asks it for a number.
 
-An accelerator works through what was enqueued while the processor enqueues more. Whoever reads a tensor back waits until
-all of that is done, and a loop that reads in every turn runs at the speed of its slowest kernel launches. So iterations
-do not read: what a processor would leave out because nothing is to be done (`may_hold`), an accelerator does for nothing,
-and whether a loop may end is asked after several turns (`asks_after`). On a processor numbers are there already, and
-what is done is left out at once.
+An accelerator works through what was enqueued while the processor enqueues more. Whoever reads a tensor back waits
+until all of that is done, and then the device waits for the processor. So iterations do not read: what a processor
+leaves out because nothing is to be done (`may_hold`), an accelerator does for nothing, and whether a loop may end is
+asked after several turns only (`asks_after`). On a processor numbers are there already, and what is done is left out at
+once.
 """
 
 from functools import lru_cache

@@ -177,7 +177,6 @@ def contours_of(
 ) -> Contours:
     """Contours of the hands' shape, or of the one that differs from it in a column; remade once where they must be."""
 
-
     def own() -> Contours:
         is_same = column is None and bool(read_back(shape == contours.shape).all())
         return contours if is_same else contours.with_shape(shape)

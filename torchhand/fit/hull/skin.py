@@ -118,7 +118,6 @@ class SkinPoints:
     def for_shape(self, hands: PosedHands) -> "SkinPoints":
         """The skin of the hands' own shape: this one where that is its shape."""
 
-
         def own() -> "SkinPoints":
             shape = hands.shape.to(self.shape)
             return self if bool(read_back(shape == self.shape).all()) else SkinPoints(self.hand, shape)

@@ -50,8 +50,12 @@ class PictureKeypoints:
     lag: ViewLag | None = None
     """How late the pictures are; None where they are not."""
 
-    @cached_property
+    @property
     def is_empty(self) -> bool:
+        return self._is_empty
+
+    @cached_property
+    def _is_empty(self) -> bool:
         return not read_back(self.is_known).any()
 
     @property
@@ -113,7 +117,9 @@ class PictureKeypoints:
         if self.cov_px is None:
             return std, None
         is_told = self.cov_px.isfinite().all((-2, -1)).expand_as(std)
-        cov = torch.where(is_told[..., None, None], self.cov_px.to(std), torch.eye(2, dtype=std.dtype, device=std.device))
+        cov = torch.where(
+            is_told[..., None, None], self.cov_px.to(std), torch.eye(2, dtype=std.dtype, device=std.device)
+        )
         size = torch.linalg.det(cov).clamp_min(torch.finfo(std.dtype).tiny).pow(0.25)  # geometric mean of the axes
         # A covariance that is none gives points that fit nowhere; to raise for it would be to wait for the device.
         factor, info = torch.linalg.cholesky_ex(cov)

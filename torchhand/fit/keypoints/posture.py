@@ -72,8 +72,12 @@ class PostureKeypoints:
         told = (missing_fraction(is_known.to(points))[:, -len(JOINT_DOFS) :] < 0.5) & is_placed
         return cls(pose=pose, precision=torch.where(told, std.square().reciprocal(), 0.0), view=view)
 
-    @cached_property
+    @property
     def is_empty(self) -> bool:
+        return self._is_empty
+
+    @cached_property
+    def _is_empty(self) -> bool:
         return not read_back(self.precision > 0).any()
 
     @property

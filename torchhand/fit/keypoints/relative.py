@@ -31,8 +31,12 @@ class RelativeKeypoints:
     detector: Detector | None = None
     """Properties of the detector; None for one whose keypoints are ours."""
 
-    @cached_property
+    @property
     def is_empty(self) -> bool:
+        return self._is_empty
+
+    @cached_property
+    def _is_empty(self) -> bool:
         return not read_back(self.is_known).any()
 
     @property

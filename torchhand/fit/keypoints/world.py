@@ -33,8 +33,12 @@ class WorldKeypoints:
     detector: Detector | None = None
     """Properties of the detector; None for one that measures in metres and whose keypoints are ours."""
 
-    @cached_property
+    @property
     def is_empty(self) -> bool:
+        return self._is_empty
+
+    @cached_property
+    def _is_empty(self) -> bool:
         return not read_back(self.is_known).any()
 
     @property
