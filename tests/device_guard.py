@@ -1,4 +1,4 @@
-"""A guard against reading a device in the middle of work, and copies of records on a device that holds no numbers.
+"""A guard against reading a device in the middle of work, and copies of records on other devices.
 
 Runs on a processor: everything that would wait for an accelerator, or send it something, raises where it stands.
 """
@@ -15,7 +15,6 @@ import torch
 from torch import Tensor, nn
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils._pytree import tree_leaves
 
 import torchhand
 from torchhand.hand import PoseConstraints
@@ -110,23 +109,8 @@ def no_host_reads() -> Iterator[Permitted]:
         yield permitted
 
 
-class _OneDevice(TorchDispatchMode):
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        given = [x for x in tree_leaves((args, kwargs)) if isinstance(x, Tensor)]
-        if any(x.device.type == "cpu" and x.ndim for x in given):
-            raise HostRead(f"{_place()[0]}: {func} of a tensor in the processor's memory")
-        return func(*args, **(kwargs or {}))
-
-
-@contextmanager
-def one_device() -> Iterator[None]:
-    """Within the block an operation on any tensor in the processor's memory raises HostRead."""
-    with _OneDevice():
-        yield
-
-
-def on_meta(value: Any, known: dict[int, tuple[Any, Any]] | None = None) -> Any:
-    """A record with all its tensors on the device that holds no numbers: to read one is an error.
+def on_device(value: Any, device: torch.device, known: dict[int, tuple[Any, Any]] | None = None) -> Any:
+    """A record with all its tensors on a device.
 
     What is one object in the record stays one. Constraints of poses live in the processor's memory and stay there.
     """
@@ -135,21 +119,21 @@ def on_meta(value: Any, known: dict[int, tuple[Any, Any]] | None = None) -> Any:
         return known[id(value)][0]
     copied = value
     if isinstance(value, Tensor):
-        copied = torch.empty_strided(value.shape, value.stride(), dtype=value.dtype, device="meta")
+        copied = value.to(device)
     elif type(value) is tuple:
-        copied = tuple(on_meta(part, known) for part in value)
+        copied = tuple(on_device(part, device, known) for part in value)
     elif type(value) is list:
-        copied = [on_meta(part, known) for part in value]
+        copied = [on_device(part, device, known) for part in value]
     elif type(value) is dict:
-        copied = {key: on_meta(part, known) for key, part in value.items()}
+        copied = {key: on_device(part, device, known) for key, part in value.items()}
     elif isinstance(value, torch.device):
-        copied = torch.device("meta")
+        copied = device
     elif isinstance(value, PoseConstraints) or not hasattr(value, "__dict__"):
         pass
     elif isinstance(value, nn.Module) or type(value).__module__.startswith("torchhand."):
         copied = object.__new__(type(value))
         known[id(value)] = (copied, value)
         for name, part in vars(value).items():
-            object.__setattr__(copied, name, on_meta(part, known))
+            object.__setattr__(copied, name, on_device(part, device, known))
     known[id(value)] = (copied, value)  # keeps the value, and with it its number
     return copied

@@ -6,18 +6,28 @@ cannot see, fails here too, on any machine; and what comes out is what the proce
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from typing import Any
 
 import torch
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils._pytree import tree_leaves, tree_map
 
 from torchhand import devices
 
 NAME = "pretend"
 torch.utils.backend_registration._setup_privateuseone_for_python_backend(NAME)
-DEVICE = torch.device(NAME, 0)
+DEVICE, CPU = torch.device(NAME, 0), torch.device("cpu")
+_MOVING = {"_to_copy", "copy_", "to", "lift_fresh"}
+_INDEXING = {"index", "index_put", "index_put_", "_index_put_impl_"}
+
+
+_sent = 0
+
+
+def sent() -> int:
+    """How many tensors have been sent from the processor's memory to the device so far."""
+    return _sent
 
 
 class PretendTensor(Tensor):
@@ -52,42 +62,78 @@ class PretendTensor(Tensor):
         return _called(func, args, kwargs or {})
 
 
+@lru_cache(maxsize=4096)
+def _kind(func: Any) -> tuple[str, bool]:
+    """Name of an operation, and whether it changes the size of what it is given."""
+    return func._schema.name.partition("::")[2], torch.Tag.inplace_view in func.tags
+
+
+def _mapped(value: Any, change: Any) -> Any:
+    if isinstance(value, list | tuple):
+        return type(value)([_mapped(part, change) for part in value]) if value else value
+    return change(value)
+
+
+def _held(value: Any) -> Any:
+    if isinstance(value, PretendTensor):
+        return value.held
+    return CPU if isinstance(value, torch.device) and value.type == NAME else value
+
+
 def _called(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:
-    name = func._schema.name.partition("::")[2]
-    given = [x for x in tree_leaves((args, kwargs)) if isinstance(x, Tensor)]
-    ours = [x for x in given if isinstance(x, PretendTensor)]
-    if any(x.device.type == NAME and not isinstance(x, PretendTensor) for x in given):
-        raise RuntimeError(f"{func}: a tensor of the device that holds no numbers")
-    device = kwargs.get("device")
-    device = None if device is None else torch.device(device)
-    moves = name in ("_to_copy", "copy_", "to") or (name == "lift_fresh")
-    if ours and not moves and any(x.device.type == "cpu" and x.ndim for x in given):
-        raise RuntimeError(f"{func}: expected all tensors on one device, got {[str(x.device) for x in given]}")
-    if name == "to" and not isinstance(device, torch.device):
-        tensors = [x for x in args[1:] if isinstance(x, Tensor)]
-        named = [torch.device(x) for x in args[1:] if isinstance(x, str | torch.device)]
-        device = tensors[0].device if tensors else (named[0] if named else None)
-    is_ours = device.type == NAME if device is not None else bool(ours)
+    """The operation on what is held; its result is on the device if what it is made of is, or if that is asked for."""
+    name, changes_size = _kind(func)
+    ours: dict[int, PretendTensor] = {}
+    others = 0
+
+    def look(value: Any) -> Any:
+        nonlocal others
+        if isinstance(value, PretendTensor):
+            ours[id(value.held)] = value
+        elif isinstance(value, Tensor):
+            others += value.ndim > 0
+        return _held(value)
+
+    own_args = [_mapped(value, look) for value in args]
+    own_kwargs = {key: _mapped(value, look) for key, value in kwargs.items()}
+    device = _asked_for(name, args, kwargs)
+    # As on CUDA: places may be told by a tensor in the processor's memory.
+    is_told = name in _INDEXING and isinstance(args[0], PretendTensor)
+    if ours and others and not is_told and name not in _MOVING:
+        raise RuntimeError(f"{func}: expected all tensors on one device, got some of {DEVICE} and others of {CPU}")
+    is_ours = bool(ours) if device is None else device.type == NAME
     if name == "copy_":
         is_ours = isinstance(args[0], PretendTensor)
-    back = {id(x.held): x for x in ours}
+    found = func(*own_args, **own_kwargs)
+    if changes_size and isinstance(args[0], PretendTensor):  # its own size is to follow
+        with torch._C._DisableTorchDispatch():
+            return func(*args, **kwargs)
+    if not is_ours:
+        is_read = device is not None and ours and isinstance(found, Tensor)
+        return found.clone() if is_read else found
+    if others and not is_told:
+        global _sent
+        _sent += 1
+        found = found.clone() if not ours and isinstance(found, Tensor) else found
 
-    def inner(value: Any) -> Any:
-        if isinstance(value, PretendTensor):
-            return value.held
-        return torch.device("cpu") if isinstance(value, torch.device) and value.type == NAME else value
+    def wrapped(value: Any) -> Any:
+        return (
+            ours.get(id(value)) if id(value) in ours else PretendTensor(value) if isinstance(value, Tensor) else value
+        )
 
-    def outer(value: Any) -> Any:
-        if not isinstance(value, Tensor) or not is_ours:
-            return value
-        return back[id(value)] if id(value) in back else PretendTensor(value)
+    return _mapped(found, wrapped)
 
-    found = func(*tree_map(inner, args), **tree_map(inner, kwargs))
-    if device is not None and not is_ours:  # to the processor: a copy, as from any device
-        return tree_map(lambda x: x.clone() if isinstance(x, Tensor) and ours else x, found)
-    if device is not None and not ours and name in ("_to_copy", "to"):  # a copy to the device
-        found = tree_map(lambda x: x.clone() if isinstance(x, Tensor) else x, found)
-    return tree_map(outer, found)
+
+def _asked_for(name: str, args: Any, kwargs: dict[str, Any]) -> torch.device | None:
+    """The device that an operation names, if any."""
+    if (named := kwargs.get("device")) is not None:
+        return torch.device(named)
+    for value in args[1:] if name == "to" else ():
+        if isinstance(value, Tensor):
+            return value.device
+        if isinstance(value, str | torch.device):
+            return torch.device(value)
+    return None
 
 
 class _Pretence(TorchDispatchMode):

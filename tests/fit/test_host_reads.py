@@ -1,9 +1,8 @@
 """No iteration of `solve` waits for its device: every kind of observation and prior, on a processor that is treated as
-an accelerator, and on a device that holds no numbers at all."""
+an accelerator, and on a device that no other one's tensors come near."""
 
 import importlib
 import pkgutil
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -14,7 +13,8 @@ import torch
 from torch import Tensor
 
 import torchhand.fit
-from tests.device_guard import HostRead, no_host_reads, on_meta, one_device
+from tests import pretend_device
+from tests.device_guard import HostRead, no_host_reads, on_device
 from tests.fit.hull.conftest import Rig, make_rig
 from tests.studio import Studio
 from torchhand import devices
@@ -45,15 +45,14 @@ from torchhand.hand import HandPose, PoseConstraints, named_pose_space
 from torchhand.numerics import RobustLoss
 from torchhand.view import MeshContours, PrimitiveContours, outline_table
 
-HANDS = 4
+HANDS = 3
 SPACE = named_pose_space("dof26")
 MODEL = load_hand_model()
 Method = Literal["levenberg_marquardt", "gauss_newton", "gradient_descent"]
 
 
 def schedule(method: Method = "levenberg_marquardt", iterations: int = 3) -> Schedule:
-    stage = Stage(gross_m=0.02, rounds=1, iterations=iterations, method=method)
-    return stage, replace(stage, gross_m=0.004)
+    return (Stage(gross_m=0.01, rounds=1, iterations=iterations, method=method),)
 
 
 @dataclass(frozen=True)
@@ -195,11 +194,12 @@ def accelerator(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def close(one: Solutions, other: Solutions) -> None:
+    """To what rounding leaves of a few iterations in float64, in whatever order sums are taken."""
     for name in ("cost", "status", "iterations"):
-        torch.testing.assert_close(getattr(one, name), getattr(other, name), rtol=1e-9, atol=1e-9)
-    torch.testing.assert_close(one.pose.vector, other.pose.vector, rtol=0, atol=1e-9)
+        torch.testing.assert_close(getattr(one, name), getattr(other, name), rtol=1e-8, atol=1e-8)
+    torch.testing.assert_close(one.pose.vector, other.pose.vector, rtol=0, atol=1e-8)
     for own, others in zip(one.explained, other.explained, strict=True):
-        torch.testing.assert_close(own.distance, others.distance, rtol=1e-9, atol=1e-9)
+        torch.testing.assert_close(own.distance, others.distance, rtol=1e-8, atol=1e-8)
 
 
 def test_every_kind_is_among_those_tested(problems: dict[str, tuple[Problem, HandPose]]) -> None:
@@ -242,7 +242,7 @@ def test_gradient_descent_asks_at_its_stride(problems: dict[str, tuple[Problem, 
     solve(case, starts, schedule("gradient_descent"))
     with no_host_reads() as permitted:
         solve(case, starts, schedule("gradient_descent"))
-    assert 0 < permitted.count <= 2 * (30 // devices.TURNS)  # two associations of 30 iterations
+    assert 0 < permitted.count <= 30 // devices.TURNS  # ten iterations for one of Levenberg-Marquardt
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -250,7 +250,7 @@ def test_the_guard_finds_a_read_of_any_kind(
     name: str, problems: dict[str, tuple[Problem, HandPose]], accelerator: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     case, starts = problems[name]
-    solve(case, starts, schedule())
+    solve(case, starts, schedule(iterations=1))
     one = (*case.observations, *case.priors)[-1 if case.priors else 0]
     kind = type(one.associate(case.hands(starts), schedule()[0]))
     equations = kind.equations
@@ -301,29 +301,16 @@ def test_the_guard_knows_what_waits(name: str) -> None:
             WAITS[name]()
 
 
-def _answered(values: Tensor) -> np.ndarray:
-    """What is read back of tensors that hold no numbers: every point is known, shapes are the same, offsets are 0."""
-    return np.ones(values.shape, bool) if values.dtype is torch.bool else np.zeros(values.shape)
-
-
 @pytest.mark.parametrize("of", NAMES)
-def test_a_device_without_numbers_is_enough(
-    of: str, problems: dict[str, tuple[Problem, HandPose]], monkeypatch: pytest.MonkeyPatch
+def test_hands_on_a_device_are_those_of_the_processor(
+    of: str, device: torch.device, problems: dict[str, tuple[Problem, HandPose]]
 ) -> None:
-    """No size depends on a number, and all tensors of the iterations are on one device. The sizes of z-buffers alone
-    are read back (`MeshContours._depths`)."""
-    for name, module in list(sys.modules.items()):
-        if name.startswith("torchhand.fit.") and "read_back" in vars(module):
-            monkeypatch.setattr(module, "read_back", _answered)
-
-    def without_depths(self: MeshContours, vertices: Tensor) -> Tensor:
-        return vertices.new_empty(len(vertices), self.camera.height, self.camera.width)
-
-    monkeypatch.setattr(MeshContours, "_depths", without_depths)
-    case, starts = on_meta(problems[of])
-    stages = schedule(iterations=1)[:1]
-    solve(case, starts, stages)  # constants are sent once
-    with one_device():
-        found = solve(case, starts, stages)
-    assert found.pose.dofs.is_meta
-    assert found.pose.dofs.shape == (HANDS, 36)
+    """All is on the device before the first iteration: a second run sends nothing to the pretended one."""
+    stages = schedule(iterations=1)
+    expected = solve(*problems[of], stages)
+    case, starts = on_device(problems[of], device)
+    assert solve(case, starts, stages).pose.dofs.device.type == device.type
+    before = pretend_device.sent()
+    found = solve(case, starts, stages)
+    assert pretend_device.sent() == before
+    close(on_device(found, torch.device("cpu")), expected)
