@@ -61,6 +61,7 @@ def test_hands_and_their_gradients(device: torch.device) -> None:
         same(found, expected)
 
 
+@pytest.mark.slow
 def test_the_prior(device: torch.device) -> None:
     def worked(there: torch.device) -> tuple[Tensor, ...]:
         prior = model_on(there).prior(dtype=torch.float64)

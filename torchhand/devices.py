@@ -58,7 +58,7 @@ def constant_tensor(values: Any, dtype: torch.dtype, device: torch.device) -> Te
 
 def device_named(name: str, *, option: str = "--device") -> torch.device:
     """The device of a name such as cpu, cuda or cuda:1. Raises InputError for one that is not there."""
-    allowed = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
+    allowed = ["cpu", *_accelerators()]
     try:
         device = torch.device(name)
         if device.type in allowed and torch.zeros(1, device=device).numel() == 1:
@@ -66,3 +66,7 @@ def device_named(name: str, *, option: str = "--device") -> torch.device:
     except RuntimeError:
         pass
     raise InputError(f"{option}: expected {' or '.join(allowed)} on this machine, got {name!r}")
+
+
+def _accelerators() -> list[str]:
+    return ["cuda"] if torch.cuda.is_available() else []
