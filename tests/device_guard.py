@@ -20,7 +20,10 @@ import torchhand
 from torchhand.hand import PoseConstraints
 
 _PACKAGE = str(Path(torchhand.__file__).parent)
-PERMITTED = {("devices.py", "read_back"), ("devices.py", "rows_where"), ("mesh_contours.py", "_depths")}
+PERMITTED = {
+    *(("devices.py", name) for name in ("read_back", "are_equal", "rows_where")),
+    ("mesh_contours.py", "_depths"),
+}
 """The named places that may wait."""
 
 _READS = {
@@ -70,7 +73,7 @@ def _refuse(what: str, permitted: Permitted) -> None:
     place, is_permitted = _place()
     if not is_permitted:
         raise HostRead(f"{place}: {what}")
-    permitted.count += what == "numpy"
+    permitted.count += what in ("numpy", "equal")
 
 
 class _Functions(TorchFunctionMode):

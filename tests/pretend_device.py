@@ -16,8 +16,14 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torchhand import devices
 
 NAME = "pretend"
-torch.utils.backend_registration._setup_privateuseone_for_python_backend(NAME)
-DEVICE, CPU = torch.device(NAME, 0), torch.device("cpu")
+try:
+    from torch.utils.backend_registration import _setup_privateuseone_for_python_backend
+except ImportError:  # a torch to which no device can be added in Python
+    IS_POSSIBLE = False
+else:
+    _setup_privateuseone_for_python_backend(NAME)
+    IS_POSSIBLE = True
+CPU = torch.device("cpu")
 _MOVING = {"_to_copy", "copy_", "to", "lift_fresh"}
 _INDEXING = {"index", "index_put", "index_put_", "_index_put_impl_"}
 
@@ -44,7 +50,7 @@ class PretendTensor(Tensor):
                 strides=held.stride(),
                 storage_offset=held.storage_offset(),
                 dtype=held.dtype,
-                device=DEVICE,
+                device=torch.device(NAME, 0),
                 requires_grad=held.requires_grad,
             )
         made.held = held
@@ -100,7 +106,7 @@ def _called(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:
     # As on CUDA: places may be told by a tensor in the processor's memory.
     is_told = name in _INDEXING and isinstance(args[0], PretendTensor)
     if ours and others and not is_told and name not in _MOVING:
-        raise RuntimeError(f"{func}: expected all tensors on one device, got some of {DEVICE} and others of {CPU}")
+        raise RuntimeError(f"{func}: expected all tensors on one device, got some of {NAME} and others of {CPU}")
     is_ours = bool(ours) if device is None else device.type == NAME
     if name == "copy_":
         is_ours = isinstance(args[0], PretendTensor)
@@ -149,7 +155,7 @@ def pretended() -> Iterator[torch.device]:
     devices.constant_tensor.cache_clear()
     try:
         with _Pretence():
-            yield DEVICE
+            yield torch.device(NAME, 0)
     finally:
         torch._C._set_only_lift_cpu_tensors(before)
         devices.constant_tensor.cache_clear()

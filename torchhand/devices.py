@@ -40,8 +40,13 @@ def asks_after(turn: int, device: torch.device) -> bool:
 
 
 def read_back(values: Shaped[Tensor, "*any"]) -> np.ndarray:
-    """The values in the processor's memory: the one place where what iterates waits for its device."""
+    """The values in the processor's memory, for which the device is waited for."""
     return values.detach().cpu().numpy()
+
+
+def are_equal(one: Tensor, other: Tensor) -> bool:
+    """Whether all values of two tensors are the same; waits for the device, once for what does not change."""
+    return torch.equal(one, other)
 
 
 def rows_where(flags: np.ndarray, device: torch.device) -> Int[Tensor, "some"]:

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchhand.devices import read_back
+from torchhand.devices import are_equal
 from torchhand.fit import Equations, Explained, PosedHands, Stage
 from torchhand.fit.contour.correspondences import Correspondences, boundary_offset, contour_terms
 from torchhand.fit.contour.matching import match_boundary
@@ -178,7 +178,7 @@ def contours_of(
     """Contours of the hands' shape, or of the one that differs from it in a column; remade once where they must be."""
 
     def own() -> Contours:
-        is_same = column is None and bool(read_back(shape == contours.shape).all())
+        is_same = column is None and are_equal(shape, contours.shape)
         return contours if is_same else contours.with_shape(shape)
 
     return contours if shape is contours.shape else hands.once_for_shape((id(contours), column), own)

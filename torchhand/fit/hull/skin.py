@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchhand.devices import read_back
+from torchhand.devices import are_equal
 from torchhand.fit import PosedHands
 from torchhand.geometry import left_jacobian
 from torchhand.hand import Hand, HandPose
@@ -120,7 +120,7 @@ class SkinPoints:
 
         def own() -> "SkinPoints":
             shape = hands.shape.to(self.shape)
-            return self if bool(read_back(shape == self.shape).all()) else SkinPoints(self.hand, shape)
+            return self if are_equal(shape, self.shape) else SkinPoints(self.hand, shape)
 
         return self if hands.shape is self.shape else hands.once_for_shape(("skin", id(self)), own)
 
