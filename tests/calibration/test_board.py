@@ -6,15 +6,18 @@ import pytest
 import torch
 
 from torchhand.calibration.board import Board, dictionaries, draw_board, find_board, other_board
+from torchhand.image import WORKING_PIXELS
 
 SQUARE_PX = 36
 CHESSBOARD = Board(kind="chessboard", columns=7, rows=6, square=0.03)
 CHARUCO = Board(kind="charuco", columns=6, rows=4, square=0.04)
 
 
-def shown(board: Board, *, turn_deg: float = 0.0, noise: float = 2.0) -> tuple[torch.Tensor, np.ndarray]:
+def shown(
+    board: Board, *, turn_deg: float = 0.0, noise: float = 2.0, square_px: int = SQUARE_PX
+) -> tuple[torch.Tensor, np.ndarray]:
     """A slanted picture of the board, and where its corners are."""
-    drawn = 20 + draw_board(board, SQUARE_PX).numpy().astype(np.float32) * (200 / 255)
+    drawn = 20 + draw_board(board, square_px).numpy().astype(np.float32) * (200 / 255)
     height, width = drawn.shape
     slant = np.array([[0.95, 0.06, 20.0], [0.08, 0.9, 10.0], [2e-4, 1e-4, 1.0]])
     turn = np.vstack((cv2.getRotationMatrix2D((width / 2, height / 2), turn_deg, 0.9), (0, 0, 1)))
@@ -24,8 +27,8 @@ def shown(board: Board, *, turn_deg: float = 0.0, noise: float = 2.0) -> tuple[t
     fine = cv2.warpPerspective(drawn, large @ warp, (2 * width, 2 * height), borderValue=200)
     seen = cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA)
     seen = seen + np.random.default_rng(0).normal(0, noise, seen.shape)
-    first = (2 if board.kind == "chessboard" else 1) * SQUARE_PX - 0.5
-    flat = first + board.points().numpy()[:, :2] / board.square * SQUARE_PX
+    first = (2 if board.kind == "chessboard" else 1) * square_px - 0.5
+    flat = first + board.points().numpy()[:, :2] / board.square * square_px
     points = cv2.perspectiveTransform(flat[:, None], warp).reshape(-1, 2)
     grey = np.clip(np.rint(seen), 0, 255).astype(np.uint8)
     return torch.from_numpy(grey)[..., None].expand(-1, -1, 3).contiguous(), points
@@ -42,6 +45,36 @@ def test_corners_are_found_whichever_way_the_board_is_held(board: Board, turn_de
     # Only few pixels around a ChArUco corner are free of the markers' edges.
     assert np.sqrt((error**2).mean()) < (0.1 if board.kind == "chessboard" else 0.16)
     assert error.max() < 0.4
+
+
+@pytest.mark.parametrize("board", [CHESSBOARD, CHARUCO], ids=["chessboard", "charuco"])
+def test_large_pictures_are_searched_at_a_bounded_size_and_refined_at_their_own(
+    board: Board, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    image, points = shown(board, square_px=320)
+    assert image.shape[0] * image.shape[1] > 2 * WORKING_PIXELS
+    sizes = []
+    search, detector = cv2.findChessboardCornersSB, cv2.aruco.CharucoDetector
+
+    class Watched:
+        def __init__(self, board: cv2.aruco.CharucoBoard) -> None:
+            self.detector = detector(board)
+
+        def detectBoard(self, grey: np.ndarray) -> tuple:
+            sizes.append(grey.size)
+            return self.detector.detectBoard(grey)
+
+    monkeypatch.setattr(
+        cv2, "findChessboardCornersSB", lambda grey, *a, **k: sizes.append(grey.size) or search(grey, *a, **k)
+    )
+    monkeypatch.setattr(cv2.aruco, "CharucoDetector", Watched)
+    found = find_board(image, board)
+    assert found is not None
+    assert len(found.ids) >= 0.8 * board.corners
+    assert len(sizes) == 1
+    assert sizes[0] <= 1.001 * WORKING_PIXELS
+    error = np.linalg.norm(found.points_px.numpy() - points[found.ids.numpy()], axis=1)
+    assert np.sqrt((error**2).mean()) < 0.1, "px of the whole picture, some two to one of the searched one"
 
 
 def test_hidden_part() -> None:

@@ -32,13 +32,14 @@ def test_it_builds_the_shipped_files(folder: Path, capsys: pytest.CaptureFixture
     built_hand, shipped_hand = (read_skeleton(place / "hand.urdf") for place in (folder, FOLDER))
     torch.testing.assert_close(built_hand.rest_offset, shipped_hand.rest_offset, atol=1e-7, rtol=0)
     torch.testing.assert_close(built_hand.axis, shipped_hand.axis, atol=1e-7, rtol=0)
+    assert (folder / "skeleton.npz").read_bytes() == (FOLDER / "skeleton.npz").read_bytes(), "run build_hand and commit"
     for name in PICTURES:
         built, shipped = (cv2.imread(str(place / name)) for place in (folder, FOLDER))
         assert built is not None
         assert shipped is not None, "run `torchhand build_hand` and commit the pictures"
         assert built.shape == shipped.shape
         assert float(np.abs(built.astype(int) - shipped).mean()) < 0.5
-    names = ("hand.urdf", *PICTURES)
+    names = ("hand.urdf", "skeleton.npz", *PICTURES)
     assert capsys.readouterr().out == "".join(f"saved {folder / name}\n" for name in names)
 
 

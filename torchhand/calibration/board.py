@@ -10,6 +10,8 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
+from torchhand.image import WORKING_PIXELS, PicturePart
+
 _CHESSBOARD_FLAGS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 _CHARUCO_SHIFT = 0.0 if int(cv2.__version__.split(".")[0]) >= 5 else 0.5  # px: OpenCV 4 counts from a pixel's corner
 _MIN_CORNERS = 6  # of a ChArUco board that is partly hidden
@@ -86,19 +88,22 @@ def find_board(image: UInt8[Tensor, "height width 3"], board: Board) -> BoardCor
     """The inner corners seen of the board, float64; None where it is not there.
 
     A chessboard must be seen whole, with a light margin around; of one that is not symmetric the numbering starts
-    next to the black one of two opposite corner squares. A ChArUco board may be hidden in part.
+    next to the black one of two opposite corner squares. A ChArUco board may be hidden in part. Boards are searched in
+    pictures of at most `torchhand.image.WORKING_PIXELS`, larger ones reduced; corners are refined at the full size.
     """
     grey = cv2.cvtColor(np.ascontiguousarray(image.numpy()), cv2.COLOR_RGB2GRAY)
+    search, part = _searched(grey)
     if board.kind == "chessboard":
-        found, corners = cv2.findChessboardCornersSB(grey, (board.columns - 1, board.rows - 1), flags=_CHESSBOARD_FLAGS)
+        found, corners = cv2.findChessboardCornersSB(
+            search, (board.columns - 1, board.rows - 1), flags=_CHESSBOARD_FLAGS
+        )
         if not found:
             return None
         grid = np.asarray(corners, dtype=np.float32).reshape(board.rows - 1, board.columns - 1, 2)
-        if not board.is_symmetric and _begins_at_white(grey, grid):
+        if not board.is_symmetric and _begins_at_white(search, grid):
             grid = grid[::-1, ::-1]
-        points = _refined(grey, grid.reshape(-1, 2))
-        return BoardCorners(ids=torch.arange(board.corners), points_px=_points(points))
-    corners, ids, _, _ = cv2.aruco.CharucoDetector(_charuco(board)).detectBoard(grey)
+        return BoardCorners(ids=torch.arange(board.corners), points_px=_refined(grey, part, grid.reshape(-1, 2)))
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(_charuco(board)).detectBoard(search)
     if ids is None or len(ids) < _MIN_CORNERS:
         return None
     numbers = torch.from_numpy(np.asarray(ids).reshape(-1).astype(np.int64))
@@ -107,12 +112,12 @@ def find_board(image: UInt8[Tensor, "height width 3"], board: Board) -> BoardCor
         return None
     # OpenCV 4.11 leaves some a pixel off where 5 does not: refined here, alike for both.
     points = np.asarray(corners, dtype=np.float32).reshape(-1, 2) - np.float32(_CHARUCO_SHIFT)
-    return BoardCorners(ids=numbers, points_px=_points(_refined(grey, points, min(_REACH, 0.5 * (1 - board.marker)))))
+    return BoardCorners(ids=numbers, points_px=_refined(grey, part, points, min(_REACH, 0.5 * (1 - board.marker))))
 
 
 def other_board(image: UInt8[Tensor, "height width 3"], board: Board) -> str | None:
     """What the picture shows instead of the board, as far as it can be told: another number of squares or markers."""
-    grey = cv2.cvtColor(np.ascontiguousarray(image.numpy()), cv2.COLOR_RGB2GRAY)
+    grey, _ = _searched(cv2.cvtColor(np.ascontiguousarray(image.numpy()), cv2.COLOR_RGB2GRAY))
     if board.kind == "chessboard":
         flags = _CHESSBOARD_FLAGS | cv2.CALIB_CB_LARGER
         minimum = (_SMALLEST, _SMALLEST)
@@ -167,18 +172,26 @@ def _begins_at_white(grey: np.ndarray, grid: np.ndarray) -> bool:
     return ends[0] > ends[1]
 
 
-def _refined(grey: np.ndarray, corners: np.ndarray, reach: float = _REACH) -> np.ndarray:
-    """Corners (n, 2) moved to where the gradients around them meet, within `reach` of the smallest square's side.
+def _searched(grey: np.ndarray) -> tuple[np.ndarray, PicturePart]:
+    """The picture in which boards are searched, and where it lies in the whole one."""
+    height, width = grey.shape
+    part = PicturePart.of((0, 0), (width, height), WORKING_PIXELS)
+    return (grey if part.size == part.part else cv2.resize(grey, part.size, interpolation=cv2.INTER_AREA)), part
+
+
+def _refined(
+    grey: np.ndarray, part: PicturePart, corners: np.ndarray, reach: float = _REACH
+) -> Float[Tensor, "found 2"]:
+    """Corners (n, 2) of the searched picture in the whole one, moved to where the gradients around them meet, within
+    `reach` of the smallest square's side.
 
     Between the markers of a ChArUco board there is little room: a marker's edges in the window pull a corner away.
     """
-    distances = np.linalg.norm(corners[:, None] - corners[None], axis=-1)
+    whole = part.whole_px(corners).astype(np.float32)
+    distances = np.linalg.norm(whole[:, None] - whole[None], axis=-1)
     np.fill_diagonal(distances, np.inf)
-    half = int(np.clip(reach * distances.min(), 2, _MAX_REACH_PX))
+    half = int(np.clip(reach * distances.min(), 2, _MAX_REACH_PX / part.scale))
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
-    points = np.array(corners, order="C").reshape(-1, 1, 2)
-    return cv2.cornerSubPix(grey, points, (half, half), (-1, -1), stop)
-
-
-def _points(corners: Any) -> Float[Tensor, "found 2"]:
-    return torch.from_numpy(np.asarray(corners, dtype=np.float64).reshape(-1, 2))
+    points = np.array(whole, order="C").reshape(-1, 1, 2)
+    found = cv2.cornerSubPix(grey, points, (half, half), (-1, -1), stop)
+    return torch.from_numpy(np.asarray(found, dtype=np.float64).reshape(-1, 2))

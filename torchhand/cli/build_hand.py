@@ -1,4 +1,4 @@
-"""Write a hand model's hand.urdf and mesh.npz from its shape.json and the anatomy, and pictures of them."""
+"""Write a hand model's hand.urdf, skeleton.npz, mesh.npz and pictures from its shape.json and the anatomy."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ from torchhand.cli.command import DONE, command, parse
 from torchhand.errors import InputError
 from torchhand.files import load_mesh, models_dir, save_mesh
 from torchhand.files.disk import replacing, write_text
-from torchhand.files.hands import read_shape_space, read_skeleton, skeleton_to_urdf
+from torchhand.files.hands import read_shape_space, read_skeleton, save_parsed_skeleton, skeleton_to_urdf
 from torchhand.geometry import assumed_camera, rotation_from_vector
 from torchhand.hand import HandModel, HandState, posed_mesh, posture
 from torchhand.hand.limits import anatomical_skeleton
@@ -41,7 +41,7 @@ _PAPER_GREY = 245
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
-    """Write a hand model's hand.urdf and mesh.npz from its shape.json and the anatomy, and pictures of them.
+    """Write a hand model's hand.urdf, skeleton.npz, mesh.npz and pictures from its shape.json and the anatomy.
 
     The mesh takes a minute or two and needs `pip install torchhand[build]`.
 
@@ -69,6 +69,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     urdf = folder / "hand.urdf"
     write_text(urdf, skeleton_to_urdf(anatomical_skeleton(space), folder.resolve().name))
     print(f"saved {urdf}")
+    print(f"saved {save_parsed_skeleton(urdf)}")
     model = HandModel(name=folder.name, skeleton=read_skeleton(urdf), shape_space=space)
     if not arguments.keep_mesh:
         _build(model, mesh_path)

@@ -11,7 +11,9 @@ import pytest
 import torch
 
 from torchhand.errors import InputError
+from torchhand.files.cameras.aniposelib import aniposelib_entries
 from torchhand.files.cameras.cameras import camera_for, load_cameras, save_cameras
+from torchhand.files.cameras.opencv import opencv_entries
 from torchhand.geometry import Camera, assumed_camera
 
 ENTRY = {
@@ -144,6 +146,19 @@ def test_missing_and_binary_files(tmp_path: Path):
 def test_two_cameras_of_one_name(tmp_path: Path):
     with pytest.raises(InputError, match="a different name for every camera, got 'cam0' twice"):
         load_cameras(_write(tmp_path / "cameras.json", ENTRY, ENTRY))
+
+
+def test_a_name_that_no_line_holds(tmp_path: Path):
+    entry = {**ENTRY, "name": 3000 * "x"}
+    with pytest.raises(InputError, match=r"name: expected a text of at most 100 characters, got 3000$"):
+        load_cameras(_write(tmp_path / "cameras.json", entry, entry))
+    (tmp_path / "rig.toml").write_text(f'[cam_{3000 * "x"}]\nname = "a"\n')
+    (tmp_path / "rig.yml").write_text(f"%YAML:1.0\n---\n{3000 * 'x'}:\n   R: [0, 0, 1]\ny:\n   K: [1, 2]\n")
+    for name, read in (("rig.toml", aniposelib_entries), ("rig.yml", opencv_entries)):
+        with pytest.raises(InputError) as told:
+            read(tmp_path / name)
+        assert len(str(told.value)) < 500
+        assert name in str(told.value)
 
 
 def test_the_camera_of_a_sequence(tmp_path: Path):

@@ -70,3 +70,13 @@ def test_messages() -> None:
         chroma_mask(image, 40.0, tolerance_deg=0.0)
     with pytest.raises(ValueError, match="at least one frame"):
         learn_background(torch.zeros(0, 4, 5, 3, dtype=torch.uint8))
+
+
+def test_one_picture_is_its_own_median_and_costs_no_indices(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of the median are eight times as large as the picture."""
+    scene = empty_scene(1, torch.Generator().manual_seed(4))
+    expected = learn_background(scene.expand(2, -1, -1, -1))
+    monkeypatch.setattr(torch.Tensor, "median", None)
+    plate = learn_background(scene)
+    assert torch.equal(plate.colour, expected.colour)
+    assert torch.equal(plate.noise, expected.noise)

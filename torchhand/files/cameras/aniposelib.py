@@ -12,6 +12,7 @@ from torchhand.files.disk import read_numbers, short
 from torchhand.geometry import DISTORTION_LENGTHS, rotation_from_vector
 
 _KEYS = ("name", "size", "matrix", "distortions", "rotation", "translation")
+_SHOWN = 60  # characters of a name, in messages
 _CAMERA = re.compile(r"cam[_-]?\w*", re.IGNORECASE)
 
 
@@ -41,7 +42,8 @@ def aniposelib_entries(path: Path) -> list[tuple[str, dict[str, Any]]]:
         raise InputError(
             f"{path}: expected tables of cameras ([cam_0] with {', '.join(_KEYS[1:])}), got {short(found)}"
         )
-    return [(f"{path}: {name}", _entry(f"{path}: {name}", name, table)) for name, table in tables.items()]
+    named = [(f"{path}: {name[:_SHOWN]}", name, table) for name, table in tables.items()]
+    return [(where, _entry(where, name, table)) for where, name, table in named]
 
 
 def _entry(where: str, name: str, table: dict[str, Any]) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from torchhand.geometry import DISTORTION_LENGTHS, Camera, assumed_camera
 CONVENTION = "OpenCV: x right, y down, z forward; X_cam = R X_world + t; metres; pixel centres at integers"
 
 _REQUIRED = ("name", "width", "height", "K", "R", "t", "distortion")
+_LONGEST_NAME = 100  # characters; names stand in messages, files' names and pictures
 _KINDS = ("pinhole", "orthographic")
 _ROTATION_TOLERANCE = 1e-4
 
@@ -95,6 +96,8 @@ def camera_of_entry(where: str, entry: Any, *, dtype: torch.dtype = torch.float6
     name, kind = entry["name"], entry.get("model", "pinhole")
     if not isinstance(name, str) or not name:
         raise InputError(f"{where}.name: expected a text, got {short(name)}")
+    if len(name) > _LONGEST_NAME:
+        raise InputError(f"{where}.name: expected a text of at most {_LONGEST_NAME} characters, got {len(name)}")
     if kind not in _KINDS:
         raise InputError(f"{where}.model: expected one of {', '.join(_KINDS)}, got {short(kind)}")
     distortion = entry["distortion"]

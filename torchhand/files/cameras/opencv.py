@@ -25,6 +25,7 @@ _MEANINGS = {
     "name": ("cameraname", "name"),
 }
 _MEANING_OF = {word: meaning for meaning, words in _MEANINGS.items() for word in words}
+_SHOWN = 60  # characters of a name, in messages
 _NUMBERED = re.compile(r"(.*?)[_\-. ]?(\d+)")
 
 Entry = tuple[str, dict[str, Any]]
@@ -53,14 +54,14 @@ def opencv_entries(path: Path, *, size: tuple[int, int] | None = None) -> list[E
     found = {name: group for name, group in groups.items() if "K" in group}
     for name, group in groups.items():
         if name not in found and "R" in group:
-            raise InputError(f"{path}: {name}: lacks camera_matrix (or K)")
+            raise InputError(f"{path}: {name[:_SHOWN]}: lacks camera_matrix (or K)")
     is_pair = len(found) == 2 and "R" in shared and "t" in shared and not any("R" in g for g in found.values())
     entries = []
     for i, (name, group) in enumerate(found.items()):
         if is_pair and i == 1:
             group = group | {"R": shared["R"], "t": shared["t"]}
         alone = len(found) == 1 or (is_pair and i == 0)
-        entries.append(_entry(f"{path}: {name}", group, shared, size, name=name, is_alone=alone))
+        entries.append(_entry(f"{path}: {name[:_SHOWN]}", group, shared, size, name=name, is_alone=alone))
     return entries
 
 

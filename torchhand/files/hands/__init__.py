@@ -9,6 +9,7 @@ from torchhand.files.hands.network_files import (
     save_presence_network,
     save_proposal_network,
 )
+from torchhand.files.hands.skeleton_file import save_parsed_skeleton
 from torchhand.files.hands.urdf import read_skeleton, skeleton_to_urdf
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "read_skeleton",
     "save_hand",
     "save_mesh",
+    "save_parsed_skeleton",
     "save_presence_network",
     "save_proposal_network",
     "skeleton_to_urdf",

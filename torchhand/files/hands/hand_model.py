@@ -8,7 +8,7 @@ import torch
 from torchhand.errors import InputError
 from torchhand.files.disk import models_dir, read_json, read_number, short
 from torchhand.files.hands.mesh_file import load_mesh
-from torchhand.files.hands.urdf import read_skeleton
+from torchhand.files.hands.skeleton_file import load_skeleton
 from torchhand.hand import HandModel, ShapeSpace
 
 MESH_NAME = "mesh.npz"
@@ -29,7 +29,7 @@ def load_hand_model(name: str = "generic_hand") -> HandModel:
     space, mesh_path = read_shape_space(folder / "shape.json"), folder / MESH_NAME
     return HandModel(
         name=folder.name,
-        skeleton=read_skeleton(folder / "hand.urdf"),
+        skeleton=load_skeleton(folder / "hand.urdf"),
         shape_space=space,
         mesh=load_mesh(mesh_path, shape_names=space.names) if mesh_path.exists() else None,
     )

@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import pytorch_kinematics
 import torch
 from torch import Tensor
 
@@ -51,6 +50,8 @@ def skeleton_to_urdf(skeleton: Skeleton, name: str) -> str:
 
 def read_skeleton(path: Path) -> Skeleton:
     """The skeleton of a URDF file with our bone and joint names, float64. Raises InputError for any other robot."""
+    import pytorch_kinematics  # 0.7 s, which a model with its skeleton.npz need not wait for
+
     try:
         # As bytes: the parser refuses text with an encoding declaration.
         chain = pytorch_kinematics.build_chain_from_urdf(path.read_bytes())
@@ -119,7 +120,7 @@ def _tip_bones() -> list[str]:
 
 
 def _numbers(vector: Tensor) -> str:
-    return " ".join(f"{float(value) + 0.0:.{_DIGITS}f}" for value in vector)
+    return " ".join(f"{round(float(value), _DIGITS) + 0.0:.{_DIGITS}f}" for value in vector)  # no -0.0
 
 
 def _origin(offset: Tensor, rotation: Tensor) -> str:

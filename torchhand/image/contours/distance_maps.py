@@ -3,7 +3,6 @@
 from typing import Literal
 
 import cv2
-import kornia
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
@@ -40,6 +39,8 @@ def distance_map(
             raise ValueError(f"mask: expected floating point numbers for method 'kornia', got {mask.dtype}")
         if kernel_size < 3 or kernel_size % 2 == 0:
             raise ValueError(f"kernel_size: expected an odd number of 3 or more, got {kernel_size}")
+        import kornia  # a quarter of a second
+
         return kornia.contrib.distance_transform(flat[:, None], kernel_size).reshape(mask.shape)
     if mask.dtype != torch.bool:
         raise ValueError(f"mask: expected torch.bool for method 'exact', got {mask.dtype}")

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchhand.image.contours import depth_map, distance_map
 from torchhand.image.fingers.order import FingerOrder, order_fingers
-from torchhand.image.operations import dilate, label_pieces, square_kernel
+from torchhand.image.operations import count_pieces, dilate, label_pieces, square_kernel
 from torchhand.image.segmentation import fill_holes, largest_component
 
 _SLIVER = 0.045  # pieces smaller than this share of the square of the palm's radius are ragged outline
@@ -205,7 +205,10 @@ def _branches(
     distance = np.where(inside, np.hypot(x - centre[0], y - centre[1]), 0.0)
     low, high = float(distance[inside].min()), float(distance.max())
     for level in np.arange(low, high - _MIN_BRANCH * palm_radius, max(1.0, 0.05 * palm_radius)):
-        pieces = label_pieces(torch.from_numpy(distance > level))
+        beyond = torch.from_numpy(distance > level)
+        if count_pieces(beyond) < 2:
+            continue  # most levels: the areas that only a split needs take most of the time
+        pieces = label_pieces(beyond)
         parts = [pieces.labels.numpy() == label for label in range(1, len(pieces.areas) + 1)]
         parts = [part for part in parts if distance[part].max() > level + _MIN_BRANCH * palm_radius]
         if len(parts) > 1:

@@ -1,7 +1,8 @@
 """Morphology, smoothing, gradients and connected pieces of masks and planes: one door to OpenCV and to kornia.
 
 Planes on a CPU that carry no gradient are OpenCV's, all others kornia's and torch's (`suits_opencv`), with the same
-results: masks to the pixel, numbers to rounding.
+results: masks to the pixel, numbers to rounding. kornia is imported where it is called: a CPU's commands need not wait
+a quarter of a second for it.
 """
 
 import math
@@ -10,7 +11,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
-import kornia
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
@@ -58,6 +58,8 @@ def dilate(plane: Plane, kernel: Kernel) -> Plane:
         return _by_opencv(plane, lambda pixels: cv2.dilate(pixels, _pixels(kernel)))
     if plane.dtype == torch.bool:
         return _any_of(plane, kernel)
+    import kornia
+
     planes = plane.reshape(-1, 1, *plane.shape[-2:])
     return kornia.morphology.dilation(planes, _weights(kernel, planes)).reshape(plane.shape)
 
@@ -68,6 +70,8 @@ def erode(plane: Plane, kernel: Kernel) -> Plane:
         return _by_opencv(plane, lambda pixels: cv2.erode(pixels, _pixels(kernel)))
     if plane.dtype == torch.bool:
         return ~_any_of(~plane, kernel)
+    import kornia
+
     planes = plane.reshape(-1, 1, *plane.shape[-2:])
     return kornia.morphology.erosion(planes, _weights(kernel, planes)).reshape(plane.shape)
 
@@ -97,6 +101,8 @@ def gaussian_blur(plane: Float[Tensor, "*batch height width"], sigma_px: float) 
     """The plane smoothed by a Gaussian, cut off at four standard deviations; the border mirrors the picture."""
     if suits_opencv(plane):
         return _by_opencv(plane, lambda pixels: cv2.GaussianBlur(pixels, (0, 0), sigma_px))
+    import kornia
+
     taps = round(8 * sigma_px + 1) | 1
     bell = kornia.filters.get_gaussian_kernel1d(taps, sigma_px, device=plane.device, dtype=plane.dtype)
     return _filtered(plane, bell, bell)
@@ -124,12 +130,16 @@ def gradient(plane: Float[Tensor, "*batch height width"]) -> Float[Tensor, "*bat
 
 
 def _filtered(plane: Tensor, along_x: Tensor, along_y: Tensor) -> Tensor:
+    import kornia
+
     padded = _mirrored(plane, along_y.shape[-1] // 2, along_x.shape[-1] // 2)
     found = kornia.filters.filter2d_separable(padded, along_x, along_y, padding="valid")
     return found.reshape(plane.shape)
 
 
 def _filtered_by(plane: Tensor, operator: Tensor) -> Tensor:
+    import kornia
+
     padded = _mirrored(plane, operator.shape[0] // 2, operator.shape[1] // 2)
     return kornia.filters.filter2d(padded, operator[None], padding="valid").reshape(plane.shape)
 

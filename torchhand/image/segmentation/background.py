@@ -32,6 +32,10 @@ def learn_background(frames: UInt8[Tensor, "frames height width 3"], *, min_nois
     """
     if frames.shape[0] == 0:
         raise ValueError("learn_background needs at least one frame, got none")
+    if len(frames) == 1:  # its own median; of a photograph, the median's indices would take a gigabyte
+        noise = torch.full(frames.shape[1:], min_noise, dtype=torch.float32, device=frames.device)
+        return BackgroundPlate(colour=frames[0], noise=noise)
+    frames = frames.contiguous()  # the median of an expanded tensor is wrong (torch 2.13)
     colour = frames.median(dim=0).values
     deviation = (frames.to(torch.int16) - colour.to(torch.int16)).abs().median(dim=0).values
     noise = (1.4826 * deviation.to(torch.float32)).clamp_min(min_noise)
