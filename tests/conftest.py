@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from tests import checked_calls
+from tests.pretend_device import IS_POSSIBLE, pretended
 
 checked_calls.install()
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -34,6 +35,20 @@ def data_dir() -> Path:
     if not folder.is_dir():
         pytest.skip(f"needs the development data, which is not at {folder} (set TORCHHAND_DATA)")
     return folder
+
+
+@pytest.fixture(params=["pretended", pytest.param("cuda", marks=pytest.mark.gpu)])
+def device(request: pytest.FixtureRequest) -> Iterator[torch.device]:
+    """An accelerator: one that is only pretended, on any machine, and a real one where the marker `gpu` asks for it."""
+    if request.param == "pretended":
+        if not IS_POSSIBLE:
+            pytest.skip(f"torch {torch.__version__} knows no devices that are added in Python")
+        with pretended() as found:
+            yield found
+    elif torch.cuda.is_available():
+        yield torch.device("cuda")
+    else:
+        pytest.skip("needs a CUDA device")
 
 
 @pytest.fixture

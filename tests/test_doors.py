@@ -8,7 +8,7 @@ from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 FILES = sorted(path for folder in ("torchhand", "tests", "scripts") for path in (REPOSITORY / folder).rglob("*.py"))
-WITHOUT_A_ROOM = {"torchhand.errors", "torchhand.precision"}
+WITHOUT_A_ROOM = {"torchhand.devices", "torchhand.errors", "torchhand.precision"}
 
 
 def home(path: Path) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from torchhand import devices
 from torchhand.cli.fit_keypoints import main
 from torchhand.files import load_hand, load_hand_model, load_rig, save_cameras
 from torchhand.geometry import assumed_camera, rotation_from_vector, vector_from_rotation
@@ -351,3 +352,32 @@ def test_rough_cameras_are_refined_and_refused_where_the_hand_does_not_tell_them
     np.save(tmp_path / "space.npy", points)
     assert _run(tmp_path / "space.npy", "--refine-cameras", "--out", tmp_path / "out3") == 2
     assert "expected points of two pinhole cameras" in capsys.readouterr().err
+
+
+def test_a_device_gives_what_the_processor_gives(
+    tmp_path: Path, device: torch.device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(devices, "_accelerators", lambda: [device.type])
+    source = tmp_path / "hand.npy"
+    np.save(source, _points("left")[1][:1])
+    for name in ("cpu", device.type):
+        arguments = ("--out", tmp_path / name, "--side", "left", "--no-fit-shape", "--no-report", "--device", name)
+        assert _run(source, *arguments) == 0
+    with (
+        np.load(tmp_path / "cpu" / "keypoints_fit.npz") as expected,
+        np.load(tmp_path / device.type / "keypoints_fit.npz") as found,
+    ):
+        assert found["status"].tolist() == ["fitted"]
+        for name in ("pose", "pose_std", "keypoints3d"):
+            np.testing.assert_allclose(found[name], expected[name], atol=1e-6)
+
+
+def test_a_device_that_is_not_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(devices, "_accelerators", list)
+    np.save(tmp_path / "hand.npy", _points()[1])
+    assert _run(tmp_path / "hand.npy", "--out", tmp_path / "out", "--device", "cuda") == 2
+    said = capsys.readouterr().err
+    assert said == "torchhand fit_keypoints: error: --device: expected cpu on this machine, got 'cuda'\n"
+    assert not (tmp_path / "out").exists()

@@ -5,6 +5,7 @@ import pytest
 import torch
 from scipy.optimize import lsq_linear
 
+from torchhand import devices
 from torchhand.numerics.box import mode_in_box
 from torchhand.numerics.filters import Gaussian
 
@@ -57,3 +58,13 @@ def test_batches_equal_a_loop(batch: tuple[int, ...]) -> None:
         value, on = mode_in_box(Gaussian(mean, covariance), -bound, bound)
         torch.testing.assert_close(values.reshape(-1, 6)[i], value, atol=1e-12, rtol=0)
         assert torch.equal(is_bound.reshape(-1, 6)[i], on)
+
+
+def test_the_mode_is_the_same_where_it_is_asked_seldom_whether_it_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    state = _gaussian(3, batch=(20,))
+    bounds = torch.full((6,), -0.4, dtype=torch.float64), torch.full((6,), 0.3, dtype=torch.float64)
+    expected = mode_in_box(state, *bounds)
+    monkeypatch.setattr(devices, "_HOSTS", ())
+    found = mode_in_box(state, *bounds)
+    torch.testing.assert_close(found[0], expected[0], rtol=1e-12, atol=1e-12)
+    assert torch.equal(found[1], expected[1])

@@ -11,7 +11,8 @@ import torch
 from tyro.conf import Positional, arg
 
 from torchhand import __version__
-from torchhand.cli.command import DONE, command, parse, threads
+from torchhand.cli.command import DONE, OnDevice, command, parse, threads
+from torchhand.devices import device_named
 from torchhand.errors import InputError
 from torchhand.files import (
     Detections,
@@ -47,7 +48,7 @@ _UNITS: dict[str, Units] = {"metres": "metres", "px": "px", "normalised": "norma
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(OnDevice):
     """Fit the hand to keypoints that a detector found: joint angles and one shape from MediaPipe or OpenPose files.
 
     INPUT is JSON of MediaPipe or OpenPose, a folder of OpenPose's *_keypoints.json, or arrays (frames, 21, 2 or 3) as
@@ -122,6 +123,7 @@ class Arguments:
 def main(argv: Sequence[str] | None = None) -> int:
     """Fit one file or folder."""
     arguments = parse(Arguments, argv, name="fit_keypoints")
+    device = device_named(arguments.device)
     _check_folder(arguments)
     hand = None if arguments.hand is None else known_hand(arguments.hand)
     detections = _all_detections(arguments, hand)
@@ -130,7 +132,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     with threads(arguments.threads):
         refined = _refined(arguments, detections, cameras)
         cameras = cameras if refined is None else list(refined.cameras)
-        side, fit, note = _fitted(arguments, hand, detections, cameras)
+        side, fit, note = _fitted(arguments, hand, detections, cameras, device)
     if not bool(fit.is_fitted.any()):
         reasons = ", ".join(sorted(set(fit.status_names())))
         raise InputError(f"{arguments.input[0]}: expected a frame that can be fitted, got none ({reasons})")
@@ -275,28 +277,35 @@ def _cameras(arguments: Arguments, detections: Sequence[Detections]) -> list[Cam
 
 
 def _fitted(
-    arguments: Arguments, hand: FittedHand | None, detections: Sequence[Detections], cameras: Sequence[Camera]
+    arguments: Arguments,
+    hand: FittedHand | None,
+    detections: Sequence[Detections],
+    cameras: Sequence[Camera],
+    device: torch.device,
 ) -> tuple[Side, KeypointFit, str]:
-    """Side, fit, and how the side was decided where nobody named it."""
-    model = load_hand_model()
+    """Side, fit, which was computed on the device, and how the side was decided where nobody named it."""
+    model = load_hand_model().to(device=device)
     shape = None
     if hand is not None:
-        shape = torch.tensor([hand.values[name] for name in model.shape_space.names], dtype=torch.float64)
+        values = [hand.values[name] for name in model.shape_space.names]
+        shape = torch.tensor(values, dtype=torch.float64, device=device)
     named: Side | None = arguments.side or detections[0].side
     if named is None and hand is not None:
         named = "left" if hand.side == "left" else "right"
     sides: tuple[Side, ...] = ("left", "right") if named is None else (named,)
-    space = None if cameras else torch.from_numpy(detections[0].keypoints)
+    points = torch.from_numpy(detections[0].keypoints).to(device)
+    if cameras:
+        points = [one.to(device) for one in seen_keypoints(detections, cameras)]
     fits = [
         fit_keypoints(
             model.kinematics(side, dtype=torch.float64),
-            seen_keypoints(detections, cameras) if space is None else space,
-            confidence=None if space is None else torch.from_numpy(detections[0].confidence),
-            space=named_pose_space(arguments.space),
+            points,
+            confidence=None if cameras else torch.from_numpy(detections[0].confidence).to(device),
+            space=named_pose_space(arguments.space).to(device=device),
             shape=shape,
             fit_shape=arguments.fit_shape and hand is None,
             settings=_settings(arguments, detections),
-        )
+        ).to(torch.device("cpu"))
         for side in sides
     ]
     if len(sides) == 1:

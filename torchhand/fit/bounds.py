@@ -1,11 +1,10 @@
 """Bounds of the free parameters of a pose space."""
 
-from functools import lru_cache
-
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.devices import constant_tensor
 from torchhand.hand import DOFS, PoseSpace, Skeleton
 
 _ROOT = 6
@@ -18,7 +17,10 @@ def free_bounds(space: PoseSpace, skeleton: Skeleton) -> tuple[Float[Tensor, "fr
     1998, eq. 4, in which both limits can be reached). Parameters of the root, and those not named after an angle,
     have infinite bounds.
     """
-    basis, rows = space.basis, _rows_of(space.free_names).to(space.basis.device)
+    basis = space.basis
+    # The DOFs that parameters are named after; that of the root's first translation for the others.
+    named = tuple(DOFS.index(name) if name in DOFS else 0 for name in space.free_names)
+    rows = constant_tensor(named, torch.long, basis.device)
     factor, constant = basis[rows].diagonal(), space.constant[rows]
     bounds = [
         (torch.nn.functional.pad(limit.to(basis), (_ROOT, 0))[rows] - constant) / factor
@@ -27,10 +29,3 @@ def free_bounds(space: PoseSpace, skeleton: Skeleton) -> tuple[Float[Tensor, "fr
     is_bound = (factor != 0) & (rows >= _ROOT)
     lower = torch.where(is_bound, torch.minimum(*bounds), -torch.inf)
     return lower, torch.where(is_bound, torch.maximum(*bounds), torch.inf)
-
-
-@lru_cache(maxsize=64)
-def _rows_of(free_names: tuple[str, ...]) -> Int[Tensor, "free"]:
-    """The DOFs that parameters are named after; that of the root's first translation for the others."""
-    with torch.inference_mode(False):  # kept for callers in any mode
-        return torch.tensor([DOFS.index(name) if name in DOFS else 0 for name in free_names], dtype=torch.long)

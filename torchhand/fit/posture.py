@@ -5,7 +5,8 @@ of one is half a sum of squares of linear residuals, but for the clamps of the t
 off at the limits.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 
 import torch
 from jaxtyping import Float, Int
@@ -44,6 +45,20 @@ class PostureResiduals:
             offset=(own * mixture.offset.double() + tied * wanted) / std,
             level=std.log().sum(-1) - mixture.log_weight.double(),
         )
+
+    def on(self, device: torch.device) -> "PostureResiduals":
+        """The same residuals on a device; sent there once."""
+        if self.matrix.device == device:
+            return self
+        if device not in self._sent:
+            with torch.inference_mode(False):  # kept for callers in any mode
+                sent = {field.name: getattr(self, field.name).to(device) for field in fields(self)}
+            self._sent[device] = PostureResiduals(**sent)
+        return self._sent[device]
+
+    @cached_property
+    def _sent(self) -> "dict[torch.device, PostureResiduals]":
+        return {}
 
     def likeliest(self, pose: Float[Tensor, "*batch 36"]) -> Int[Tensor, "*batch"]:
         """The posture of highest density at each pose."""

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchhand.devices import constant_tensor
 from torchhand.fit.limits import DynamicConstraints
 from torchhand.fit.observation import Equations, Explained, PosedHands
 from torchhand.fit.posture import PostureResiduals
@@ -83,8 +84,9 @@ class PosturePrior:
         """The likeliest component, and what it counts."""
         pose = hands.pose.dofs
         known = pose.nan_to_num()
-        kind = self.postures.likeliest(known)
-        matrix, offset = self.postures.matrix.to(pose)[kind], self.postures.offset.to(pose)[kind]
+        postures = self.postures.on(pose.device)
+        kind = postures.likeliest(known)
+        matrix, offset = postures.matrix.to(pose)[kind], postures.offset.to(pose)[kind]
         scale = math.sqrt(self.weight) * torch.ones_like(pose[:, 0])
         if not math.isinf(self.tail):
             away = ((matrix @ known[:, _ROOT:, None]).squeeze(-1) - offset).square().sum(-1)
@@ -154,7 +156,7 @@ class GaussianPrior:
     def _in_dofs(self) -> Float[Tensor, "*#k 36 36"]:
         """The information of the DOFs that free parameters are named after; zero in others."""
         information, size = self.information, len(DOFS)
-        rows = torch.tensor([DOFS.index(name) for name in self.space.free_names], device=information.device)
+        rows = constant_tensor(tuple(map(DOFS.index, self.space.free_names)), torch.long, information.device)
         factor = self.space.basis[rows].diagonal().to(information)
         matrix = information.new_zeros(*information.shape[:-2], size, size)
         matrix[..., rows[:, None], rows] = information / (factor[:, None] * factor)

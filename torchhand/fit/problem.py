@@ -1,12 +1,15 @@
 """One estimation problem: poses of a hand in a pose space that explain observations under priors."""
 
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import constant_tensor
 from torchhand.fit.bounds import free_bounds
 from torchhand.fit.observation import Equations, Explained, Factor, Observation, PosedHands
 from torchhand.fit.schedule import Stage
@@ -47,21 +50,37 @@ class Problem:
         return replace(self, **own)
 
     @cached_property
+    def _sources(self) -> tuple[Observation, ...]:
+        """Observations that have data, and priors."""
+        return (*(one for one in self.observations if not one.is_empty), *self.priors)
+
+    @cached_property
+    def _kept_of_shape(self) -> dict[Hashable, Any]:
+        """What is computed once for the problem's own shape."""
+        return {}
+
+    @cached_property
     def _own_space(self) -> PoseSpace:
         """The space with rotations about the references."""
-        turning = torch.tensor([name in _ROTATIONS for name in DOFS], device=self.space.constant.device)
-        return replace(self.space, constant=self.space.constant.masked_fill(turning, 0.0))
+        own = self.space.constant
+        turning = constant_tensor(tuple(name in _ROTATIONS for name in DOFS), torch.bool, own.device)
+        return replace(self.space, constant=own.masked_fill(turning, 0.0))
+
+    @cached_property
+    def _own_skeleton(self) -> Skeleton:
+        """The skeleton on the device of the space."""
+        return self.skeleton.to(device=self.space.basis.device)
 
     @cached_property
     def bounds(self) -> tuple[Float[Tensor, "free"], Float[Tensor, "free"]]:
         """Bounds of the free parameters."""
-        return free_bounds(self._own_space, self.skeleton)
+        return free_bounds(self._own_space, self._own_skeleton)
 
     @cached_property
     def _rotation_columns(self) -> Int[Tensor, "rotations"]:
         names = self.space.free_names
-        own = [names.index(name) for name in _ROTATIONS if name in names]
-        return torch.tensor(own, dtype=torch.long, device=self.space.basis.device)
+        own = tuple(names.index(name) for name in _ROTATIONS if name in names)
+        return constant_tensor(own, torch.long, self.space.basis.device)
 
     def values_of(self, pose: HandPose) -> Float[Tensor, "k free"]:
         """Free parameters of poses with zero rotation vectors, put into the space and its bounds."""
@@ -71,7 +90,7 @@ class Problem:
     def dofs_of(self, values: Float[Tensor, "k free"]) -> tuple[Float[Tensor, "k 36"], Bool[Tensor, "k 36"]]:
         """The pose of free parameters within the limits, and which DOFs follow these: others stopped at a limit."""
         wanted = self._own_space.dof(values)
-        dofs = clamp_to_limits(wanted, self.skeleton)
+        dofs = clamp_to_limits(wanted, self._own_skeleton)
         return dofs, dofs == wanted
 
     def pose_of(self, values: Float[Tensor, "k free"], reference: Float[Tensor, "k 3 3"]) -> HandPose:
@@ -88,7 +107,7 @@ class Problem:
     def hands(self, pose: HandPose, vector: Float[Tensor, "c"] | None = None) -> PosedHands:
         """As factors are asked about them."""
         if self.shared is None or vector is None:
-            return PosedHands(pose=pose, shape=self.shape)
+            return PosedHands(pose=pose, shape=self.shape, kept_of_shape=self._kept_of_shape)
         shape, extra = self.shared.shape(vector, self.shape), self.shared.extras(vector)
         return PosedHands(pose=pose, shape=shape, unknowns=self.shared, extra=extra)
 
@@ -102,12 +121,11 @@ class Problem:
         """The factors of all observations and priors about some hands; vector: the shared unknowns, where there are
         some."""
         hands = self.hands(self.pose_of(values, reference), vector)
-        sources = (*(one for one in self.observations if not one.is_empty), *self.priors)
         return Linearization(
             problem=self,
             hands=hands,
             values=values,
-            factors=tuple(one.associate(hands, stage) for one in sources),
+            factors=tuple(one.associate(hands, stage) for one in self._sources),
         )
 
 

@@ -243,8 +243,6 @@ class _Evaluated:
     def or_better(self, other: "_Evaluated") -> "_Evaluated":
         """The cheaper of the two, hypothesis by hypothesis."""
         better = other.cost <= self.cost
-        if bool(better.all()):
-            return other
 
         def chosen(one: Tensor, two: Tensor) -> Tensor:
             return torch.where(better.reshape(-1, *(1,) * (one.ndim - 1)), two, one)

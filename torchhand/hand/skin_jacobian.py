@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchhand.devices import constant_tensor
 from torchhand.geometry import batch_first, batch_last, common_shape, left_jacobian
 from torchhand.hand.hand import Hand
 from torchhand.hand.kinematics import DOFS, ROOT_DOFS, world_axes
@@ -56,7 +57,7 @@ def skin_jacobian(
     beyond, fraction_beyond = _beyond(parts), _beyond(bone_fractions.expand(*bone_fractions.shape[:2], parts.shape[-1]))
     points, fraction = beyond[0], fraction_beyond[0]
 
-    bones = torch.tensor(hand.kinematics.skeleton.bone, device=pose.device)
+    bones = constant_tensor(hand.kinematics.skeleton.bone, torch.long, pose.device)
     levers = beyond - fraction_beyond[:, None] * position[:, :, None]
     axes = world_axes(flat_pose, rotation, hand.kinematics.chain.constants)
     of_angles = torch.linalg.cross(axes[:, :, None], levers.index_select(0, bones), dim=1)

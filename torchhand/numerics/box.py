@@ -4,6 +4,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.devices import asks_after, read_back
 from torchhand.numerics.filters import Gaussian
 from torchhand.precision import full_precision
 
@@ -25,9 +26,9 @@ def mode_in_box(
     lower, upper = lower.expand(mean.shape), upper.expand(mean.shape)
     below, above = mean < lower, mean > upper
     value = mean
-    for _ in range(_MAX_ROUNDS * mean.shape[-1]):
+    for turn in range(_MAX_ROUNDS * mean.shape[-1]):
         is_bound = below | above
-        if not bool(is_bound.any()):
+        if asks_after(turn, mean.device) and not read_back(is_bound).any():
             break
         missing = torch.where(is_bound, torch.where(below, lower, upper) - mean, 0.0)
         kept = is_bound.to(mean)
@@ -36,7 +37,8 @@ def mode_in_box(
         value = mean + (covariance @ pull.unsqueeze(-1)).squeeze(-1)
         is_needed = torch.where(below, pull > 0, pull < 0)
         leads_below, leads_above = ~is_bound & (value < lower), ~is_bound & (value > upper)
-        if not bool((leads_below | leads_above | (is_bound & ~is_needed)).any()):
+        changes = leads_below | leads_above | (is_bound & ~is_needed)
+        if asks_after(turn, mean.device) and not read_back(changes).any():
             break
         below, above = (below & is_needed) | leads_below, (above & is_needed) | leads_above
     is_bound = below | above

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 from torch.nn import functional
 
+from torchhand.devices import constant_tensor
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics, HandPose
 from torchhand.image import depth_map
@@ -67,14 +68,14 @@ def propose_hands(
     given = [(i, own) for i, own in enumerate(views) if own is not None]
     like = kinematics.default_shape
     shape = like if shape is None else shape.to(like)
-    dofs = torch.full((len(silhouettes), count, 36), torch.nan, dtype=like.dtype)
-    reference = torch.full((len(silhouettes), count, 3, 3), torch.nan, dtype=like.dtype)
-    weight = torch.full((len(silhouettes), count), torch.nan, dtype=like.dtype)
+    dofs = like.new_full((len(silhouettes), count, 36), torch.nan)
+    reference = like.new_full((len(silhouettes), count, 3, 3), torch.nan)
+    weight = like.new_full((len(silhouettes), count), torch.nan)
     if given:
         some = [silhouettes[i] for i, _ in given]
         first = _SeenHands.of(network, some, _stacked([own for _, own in given]), kinematics, shape)
         found = _SeenHands.of(network, some, first.closer_views(), kinematics, shape)
-        rows = torch.tensor([i for i, _ in given])
+        rows = torch.tensor([i for i, _ in given], device=like.device)
         dofs[rows], reference[rows], weight[rows] = found.likeliest(count)
     return HandHypotheses(pose=HandPose(dofs=dofs, reference=reference), weight=weight)
 
@@ -178,10 +179,14 @@ def sampled_channels(silhouette: Silhouette, views: SquareViews) -> Float[Tensor
     pixels = camera.to(dtype=torch.float32).pixels_from_plane(plane)
     rows, columns = _seen_part(pixels, mask)
     mask, image = mask[rows, columns], silhouette.image
-    grey = torch.full(mask.shape, 0.5) if image is None else image[rows, columns].float() @ torch.tensor(_GREY) / 255
+    device = mask.device
+    if image is None:
+        grey = torch.full(mask.shape, 0.5, device=device)
+    else:
+        grey = image[rows, columns].float() @ constant_tensor(_GREY, torch.float32, device) / 255
     height, width = mask.shape
-    pixels = pixels - torch.tensor((columns.start, rows.start))
-    grid = (2 * pixels + 1) / torch.tensor((width, height)) - 1
+    pixels = pixels - torch.tensor((columns.start, rows.start), device=device)
+    grid = (2 * pixels + 1) / torch.tensor((width, height), device=device) - 1
     grid = torch.where(plane.abs().amax(-1, keepdim=True) < _FAR, grid, _FAR).clamp(-_FAR, _FAR)
     picture = torch.stack((mask.float(), grey, torch.ones_like(grey))).expand(len(grid), -1, -1, -1)
     fine = functional.grid_sample(picture, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
@@ -216,14 +221,14 @@ def _first_views(silhouette: Silhouette) -> SquareViews | None:
     y, x = (inscribed >= _THICKEST * radius).nonzero().double().mean(0).tolist()
     palm = (x, y, min(_DISC_REACH * radius, whole[2]))
     exact = camera.to(dtype=torch.float64)
-    squares = torch.tensor((whole, palm, whole, palm), dtype=torch.float64)
+    squares = torch.tensor((whole, palm, whole, palm), dtype=torch.float64, device=mask.device)
     ends = torch.stack(
         [squares[:, :2] + squares[:, 2:] * shift for shift in squares.new_tensor(((0, 0), (1, 0), (0, 1)))]
     )
     plane = exact.plane_from_pixels(ends)
     centre = torch.cat((plane[0], torch.ones_like(plane[0, :, :1])), -1)
     reach = 0.5 * (plane[1:] - plane[0]).norm(dim=-1).sum(0) / centre.norm(dim=-1)
-    up = torch.tensor(((0, -1, 0), (0, -1, 0), (0, 1, 0), (0, 1, 0)), dtype=torch.float64)
+    up = squares.new_tensor(((0, -1, 0), (0, -1, 0), (0, 1, 0), (0, 1, 0)))
     found = views_towards(centre, up, reach)
     return SquareViews(cam_from_view=found.cam_from_view.float(), reach=found.reach.float())
 
@@ -237,7 +242,8 @@ def _stacked(views: Sequence[SquareViews]) -> SquareViews:
 
 def mirrored_hands(found: ViewedHands) -> ViewedHands:
     """The left hands whose mirror images in the view's plane x = 0 are given."""
-    across, in_hand = torch.tensor((-1.0, 1.0, 1.0)), torch.tensor((1.0, 1.0, -1.0))
+    device = found.rotation.device
+    across, in_hand = (constant_tensor(x, torch.float32, device) for x in ((-1.0, 1.0, 1.0), (1.0, 1.0, -1.0)))
     return ViewedHands(
         rotation=across[:, None] * found.rotation * in_hand,
         joints=found.joints,
@@ -267,7 +273,7 @@ def _joined(
     rows += (spare + rows * count)[:missing]
     total = torch.stack(weights + [weight.new_zeros(())] * missing)
     order = total.argsort(descending=True)
-    return torch.tensor(rows)[order], (total / total.sum())[order]
+    return torch.tensor(rows, device=weight.device)[order], (total / total.sum())[order]
 
 
 def _chosen(values: Tensor, index: Int[Tensor, "n views"]) -> Tensor:

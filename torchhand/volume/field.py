@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.devices import constant_tensor
 from torchhand.image import distance_map
 from torchhand.volume.octree import Octree
 
@@ -46,7 +47,7 @@ class HullField:
         flat = points_world.reshape(*batch, -1, 3)
         # From here on x, y and z come first and the points last.
         place = ((flat - self.origin.to(flat)[..., None, :]) / self.pitch).movedim(-1, 0).contiguous()
-        last = place.new_tensor(size).reshape(3, *(1,) * (place.ndim - 1)) - 1
+        last = constant_tensor(tuple(size), place.dtype, place.device).reshape(3, *(1,) * (place.ndim - 1)) - 1
         clamped = place.clamp(torch.zeros_like(last), last)
         cell = torch.minimum(clamped.detach().nan_to_num().floor(), last - 1)
         x, y, z = clamped - cell
@@ -74,8 +75,9 @@ class HullField:
         if self.values.ndim > 3:
             frames = torch.arange(self.origin[..., 0].numel(), device=index.device)
             index = index + (frames * (nx * ny * nz)).reshape(*self.values.shape[:-3], 1)
-        steps = torch.tensor((0, 1, nz, nz + 1), device=index.device)
-        around = torch.cat((steps, ny * nz + steps)).reshape(8, *(1,) * index.ndim)
+        steps = (0, 1, nz, nz + 1)
+        around = constant_tensor((*steps, *(ny * nz + step for step in steps)), torch.long, index.device)
+        around = around.reshape(8, *(1,) * index.ndim)
         found = self.values.reshape(-1).index_select(0, (around + index).reshape(-1))
         return found.to(cell.dtype).reshape(2, 2, 2, *index.shape)
 

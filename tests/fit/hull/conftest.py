@@ -145,6 +145,10 @@ class Rig:
 
 @pytest.fixture(scope="session")
 def rig() -> Rig:
+    return make_rig()
+
+
+def make_rig() -> Rig:
     model = load_hand_model()
     high = 0.4 / math.sqrt(2)
     cameras = (

@@ -8,6 +8,7 @@ import scipy.optimize
 import torch
 from torch import Tensor
 
+from torchhand import devices
 from torchhand.numerics.least_squares.box_step import damped_box_step
 from torchhand.numerics.least_squares.levenberg_marquardt import levenberg_marquardt
 from torchhand.numerics.least_squares.records import LevenbergMarquardtSettings, NormalEquations, Status
@@ -309,3 +310,19 @@ def test_error_messages() -> None:
         levenberg_marquardt(rosenbrock, start, lower=start)
     with pytest.raises(ValueError, match="bounds: expected lower <= upper"):
         levenberg_marquardt(rosenbrock, start, lower=start + 1, upper=start)
+
+
+@pytest.mark.parametrize("turns", [1, 8])
+def test_what_is_asked_seldom_comes_out_the_same(turns: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An accelerator goes on with problems that are done, drops them later, and solves for all what few need."""
+    curves = Curves(40)
+    lower, upper = curves.start - 0.02, curves.start + 0.03  # many of the values end on one
+    expected = levenberg_marquardt(curves, curves.start, takes_rows=True, lower=lower, upper=upper)
+    monkeypatch.setattr(devices, "_HOSTS", ())
+    monkeypatch.setattr(devices, "TURNS", turns)
+    found = levenberg_marquardt(curves, curves.start, takes_rows=True, lower=lower, upper=upper)
+    assert bool(expected.on_bound.any(-1).all())
+    assert len(expected.iterations.unique()) > 3
+    for name in ("status", "iterations", "on_bound"):
+        assert torch.equal(getattr(found, name), getattr(expected, name))
+    torch.testing.assert_close(found.values, expected.values, rtol=1e-12, atol=1e-12)

@@ -1,6 +1,6 @@
 """What every command shares: reading its arguments, and turning the user's mistakes into one line and exit code 2."""
 
-from torchhand.cli.command.arguments import one_address, parse, print_help, threads, whole_record
+from torchhand.cli.command.arguments import OnDevice, one_address, parse, print_help, threads, whole_record
 from torchhand.cli.command.guard import DONE, STOPPED_BY_USER, WRONG_INPUT, command
 from torchhand.cli.command.records import arguments_of, has_settings
 
@@ -8,6 +8,7 @@ __all__ = [
     "DONE",
     "STOPPED_BY_USER",
     "WRONG_INPUT",
+    "OnDevice",
     "arguments_of",
     "command",
     "has_settings",

@@ -37,6 +37,14 @@ class _OfEveryCommand:
 
 
 @dataclass(frozen=True, kw_only=True)
+class OnDevice:
+    """Base of the arguments of a command that computes on a device; `torchhand.devices.device_named` finds it."""
+
+    device: str = "cpu"
+    """Device to compute on: cpu, or cuda."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class _OfSettings(_OfEveryCommand):
     print_config: FlagCreatePairsOff[bool] = False
     """Print the settings that the other options make, as YAML that --config reads, and do nothing else."""

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import is_host
 from torchhand.image import Boundary
 
 _HANDS_AT_ONCE = 8  # whose distances stay in the processor's memory
@@ -44,6 +45,6 @@ def match_boundary(
 
 def _argmin(distance: Float[Tensor, "boundary hands points"]) -> Int[Tensor, "hands boundary"]:
     """Place of the least distance for every hand; on a CPU by numpy, as torch takes ten times as long."""
-    if distance.device.type != "cpu":
+    if not is_host(distance.device):
         return distance.argmin(-1).T
     return torch.from_numpy(distance.detach().numpy().argmin(-1)).T

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import are_equal
 from torchhand.fit import Equations, Explained, PosedHands, Stage
 from torchhand.fit.contour.correspondences import Correspondences, boundary_offset, contour_terms
 from torchhand.fit.contour.matching import match_boundary
@@ -175,9 +176,12 @@ def contours_of(
     contours: Contours, shape: Float[Tensor, "shape"], hands: PosedHands, column: int | None = None
 ) -> Contours:
     """Contours of the hands' shape, or of the one that differs from it in a column; remade once where they must be."""
-    if shape is contours.shape or torch.equal(shape, contours.shape):
-        return contours
-    return hands.once_for_shape((id(contours), column), lambda: contours.with_shape(shape))
+
+    def own() -> Contours:
+        is_same = column is None and are_equal(shape, contours.shape)
+        return contours if is_same else contours.with_shape(shape)
+
+    return contours if shape is contours.shape else hands.once_for_shape((id(contours), column), own)
 
 
 def is_beyond_wrist(

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchhand.devices import is_host
 from torchhand.fit import Equations, Explained, PosedHands, Stage
 from torchhand.fit.hull.shape_rows import shape_rows
 from torchhand.fit.hull.skin import SkinPoints, WeightedVertices, bones_of, skin_at
@@ -40,7 +41,7 @@ class InsideObservation:
         skin = own.skin.for_shape(hands)
         beyond, _ = self.target.field.sample(skin_at(skin, hands)[:, own.index])
         index, weighted, area = own.index, own.weighted, own.area_fraction
-        if stage.method == "gauss_newton" and len(hands) == 1:
+        if stage.method == "gauss_newton" and len(hands) == 1 and is_host(beyond.device):
             outside = beyond[0] > s.slack_m
             index, area = index[outside], area[outside]
             weighted = own.skin.weighted(index)

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchhand.devices import constant_tensor
 from torchhand.fit import Equations, Explained, PosedHands, Stage
 from torchhand.fit.hull.skin import PosedBones, SkinPoints, bones_of
 from torchhand.geometry import tapered_capsule_touch
@@ -53,7 +54,7 @@ class PenetrationPrior:
         distance = apart.norm(dim=-1).clamp_min(_NOTHING)
         excess = (reach - distance - slack.to(reach)).clamp_min(0)
         direction = apart / distance[..., None]
-        own = torch.tensor(CONE_BONES[1:], device=start.device)
+        own = constant_tensor(CONE_BONES[1:], torch.long, start.device)
         pull = _turned(skin, bones, there, own[second], direction) - _turned(skin, bones, here, own[first], direction)
         residual, rows = excess / self.settings.softness, pull / self.settings.softness
         square = (residual / _GROSS).square()
@@ -73,9 +74,9 @@ def _capsules(skin: SkinPoints, hands: PosedHands, bones: PosedBones) -> tuple[T
     """Both ends (hands, segments, 3) of the digits' segments, and the radii there (segments, 2)."""
     space, shape = skin.hand.kinematics.shape_space, skin.shape
     sizes = hands.once_for_shape(("primitive sizes", id(skin)), lambda: primitive_sizes(space, shape))
-    own = list(CONE_BONES[1:])
-    start = bones.position[:, own]
-    end = start + bones.rotation[:, own, :, 1] * sizes.cone_length[1:, None]
+    own = constant_tensor(CONE_BONES[1:], torch.long, shape.device)
+    start = bones.position.index_select(1, own)
+    end = start + bones.rotation.index_select(1, own)[..., 1] * sizes.cone_length[1:, None]
     radius = sizes.cone_start[1:, 0]
     return start, end, torch.stack((radius, radius * sizes.cone_end_scale[1:]), -1)
 

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import are_equal
 from torchhand.fit import PosedHands
 from torchhand.geometry import left_jacobian
 from torchhand.hand import Hand, HandPose
@@ -116,9 +117,12 @@ class SkinPoints:
 
     def for_shape(self, hands: PosedHands) -> "SkinPoints":
         """The skin of the hands' own shape: this one where that is its shape."""
-        if hands.shape is self.shape or torch.equal(hands.shape.to(self.shape), self.shape):
-            return self
-        return hands.once_for_shape(("skin", id(self)), lambda: SkinPoints(self.hand, hands.shape.to(self.shape)))
+
+        def own() -> "SkinPoints":
+            shape = hands.shape.to(self.shape)
+            return self if are_equal(shape, self.shape) else SkinPoints(self.hand, shape)
+
+        return self if hands.shape is self.shape else hands.once_for_shape(("skin", id(self)), own)
 
     def weighted(self, vertices: Int[Tensor, "points"] | Int[Tensor, "hands points"]) -> WeightedVertices:
         """Skinning of some vertices, the same ones of all hands or others of each."""

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -79,6 +79,12 @@ class KeypointFit:
     @property
     def is_fitted(self) -> Tensor:
         return self.status == 0
+
+    def to(self, device: torch.device) -> "KeypointFit":
+        """The same fit on another device."""
+        tensors = {f.name: getattr(self, f.name) for f in fields(self) if isinstance(getattr(self, f.name), Tensor)}
+        moved = {name: value.to(device) for name, value in tensors.items()}
+        return replace(self, **moved, space=self.space.to(device=device))
 
     def status_names(self) -> list[str]:
         """Names of the frames' status in order, flattened."""

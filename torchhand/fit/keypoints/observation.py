@@ -1,11 +1,13 @@
 """Keypoints that a detector found in one camera's picture, as an observation."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import read_back
 from torchhand.fit import Equations, Explained, PosedHands, Stage
 from torchhand.fit.keypoints.points import (
     Detector,
@@ -50,7 +52,11 @@ class PictureKeypoints:
 
     @property
     def is_empty(self) -> bool:
-        return not bool(self.is_known.any())
+        return self._is_empty
+
+    @cached_property
+    def _is_empty(self) -> bool:
+        return not read_back(self.is_known).any()
 
     @property
     def is_known(self) -> Bool[Tensor, "#rows 21"]:
@@ -111,9 +117,14 @@ class PictureKeypoints:
         if self.cov_px is None:
             return std, None
         is_told = self.cov_px.isfinite().all((-2, -1)).expand_as(std)
-        cov = torch.where(is_told[..., None, None], self.cov_px.to(std), torch.eye(2).to(std))
+        cov = torch.where(
+            is_told[..., None, None], self.cov_px.to(std), torch.eye(2, dtype=std.dtype, device=std.device)
+        )
         size = torch.linalg.det(cov).clamp_min(torch.finfo(std.dtype).tiny).pow(0.25)  # geometric mean of the axes
-        white = size[..., None, None] * torch.linalg.inv(torch.linalg.cholesky(cov))
+        # A covariance that is none gives points that fit nowhere; to raise for it would be to wait for the device.
+        factor, info = torch.linalg.cholesky_ex(cov)
+        inverse = torch.linalg.inv_ex(factor).inverse
+        white = torch.where((info == 0)[..., None, None], size[..., None, None] * inverse, torch.nan)
         return torch.where(is_told, size, std), white
 
 

@@ -37,7 +37,7 @@ def place_hand(
     pictures = [one for one in pictures if not one.is_empty]
     if not pictures:
         return None
-    natural = natural_posture()
+    natural = natural_posture(device=shape.device)
     told = [one for one in postures if not one.is_empty]
     missing = shape.new_ones(1, len(DOFS))
     if told:

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.devices import constant_tensor, read_back
 from torchhand.errors import require
 from torchhand.fit import Equations, PosedHands, Stage
 from torchhand.hand import KEYPOINT_BONES, KEYPOINTS, HandFrames, HandKinematics, PoseJacobian, ShapeJacobian
@@ -77,7 +78,7 @@ class Detector:
     @classmethod
     def known(cls, like: Tensor) -> "Detector":
         """The detector of points in metres, at our own keypoints."""
-        return cls(log_scale=like.new_zeros(()), offsets=like.new_zeros(_POINTS, 3))
+        return _known_detector(like.dtype, like.device)
 
     @property
     def extra(self) -> Float[Tensor, "extra"]:
@@ -103,14 +104,14 @@ class Detector:
     @cached_property
     def _has_ours(self) -> bool:
         """Whether its keypoints are known to lie where ours do."""
-        return not self.has_unknown_offsets and not bool(self.offsets.any())
+        return not self.has_unknown_offsets and not read_back(self.offsets).any()
 
     def keypoints(self, kinematics: HandKinematics, hands: PosedHands) -> Float[Tensor, "k 21 3"]:
         """The maker's keypoints of posed hands, metres in the world."""
         frames = frames_of(kinematics, hands)
         if self._has_ours:
             return frames.keypoints
-        offsets, bones = self.at(hands.extra).offsets, frames.rotation[:, list(KEYPOINT_BONES)]
+        offsets, bones = self.at(hands.extra).offsets, _keypoint_bones(frames)
         return frames.keypoints + (bones @ (_mirror(kinematics, offsets) * offsets)[..., None]).squeeze(-1)
 
     def pose_jacobian(self, kinematics: HandKinematics, hands: PosedHands) -> Float[Tensor, "k 21 3 36"]:
@@ -128,7 +129,7 @@ class Detector:
         found = torch.nn.functional.pad(of_shape, (0, len(hands.unknowns.extra)))
         if self.has_unknown_offsets:
             each = torch.arange(_POINTS, device=found.device)
-            bones = frames.rotation[:, list(KEYPOINT_BONES)] * _mirror(kinematics, found)
+            bones = _keypoint_bones(frames) * _mirror(kinematics, found)
             after_shape = found[..., len(hands.unknowns.columns) :]
             after_shape[..., self._offsets_at].unflatten(-1, (_POINTS, 3))[:, each, :, each] = bones.movedim(1, 0)
         return found
@@ -136,7 +137,20 @@ class Detector:
 
 def _mirror(kinematics: HandKinematics, like: Tensor) -> Float[Tensor, "3"]:
     """What turns offsets of a right hand's bones into those of this hand."""
-    return like.new_tensor((1.0, 1.0, 1.0 if kinematics.side == "right" else -1.0))
+    return constant_tensor((1.0, 1.0, 1.0 if kinematics.side == "right" else -1.0), like.dtype, like.device)
+
+
+def _keypoint_bones(frames: HandFrames) -> Float[Tensor, "k 21 3 3"]:
+    """Rotations of the bones that the keypoints are the ends of."""
+    rotation = frames.rotation
+    return rotation.index_select(1, constant_tensor(KEYPOINT_BONES, torch.long, rotation.device))
+
+
+@lru_cache(maxsize=8)
+def _known_detector(dtype: torch.dtype, device: torch.device) -> Detector:
+    with torch.inference_mode(False):  # kept for callers in any mode
+        nothing = torch.zeros(_POINTS, 3, dtype=dtype, device=device)
+        return Detector(log_scale=nothing.new_zeros(()), offsets=nothing)
 
 
 def equations_of_points(

@@ -8,12 +8,14 @@ are read as a posture once, and hands are compared with the posture.
 import json
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import read_back
 from torchhand.fit import Equations, Explained, PosedHands, Stage
 from torchhand.fit.keypoints.points import KeypointSettings
 from torchhand.fit.keypoints.prior import missing_fraction, natural_posture
@@ -72,7 +74,11 @@ class PostureKeypoints:
 
     @property
     def is_empty(self) -> bool:
-        return not bool((self.precision > 0).any())
+        return self._is_empty
+
+    @cached_property
+    def _is_empty(self) -> bool:
+        return not read_back(self.precision > 0).any()
 
     @property
     def angles(self) -> Float[Tensor, "#rows 30"]:

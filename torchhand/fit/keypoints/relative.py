@@ -1,11 +1,13 @@
 """Keypoints in space of which neither place nor size is known, as an observation: MediaPipe's world landmarks."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import read_back
 from torchhand.fit import Equations, Explained, PosedHands, Stage
 from torchhand.fit.keypoints.points import Detector, equations_of_points
 from torchhand.hand import HandKinematics
@@ -31,7 +33,11 @@ class RelativeKeypoints:
 
     @property
     def is_empty(self) -> bool:
-        return not bool(self.is_known.any())
+        return self._is_empty
+
+    @cached_property
+    def _is_empty(self) -> bool:
+        return not read_back(self.is_known).any()
 
     @property
     def is_known(self) -> Bool[Tensor, "rows 21"]:

@@ -47,6 +47,12 @@ class SeenKeypoints:
     def batch_shape(self) -> torch.Size:
         return self.points_px.shape[:-2]
 
+    def to(self, device: torch.device) -> "SeenKeypoints":
+        """The same keypoints on another device."""
+        tensors = ("points_px", "points", "confidence", "cov_px")
+        moved = {name: None if (own := getattr(self, name)) is None else own.to(device) for name in tensors}
+        return replace(self, camera=self.camera.to(device=device), **moved)
+
     def flat(self, like: Tensor) -> "SeenKeypoints":
         """With one dimension for frames, and everything in the dtype of `like`."""
 

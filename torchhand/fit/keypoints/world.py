@@ -1,11 +1,13 @@
 """Keypoints in the world as an observation: points of known place, in metres or in a unit that is to be found."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import read_back
 from torchhand.fit import Equations, Explained, PosedHands, Stage
 from torchhand.fit.keypoints.points import Detector, KeypointSettings, equations_of_points, trusted_fraction
 from torchhand.hand import HandKinematics
@@ -33,7 +35,11 @@ class WorldKeypoints:
 
     @property
     def is_empty(self) -> bool:
-        return not bool(self.is_known.any())
+        return self._is_empty
+
+    @cached_property
+    def _is_empty(self) -> bool:
+        return not read_back(self.is_known).any()
 
     @property
     def is_known(self) -> Bool[Tensor, "#rows 21"]:

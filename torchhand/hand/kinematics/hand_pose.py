@@ -2,17 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchhand.devices import constant_tensor
 from torchhand.geometry import rotation_from_vector, vector_from_rotation
 from torchhand.hand.kinematics.skeleton import DOFS, ROOT_DOFS
 from torchhand.precision import own_precision, record
 
 _ROOT = len(ROOT_DOFS)
+_BUT_ROTATION = tuple(0.0 if 3 <= dof < _ROOT else 1.0 for dof in range(len(DOFS)))
 
 
 @record()
@@ -75,7 +76,8 @@ class HandPose:
     @own_precision
     def normalized(self) -> "HandPose":
         """The same hands with zero rotation vectors."""
-        return HandPose(dofs=self.dofs * _but_rotation().to(self.dofs), reference=self.rotation)
+        kept = constant_tensor(_BUT_ROTATION, self.dofs.dtype, self.dofs.device)
+        return HandPose(dofs=self.dofs * kept, reference=self.rotation)
 
     @own_precision
     def retract(self, step: Float[Tensor, "*#batch 36"]) -> "HandPose":
@@ -109,12 +111,3 @@ class HandPose:
     def to(self, like: Tensor) -> "HandPose":
         """The poses in the dtype and on the device of a tensor."""
         return HandPose(dofs=self.dofs.to(like), reference=self.reference.to(like))
-
-
-@lru_cache(maxsize=1)
-def _but_rotation() -> Float[Tensor, "36"]:
-    """1 for all DOFs but those of the rotation vector."""
-    with torch.inference_mode(False):  # kept for callers in any mode
-        keep = torch.ones(len(DOFS), dtype=torch.float64)
-        keep[3:_ROOT] = 0
-        return keep

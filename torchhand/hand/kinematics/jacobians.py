@@ -56,7 +56,8 @@ class PoseJacobian:
 
     def __init__(self, kinematics: HandKinematics, basis: Float[Tensor, "36 free"] | None = None) -> None:
         like = kinematics.default_levers
-        basis = torch.eye(len(DOFS), dtype=like.dtype, device=like.device) if basis is None else basis.to(like)
+        known = torch.eye(len(DOFS), dtype=like.dtype) if basis is None else basis.detach().to(like).cpu()
+        basis = known.to(like)
         self.free = basis.shape[1]
         self._constants = kinematics.chain.constants
         skeleton = kinematics.skeleton
@@ -64,7 +65,7 @@ class PoseJacobian:
         places: list[int] = []
         entries: list[tuple[int, float]] = []  # pair, factor
         for angle, bone in enumerate(skeleton.bone):
-            columns = [(int(j), float(basis[_ROOT + angle, j])) for j in basis[_ROOT + angle].nonzero()[:, 0]]
+            columns = [(j, factor) for j, factor in enumerate(known[_ROOT + angle].tolist()) if factor]
             for point in _moved_by(bone) if columns else ():
                 for column, factor in columns:
                     places += [(3 * point + i) * self.free + column for i in range(3)]
@@ -81,9 +82,9 @@ class PoseJacobian:
         self._entries = index([pair for pair, _ in entries])
         self._factors = like.new_tensor([factor for _, factor in entries])[:, None, None]
         self._is_selection = len(entries) == len(pairs) and len(set(places)) == len(places)
-        self._is_unscaled = bool((self._factors == 1).all())
+        self._is_unscaled = all(factor == 1 for _, factor in entries)
         self._root = basis[:_ROOT]
-        self._root_columns = self._root.any(0).nonzero()[:, 0]
+        self._root_columns = known[:_ROOT].any(0).nonzero()[:, 0].to(like.device)
 
     @own_precision
     def __call__(self, pose: Float[Tensor, "*batch 36"], frames: HandFrames) -> Float[Tensor, "*batch 21 3 free"]:

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.devices import constant_tensor
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand.kinematics import FINGERS, ShapeSpace, linear_map
 from torchhand.hand.primitives.primitives import CONE_NAMES, ELLIPSOID_NAMES, PrimitiveSizes
@@ -43,7 +44,7 @@ def primitive_sizes(space: ShapeSpace, shape: Float[Tensor, "*batch shape"]) -> 
     palm = _palm(dict(zip(space.names, metres.unbind(-1), strict=True)))
     identity = torch.eye(3, dtype=shape.dtype, device=shape.device).expand(*balls.shape[:-1], 3, 3)
     origin = torch.zeros_like(radius)[..., None].expand(*radius.shape, 3)
-    level = torch.tensor(_LEVELS, dtype=shape.dtype, device=shape.device).expand(*shape.shape[:-1], -1)
+    level = constant_tensor(_LEVELS, shape.dtype, shape.device).expand(*shape.shape[:-1], -1)
     return PrimitiveSizes(
         cone_origin=torch.cat((palm.start[..., None, :], origin), -2),
         cone_turn=torch.cat((palm.turn[..., None, :, :], identity[..., : _CONES - 1, :, :]), -3),
@@ -85,7 +86,7 @@ def _palm(m: Mapping[str, Tensor]) -> _Palm:
     top = start + torch.stack((zero, run, rise), -1)
     fingers = torch.stack((half_depth, m["palm_cap"], half_palm), -1)
     wrist = torch.stack((half_depth / scale, _WRIST_CAP * m["hand_length"], half_wrist), -1)
-    flip = torch.tensor((1.0, -1.0, -1.0), dtype=zero.dtype, device=zero.device)
+    flip = constant_tensor((1.0, -1.0, -1.0), zero.dtype, zero.device)
     return _Palm(
         start=start,
         turn=turned,

@@ -1,9 +1,10 @@
 """The damped Gauss-Newton step inside a box, for many problems at once."""
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import is_host, may_hold
 from torchhand.precision import full_precision
 
 _PASSES = 3  # after them, what still leads out of the box is cut off
@@ -35,21 +36,45 @@ def damped_box_step(
     step, is_solved = _solved_with_pinned(damped, gradient, pinned, torch.zeros_like(gradient))
     leads_out = (step < room_below) | (step > room_above)
     for _ in range(_PASSES):
-        again = leads_out.any(-1).nonzero()[:, 0]
-        if not len(again):
+        if not may_hold(leads_out):
             return step, is_solved
         pinned = pinned | leads_out
+        again = _rows_with(leads_out)
         pinned_step = torch.where(pinned[again], step[again].clamp(room_below[again], room_above[again]), 0.0)
         solved, is_fine = _solved_with_pinned(damped[again], gradient[again], pinned[again], pinned_step)
-        step[again] = solved
-        is_solved[again] &= is_fine
+        is_out = leads_out[again].any(-1)
+        step[again] = torch.where(is_out[:, None], solved, step[again])
+        is_solved[again] = is_solved[again] & (is_fine | ~is_out)
         leads_out = (step < room_below) | (step > room_above)
     return step.clamp(room_below, room_above), is_solved
 
 
+def flat_bounds(
+    lower: Float[Tensor, "*#batch n"] | None, upper: Float[Tensor, "*#batch n"] | None, start: Float[Tensor, "*batch n"]
+) -> tuple[Tensor | None, Tensor | None]:
+    """Bounds of every problem's variables, a row each; both or neither.
+
+    Raises ValueError for one without the other and, on a processor, for a lower bound above its upper one: an
+    accelerator would have to be waited for.
+    """
+    if lower is None and upper is None:
+        return None, None
+    if lower is None or upper is None:
+        raise ValueError("bounds: expected both or neither; use infinities")
+    low, high = (bound.to(start).expand(start.shape).reshape(-1, start.shape[-1]) for bound in (lower, upper))
+    if is_host(start.device) and not bool((low <= high).all()):
+        raise ValueError("bounds: expected lower <= upper")
+    return low, high
+
+
+def _rows_with(flags: Bool[Tensor, "k n"]) -> "Int[Tensor, 'some'] | slice":
+    """The rows that have a flag set; all of them on an accelerator, which would have to be asked."""
+    return flags.any(-1).nonzero()[:, 0] if is_host(flags.device) else slice(None)
+
+
 def _solved_with_pinned(matrix: Tensor, gradient: Tensor, pinned: Tensor, pinned_step: Tensor) -> tuple[Tensor, Tensor]:
     """The step whose pinned entries are those of `pinned_step` and whose others solve the rest."""
-    if not bool(pinned.any()):
+    if not may_hold(pinned):
         return _solved(matrix, -gradient)
     right = -gradient - (matrix @ pinned_step[..., None]).squeeze(-1)
     is_open = (~pinned).to(matrix.dtype)

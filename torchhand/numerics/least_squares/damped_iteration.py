@@ -102,9 +102,6 @@ class DampedIteration:
         change = torch.where(better, change, torch.where(refused, self.factor, 1.0))
         self.damping = (self.damping * change).clamp_min(_MIN_DAMPING)
         self.factor = torch.where(better, _REFUSED, torch.where(refused, 2 * self.factor, self.factor))
-        if bool(better.all()):
-            self.values, self.matrix, self.gradient, self.cost = self.trial, found.matrix, found.gradient, found.cost
-            return
         self.values = torch.where(better[:, None], self.trial, self.values)
         self.gradient = torch.where(better[:, None], found.gradient, self.gradient)
         self.cost = torch.where(better, found.cost, self.cost)

@@ -7,6 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.devices import asks_after, read_back
+from torchhand.numerics.least_squares.box_step import flat_bounds
 from torchhand.numerics.least_squares.levenberg_marquardt import Linearise
 from torchhand.numerics.least_squares.records import LeastSquares, NormalEquations, Status, normal_equations
 from torchhand.numerics.least_squares.robust import RobustLoss
@@ -65,16 +67,8 @@ def gradient_descent(
     have different units; that of the curvature at the start, (JᵀJ)ᵢᵢ^(-1/2), where it is None.
     """
     settings = settings or DescentSettings()
-    if (lower is None) != (upper is None):
-        raise ValueError("bounds: expected both or neither; use infinities")
     batch, size = start.shape[:-1], start.shape[-1]
-
-    def flat(tensor: Tensor) -> Tensor:
-        return tensor.to(start).expand(*batch, size).reshape(-1, size)
-
-    low, high = (None, None) if lower is None or upper is None else (flat(lower), flat(upper))
-    if low is not None and high is not None and not bool((low <= high).all()):
-        raise ValueError("bounds: expected lower <= upper")
+    low, high = flat_bounds(lower, upper, start)
 
     def evaluate(values: Tensor) -> NormalEquations:
         if takes_rows:
@@ -99,15 +93,15 @@ def gradient_descent(
         floor = _MIN_DIAGONAL * diagonal.amax(-1, keepdim=True) + torch.finfo(values.dtype).tiny
         squared = torch.maximum(diagonal, floor).reciprocal()
     else:
-        squared = flat(scale).square()
+        squared = scale.to(start).expand(start.shape).reshape(-1, size).square()
     rate = torch.full_like(here.cost, settings.rate)
     iterations = torch.zeros_like(rows)
-    for _ in range(settings.iterations):
+    for turn in range(settings.iterations):
         trial = bounded(values - rate[:, None] * squared * here.gradient)
         is_still = is_open & (trial == values).all(-1)
-        status[is_still] = Status.CONVERGED.value
+        status = status.masked_fill(is_still, Status.CONVERGED.value)
         is_open = is_open & ~is_still & (rate > settings.min_rate)
-        if not bool(is_open.any()):
+        if asks_after(turn, values.device) and not read_back(is_open).any():
             break
         trial = torch.where(is_open[:, None], trial, values)
         found = evaluate(trial)
@@ -115,7 +109,7 @@ def gradient_descent(
         is_finite = found.cost.isfinite() & found.gradient.isfinite().all(-1)
         better = is_open & is_finite & (found.cost < here.cost)
         done = better & (here.cost - found.cost <= settings.cost_tolerance * here.cost)
-        status[done] = Status.CONVERGED.value
+        status = status.masked_fill(done, Status.CONVERGED.value)
         rate = torch.where(better, rate * settings.growth, rate * settings.shrink)
         values = torch.where(better[:, None], trial, values)
         here = NormalEquations(

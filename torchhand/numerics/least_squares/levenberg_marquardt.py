@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.devices import asks_after, read_back, rows_where
+from torchhand.numerics.least_squares.box_step import flat_bounds
 from torchhand.numerics.least_squares.damped_iteration import DampedIteration
 from torchhand.numerics.least_squares.records import (
     LeastSquares,
@@ -56,16 +58,13 @@ def levenberg_marquardt(
     has its own. A step is taken only if it lowers the cost: the best values are always the present ones, and a trial
     with a NaN is a refused one. The start is put into the bounds first. One problem never touches another.
 
+    On an accelerator the problems are asked every few turns only whether they are done (`torchhand.devices`).
+
     first: what linearise gives at the start, where that is known already and the start lies within the bounds.
     """
     settings = settings or LevenbergMarquardtSettings()
-    if (lower is None) != (upper is None):
-        raise ValueError("bounds: expected both or neither; use infinities")
     batch, size = start.shape[:-1], start.shape[-1]
-    low = None if lower is None else lower.to(start).expand(*batch, size).reshape(-1, size)
-    high = None if upper is None else upper.to(start).expand(*batch, size).reshape(-1, size)
-    if low is not None and high is not None and not bool((low <= high).all()):
-        raise ValueError("bounds: expected lower <= upper")
+    low, high = flat_bounds(lower, upper, start)
 
     def evaluate(values: Tensor, rows: Tensor) -> NormalEquations:
         if takes_rows:
@@ -78,14 +77,15 @@ def levenberg_marquardt(
         first = evaluate(values, torch.arange(len(values), device=values.device))
     work = DampedIteration.begin(values, (low, high), _in_a_row(first, size), settings)
     done: list[DampedIteration] = []
-    for _ in range(settings.iterations):
+    for turn in range(settings.iterations):
         work.propose(settings)
-        left = work.is_open.nonzero()[:, 0]
-        if not len(left):
-            break
-        if takes_rows and len(left) <= _WORTH_DROPPING * len(work.rows):
-            done.append(work.select((~work.is_open).nonzero()[:, 0]))
-            work = work.select(left)
+        if asks_after(turn, values.device):
+            is_open = read_back(work.is_open)
+            if not is_open.any():
+                break
+            if takes_rows and is_open.sum() <= _WORTH_DROPPING * len(is_open):
+                done.append(work.select(rows_where(~is_open, values.device)))
+                work = work.select(rows_where(is_open, values.device))
         work.accept_or_reject(evaluate(work.trial, work.rows), settings)
     done.append(work)
     whole = DampedIteration.joined(done)

@@ -109,6 +109,7 @@ def render_sequence(
     dtype = kinematics.default_shape.dtype
     camera = camera.to(dtype=dtype)
     behind = background_picture(scene.background, camera.width, camera.height, generator)
+    behind = behind.to(kinematics.default_shape.device)
     projector = HandProjector(kinematics, camera, None if shape is None else shape.to(dtype))
     reference = motion.root_reference.to(dtype)
     drawn = hand if scene.surface == "mesh" else None
@@ -179,7 +180,7 @@ def _exposed(
     left, top, right, bottom = _window(projector, posed.frames, scene)
     if right <= left or bottom <= top:
         return image
-    shift = torch.tensor((left, top), dtype=projector.camera.intrinsics.dtype)
+    shift = projector.camera.intrinsics.new_tensor((left, top))
     intrinsics = projector.camera.intrinsics.clone()
     intrinsics[:2, 2] -= shift
     camera = replace(projector.camera, intrinsics=intrinsics, width=right - left, height=bottom - top)
@@ -200,7 +201,7 @@ def _window(projector: HandProjector, frames: HandFrames, scene: SceneSettings) 
     space = projector.kinematics.shape_space
     reach = _REACH * space.metric(projector.shape)["hand_length"]
     points = camera.cam_from_world(frames.keypoints)
-    offsets = torch.tensor([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=points.dtype)
+    offsets = points.new_tensor([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     corners = (points[:, None] + reach * offsets).reshape(-1, 3)
     if scene.forearm:
         corners = torch.cat((corners, camera.cam_from_world(forearm_corners(frames, space, projector.shape))))
@@ -210,7 +211,9 @@ def _window(projector: HandProjector, frames: HandFrames, scene: SceneSettings) 
 def _developed(image: Tensor, scene: SceneSettings, generator: torch.Generator) -> UInt8[Tensor, "height width 3"]:
     """Lens blur, sensor noise and rounding."""
     if scene.blur_px > 0:
-        image = torch.from_numpy(cv2.GaussianBlur(image.contiguous().numpy(), (0, 0), scene.blur_px))
+        blurred = cv2.GaussianBlur(image.contiguous().cpu().numpy(), (0, 0), scene.blur_px)
+        image = torch.from_numpy(blurred).to(image.device)
     if scene.noise > 0:
-        image = image + scene.noise * torch.randn(image.shape, generator=generator, dtype=image.dtype)
+        noise = torch.randn(image.shape, generator=generator, dtype=image.dtype)
+        image = image + scene.noise * noise.to(image.device)
     return image.round().clamp(0, 255).to(torch.uint8)

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import constant_tensor
 from torchhand.geometry import Camera
 from torchhand.hand import BONES, HandKinematics, HandPose
 from torchhand.precision import own_precision
@@ -147,7 +148,8 @@ class PrimitiveContours:
             is_real,
             is_orthographic=self.projector.is_orthographic,
         )
-        wrist, distal = wrist_and_axis(bones.cam_from_bone[:, (_WRIST, _MIDDLE_PROXIMAL), :, 3], camera)
+        ends = constant_tensor((_WRIST, _MIDDLE_PROXIMAL), torch.long, normals.device)
+        wrist, distal = wrist_and_axis(bones.cam_from_bone[..., 3].index_select(1, ends), camera)
         return VisibleContour(
             points_px=motion.columns_px.mT,
             normals=normals,

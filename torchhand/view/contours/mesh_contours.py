@@ -5,19 +5,21 @@ import copy
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import constant_tensor, is_host
 from torchhand.geometry import Camera
 from torchhand.hand import KEYPOINTS, Hand, HandKinematics, HandPose, skin_jacobian
 from torchhand.precision import own_precision
 from torchhand.view.contours.contours import VisibleContour, wrist_and_axis
 from torchhand.view.contours.jacobian import cam_force
 from torchhand.view.contours.terms import PointToLineTerms
-from torchhand.view.raster import rasterize
+from torchhand.view.raster import rasterize, rasterize_many
 
 _INSIDE_PX = 1.5  # where the z-buffer is read for the surface that an edge belongs to
 _WRIST, _KNUCKLE = KEYPOINTS.index("wrist"), KEYPOINTS.index("middle_mcp")
+_PIXELS_AT_ONCE = 1 << 24  # of z-buffers that are made together
 _SLACK = 0.006  # metres that surface may be nearer there
 
 
@@ -94,10 +96,14 @@ class MeshContours:
         hand."""
         state = self.hand(pose.dofs, self._shape, root_reference=pose.reference)
         like = state.vertices[:, 0, 0]
-        probes = torch.as_tensor(probe_distance_px, dtype=like.dtype, device=like.device).expand_as(like).tolist()
-        parts = [self._visible(*own) for own in zip(state.vertices, probes, strict=True)]
-        points, normals, outer, inner, edges = (torch.stack(part) for part in zip(*parts, strict=True))
-        ends = self._camera.cam_from_world(state.frames.keypoints[:, (_WRIST, _KNUCKLE)])
+        probes = torch.as_tensor(probe_distance_px, dtype=like.dtype, device=like.device).expand_as(like)
+        # On a processor hand by hand, which keeps to what is visible of each; elsewhere all in a few operations.
+        some = 1 if is_host(like.device) else max(1, len(like))
+        parts = zip(state.vertices.split(some), probes.split(some), strict=True)
+        found = zip(*(self._visible(*own) for own in parts), strict=True)
+        points, normals, outer, inner, edges = (torch.cat(part) for part in found)
+        ends = state.frames.keypoints.index_select(1, constant_tensor((_WRIST, _KNUCKLE), torch.long, like.device))
+        ends = self._camera.cam_from_world(ends)
         wrist, distal = wrist_and_axis(ends, self._camera)
         return VisibleContour(
             points_px=points,
@@ -113,7 +119,8 @@ class MeshContours:
     def points(self, pose: HandPose, visible: VisibleContour) -> Float[Tensor, "hands 2 points"]:
         """The points that `visible` decides about, px, wherever the hands have moved since."""
         vertices = self.hand(pose.dofs, self._shape, root_reference=pose.reference).vertices
-        middles = vertices[torch.arange(len(vertices))[:, None, None], _edges_of(visible)].mean(2)
+        each = torch.arange(len(vertices), device=vertices.device)[:, None, None]
+        middles = vertices[each, _edges_of(visible)].mean(2)
         return self._camera.project(middles).mT
 
     @own_precision
@@ -131,42 +138,72 @@ class MeshContours:
             camera=self._camera,
         )
 
-    def _visible(self, vertices: Float[Tensor, "vertices 3"], probe_distance_px: float) -> tuple[Tensor, ...]:
-        """Contours of one hand: points, normals, which are outer, which inner, edges; padded with what is neither."""
+    def _visible(
+        self, vertices: Float[Tensor, "hands vertices 3"], probe_distance_px: Float[Tensor, "hands"]
+    ) -> tuple[Tensor, ...]:
+        """Contours: points, normals, which are outer, which inner, edges; padded with what is neither."""
         camera, faces = self._camera, self.hand.faces
         seen = camera.cam_from_world(vertices)
-        a, b, c = seen[faces].unbind(1)
+        a, b, c = seen[:, faces].unbind(2)
         towards = torch.linalg.cross(b - a, c - a)
-        sight = torch.zeros_like(a) + a.new_tensor((0.0, 0.0, 1.0)) if camera.kind == "orthographic" else a
+        sight = a
+        if camera.kind == "orthographic":
+            sight = torch.zeros_like(a) + constant_tensor((0.0, 0.0, 1.0), a.dtype, a.device)
         is_front = (towards * sight).sum(-1) < 0
-        of_edge = is_front[self._faces_of_edge]
-        chosen = (of_edge[:, 0] != of_edge[:, 1]).nonzero()[:, 0]
-        chosen = chosen[(seen[self._edges[chosen]][..., 2] > 0).all(-1)]
-        edges = self._edges[chosen]
-        corners = camera.pixels_from_plane(camera.plane_from_cam(seen[edges]))
-        along = corners[:, 1] - corners[:, 0]
-        normals = torch.nn.functional.normalize(torch.stack((along[:, 1], -along[:, 0]), -1), dim=-1)
-        points_cam = seen[edges].mean(1)
+        edges, owners, of_edge = self._edges, self._faces_of_edge, is_front[:, self._faces_of_edge]
+        if len(vertices) == 1 and is_host(vertices.device):  # few of all edges are followed up where they are known
+            chosen = (of_edge[0, :, 0] != of_edge[0, :, 1]).nonzero()[:, 0]
+            chosen = chosen if len(chosen) else chosen.new_zeros(1)
+            edges, owners, of_edge = edges[chosen], owners[chosen], of_edge[:, chosen]
+        ends = seen[:, edges]
+        is_contour = (of_edge[..., 0] != of_edge[..., 1]) & (ends[..., 2] > 0).all(-1)
+        corners = camera.pixels_from_plane(camera.plane_from_cam(ends))
+        along = corners[:, :, 1] - corners[:, :, 0]
+        normals = torch.nn.functional.normalize(torch.stack((along[..., 1], -along[..., 0]), -1), dim=-1)
+        points_cam = ends.mean(2)
         points = camera.pixels_from_plane(camera.plane_from_cam(points_cam))
         # Outward is away from the third corner of the face that is turned to the camera.
-        front = self._faces_of_edge[chosen].gather(1, of_edge[chosen].long().argmax(-1, keepdim=True)).squeeze(-1)
-        centre = camera.pixels_from_plane(camera.plane_from_cam(seen[faces[front]].mean(1)))
-        normals = torch.where((((centre - points) * normals).sum(-1) > 0)[:, None], -normals, normals)
-        depth = rasterize(vertices, faces, camera, is_closed=True).depth
+        which = of_edge.long().argmax(-1, keepdim=True)
+        front = owners.expand(len(seen), -1, -1).gather(2, which).squeeze(2)
+        each = torch.arange(len(seen), device=seen.device)[:, None, None]
+        centre = camera.pixels_from_plane(camera.plane_from_cam(seen[each, faces[front]].mean(2)))
+        normals = torch.where((((centre - points) * normals).sum(-1) > 0)[..., None], -normals, normals)
+        depth = self._depths(vertices)
         surface = _read(depth, points - _INSIDE_PX * normals)
-        visible = points_cam[:, 2] <= surface + _SLACK
-        outer = visible & ~_read(depth, points + probe_distance_px * normals).isfinite()
-        kept = visible.nonzero()[:, 0]
-        if len(kept) > self._max_points:
-            step = torch.linspace(0, len(kept) - 1, self._max_points, device=kept.device)
-            kept = kept[step.round().long()]
-        rest = self._max_points - len(kept)
+        visible = is_contour & (points_cam[..., 2] <= surface + _SLACK)
+        outer = visible & ~_read(depth, points + probe_distance_px[:, None, None] * normals).isfinite()
+        kept, is_kept = _spread(visible, self._max_points)
 
         def padded(values: Tensor) -> Tensor:
-            return torch.cat((values[kept], values.new_zeros(rest, *values.shape[1:])))
+            own = values.flatten(2) if values.ndim > 2 else values[..., None]
+            found = own.gather(1, kept[..., None].expand(-1, -1, own.shape[2]))
+            return torch.where(is_kept[..., None], found, 0).reshape(*kept.shape, *values.shape[2:])
 
-        filled = torch.cat((edges[kept], self._edges[:1].expand(rest, 2)))
-        return padded(points), padded(normals), padded(outer), padded(visible & ~outer), filled
+        filled = torch.where(is_kept[..., None], edges[kept], self._edges[0])
+        return padded(points), padded(normals), padded(outer).bool(), padded(visible & ~outer).bool(), filled
+
+    def _depths(self, vertices: Float[Tensor, "hands vertices 3"]) -> Float[Tensor, "hands height width"]:
+        """Z-buffers of the hands. The one place where contours wait for an accelerator, once for each association of
+        data: how many pixels the triangles cover must be known before they are drawn."""
+        camera, faces = self._camera, self.hand.faces
+        if is_host(vertices.device) or camera.has_distortion:
+            return torch.stack([rasterize(own, faces, camera, is_closed=True).depth for own in vertices])
+        together = vertices.split(max(1, _PIXELS_AT_ONCE // (camera.width * camera.height)))
+        return torch.cat([rasterize_many(some, faces, camera, is_closed=True)[1] for some in together])
+
+
+def _spread(
+    flags: Bool[Tensor, "hands edges"], count: int
+) -> tuple[Int[Tensor, "hands count"], Bool[Tensor, "hands count"]]:
+    """Places of the flags that are set, at most so many, spread evenly over all of each hand; and which of the places
+    are such, for there may be fewer."""
+    rank = flags.cumsum(1)
+    total, slot = rank[:, -1:], torch.arange(count, device=flags.device)
+    step = (total - 1).to(torch.float32) / max(1, count - 1)  # from both ends, as torch.linspace does
+    spread = torch.where(slot < max(1, count // 2), step * slot, (total - 1) - step * (count - 1 - slot)).round().long()
+    wanted = torch.where(total > count, spread, slot)
+    place = torch.searchsorted(rank, wanted + 1).clamp_max(flags.shape[1] - 1)
+    return place, wanted < total
 
 
 def _edges_of(visible: VisibleContour) -> Int[Tensor, "hands points 2"]:
@@ -185,9 +222,12 @@ def _edges(faces: Int[Tensor, "faces 3"]) -> tuple[Int[Tensor, "edges 2"], Int[T
     return edges, owner[which.argsort(stable=True)].reshape(-1, 2)
 
 
-def _read(depth: Float[Tensor, "height width"], points_px: Float[Tensor, "points 2"]) -> Float[Tensor, "points"]:
+def _read(
+    depth: Float[Tensor, "hands height width"], points_px: Float[Tensor, "hands points 2"]
+) -> Float[Tensor, "hands points"]:
     """Depth at the nearest pixels; infinite where nothing is seen, and beyond the picture."""
-    height, width = depth.shape
+    _, height, width = depth.shape
     x, y = points_px.nan_to_num(nan=-1e6).round().clamp(-2, max(height, width) + 1).long().unbind(-1)
     inside = (x >= 0) & (y >= 0) & (x < width) & (y < height)
-    return torch.where(inside, depth[y.clamp(0, height - 1), x.clamp(0, width - 1)], torch.inf)
+    pixel = y.clamp(0, height - 1) * width + x.clamp(0, width - 1)
+    return torch.where(inside, depth.flatten(1).gather(1, pixel), torch.inf)

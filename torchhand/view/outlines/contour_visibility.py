@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import constant_tensor, is_host
 from torchhand.view.outlines.outline import OutlineTable
 from torchhand.view.outlines.visibility import DEFAULT_SLACK
 
@@ -122,7 +123,7 @@ def _along_parallel_rays(quadrics: Quadrics) -> _Parts:
 def _parts(quadrics: Quadrics, *, form: Tensor, line: Tensor, scalar: Tensor, axis: Tensor, rate: Tensor) -> _Parts:
     conic = line[..., :, None] * line[..., None, :] - scalar[..., None, None] * form
     rows = torch.stack((*line.unbind(-1), *axis.unbind(-1), scalar, rate, quadrics.low, quadrics.high), 1)
-    return _Parts(conic=conic.flatten(-2) @ conic.new_tensor(_FOLD), rows=rows)
+    return _Parts(conic=conic.flatten(-2) @ constant_tensor(_FOLD, conic.dtype, conic.device), rows=rows)
 
 
 def _is_free(
@@ -130,14 +131,33 @@ def _is_free(
 ) -> Bool[Tensor, "hands rays"]:
     """Whether no other part hides what is looked at."""
     squares = parts.conic @ rays.products
-    place, part, ray = _pairs(squares, is_other)
-    of_parts = parts.rows.transpose(0, 1).flatten(1)
-    lx, ly, lz, ax, ay, az, scalar, rate, low, high = (row.index_select(0, part) for row in of_parts.unbind())
     limits = (rays.depth, rays.enough) if is_orthographic else (rays.depth.reciprocal(), rays.enough.reciprocal())
     of_rays = (rays.products[:, 3], rays.products[:, 4], *limits)
-    x, y, here, enough = (row.reshape(-1).index_select(0, ray) for row in of_rays)
+    if not is_host(squares.device):  # every pair: how many meet is not known without waiting
+        each_part = (row[..., None] for row in parts.rows.unbind(1))
+        each_ray = (row[:, None] for row in of_rays)
+        hides = _hides(tuple(each_part), tuple(each_ray), squares.clamp_min(0).sqrt(), is_orthographic)
+        return ~(hides & (squares >= 0) & is_other).any(1)
+    place, part, ray = _pairs(squares, is_other)
+    of_parts = (row.index_select(0, part) for row in parts.rows.transpose(0, 1).flatten(1).unbind())
+    met = (row.reshape(-1).index_select(0, ray) for row in of_rays)
+    hides = _hides(tuple(of_parts), tuple(met), squares.view(-1).index_select(0, place).sqrt(), is_orthographic)
+    count = torch.zeros_like(rays.depth)
+    return count.view(-1).index_add_(0, ray, hides.to(count)).view(count.shape) == 0
+
+
+def _hides(
+    parts: tuple[Float[Tensor, "*#pairs"], ...],
+    rays: tuple[Float[Tensor, "*#pairs"], ...],
+    root: Float[Tensor, "*pairs"],
+    is_orthographic: bool,
+) -> Bool[Tensor, "*pairs"]:
+    """Whether a part hides what is looked at along a ray that meets it.
+
+    parts: rows of `_Parts`. rays: place on the image plane, and limits. root: of the conic there.
+    """
+    (lx, ly, lz, ax, ay, az, scalar, rate, low, high), (x, y, here, enough) = parts, rays
     line, height = (torch.addcmul(torch.addcmul(c, a, x), b, y) for a, b, c in ((lx, ly, lz), (ax, ay, az)))
-    root = squares.view(-1).index_select(0, place).sqrt()
     kept, nearer, hiding = [], [], []
     for t in ((root - line) / scalar, (-root - line) / scalar):
         if is_orthographic:
@@ -149,9 +169,7 @@ def _is_free(
             kept.append((t > 0) & (height >= low * t) & (height <= high * t))
             nearer.append(t > here)
             hiding.append(t > enough)
-    hides = (kept[0] & hiding[0]) | (kept[1] & hiding[1]) | (kept[0] & kept[1] & (nearer[0] ^ nearer[1]))
-    count = torch.zeros_like(rays.depth)
-    return count.view(-1).index_add_(0, ray, hides.to(count)).view(count.shape) == 0
+    return (kept[0] & hiding[0]) | (kept[1] & hiding[1]) | (kept[0] & kept[1] & (nearer[0] ^ nearer[1]))
 
 
 def _pairs(
@@ -159,14 +177,11 @@ def _pairs(
 ) -> tuple[Int[Tensor, "k"], Int[Tensor, "k"], Int[Tensor, "k"]]:
     """Where a part and a ray meet: place among the squares, part and ray, the last two counted over all hands.
 
-    On a CPU by numpy, in a quarter of torch's time.
+    By numpy, in a quarter of torch's time; for tensors in the processor's memory.
     """
     _, parts, rays = squares.shape
-    if squares.device.type == "cpu":
-        place = np.flatnonzero((squares.numpy() >= 0) & is_other.numpy())
-    else:
-        place = ((squares >= 0) & is_other).flatten().nonzero().squeeze(-1)
+    place = np.flatnonzero((squares.numpy() >= 0) & is_other.numpy())
     part = place // rays
     ray = place - rays * (part - part // parts)
-    place, part, ray = (torch.as_tensor(x, device=squares.device) for x in (place, part, ray))
+    place, part, ray = (torch.from_numpy(x) for x in (place, part, ray))
     return place, part, ray

@@ -90,7 +90,7 @@ def test_noise_alone_makes_no_camera_late() -> None:
         costs.append(float((at.points_px()[0] / size).square().mean()))
         step = 1e-6
         beyond = lag.at(torch.tensor((value + step,), dtype=torch.float64)).noise()[0]
-        slopes.append((growth, (beyond - size) / step))
+        slopes.append((float(growth), float((beyond - size) / step)))
     assert costs == pytest.approx([1.0] * 4, rel=0.03)
     for found, expected in slopes:
         assert found == pytest.approx(expected, abs=1e-4)

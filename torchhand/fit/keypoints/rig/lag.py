@@ -1,6 +1,5 @@
 """Cameras that are late: what one of them shows in a frame is the hand of another time."""
 
-import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -41,27 +40,26 @@ class ViewLag:
         """Points at the time of the frames, and their derivative in the lag: a cubic through four frames (Catmull and
         Rom 1974). NaN for missing ones."""
         whole, value, slope = self._weights()
-        before = _AROUND + whole - 1
-        own = self.around_px[:, before : before + 4]
+        frames = whole + torch.arange(_AROUND - 1, _AROUND + 3, device=whole.device)
+        own = self.around_px.index_select(1, frames)
         value, slope = (part.to(own)[:, None, None] for part in (value, slope))
         return (value * own).sum(1), (slope * own).sum(1)
 
-    def noise(self) -> tuple[float, float]:
+    def noise(self) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
         """Standard deviation of these points over that of a frame's own, and its derivative in the lag: between frames
         the errors of several average out, which is no sign that the pictures are late."""
         _, value, slope = self._weights()
-        size = float(value.norm())
-        return size, float(value @ slope) / size
+        size = value.norm()
+        return size.to(self.lag), ((value @ slope) / size).to(self.lag)
 
-    def _weights(self) -> tuple[int, Float[Tensor, "4"], Float[Tensor, "4"]]:
+    def _weights(self) -> tuple[Int[Tensor, ""], Float[Tensor, "4"], Float[Tensor, "4"]]:
         """Whole frames of the lag, what the four frames around it count, and the derivatives of that."""
-        lag = min(max(float(self.lag), -MAX_LAG), MAX_LAG - 1e-9)
-        whole = math.floor(lag)
+        lag = self.lag.double().clamp(-MAX_LAG, MAX_LAG - 1e-9)
+        whole = lag.floor()
         x = lag - whole
         value = (-x + 2 * x**2 - x**3, 2 - 5 * x**2 + 3 * x**3, x + 4 * x**2 - 3 * x**3, -(x**2) + x**3)
         slope = (-1 + 4 * x - 3 * x**2, -10 * x + 9 * x**2, 1 + 8 * x - 9 * x**2, -2 * x + 3 * x**2)
-        weights = 0.5 * torch.tensor((value, slope), dtype=torch.float64)
-        return whole, weights[0], weights[1]
+        return whole.long(), 0.5 * torch.stack(value), 0.5 * torch.stack(slope)
 
 
 def _around(points_px: Float[Tensor, "frames 21 2"]) -> Float[Tensor, "frames window 21 2"]:

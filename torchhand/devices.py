@@ -1,0 +1,77 @@
+"""The device that work runs on, and the one place where work in progress asks it for a number.
+
+An accelerator works through what was enqueued while the processor enqueues more. Whoever reads a tensor back waits
+until all of that is done, and then the device waits for the processor. So iterations do not read: what a processor
+leaves out because nothing is to be done (`may_hold`), an accelerator does for nothing, and whether a loop may end is
+asked after several turns only (`asks_after`). On a processor numbers are there already, and what is done is left out at
+once.
+"""
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Int, Shaped
+from torch import Tensor
+
+from torchhand.errors import InputError
+
+TURNS = 8
+"""Turns of a loop on an accelerator after which it asks whether it may end."""
+
+_HOSTS = ("cpu",)
+
+
+def is_host(device: torch.device) -> bool:
+    """Whether the values of the device's tensors can be read without waiting: those in the processor's own memory."""
+    return device.type in _HOSTS
+
+
+def may_hold(flags: Bool[Tensor, "*any"]) -> bool:
+    """Whether any of the flags may be set: on a processor whether one is, on an accelerator always."""
+    return not is_host(flags.device) or bool(flags.any())
+
+
+def asks_after(turn: int, device: torch.device) -> bool:
+    """Whether a loop asks after this turn, from 0, if it may end: after every one on a processor, else after every
+    `TURNS`."""
+    return is_host(device) or turn % TURNS == TURNS - 1
+
+
+def read_back(values: Shaped[Tensor, "*any"]) -> np.ndarray:
+    """The values in the processor's memory, for which the device is waited for."""
+    return values.detach().cpu().numpy()
+
+
+def are_equal(one: Tensor, other: Tensor) -> bool:
+    """Whether all values of two tensors are the same; waits for the device, once for what does not change."""
+    return torch.equal(one, other)
+
+
+def rows_where(flags: np.ndarray, device: torch.device) -> Int[Tensor, "some"]:
+    """Numbers of the rows whose flag is set, on a device; the flags have been read back."""
+    return torch.from_numpy(np.flatnonzero(flags)).to(device)
+
+
+@lru_cache(maxsize=512)
+def constant_tensor(values: Any, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Numbers in a tuple, or a tuple of tuples, as a tensor that was sent to the device once; not to be changed."""
+    with torch.inference_mode(False):  # kept for callers in any mode
+        return torch.tensor(values, dtype=dtype, device=device)
+
+
+def device_named(name: str, *, option: str = "--device") -> torch.device:
+    """The device of a name such as cpu, cuda or cuda:1. Raises InputError for one that is not there."""
+    allowed = ["cpu", *_accelerators()]
+    try:
+        device = torch.device(name)
+        if device.type in allowed and torch.zeros(1, device=device).numel() == 1:
+            return device
+    except RuntimeError:
+        pass
+    raise InputError(f"{option}: expected {' or '.join(allowed)} on this machine, got {name!r}")
+
+
+def _accelerators() -> list[str]:
+    return ["cuda"] if torch.cuda.is_available() else []
