@@ -512,6 +512,6 @@ def test_help_has_an_example(run: Run) -> None:
 def test_the_header_is_json_in_the_arrays(done: Path) -> None:
     with np.load(done / "hypotheses.npz") as stored:
         header = json.loads(str(stored["header"]))
-    assert header["format"] == "torchhand hypothesis study 1"
+    assert header["format"] == "torchhand hypothesis study 2"
     assert header["settings"]["best_of"] == [1, 2]
     assert header["frames"] == [0, 2]

@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-import torch
 from tqdm import tqdm
 from tyro.conf import Positional, UseAppendAction, arg
 
-from torchhand.cli.command import DONE, STOPPED_BY_USER, command, one_address, parse, threads
+from torchhand.cli.command import DONE, STOPPED_BY_USER, OnDevice, command, one_address, parse, threads
 from torchhand.cli.studies import DESIGN, UEDA, study_design, study_ueda
 from torchhand.cluster import Cluster
+from torchhand.devices import device_named
 from torchhand.errors import InputError
 from torchhand.files import check_output_folder, load_hand_model, load_settings
 from torchhand.fit import PostureResiduals
@@ -49,7 +49,7 @@ _SMALLEST_PX = 64
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(OnDevice):
     """Study how well registration recovers a hand: thousands of perturbed starts on pictures whose hand is known.
 
     INPUT is a sequence with truth (of `torchhand simulate`, or frames/, cameras.json and truth.npz with keypoints3d); a
@@ -120,8 +120,6 @@ class Arguments:
     """Work on the batches in the processes of a Ray cluster (extra `cluster`): of the one at ADDRESS, such as auto or
     HOST:6379, or, without one, of --threads processes on this machine, all its cores if not given. The results do not
     depend on it, and are the same bytes where the processors are of one kind."""
-    device: str = "cpu"
-    """Device to compute on: cpu, or cuda."""
     resume: bool = False
     """Go on with an interrupted study."""
     overwrite: bool = False
@@ -185,7 +183,7 @@ def _workers(arguments: Arguments, side_by_side: int) -> contextlib.AbstractCont
 def _work(arguments: Arguments, settings: HypothesisStudySettings) -> Work:
     """The pictures and their hands. Raises InputError where they cannot be studied."""
     given = _given(arguments)
-    _check_device(arguments.device)
+    device_named(arguments.device)
     _check_frames(len(given.frames or ()), settings)
     cases = cases_of(given, settings, arguments.seed)
     _check_frames(len(cases.cases), settings)
@@ -260,16 +258,6 @@ def _given(arguments: Arguments) -> Given:
         mask=arguments.mask,
         size=(int(match[1]), int(match[2])),
     )
-
-
-def _check_device(name: str) -> None:
-    allowed = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
-    try:
-        is_there = torch.device(name).type in allowed and torch.zeros(1, device=name).numel() == 1
-    except RuntimeError:
-        is_there = False
-    if not is_there:
-        raise InputError(f"--device: expected {' or '.join(allowed)} on this machine, got {name!r}")
 
 
 def _statuses(hypotheses: Hypotheses) -> str:
