@@ -13,10 +13,12 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import is_host
+
 
 def can_compile(like: Tensor) -> bool:
     """Whether tensors of this kind are drawn by machine code."""
-    return like.device.type == "cpu" and like.dtype in (torch.float32, torch.float64) and _compiled() is not None
+    return is_host(like.device) and like.dtype in (torch.float32, torch.float64) and _compiled() is not None
 
 
 def nearest_compiled(

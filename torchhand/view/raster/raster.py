@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import is_host
 from torchhand.geometry import Camera
 from torchhand.precision import own_precision
 from torchhand.view.raster.compiled import can_compile, nearest_compiled
@@ -125,6 +126,9 @@ def rasterize_many(
         raise ValueError("camera: expected one without distortion")
     with torch.no_grad():
         points = camera.cam_from_world(vertices_world)
+        if not is_host(points.device):  # which meshes are cut off would have to be asked
+            nearest, face = _drawn(vertices_world, faces, camera, is_closed)
+            return face, depth_of(nearest, camera).masked_fill_(face < 0, torch.inf)
         is_whole = all_ahead(points)
         if can_compile(points):
             away = float(torch.linalg.det(camera.intrinsics[:2, :2]).sign()) if is_closed else 0.0
