@@ -283,6 +283,7 @@ def test_wrong_input_is_one_line_and_two(options: list[str], words: str, capsys:
 
 
 @pytest.mark.skipif(not PROC.is_dir(), reason="needs /proc")
+@pytest.mark.slow
 def test_the_soak_is_two_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A few steps of filters and some seconds of tracking; both are slow and asked for by name."""
     monkeypatch.setattr(benchmark_soak, "_RENDERED", 3)

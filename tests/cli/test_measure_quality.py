@@ -22,6 +22,7 @@ def test_the_models_of_the_package_tell_right_from_wrong() -> None:
                 assert abs(mean - share) < 0.12 + 1.5 / number**0.5
 
 
+@pytest.mark.slow
 def test_too_few_sequences_are_an_error_of_the_user(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "quality.json"
     assert main(["--out", str(out), "--methods", "contour", "--sequences", "1"]) == 2

@@ -33,6 +33,7 @@ def test_too_few_pictures_are_an_error_of_the_user(tmp_path: Path, capsys: pytes
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_hands_where_there_are_none_are_counted_beside_the_rest(tmp_path: Path) -> None:
     """Of a face and a portrait one at most is a hand to a tracker's first frame; what FILE said else stays."""
     out = tmp_path / "rates.json"

@@ -172,6 +172,7 @@ def test_stopped_run_goes_on_to_the_same_end(
     np.testing.assert_array_equal(whole.keypoints3d_cov, resumed.keypoints3d_cov)
 
 
+@pytest.mark.slow
 def test_frames_that_were_lost_are_filled_in_once_the_hand_is_found(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -270,6 +271,7 @@ def test_frame_without_silhouettes_is_lost_and_the_next_one_found(copied: Path, 
     assert not np.isfinite(track.pose[1]).any()
 
 
+@pytest.mark.slow
 def test_unit_from_the_hand(copied: Path, tmp_path: Path, capsys) -> None:
     cameras = [replace(c, translation=c.translation / 0.0254) for c in named_rig("frame4", size=SIZE)]
     save_cameras(cameras, copied / "cameras.json")

@@ -39,6 +39,7 @@ def _weights(training: Training) -> torch.Tensor:
     return torch.cat([parameter.detach().flatten() for parameter in training.network.parameters()])
 
 
+@pytest.mark.slow
 def test_a_short_training_learns_far_more_than_the_mean_posture() -> None:
     settings = TrainingSettings(
         steps=200, batch=128, learning_rate=4e-3, pool=2000, held_out=300, energy_hands=4, width=192, blocks=2

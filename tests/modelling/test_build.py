@@ -19,6 +19,7 @@ from torchhand.modelling.shape_basis import shape_basis, shape_of_metres
 from torchhand.modelling.surface import even_mesh
 from torchhand.modelling.weights import skin_weights
 
+pytestmark = pytest.mark.slow  # making a mesh takes a quarter of a minute
 VERTICES = 400
 CORRECTED = ("index_pip_fe", "ring_mcp_fe", "thumb_ip_fe")
 PARAMETERS = (

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from typing import Any
 
+import pytest
 import torch
 
 from tests.steps import right_hand, run
@@ -42,6 +43,7 @@ def test_an_open_hand_starts_as_it_did(studio: Any) -> None:
         assert torch.equal(own.pose, other.pose)
 
 
+@pytest.mark.slow
 def test_a_rigid_hand_is_not_found_again_in_another_posture(studio: Any) -> None:
     """Trackers that hold the posture look for that of the first hand alone."""
     camera = studio.camera(320, 240)

@@ -1,5 +1,6 @@
 """Training of the presence network: views of things, and that it learns."""
 
+import pytest
 import torch
 
 from torchhand.files import load_hand_model
@@ -33,6 +34,7 @@ def test_views_are_about_the_thing_wherever_it_is() -> None:
         assert float((channels[0, 0] > 0).float().mean()) > 0.1 or float(channels[0, 2].mean()) > 0.3
 
 
+@pytest.mark.slow
 def test_it_learns_to_tell_hands_from_things_and_repeats_itself() -> None:
     count = SMALL.hands + SMALL.held_out
     hands = hand_pool(load_hand_model(), count, torch.Generator().manual_seed(2))

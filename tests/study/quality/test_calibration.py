@@ -55,6 +55,7 @@ def test_too_few_samples_are_refused() -> None:
         calibrated([one])
 
 
+@pytest.mark.slow
 def test_collected_samples_are_of_tracked_hands() -> None:
     """One sequence, twice: the same, and of a size that a tracked hand may have."""
     first, again = (next(iter(collect(settings_of("contour_full"), 1, 0))) for _ in range(2))

@@ -9,6 +9,7 @@ from torchhand.study.status import KINDS, Sample, collect, derived_table
 from torchhand.track import TrackerSettings
 from torchhand.track.scene import Health
 
+pytestmark = pytest.mark.slow  # collecting the samples takes a quarter of a minute
 PLANAR = TrackerSettings()
 
 

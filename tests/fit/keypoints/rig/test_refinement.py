@@ -94,6 +94,7 @@ def test_a_hand_that_is_seen_too_briefly_determines_nothing() -> None:
     assert not bool(found.is_determined.any())
 
 
+@pytest.mark.slow
 def test_points_of_two_cameras_in_one_small_place_do_not_determine_them() -> None:
     cameras = rig(2)
     points = 0.02 * moving(36, 0.0) + 0.98 * torch.tensor((0.0, 0.0, 0.6), dtype=torch.float64)
