@@ -6,7 +6,19 @@ from torchhand.learn.figures import FIGURES, Figures, baseline_of, figures_of
 from torchhand.learn.loop import Loss, descend, warmed_cosine
 from torchhand.learn.network import HandEstimate, PoseNetwork
 from torchhand.learn.observation import FEATURES, MIN_SEEN, Observation, mirrored, observe
-from torchhand.learn.record import CURVE_NAME, MODEL_NAME, Curve, TrainingRecord, curve_text, load_record, save_record
+from torchhand.learn.record import (
+    CURVE_NAME,
+    MODEL_NAME,
+    Curve,
+    TrainingRecord,
+    curve_of,
+    curve_text,
+    kept_of,
+    load_record,
+    read_model,
+    save_record,
+    write_model,
+)
 from torchhand.learn.stills import Stills, load_stills
 from torchhand.learn.training import (
     LossWeights,
@@ -44,12 +56,14 @@ __all__ = [
     "TrainingRecord",
     "TrainingSettings",
     "baseline_of",
+    "curve_of",
     "curve_text",
     "descend",
     "draw_samples",
     "estimate_hands",
     "figures_of",
     "hand_pool",
+    "kept_of",
     "learning_rate",
     "load_record",
     "load_stills",
@@ -57,10 +71,12 @@ __all__ = [
     "mirrored",
     "new_training",
     "observe",
+    "read_model",
     "restored",
     "save_record",
     "snapshot",
     "train",
     "training_data",
     "warmed_cosine",
+    "write_model",
 ]

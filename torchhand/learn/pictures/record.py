@@ -1,7 +1,6 @@
 """What a training from pictures leaves in its folder: the network with all that is needed to go on, and its log."""
 
 import importlib
-import io
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -10,10 +9,9 @@ from typing import Any
 
 import torch
 
-from torchhand.errors import InputError
-from torchhand.files.disk import replacing, write_text
+from torchhand.files.disk import write_text
 from torchhand.hand import HandModel
-from torchhand.learn import CURVE_NAME, MODEL_NAME, Curve, LossWeights, curve_text
+from torchhand.learn import CURVE_NAME, Curve, LossWeights, curve_of, curve_text, kept_of, read_model, write_model
 from torchhand.learn.pictures.network import PictureNetwork
 from torchhand.learn.pictures.teaching import TeachingWeights
 from torchhand.learn.pictures.training import PictureProgress, PictureTraining, new_picture_training
@@ -60,10 +58,7 @@ def save_picture_record(folder: Path, training: PictureProgress, sources: dict[s
         "network": training.network.state_dict(),
         "optimiser": training.optimiser.state_dict(),
     }
-    packed = io.BytesIO()  # torch's writer hides why a disk refuses
-    torch.save(content, packed)
-    with replacing(folder / MODEL_NAME) as temporary:
-        temporary.write_bytes(packed.getvalue())
+    write_model(folder, content)
     write_text(folder / CURVE_NAME, curve_text(curve))
     write_text(folder / LOG_NAME, "".join(json.dumps(row) + "\n" for row in curve))
     _write_events(folder / EVENTS_NAME, curve[-1:])
@@ -75,27 +70,18 @@ def load_picture_record(folder: Path) -> PictureRecord:
     Raises:
         InputError: not there, or no file of this kind.
     """
-    path = folder / MODEL_NAME
-    if not path.is_file():
-        raise InputError(f"{folder}: expected a folder with {MODEL_NAME} of an earlier training; there is none")
-    complaint = f"{path}: expected a network saved by learn_pose --pictures; it cannot be read as one"
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # the reader raises whatever it stumbles over
-        raise InputError(complaint) from error
-    try:
-        if not isinstance(content, dict) or content["format"] != _FORMAT:
-            raise ValueError(f"expected a mapping of the format {_FORMAT!r}")
+
+    def record_of(content: dict[str, Any]) -> PictureRecord:
         given = dict(content["settings"])
         weights, teaching = LossWeights(**given.pop("weights")), TeachingWeights(**given.pop("teaching"))
         return PictureRecord(
             settings=PictureTraining(**given, weights=weights, teaching=teaching),
             sources=dict(content["sources"]),
-            curve=[dict(row) for row in content["curve"]],
-            kept={name: content[name] for name in ("step", "network", "optimiser")},
+            curve=curve_of(content),
+            kept=kept_of(content),
         )
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(complaint) from error
+
+    return read_model(folder, _FORMAT, record_of, made_by="learn_pose --pictures")
 
 
 def _write_events(folder: Path, rows: Sequence[dict[str, int | float]]) -> None:
