@@ -20,7 +20,7 @@ from torchhand.devices import device_named
 from torchhand.errors import InputError
 from torchhand.files import check_output_folder, load_hand_model, load_settings
 from torchhand.fit import PostureResiduals
-from torchhand.runs import changes_of, known_hand
+from torchhand.runs import changes_of, known_hand, resume_option
 from torchhand.study.hypotheses import (
     CSV_NAME,
     NPZ_NAME,
@@ -160,7 +160,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         try:
             hypotheses, seconds = work.run(folder, workers)
         except KeyboardInterrupt:
-            option = "--resume in place of --overwrite" if arguments.overwrite else "--resume"
+            option = resume_option(arguments.overwrite)
             _say(f"stopped by Ctrl-C; the same command with {option} goes on from {folder.folder}")
             return STOPPED_BY_USER
         if not bool(hypotheses.is_registered.any()):

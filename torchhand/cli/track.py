@@ -23,6 +23,7 @@ from torchhand.runs import (
     how_to_go_on,
     keypoints_of,
     known_hand,
+    resume_option,
     settings_of,
     start_points_of,
     summary_of,
@@ -185,8 +186,7 @@ def _track_on_cluster(arguments: Arguments, request: Request, videos: Sequence[V
                     else:
                         print(report.summary)
     except KeyboardInterrupt:
-        option = "--resume in place of --overwrite" if arguments.overwrite else "--resume"
-        _say(f"stopped by Ctrl-C; the same command with {option} goes on")
+        _say(f"stopped by Ctrl-C; the same command with {resume_option(arguments.overwrite)} goes on")
         return STOPPED_BY_USER
     return WRONG_INPUT if has_failed else DONE
 

@@ -9,7 +9,7 @@ from torchhand.runs.run import Run, Say, header_of
 from torchhand.runs.seen_hands import PALM_METRES, cameras_of_detections, same_frames, seen_keypoints
 from torchhand.runs.short import fit_hand, track
 from torchhand.runs.streams import STANDARD_OUTPUT, check_streams
-from torchhand.runs.tracking import how_to_go_on, summary_of, track_live_rig, track_rig, track_sequence
+from torchhand.runs.tracking import how_to_go_on, resume_option, summary_of, track_live_rig, track_rig, track_sequence
 from torchhand.runs.videos import Video, VideoReport, track_videos, without_hand
 
 __all__ = [
@@ -35,6 +35,7 @@ __all__ = [
     "known_hand",
     "overlay_frames",
     "record_of",
+    "resume_option",
     "same_frames",
     "seen_keypoints",
     "settings_of",

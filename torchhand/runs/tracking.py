@@ -445,10 +445,17 @@ def summary_of(name: str, track: Track, out_dir: Path) -> str:
     return f"{'; '.join(parts)}; saved in {out_dir}"
 
 
+def resume_option(overwrite: bool) -> str:
+    """The option with which a command that was stopped goes on."""
+    return "--resume in place of --overwrite" if overwrite else "--resume"
+
+
 def how_to_go_on(out_dir: Path, *, overwrite: bool) -> str:
     """What to tell who has stopped a run."""
     folder = next((place for place in (out_dir / UNFINISHED_NAME, out_dir) if (place / JSONL_NAME).exists()), None)
     if folder is None:
         return "stopped by Ctrl-C"
-    option = "--resume in place of --overwrite" if overwrite else "--resume"
-    return f"stopped by Ctrl-C; what is tracked so far is in {folder}, and the same command with {option} goes on"
+    return (
+        f"stopped by Ctrl-C; what is tracked so far is in {folder}, and the same command with"
+        f" {resume_option(overwrite)} goes on"
+    )

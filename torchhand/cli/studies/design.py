@@ -13,6 +13,7 @@ from torchhand.cli.command import DONE, STOPPED_BY_USER, one_address, parse, thr
 from torchhand.cluster import Cluster
 from torchhand.errors import InputError
 from torchhand.files import check_output_folder, configs_dir
+from torchhand.runs import resume_option
 from torchhand.study.designed import load_study, printed_table, run_study
 
 DESIGN = "design"
@@ -77,7 +78,7 @@ def study_design(argv: Sequence[str]) -> int:
                 study, arguments.out, workers=workers, resume=arguments.resume, overwrite=arguments.overwrite
             )
     except KeyboardInterrupt:
-        option = "--resume in place of --overwrite" if arguments.overwrite else "--resume"
+        option = resume_option(arguments.overwrite)
         print(f"torchhand study: stopped by Ctrl-C; the same command with {option} goes on", file=sys.stderr)
         return STOPPED_BY_USER
     print(printed_table(study, found.rows))

@@ -18,6 +18,7 @@ from torchhand.cli.simulations import rig_cameras
 from torchhand.errors import InputError
 from torchhand.files import check_output_folder, load_hand_model
 from torchhand.fit.hull import HullTorqueSettings, TorqueSteps
+from torchhand.runs import resume_option
 from torchhand.study.ueda import (
     DEFAULT_STEPS,
     METHODS,
@@ -121,7 +122,7 @@ def study_ueda(argv: Sequence[str]) -> int:
             for name in tqdm(left, desc="study", unit="part", disable=not sys.stderr.isatty(), leave=False):
                 folder.save(name, plan[name]())
         except KeyboardInterrupt:
-            option = "--resume in place of --overwrite" if arguments.overwrite else "--resume"
+            option = resume_option(arguments.overwrite)
             print(f"torchhand study: stopped by Ctrl-C; the same command with {option} goes on", file=sys.stderr)
             return STOPPED_BY_USER
         parts = {name: folder.parts[name] for name in plan}
