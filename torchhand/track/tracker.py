@@ -131,6 +131,7 @@ class Tracker:
             appearance=looks,
             frames_since_search=state.frames_since_search + 1,
             frames_since_refit=state.frames_since_refit + 1,
+            frames_since_alternatives=state.frames_since_alternatives + 1,
         )
         followed = None
         if state.hand is not None and predicted is not None and state.shape is not None:
@@ -283,31 +284,72 @@ class Tracker:
         search = _Search(best=followed, proposed=None, has_foreground=followed is not None, reason="")
         facing = None if predicted is None else predicted.reference
         asked: dict[type, Candidate | None] = {}
+        is_tried = self._tries_alternatives(followed, state)
         for source in self.parts.sources:
             kind = type(source)
-            if not self._is_due(source, search.best, state) or (kind in asked and asked[kind] is search.best):
+            if not self._is_due(source, search.best, state, is_tried=is_tried):
+                continue
+            if kind in asked and asked[kind] is search.best:
                 continue
             asked[kind] = search.best
             if source.occasion == "declining":
                 state = replace(state, frames_since_refit=0)
-            proposals = source(scene, state, search.best)
+            before = search.best
+            proposals = source(scene, state, before)
             search, has_found = self._compared(search, proposals, facing, scene, state)
             if source.occasion == "search":
+                has_found &= search.best is not before
                 after = health.settings.next_search(state.search_after, has_found=has_found)
                 state = replace(state, frames_since_search=0, search_after=after)
-        return state, search
+        return self._after_alternatives(state, search, followed, is_tried=is_tried), search
 
-    def _is_due(self, source: ProposalSource, best: Candidate | None, state: TrackerState) -> bool:
+    def _tries_alternatives(self, followed: Candidate | None, state: TrackerState) -> bool:
+        """Whether other hands may be tried in the place of a degraded one: the less often the longer they are no
+        better, and at once where it explains less than when they were last tried."""
+        health = self.parts.health
+        if health.settings.alternatives_at_most_every == 1:
+            return True
+        if not health.is_degraded(followed, state.usual_score):
+            return False
+        drop = health.settings.max_score_drop
+        if followed is not None and 0 < health.score(followed) < state.score_in_vain - drop:
+            return True
+        since, after = state.frames_since_alternatives, state.alternatives_after
+        return health.alternatives_are_due(since, after, is_failing=health.is_failing(followed))
+
+    def _after_alternatives(
+        self, state: TrackerState, search: _Search, followed: Candidate | None, *, is_tried: bool
+    ) -> TrackerState:
+        health, best = self.parts.health, search.best
+        if health.settings.alternatives_at_most_every == 1:
+            return state
+        if not is_tried:
+            if health.is_degraded(best, state.usual_score):
+                return state
+            return replace(state, alternatives_after=state.alternatives_after // 2)
+        is_better = search.proposed is not None and health.is_found(best)
+        after = health.settings.next_alternatives(state.alternatives_after, is_better=is_better)
+        score = 0.0 if is_better or followed is None else health.score(followed)
+        return replace(state, frames_since_alternatives=0, alternatives_after=after, score_in_vain=score)
+
+    def _is_due(
+        self, source: ProposalSource, best: Candidate | None, state: TrackerState, *, is_tried: bool
+    ) -> bool:
+        """is_tried: whether other hands are tried in this frame."""
         health, occasion = self.parts.health, source.occasion
         if occasion == "always":
             return True
         if not health.is_degraded(best, state.usual_score):
             is_declining = best is not None and health.score(best) < state.best_score - _DECLINE
             return occasion == "declining" and is_declining and state.frames_since_refit >= _REFIT_EVERY
+        if not is_tried:
+            return False
         if occasion != "search":
             return True
-        is_urgent = health.settings.searches_when_failing and health.is_failing(best)
-        return is_urgent or state.frames_since_search >= state.search_after
+        is_failing, s = health.is_failing(best), health.settings
+        is_slow = s.alternatives_at_most_every > 1
+        after = s.search_at_most_every if is_slow and not is_failing else state.search_after
+        return (s.searches_when_failing and is_failing) or state.frames_since_search >= after
 
     def _compared(
         self, search: _Search, proposals: Proposals, facing: Tensor | None, scene: Scene, state: TrackerState

@@ -1,6 +1,7 @@
 """Signed distance from a hull's surface on a regular grid, read between its points with the gradient."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -82,7 +83,14 @@ class HullField:
         return found.to(cell.dtype).reshape(2, 2, 2, *index.shape)
 
 
-def hull_field(octree: Octree, *, margin: float = MARGIN, surface: Literal["outer", "middle"] = "outer") -> HullField:
+def hull_field(
+    octree: Octree,
+    *,
+    margin: float = MARGIN,
+    surface: Literal["outer", "middle"] = "outer",
+    within: tuple[Sequence[float], float] | None = None,
+    exact_to: float = math.inf,
+) -> HullField:
     """The field of every frame's hull, on a grid of finest octants around it.
 
     margin: metres around the hull that the grid reaches at least; at least one octant.
@@ -100,22 +108,19 @@ def hull_field(octree: Octree, *, margin: float = MARGIN, surface: Literal["oute
         raise ValueError(f"surface: expected 'outer' or 'middle', got {surface!r}")
     if not 0 <= margin < float("inf"):
         raise ValueError(f"margin: expected 0 or more metres, got {margin}")
-    boxes = [octree.occupancy(frame=frame) for frame in range(octree.frame_count)]
+    boxes = [_Box.of(octree, frame, within, has_inner=surface == "middle") for frame in range(octree.frame_count)]
+    steps = math.ceil(exact_to / octree.leaf_side) if math.isfinite(exact_to) else None
     border = max(1, round(margin / octree.leaf_side))
-    nx, ny, nz = (2 * border + max([1, *(filled.shape[axis] for filled, _ in boxes)]) for axis in range(3))
+    nx, ny, nz = (2 * border + max([1, *(box.filled.shape[axis] for box in boxes)]) for axis in range(3))
     size = (nx, ny, nz)
     device = octree.levels[0].states.device
     values = torch.empty(octree.frame_count, *size, device=device)
     first = torch.zeros(octree.frame_count, 3, dtype=torch.float64)
-    for frame, (filled, start) in enumerate(boxes):
-        start = (start[0] - border, start[1] - border, start[2] - border)
-        first[frame] = torch.tensor(start)
-        whole = torch.zeros(size, dtype=torch.bool, device=device)
-        nx, ny, nz = filled.shape
-        whole[border : border + nx, border : border + ny, border : border + nz] = filled
-        cells = _signed(whole)
-        if surface == "middle" and filled.numel():
-            cells = cells + 0.5 * _shell(cells, octree.occupancy_in(start, size, frame=frame, inner=True))
+    for frame, box in enumerate(boxes):
+        first[frame] = torch.tensor(box.start) - border
+        cells = _signed(_padded(box.filled, size, border), steps)
+        if box.inner is not None and box.filled.numel():
+            cells = cells + 0.5 * _shell(cells, _padded(box.inner, size, border), steps)
         values[frame] = octree.leaf_side * cells
     corner = torch.tensor(octree.root.corner, dtype=torch.float64)
     origin = (first + 0.5) * octree.leaf_side + corner
@@ -126,8 +131,50 @@ def hull_field(octree: Octree, *, margin: float = MARGIN, surface: Literal["oute
     )
 
 
-def distance_grid(marked: Bool[Tensor, "nx ny nz"]) -> Float[Tensor, "nx ny nz"]:
+@dataclass(frozen=True, kw_only=True)
+class _Box:
+    """The finest cells that a frame's hull fills, in a box of them."""
+
+    filled: Bool[Tensor, "nx ny nz"]
+    inner: Bool[Tensor, "nx ny nz"] | None
+    """The BLACK octants, where they are wanted."""
+    start: tuple[int, ...]
+    """The box's first cell."""
+
+    @classmethod
+    def of(cls, octree: Octree, frame: int, within: tuple[Sequence[float], float] | None, *, has_inner: bool) -> "_Box":
+        filled, start = octree.occupancy(frame=frame)
+        size = (filled.shape[0], filled.shape[1], filled.shape[2])
+        inner = octree.occupancy_in(start, size, frame=frame, inner=True) if has_inner else None
+        box = cls(filled=filled, inner=inner, start=start)
+        return box if within is None else box._cut(octree, *within)
+
+    def _cut(self, octree: Octree, centre: Sequence[float], half: float) -> "_Box":
+        """What of it lies in a cube; all of it where nothing does."""
+        kept: list[slice] = []
+        for axis, count in enumerate(self.filled.shape):
+            low = (centre[axis] - half - octree.root.corner[axis]) / octree.leaf_side - self.start[axis]
+            begin, end = math.floor(low), math.ceil(low + 2 * half / octree.leaf_side)
+            kept.append(slice(min(max(0, begin), count), max(0, end)))
+        filled = self.filled[tuple(kept)]
+        if not bool(filled.any()):
+            return self
+        start = tuple(own + part.start for own, part in zip(self.start, kept, strict=True))
+        return _Box(filled=filled, inner=None if self.inner is None else self.inner[tuple(kept)], start=start)
+
+
+def _padded(filled: Bool[Tensor, "_nx _ny _nz"], size: tuple[int, int, int], border: int) -> Bool[Tensor, "nx ny nz"]:
+    """Cells in a larger box, from the border on."""
+    whole = torch.zeros(size, dtype=torch.bool, device=filled.device)
+    nx, ny, nz = filled.shape
+    whole[border : border + nx, border : border + ny, border : border + nz] = filled
+    return whole
+
+
+def distance_grid(marked: Bool[Tensor, "nx ny nz"], *, steps: int | None = None) -> Float[Tensor, "nx ny nz"]:
     """Euclidean distance of every cell's centre from that of the nearest marked cell; infinite if there is none.
+
+    steps: cells up to which distances are exact; larger ones may be too large. All are without it.
 
     Exact: distances within planes, then along the shortest axis the least of (x - x')² + those². Squares of distances
     are whole numbers, to which they are rounded.
@@ -136,15 +183,15 @@ def distance_grid(marked: Bool[Tensor, "nx ny nz"]) -> Float[Tensor, "nx ny nz"]
     squared = distance_map(marked.movedim(first, 0)).square_().round_()
     lowest = squared.clone()
     if marked.device.type == "cpu":  # half the time that torch takes for so little
-        _min_along(squared.numpy(), lowest.numpy(), np.minimum)
+        _min_along(squared.numpy(), lowest.numpy(), np.minimum, steps)
     else:
-        _min_along(squared, lowest, torch.minimum)
+        _min_along(squared, lowest, torch.minimum, steps)
     return lowest.sqrt_().movedim(0, first)
 
 
-def _min_along(squared: Any, lowest: Any, minimum: Callable[..., object]) -> None:
+def _min_along(squared: Any, lowest: Any, minimum: Callable[..., object], steps: int | None) -> None:
     """The least over the first axis of its squared distance and what is there, written to `lowest`."""
-    for step in range(1, len(squared)):
+    for step in range(1, len(squared) if steps is None else min(len(squared), steps + 1)):
         if step**2 >= float(lowest.max()):
             break
         moved = squared + step**2
@@ -152,18 +199,18 @@ def _min_along(squared: Any, lowest: Any, minimum: Callable[..., object]) -> Non
         minimum(lowest[:-step], moved[step:], out=lowest[:-step])
 
 
-def _signed(filled: Bool[Tensor, "nx ny nz"]) -> Float[Tensor, "nx ny nz"]:
+def _signed(filled: Bool[Tensor, "nx ny nz"], steps: int | None) -> Float[Tensor, "nx ny nz"]:
     """Distance from the surface of the marked cells, in cells, negative inside; the diagonal where there are none."""
     diagonal = torch.tensor(filled.shape, dtype=torch.float64).norm()
-    outside, inside = distance_grid(filled) - 0.5, 0.5 - distance_grid(~filled)
+    outside, inside = distance_grid(filled, steps=steps) - 0.5, 0.5 - distance_grid(~filled)
     return torch.where(filled, inside, outside).clamp_max(float(diagonal))
 
 
 def _shell(
-    outer: Float[Tensor, "nx ny nz"], black: Bool[Tensor, "nx ny nz"]
+    outer: Float[Tensor, "nx ny nz"], black: Bool[Tensor, "nx ny nz"], steps: int | None
 ) -> Float[Tensor, "nx ny nz"] | Float[Tensor, ""]:
     """Cells between the outer surface and the BLACK octants, at most as many as usual along the surface."""
     if not bool(black.any()):
         return torch.ones((), device=outer.device)
-    shell = _signed(black) - outer
+    shell = _signed(black, steps) - outer
     return torch.minimum(shell, shell[(outer < 0) & (outer > -1)].median())

@@ -63,6 +63,11 @@ class TrackerState:
     """Frames after which a search without any guess is due."""
     frames_since_refit: int = 0
     """Frames since a followed hand was fitted once more with larger steps."""
+    frames_since_alternatives: int = 0
+    alternatives_after: int = 0
+    """Frames after which other hands are tried in the place of a degraded one."""
+    score_in_vain: float = 0.0
+    """Score of the hand for which other ones were last tried in vain; 0 where they were not."""
     frames_since_colours: int = 0
     """Good frames since colours were last learned."""
     has_started: bool = False

@@ -18,6 +18,8 @@ from torchhand.volume import Carver, CarvingSettings, Octree, RootCube, hull_fie
 
 _MAX_LEVEL = 10
 _COARSE_LEAF = 0.016  # metres: leaves of the hull that tells where a hand may be
+_REACH = 0.15  # metres from the middle finger's knuckle to what is no hand
+_EXACT_TO = 0.04  # metres outside a hull that is followed: distances farther away say only that they are large
 _MARGIN = 1.5  # leaves of the coarse hull that are kept about that place
 _RAYS, _SPARE = 600, 2  # rays through edges, and how many times as many there are to choose from
 _MIN_VOLUME = 3e-5  # cubic metres: a hull that is smaller is no hand (a child's has five times that)
@@ -108,7 +110,8 @@ class Hulls:
             return self._hull(masks, root, self.settings.level)
         leaf = side / 2**self.settings.level
         x, y, z = (leaf * round(float(value) / leaf) for value in place)
-        return self._hull(masks, RootCube(centre=(x, y, z), side=side), self.settings.level)
+        cube = RootCube(centre=(x, y, z), side=side)
+        return self._hull(masks, cube, self.settings.level, reach=_REACH)
 
     def _hull(
         self,
@@ -117,11 +120,15 @@ class Hulls:
         level: int,
         min_volume: float = _MIN_VOLUME,
         end: HandEnd | None = None,
+        reach: float | None = None,
     ) -> Hull:
+        """reach: metres from the cube's centre within which the hull is wanted."""
         carved = self._carved(masks, root, level, min_volume)
         if carved.octree is None:
             return Hull(target=None, views=carved.views, reason=carved.reason)
-        target = target_of(hull_field(carved.octree, surface="middle"))
+        within = None if reach is None else (root.centre, reach)
+        exact_to = math.inf if reach is None else _EXACT_TO
+        target = target_of(hull_field(carved.octree, surface="middle", within=within, exact_to=exact_to))
         if end is not None:
             target = target.where(end)
         if self._contours:

@@ -24,6 +24,8 @@ _SURE_DIRECTION = 0.3  # agreement with that view which is as good as any: half 
 _MIN_DIRECTION = 0.12  # agreement below which it is in doubt
 _ONE_PLACE_M = 0.1  # between the palms of two hands that are the same hand otherwise held: half a hand's length
 _RIG_SEARCH_EVERY = 60  # frames from one search of several cameras to the next where they find nothing
+_RIG_ALTERNATIVES_EVERY = 32  # frames from one attempt of several cameras to the next where they are in vain
+_FAILING_EVERY = 8  # frames from one such attempt to the next at most while the hand is failing or lost
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +64,9 @@ class HealthSettings:
 
     searches_when_failing: bool = True
     """Whether a failing or lost hand is searched at once, whatever the time since the last search."""
+    alternatives_at_most_every: int = 1
+    """Frames from one attempt to find a degraded hand otherwise to the next where these keep being in vain: 1 for one
+    at every frame; 1 or more."""
 
     @property
     def first_search_after(self) -> int:
@@ -72,15 +77,25 @@ class HealthSettings:
         """Frames to the next search, the last one having come after so many: the more, the longer nothing is found."""
         return self.search_every if has_found else min(max(2 * after, 1), self.search_at_most_every)
 
+    def next_alternatives(self, after: int, *, is_better: bool) -> int:
+        """Frames to the next attempt to find a degraded hand otherwise, the last one having come after so many."""
+        return max(1, after // 2) if is_better else min(max(2 * after, 1), self.alternatives_at_most_every)
+
+    def alternatives_are_due(self, since: int, after: int, *, is_failing: bool) -> bool:
+        """Whether a degraded hand is to be found otherwise, so many frames after the last attempt."""
+        return since >= (min(after, _FAILING_EVERY) if is_failing else after)
+
     def for_rig(self) -> "HealthSettings":
         """For several cameras: what one view leaves unexplained the others decide, as they do how far a hand is; and a
-        search without a guess takes seconds, so that it comes the less often the longer it finds nothing."""
+        search without a guess takes seconds, other hands tenths of one, so that they come the less often the longer
+        they bring nothing better."""
         return replace(
             self,
             max_unexplained=float("inf"),
             nearer_by=0.0,
             searches_when_failing=False,
             search_at_most_every=max(self.search_at_most_every, _RIG_SEARCH_EVERY),
+            alternatives_at_most_every=max(self.alternatives_at_most_every, _RIG_ALTERNATIVES_EVERY),
         )
 
     def __post_init__(self) -> None:
@@ -94,7 +109,7 @@ class HealthSettings:
         for name in (*shares, "max_score_drop", "better_by", "turned_by", "nearer_by"):
             require(0 <= getattr(self, name) <= 1, f"health.{name}", "0 to 1", getattr(self, name))
         require(self.max_unexplained >= 0, "health.max_unexplained", "0 or more", self.max_unexplained)
-        for name in ("patience", "search_every"):
+        for name in ("patience", "search_every", "alternatives_at_most_every"):
             require(getattr(self, name) >= 1, f"health.{name}", "1 or more", getattr(self, name))
         is_rarer = self.search_at_most_every >= self.search_every
         require(is_rarer, "health.search_at_most_every", "search_every or more", self.search_at_most_every)
