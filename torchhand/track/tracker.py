@@ -21,7 +21,7 @@ from torchhand.precision import without_autocast
 from torchhand.propose import LearnedPosture
 from torchhand.track.assembly import Assembly, assembled
 from torchhand.track.belief import FollowedHand, posed_belief, scale_covariance, unknown_scale_std
-from torchhand.track.knowledge import Estimate, TrackerState
+from torchhand.track.knowledge import REFIT_EVERY, Estimate, TrackerState
 from torchhand.track.proposals import Proposals, ProposalSource, Proposed
 from torchhand.track.quality import FingerEvidence, Told, qualities
 from torchhand.track.scene import (
@@ -43,7 +43,7 @@ _DECLINE = 0.03  # score less than at best, from which on a followed hand is fit
 _SURE_EDGES = 0.85  # share of the edges that a whole hand explains at least
 _DIRECTION_KEPT = 0.8  # share of the direction's agreement that outlasts a frame
 _TOLD = 0.01  # score that a hand may have less which the network bears out
-_REFIT_EVERY = 10  # frames from one such fit to the next at least
+_VAIN_REFIT_EVERY = 40  # the same where they keep bringing nothing better
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -284,16 +284,13 @@ class Tracker:
         search = _Search(best=followed, proposed=None, has_foreground=followed is not None, reason="")
         facing = None if predicted is None else predicted.reference
         asked: dict[type, Candidate | None] = {}
-        is_tried = self._tries_alternatives(followed, state)
+        tried = self._tried(followed, state)
         for source in self.parts.sources:
             kind = type(source)
-            if not self._is_due(source, search.best, state, is_tried=is_tried):
-                continue
-            if kind in asked and asked[kind] is search.best:
+            is_due = self._is_due(source, search.best, state, is_tried=kind in tried)
+            if not is_due or (kind in asked and asked[kind] is search.best):
                 continue
             asked[kind] = search.best
-            if source.occasion == "declining":
-                state = replace(state, frames_since_refit=0)
             before = search.best
             proposals = source(scene, state, before)
             search, has_found = self._compared(search, proposals, facing, scene, state)
@@ -301,55 +298,70 @@ class Tracker:
                 has_found &= search.best is not before
                 after = health.settings.next_search(state.search_after, has_found=has_found)
                 state = replace(state, frames_since_search=0, search_after=after)
-        return self._after_alternatives(state, search, followed, is_tried=is_tried), search
+            elif source.occasion == "declining":
+                is_vain = search.best is before
+                after = min(2 * state.refit_after, _VAIN_REFIT_EVERY) if is_vain else REFIT_EVERY
+                state = replace(state, frames_since_refit=0, refit_after=after)
+        return self._after_alternatives(state, search, tried), search
 
-    def _tries_alternatives(self, followed: Candidate | None, state: TrackerState) -> bool:
-        """Whether other hands may be tried in the place of a degraded one: the less often the longer they are no
-        better, and at once where it explains less than when they were last tried."""
-        health = self.parts.health
+    def _tried(self, followed: Candidate | None, state: TrackerState) -> frozenset[type]:
+        """Kinds of sources that may be asked for other hands in the place of a degraded one.
+
+        All at once where it has only now become so, or is failing, or explains less than when it was last tried; else
+        one after the other. The longer they do not help, the fewer frames.
+        """
+        health, kinds = self.parts.health, self._kinds
         if health.settings.alternatives_at_most_every == 1:
-            return True
+            return frozenset(kinds)
         if not health.is_degraded(followed, state.usual_score):
-            return False
-        drop = health.settings.max_score_drop
-        if followed is not None and 0 < health.score(followed) < state.score_in_vain - drop:
-            return True
+            return frozenset()
         since, after = state.frames_since_alternatives, state.alternatives_after
-        return health.alternatives_are_due(since, after, is_failing=health.is_failing(followed))
+        drop = health.settings.max_score_drop
+        has_dropped = followed is not None and health.score(followed) < state.score_in_vain - drop
+        is_failing = health.is_failing(followed)
+        if not has_dropped and not health.settings.alternatives_are_due(since, after, is_failing=is_failing):
+            return frozenset()
+        if has_dropped or is_failing or after == 0:
+            return frozenset(kinds)
+        return frozenset((kinds[state.alternatives_tried % len(kinds)],))
 
-    def _after_alternatives(
-        self, state: TrackerState, search: _Search, followed: Candidate | None, *, is_tried: bool
-    ) -> TrackerState:
-        health, best = self.parts.health, search.best
-        if health.settings.alternatives_at_most_every == 1:
+    @property
+    def _kinds(self) -> tuple[type, ...]:
+        """Kinds of the sources that are asked about a degraded hand, in their order."""
+        return tuple(dict.fromkeys(type(one) for one in self.parts.sources if one.occasion != "always"))
+
+    def _after_alternatives(self, state: TrackerState, search: _Search, tried: frozenset[type]) -> TrackerState:
+        health, best, settings = self.parts.health, search.best, self.parts.health.settings
+        if settings.alternatives_at_most_every == 1:
             return state
-        if not is_tried:
-            if health.is_degraded(best, state.usual_score):
-                return state
-            return replace(state, alternatives_after=state.alternatives_after // 2)
-        is_better = search.proposed is not None and health.is_found(best)
-        after = health.settings.next_alternatives(state.alternatives_after, is_better=is_better)
-        score = 0.0 if is_better or followed is None else health.score(followed)
-        return replace(state, frames_since_alternatives=0, alternatives_after=after, score_in_vain=score)
+        is_healthy = not health.is_degraded(best, state.usual_score)
+        if not tried:
+            return replace(state, alternatives_after=max(0, state.alternatives_after - is_healthy))
+        return replace(
+            state,
+            frames_since_alternatives=0,
+            alternatives_after=settings.next_alternatives(state.alternatives_after, has_helped=is_healthy),
+            alternatives_tried=state.alternatives_tried + (len(tried) == 1),
+            score_in_vain=0.0 if is_healthy or best is None else health.score(best),
+        )
 
-    def _is_due(
-        self, source: ProposalSource, best: Candidate | None, state: TrackerState, *, is_tried: bool
-    ) -> bool:
-        """is_tried: whether other hands are tried in this frame."""
+    def _is_due(self, source: ProposalSource, best: Candidate | None, state: TrackerState, *, is_tried: bool) -> bool:
+        """is_tried: whether it may be asked about a degraded hand in this frame."""
         health, occasion = self.parts.health, source.occasion
         if occasion == "always":
             return True
         if not health.is_degraded(best, state.usual_score):
             is_declining = best is not None and health.score(best) < state.best_score - _DECLINE
-            return occasion == "declining" and is_declining and state.frames_since_refit >= _REFIT_EVERY
+            return occasion == "declining" and is_declining and state.frames_since_refit >= state.refit_after
         if not is_tried:
             return False
         if occasion != "search":
             return True
-        is_failing, s = health.is_failing(best), health.settings
-        is_slow = s.alternatives_at_most_every > 1
-        after = s.search_at_most_every if is_slow and not is_failing else state.search_after
-        return (s.searches_when_failing and is_failing) or state.frames_since_search >= after
+        s = health.settings
+        has_hand = s.alternatives_at_most_every > 1 and best is not None and health.is_found(best)
+        after = s.search_at_most_every if has_hand else state.search_after
+        is_urgent = s.searches_when_failing and health.is_failing(best)
+        return is_urgent or state.frames_since_search >= after
 
     def _compared(
         self, search: _Search, proposals: Proposals, facing: Tensor | None, scene: Scene, state: TrackerState

@@ -1,7 +1,7 @@
 """How a hand is fitted into a visual hull: by least squares from coarse to fine, or by torques (Ueda et al. 2003)."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 from torchhand.errors import require, require_positive
@@ -167,6 +167,12 @@ class HullStartSettings:
     """Rounds in which single digits of the best of these are tried in other postures; 0 or more."""
     evaluated_at_once: int = 64
     """Hypotheses that are evaluated together; bounds the memory. 1 or more."""
+
+    def reduced(self) -> "HullStartSettings":
+        """Half the hypotheses, and further fingers of the best of them in one round alone."""
+        coarse, fine = max(1, self.coarse // 2), max(1, (self.fine + 1) // 2)
+        rounds = min(1, self.finger_rounds)
+        return replace(self, coarse=coarse, fine=fine, finger_hypotheses=1, finger_rounds=rounds)
 
     def __post_init__(self) -> None:
         counts = ("places", "rolls", "vertices", "points", "coarse", "fine", "rays", "finger_hypotheses")

@@ -11,6 +11,8 @@ from torchhand.track.belief import FollowedHand
 from torchhand.track.scene import Appearances, PackedMask
 
 _SAME_TIME_S = 1e-3
+REFIT_EVERY = 10
+"""Frames from one fit with larger steps of a hand that declines to the next at least."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,11 +65,15 @@ class TrackerState:
     """Frames after which a search without any guess is due."""
     frames_since_refit: int = 0
     """Frames since a followed hand was fitted once more with larger steps."""
+    refit_after: int = REFIT_EVERY
+    """Frames after which such a fit is due."""
     frames_since_alternatives: int = 0
     alternatives_after: int = 0
     """Frames after which other hands are tried in the place of a degraded one."""
+    alternatives_tried: int = 0
+    """Attempts in which one source of other hands was asked: the next one asks the next source."""
     score_in_vain: float = 0.0
-    """Score of the hand for which other ones were last tried in vain; 0 where they were not."""
+    """Score of the hand that stayed degraded when others were last tried; 0 where these helped."""
     frames_since_colours: int = 0
     """Good frames since colours were last learned."""
     has_started: bool = False

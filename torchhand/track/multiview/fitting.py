@@ -11,6 +11,7 @@ from torchhand.fit import GaussianPrior, PostureResiduals, SharedSolution, Solut
 from torchhand.fit.hull import (
     HullEvidence,
     HullFitter,
+    HullTarget,
     JointPriors,
     find_in_hull,
     finger_proposals,
@@ -45,6 +46,9 @@ _TURNS_DEG = (
     *((0.0, 0.0, angle) for angle in (-25.0, 25.0)),
 )
 """Rotation vectors about the hand's axes, degrees: mostly about that of the forearm."""
+_REFINED = 3  # hands that are fitted to all data, of those that were compared with some of them
+_FEW_RAYS = 200
+_BENT = 0.1  # radians in any joint, from which on another posture was found
 _ALIKE = 0.25  # part of what the best fit leaves unexplained: scores that differ by less are alike, the cost decides
 
 
@@ -114,6 +118,8 @@ class _Fitters:
 
     tracking: HullFitter
     """Fitter from a prediction, or from a pose that differs by one digit."""
+    trying: HullFitter
+    """Fitter that compares many hands with some of the data."""
     refining: HullFitter
     """Fitter from a pose that may be 10 mm off."""
     searching: HullFitter
@@ -145,8 +151,11 @@ class FrameFitter:
 
     def hull_about(self, pose: HandPose, shape: Float[Tensor, "shape"], masks: Masks) -> Hull:
         """The hull where a hand is, or is expected."""
-        hand = self.hand.kinematics(pose.dofs, shape, root_reference=pose.reference)
-        return self.hulls.near(masks, hand.keypoints[_KNUCKLE])
+        return self.hulls.near(masks, self.place_of(pose, shape))
+
+    def place_of(self, pose: HandPose, shape: Float[Tensor, "shape"]) -> Float[Tensor, "3"]:
+        """The knuckle about which the hull of a hand is carved."""
+        return self.hand.kinematics(pose.dofs, shape, root_reference=pose.reference).keypoints[_KNUCKLE]
 
     def hull_anywhere(self, shape: Float[Tensor, "shape"] | None, masks: Masks) -> Hull:
         """What may be the hand in all that the silhouettes show, arm included; for a shape, or the largest tried."""
@@ -220,7 +229,9 @@ class FrameFitter:
         """The best of the hands in one place, with single digits in other postures or in the postures of others; the
         cheapest after small steps are refined. Twice: a digit may have to move before another has room."""
         first = self._varied(hull, pose, others, shape, masks)
-        return None if first is None else best_of([first, self._varied(hull, first.pose, [], shape, masks)])
+        if first is None or not _is_bent_otherwise(first.pose, pose):
+            return first
+        return best_of([first, self._varied(hull, first.pose, [], shape, masks)])
 
     def _varied(
         self, hull: Hull, pose: HandPose, others: Sequence[HandPose], shape: Tensor, masks: Masks
@@ -230,8 +241,8 @@ class FrameFitter:
         postures = [torch.cat((pose.dofs[:6], other.dofs[6:])) for other in others]
         tried = HandPose.of(torch.stack([*finger_proposals(pose).dofs, *postures]), pose.reference)
         fitters = self._fitters_for(shape)
-        found = fitters.tracking(hull.target, tried)
-        cheapest = found.pose[found.cost.argsort()[: self.settings.start.fine]]
+        found = fitters.trying(_with_few_rays(hull.target), tried)
+        cheapest = found.pose[found.cost.argsort()[:_REFINED]]
         return self._best(fitters.refining, hull, cheapest, shape, masks)
 
     def vary_orientation(
@@ -243,16 +254,32 @@ class FrameFitter:
         references = rotation_from_vector(turns @ pose.reference.mT) @ pose.reference
         moved = palm + references @ (pose.reference.mT @ (pose.dofs[:3] - palm))
         tried = HandPose.of(torch.cat((moved, pose.dofs[3:].expand(len(moved), -1)), -1), references)
-        return self._best(self._fitters_for(shape).refining, hull, tried, shape, masks)
+        if hull.target is None:
+            return None
+        fitters = self._fitters_for(shape)
+        found = replace(fitters.trying, schedule=_REFINING)(_with_few_rays(hull.target), tried)
+        cheapest = found.pose[found.cost.argsort()[:_REFINED]]
+        return self._best(fitters.tracking, hull, cheapest, shape, masks)
 
     def fit_proposed(
-        self, hull: Hull, proposals: HandPose | None, shape: Float[Tensor, "shape"], masks: Masks
+        self,
+        hull: Hull,
+        proposals: HandPose | None,
+        shape: Float[Tensor, "shape"],
+        masks: Masks,
+        *,
+        tries_fingers: bool = True,
     ) -> HullFit | None:
-        """The best of some proposed hands (n,), which may be a good way off; None without a hull or a proposal."""
+        """The best of some proposed hands (n,), which may be a good way off; None without a hull or a proposal.
+
+        tries_fingers: in other postures too; not needed where keypoints told these.
+        """
         if hull.target is None or hull.target.is_empty or proposals is None or not len(proposals):
             return None
-        fitter = self._fitters_for(shape).searching
-        return self._compared(fit_proposals(hull.target, fitter, proposals, shape, self.settings.start), shape, masks)
+        fitter, settings = self._fitters_for(shape).searching, self.settings.start
+        if not tries_fingers:
+            settings = replace(settings, proposed_finger_rounds=0)
+        return self._compared(fit_proposals(hull.target, fitter, proposals, shape, settings), shape, masks)
 
     def turn_over(self, hull: Hull, pose: HandPose, shape: Float[Tensor, "shape"], masks: Masks) -> HullFit | None:
         """The hand fitted from one that shows its back where a hand shows its palm, in the same place; two views tell
@@ -262,11 +289,20 @@ class FrameFitter:
         turned = HandPose.of(torch.cat((moved, pose.dofs[3:])), pose.reference @ over)
         return self.fit_proposed(hull, HandPose.stack([turned]), shape, masks)
 
-    def search(self, hull: Hull, shape: Float[Tensor, "shape"], masks: Masks) -> HullFit | None:
-        """The best of a search without any guess; None where nothing can be looked for."""
+    def search(
+        self, hull: Hull, shape: Float[Tensor, "shape"], masks: Masks, *, is_quick: bool = False
+    ) -> HullFit | None:
+        """The best of a search without any guess; None where nothing can be looked for. is_quick: with half the
+        hypotheses, in a third of the time."""
         if hull.target is None:
             return None
-        found = find_in_hull(hull.target, self._fitters_for(shape).searching, shape[None], self.settings.start)
+        settings = self.settings.start
+        found = find_in_hull(
+            hull.target,
+            self._fitters_for(shape).searching,
+            shape[None],
+            settings.reduced() if is_quick else settings,
+        )
         return best_of([self._compared(one.found, shape, masks) for one in found])
 
     def fit_shape(
@@ -318,11 +354,20 @@ class FrameFitter:
             comparison = SilhouetteComparison(self.hand.kinematics, self.cameras, shape, side_px=s.check_side_px)
             self._fitters = _Fitters(
                 tracking=tracking,
+                trying=replace(tracking, settings=replace(tracking.settings, vertices=s.start.vertices)),
                 refining=replace(tracking, schedule=_REFINING),
                 searching=searching,
                 comparison=comparison,
             )
         return self._fitters
+
+
+def _with_few_rays(target: HullTarget) -> HullTarget:
+    return target if target.rays is None else replace(target, rays=target.rays.thinned(_FEW_RAYS))
+
+
+def _is_bent_otherwise(one: HandPose, other: HandPose) -> bool:
+    return float((one.dofs[6:] - other.dofs[6:]).abs().max()) > _BENT
 
 
 def best_of(fits: Sequence[HullFit | None]) -> HullFit | None:

@@ -24,6 +24,7 @@ SHAPE_AT = (1, 3, 6)
 _SCORE_PER_NAT = 1e-3  # score that a nat of a fit's cost is worth between fits that explain a frame alike
 _FACING_VIEWS = 3  # views that tell by themselves how a hand faces
 _MAX_POSES = 8  # poses of other frames that are tried as starts
+_MAX_OTHERS = 5  # of these, best first, where all frames decide together how the hand faces
 
 
 Proposer = Callable[[Scene, Tensor], HandPose | None]
@@ -67,6 +68,7 @@ def initialize_hand(
     frames: Iterable[tuple[int, Scene]],
     propose: Proposer,
     *,
+    detect: Proposer = lambda scene, shape: None,
     shape: Float[Tensor, "shape"] | None = None,
     done: Callable[[bool], object] = lambda is_found: None,
 ) -> HandInitialization:
@@ -77,7 +79,8 @@ def initialize_hand(
     what the ones before have told. Where the views do not tell palm from back, proportions wait until all frames have
     decided that together: those of a hand held the wrong way round would make all others alike.
 
-    shape: known proportions, which are then only used. done: called after every frame, told whether the hand was found.
+    detect: hands that are known so well that nothing else is proposed where they explain enough. shape: known
+    proportions, which are then only used. done: called after every frame, told whether the hand was found.
 
     Without any frame in which a hand is found the proportions are the generic hand's, or those given.
     """
@@ -88,7 +91,10 @@ def initialize_hand(
     for index, scene in frames:
         frame = _Frame(index=index, masks=scene.masks, hull=fitter.hull_anywhere(shape, scene.masks))
         for size in sizes:
-            frame = replace(frame, fit=_found(fitter, frame, size, propose(scene, size), _fits_of(seen)))
+            fit = _told(fitter, frame, size, detect(scene, size))
+            if fit is None:
+                fit = _found(fitter, frame, size, propose(scene, size), _fits_of(seen))
+            frame = replace(frame, fit=fit)
             if frame.fit is not None:
                 sizes = [size]
                 break
@@ -113,6 +119,12 @@ def initialize_hand(
     )
 
 
+def _told(fitter: FrameFitter, frame: _Frame, shape: Tensor, detected: HandPose | None) -> HullFit | None:
+    """The hand that detected keypoints tell of, where it explains so much that nothing else is looked for."""
+    found = fitter.fit_proposed(frame.hull, detected, shape, frame.masks, tries_fingers=False)
+    return None if found is None or found.score < _EXPLAINED else _accepted(fitter, found)
+
+
 def _found(
     fitter: FrameFitter, frame: _Frame, shape: Tensor, proposals: HandPose | None, fits: Sequence[HullFit]
 ) -> HullFit | None:
@@ -126,8 +138,10 @@ def _found(
         if found is None or found.score < _EXPLAINED:
             found = best_of([found, fitter.search(frame.hull, shape, frame.masks)])
         return _accepted(fitter, found)
-    searched = fitter.search(frame.hull, shape, frame.masks)
-    found = best_of([_on_both_sides(fitter, frame, shape, one) for one in (found, searched)])
+    found = _on_both_sides(fitter, frame, shape, found)
+    if found is None or found.score < _EXPLAINED:
+        searched = fitter.search(frame.hull, shape, frame.masks)
+        found = best_of([found, _on_both_sides(fitter, frame, shape, searched)])
     return _accepted(fitter, found)
 
 
@@ -143,7 +157,8 @@ def _consistent(fitter: FrameFitter, seen: Sequence[_Frame], shape: Tensor) -> l
     found = [(place, frame, frame.fit) for place, frame in enumerate(seen) if frame.fit is not None]
     alternatives = []
     for _, frame, fit in found:
-        others = [other.pose for _, _, other in found if other is not fit]
+        others = [other for _, _, other in found if other is not fit]
+        others = [other.pose for other in sorted(others, key=lambda one: -one.score)[:_MAX_OTHERS]]
         alternatives.append([fit, *fitter.fit_in_place(frame.hull, fit.pose, others, shape, frame.masks)])
     scores = [torch.tensor([fit.score - _SCORE_PER_NAT * float(fit.cost) for fit in own]) for own in alternatives]
     facing = [torch.stack([fit.pose.reference for fit in own]) for own in alternatives]

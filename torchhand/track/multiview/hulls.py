@@ -19,6 +19,7 @@ from torchhand.volume import Carver, CarvingSettings, Octree, RootCube, hull_fie
 _MAX_LEVEL = 10
 _COARSE_LEAF = 0.016  # metres: leaves of the hull that tells where a hand may be
 _REACH = 0.15  # metres from the middle finger's knuckle to what is no hand
+_SERVES = 0.04  # metres from the place about which a hull is known to that of a hand which is fitted into it
 _EXACT_TO = 0.04  # metres outside a hull that is followed: distances farther away say only that they are large
 _MARGIN = 1.5  # leaves of the coarse hull that are kept about that place
 _RAYS, _SPARE = 600, 2  # rays through edges, and how many times as many there are to choose from
@@ -35,6 +36,12 @@ class Hull:
     """Views from which the hull was carved."""
     reason: str = ""
     """Why the silhouettes have no hull."""
+    about: Float[Tensor, "3"] | None = None
+    """Place about which the hull is known, world frame, metres; None where all of it is."""
+
+    def serves(self, place: Float[Tensor, "3"]) -> bool:
+        """Whether a hand at a place would be in what is known of the hull."""
+        return self.about is None or bool((place - self.about).norm() <= _SERVES)
 
     def with_observations(self, observations: tuple[Observation, ...]) -> "Hull":
         """The same with what else is known of the hand at that time."""
@@ -111,7 +118,7 @@ class Hulls:
         leaf = side / 2**self.settings.level
         x, y, z = (leaf * round(float(value) / leaf) for value in place)
         cube = RootCube(centre=(x, y, z), side=side)
-        return self._hull(masks, cube, self.settings.level, reach=_REACH)
+        return replace(self._hull(masks, cube, self.settings.level, reach=_REACH), about=place)
 
     def _hull(
         self,

@@ -57,7 +57,8 @@ def initialize(
     fitter = FrameFitter(hand, silhouettes.cameras, settings)
     if settings.shape_frames == 0 and shape is None:
         shape = hand.kinematics.default_shape
-    found = initialize_hand(fitter, seen, replace(proposer, cameras=fitter.cameras), shape=shape, done=done)
+    own = replace(proposer, cameras=fitter.cameras)
+    found = initialize_hand(fitter, seen, own, detect=own.detected, shape=shape, done=done)
     return Initialization(hand=found, skins=skins)
 
 
@@ -92,8 +93,8 @@ def _with_unit(
     if not units:
         nothing = HandInitialization(shape=hand.kinematics.default_shape, shape_std=None, poses={}, shape_frames=())
         return Initialization(hand=nothing, skins=skins)
-    # Sizes differ more than what further fingers tell, which take half of a search's time.
-    rough = replace(settings, start=replace(settings.start, finger_hypotheses=1, finger_rounds=1))
+    # Sizes differ more than what further fingers and hypotheses tell, which take most of a search's time.
+    rough = replace(settings, start=settings.start.reduced())
     fitters = {unit: FrameFitter(hand, in_unit(silhouettes.cameras, unit), rough) for unit in units}
     proposers = {unit: replace(proposer, cameras=fitter.cameras) for unit, fitter in fitters.items()}
     shown = dict(seen)
@@ -101,9 +102,10 @@ def _with_unit(
     def agreement(unit: float) -> float:
         return max(_agreement(fitters[unit], shown[index], proposers[unit]) for index, _ in decisive)
 
-    nominal = max(units, key=agreement)
+    nominal = _climbed(units, agreement)
     fitter = FrameFitter(hand, in_unit(silhouettes.cameras, nominal), settings)
-    found = initialize_hand(fitter, seen, proposers[nominal], done=done)
+    own = proposers[nominal]
+    found = initialize_hand(fitter, seen, own, detect=own.detected, done=done)
     if not found.poses:
         return Initialization(hand=found, skins=skins)
     known = space.default.to(found.shape) if shape is None else shape
@@ -111,6 +113,23 @@ def _with_unit(
     poses = {index: resized_pose(pose, factor) for index, pose in found.poses.items()}
     own = resized_shape(found.shape, factor, space) if shape is None else shape
     return Initialization(hand=replace(found, shape=own, poses=poses), skins=skins, metres=factor * nominal)
+
+
+def _climbed(ordered: Sequence[float], value: Callable[[float], float]) -> float:
+    """Where a function of one hill is highest, from the middle on: beyond a fall it is not asked."""
+    values: dict[int, float] = {}
+
+    def at(place: int) -> float:
+        if not 0 <= place < len(ordered):
+            return -1.0
+        if place not in values:
+            values[place] = value(ordered[place])
+        return values[place]
+
+    best = len(ordered) // 2
+    while (above := max((best - 1, best + 1), key=at)) != best and at(above) > at(best):
+        best = above
+    return ordered[best]
 
 
 def _agreement(fitter: FrameFitter, scene: Scene, propose: HandProposer) -> float:

@@ -28,10 +28,15 @@ class HandProposer:
     def __call__(self, scene: Scene, shape: Float[Tensor, "shape"]) -> HandPose | None:
         """Hands (n,) with zero rotation vectors, the one of the keypoints first; None where nothing is seen."""
         found = [] if not self.has_network else self._learned(scene, shape)
-        detected = detected_hand(scene, self.cameras, self.kinematics, self.keypoints, shape)
+        detected = self.detected(scene, shape)
         if detected is not None:
-            found.insert(0, HandPose.stack([detected]))
+            found.insert(0, detected)
         return HandPose.cat(found) if found else None
+
+    def detected(self, scene: Scene, shape: Float[Tensor, "shape"]) -> HandPose | None:
+        """The hand (1,) of the keypoints of all views alone; None where these tell of none."""
+        found = detected_hand(scene, self.cameras, self.kinematics, self.keypoints, shape)
+        return None if found is None else HandPose.stack([found])
 
     def _learned(self, scene: Scene, shape: Tensor) -> list[HandPose]:
         """The network's hypotheses for each view: what one view tells badly, such as its depth, another tells well."""

@@ -12,6 +12,9 @@ from torchhand.track.multiview.fitting import FrameFitter, HullFit
 from torchhand.track.multiview.hulls import Hull
 from torchhand.track.scene import Agreement, Candidate, Health, Scene
 
+HULL = "hull"
+"""Under which a scene keeps the hull about its hand."""
+
 
 class HullUpdate:
     """Follows a hand by least squares in the hull and on the edges of the silhouettes (`UpdateRule`)."""
@@ -84,12 +87,14 @@ def _candidate(fit: HullFit, hand: FollowedHand, predicted: FollowedHand | None)
 
 
 def hull_about(fitter: FrameFitter, scene: Scene, pose: HandPose, shape: Float[Tensor, "shape"]) -> Hull:
-    """The hull about a hand; the first one asked for serves all that are near."""
-
-    def made() -> Hull:
-        return fitter.hull_about(pose.normalized(), shape, scene.masks).with_observations(scene.observations)
-
-    return scene.once("hull", made)
+    """The hull about a hand; the one last asked for serves all that are near."""
+    pose = pose.normalized()
+    kept: Hull | None = scene.kept.get(HULL)
+    if kept is not None and kept.serves(fitter.place_of(pose, shape)):
+        return kept
+    made = fitter.hull_about(pose, shape, scene.masks).with_observations(scene.observations)
+    scene.kept[HULL] = made
+    return made
 
 
 def hull_anywhere(fitter: FrameFitter, scene: Scene, shape: Float[Tensor, "shape"]) -> Hull:

@@ -9,7 +9,17 @@ from torch import Tensor
 
 from torchhand.hand import HandPose
 from torchhand.track.knowledge import Keyframe, TrackerState
-from torchhand.track.multiview import FrameFitter, HandProposer, Hull, HullFit, HullUpdate, hull_about, hull_anywhere
+from torchhand.track.multiview import (
+    HULL,
+    FrameFitter,
+    HandProposer,
+    Hull,
+    HullFit,
+    HullUpdate,
+    best_of,
+    hull_about,
+    hull_anywhere,
+)
 from torchhand.track.proposals.protocol import Occasion, Proposals, ProposalSource, Proposed
 from torchhand.track.scene import Candidate, Health, Scene
 
@@ -52,7 +62,7 @@ class HullProposals:
 
 @dataclass(frozen=True, kw_only=True)
 class KeyframeHere:
-    """The keyframe of the scene's own time, which always takes part."""
+    """The keyframe of the scene's own time, wherever the followed hand is not borne out."""
 
     shared: HullProposals
 
@@ -63,11 +73,12 @@ class KeyframeHere:
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """Proposals of at most one hand."""
         here = [one for one in state.keyframes if one.is_of(scene.time_s)]
-        if not here or state.shape is None:
+        is_followed = not self.shared.health.is_degraded(best, state.usual_score)
+        if not here or state.shape is None or is_followed:
             return Proposals()
         fitter, pose = self.shared.fitter, here[0].pose.normalized()
         hull = fitter.hull_about(pose, state.shape, scene.masks)
-        scene.kept["hull"] = hull
+        scene.kept[HULL] = hull
         return self.shared.proposed(fitter.refine(hull, pose, state.shape, scene.masks), hull)
 
 
@@ -102,7 +113,10 @@ class SeenHands:
         fitter = self.shared.fitter
         shape = fitter.hand.kinematics.default_shape if state.shape is None else state.shape
         hull = hull_anywhere(fitter, scene, shape)
-        fit = fitter.fit_proposed(hull, self.propose(scene, shape), shape, scene.masks)
+        detected = self.propose.detected(scene, shape)
+        fit = fitter.fit_proposed(hull, detected, shape, scene.masks, tries_fingers=False)
+        if fit is None or not fit.is_good:
+            fit = best_of([fit, fitter.fit_proposed(hull, self.propose(scene, shape), shape, scene.masks)])
         return self.shared.proposed(fit, hull, shape if state.shape is None else None)
 
 
@@ -171,7 +185,8 @@ class HullSearch:
         shape = self.shared.fitter.hand.kinematics.default_shape if state.shape is None else state.shape
         hull = hull_anywhere(self.shared.fitter, scene, shape)
         new_shape = shape if state.shape is None else None
-        return self.shared.proposed(self.shared.fitter.search(hull, shape, scene.masks), hull, new_shape)
+        found = self.shared.fitter.search(hull, shape, scene.masks, is_quick=state.has_started)
+        return self.shared.proposed(found, hull, new_shape)
 
 
 def nearest_keyframes(keyframes: Sequence[Keyframe], time_s: float) -> list[HandPose]:

@@ -25,6 +25,7 @@ _MIN_DIRECTION = 0.12  # agreement below which it is in doubt
 _ONE_PLACE_M = 0.1  # between the palms of two hands that are the same hand otherwise held: half a hand's length
 _RIG_SEARCH_EVERY = 60  # frames from one search of several cameras to the next where they find nothing
 _RIG_ALTERNATIVES_EVERY = 32  # frames from one attempt of several cameras to the next where they are in vain
+_ALTERNATIVES_EVERY = 4  # the same after the first attempt
 _FAILING_EVERY = 8  # frames from one such attempt to the next at most while the hand is failing or lost
 
 
@@ -77,9 +78,10 @@ class HealthSettings:
         """Frames to the next search, the last one having come after so many: the more, the longer nothing is found."""
         return self.search_every if has_found else min(max(2 * after, 1), self.search_at_most_every)
 
-    def next_alternatives(self, after: int, *, is_better: bool) -> int:
+    def next_alternatives(self, after: int, *, has_helped: bool) -> int:
         """Frames to the next attempt to find a degraded hand otherwise, the last one having come after so many."""
-        return max(1, after // 2) if is_better else min(max(2 * after, 1), self.alternatives_at_most_every)
+        least = min(_ALTERNATIVES_EVERY, self.alternatives_at_most_every)
+        return max(least, after // 2) if has_helped else min(max(2 * after, least), self.alternatives_at_most_every)
 
     def alternatives_are_due(self, since: int, after: int, *, is_failing: bool) -> bool:
         """Whether a degraded hand is to be found otherwise, so many frames after the last attempt."""
