@@ -143,3 +143,27 @@ def test_says_what_is_wrong(rigs: Any) -> None:
         hull_field(octree, margin=-1.0)
     with pytest.raises(ValueError, match=r"points_world: expected the shape"):
         hull_field(octree).sample(torch.zeros(2, 5, 3))
+
+
+def test_part_of_a_hull_has_its_distances_away_from_the_cut(rigs: Any) -> None:
+    octree = ball_hull(rigs)
+    whole, part = (
+        hull_field(octree, surface="middle", margin=0.03, within=within) for within in (None, (CENTRE.tolist(), 0.03))
+    )
+    inside = CENTRE + 0.012 * (2 * torch.rand(200, 3, generator=torch.Generator().manual_seed(0)).double() - 1)
+    cut = part.sample((CENTRE + torch.tensor(((0.045, 0.0, 0.0), (0.0, 0.0, -0.045))).double())[None])[0]
+    assert bool((cut > 0.01).all())  # in the ball, and outside what is wanted
+    assert part.values.numel() < 0.7 * whole.values.numel()
+    assert bool((part.sample(inside[None])[0] < 0).all())
+    nowhere = hull_field(octree, within=((1.0, 1.0, 1.0), 0.03))
+    torch.testing.assert_close(nowhere.values, hull_field(octree).values)
+
+
+def test_distances_are_exact_as_far_as_is_wanted(generator: torch.Generator) -> None:
+    marked = torch.rand(40, 36, 44, generator=generator) < 1e-4
+    marked[20, 18, 22] = True
+    exact, rough = distance_grid(marked), distance_grid(marked, steps=6)
+    near = exact <= 6
+    torch.testing.assert_close(rough[near], exact[near])
+    assert bool((rough >= exact).all())
+    assert bool((rough > exact).any())

@@ -20,6 +20,7 @@ from torchhand.track.tracker import Tracker
 
 _MOTION = 3.0  # score that a metre of motion is worth, in the mean over the keypoints
 _HOPELESS = 0.1  # gain less than with fewer frames, from which on no more are estimated again
+_IN_VAIN = 8  # frames estimated again after those that explained most, from which on no more are
 _LEAP = 0.015  # metres from one frame to the next, in the mean over the keypoints, that few hands move
 _CLOCK_S = 1e-6  # times are compared to this
 _SAME = 0.002  # metres between two hands, in the same mean, that are one
@@ -85,7 +86,8 @@ class Smoother:
         gains = [0.0]
         for past in reversed(self._past):
             is_out = past.time_s < estimate.time_s - self._window_s - _CLOCK_S
-            if is_out or gains[-1] < max(gains) - _HOPELESS:
+            is_in_vain = gains[-1] < max(gains) - _HOPELESS or len(gains) > gains.index(max(gains)) + _IN_VAIN
+            if is_out or is_in_vain:
                 break
             followed = self._tracker.follow(state, hand, past.scene(), time_s - past.time_s)
             if followed is None or _distance(followed[1].keypoints, past.keypoints) < _SAME:

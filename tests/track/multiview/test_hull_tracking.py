@@ -10,7 +10,7 @@ from torchhand.fit.hull import HullStartSettings
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import HandPose, posture
 from torchhand.track import DEFAULTS, Keyframe, Tracker, TrackerState, View
-from torchhand.track.multiview import RigSettings
+from torchhand.track.multiview import FrameFitter, RigSettings
 
 START = HullStartSettings(places=1, rolls=4, postures=("open",), coarse=6, fine=2, finger_rounds=0)
 SELDOM = replace(DEFAULTS["hull"], rig=RigSettings(start=START))
@@ -193,3 +193,26 @@ def test_one_camera_has_no_hull(rig_hand, rig):
         Tracker(rig_hand, rig[0], SETTINGS)
     with pytest.raises(ValueError, match=r"cameras: expected at least one, got none"):
         Tracker(rig_hand, (), SETTINGS)
+
+
+def test_other_hands_are_tried_seldom_for_one_that_stays_degraded(rig_hand, rig, poses, masks_of, monkeypatch):
+    """Three views of a hand and one that shows half of it: its edges are never explained well."""
+    tracker, asked = Tracker(rig_hand, rig, SELDOM), []
+    masks = masks_of(poses[0])
+    masks[0][:, : masks[0].nonzero()[:, 1].median()] = False
+    state = _state(tracker, poses[0], usual_score=1.0)
+    for name in ("fit_proposed", "vary_orientation", "vary_fingers", "search", "refine"):
+        monkeypatch.setattr(FrameFitter, name, lambda *_, own=name, **__: asked.append(own))
+    begun = tracker.parts.rule.fitter.hull_about(HandPose(dofs=poses[0][0], reference=poses[0][1]), state.shape, masks)
+    assert begun.target is not None
+    hand = tracker.parts.motion.started(HandPose(dofs=poses[0][0], reference=poses[0][1]).normalized())
+    state = replace(state, hand=hand, keyframes=(), has_started=True)
+    counts = []
+    for frame in range(24):
+        before = len(asked)
+        state, estimate = tracker.step(replace(state, usual_score=1.0), _views(masks), frame * FRAME_S)
+        assert estimate.status == "tracked"
+        counts.append(len(asked) - before)
+    assert counts[0] >= 3  # all at once when it has become so
+    assert max(counts[1:]) <= 1  # one source after the other
+    assert sum(counts[1:]) <= 4

@@ -7,6 +7,7 @@ from torchhand.fit.hull import HullShapeSettings, HullStartSettings
 from torchhand.hand import HandPose
 from torchhand.track.multiview.fitting import FrameFitter
 from torchhand.track.multiview.hand_initialization import evenly_spaced_frames, initialize_hand
+from torchhand.track.multiview.initialization import climbed
 from torchhand.track.multiview.proposer import HandProposer
 from torchhand.track.multiview.scale import in_unit, resized_pose, resized_shape, rough_units, size_factor
 from torchhand.track.multiview.settings import RigSettings
@@ -56,6 +57,33 @@ def test_hand_is_found_in_the_frames_that_show_it(has_network, rig_hand, rig, po
         points = rig_hand.kinematics(pose.dofs, found.shape, root_reference=pose.reference).keypoints
         truth = rig_hand.kinematics(dofs, root_reference=reference).keypoints
         assert float((points - truth).norm(dim=-1).mean()) < 0.008
+
+
+def test_nothing_is_proposed_where_keypoints_tell_the_hand(rig_hand, rig, pose_at, masks_of):
+    fitter, pose = FrameFitter(rig_hand, rig, SETTINGS), pose_at()
+    known = HandPose(dofs=pose[0], reference=pose[1]).normalized().reshape(1)
+
+    def propose(scene, shape):
+        raise AssertionError("the network was asked")
+
+    shape = rig_hand.kinematics.default_shape
+    told = {"detect": lambda scene, shape: known, "shape": shape}
+    found = initialize_hand(fitter, [(4, _scene(masks_of(pose)))], propose, **told)
+    points = rig_hand.kinematics(found.poses[4].dofs, shape, root_reference=found.poses[4].reference).keypoints
+    truth = rig_hand.kinematics(pose[0], root_reference=pose[1]).keypoints
+    assert float((points - truth).norm(dim=-1).mean()) < 0.004
+
+
+@pytest.mark.parametrize("highest", range(6))
+def test_best_unit_is_found_from_the_middle_on(highest):
+    units, asked = (0.6, 0.72, 0.86, 1.0, 1.17, 1.35), []
+
+    def value(unit):
+        asked.append(unit)
+        return 1.0 - abs(units.index(unit) - highest)
+
+    assert climbed(units, value) == units[highest]
+    assert len(asked) == len(set(asked)) <= abs(highest - 3) + 3
 
 
 def test_no_hand_is_found_where_there_is_none(rig_hand, rig, pose_at, masks_of):

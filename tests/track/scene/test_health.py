@@ -68,3 +68,21 @@ def test_a_detector_is_believed_before_the_network() -> None:
     told = _seen(direction=0.02, keypoints=0.9)
     assert not HEALTH.is_degraded(told, 0.0)
     assert HEALTH.score(told) == HEALTH.score(_seen(keypoints=0.9))
+
+
+def test_other_hands_come_the_less_often_the_longer_they_do_not_help() -> None:
+    rig = HealthSettings().for_rig()
+    waits, after = [], 0
+    for has_helped in (False, False, False, False, False, True):
+        after = rig.next_alternatives(after, has_helped=has_helped)
+        waits.append(after)
+    assert waits == [4, 8, 16, 32, 32, 16]
+    assert not rig.alternatives_are_due(7, 32, is_failing=False)
+    assert rig.alternatives_are_due(8, 32, is_failing=True)
+    assert rig.alternatives_are_due(0, 0, is_failing=False)
+
+
+def test_one_camera_tries_other_hands_in_every_frame() -> None:
+    one = HealthSettings()
+    assert one.next_alternatives(0, has_helped=False) == 1
+    assert one.next_alternatives(1, has_helped=False) == 1

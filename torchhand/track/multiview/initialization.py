@@ -102,7 +102,7 @@ def _with_unit(
     def agreement(unit: float) -> float:
         return max(_agreement(fitters[unit], shown[index], proposers[unit]) for index, _ in decisive)
 
-    nominal = _climbed(units, agreement)
+    nominal = climbed(units, agreement)
     fitter = FrameFitter(hand, in_unit(silhouettes.cameras, nominal), settings)
     own = proposers[nominal]
     found = initialize_hand(fitter, seen, own, detect=own.detected, done=done)
@@ -115,7 +115,7 @@ def _with_unit(
     return Initialization(hand=replace(found, shape=own, poses=poses), skins=skins, metres=factor * nominal)
 
 
-def _climbed(ordered: Sequence[float], value: Callable[[float], float]) -> float:
+def climbed(ordered: Sequence[float], value: Callable[[float], float]) -> float:
     """Where a function of one hill is highest, from the middle on: beyond a fall it is not asked."""
     values: dict[int, float] = {}
 

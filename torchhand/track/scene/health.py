@@ -26,7 +26,7 @@ _ONE_PLACE_M = 0.1  # between the palms of two hands that are the same hand othe
 _RIG_SEARCH_EVERY = 60  # frames from one search of several cameras to the next where they find nothing
 _RIG_ALTERNATIVES_EVERY = 32  # frames from one attempt of several cameras to the next where they are in vain
 _ALTERNATIVES_EVERY = 4  # the same after the first attempt
-_FAILING_EVERY = 8  # frames from one such attempt to the next at most while the hand is failing or lost
+_FAILING_SOONER = 4  # times as often while the hand is failing or lost
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +85,7 @@ class HealthSettings:
 
     def alternatives_are_due(self, since: int, after: int, *, is_failing: bool) -> bool:
         """Whether a degraded hand is to be found otherwise, so many frames after the last attempt."""
-        return since >= (min(after, _FAILING_EVERY) if is_failing else after)
+        return since >= (after // _FAILING_SOONER if is_failing else after)
 
     def for_rig(self) -> "HealthSettings":
         """For several cameras: what one view leaves unexplained the others decide, as they do how far a hand is; and a
