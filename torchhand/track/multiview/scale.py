@@ -20,7 +20,7 @@ _SCALES = (0.6, 0.72, 0.86, 1.0, 1.17, 1.35)
 """Factors that are tried about the unit that makes the largest ball so large: in a hand that stays flat it is half of
 that."""
 _DECISIVE = (0.2, 0.45, 0.7)  # quantiles of the balls of all frames: the frames at these decide about the size
-_LEAF = 0.012  # metres of that carving: balls come out 5 % smaller than with half of it, which the scales span
+_LEAF = 0.012  # metres of that carving, in which the ball is looked for; how large it is tells a finer one about it
 _FIRST_SIZE = 0.6  # metres between the cameras in the first carving, which only tells the ball
 
 
@@ -41,9 +41,11 @@ def rough_units(
     hulls = Hulls(in_unit(cameras, first), HullOctreeSettings(start_leaf=_LEAF))
     balls: list[tuple[float, int]] = []
     for place, (_, masks) in enumerate(frames):
-        hull = hulls.anywhere(masks, min_volume=0.0)
-        if hull.target is not None and len(hull.target.depth):
-            balls.append((float(hull.target.depth.max()), place))
+        target = hulls.anywhere(masks, min_volume=0.0).target
+        if target is not None and len(target.depth):
+            near = hulls.near(masks, target.inner[target.depth.argmax()].double()).target
+            found = target if near is None or not len(near.depth) else near
+            balls.append((float(found.depth.max()), place))
     if not balls:
         return (), []
     balls.sort()
