@@ -203,8 +203,6 @@ def test_other_hands_are_tried_seldom_for_one_that_stays_degraded(rig_hand, rig,
     state = _state(tracker, poses[0], usual_score=1.0)
     for name in ("fit_proposed", "vary_orientation", "vary_fingers", "search", "refine"):
         monkeypatch.setattr(FrameFitter, name, lambda *_, own=name, **__: asked.append(own))
-    begun = tracker.parts.rule.fitter.hull_about(HandPose(dofs=poses[0][0], reference=poses[0][1]), state.shape, masks)
-    assert begun.target is not None
     hand = tracker.parts.motion.started(HandPose(dofs=poses[0][0], reference=poses[0][1]).normalized())
     state = replace(state, hand=hand, keyframes=(), has_started=True)
     counts = []
