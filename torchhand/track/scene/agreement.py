@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float
@@ -50,23 +51,23 @@ class Agreement:
         unknown = torch.full_like(overlaps, math.nan)
         return cls(overlaps=overlaps, unexplained=unknown, beyond=unknown)
 
-    @property
+    @cached_property
     def overlap(self) -> float:
         """Mean over the views that there are; 0 where there is none."""
         return mean_overlap(self.overlaps)
 
-    @property
+    @cached_property
     def most_unexplained(self) -> float:
         """Of the view that explains least; 0 where there is none."""
         known = self.unexplained[self.unexplained.isfinite()]
         return float(known.max()) if len(known) else 0.0
 
-    @property
+    @cached_property
     def mean_beyond(self) -> float:
         """Over the views that there are; 0 where there is none."""
         return mean_overlap(self.beyond)
 
-    @property
+    @cached_property
     def views(self) -> int:
         """Views that were compared."""
         return int(self.overlaps.isfinite().sum())
