@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchhand.fit.contour import hand_length_px, is_in_picture, is_outer
 from torchhand.geometry import Camera
-from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, FINGERS, JOINT_DOFS, HandKinematics, HandPose
+from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, FINGERS, JOINT_DOFS, HandFrames, HandKinematics, HandPose
 from torchhand.image import EdgeSettings, search_edges
 from torchhand.propose import LearnedPosture
 from torchhand.track.scene import Agreement, Scene, SceneKeypoints, deviations_of_digits
@@ -62,6 +62,8 @@ class Told:
 
     pose: HandPose
     """(), in the world."""
+    frames: HandFrames | None = None
+    """Bones and keypoints of that pose; None where they have to be computed."""
     shape: Float[Tensor, "shape"]
     tip_std: Float[Tensor, "5"]
     """Standard deviation of every fingertip about the wrist, metres."""
@@ -116,7 +118,8 @@ class FingerEvidence:
     ) -> Float[Tensor, "5 4"]:
         """Numbers of each finger's contour points in one view."""
         camera, pose = projector.camera, told.pose
-        primitives = projector.primitives_cam(projector.frames(pose.dofs, pose.reference))
+        frames = projector.frames(pose.dofs, pose.reference) if told.frames is None else told.frames
+        primitives = projector.primitives_cam(frames)
         generators = projector.generators_of(primitives)
         contour = projector.contour_of(primitives, _table(), generators)
         seen = contour.visible & is_in_picture(contour.points_px, camera)

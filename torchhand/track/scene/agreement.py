@@ -94,10 +94,11 @@ class SilhouetteComparison:
         self._rotation = torch.stack([camera.rotation for camera in small])
         self._translation = torch.stack([camera.translation for camera in small])
 
-    def __call__(self, pose: HandPose, scene: Scene) -> Agreement:
-        """In every view; what is apart from the hand does not count."""
+    def __call__(self, pose: HandPose, scene: Scene, *, frames: HandFrames | None = None) -> Agreement:
+        """In every view; what is apart from the hand does not count. frames: of the pose, where they are known."""
         found = []
-        for compared in self._compared(pose, [self._reduced(scene, view) for view in range(len(scene.views))]):
+        silhouettes = [self._reduced(scene, view) for view in range(len(scene.views))]
+        for compared in self._compared(pose, silhouettes, frames):
             if compared is None:
                 found.append((math.nan,) * 3)
             else:
@@ -121,8 +122,10 @@ class SilhouetteComparison:
         size = (camera.height, camera.width)
         return scene.once(("reduced", view, size), lambda: _reduced(scene, view, *size))
 
-    def _compared(self, pose: HandPose, silhouettes: Masks) -> Iterator["_Compared | None"]:
-        frames = self._projectors[0].frames(pose.dofs, pose.reference)
+    def _compared(
+        self, pose: HandPose, silhouettes: Masks, frames: HandFrames | None = None
+    ) -> Iterator["_Compared | None"]:
+        frames = self._projectors[0].frames(pose.dofs, pose.reference) if frames is None else frames
         parts = zip(self._projectors, self._seen_by_all(frames), silhouettes, strict=True)
         for projector, seen, silhouette in parts:
             yield None if silhouette is None else self._in_view(projector, seen, frames.keypoints, silhouette)

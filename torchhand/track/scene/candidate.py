@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.hand import HandPose
+from torchhand.hand import HandFrames, HandPose
 from torchhand.propose import LearnedPosture
 from torchhand.track.belief import FollowedHand
 from torchhand.track.scene.agreement import Agreement
@@ -19,6 +19,8 @@ class Candidate:
 
     hand: FollowedHand
     pose: HandPose
+    frames: HandFrames | None = None
+    """Bones and keypoints of that pose; None where they have to be computed."""
     agreement: Agreement
     edges: float
     """Fraction of the contour, or of the silhouettes' edges, that is found where the hand predicts it."""
