@@ -424,7 +424,7 @@ class Tracker:
         inside = found.inside
         told = Told(
             pose=found.pose,
-            frames=found.frames,
+            placed=found.placed,
             shape=state.shape,
             tip_std=posed.tip_std,
             agreement=found.agreement,

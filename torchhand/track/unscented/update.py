@@ -107,13 +107,13 @@ class UnscentedUpdate:
         return self._candidate(replace(measured, nis=None), scene, shape)
 
     def _candidate(self, measured: _Measured, scene: Scene, shape: Tensor) -> Candidate:
-        pose, (_, projectors, comparison) = self.motion.pose(measured.hand), self._for(shape)
-        frames = projectors[0].frames(pose.dofs, pose.reference)
+        pose, comparison = self.motion.pose(measured.hand), self._for(shape)[2]
+        placed = comparison.placed(pose)
         return Candidate(
             hand=measured.hand,
             pose=pose,
-            frames=frames,
-            agreement=comparison(pose, scene, frames=frames),
+            placed=placed,
+            agreement=comparison(placed, scene),
             edges=measured.edges,
             in_view=measured.in_view,
             nis=measured.nis,

@@ -40,16 +40,23 @@ class OutlineTable:
     def size(self) -> int:
         return len(self.cone) + len(self.ellipsoid)
 
-    @property
+    @cached_property
     def primitive(self) -> Int[Tensor, "points"]:
         """Index into PRIMITIVE_NAMES of every point."""
-        return torch.cat((self.cone, self.ellipsoid + len(CONE_NAMES)))
+        with torch.inference_mode(False):  # kept for callers in any mode
+            return torch.cat((self.cone, self.ellipsoid + len(CONE_NAMES)))
 
     @cached_property
     def generator(self) -> Int[Tensor, "cone_points"]:
         """Index of every cone point's generator, two per cone."""
         with torch.inference_mode(False):  # kept for callers in any mode
             return 2 * self.cone + self.cone_side
+
+    @cached_property
+    def sweep(self) -> Float[Tensor, "ellipsoid_points 1"]:
+        """Where on its arc every ellipsoid's point is, -1 and 1 being the ends."""
+        with torch.inference_mode(False):
+            return (2 * self.ellipsoid_fraction - 1)[:, None]
 
     def select(self, keep: Bool[Tensor, "points"]) -> "OutlineTable":
         """The points where `keep` is true, in the same order."""
@@ -136,8 +143,7 @@ def sample_generators(cones: ConeGenerators, arcs: EllipsoidArcs, table: Outline
 
 def _along(curve: Tensor, half_angle: Tensor, table: OutlineTable) -> Tensor:
     """The table's points of arcs given by their centre and two radii: (points, 3, n)."""
-    sweep = (2 * table.ellipsoid_fraction - 1).to(curve.dtype)[:, None]
-    angle = half_angle.index_select(0, table.ellipsoid) * sweep
+    angle = half_angle.index_select(0, table.ellipsoid) * table.sweep.to(curve.dtype)
     centre, first, second = curve.index_select(0, table.ellipsoid).unbind(2)
     return torch.addcmul(torch.addcmul(centre, first, angle.cos()[:, None]), second, angle.sin()[:, None])
 
