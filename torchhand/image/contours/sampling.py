@@ -29,8 +29,9 @@ def sample_bilinear(
     """Picture at points (x, y) in px, the centre of the first pixel being (0, 0); bilinear.
 
     Points outside the picture (`is_inside`) take the value of the nearest point inside; not finite ones that of the
-    first pixel; with `all_inside` there are no such points, which saves looking. Differentiable in picture and points. OpenCV from version 5 on, which is exact, reads float32 pictures
-    on a CPU where no gradient is asked for (3 times faster); `sample_bilinear_torch` is its specification.
+    first pixel; `all_inside` says that there are no such points, which saves looking. Differentiable in picture and
+    points. OpenCV from version 5 on, which is exact, reads float32 pictures on a CPU where no gradient is asked for (3
+    times faster); `sample_bilinear_torch` is its specification.
     """
     if not _IS_EXACT or image.dtype != torch.float32 or not suits_opencv(image, points_px):
         return sample_bilinear_torch(image, points_px)

@@ -190,7 +190,9 @@ def label_pieces(mask: Bool[Tensor, "height width"], connectivity: int = 8) -> P
     )
 
 
-def numbered_pieces(mask: Bool[Tensor, "height width"], connectivity: int = 8) -> tuple[Int[Tensor, "height width"], int]:
+def numbered_pieces(
+    mask: Bool[Tensor, "height width"], connectivity: int = 8
+) -> tuple[Int[Tensor, "height width"], int]:
     """Labels of the connected pieces and how many there are, without their areas, which take most of the time."""
     if mask.numel() == 0 or not suits_opencv(mask):
         pieces = _pieces_torch(mask, connectivity)

@@ -122,7 +122,9 @@ class SilhouetteComparison:
             None if mask is None else reduced_mask(mask.cpu(), camera.height, camera.width)
             for camera, mask in zip(cameras, masks, strict=True)
         ]
-        found = [math.nan if compared is None else compared.overlap for compared in self._compared(self.placed(pose), small)]
+        found = [
+            math.nan if compared is None else compared.overlap for compared in self._compared(self.placed(pose), small)
+        ]
         return torch.tensor(found, dtype=torch.float64)
 
     def _reduced(self, scene: Scene, view: int) -> Bool[Tensor, "height width"] | None:

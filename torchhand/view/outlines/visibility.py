@@ -87,4 +87,3 @@ def _parallel_rays(parts: Implicit, points: Tensor) -> tuple[Tensor, Tensor, Ten
     linear = upper[..., 2, 0] * x + upper[..., 2, 1] * y + edge[..., 2]
     constant = upper[..., 0, 0] * x * x + 2 * upper[..., 0, 1] * x * y + upper[..., 1, 1] * y * y
     return upper[..., 2, 2], linear, constant + 2 * (edge[..., 0] * x + edge[..., 1] * y) + corner
-
