@@ -84,15 +84,15 @@ def posed_gaussian(
     the pose's reference. frames: of the pose within the limits, where they are known."""
     dofs = clamp_to_limits(pose.dofs, kinematics.skeleton)
     basis = (dofs == pose.dofs)[:, None] * space.basis  # a tied angle may have stopped at its limit
-    frames = kinematics(dofs, shape, root_reference=pose.reference) if frames is None else frames
-    moved = _jacobian_of(kinematics)(dofs, frames)
+    bones: HandFrames = kinematics(dofs, shape, root_reference=pose.reference) if frames is None else frames
+    moved = _jacobian_of(kinematics)(dofs, bones)
     jacobian, bent = moved @ basis, moved[list(TIPS), :, _ROOT:] @ basis[_ROOT:]
     limited = HandPose(dofs=dofs, reference=pose.reference)
     return PosedBelief(
         pose=limited.vector,
         pose_std=(basis @ covariance @ basis.T).diagonal().clamp_min(0).sqrt(),
         root_rotation=limited.rotation,
-        keypoints=frames.keypoints,
+        keypoints=bones.keypoints,
         keypoints_cov=jacobian @ covariance @ jacobian.mT + _centre_covariance().to(dofs),
         tip_std=((bent @ covariance) * bent).sum((-2, -1)).clamp_min(0).sqrt(),
     )
