@@ -63,9 +63,9 @@ def start_in_space(
     Exact for points without noise in so far as only wrist-side twists and bends of the palm are those of `posture`,
     from which also come the angles whose points are missing. Angles lie within the limits.
     """
-    rest = kinematics(posture, shape).keypoints if rest is None else rest
+    own: Tensor = kinematics(posture, shape).keypoints if rest is None else rest
     known = torch.where(is_known[..., None], points, 0.0)
-    rotation, translation, scale = rigid_placement(rest, known, palm_weight(is_known).to(points))
+    rotation, translation, scale = rigid_placement(own, known, palm_weight(is_known).to(points))
     local = (known - translation[:, None]) @ rotation
     if kinematics.side == "left":
         local = local * local.new_tensor((1.0, 1.0, -1.0))
