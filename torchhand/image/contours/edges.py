@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import is_host
 from torchhand.image.contours.sampling import is_inside, sample_bilinear
 
 
@@ -115,7 +116,8 @@ def _responses(
     places = torch.addcmul(start, direction, samples).movedim(0, -1)
     # Profiles are straight and the picture is convex: a stretch is inside when both its ends are.
     height, width = planes.shape[-2:]
-    all_inside = bool(is_inside(places[..., :: places.shape[-2] - 1, :], width, height).all())
+    ends = places[..., :: places.shape[-2] - 1, :]
+    all_inside = is_host(places.device) and bool(is_inside(ends, width, height).all())
     profile = sample_bilinear(planes, places, all_inside=all_inside)
 
     kernel = _correlation(settings.sigma_px, settings.step_px, 2 * half_positions + 3, profile.dtype, profile.device)
