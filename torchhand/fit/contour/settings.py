@@ -12,6 +12,15 @@ SEARCH = (
     Stage(gross_m=0.00374, rounds=2, iterations=3, pitch_px=1),
 )
 """For starts that may be 15° and 10 mm off."""
+WIDE_SEARCH = (
+    Stage(gross_m=0.075, rounds=1, iterations=3, pitch_px=8, thinning=3),
+    Stage(gross_m=0.0374, rounds=1, iterations=4, pitch_px=8, thinning=3),
+    Stage(gross_m=0.0187, rounds=1, iterations=4, pitch_px=4, thinning=2),
+    Stage(gross_m=0.00935, rounds=1, iterations=3, pitch_px=2, thinning=2),
+    Stage(gross_m=0.00374, rounds=2, iterations=3, pitch_px=1),
+)
+"""For starts from whose fingers another finger of the picture may be nearer than their own: the first two stages look as
+far as several fingers are broad."""
 TRACKING = (
     Stage(gross_m=0.00935, rounds=1, iterations=3, pitch_px=2),
     Stage(gross_m=0.00374, rounds=1, iterations=4, pitch_px=1),
