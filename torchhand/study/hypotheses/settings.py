@@ -5,7 +5,7 @@ from typing import Literal, get_args
 
 from torchhand.errors import require, require_positive
 from torchhand.fit import Schedule
-from torchhand.fit.contour import WIDE_SEARCH, ContourSettings, RestartSettings
+from torchhand.fit.contour import THIN_SEARCH, ContourSettings, RestartSettings
 from torchhand.hand import POSE_SPACES
 from torchhand.study import PerturbationSettings
 
@@ -46,7 +46,7 @@ class HypothesisStudySettings:
     """Largest mean error of the joint angles of a success; above 0."""
     best_of: tuple[int, ...] = (1, 2, 4, 8, 16)
     """Numbers of starts of which that with the least misfit is evaluated; increasing, 1 or more."""
-    schedule: Schedule = WIDE_SEARCH
+    schedule: Schedule = THIN_SEARCH
     """Registration from coarse to fine; at least one stage."""
     restarts: RestartSettings = field(default_factory=RestartSettings)
     """Hands that explain too little of the contour are registered from beside themselves as well."""

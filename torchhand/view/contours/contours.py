@@ -134,7 +134,8 @@ class PrimitiveContours:
     def thinned(self, factor: int) -> "PrimitiveContours":
         """The contours with one point in place of so many; itself for 1. Made once."""
         if factor not in self._thinned:
-            self._thinned[factor] = PrimitiveContours(self.projector, self._tracer.table.thinned(factor))
+            with torch.inference_mode(False):  # kept for callers in any mode
+                self._thinned[factor] = PrimitiveContours(self.projector, self._tracer.table.thinned(factor))
         return self._thinned[factor]
 
     @own_precision
