@@ -71,7 +71,7 @@ class MeshContours:
         self.hand, self._camera, self._max_points = hand, camera, max_points
         self._shape = hand.shape if shape is None else shape
         self._edges, self._faces_of_edge = _edges(hand.faces)
-        self._thinned: dict[int, MeshContours] = {1: self}
+        self._thinned: dict[int, MeshContours] = {}
 
     @property
     def kinematics(self) -> HandKinematics:
@@ -88,14 +88,16 @@ class MeshContours:
     def with_shape(self, shape: Float[Tensor, "shape"]) -> "MeshContours":
         """The contours of a hand of another shape."""
         other = copy.copy(self)
-        other._shape, other._thinned = shape, {1: other}
+        other._shape, other._thinned = shape, {}
         return other
 
     def thinned(self, factor: int) -> "MeshContours":
         """The contours with one point in place of so many; itself for 1. Made once."""
+        if factor == 1:
+            return self
         if factor not in self._thinned:
             other = copy.copy(self)
-            other._max_points, other._thinned = max(1, self._max_points // factor), {1: other}
+            other._max_points, other._thinned = max(1, self._max_points // factor), {}
             self._thinned[factor] = other
         return self._thinned[factor]
 
