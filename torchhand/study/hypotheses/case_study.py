@@ -101,9 +101,7 @@ class CaseStudy:
         self.shape = case.shape.to(self.kinematics.default_shape)
         self.space = named_pose_space(settings.space).to(device=device).about(self.case.pose.dofs)
         schedule = (*settings.restarts.schedule, *settings.schedule)
-        self.picture = picture_contours(
-            case.mask.to(device), schedule, settings.contour, image=case.image.to(device)
-        )
+        self.picture = picture_contours(case.mask.to(device), schedule, settings.contour, image=case.image.to(device))
         self._dtype = torch.float32 if settings.precision == "single" else torch.float64
         self._constraints = PoseConstraints(self.model.skeleton)
         self._postures = (prior or PostureResiduals.of(model.prior().postures)) if settings.has_prior else None
