@@ -92,7 +92,8 @@ def _load(path: Path, file_format: str, what: str, make: Callable[[dict[str, int
     weights = {name: torch.from_numpy(arrays[name].astype(np.float32)) for name in expected}
     network.load_state_dict(weights, strict=False)
     # As convolutions read them, or they would be copied for each picture.
-    return network.eval().requires_grad_(False).to(memory_format=torch.channels_last)
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return network.eval().requires_grad_(False)
 
 
 def _header(path: Path, stored: np.ndarray | None, file_format: str, what: str) -> dict[str, Any]:
