@@ -46,7 +46,7 @@ _TURNS_DEG = (
     *((0.0, 0.0, angle) for angle in (-25.0, 25.0)),
 )
 """Rotation vectors about the hand's axes, degrees: mostly about that of the forearm."""
-_REFINED = 3  # hands that are fitted to all data, of those that were compared with some of them
+_REFINED, _REFINED_TURNS = 8, 3  # hands that are fitted to all data, of those that were compared with some of them
 _FEW_RAYS = 200
 _BENT = 0.1  # radians in any joint, from which on another posture was found
 _ALIKE = 0.25  # part of what the best fit leaves unexplained: scores that differ by less are alike, the cost decides
@@ -258,7 +258,7 @@ class FrameFitter:
             return None
         fitters = self._fitters_for(shape)
         found = replace(fitters.trying, schedule=_REFINING)(_with_few_rays(hull.target), tried)
-        cheapest = found.pose[found.cost.argsort()[:_REFINED]]
+        cheapest = found.pose[found.cost.argsort()[:_REFINED_TURNS]]
         return self._best(fitters.tracking, hull, cheapest, shape, masks)
 
     def fit_proposed(
