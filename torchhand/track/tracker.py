@@ -316,12 +316,13 @@ class Tracker:
         if not health.is_degraded(followed, state.usual_score):
             return frozenset()
         since, after = state.frames_since_alternatives, state.alternatives_after
-        drop = health.settings.max_score_drop
-        has_dropped = followed is not None and health.score(followed) < state.score_in_vain - drop
+        is_new = state.score_in_vain == 0.0
+        if followed is not None and not is_new:
+            is_new = health.score(followed) < state.score_in_vain - health.settings.max_score_drop
         is_failing = health.is_failing(followed)
-        if not has_dropped and not health.settings.alternatives_are_due(since, after, is_failing=is_failing):
+        if not is_new and not health.settings.alternatives_are_due(since, after, is_failing=is_failing):
             return frozenset()
-        if has_dropped or is_failing or after == 0:
+        if is_new or is_failing:
             return frozenset(kinds)
         return frozenset((kinds[state.alternatives_tried % len(kinds)],))
 
@@ -358,10 +359,8 @@ class Tracker:
         if occasion != "search":
             return True
         s = health.settings
-        has_hand = s.alternatives_at_most_every > 1 and best is not None and health.is_found(best)
-        after = s.search_at_most_every if has_hand else state.search_after
         is_urgent = s.searches_when_failing and health.is_failing(best)
-        return is_urgent or state.frames_since_search >= after
+        return is_urgent or state.frames_since_search >= state.search_after
 
     def _compared(
         self, search: _Search, proposals: Proposals, facing: Tensor | None, scene: Scene, state: TrackerState

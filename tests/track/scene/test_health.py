@@ -76,9 +76,10 @@ def test_other_hands_come_the_less_often_the_longer_they_do_not_help() -> None:
     for has_helped in (False, False, False, False, False, True):
         after = rig.next_alternatives(after, has_helped=has_helped)
         waits.append(after)
-    assert waits == [4, 8, 16, 32, 32, 16]
-    assert not rig.alternatives_are_due(7, 32, is_failing=False)
-    assert rig.alternatives_are_due(8, 32, is_failing=True)
+    assert waits == [4, 8, 8, 8, 8, 4]
+    assert not rig.alternatives_are_due(7, 8, is_failing=False)
+    assert not rig.alternatives_are_due(1, 8, is_failing=True)
+    assert rig.alternatives_are_due(2, 8, is_failing=True)
     assert rig.alternatives_are_due(0, 0, is_failing=False)
 
 

@@ -24,7 +24,7 @@ _SURE_DIRECTION = 0.3  # agreement with that view which is as good as any: half 
 _MIN_DIRECTION = 0.12  # agreement below which it is in doubt
 _ONE_PLACE_M = 0.1  # between the palms of two hands that are the same hand otherwise held: half a hand's length
 _RIG_SEARCH_EVERY = 60  # frames from one search of several cameras to the next where they find nothing
-_RIG_ALTERNATIVES_EVERY = 32  # frames from one attempt of several cameras to the next where they are in vain
+_RIG_ALTERNATIVES_EVERY = 8  # frames from one attempt of several cameras to the next where they are in vain
 _ALTERNATIVES_EVERY = 4  # the same after the first attempt
 _FAILING_SOONER = 4  # times as often while the hand is failing or lost
 
