@@ -33,7 +33,6 @@ from torchhand.track.single import SinglePoseSettings
 _EMPTY = "pictures_without_hand"
 _TABLE = Path(scene.__file__).with_name("status_rates.json")
 _EVIDENCE = Path(single.__file__).with_name("evidence.json")
-_ASKS_NOTHING = -1e6  # log odds: every silhouette is looked for once more
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +148,7 @@ def _evidence(arguments: Arguments, photographs: Path, without: Path) -> int:
             raise InputError(f"--photographs: expected {mask.name} beside {path.name}, the mask of its skin")
         pictures.append((path, mask))
     pictures += [(path, None) for path in pictures_in(without)[:: arguments.every]]
-    fitter = single_pose_fitter("right", SinglePoseSettings(alone_odds=_ASKS_NOTHING))
+    fitter = single_pose_fitter("right", SinglePoseSettings())
     with threads(1):
         seen = list(tqdm(weighed_pictures(fitter, pictures), total=len(pictures), unit="picture", disable=None))
     try:

@@ -22,7 +22,7 @@ _MIN_AREA, _MAX_AREA = 0.004, 0.85  # share of the picture
 _SAME = 0.9  # intersection over union of two pieces that are one
 _MAX_HOLE = 0.002  # share of the picture
 _MOST_CUT = 6  # pieces that are cut along edges
-_MOST = 5  # pieces
+_MOST = 4  # pieces
 _FLOOR_PX = 50  # pixels of skin colour, below which brightness divides nothing
 
 

@@ -18,7 +18,6 @@ from torchhand.track.belief import posed_gaussian, scale_covariance, unknown_sca
 from torchhand.track.knowledge import Estimate
 from torchhand.track.quality import FingerEvidence, Told, qualities
 from torchhand.track.scene import (
-    MAX_BEYOND,
     MIN_KEYPOINTS,
     Agreement,
     HandKeypoints,
@@ -44,7 +43,7 @@ _NETWORK_WORTH = 0.1
 photographs: of 27 signs by six people 81 % are named by the nearest neighbour over the angles of both with it, 79 % by
 the detector's alone and 43 % by the network's alone."""
 _ROUNDS = 2  # of colours learned at the hand and registration on what has them
-_HOPELESS = 4.0  # log odds that a hand may be short of belief for its silhouette to be looked for once more
+_HOPELESS = 3.0  # log odds that a hand may be short of belief for its silhouette to be looked for once more
 
 Picture = UInt8[Tensor, "height width 3"]
 PoseSource = Callable[[Bool[Tensor, "height width"], Picture | None, Camera, Float[Tensor, "shape"]], HandPose]
@@ -198,7 +197,7 @@ class SinglePoseFitter:
 
     def _weighed(self, work: "_Work", one: _Judged, others: Sequence[_Judged]) -> HandHypothesis:
         """A hand with the evidence for it, beside those on other silhouettes."""
-        evidence = evidence_for(one.hand, one.agreement, work.scene(one.mask), work.camera, self.kinematics)
+        evidence = evidence_for(one.hand, one.agreement.overlap, work.scene(one.mask), work.camera, self.kinematics)
         if work.mask is None:
             rest = [other.hand for other in others]
             evidence = supported(evidence, one.hand, rest, work.camera, self.kinematics)
@@ -265,8 +264,6 @@ class SinglePoseFitter:
         overlap, edges = (s.min_overlap, s.min_edges) if is_detected else (s.alone_overlap, s.alone_edges)
         if agreement.overlap < overlap or hand.edges < edges:
             return f"no hand explains what has its colours ({told})"
-        if agreement.mean_beyond > MAX_BEYOND and not is_detected:
-            return f"what follows beyond the wrist is no forearm ({told})"
         return ""
 
     @staticmethod

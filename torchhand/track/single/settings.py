@@ -50,7 +50,7 @@ class SinglePoseSettings:
     """The same as `min_overlap` of a hand that its outline alone tells of; 0 to 1."""
     alone_edges: float = 0.65
     """The same as `min_edges` of a hand that its outline alone tells of; 0 to 1."""
-    alone_odds: float = 0.0
+    alone_odds: float = -0.6
     """Smallest logarithm of the odds that such a hand is the right one, by all that the picture says for and against it
     (evidence.json, which tells how often they are reached without a hand); minus infinity asks nothing."""
     max_side_px: int = 640
