@@ -22,6 +22,8 @@ check() {
     shift
     "$@" || failed=1
 }
+# Both workers of the tests below would compile all modules by themselves: done once, beside the checks.
+"$python" -m pytest --collect-only -q >/dev/null 2>&1 &
 if [ "$kind" = dev ]; then # of other versions, the checkers have other opinions
     check "ruff check" "$python" -m ruff check .
     check "ruff format" "$python" -m ruff format --check .
@@ -33,6 +35,7 @@ if [ "$kind" = dev ]; then # of other versions, the checkers have other opinions
     fi
     [ "$failed" = 0 ] || echo "One of the checks above failed; the tests run all the same."
 fi
+wait
 echo "== pytest, compiled and exported hands"
 # Without the checks of shapes at run time, which torch.compile cannot follow.
 JAXTYPING_DISABLE=1 OMP_NUM_THREADS=1 "$python" -m pytest -n 2 --dist loadfile tests/compiled \

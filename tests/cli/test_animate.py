@@ -12,7 +12,7 @@ import torch
 from torchhand.cli import build_signs
 from torchhand.cli.animate import main
 from torchhand.cli.main import command_descriptions
-from torchhand.draw import spelling_camera
+from torchhand.draw.spelling import spelling_camera
 from torchhand.export import clip_of_bap, clip_of_bvh, load_clip
 from torchhand.files import load_hand_model, models_dir, save_hand
 from torchhand.signs import load_signs

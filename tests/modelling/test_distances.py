@@ -4,6 +4,8 @@ import pytest
 import torch
 from torch import Tensor
 
+pytest.importorskip("gpytoolbox", reason="building meshes needs torchhand[build]")
+
 from torchhand.geometry import rotation_from_vector
 from torchhand.modelling.distances import blended, ellipsoid, round_cone
 

@@ -10,7 +10,7 @@ import torch
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from torchhand.cli.command import DONE, command, parse, threads
-from torchhand.draw import paint_spelling
+from torchhand.draw.spelling import paint_spelling
 from torchhand.errors import InputError
 from torchhand.export import FORMATS, ExportOptions, FormatName, MotionClip, format_of
 from torchhand.files import load_hand, load_hand_model

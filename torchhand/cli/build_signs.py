@@ -13,7 +13,8 @@ from torch import Tensor
 from tyro.conf import arg
 
 from torchhand.cli.command import DONE, command, parse, threads
-from torchhand.draw import HandPainter, contact_sheet, draw_trace, spelling_camera, write_sign
+from torchhand.draw import HandPainter, contact_sheet, draw_trace, write_sign
+from torchhand.draw.spelling import spelling_camera
 from torchhand.errors import InputError
 from torchhand.files import load_hand_model, models_dir
 from torchhand.files.disk import expanded, replacing

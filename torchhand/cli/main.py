@@ -7,11 +7,13 @@ appears without loading torch.
 
 import ast
 import difflib
+import gc
 import importlib
 import pkgutil
 import sys
 from collections.abc import Sequence
 from importlib.util import find_spec
+from types import ModuleType
 from typing import Annotated, Any, Union
 
 import torchhand
@@ -42,9 +44,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     if arguments[0] == COMPLETION:
         return _print_completion(arguments[1:])
-    commands = command_descriptions()
     name = arguments[0].replace("-", "_")
-    if name not in commands:
+    if name not in _files() or _description(name) is None:
+        commands = command_descriptions()
         near = difflib.get_close_matches(name, commands, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"allowed: {', '.join(commands)}"
         print(f"torchhand: error: unknown command {arguments[0]!r}; {hint}", file=sys.stderr)
@@ -52,11 +54,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if arguments[1:] in (["--help"], ["-h"]) and _print_help(name):
             return 0
-        module = importlib.import_module(f"{cli.__name__}.{name}")
+        module = _loaded(f"{cli.__name__}.{name}")
     except KeyboardInterrupt:  # loading torch takes seconds: long enough to change one's mind
         print(f"torchhand {name}: stopped by Ctrl-C", file=sys.stderr)
         return 130
     return module.main(arguments[1:])
+
+
+def _loaded(module: str) -> ModuleType:
+    """A command's module. Nothing of what loading makes is garbage: searching it for some takes a tenth of the time."""
+    if module in sys.modules:
+        return sys.modules[module]
+    is_collecting = gc.isenabled()
+    gc.disable()
+    try:
+        return importlib.import_module(module)
+    finally:
+        gc.freeze()
+        if is_collecting:
+            gc.enable()
 
 
 def _print_help(name: str) -> bool:
@@ -95,15 +111,21 @@ def _print_completion(words: Sequence[str]) -> int:
 
 def command_descriptions() -> dict[str, str]:
     """Names of the commands, sorted, with one line on each, without importing any of them."""
-    descriptions = {}
-    for module in pkgutil.iter_modules(cli.__path__):
-        if module.name in ("main", "__main__"):
-            continue
-        tree = ast.parse(_source(f"{cli.__name__}.{module.name}"))
-        if any(isinstance(node, ast.FunctionDef) and node.name == "main" for node in tree.body):
-            docstring = ast.get_docstring(tree) or ""
-            descriptions[module.name] = docstring.partition("\n")[0].strip()
-    return dict(sorted(descriptions.items()))
+    described = {name: _description(name) for name in sorted(_files())}
+    return {name: description for name, description in described.items() if description is not None}
+
+
+def _files() -> set[str]:
+    """Names of the files beside this one; not all of them are commands."""
+    return {module.name for module in pkgutil.iter_modules(cli.__path__)} - {"main", "__main__"}
+
+
+def _description(name: str) -> str | None:
+    """The first line of a file's docstring; None for a file that is no command."""
+    tree = ast.parse(_source(f"{cli.__name__}.{name}"))
+    if not any(isinstance(node, ast.FunctionDef) and node.name == "main" for node in tree.body):
+        return None
+    return (ast.get_docstring(tree) or "").partition("\n")[0].strip()
 
 
 def _source(module_name: str) -> str:

@@ -2,11 +2,10 @@
 
 from torchhand.draw.calibration_report import write_report
 from torchhand.draw.chart import draw_chart
-from torchhand.draw.hand_picture import HandPainter, draw_trace, write_sign
+from torchhand.draw.hand_picture import HandPainter, draw_trace, write_sign, write_word
 from torchhand.draw.overlay import STATUS_COLOURS, draw_overlay, overlay_size
 from torchhand.draw.second_view import draw_second_view
 from torchhand.draw.sheet import contact_sheet
-from torchhand.draw.spelling_video import paint_spelling, spelling_camera
 from torchhand.draw.views import ViewsOverlay
 
 __all__ = [
@@ -19,8 +18,7 @@ __all__ = [
     "draw_second_view",
     "draw_trace",
     "overlay_size",
-    "paint_spelling",
-    "spelling_camera",
     "write_report",
     "write_sign",
+    "write_word",
 ]

@@ -72,8 +72,8 @@ class ExportOptions:
     """bap: numbering of the standard, or of the draft before it."""
     bap_version: BapVersion = "3.1"
     """bap: version in the header."""
-    x3d_skin: X3DSkin = "weights"
-    """x3d: skin moved by its joints, or every frame's points as they are."""
+    x3d_skin: X3DSkin = "coordinates"
+    """x3d: every frame's points as they are, or a skin moved by its joints, which only players with H-Anim show."""
     mass_g: float | None = None
     """urdf, mjcf: mass of the hand, g; else that of an adult's hand of this size."""
     urdf_package: str | None = None

@@ -1,7 +1,6 @@
 """The nearest point of a small convex polytope, exactly, for many points at once."""
 
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import torch
 from jaxtyping import Float
@@ -84,13 +83,14 @@ def polytope(
     on_row = (corners @ matrix.T - bound).abs() <= _ON  # (corners, rows)
     flatten, offset, seen = [identity], [torch.zeros(size, dtype=torch.float64)], set()
     for count in range(1, size + 1):
-        for subset in combinations(range(len(matrix)), count):
-            holding = on_row[:, list(subset)].all(1)
-            members = tuple(holding.nonzero().flatten().tolist())
-            if not members or members in seen:
+        subsets = torch.combinations(torch.arange(len(matrix)), count)
+        holding = on_row[:, subsets].all(-1).T  # (subsets, corners)
+        for corners_of_face in holding[holding.any(-1)].numpy():
+            members = corners_of_face.tobytes()
+            if members in seen:
                 continue
             seen.add(members)
-            active = on_row[holding].all(0)
+            active = on_row[torch.from_numpy(corners_of_face)].all(0)
             inverse = torch.linalg.pinv(matrix[active])
             flatten.append(identity - inverse @ matrix[active])
             offset.append(inverse @ bound[active])

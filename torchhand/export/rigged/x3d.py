@@ -1,9 +1,9 @@
 """Motion as X3D 4.0: an H-Anim 2 hand (ISO/IEC 19774) with its skin, moved by interpolators.
 
 Frame: y up, metres. The humanoid stands in our hand frame at the open hand, in which the skin is bound: at rest all
-joints' frames are parallel. The wrist's joint carries the hand's place and rotation in the world. Players blend the
-skin linearly; `skin="coordinates"` gives every frame's skin as it is instead, by a CoordinateInterpolator, in much
-larger files.
+joints' frames are parallel. The wrist's joint carries the hand's place and rotation in the world. The skin's points of
+every frame are given as they are, by a CoordinateInterpolator beside the skeleton: any player shows them, those without
+H-Anim too. With `skin="weights"` the joints move the skin, blended linearly: much smaller, for players with H-Anim.
 """
 
 import math
@@ -32,7 +32,7 @@ _BOX_MARGIN = 0.03  # metres of skin beyond the keypoints
 _FIELD_OF_VIEW = 0.8  # radians
 
 
-def write_x3d(clip: MotionClip, path: str | Path, *, skin: X3DSkin = "weights") -> None:
+def write_x3d(clip: MotionClip, path: str | Path, *, skin: X3DSkin = "coordinates") -> None:
     """Write the file."""
     upright = clip.placed("y-up")
     mesh = clip.model.mesh
@@ -63,7 +63,7 @@ def write_x3d(clip: MotionClip, path: str | Path, *, skin: X3DSkin = "weights") 
         _shape(humanoid, clip, {"USE": "skin_points"}, {"containerField": "skin"} | _bounds(upright))
     else:
         first = clip.hand(upright.poses[0], clip.shape).vertices
-        _shape(scene, clip, {"DEF": "skin_points", "point": _numbers(first)}, _bounds(upright))
+        _shape(scene, clip, {"DEF": "skin_points", "point": _micrometres(first)}, _bounds(upright))
     if clip.held:
         numbers = " ".join(str(place) for place, is_own in enumerate(clip.is_own) if not is_own)
         ElementTree.SubElement(scene, "MetadataInteger", {"name": "held_frames", "value": numbers})
@@ -180,7 +180,7 @@ def _animate(
         if bool((turns[:, bone] != turns[0, bone]).any()):
             drive("OrientationInterpolator", f"{name}_turn", _axis_angle(turns[:, bone]), "rotation", _DEF + name)
     if skin == "coordinates":
-        drive("CoordinateInterpolator", "skin", _numbers(clip.vertices()), "point", "skin_points")
+        drive("CoordinateInterpolator", "skin", _micrometres(clip.vertices()), "point", "skin_points")
 
 
 def _axis_angle(rotation: Tensor) -> str:
@@ -194,3 +194,8 @@ def _axis_angle(rotation: Tensor) -> str:
 
 def _numbers(values: Tensor, *, digits: int = 7) -> str:
     return " ".join(f"{value + 0.0:.{digits}g}" for value in values.reshape(-1).tolist())
+
+
+def _micrometres(points: Tensor) -> str:
+    """Metres with six places: most of a file are these."""
+    return " ".join(f"{value:.6f}" for value in points.reshape(-1).tolist())

@@ -204,11 +204,10 @@ def _branches(
     y, x = np.indices(inside.shape)
     distance = np.where(inside, np.hypot(x - centre[0], y - centre[1]), 0.0)
     low, high = float(distance[inside].min()), float(distance.max())
-    for level in np.arange(low, high - _MIN_BRANCH * palm_radius, max(1.0, 0.05 * palm_radius)):
-        beyond = torch.from_numpy(distance > level)
-        if count_pieces(beyond) < 2:
-            continue  # most levels: the areas that only a split needs take most of the time
-        pieces = label_pieces(beyond)
+    step = max(1.0, 0.05 * palm_radius)
+    levels = np.arange(low, high - _MIN_BRANCH * palm_radius, step)
+    for level in levels[_may_split(distance, levels, int(_MIN_BRANCH * palm_radius / step))]:
+        pieces = label_pieces(torch.from_numpy(distance > level))
         parts = [pieces.labels.numpy() == label for label in range(1, len(pieces.areas) + 1)]
         parts = [part for part in parts if distance[part].max() > level + _MIN_BRANCH * palm_radius]
         if len(parts) > 1:
@@ -217,6 +216,19 @@ def _branches(
                 found += _branches(part, part & (distance < level + 1.5), centre, palm_radius)
             return found
     return [(inside, contact)]
+
+
+def _may_split(distance: np.ndarray, levels: np.ndarray, lasting: int) -> np.ndarray:
+    """Levels beyond which there may be two pieces that both reach `lasting` levels farther.
+
+    Such pieces are apart at all these levels as well, so that looking at every one of so many misses none.
+    """
+    is_apart = np.zeros(len(levels), bool)
+    for first in range(0, len(levels), max(1, lasting)):
+        probed = min(first + max(1, lasting) - 1, len(levels) - 1)
+        if count_pieces(torch.from_numpy(distance > levels[probed])) > 1:
+            is_apart[first : probed + 1] = True
+    return is_apart
 
 
 def _measured(inside: np.ndarray, contact: np.ndarray, corner: tuple[int, int]) -> FingerPiece:

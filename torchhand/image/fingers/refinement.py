@@ -5,6 +5,7 @@ what is surely inside and surely outside a guess; several guesses by colour and 
 whose refined outline has an open hand's fingers and lies on edges is the hand.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import cv2
@@ -22,6 +23,7 @@ _MIN_AREA_FRACTION, _MAX_AREA_FRACTION = 0.02, 0.75  # of the picture that a han
 _MAX_BORDER = 0.75  # of the picture's border that a hand may take up: more is what is behind it
 _FAIR_FINGERS = 3  # a guess that shows fewer is not refined
 _REFINED = 3  # guesses refined
+_WORKERS = 4  # threads that look at guesses
 _SAME = 0.97  # intersection over union of guesses of which one is refined for both
 _QUICK = FingerSettings(sizes=8, work_side_px=200)
 _LUMA_RANGE = (0.55, 1.6)  # of a digit over the palm: shadows are darker
@@ -103,21 +105,21 @@ def find_open_hand(
     """
     settings = settings or RefinementSettings()
     edges = _edges(image)
-    guesses = [
-        candidate
-        for name, mask in _guesses(image, settings.max_side_px)
-        if (candidate := _judged(image, edges, mask, name)) is not None
-    ]
-    guesses.sort(key=_merit, reverse=True)
-    refined: list[HandSilhouette] = []
-    tried: list[HandSilhouette] = []
-    for guess in guesses[:_REFINED]:
-        if _fingers(guess) < _FAIR_FINGERS or any(_alike(guess.mask, other.mask) for other in tried):
-            continue
-        tried.append(guess)
-        cut = _judged(image, edges, refine_silhouette(image, guess.mask, settings), f"{guess.source}, graph cut")
-        refined += [] if cut is None else [cut]
-    everything = guesses + refined
+
+    def refined(guess: HandSilhouette) -> HandSilhouette | None:
+        return _judged(image, edges, refine_silhouette(image, guess.mask, settings), f"{guess.source}, graph cut")
+
+    with ThreadPoolExecutor(_WORKERS) as workers:  # nearly all the time is OpenCV's and NumPy's, which lets others run
+        found = workers.map(
+            lambda guess: _judged(image, edges, guess[1], guess[0]), _guesses(image, settings.max_side_px)
+        )
+        guesses = sorted((guess for guess in found if guess is not None), key=_merit, reverse=True)
+        tried: list[HandSilhouette] = []
+        for guess in guesses[:_REFINED]:
+            if _fingers(guess) >= _FAIR_FINGERS and not any(_alike(guess.mask, other.mask) for other in tried):
+                tried.append(guess)
+        cuts = [cut for cut in workers.map(refined, tried) if cut is not None]
+    everything = guesses + cuts
     if not everything:
         nothing = torch.zeros(image.shape[:2], dtype=torch.bool, device=image.device)
         return HandSilhouette(mask=nothing, source="none", search=None, edge_fraction=0.0)

@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 from tqdm import tqdm
 
-from torchhand.draw.hand_picture import HandPainter, write_word
+from torchhand.draw import HandPainter, write_word
 from torchhand.export import MotionClip
 from torchhand.files import write_video
 from torchhand.geometry import Camera, assumed_camera
