@@ -76,6 +76,8 @@ def pictures_of(archives: Path) -> Iterator[tuple[str, str, np.ndarray]]:
             continue
         for name, content in sorted(files.items()):
             image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+            if image is None:
+                continue
             base = name.rpartition("/")[2]
             for kind, regions in REGIONS.items():
                 for number, (left, top, right, bottom) in enumerate(regions.get(base, ())):
@@ -141,6 +143,8 @@ def surroundings(hands: Path, chance: np.random.Generator) -> Iterator[tuple[str
         if path.stem.endswith("_mask") or not mask_path.is_file():
             continue
         image, mask = cv2.imread(str(path)), cv2.imread(str(mask_path), cv2.IMREAD_GRAYSCALE)
+        if image is None or mask is None:
+            continue
         skin = cv2.dilate((mask > 127).astype(np.uint8), np.ones((15, 15), np.uint8))
         for _ in range(50):
             left, top, width, height = box = crop(image, chance)

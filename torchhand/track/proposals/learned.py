@@ -1,6 +1,6 @@
 """One camera: hands in any posture that a trained network proposes for the silhouette, registered on it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import torch
@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchhand.files import load_proposal_network
 from torchhand.fit import Appearance, Solutions
-from torchhand.fit.detect import FitSettings, NoStart, Start, segment_hand, start_at_pose
+from torchhand.fit.detect import FitSettings, NoStart, segment_hand, start_at_pose
 from torchhand.fit.proposals import ProposalRegistration
 from torchhand.geometry import Camera, cosine_between
 from torchhand.hand import HandKinematics, HandPose
@@ -19,7 +19,6 @@ from torchhand.track.knowledge import TrackerState
 from torchhand.track.proposals.keypoints import shows_proportions
 from torchhand.track.proposals.protocol import Occasion, Proposals, Proposed
 from torchhand.track.scene import Candidate, Scene
-from torchhand.track.single import evidence_for, hand_odds
 from torchhand.view import OutlineTable
 
 _MIN_AREA = 0.004  # share of the picture that a silhouette fills at least
@@ -31,17 +30,7 @@ _MIN_OVERLAP = 0.9  # of the first hand with the silhouette by its colours
 _STARTS = 2  # registered hands whose colours are learned in the first picture
 _TURNED = 0.5  # cosine of the angle between hands of different directions at most
 _MIN_FOUND = 0.8  # share of the first hand's contour on edges
-_MIN_ODDS = 0.0  # log odds of the first hand
 _RESTARTS = 3  # registered hands that a followed one is compared with
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Started:
-    """A first hand."""
-
-    pose: HandPose
-    shape: Float[Tensor, "shape"]
-    edges: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +79,7 @@ class LearnedHands:
         if state.has_started:
             hands = tuple(Proposed(pose=found.pose[i]) for i in range(min(_RESTARTS, len(found.cost))))
             return Proposals(hands=hands, has_foreground=True)
-        return self._first(found, scene, image, mask)
+        return self._first(found, image)
 
     def _registered(self, seen: Silhouette, shape: Tensor) -> Solutions:
         """Registered hypotheses: the cheapest, the cheapest of those that are turned away from it, then the rest by
@@ -105,9 +94,8 @@ class LearnedHands:
         rank[is_turned & (is_turned.cumsum(0) == 1)] = 0
         return found.rows(order[rank.argsort(stable=True)])
 
-    def _first(self, found: Solutions, scene: Scene, image: Tensor, mask: Bool[Tensor, "height width"]) -> Proposals:
-        """The first hand with its colours, as it is refitted to the silhouette by these, where the picture says that it
-        is one."""
+    def _first(self, found: Solutions, image: Tensor) -> Proposals:
+        """The first hand with its colours, as it is refitted to the silhouette by these."""
         shape = self.kinematics.default_shape if self.known_shape is None else self.known_shape
         where = (self.kinematics, self.camera, shape, self.table)
         hands = []
@@ -118,16 +106,9 @@ class LearnedHands:
             if isinstance(start, NoStart) or start.overlap < _MIN_OVERLAP or start.fit.found_fraction < _MIN_FOUND:
                 continue
             fitted = HandPose.of(start.fit.pose, start.fit.root_reference)
-            if self._odds(start, fitted, replace(scene, masks=(mask,), probabilities=(None,), kept={})) < _MIN_ODDS:
-                continue
             hands.append(Proposed(pose=fitted, shape=start.fit.shape, appearance=start.appearance))
         reason = "" if hands else "no proposed hand fits the silhouette"
         return Proposals(hands=tuple(hands), reason=reason, has_foreground=True)
-
-    def _odds(self, start: Start, pose: HandPose, scene: Scene) -> float:
-        """Log odds that a first hand is one, as for single pictures, no other silhouette being asked."""
-        hand = _Started(pose=pose, shape=start.fit.shape, edges=start.fit.found_fraction)
-        return hand_odds()(evidence_for(hand, start.overlap, scene, self.camera, self.kinematics))
 
     def _mask(self, scene: Scene, image: Tensor, state: TrackerState) -> Bool[Tensor, "height width"]:
         """Silhouette by what is known of the hand's colours."""

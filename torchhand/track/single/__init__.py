@@ -1,6 +1,6 @@
 """Single pictures: the hand in any posture, every picture by itself."""
 
-from torchhand.track.single.evidence import EVIDENCE, HandOdds, counted, evidence_for, hand_odds
+from torchhand.track.single.evidence import EVIDENCE, HandOdds, counted
 from torchhand.track.single.fitter import HandHypothesis, PoseSource, SinglePose, SinglePoseFitter
 from torchhand.track.single.settings import SinglePoseSettings
 
@@ -13,6 +13,4 @@ __all__ = [
     "SinglePoseFitter",
     "SinglePoseSettings",
     "counted",
-    "evidence_for",
-    "hand_odds",
 ]

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -20,10 +19,11 @@ from torch import Tensor
 
 from torchhand.fit.contour import hand_length_px
 from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics, HandPose
+from torchhand.hand import HandKinematics
 from torchhand.image import disc_kernel, erode, mean_skin_likeness
 from torchhand.track.quality import LogisticModel
 from torchhand.track.scene import Scene, seen_posture, seen_presence
+from torchhand.track.single.registration import Registered
 from torchhand.view import HandProjector
 
 EVIDENCE = ("overlap", "edges", "presence", "direction", "sureness", "outline", "skin", "support")
@@ -42,25 +42,6 @@ _SAME = 0.15  # hand lengths: distance of the keypoints of two hands at which th
 _SUPPORTING = 3  # hands on other silhouettes
 _NEAR = np.ones((3, 3), np.uint8)  # pixels in which an edge is looked for
 _TABLE = Path(__file__).with_name("evidence.json")
-
-
-class PlacedHand(Protocol):
-    """A hand that lies on a silhouette."""
-
-    @property
-    def pose(self) -> HandPose:
-        """(), in the camera's frame."""
-        ...
-
-    @property
-    def shape(self) -> Float[Tensor, "shape"]:
-        """Proportions."""
-        ...
-
-    @property
-    def edges(self) -> float:
-        """Share of the picture's contour on which the hand's lies."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +77,7 @@ def hand_odds() -> HandOdds:
 
 
 def evidence_for(
-    hand: PlacedHand, overlap: float, scene: Scene, camera: Camera, kinematics: HandKinematics
+    hand: Registered, overlap: float, scene: Scene, camera: Camera, kinematics: HandKinematics
 ) -> Float[Tensor, "evidence"]:
     """In the order of EVIDENCE, support left open; NaN where the view or the camera cannot tell it.
 
@@ -120,8 +101,8 @@ def evidence_for(
 
 def supported(
     evidence: Float[Tensor, "evidence"],
-    hand: PlacedHand,
-    others: Sequence[PlacedHand],
+    hand: Registered,
+    others: Sequence[Registered],
     camera: Camera,
     kinematics: HandKinematics,
 ) -> Float[Tensor, "evidence"]:
