@@ -7,8 +7,9 @@ asked after several turns only (`asks_after`). On a processor numbers are there 
 once.
 """
 
+from dataclasses import fields, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -21,6 +22,7 @@ TURNS = 8
 """Turns of a loop on an accelerator after which it asks whether it may end."""
 
 _HOSTS = ("cpu",)
+_Record = TypeVar("_Record")
 
 
 def is_host(device: torch.device) -> bool:
@@ -59,6 +61,13 @@ def constant_tensor(values: Any, dtype: torch.dtype, device: torch.device) -> Te
     """Numbers in a tuple, or a tuple of tuples, as a tensor that was sent to the device once; not to be changed."""
     with torch.inference_mode(False):  # kept for callers in any mode
         return torch.tensor(values, dtype=dtype, device=device)
+
+
+def sent_to(record: _Record, device: torch.device) -> _Record:
+    """A dataclass with its own tensors on a device."""
+    values = {field.name: getattr(record, field.name) for field in fields(record)}  # type: ignore[arg-type]
+    moved = {name: value.to(device) for name, value in values.items() if isinstance(value, Tensor)}
+    return replace(record, **moved)  # type: ignore[type-var]
 
 
 def device_named(name: str, *, option: str = "--device") -> torch.device:

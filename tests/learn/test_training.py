@@ -166,3 +166,20 @@ def test_figures_of_known_errors(small_data: TrainingData) -> None:
 def test_wrong_settings_are_named(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         TrainingSettings(**change)
+
+
+def test_it_learns_the_same_on_any_device(device: torch.device) -> None:
+    settings = TrainingSettings(steps=3, batch=16, pool=40, held_out=20, energy_hands=4, width=16, blocks=1)
+    ends = []
+    for there in (torch.device("cpu"), device):
+        data = training_data(settings, MODEL, there)
+        training = new_training(settings, MODEL, data, there)
+        losses = [reached.loss for reached in train(training, data, pause_every=1)]
+        assert all(parameter.device.type == there.type for parameter in training.network.parameters())
+        ends.append((losses, snapshot(training)["network"], _held_out(training, data)))
+    (losses, network, figures), (found_losses, found_network, found_figures) = ends
+    assert found_losses == pytest.approx(losses, rel=1e-4)
+    for name, value in network.items():
+        assert found_network[name].device.type == "cpu"
+        torch.testing.assert_close(found_network[name], value, rtol=1e-3, atol=1e-4)
+    assert found_figures == pytest.approx(figures, rel=1e-3)

@@ -13,8 +13,9 @@ from tqdm import tqdm
 from tyro.conf import arg
 
 import torchhand
-from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
+from torchhand.cli.command import DONE, STOPPED_BY_USER, OnDevice, command, parse, threads
 from torchhand.cli.learning import PictureJob, Sources, check_same, check_training_folder, learn_from_pictures
+from torchhand.devices import device_named
 from torchhand.draw import draw_chart
 from torchhand.errors import InputError
 from torchhand.files import load_hand_model
@@ -52,7 +53,7 @@ SHOWN = ("flexion_deg", "root_relative_mm", "aligned_mm")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(OnDevice):
     """Train a small network from 21 noisy 2D keypoints to a hand's pose, with the hand module as its decoder.
 
     It learns from random hands of the prior before random cameras, in minutes on a CPU. DIR gets model.pt, curve.csv,
@@ -105,6 +106,7 @@ class Arguments:
 def main(argv: Sequence[str] | None = None) -> int:
     """Train, or go on training, and measure."""
     arguments = parse(Arguments, argv, name="learn_pose")
+    device = device_named(arguments.device)
     if arguments.pictures:
         return learn_from_pictures(_picture_job(arguments))
     if arguments.video is not None or arguments.keypoints is not None or arguments.judge is not None:
@@ -115,8 +117,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     settings, curve, kept = _begin(arguments)
     with threads(arguments.threads):
         model = load_hand_model()
-        data = training_data(settings, model)
-        training = new_training(settings, model, data)
+        data = training_data(settings, model, device)
+        training = new_training(settings, model, data, device)
         training = training if kept is None else restored(training, kept)
         baseline = baseline_of(training.network, data.held_out.keypoints)
         try:
@@ -151,6 +153,7 @@ def _picture_job(arguments: Arguments) -> PictureJob:
         resume=arguments.resume,
         overwrite=arguments.overwrite,
         threads=arguments.threads,
+        device=device_named(arguments.device),
     )
 
 

@@ -11,7 +11,8 @@ from tqdm import tqdm
 from tyro.conf import arg
 
 import torchhand
-from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
+from torchhand.cli.command import DONE, STOPPED_BY_USER, OnDevice, command, parse, threads
+from torchhand.devices import device_named
 from torchhand.errors import InputError
 from torchhand.files import (
     load_hand_model,
@@ -47,7 +48,7 @@ _VIEWS = 7  # seed of the views of held-out hands
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(OnDevice):
     """Train the network that proposes hands in any posture for a silhouette, on simulated hands alone; measure it.
 
     Hands of the prior, of the signs and of mixtures of them are rendered from all sides, with forearms, ragged masks,
@@ -87,6 +88,7 @@ class Arguments:
 def main(argv: Sequence[str] | None = None) -> int:
     """Train where a file is given, then measure."""
     arguments = parse(Arguments, argv, name="learn_proposals")
+    device_named(arguments.device)  # a mistake is told before the work
     if arguments.every < 1:
         raise InputError(f"--every: expected 1 or more, got {arguments.every}")
     pictures = [(folder, posed_pictures(folder, every=arguments.every)) for folder in arguments.evaluate]
@@ -127,7 +129,7 @@ def _trained(arguments: Arguments, out: Path) -> ProposalNetwork:
         generators = (torch.Generator().manual_seed(settings.seed + number) for number in range(2))
         counts = (settings.hands, settings.held_out)
         hands, held_out = (hand_pool(model, *one, bar.update) for one in zip(counts, generators, strict=True))
-    network = new_network(settings, model)
+    network = new_network(settings, model).to(device_named(arguments.device))
     provenance = {"torchhand": torchhand.__version__, "command": "learn_proposals", "settings": asdict(settings)}
     with tqdm(total=settings.steps, desc="learning", unit="step", disable=hidden) as bar:
         for reached in train_proposals(network, hands, settings, model, report_every=max(1, settings.steps // REPORTS)):
@@ -155,7 +157,7 @@ def _presence(arguments: Arguments, out: Path) -> None:
         generators = [torch.Generator().manual_seed(settings.seed + number) for number in (2, 3)]
         hands = hand_pool(model, count, generators[0], bar.update)
         things = thing_pool(count, generators[1], bar.update)
-    network, own = new_presence_network(settings), slice(0, settings.hands)
+    network, own = new_presence_network(settings).to(device_named(arguments.device)), slice(0, settings.hands)
     provenance = {"torchhand": torchhand.__version__, "command": "learn_proposals", "settings": asdict(settings)}
     with tqdm(total=settings.steps, desc="learning", unit="step", disable=hidden) as bar:
         reports = train_presence(

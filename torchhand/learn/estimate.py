@@ -21,13 +21,14 @@ def estimate_hands(
     """Hands in the camera frame from points of the normalised image plane (`Camera.plane_from_pixels`).
 
     Points that are not finite count as not seen. A left hand is shown to the network in the mirror, and its pose is
-    for kinematics of a left hand. A hand with fewer than MIN_SEEN seen points is NaN.
+    for kinematics of a left hand. A hand with fewer than MIN_SEEN seen points is NaN. All are on the network's device.
     """
+    points_plane = points_plane.to(network.start)
     is_finite = points_plane.isfinite().all(-1)
-    seen = is_finite if seen is None else seen & is_finite
+    seen = is_finite if seen is None else seen.to(is_finite.device) & is_finite
     shown = mirrored(points_plane) if side == "left" else points_plane
     with torch.no_grad():
-        found = network(observe(shown.to(network.start), seen))
+        found = network(observe(shown, seen))
     if side == "left":
         found = _mirrored(found)
     is_enough = seen.sum(-1) >= MIN_SEEN

@@ -26,7 +26,7 @@ def descend(
     `loss_at` draws what is random from the seed and the step's number, so that a training that is broken off and taken
     up again with its optimiser ends as one that was not. clipped: largest norm of the gradient.
     """
-    told: list[float] = []
+    told: list[Tensor] = []  # read when they are reported: whoever reads waits for the device
     for step in steps:
         for group in optimiser.param_groups:
             group["lr"] = rate_at(step)
@@ -35,9 +35,9 @@ def descend(
         descended.backward()
         nn.utils.clip_grad_norm_(network.parameters(), clipped)
         optimiser.step()
-        told.append(float(reported.detach()))
+        told.append(reported.detach())
         if (step + 1) % report_every == 0 or step + 1 == steps.stop:
-            yield step + 1, sum(told) / len(told)
+            yield step + 1, sum(map(float, told)) / len(told)
             told = []
 
 

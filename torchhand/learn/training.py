@@ -3,18 +3,22 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import reduce
 from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
+from torch.utils._pytree import tree_map_only
 
+from torchhand.devices import sent_to
 from torchhand.hand import JOINT_DOFS, HandModel, HandPrior
 from torchhand.learn.data import HandPool, Samples, SampleSettings, draw_samples, hand_pool
 from torchhand.learn.loop import descend, warmed_cosine
 from torchhand.learn.network import HandEstimate, PoseNetwork
 from torchhand.learn.observation import observe
 
+CPU = torch.device("cpu")
 _NEAREST = 0.02  # metres: depth below which a keypoint is not projected
 
 
@@ -109,22 +113,26 @@ class TrainingData:
     """float32, for the loss."""
 
 
-def training_data(settings: TrainingSettings, model: HandModel) -> TrainingData:
-    """Hands to train on, hands to measure on, and the prior."""
+def training_data(settings: TrainingSettings, model: HandModel, device: torch.device = CPU) -> TrainingData:
+    """Hands to train on and hands to measure on, which stay with the processor, and the prior on the device."""
     prior = HandPrior(model.skeleton, model.shape_space, dtype=torch.float64)
     generator = _generator(settings.seed, 0)
     pool = hand_pool(prior, model, settings.pool, generator)
     others = hand_pool(prior, model, settings.held_out, generator)
     held_out = draw_samples(others, torch.arange(settings.held_out), settings.samples, generator)
     light = HandPrior(model.skeleton, model.shape_space.to(dtype=torch.float32)).float()
-    return TrainingData(pool=pool, held_out=held_out, prior=light)
+    return TrainingData(pool=pool, held_out=held_out, prior=light.to(device))
 
 
-def new_training(settings: TrainingSettings, model: HandModel, data: TrainingData) -> Training:
-    """A network with random weights at step 0; torch's own generator is left as it was."""
+def new_training(
+    settings: TrainingSettings, model: HandModel, data: TrainingData, device: torch.device = CPU
+) -> Training:
+    """A network on the device with random weights, the same on any, at step 0; torch's own generator is left as it
+    was."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
         network = PoseNetwork(model, data.pool.joints.mean(0), width=settings.width, blocks=settings.blocks)
+    network.to(device)
     optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
     return Training(settings=settings, network=network, optimiser=optimiser, step=0, loss=math.nan)
 
@@ -133,16 +141,16 @@ def train(training: Training, data: TrainingData, *, pause_every: int) -> Iterat
     """Goes on to the last step; yields the same record, changed, after every `pause_every` steps and at the end.
 
     What is random in a step follows from the seed and the step's number, so a run that is broken off and taken up again
-    ends as one that was not.
+    ends as one that was not. Samples are drawn by the processor and sent to the network's device.
     """
-    settings = training.settings
+    settings, device = training.settings, training.network.start.device
 
     def loss_at(step: int) -> tuple[Tensor, Tensor]:
         generator = _generator(settings.seed, step + 1)
         rows = torch.randint(len(data.pool), (settings.batch,), generator=generator)
-        samples = draw_samples(data.pool, rows, settings.samples, generator)
+        samples = sent_to(draw_samples(data.pool, rows, settings.samples, generator), device)
         estimate = training.network(observe(samples.points_plane, samples.seen))
-        loss = sum(loss_terms(estimate, samples, data.prior, settings).values(), torch.zeros(()))
+        loss = reduce(torch.add, loss_terms(estimate, samples, data.prior, settings).values())
         return loss, loss
 
     steps = range(training.step, settings.steps)
@@ -186,12 +194,14 @@ def learning_rate(settings: TrainingSettings, step: int) -> float:
 
 
 def snapshot(training: Training) -> dict[str, Any]:
-    """What has to be kept to go on later."""
-    return {
-        "step": training.step,
-        "network": training.network.state_dict(),
-        "optimiser": training.optimiser.state_dict(),
-    }
+    """What has to be kept to go on later, on any device."""
+    return kept_state(training.step, training.network, training.optimiser)
+
+
+def kept_state(step: int, network: nn.Module, optimiser: torch.optim.Optimizer) -> dict[str, Any]:
+    """A training's step and the states of its network and optimiser, in the processor's memory."""
+    states = {"network": network.state_dict(), "optimiser": optimiser.state_dict()}
+    return {"step": step} | tree_map_only(Tensor, lambda tensor: tensor.cpu(), states)
 
 
 def restored(training: Training, kept: dict[str, Any]) -> Training:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import pytest
 import torch
 
 from torchhand.files import load_hand_model
@@ -99,3 +100,29 @@ def test_steps_on_a_recording_bring_the_network_to_its_silhouettes_and_points(sm
         overlaps.append(figures["overlap"])
     assert points[-1] < 0.85 * points[0]
     assert overlaps[-1] > overlaps[0]
+
+
+def test_it_learns_the_same_on_any_device(device: torch.device) -> None:
+    settings = PictureTraining(
+        steps=1,
+        recorded_steps=2,
+        batch=4,
+        recorded_batch=4,
+        pool=8,
+        held_out=8,
+        width=4,
+        hidden=16,
+        blocks=1,
+        energy_hands=2,
+    )
+    model, crops = load_hand_model(), as_recorded(plain_crops())
+    simulated, _ = simulated_data(settings, model)
+    ends = []
+    for there in (torch.device("cpu"), device):
+        data = picture_data(settings, model, simulated, crops, there)
+        training = new_picture_training(settings, model, simulated.joints.mean(0), there)
+        losses = [reached.loss for reached in train_from_pictures(training, data, pause_every=1)]
+        assert data.recorded is not None
+        ends.append((losses, recorded_figures(training.network, data.recorded, data.teacher)))
+    assert ends[1][0] == pytest.approx(ends[0][0], rel=1e-3)
+    assert ends[1][1] == pytest.approx(ends[0][1], rel=1e-2)

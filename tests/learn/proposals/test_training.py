@@ -105,3 +105,14 @@ def test_hypotheses_begin_with_unlike_directions() -> None:
 def test_settings_out_of_range_are_refused(change: dict[str, float], complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
         ProposalTraining(**change)  # type: ignore[arg-type]
+
+
+def test_it_learns_the_same_on_any_device(device: torch.device, rendered: RenderedHands) -> None:
+    settings = replace(SMALL, steps=3)
+    ends = []
+    for there in (torch.device("cpu"), device):
+        network = new_network(settings, MODEL).to(there)
+        losses = [reached.loss for reached in train_proposals(network, rendered, settings, MODEL, report_every=1)]
+        ends.append((losses, measured_on_views(network, rendered, MODEL, 3).errors.best["aligned_mm"]))
+    assert ends[1][0] == pytest.approx(ends[0][0], rel=1e-3)
+    assert ends[1][1] == pytest.approx(ends[0][1], rel=1e-2)

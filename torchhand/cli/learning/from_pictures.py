@@ -13,6 +13,7 @@ from tqdm import tqdm
 import torchhand
 from torchhand.cli.command import DONE, STOPPED_BY_USER, threads
 from torchhand.cli.learning.folders import check_same, check_training_folder
+from torchhand.devices import sent_to
 from torchhand.draw import draw_chart
 from torchhand.errors import InputError
 from torchhand.files import load_hand_model
@@ -90,6 +91,7 @@ class PictureJob:
     resume: bool
     overwrite: bool
     threads: int
+    device: torch.device
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,8 +132,8 @@ def learn_from_pictures(job: PictureJob) -> int:
         check_same(changed, sources, job.out)
     with threads(job.threads):
         model = load_hand_model()
-        data, measured = _data(settings, sources, model)
-        training = new_picture_training(settings, model, data.simulated.joints.mean(0))
+        data, measured = _data(settings, sources, model, job.device)
+        training = new_picture_training(settings, model, data.simulated.joints.mean(0), job.device)
         training = training if record is None else record.restored(training)
         try:
             _train(training, data, measured, curve, job.out, sources)
@@ -142,7 +144,9 @@ def learn_from_pictures(job: PictureJob) -> int:
     return DONE
 
 
-def _data(settings: PictureTraining, sources: Sources, model: HandModel) -> tuple[PictureData, _Measured]:
+def _data(
+    settings: PictureTraining, sources: Sources, model: HandModel, device: torch.device
+) -> tuple[PictureData, _Measured]:
     """Everything is made anew from the seed; mistakes in files are told before the long work."""
     stills = None if sources.evaluate is None else still_crops(Path(sources.evaluate), sources.side)
     recorded = judged = None
@@ -156,8 +160,8 @@ def _data(settings: PictureTraining, sources: Sources, model: HandModel) -> tupl
                 judged = recorded_crops(*files, range(sources.judge[0], sources.judge[1] + 1), tick=bar.update)
     with _bar("simulating", settings.pool + settings.held_out, "crop") as bar:
         simulated, held_out = simulated_data(settings, model, bar.update)
-    data = picture_data(settings, model, simulated, recorded)
-    return data, _Measured(held_out=held_out, judged=judged, stills=stills)
+    data = picture_data(settings, model, simulated, recorded, device)
+    return data, _Measured(held_out=held_out, judged=None if judged is None else sent_to(judged, device), stills=stills)
 
 
 def _train(

@@ -63,7 +63,10 @@ def true_figures(network: PictureNetwork, crops: TrueCrops | SimulatedCrops) -> 
 
 
 def recorded_figures(network: PictureNetwork, crops: RecordedCrops, teacher: Teacher) -> Figures:
-    """What agrees with the teachers, by the names of RECORDED_FIGURES; crops without a silhouette count for points."""
+    """What agrees with the teachers, by the names of RECORDED_FIGURES; crops without a silhouette count for points.
+
+    Network, crops and teacher on one device.
+    """
     estimate = estimated(network, crops.image, crops.intrinsics)
     off = (projected(estimate, crops.intrinsics) - crops.points_px).norm(dim=-1).mean(-1) / crops.scale
     told = crops.known.flatten(1).any(1)
@@ -77,8 +80,9 @@ def recorded_figures(network: PictureNetwork, crops: RecordedCrops, teacher: Tea
 def estimated(
     network: PictureNetwork, image: UInt8[Tensor, "crops side side 3"], intrinsics: Float[Tensor, "crops 3 3"]
 ) -> HandEstimate:
-    """Hands of any number of crops."""
-    parts = [network(image[rows], intrinsics[rows]) for rows in _slices(len(image))]
+    """Hands of any number of crops, on the network's device."""
+    device = network.hands.start.device
+    parts = [network(image[rows].to(device), intrinsics[rows].to(device)) for rows in _slices(len(image))]
     names = ("pose", "root_reference", "shape", "keypoints")
     return HandEstimate(**{name: torch.cat([getattr(one, name) for one in parts]) for name in names})
 

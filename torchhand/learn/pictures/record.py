@@ -11,7 +11,17 @@ import torch
 
 from torchhand.files.disk import write_text
 from torchhand.hand import HandModel
-from torchhand.learn import CURVE_NAME, Curve, LossWeights, curve_of, curve_text, kept_of, read_model, write_model
+from torchhand.learn import (
+    CURVE_NAME,
+    Curve,
+    LossWeights,
+    curve_of,
+    curve_text,
+    kept_of,
+    kept_state,
+    read_model,
+    write_model,
+)
 from torchhand.learn.pictures.network import PictureNetwork
 from torchhand.learn.pictures.teaching import TeachingWeights
 from torchhand.learn.pictures.training import PictureProgress, PictureTraining, new_picture_training
@@ -54,9 +64,7 @@ def save_picture_record(folder: Path, training: PictureProgress, sources: dict[s
         "settings": asdict(training.settings),
         "sources": sources,
         "curve": curve,
-        "step": training.step,
-        "network": training.network.state_dict(),
-        "optimiser": training.optimiser.state_dict(),
+        **kept_state(training.step, training.network, training.optimiser),
     }
     write_model(folder, content)
     write_text(folder / CURVE_NAME, curve_text(curve))

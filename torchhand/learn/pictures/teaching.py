@@ -38,7 +38,7 @@ class Teacher:
         self._hand = model.hand(dtype=torch.float32)
         self._prior = model.prior(dtype=torch.float32)
         self._renderer = SoftRenderer(self._hand.faces)
-        self._camera = assumed_camera(SIDE_PX, SIDE_PX, dtype=torch.float32)
+        self._camera = assumed_camera(SIDE_PX, SIDE_PX, dtype=torch.float32).to(device=self._hand.faces.device)
 
     def silhouettes(
         self, estimate: HandEstimate, intrinsics: Float[Tensor, "crops 3 3"]

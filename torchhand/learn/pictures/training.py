@@ -2,11 +2,13 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import reduce
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from torchhand.devices import sent_to
 from torchhand.errors import require
 from torchhand.hand import HandModel, HandPrior
 from torchhand.learn import LossWeights, descend, loss_terms, warmed_cosine
@@ -15,6 +17,7 @@ from torchhand.learn.pictures.recorded import RecordedCrops
 from torchhand.learn.pictures.simulated import SimulatedCrops, simulated_crops
 from torchhand.learn.pictures.teaching import Teacher, TeachingWeights, part
 
+CPU = torch.device("cpu")
 _CLIPPED = 2.0  # norm of the gradient
 
 
@@ -86,24 +89,33 @@ class PictureProgress:
     """Mean over the steps since it was last read."""
 
 
-def new_picture_training(settings: PictureTraining, model: HandModel, usual_joints: Tensor) -> PictureProgress:
-    """A network with random weights at step 0; torch's own generator is left as it was."""
+def new_picture_training(
+    settings: PictureTraining, model: HandModel, usual_joints: Tensor, device: torch.device = CPU
+) -> PictureProgress:
+    """A network on the device with random weights, the same on any, at step 0; torch's own generator is left as it
+    was."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
         sizes = {"width": settings.width, "hidden": settings.hidden, "blocks": settings.blocks}
         network = PictureNetwork(model, usual_joints, **sizes)
+    network.to(device)
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
     return PictureProgress(settings=settings, network=network, optimiser=optimiser, step=0, loss=float("nan"))
 
 
 def picture_data(
-    settings: PictureTraining, model: HandModel, simulated: SimulatedCrops, recorded: RecordedCrops | None
+    settings: PictureTraining,
+    model: HandModel,
+    simulated: SimulatedCrops,
+    recorded: RecordedCrops | None,
+    device: torch.device = CPU,
 ) -> PictureData:
-    """Everything that a step needs."""
+    """Everything that a step needs: all but the simulated crops on the device."""
     prior = HandPrior(model.skeleton, model.shape_space.to(dtype=torch.float32)).float()
-    recorded = recorded if settings.recorded_steps else None
-    return PictureData(simulated=simulated, recorded=recorded, prior=prior, teacher=Teacher(model))
+    recorded = sent_to(recorded, device) if recorded is not None and settings.recorded_steps else None
+    teacher = Teacher(model.to(device=device))
+    return PictureData(simulated=simulated, recorded=recorded, prior=prior.to(device), teacher=teacher)
 
 
 def train_from_pictures(training: PictureProgress, data: PictureData, *, pause_every: int) -> Iterator[PictureProgress]:
@@ -135,21 +147,22 @@ def train_from_pictures(training: PictureProgress, data: PictureData, *, pause_e
 
 def _loss(training: PictureProgress, data: PictureData, step: int) -> tuple[Tensor, Tensor]:
     """The loss on simulated crops, and from the end of the steps on these alone that on recorded ones as well."""
-    settings, crops = training.settings, data.simulated
+    settings, crops, device = training.settings, data.simulated, training.network.hands.start.device
     generator = step_generator(settings.seed, step + 1)
     rows = torch.randint(len(crops), (settings.batch,), generator=generator)
-    images, intrinsics = crops.image[rows], crops.intrinsics[rows]
+    images, intrinsics = crops.image[rows].to(device), crops.intrinsics[rows].to(device)
+    truth = sent_to(crops.samples(rows), device)
     training.network.train()
     recorded = data.recorded if step >= settings.steps else None
     if recorded is None:
         estimate = training.network(images, intrinsics)
-        loss = sum(loss_terms(estimate, crops.samples(rows), data.prior, settings).values(), torch.zeros(()))
+        loss = reduce(torch.add, loss_terms(estimate, truth, data.prior, settings).values())
         return loss, loss
-    others = torch.randint(len(recorded), (settings.recorded_batch,), generator=generator)
+    others = torch.randint(len(recorded), (settings.recorded_batch,), generator=generator).to(device)
     both = torch.cat((images, recorded.image[others])), torch.cat((intrinsics, recorded.intrinsics[others]))
     estimate = training.network(*both)
     own, taught = part(estimate, slice(len(rows))), part(estimate, slice(len(rows), None))
-    loss = sum(loss_terms(own, crops.samples(rows), data.prior, settings).values(), torch.zeros(()))
+    loss = reduce(torch.add, loss_terms(own, truth, data.prior, settings).values())
     loss = loss + data.teacher.loss(taught, recorded, others, settings.teaching, settings.energy_hands)
     return loss, loss
 

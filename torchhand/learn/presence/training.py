@@ -63,14 +63,18 @@ def train_presence(
     report_every: int,
 ) -> Iterator[tuple[int, float]]:
     """Trains to the last step; tells the step and the mean loss (nats) since the last report after every
-    `report_every` steps and at the end. The network is changed."""
+    `report_every` steps and at the end. The network is changed.
+
+    Views are made by the processor and sent to the network's device.
+    """
+    device = next(network.parameters()).device
     optimiser = torch.optim.AdamW(network.parameters(), lr=settings.learning_rate, weight_decay=_WEIGHT_DECAY)
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def loss_at(step: int) -> tuple[Tensor, Tensor]:
         channels, is_hand = seen_either(hands, things, settings.batch, generator_of(settings.seed, step + 1))
         network.train()
-        told = network(channels)
+        told = network(channels.to(device))
         loss = nn.functional.binary_cross_entropy_with_logits(told, is_hand.to(told))
         return loss, loss
 
@@ -136,9 +140,10 @@ def presence_figures(
 ) -> dict[float, tuple[float, float]]:
     """For each threshold of the network's logarithm the share of hands below it, and of things above it, each in one
     random view."""
+    device = next(network.parameters()).device
     with torch.no_grad():
         told = [
-            torch.cat([network(views) for views in channels.split(_AT_ONCE)])
+            torch.cat([network(views.to(device)) for views in channels.split(_AT_ONCE)])
             for channels in (seen_hands(hands, generator, wide=_WIDE).channels, seen_things(things, generator))
         ]
     own, other = told

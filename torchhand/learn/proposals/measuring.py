@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.devices import sent_to
 from torchhand.fit.proposals import ProposalRegistration
 from torchhand.hand import HandKinematics, HandModel
 from torchhand.learn.proposals.figures import ProposalFigures, proposal_figures
@@ -32,10 +33,11 @@ class ViewFigures:
 
 def measured_on_views(network: ProposalNetwork, hands: RenderedHands, model: HandModel, seed: int) -> ViewFigures:
     """Every hand in one random view."""
-    kinematics = model.kinematics(dtype=torch.float32)
+    device = network.heads.weight.device
+    kinematics = model.kinematics(dtype=torch.float32).to(device)
     own, true, weight, is_nearest = [], [], [], []
     for number, rows in enumerate(torch.arange(len(hands)).split(_AT_ONCE)):
-        seen = seen_hands(hands.rows(rows), generator_of(seed, -number - 1))
+        seen = sent_to(seen_hands(hands.rows(rows), generator_of(seed, -number - 1)), device)
         with torch.no_grad():
             found = network(seen.channels)
         own.append(keypoints_about_palm(kinematics, found.rotation, found.joints))
@@ -44,7 +46,7 @@ def measured_on_views(network: ProposalNetwork, hands: RenderedHands, model: Han
         is_nearest.append(hypothesis_errors(found, seen, kinematics).argmin(-1) == found.log_weight.argmax(-1))
     weights = torch.cat(weight)
     return ViewFigures(
-        errors=proposal_figures(torch.cat(own), weights, torch.cat(true)),
+        errors=proposal_figures(torch.cat(own).cpu(), weights.cpu(), torch.cat(true).cpu()),
         promised=float(weights.amax(-1).mean()),
         kept=float(torch.cat(is_nearest).float().mean()),
     )

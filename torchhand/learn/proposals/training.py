@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.devices import sent_to
 from torchhand.errors import require
 from torchhand.geometry import rotation_of_quaternion
 from torchhand.hand import HandKinematics, HandModel
@@ -78,15 +79,19 @@ def train_proposals(
     *,
     report_every: int,
 ) -> Iterator[Progress]:
-    """Trains to the last step; reports after every `report_every` steps and at the end. The network is changed."""
-    kinematics = model.kinematics(dtype=torch.float32)
+    """Trains to the last step; reports after every `report_every` steps and at the end. The network is changed.
+
+    Views are made by the processor and sent to the network's device.
+    """
+    device = network.heads.weight.device
+    kinematics = model.kinematics(dtype=torch.float32).to(device)
     optimiser = torch.optim.AdamW(network.parameters(), lr=settings.learning_rate, weight_decay=_WEIGHT_DECAY)
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def loss_at(step: int) -> tuple[Tensor, Tensor]:
         generator = generator_of(settings.seed, step + 1)
         rows = torch.randint(len(hands), (settings.batch,), generator=generator)
-        seen = seen_hands(hands.rows(rows), generator)
+        seen = sent_to(seen_hands(hands.rows(rows), generator), device)
         network.train()
         found = network(seen.channels)
         errors = hypothesis_errors(found, seen, kinematics)
