@@ -27,6 +27,7 @@ from torchhand.numerics import (
     update,
     update_extended,
     update_iterated,
+    update_quadratic,
 )
 from torchhand.precision import EXACT, own_precision, record, require_exact
 from torchhand.track import HandKeypoints, Tracker, View
@@ -108,6 +109,7 @@ WALKED: dict[str, Walk] = {
     "fit_keypoints": lambda a, d: fit_keypoints(hand(d).kinematics, posed(d).keypoints).pose,
     "update": lambda a, d: update(_belief(a), lambda x: x @ a(FIXED), a(FIXED[0]), a(FIXED[0])).state,
     "update_extended": lambda a, d: update_extended(_belief(a), a(FIXED[0]), a(FIXED), a(FIXED[0])).state,
+    "update_quadratic": lambda a, d: update_quadratic(_belief(a), a(FIXED[0]), a(FIXED)),
     "update_iterated": lambda a, d: (
         update_iterated(_belief(a), lambda x: (x @ a(FIXED), a(FIXED)), a(FIXED[0]), a(FIXED[0])).update.state
     ),
@@ -121,11 +123,11 @@ WALKED: dict[str, Walk] = {
 TAKES_TWO = (
     *("Hand", "HandKinematics", "HandPrior", "HandPose", "rebased", "bone_offsets", "place_primitives", "Primitives"),
     *("keypoint_jacobian", "ShapeJacobian", "skin_jacobian", "posed_mesh", "moved", "evaluate", "distort"),
-    *("update", "update_extended", "update_iterated", "predict_linear", "mode_in_box"),
+    *("update", "update_extended", "update_iterated", "update_quadratic", "predict_linear", "mode_in_box"),
 )
 EXACT_ALONE = (
     *("HandPrior", "update", "update_extended", "update_iterated", "predict", "predict_linear", "robust_cholesky"),
-    *("levenberg_marquardt", "gradient_descent", "mode_in_box"),
+    *("update_quadratic", "levenberg_marquardt", "gradient_descent", "mode_in_box"),
 )
 """Filters, solvers and the prior."""
 BESIDE_MODULES = ("place_primitives", "keypoint_jacobian", "ShapeJacobian", "skin_jacobian")

@@ -64,7 +64,12 @@ def _guarded(function: Callable[P, R], *, is_exact: bool) -> Callable[P, R]:
             return _switched_off(called, args, kwargs)
         kept = None
         for value in (*args, *kwargs.values()) if kwargs else args:
-            dtype = value.dtype if isinstance(value, Tensor) else _dtype_of(value)
+            if isinstance(value, Tensor):
+                dtype = value.dtype
+            elif type(value) in _RECORDS:
+                dtype = _dtype_of(value)
+            else:
+                continue
             if dtype is kept or dtype is None or not dtype.is_floating_point:
                 continue
             if kept is not None or (is_exact and dtype not in EXACT):

@@ -49,6 +49,25 @@ def test_batches_equal_a_loop(batch: tuple[int, ...], mixture: PostureMixture, g
             torch.testing.assert_close(many.reshape(-1, *part.shape)[i], part)
 
 
+def test_the_nearest_postures_are_those_of_highest_density_under_errors(
+    mixture: PostureMixture, generator: torch.Generator
+) -> None:
+    """Against dense normal distributions; with hardly any errors, the angles given in the likeliest posture."""
+    postures, spread = PostureResiduals.of(mixture), 0.2
+    pose = mixture.sample(5, generator)[0].double() + 0.1 * torch.randn(5, 36, generator=generator, dtype=torch.float64)
+    inverse = torch.linalg.inv(postures.matrix)
+    mean, own = (inverse @ postures.offset[..., None]).squeeze(-1), inverse @ inverse.mT
+    blurred = own + spread**2 * torch.eye(30, dtype=torch.float64)
+    weight = -postures.level - torch.logdet(postures.matrix)  # logarithms, up to one constant
+    density = torch.distributions.MultivariateNormal(mean, blurred).log_prob(pose[:, None, 6:]) + weight
+    chosen = density.topk(3).indices
+    gain = own @ torch.linalg.inv(blurred)
+    expected = mean + (gain @ (pose[:, None, 6:] - mean)[..., None]).squeeze(-1)
+    expected = expected.gather(1, chosen[..., None].expand(-1, -1, 30))
+    torch.testing.assert_close(postures.nearest(pose, spread, 3), expected, atol=1e-9, rtol=0)
+    torch.testing.assert_close(postures.nearest(pose, 1e-6, 1)[:, 0], pose[:, 6:], atol=1e-6, rtol=0)
+
+
 def test_hard_ties_have_no_density() -> None:
     constraints = PoseConstraints(load_hand_model().skeleton, ConstraintSettings(ties="hard"))
     with pytest.raises(ValueError, match="mixture: expected soft ties"):

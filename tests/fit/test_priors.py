@@ -110,6 +110,20 @@ def test_an_unusual_posture_is_pulled_less_where_the_tail_is_long(
     assert pull(unusual, 3.0) < 0.2 * pull(unusual, math.inf)
 
 
+def test_normalised_costs_of_two_components_differ_as_their_densities_do(
+    postures: PostureResiduals, generator: torch.Generator
+) -> None:
+    """The component of each hand is its likeliest; costs are never below 0."""
+    some = HandPose.of(MODEL.prior().postures.sample(60, generator)[0].double())
+    prior = PosturePrior(postures=postures, is_normalized=True)
+    cost = prior.associate(posed(some), STAGE).equations(posed(some)).cost
+    missed = (some.dofs[:, None, None, 6:] @ postures.matrix.mT).squeeze(-2) - postures.offset
+    density = (-0.5 * missed.square().sum(-1) - postures.level).amax(-1)
+    torch.testing.assert_close(cost - cost[0], density[0] - density, atol=1e-9, rtol=0)
+    assert len(set(postures.likeliest(some.dofs).tolist())) > 3
+    assert float(cost.min()) >= 0
+
+
 # ------------------------------------------------------------------ the Gaussian
 
 

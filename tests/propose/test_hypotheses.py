@@ -9,8 +9,9 @@ from torch import Tensor
 from torchhand.files import load_hand_model, load_proposal_network
 from torchhand.geometry import Camera, assumed_camera, rotation_from_vector
 from torchhand.hand import HandKinematics, Side
-from torchhand.propose.hypotheses import HandHypotheses, Silhouette, propose_hands
+from torchhand.propose.hypotheses import HandHypotheses, Silhouette, propose_hands, sampled_channels
 from torchhand.propose.network import ProposalNetwork, ViewedHands
+from torchhand.propose.views import views_towards
 
 MODEL = load_hand_model()
 SHAPE = MODEL.shape_space.default
@@ -150,3 +151,17 @@ def test_other_cameras_are_refused() -> None:
     camera = replace(assumed_camera(WIDTH, HEIGHT), kind="orthographic")
     with pytest.raises(ValueError, match="camera: expected a pinhole camera, got orthographic"):
         _proposed(_silhouette(camera))
+
+
+@pytest.mark.parametrize("behind", [False, True])
+def test_a_straight_view_is_sampled_as_through_a_lens_that_bends_nothing(behind: bool) -> None:
+    camera = assumed_camera(WIDTH, HEIGHT)
+    lens = replace(camera, distortion=torch.tensor((1e-12, 0.0, 0.0, 0.0), dtype=torch.float64))
+    image = torch.randint(256, (HEIGHT, WIDTH, 3), generator=torch.Generator().manual_seed(0)).to(torch.uint8)
+    centre, up = torch.tensor(((0.1, 0.05, 1.0), (-0.4, 0.3, 1.0))), torch.tensor(((0.2, -1.0, 0.0), (1.0, 0.3, 0.0)))
+    reach = torch.tensor((0.2, 3.0 if behind else 0.5))  # beyond a right angle some rays point backwards
+    views = views_towards(centre, up, reach)
+    straight, bent = (
+        sampled_channels(Silhouette(mask=_blob(), camera=one, image=image), views) for one in (camera, lens)
+    )
+    torch.testing.assert_close(straight, bent, rtol=0, atol=2e-4)

@@ -47,7 +47,7 @@ class Appearance:
 
 def grey(image: UInt8[Tensor, "height width 3"]) -> Float[Tensor, "height width"]:
     """Luminance, 0..1, rounded to 1/255."""
-    return luminance(image).float() * (1 / 255)
+    return luminance(image).float().mul_(1 / 255)
 
 
 def mask_plane(mask: Bool[Tensor, "height width"]) -> Float[Tensor, "height width"]:

@@ -66,6 +66,23 @@ class PostureResiduals:
         missed = (joints @ self.matrix.flatten(0, 1).T).unflatten(-1, self.offset.shape) - self.offset
         return (0.5 * missed.square().sum(-1) + self.level).argmin(-1)
 
+    def nearest(self, pose: Float[Tensor, "k 36"], spread: float, count: int) -> Float[Tensor, "k count 30"]:
+        """Joint angles that are expected in each of the likeliest postures, where those given are off by normal errors.
+
+        spread: standard deviation of the errors of all angles, radians. Of a normal density with covariance C about m,
+        errors leave that with C + spread² about m, and the expected angles are m + C (C + spread²)⁻¹ (given - m).
+        """
+        joints, inverse = pose[:, _ROOT:].to(self.matrix), torch.linalg.inv(self.matrix)
+        away = joints[:, None] - (inverse @ self.offset[..., None]).squeeze(-1)
+        own = inverse @ inverse.mT
+        blurred = own + spread**2 * torch.eye(own.shape[-1], dtype=own.dtype, device=own.device)
+        pull = torch.linalg.solve(blurred, away.permute(1, 2, 0)).permute(2, 0, 1)
+        level = self.level + 0.5 * (torch.logdet(blurred) - torch.logdet(own))
+        cost = 0.5 * (away * pull).sum(-1) + level
+        chosen = cost.topk(min(count, cost.shape[1]), largest=False).indices
+        pull = pull.gather(1, chosen[..., None].expand(-1, -1, pull.shape[2]))
+        return (joints[:, None] - spread**2 * pull).to(pose)
+
     def of_joints(
         self, pose: Float[Tensor, "*batch 36"], posture: Int[Tensor, "*batch"]
     ) -> tuple[Float[Tensor, "*batch 30"], Float[Tensor, "*batch 30 30"]]:

@@ -1,7 +1,7 @@
 """Priors as factors: likely postures, the constraints between joints, and a Gaussian such as a prediction."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import torch
@@ -68,6 +68,9 @@ class PosturePrior:
     postures: PostureResiduals
     weight: float = 1.0
     """Power of the density; above 0."""
+    is_normalized: bool = False
+    """Whether the cost holds the normalisation of each component, above that of the densest: costs of hands in narrow
+    and in broad components are then comparable. What is one component for all compared hands does not need it."""
     tail: float = math.inf
     """Degrees of freedom of a Student's t distribution: the fewer, the less an unusual posture is pulled to the usual
     ones; infinite for a normal one."""
@@ -92,7 +95,10 @@ class PosturePrior:
             away = ((matrix @ known[:, _ROOT:, None]).squeeze(-1) - offset).square().sum(-1)
             scale = (self.weight * (self.tail + offset.shape[-1]) / (self.tail + away)).sqrt()
         matrix, offset = scale[:, None, None] * matrix, scale[:, None] * offset
-        return PostureFactor(matrix=matrix, offset=offset, information=matrix.mT @ matrix)
+        level = torch.zeros_like(pose[:, 0])
+        if self.is_normalized:
+            level = self.weight * (postures.level - postures.level.min()).to(pose)[kind]
+        return PostureFactor(matrix=matrix, offset=offset, level=level, information=matrix.mT @ matrix)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,13 +107,15 @@ class PostureFactor:
 
     matrix: Float[Tensor, "k 30 30"]
     offset: Float[Tensor, "k 30"]
+    level: Float[Tensor, "k"]
+    """Cost where nothing is missed, nats."""
     information: Float[Tensor, "k 30 30"]
 
     def equations(self, hands: PosedHands) -> Equations:
         """Normal equations in the joint angles."""
         missed = (self.matrix @ hands.pose.dofs[:, _ROOT:, None]).squeeze(-1) - self.offset
         return Equations(
-            cost=0.5 * missed.square().sum(-1),
+            cost=0.5 * missed.square().sum(-1) + self.level,
             gradient=(missed[:, None] @ self.matrix).squeeze(1),
             matrix=self.information,
             first_dof=_ROOT,
@@ -115,7 +123,7 @@ class PostureFactor:
 
     def rows(self, rows: Int[Tensor, "n"]) -> "PostureFactor":
         """The rows of some of the hands."""
-        return PostureFactor(matrix=self.matrix[rows], offset=self.offset[rows], information=self.information[rows])
+        return PostureFactor(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
     def explained(self) -> tuple[Explained, ...]:
         return ()

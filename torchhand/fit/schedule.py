@@ -25,10 +25,12 @@ class Stage:
     takes ten times the iterations."""
     pitch_px: int = 1
     """Pixels of the picture per pixel of a distance map; 1 or more."""
+    thinning: int = 1
+    """Every so manieth point of contours is compared, of the model's and of the picture's; 1 or more."""
 
     def __post_init__(self) -> None:
         require(0 < self.gross_m < float("inf"), "stage.gross_m", "above 0 and finite", self.gross_m)
-        for name in ("rounds", "iterations", "pitch_px"):
+        for name in ("rounds", "iterations", "pitch_px", "thinning"):
             require(getattr(self, name) >= 1, f"stage.{name}", "1 or more", getattr(self, name))
         methods = ("levenberg_marquardt", "gauss_newton", "gradient_descent")
         require(self.method in methods, "stage.method", f"one of {', '.join(methods)}", self.method)

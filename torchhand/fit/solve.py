@@ -35,6 +35,9 @@ _DESCENT = 10  # iterations of gradient descent for one of Levenberg-Marquardt
 _ARRIVED = 0.02  # share of the cost that the next step promises, below which a fit without line search has converged
 
 
+_OF_HYPOTHESES = ("cost", "misfit", "status", "covariance")
+
+
 class SolveStatus(IntEnum):
     """How a hypothesis ended."""
 
@@ -90,6 +93,35 @@ class Solutions:
             iterations=self.iterations.reshape(-1)[rows],
             covariance=self.covariance.reshape(-1, free, free)[rows],
             explained=tuple(one.rows(rows) for one in self.explained),
+        )
+
+    def reshape(self, batch: torch.Size) -> "Solutions":
+        """The flattened hypotheses in another batch shape."""
+        names = [f.name for f in fields(Solutions) if f.name not in ("pose", "explained")]
+        shaped = {name: getattr(self, name).reshape((*batch, *getattr(self, name).shape[1:])) for name in names}
+        return replace(self, pose=self.pose.reshape(*batch), **shaped)
+
+    def or_cheaper(self, rows: Int[Tensor, "n"], others: "Solutions") -> "Solutions":
+        """The flattened hypotheses, with other solutions of some of them in place of those that cost more; their
+        iterations stay."""
+        better = others.cost < self.cost[rows]
+
+        def chosen(one: Tensor, other: Tensor) -> Tensor:
+            is_other = better.reshape(-1, *(1,) * (one.ndim - 1))
+            return one.index_copy(0, rows, torch.where(is_other, other, one[rows]))
+
+        def explained(one: Explained, other: Explained) -> Explained:
+            names = [name for name in ("fraction", "distance", "inside") if getattr(one, name) is not None]
+            return replace(one, **{name: chosen(getattr(one, name), getattr(other, name)) for name in names})
+
+        return replace(
+            self,
+            pose=HandPose(
+                dofs=chosen(self.pose.dofs, others.pose.dofs),
+                reference=chosen(self.pose.reference, others.pose.reference),
+            ),
+            explained=tuple(explained(*pair) for pair in zip(self.explained, others.explained, strict=True)),
+            **{name: chosen(getattr(self, name), getattr(others, name)) for name in _OF_HYPOTHESES},
         )
 
     def select(self, index: int) -> "Solutions":
@@ -292,8 +324,4 @@ def _joined(parts: list[Solutions], batch: torch.Size) -> Solutions:
     explained = Explained.joined([part.explained for part in parts], [len(part.pose) for part in parts])
     names = [f.name for f in fields(Solutions) if f.name not in ("pose", "explained")]
     tensors = {name: torch.cat([getattr(part, name) for part in parts]) for name in names}
-    return Solutions(
-        pose=HandPose.cat([part.pose for part in parts]).reshape(*batch),
-        explained=explained,
-        **{name: value.reshape((*batch, *value.shape[1:])) for name, value in tensors.items()},
-    )
+    return Solutions(pose=HandPose.cat([part.pose for part in parts]), explained=explained, **tensors).reshape(batch)

@@ -27,6 +27,7 @@ from torchhand.numerics.filters import (
     update,
     update_extended,
     update_iterated,
+    update_quadratic,
     wrapped,
 )
 from torchhand.numerics.least_squares import (
@@ -95,6 +96,7 @@ __all__ = [
     "update",
     "update_extended",
     "update_iterated",
+    "update_quadratic",
     "wander",
     "wrapped",
 ]

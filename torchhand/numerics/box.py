@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.devices import asks_after, read_back
+from torchhand.devices import asks_after, is_host, read_back
 from torchhand.numerics.filters import Gaussian
 from torchhand.precision import full_precision
 
@@ -31,9 +31,7 @@ def mode_in_box(
         if asks_after(turn, mean.device) and not read_back(is_bound).any():
             break
         missing = torch.where(is_bound, torch.where(below, lower, upper) - mean, 0.0)
-        kept = is_bound.to(mean)
-        matrix = covariance * kept.unsqueeze(-1) * kept.unsqueeze(-2) + (1 - kept).diag_embed()
-        pull = torch.linalg.solve(matrix, missing)
+        pull = _pull(covariance, missing, is_bound)
         value = mean + (covariance @ pull.unsqueeze(-1)).squeeze(-1)
         is_needed = torch.where(below, pull > 0, pull < 0)
         leads_below, leads_above = ~is_bound & (value < lower), ~is_bound & (value > upper)
@@ -43,3 +41,14 @@ def mode_in_box(
         below, above = (below & is_needed) | leads_below, (above & is_needed) | leads_above
     is_bound = below | above
     return torch.where(is_bound, torch.where(below, lower, upper), value).clamp(lower, upper), is_bound
+
+
+def _pull(covariance: Tensor, missing: Tensor, is_bound: Tensor) -> Tensor:
+    """P_aa⁻¹ (b - μ_a) at the variables on their bounds, 0 at the others."""
+    if is_bound.ndim == 1 and is_host(is_bound.device):  # few of many: their own system alone
+        bound = is_bound.nonzero().squeeze(-1)
+        own = covariance.index_select(0, bound).index_select(1, bound)
+        return torch.zeros_like(missing).index_copy(0, bound, torch.linalg.solve(own, missing.index_select(0, bound)))
+    kept = is_bound.to(missing)
+    matrix = covariance * kept.unsqueeze(-1) * kept.unsqueeze(-2) + (1 - kept).diag_embed()
+    return torch.linalg.solve(matrix, missing)

@@ -177,7 +177,7 @@ def sampled_channels(silhouette: Silhouette, views: SquareViews) -> Float[Tensor
     mask, camera = silhouette.mask, silhouette.camera
     plane = views.plane(_FINE * SIDE_PX)
     pixels = camera.to(dtype=torch.float32).pixels_from_plane(plane)
-    rows, columns = _seen_part(pixels, mask)
+    rows, columns = _seen_part(pixels, mask, is_straight=not camera.has_distortion)
     mask, image = mask[rows, columns], silhouette.image
     device = mask.device
     if image is None:
@@ -185,18 +185,30 @@ def sampled_channels(silhouette: Silhouette, views: SquareViews) -> Float[Tensor
     else:
         grey = image[rows, columns].float() @ constant_tensor(_GREY, torch.float32, device) / 255
     height, width = mask.shape
-    pixels = pixels - torch.tensor((columns.start, rows.start), device=device)
-    grid = (2 * pixels + 1) / torch.tensor((width, height), device=device) - 1
-    grid = torch.where(plane.abs().amax(-1, keepdim=True) < _FAR, grid, _FAR).clamp(-_FAR, _FAR)
+    # From pixels of the part to -1..1 between its outer edges.
+    size = torch.tensor((width, height), device=device)
+    start = torch.tensor((columns.start, rows.start), device=device)
+    grid = torch.addcmul((1 - 2 * start) / size - 1, pixels, 2 / size)
+    if camera.has_distortion or camera.has_skew:  # what is behind the camera is not far away there
+        grid = torch.where(plane.abs().amax(-1, keepdim=True) < _FAR, grid, _FAR)
+    grid = grid.clamp_(-_FAR, _FAR)
     picture = torch.stack((mask.float(), grey, torch.ones_like(grey))).expand(len(grid), -1, -1, -1)
     fine = functional.grid_sample(picture, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
     share, level, known = functional.avg_pool2d(fine, _FINE).unbind(1)
     return network_channels(share, level, known)
 
 
-def _seen_part(pixels: Float[Tensor, "views rows columns 2"], mask: Tensor) -> tuple[slice, slice]:
-    """Rows and columns of a picture that hold all that is sampled of it; some where nothing is."""
+def _seen_part(
+    pixels: Float[Tensor, "views rows columns 2"], mask: Tensor, *, is_straight: bool
+) -> tuple[slice, slice]:
+    """Rows and columns of a picture that hold all that is sampled of it; some where nothing is.
+
+    is_straight: lines of the view are lines of the picture, so that the view's corners hold all of it.
+    """
     height, width = mask.shape
+    corners = pixels[:, :: pixels.shape[1] - 1, :: pixels.shape[2] - 1]
+    if is_straight and bool(corners.isfinite().all()):
+        pixels = corners
     inside = pixels.nan_to_num(0.0, posinf=_FAR, neginf=-_FAR).flatten(0, -2)
     low, high = inside.amin(0).floor() - 1, inside.amax(0).ceil() + 2
     left, right = (int(x.clamp(0, width)) for x in (low[0], high[0]))

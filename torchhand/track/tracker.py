@@ -255,7 +255,7 @@ class Tracker:
         side."""
         if found is None:
             return None
-        keypoints = self.parts.keypoints(scene).agreement(found.pose, shape)
+        keypoints = self.parts.keypoints(scene).agreement(found.pose, shape, found.frames)
         seen = self._seen_posture(scene, found.pose.normalized(), shape) if seen is None else seen
         if seen is None:
             return replace(found, keypoints=keypoints)
@@ -418,10 +418,13 @@ class Tracker:
     def _estimate(self, status: FrameStatus, found: Candidate, state: TrackerState, scene: Scene) -> Estimate:
         assert state.shape is not None
         factor = self.parts.rule.overconfidence
-        posed = posed_belief(found.hand, self.parts.motion, self.kinematics, state.shape, overconfidence=factor)
+        posed = posed_belief(
+            found.hand, self.parts.motion, self.kinematics, state.shape, overconfidence=factor, frames=found.frames
+        )
         inside = found.inside
         told = Told(
             pose=found.pose,
+            placed=found.placed,
             shape=state.shape,
             tip_std=posed.tip_std,
             agreement=found.agreement,

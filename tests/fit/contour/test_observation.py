@@ -25,12 +25,14 @@ from torchhand.fit.contour.picture import picture_contours
 from torchhand.fit.contour.settings import TRACKING, ContourSettings
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import Anthropometry, HandPose, named_pose_space
-from torchhand.image import channel_of
+from torchhand.image import Boundary, channel_of
 from torchhand.numerics import NormalEquations
 from torchhand.view import MeshContours, PrimitiveContours, outline_table
 
 SPACE = named_pose_space("dof26")
-TABLE = outline_table(6, 6, without=("palm_wrist",))
+_OUTSIDE: Any = {"without": ("palm_wrist",)}
+TABLE = outline_table(6, 6, **_OUTSIDE)
+_THINNED = {2: (3, 3)}
 SETTINGS = ContourSettings()
 COUNT = 3
 KINKS = 1e-3  # of a finite difference where maps are read between their pixels
@@ -56,6 +58,7 @@ class Scene:
             if surface == "primitives"
             else MeshContours(load_hand_model().hand(dtype=torch.float64), placed.camera, max_points=120)
         )
+        self.projector = placed.projector
         self.observation = ContourObservation(picture=self.picture, contours=self.contours, settings=SETTINGS)
         free = SPACE.free(placed.pose) + 0.1 * normal(generator, COUNT, SPACE.size)
         free[:, :3] = SPACE.free(placed.pose)[:3] + 0.004 * normal(generator, COUNT, 3)
@@ -72,12 +75,17 @@ class Scene:
 
     def plainly(self, associated: PosedHands, hands: PosedHands, stage: Stage) -> NormalEquations:
         """The specification, hand by hand sizes included."""
-        s, boundary, camera = SETTINGS, self.picture.boundary, self.contours.camera
+        s, camera, k = SETTINGS, self.contours.camera, stage.thinning
+        every = self.picture.boundary
+        boundary = Boundary(points_px=every.points_px[::k], normals=every.normals[::k])
+        contours = (
+            self.contours if k == 1 else PrimitiveContours(self.projector, outline_table(*_THINNED[k], **_OUTSIDE))
+        )
         scale = camera.intrinsics[0, 0] / associated.pose.dofs[:, 2]  # the camera is the world
         gross_px, length_px = stage.gross_m * scale, float(self.contours.shape[0]) * scale
         assert self.contours.kinematics.shape_space.names[0] == "hand_length"
-        visible = self.contours.visible(associated.pose, probe_distance_px=1 + s.probe_distance_m * scale)
-        motion = self.contours.motion(hands.pose, visible)
+        visible = contours.visible(associated.pose, probe_distance_px=1 + s.probe_distance_m * scale)
+        motion = contours.motion(hands.pose, visible)
         precision = torch.maximum(torch.tensor(s.contour_std_px), s.contour_std_fraction * gross_px).square()[:, None]
         each = s.contour_weight / precision / visible.outer.double().sum(-1, keepdim=True)
         ahead = ((boundary.points_px - visible.wrist_px[:, None]) * visible.distal_px[:, None]).sum(-1) > 0
@@ -101,7 +109,7 @@ def agree(found: Equations, expected: NormalEquations) -> None:
     torch.testing.assert_close(found.gradient, expected.gradient, atol=1e-11 * scale, rtol=0)
 
 
-@pytest.mark.parametrize("stage", TRACKING)
+@pytest.mark.parametrize("stage", [*TRACKING, replace(TRACKING[0], thinning=2)])
 def test_equations_are_those_of_all_residuals(stage: Stage, studio: Any, generator: torch.Generator) -> None:
     """At the hands of the association, where their motion is known, and away from them; of some of the hands."""
     scene = Scene(studio, generator)

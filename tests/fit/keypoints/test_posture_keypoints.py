@@ -74,6 +74,16 @@ def test_a_missing_tip_leaves_its_end_joint_open_and_nothing_else(finger: int) -
     assert [JOINT_DOFS[i] for i in lost[0].nonzero()[:, 0]] == [f"{FINGERS[finger]}_dip_fe"]
 
 
+def test_default_proportions_are_read_as_any_others() -> None:
+    points, settings = _points(_hand(2, "fist")), KeypointSettings()
+    known, other = (
+        PostureKeypoints.of_points(points, KINEMATICS, shape, settings)
+        for shape in (KINEMATICS.default_shape, KINEMATICS.default_shape.clone())
+    )
+    torch.testing.assert_close(known.angles, other.angles, rtol=0, atol=1e-12)
+    torch.testing.assert_close(known.pose.reference, other.pose.reference, rtol=0, atol=1e-12)
+
+
 def test_too_few_points_tell_nothing() -> None:
     points = torch.full((1, 21, 3), torch.nan, dtype=torch.float64)
     points[:, :4] = torch.rand(1, 4, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)

@@ -297,3 +297,18 @@ def test_what_it_refuses() -> None:
         kinematics(torch.zeros(36, dtype=torch.float64), torch.zeros(3, dtype=torch.float64))
     with pytest.raises(ValueError, match="side: expected 'left' or 'right', got 'up'"):
         HandKinematics.__init__.__wrapped__(kinematics, model.skeleton, model.shape_space, "up")  # pyright: ignore
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_one_hand_without_derivatives_is_what_it_is_among_others(side: str, generator: torch.Generator) -> None:
+    kinematics = _kinematics(side)
+    pose, shape = _pose(generator, 3), _shape(kinematics, generator)
+    reference = rotation_from_vector(torch.randn(3, 3, generator=generator, dtype=torch.float64))
+    with torch.inference_mode():
+        together = _flat(kinematics(pose, shape, root_reference=reference))
+        for row, own, turned in zip(together, pose, reference, strict=True):
+            for one in (
+                kinematics(own, shape, root_reference=turned),
+                kinematics(own[None], shape, root_reference=turned),
+            ):
+                torch.testing.assert_close(_flat(one).reshape(-1), row, rtol=0, atol=1e-14)

@@ -28,6 +28,12 @@ def test_opencv_path_equals_torch_path_inside_and_outside(generator: torch.Gener
     assert 0 < int(inside.sum()) < inside.numel()
 
 
+def test_points_that_are_known_to_lie_inside_are_read_alike(generator: torch.Generator) -> None:
+    image = torch.rand(2, 23, 31, generator=generator)
+    points = torch.rand(5, 40, 2, generator=generator) * torch.tensor([30.0, 22.0])
+    assert torch.equal(sample_bilinear(image, points, all_inside=True), sample_bilinear(image, points))
+
+
 def test_batch_shapes_equal_a_loop(generator: torch.Generator) -> None:
     image = torch.rand(1, 20, 20, generator=generator)
     points = torch.rand(2, 3, 2, generator=generator) * 19.0

@@ -24,6 +24,7 @@ from torchhand.image.operations.morphology import (
     gaussian_blur,
     gradient,
     label_pieces,
+    numbered_pieces,
     opened,
     square_kernel,
 )
@@ -183,6 +184,9 @@ def test_pieces_are_numbered_measured_and_counted_alike_in_both_ways(
         assert torch.equal(got.boxes, expected.boxes)
         torch.testing.assert_close(got.centroids, expected.centroids, rtol=0, atol=1e-9)
         assert count_pieces(mask, connectivity) == len(expected.areas)
+        labels, count = numbered_pieces(mask, connectivity)
+        assert torch.equal(labels, expected.labels)
+        assert count == len(expected.areas)
         same(bounding_box, mask)
     with pytest.raises(ValueError, match="connectivity: expected 4 or 8, got 6"):
         label_pieces(mask, 6)

@@ -106,7 +106,7 @@ def test_poses_are_those_of_the_errors(found: Hypotheses, study: CaseStudy, case
     truth = kinematics(case.pose.dofs, root_reference=case.pose.reference).keypoints
     points = kinematics(torch.from_numpy(found.pose)).keypoints  # the rotation vector is the whole rotation
     missed = 1e3 * (points - truth).norm(dim=-1).mean(-1)
-    np.testing.assert_allclose(found.keypoint_mm, missed.numpy(), atol=1e-6)
+    np.testing.assert_allclose(found.keypoint_mm, missed.numpy(), atol=1e-4)  # rotations are of single precision
 
 
 def test_a_batch_is_the_same_whenever_it_is_run(found: Hypotheses, case: StudyCase, study: CaseStudy) -> None:

@@ -14,7 +14,15 @@ from torchhand.image import dilate, disc_kernel
 from torchhand.simulate import Motion, SceneSettings, facing, render_sequence
 from torchhand.track import TrackerSettings
 from torchhand.track.quality import EVIDENCE, FingerEvidence, LogisticModel, Told, hand_evidence, qualities
-from torchhand.track.scene import Agreement, HandKeypoints, Scene, View, scene_keypoints
+from torchhand.track.scene import (
+    Agreement,
+    HandKeypoints,
+    PlacedHand,
+    Scene,
+    SilhouetteComparison,
+    View,
+    scene_keypoints,
+)
 
 KINEMATICS = load_hand_model().kinematics("right", dtype=torch.float64)
 CAMERA = replace(assumed_camera(320, 240, horizontal_fov_deg=50.0), is_assumed=False).to(dtype=torch.float64)
@@ -42,9 +50,12 @@ def _scene(pose: HandPose, keypoints: HandKeypoints | None = None) -> Scene:
     )
 
 
-def _evidence(scene: Scene, pose: HandPose, std_m: float = 0.005) -> dict[str, Tensor]:
+def _evidence(
+    scene: Scene, pose: HandPose, std_m: float = 0.005, placed: PlacedHand | None = None
+) -> dict[str, Tensor]:
     told = Told(
         pose=pose,
+        placed=placed,
         shape=KINEMATICS.default_shape,
         tip_std=torch.full((5,), std_m, dtype=torch.float64),
         agreement=Agreement.of_overlaps(torch.tensor((0.95,), dtype=torch.float64)),
@@ -61,6 +72,15 @@ def _bent(pose: HandPose, degrees: float) -> HandPose:
     for joint in ("mcp", "pip"):
         dofs[DOFS.index(f"index_{joint}_fe")] += torch.deg2rad(torch.tensor(degrees))
     return HandPose.of(dofs, pose.reference)
+
+
+def test_a_hand_that_was_placed_in_reduced_pictures_tells_the_same() -> None:
+    pose = _pose("point")
+    scene = _scene(pose)
+    placed = SilhouetteComparison(KINEMATICS, (CAMERA,), KINEMATICS.default_shape, side_px=160).placed(pose)
+    expected = _evidence(scene, pose)
+    for name, column in _evidence(scene, pose, placed=placed).items():
+        torch.testing.assert_close(column, expected[name], rtol=0, atol=1e-9)
 
 
 def test_a_finger_elsewhere_than_in_the_picture_has_no_edges_there() -> None:

@@ -1,7 +1,7 @@
 """Outline points: on their conics, continuous, ending on the clips, differentiable, harmless where degenerate."""
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import pytest
@@ -281,3 +281,11 @@ def test_tables() -> None:
     chosen = table.select(keep)
     assert torch.equal(chosen.primitive, table.primitive[keep])
     assert chosen.size == int(keep.sum())
+
+
+@pytest.mark.parametrize("factor", [1, 2, 3, 100])
+def test_a_thinned_table_has_the_same_curves_with_fewer_points(factor: int) -> None:
+    thinned = outline_table(12, 8, without=("palm_wrist",)).thinned(factor)
+    expected = outline_table(max(1, 12 // factor), max(1, 8 // factor), without=("palm_wrist",))
+    for field in fields(OutlineTable):
+        torch.testing.assert_close(getattr(thinned, field.name), getattr(expected, field.name))

@@ -91,8 +91,9 @@ def _load(path: Path, file_format: str, what: str, make: Callable[[dict[str, int
             raise InputError(f"{path}: {name}: expected finite numbers, got NaN or infinite ones")
     weights = {name: torch.from_numpy(arrays[name].astype(np.float32)) for name in expected}
     network.load_state_dict(weights, strict=False)
-    network.eval().requires_grad_(False)
-    return network
+    # As convolutions read them, or they would be copied for each picture.
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return network.eval().requires_grad_(False)
 
 
 def _header(path: Path, stored: np.ndarray | None, file_format: str, what: str) -> dict[str, Any]:

@@ -3,19 +3,25 @@
 from torchhand.fit.contour.observation import CONTOUR, ContourFactor, ContourObservation
 from torchhand.fit.contour.picture import PictureContours, picture_contours
 from torchhand.fit.contour.points import hand_length_px, is_in_picture, is_outer, pixels_per_metre
-from torchhand.fit.contour.settings import SEARCH, TRACKING, ContourSettings
+from torchhand.fit.contour.restarts import Restarts, RestartSettings, solve_with_restarts
+from torchhand.fit.contour.settings import SEARCH, THIN_SEARCH, TRACKING, WIDE_SEARCH, ContourSettings
 
 __all__ = [
     "CONTOUR",
     "SEARCH",
+    "THIN_SEARCH",
     "TRACKING",
+    "WIDE_SEARCH",
     "ContourFactor",
     "ContourObservation",
     "ContourSettings",
     "PictureContours",
+    "RestartSettings",
+    "Restarts",
     "hand_length_px",
     "is_in_picture",
     "is_outer",
     "picture_contours",
     "pixels_per_metre",
+    "solve_with_restarts",
 ]

@@ -46,11 +46,12 @@ class ContourObservation:
 
     def associate(self, hands: PosedHands, stage: Stage) -> "ContourFactor":
         """Visible points of the model, and which of them belong to which points of the picture's contour."""
-        s, picture = self.settings, self.picture
-        contours = contours_of(self.contours, hands.shape, hands)
+        s, picture, surface = self.settings, self.picture, self.contours.thinned(stage.thinning)
+        contours = contours_of(surface, hands.shape, hands)
         px_per_m = pixels_per_metre(contours.camera, hands.pose)
         length_px = px_per_m * hands.shape[contours.kinematics.shape_space.names.index("hand_length")]
-        field, boundary, gross_px = picture.field(stage.pitch_px), picture.boundary, stage.gross_m * px_per_m
+        field, gross_px = picture.field(stage.pitch_px), stage.gross_m * px_per_m
+        boundary = picture.boundary.thinned(stage.thinning)
         visible = contours.visible(hands.pose, probe_distance_px=1 + s.probe_distance_m * px_per_m)
         match = match_boundary(boundary, visible.points_px, visible.normals, visible.outer, turn_px=s.turn_m * px_per_m)
         pairs = Correspondences.of(
@@ -58,13 +59,13 @@ class ContourObservation:
             field.channels,
             boundary,
             match,
-            self._weights(visible, gross_px, length_px),
+            self._weights(visible, boundary, gross_px, length_px),
             gross_px=gross_px,
             valley_gross_px=s.valley_gross_m * px_per_m,
             unmatched_px=length_px,
         )
         return ContourFactor(
-            contours=self.contours,
+            contours=surface,
             field=field,
             valleys=picture.valleys,
             visible=visible,
@@ -76,10 +77,14 @@ class ContourObservation:
         )
 
     def _weights(
-        self, visible: VisibleContour, gross_px: Float[Tensor, "hands"], length_px: Float[Tensor, "hands"]
+        self,
+        visible: VisibleContour,
+        boundary: Boundary,
+        gross_px: Float[Tensor, "hands"],
+        length_px: Float[Tensor, "hands"],
     ) -> Float[Tensor, "hands terms"]:
         """Weights of the model's points, then of the picture's: inverse variances, shared among those that count."""
-        s, boundary = self.settings, self.picture.boundary
+        s = self.settings
         precision = (s.contour_std_fraction * gross_px).clamp_min(s.contour_std_px).square().reciprocal()[:, None]
         outer, inner = visible.outer.to(precision), visible.inner.to(precision)
         is_hand = is_beyond_wrist(visible, boundary, _STEEP * length_px).to(precision)
@@ -189,5 +194,7 @@ def is_beyond_wrist(
 ) -> Bool[Tensor, "hands boundary"]:
     """Which points of the picture are on the fingers' side of the wrist: on the other there may be a forearm."""
     length = visible.distal_px.norm(dim=-1)
-    ahead = ((boundary.points_px.to(length) - visible.wrist_px[:, None]) * visible.distal_px[:, None]).sum(-1)
+    x, y = boundary.points_px.to(length).T[:, None]
+    (wrist_x, wrist_y), (axis_x, axis_y) = visible.wrist_px.T[..., None], visible.distal_px.T[..., None]
+    ahead = (x - wrist_x) * axis_x + (y - wrist_y) * axis_y
     return (ahead > 0) | ~(length > min_px)[:, None]

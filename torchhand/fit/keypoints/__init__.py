@@ -3,7 +3,7 @@
 from torchhand.fit.keypoints.fit import KeypointFit, fit_keypoints, refine_cameras
 from torchhand.fit.keypoints.observation import PictureKeypoints
 from torchhand.fit.keypoints.placement import place_hand
-from torchhand.fit.keypoints.points import Detector, KeypointSettings
+from torchhand.fit.keypoints.points import Detector, KeypointSettings, keep_frames
 from torchhand.fit.keypoints.posture import PostureKeypoints
 from torchhand.fit.keypoints.prior import limit_information
 from torchhand.fit.keypoints.rig import RefinedCameras, triangulated
@@ -23,6 +23,7 @@ __all__ = [
     "SeenKeypoints",
     "WorldKeypoints",
     "fit_keypoints",
+    "keep_frames",
     "limit_information",
     "place_hand",
     "refine_cameras",

@@ -192,6 +192,12 @@ def frames_of(kinematics: HandKinematics, hands: PosedHands) -> HandFrames:
     )
 
 
+def keep_frames(kinematics: HandKinematics, hands: PosedHands, frames: HandFrames) -> None:
+    """Have `frames_of` one hand return what is known already; frames: of that hand, without a batch."""
+    own = {name: getattr(frames, name)[None] for name in ("rotation", "position", "keypoints")}
+    hands.once(("frames", id(kinematics)), lambda: HandFrames(**own))
+
+
 def pose_jacobian(kinematics: HandKinematics, hands: PosedHands) -> Float[Tensor, "k 21 3 36"]:
     """Derivative of our own keypoints; computed once for all factors."""
     return hands.once(

@@ -8,14 +8,14 @@ are read as a posture once, and hands are compared with the posture.
 import json
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchhand.devices import read_back
+from torchhand.devices import constant_tensor, read_back
 from torchhand.fit import Equations, Explained, PosedHands, Stage
 from torchhand.fit.keypoints.points import KeypointSettings
 from torchhand.fit.keypoints.prior import missing_fraction, natural_posture
@@ -35,6 +35,7 @@ _STD: dict[str, float] = {
         "angles"
     ].items()
 }
+_STD_RAD = tuple(_STD.get(dof, math.inf) for dof in JOINT_DOFS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,10 +65,11 @@ class PostureKeypoints:
         is_known = points.isfinite().all(-1)
         is_known &= is_known.sum(-1, keepdim=True) >= _MIN_POINTS
         natural = natural_posture(dtype=points.dtype, device=points.device).mean
-        pose, _ = start_in_space(kinematics, points.nan_to_num(), is_known, shape, natural)
+        rest = _natural_keypoints(kinematics) if shape is kinematics.default_shape else None
+        pose, _ = start_in_space(kinematics, points.nan_to_num(), is_known, shape, natural, rest=rest)
         if world_from_points is not None:
             pose = replace(pose, reference=world_from_points.to(points) @ pose.reference)
-        std = settings.angle_error * points.new_tensor([_STD.get(dof, math.inf) for dof in JOINT_DOFS])
+        std = settings.angle_error * constant_tensor(_STD_RAD, points.dtype, points.device)
         is_placed = (palm_weight(is_known) > 0.5).sum(-1, keepdim=True) >= 3
         told = (missing_fraction(is_known.to(points))[:, -len(JOINT_DOFS) :] < 0.5) & is_placed
         return cls(pose=pose, precision=torch.where(told, std.square().reciprocal(), 0.0), view=view)
@@ -163,6 +165,14 @@ class PostureKeypointFactor:
         return (
             Explained(name=POSTURE, view=self.view, fraction=self.fraction, distance=torch.zeros_like(self.fraction)),
         )
+
+
+@lru_cache(maxsize=8)
+def _natural_keypoints(kinematics: HandKinematics) -> Float[Tensor, "21 3"]:
+    """Keypoints of the half-open hand of default proportions, which all pictures' points are first compared with."""
+    with torch.inference_mode(False):  # kept for callers in any mode
+        like = kinematics.default_shape
+        return kinematics(natural_posture(dtype=like.dtype, device=like.device).mean).keypoints
 
 
 def _by_finger(values: Tensor) -> Tensor:

@@ -6,11 +6,13 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.devices import constant_tensor
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand import BONES, DOFS, FINGERS, JOINT_DOFS, HandKinematics, HandPose
+from torchhand.hand import BONES, DOFS, FINGERS, JOINT_DOFS, KEYPOINTS, HandKinematics, HandPose
 
 PALM = (0, 5, 9, 13, 17)
 """Wrist and knuckles: they move as one body but for the slight bend of the palm."""
+_IS_PALM = tuple(point in PALM for point in range(len(KEYPOINTS)))
 _ELSEWHERE = 1e-3  # weight of all other points, which tell the palm's orientation only where the palm does not
 _ROOT = len(DOFS) - len(JOINT_DOFS)
 
@@ -39,8 +41,7 @@ def rigid_placement(
 
 def palm_weight(is_known: Bool[Tensor, "*frames 21"]) -> Float[Tensor, "*frames 21"]:
     """Weights for placing the hand: by its palm where three points of it are known, else by all points."""
-    is_palm = torch.zeros(is_known.shape[-1], dtype=torch.bool, device=is_known.device)
-    is_palm[list(PALM)] = True
+    is_palm = constant_tensor(_IS_PALM, torch.bool, is_known.device)
     has_palm = (is_known & is_palm).sum(-1, keepdim=True) >= 3
     weight = torch.where(is_palm | ~has_palm, 1.0, _ELSEWHERE)
     return (weight * is_known).to(torch.float64)
@@ -52,15 +53,19 @@ def start_in_space(
     is_known: Bool[Tensor, "frames 21"],
     shape: Float[Tensor, "shape"],
     posture: Float[Tensor, "36"],
+    *,
+    rest: Float[Tensor, "21 3"] | None = None,
 ) -> tuple[HandPose, Float[Tensor, "frames"]]:
     """Poses with zero rotation vectors, and the sizes of the points' palms over that of the shape.
+
+    rest: keypoints of that shape and posture, where they are known.
 
     Exact for points without noise in so far as only wrist-side twists and bends of the palm are those of `posture`,
     from which also come the angles whose points are missing. Angles lie within the limits.
     """
-    rest = kinematics(posture, shape).keypoints
+    own: Tensor = kinematics(posture, shape).keypoints if rest is None else rest
     known = torch.where(is_known[..., None], points, 0.0)
-    rotation, translation, scale = rigid_placement(rest, known, palm_weight(is_known).to(points))
+    rotation, translation, scale = rigid_placement(own, known, palm_weight(is_known).to(points))
     local = (known - translation[:, None]) @ rotation
     if kinematics.side == "left":
         local = local * local.new_tensor((1.0, 1.0, -1.0))
@@ -110,8 +115,8 @@ class _DigitAngles:
         The further the joint is bent, the less the direction tells of the abduction; then the plane in which the next
         bones bend does, whose normal is the flexion axis (0, ∓sin aa, cos aa).
         """
-        abduction, flexion = ([JOINT_DOFS.index(f"{one}_{joint}_{kind}") for one in digits] for kind in ("aa", "fe"))
-        axis = self.skeleton.axis[abduction]
+        abduction, flexion = (self._index(_angles(digits, joint, kind)) for kind in ("aa", "fe"))
+        axis = self.skeleton.axis.index_select(0, abduction)
         side = torch.sign(axis[:, 0])
         rest = self._rest(digits, bone, parent)
         x, y, z = self._unit(rest, along).unbind(-1)
@@ -122,21 +127,25 @@ class _DigitAngles:
         cosine = forwards * y + upwards * normal[..., 2]
         sine = side * (forwards * z - upwards * normal[..., 1])
         self._set(abduction, torch.atan2(sine, cosine))
-        turned = rotation_from_vector(-self.joints[:, abduction, None] * axis)
+        turned = rotation_from_vector(-self.joints.index_select(1, abduction)[..., None] * axis)
         x, y, _ = (turned @ torch.stack((x, y, z), -1)[..., None]).squeeze(-1).unbind(-1)
         self._set(flexion, torch.atan2(-x, y))
         return self._turned(digits, bone, parent)
 
     def _hinge(self, digits: tuple[str, ...], joint: str, bone: str, parent: Tensor, along: Tensor) -> None:
         x, y, _ = self._unit(self._rest(digits, bone, parent), along).unbind(-1)
-        self._set([JOINT_DOFS.index(f"{one}_{joint}_fe") for one in digits], torch.atan2(-x, y))
+        self._set(self._index(_angles(digits, joint, "fe")), torch.atan2(-x, y))
 
-    def _set(self, angles: list[int], value: Tensor) -> None:
-        within = value.clamp(self.skeleton.lower[angles], self.skeleton.upper[angles])
-        self.joints[:, angles] = torch.where(value.isfinite(), within, self.joints[:, angles])
+    def _index(self, places: tuple[int, ...]) -> Tensor:
+        return constant_tensor(places, torch.long, self.joints.device)
+
+    def _set(self, angles: Tensor, value: Tensor) -> None:
+        lower, upper = (bound.index_select(0, angles) for bound in (self.skeleton.lower, self.skeleton.upper))
+        found = torch.where(value.isfinite(), value.clamp(lower, upper), self.joints.index_select(1, angles))
+        self.joints.index_copy_(1, angles, found)
 
     def _rest(self, digits: tuple[str, ...], bone: str, parent: Tensor | None) -> Tensor:
-        rest = self.skeleton.rest_rotation[[BONES.index(f"{one}_{bone}") for one in digits]]
+        rest = self.skeleton.rest_rotation.index_select(0, self._index(_bones(digits, bone)))
         return rest if parent is None else parent @ rest
 
     def _unit(self, frame: Tensor, vector: Tensor) -> Tensor:
@@ -145,10 +154,28 @@ class _DigitAngles:
 
     def _turned(self, digits: tuple[str, ...], bone: str, parent: Tensor | None) -> Tensor:
         """hand_from_bone with the angles found so far."""
-        angles = [_angles_of(self.skeleton.bone, self.skeleton.order, BONES.index(f"{one}_{bone}")) for one in digits]
-        which = torch.tensor(angles, dtype=torch.long, device=self.joints.device).T  # (turns, digits)
-        turns = rotation_from_vector(self.joints[:, which, None] * self.skeleton.axis[which])
+        turning = _turning(self.skeleton.bone, self.skeleton.order, _bones(digits, bone))
+        axes = self.skeleton.axis.index_select(0, self._index(turning)).unflatten(0, (-1, len(digits)))
+        angles = self.joints.index_select(1, self._index(turning)).unflatten(1, (-1, len(digits)))
+        turns = rotation_from_vector(angles[..., None] * axes)
         return reduce(torch.matmul, turns.unbind(1), self._rest(digits, bone, parent))
+
+
+@lru_cache(maxsize=64)
+def _angles(digits: tuple[str, ...], joint: str, kind: str) -> tuple[int, ...]:
+    return tuple(JOINT_DOFS.index(f"{one}_{joint}_{kind}") for one in digits)
+
+
+@lru_cache(maxsize=64)
+def _bones(digits: tuple[str, ...], bone: str) -> tuple[int, ...]:
+    return tuple(BONES.index(f"{one}_{bone}") for one in digits)
+
+
+@lru_cache(maxsize=64)
+def _turning(bones: tuple[int, ...], order: tuple[int, ...], turned: tuple[int, ...]) -> tuple[int, ...]:
+    """Angles that turn some bones of like joints: first the first one of each bone, then the next ones."""
+    each = [_angles_of(bones, order, bone) for bone in turned]
+    return tuple(angle for turn in zip(*each, strict=True) for angle in turn)
 
 
 @lru_cache(maxsize=64)

@@ -22,6 +22,12 @@ class Boundary:
     normals: Float[Tensor, "points 2"]
     """Outward unit normals."""
 
+    def thinned(self, factor: int) -> "Boundary":
+        """Every so manieth of the points, evenly over the boundary."""
+        if factor == 1:
+            return self
+        return Boundary(points_px=self.points_px[::factor], normals=self.normals[::factor])
+
 
 def boundary_points(
     mask: Bool[Tensor, "height width"], count: int, *, ignored: Bool[Tensor, "height width"] | None = None

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import is_host
 from torchhand.image.contours.sampling import is_inside, sample_bilinear
 
 
@@ -95,23 +96,29 @@ def search_edges(
         if half_length_px is not None:
             reach = float(half_length_px.max()) if half_length_px.numel() else 0.0
         response, is_valid, offsets = _responses(planes, points_px, normals, settings, reach, channel_weights)
-        limit = settings.half_length_px if half_length_px is None else half_length_px[..., None]
-        return _choose(response, is_valid & (offsets.abs() <= limit + 1e-6), offsets, settings, points_px.dtype)
+        if half_length_px is not None:
+            is_near = offsets.abs() <= half_length_px[..., None] + 1e-6
+            is_valid = is_near if is_valid is None else is_valid & is_near
+        return _choose(response, is_valid, offsets, settings, points_px.dtype)
 
 
 def _responses(
     planes: Tensor, points_px: Tensor, normals: Tensor, settings: EdgeSettings, reach: float, weights: Tensor | None
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Signed answers (*batch, points, positions + 2), which inner ones are known, and the positions in px."""
+) -> tuple[Tensor, Tensor | None, Tensor]:
+    """Signed answers (*batch, points, positions + 2), which inner ones are known, None for all, and the positions in
+    px."""
     half_positions = math.floor(reach / settings.step_px + 1e-6)
     half_taps = math.ceil(3.0 * settings.sigma_px / settings.step_px)
     half_samples = half_positions + 1 + half_taps
-    samples = torch.arange(-half_samples, half_samples + 1, device=planes.device, dtype=points_px.dtype)
-    samples = samples * settings.step_px
+    samples = _steps(half_samples, settings.step_px, points_px.dtype, planes.device)
     # Coordinates apart in memory, as the readers want them.
     start, direction = points_px.movedim(-1, 0)[..., None], normals.movedim(-1, 0)[..., None]
     places = torch.addcmul(start, direction, samples).movedim(0, -1)
-    profile = sample_bilinear(planes, places)
+    # Profiles are straight and the picture is convex: a stretch is inside when both its ends are.
+    height, width = planes.shape[-2:]
+    ends = places[..., :: places.shape[-2] - 1, :]
+    all_inside = is_host(places.device) and bool(is_inside(ends, width, height).all())
+    profile = sample_bilinear(planes, places, all_inside=all_inside)
 
     kernel = _correlation(settings.sigma_px, settings.step_px, 2 * half_positions + 3, profile.dtype, profile.device)
     response = profile @ kernel
@@ -123,11 +130,11 @@ def _responses(
         loudest = _magnitude(response, settings.polarity).argmax(dim=0, keepdim=True)
         response = response.gather(0, loudest)[0]
 
-    height, width = planes.shape[-2:]
-    inside = is_inside(places, width, height)
-    # Profiles are straight and the picture is convex: a stretch is inside when both its ends are.
-    reached = 2 * half_taps + 2
-    is_valid = inside[..., : 2 * half_positions + 1] & inside[..., reached:]
+    is_valid = None
+    if not all_inside:
+        inside = is_inside(places, width, height)
+        reached = 2 * half_taps + 2
+        is_valid = inside[..., : 2 * half_positions + 1] & inside[..., reached:]
     return response, is_valid, samples[half_taps + 1 : half_taps + 2 + 2 * half_positions]
 
 
@@ -137,6 +144,13 @@ def derivative_of_gaussian(sigma_px: float, step_px: float) -> Float[Tensor, " t
     t = torch.arange(-half_taps, half_taps + 1, dtype=torch.float64) * step_px
     kernel = t * torch.exp(-0.5 * (t / sigma_px) ** 2)
     return kernel / kernel[half_taps + 1 :].sum()
+
+
+@lru_cache(maxsize=256)
+def _steps(count: int, step_px: float, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Places along a profile, px."""
+    with torch.inference_mode(False):  # kept for callers in any mode
+        return torch.arange(-count, count + 1, device=device, dtype=dtype) * step_px
 
 
 @lru_cache(maxsize=256)
@@ -162,27 +176,32 @@ def _magnitude(response: Tensor, polarity: str) -> Tensor:
 
 
 def _choose(
-    response: Tensor, may_be_edge: Tensor, offsets: Tensor, settings: EdgeSettings, dtype: torch.dtype
+    response: Tensor, may_be_edge: Tensor | None, offsets: Tensor, settings: EdgeSettings, dtype: torch.dtype
 ) -> EdgeSearch:
     magnitude = _magnitude(response, settings.polarity)
     before, here, after = magnitude[..., :-2], magnitude[..., 1:-1], magnitude[..., 2:]
-    is_peak = may_be_edge & (here > before) & (here >= after) & (here >= settings.min_strength)
-    heights = torch.where(is_peak, here, 0.0)
-    strongest, index = heights.max(dim=-1, keepdim=True)
-    is_rival = is_peak & (here >= settings.rival_fraction * strongest)
+    is_peak = (here > before) & (here >= after) & (here >= settings.min_strength)
+    if may_be_edge is not None:
+        is_peak = is_peak & may_be_edge
+    heights = torch.where(is_peak, here, -1.0)
     if settings.choose == "nearest":
+        strongest = heights.amax(-1, keepdim=True)
+        is_rival = heights >= settings.rival_fraction * strongest.clamp_min(0.0)
         index = torch.where(is_rival, offsets.abs(), torch.inf).argmin(dim=-1, keepdim=True)
-    found = is_peak.any(dim=-1)
+    else:
+        strongest, index = heights.max(dim=-1, keepdim=True)
+        is_rival = heights >= settings.rival_fraction * strongest.clamp_min(0.0)
+    found = strongest[..., 0] >= 0
 
     a, b, c = (part.gather(-1, index)[..., 0] for part in (before, here, after))
     curvature = torch.where(found, a - 2.0 * b + c, -1.0)
     shift = (0.5 * (a - c) / curvature).clamp(-0.5, 0.5) * settings.step_px
     place = offsets[index[..., 0]] + shift.to(dtype)
-    sign = response[..., 1:-1].gather(-1, index)[..., 0].sign()
+    sign = -response[..., 1:-1].gather(-1, index)[..., 0].sign()
     return EdgeSearch(
         offset_px=torch.where(found, place.to(dtype), 0.0),
         strength=torch.where(found, b, 0.0),
-        polarity=torch.where(found, -sign, 0.0).to(torch.int64),
+        polarity=torch.where(found, sign, 0.0).to(torch.int64),
         found=found,
         candidates=is_rival.sum(dim=-1),
     )

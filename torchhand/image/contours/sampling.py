@@ -24,17 +24,18 @@ def is_inside(points_px: Float[Tensor, "*batch 2"], width: int, height: int) -> 
 
 
 def sample_bilinear(
-    image: Float[Tensor, "channels height width"], points_px: Float[Tensor, "*batch 2"]
+    image: Float[Tensor, "channels height width"], points_px: Float[Tensor, "*batch 2"], *, all_inside: bool = False
 ) -> Float[Tensor, "channels *batch"]:
     """Picture at points (x, y) in px, the centre of the first pixel being (0, 0); bilinear.
 
     Points outside the picture (`is_inside`) take the value of the nearest point inside; not finite ones that of the
-    first pixel. Differentiable in picture and points. OpenCV from version 5 on, which is exact, reads float32 pictures
-    on a CPU where no gradient is asked for (3 times faster); `sample_bilinear_torch` is its specification.
+    first pixel; `all_inside` says that there are no such points, which saves looking. Differentiable in picture and
+    points. OpenCV from version 5 on, which is exact, reads float32 pictures on a CPU where no gradient is asked for (3
+    times faster); `sample_bilinear_torch` is its specification.
     """
     if not _IS_EXACT or image.dtype != torch.float32 or not suits_opencv(image, points_px):
         return sample_bilinear_torch(image, points_px)
-    return _sample_bilinear_opencv(image, points_px)
+    return _sample_bilinear_opencv(image, points_px, all_inside=all_inside)
 
 
 def sample_bilinear_torch(
@@ -49,12 +50,16 @@ def sample_bilinear_torch(
     return values.reshape(image.shape[0], *points_px.shape[:-1])
 
 
-def _sample_bilinear_opencv(image: Tensor, points_px: Tensor) -> Tensor:
+def _sample_bilinear_opencv(image: Tensor, points_px: Tensor, *, all_inside: bool) -> Tensor:
     height, width = image.shape[-2:]
-    points = points_px.detach().to(torch.float32).nan_to_num(nan=0.0)
+    points = points_px.detach().to(torch.float32)
+    if not all_inside:
+        points = points.nan_to_num(nan=0.0)
     points = points.reshape(-1, points_px.shape[-2] if points_px.ndim > 1 else 1, 2)
-    x = points[..., 0].clamp(0, width - 1).contiguous().numpy()
-    y = points[..., 1].clamp(0, height - 1).contiguous().numpy()
+    x, y = points.unbind(-1)
+    if not all_inside:
+        x, y = x.clamp(0, width - 1), y.clamp(0, height - 1)
+    x, y = x.contiguous().numpy(), y.contiguous().numpy()
     values = image.new_empty((image.shape[0], *x.shape))
     for plane, target in zip(image.detach().contiguous().numpy(), values.numpy(), strict=True):
         for top, left in itertools.product(*(range(0, length, _REMAP_SIDE) for length in x.shape)):

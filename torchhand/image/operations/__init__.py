@@ -12,6 +12,7 @@ from torchhand.image.operations.morphology import (
     gaussian_blur,
     gradient,
     label_pieces,
+    numbered_pieces,
     opened,
     square_kernel,
 )
@@ -34,6 +35,7 @@ __all__ = [
     "hand_region",
     "intersection_over_union",
     "label_pieces",
+    "numbered_pieces",
     "opened",
     "reduced",
     "reduced_mask",

@@ -190,12 +190,20 @@ def label_pieces(mask: Bool[Tensor, "height width"], connectivity: int = 8) -> P
     )
 
 
-def count_pieces(mask: Bool[Tensor, "height width"], connectivity: int = 8) -> int:
-    """Number of connected pieces, without their areas, which take most of the time of labels."""
+def numbered_pieces(
+    mask: Bool[Tensor, "height width"], connectivity: int = 8
+) -> tuple[Int[Tensor, "height width"], int]:
+    """Labels of the connected pieces and how many there are, without their areas, which take most of the time."""
     if mask.numel() == 0 or not suits_opencv(mask):
-        return len(_pieces_torch(mask, connectivity).areas)
-    count, _ = cv2.connectedComponentsWithAlgorithm(_pixels(mask), connectivity, cv2.CV_32S, cv2.CCL_WU)
-    return count - 1
+        pieces = _pieces_torch(mask, connectivity)
+        return pieces.labels, len(pieces.areas)
+    count, labels = cv2.connectedComponentsWithAlgorithm(_pixels(mask), connectivity, cv2.CV_32S, cv2.CCL_WU)
+    return torch.from_numpy(labels), count - 1
+
+
+def count_pieces(mask: Bool[Tensor, "height width"], connectivity: int = 8) -> int:
+    """Number of connected pieces."""
+    return numbered_pieces(mask, connectivity)[1]
 
 
 def bounding_box(mask: Bool[Tensor, "height width"]) -> tuple[int, int, int, int]:

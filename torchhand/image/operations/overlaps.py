@@ -40,5 +40,6 @@ def hand_region(
     wrist, towards = wrist_px.double(), (knuckle_px - wrist_px).double()
     x = torch.arange(shape[1], device=wrist.device) - wrist[0]
     y = (torch.arange(shape[0], device=wrist.device) - wrist[1])[:, None]
-    is_forearm = x * towards[0] + y * towards[1] < 0
-    return ~(is_forearm | (x * x + y * y >= reach_px**2))
+    # Sums over the picture's pixels would be large: columns are compared with rows.
+    is_forearm = x * towards[0] < -y * towards[1]
+    return ~(is_forearm | (x * x >= reach_px**2 - y * y))

@@ -8,7 +8,15 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from torchhand.image.operations import bounding_box, closed, count_pieces, disc_kernel, label_pieces, opened
+from torchhand.image.operations import (
+    bounding_box,
+    closed,
+    count_pieces,
+    disc_kernel,
+    label_pieces,
+    numbered_pieces,
+    opened,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,11 +92,13 @@ def fill_holes(mask: Bool[Tensor, "height width"], max_area: int | None = None) 
 
 def touching(mask: Bool[Tensor, "height width"], other: Bool[Tensor, "height width"]) -> Bool[Tensor, "height width"]:
     """The connected pieces (8 neighbours) of a mask that share a pixel with another mask."""
-    pieces = label_pieces(mask)
-    labels = pieces.labels.long()
-    is_met = torch.zeros(len(pieces.areas) + 1, dtype=torch.bool, device=mask.device)
-    is_met[labels[other]] = True
-    return _chosen(is_met[1:])[labels]
+    labels, count = numbered_pieces(mask)
+    if count == 1:  # as in most pictures of a hand
+        return mask.clone() if bool((mask & other).any()) else torch.zeros_like(mask)
+    is_met = torch.zeros(count + 1, dtype=torch.bool, device=mask.device)
+    is_met[labels[other].long()] = True
+    is_met[0] = False
+    return is_met.index_select(0, labels.flatten()).reshape(mask.shape)
 
 
 def clean(mask: Bool[Tensor, "height width"], radius_px: int | None = None) -> Bool[Tensor, "height width"]:

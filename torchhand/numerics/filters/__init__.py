@@ -15,6 +15,7 @@ from torchhand.numerics.filters.extended import (
     update_extended,
 )
 from torchhand.numerics.filters.gaussian import Gaussian
+from torchhand.numerics.filters.information import update_quadratic
 from torchhand.numerics.filters.iterated import IteratedSettings, IteratedUpdate, update_iterated
 from torchhand.numerics.filters.motion import MotionModel
 from torchhand.numerics.filters.sigma import SigmaPoints, UnscentedSettings, sigma_points
@@ -47,6 +48,7 @@ __all__ = [
     "update",
     "update_extended",
     "update_iterated",
+    "update_quadratic",
     "with_marginal",
     "wrapped",
 ]

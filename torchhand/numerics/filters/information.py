@@ -7,6 +7,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.numerics.filters.cholesky import robust_cholesky, semidefinite
+from torchhand.numerics.filters.gaussian import Gaussian
+from torchhand.precision import full_precision
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +68,33 @@ def correct(
     rest = whitened_innovation - (whitened_spread.mT @ solved).squeeze(-1)
     nis = (rest.square().sum(-1) + (signature * solved.squeeze(-1).square()).sum(-1)).clamp_min(0.0)
     return Correction(shift=shift.squeeze(-1), covariance=covariance, nis=nis)
+
+
+@full_precision
+def update_quadratic(
+    state: Gaussian, gradient: Float[Tensor, "*batch k"], matrix: Float[Tensor, "*batch k k"]
+) -> Gaussian:
+    """The belief after observations whose cost is gradient · d + ½ dᵀ matrix d, d the change of the first k numbers.
+
+    matrix: symmetric and positive semi-definite; what it does not tell may be singular. With P = R Rᵀ, R lower
+    triangular, A its first k columns and L the first k rows of these, the mean changes by -A (I + LᵀML)⁻¹ Lᵀ gradient,
+    and the covariance is A (I + LᵀML)⁻¹ Aᵀ + R_h R_hᵀ, R_h the other columns: positive semi-definite by construction.
+    That is `update_extended` with √M as Jacobian, without that root. Numbers that are not finite tell nothing.
+    """
+    size = gradient.shape[-1]
+    root = robust_cholesky(state.covariance)
+    seen, hidden, own = root[..., :size], root[..., size:], root[..., :size, :size]
+    information = own.mT @ matrix @ own
+    pull = own.mT @ gradient.unsqueeze(-1)
+    is_told = (information.isfinite().all(-1) & pull.isfinite().all(-1)).all(-1)
+    if not bool(is_told.all()):
+        information = torch.where(is_told[..., None, None], information, 0.0)
+        pull = torch.where(is_told[..., None, None], pull, 0.0)
+    factor = robust_cholesky(information + torch.eye(size, dtype=root.dtype, device=root.device))
+    half = torch.linalg.solve_triangular(factor, torch.cat((seen.mT, pull), -1), upper=False)
+    half, pull = half[..., :-1], half[..., -1:]
+    covariance = half.mT @ half + hidden @ hidden.mT
+    return Gaussian(state.mean - (half.mT @ pull).squeeze(-1), covariance)
 
 
 def is_bearable_centre(whitened_spread: Float[Tensor, "*batch p m"]) -> Bool[Tensor, "*batch"]:

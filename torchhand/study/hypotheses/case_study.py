@@ -22,9 +22,8 @@ from torchhand.fit import (
     Solutions,
     SolveStatus,
     free_bounds,
-    solve,
 )
-from torchhand.fit.contour import ContourObservation, picture_contours
+from torchhand.fit.contour import ContourObservation, Restarts, picture_contours, solve_with_restarts
 from torchhand.geometry import Camera
 from torchhand.hand import HandModel, HandPose, PoseConstraints, Side, named_pose_space
 from torchhand.image import hand_region, intersection_over_union
@@ -101,9 +100,9 @@ class CaseStudy:
         self.camera = case.camera.to(dtype=torch.float64, device=device)
         self.shape = case.shape.to(self.kinematics.default_shape)
         self.space = named_pose_space(settings.space).to(device=device).about(self.case.pose.dofs)
-        self.picture = picture_contours(
-            case.mask.to(device), settings.schedule, settings.contour, image=case.image.to(device)
-        )
+        schedule = (*settings.restarts.schedule, *settings.schedule)
+        self.picture = picture_contours(case.mask.to(device), schedule, settings.contour, image=case.image.to(device))
+        self._dtype = torch.float32 if settings.precision == "single" else torch.float64
         self._constraints = PoseConstraints(self.model.skeleton)
         self._postures = (prior or PostureResiduals.of(model.prior().postures)) if settings.has_prior else None
         self._std = spread_of_starts(self.space, settings.perturbation).to(device)
@@ -111,13 +110,14 @@ class CaseStudy:
     @cached_property
     def contours(self) -> Contours:
         """Contours of the surface that is registered."""
-        s = self.settings
+        s, camera, shape = self.settings, self.camera.to(dtype=self._dtype), self.shape.to(self._dtype)
         if s.surface == "mesh":
-            hand = self.model.hand(side=self.case.side, dtype=torch.float64).to(self.device)
-            return MeshContours(hand, self.camera, self.shape, max_points=s.mesh_points)
+            hand = self.model.hand(side=self.case.side, dtype=self._dtype).to(self.device)
+            return MeshContours(hand, camera, shape, max_points=s.mesh_points)
         table = outline_table(s.points_per_generator, s.points_per_arc, without=("palm_wrist",))
         table = replace(table, **{f.name: getattr(table, f.name).to(self.device) for f in fields(table)})
-        return PrimitiveContours(HandProjector(self.kinematics, self.camera, self.shape), table)
+        kinematics = self.model.kinematics(self.case.side, dtype=self._dtype).to(self.device)
+        return PrimitiveContours(HandProjector(kinematics, camera, shape), table)
 
     @property
     def overlap(self) -> float:
@@ -199,13 +199,18 @@ class CaseStudy:
         belief = None if expected is None else GaussianPrior.of_std(expected, self._std, self.space)
         observation = ContourObservation(picture=self.picture, contours=self.contours, settings=self.settings.contour)
         problem = Problem(
-            space=self.space,
+            space=self.space.to(dtype=self._dtype),
             skeleton=self.model.skeleton,
-            shape=self.shape,
+            shape=self.contours.shape,
             observations=(observation,),
             priors=study_priors(self._constraints, self._postures, belief),
         )
-        return solve(problem, starts, self.settings.schedule, at_once=self.settings.batch)
+        s, restarts = (
+            self.settings,
+            Restarts(settings=self.settings.restarts, camera=self.contours.camera, postures=self._postures),
+        )
+        found = solve_with_restarts(problem, starts, s.schedule, restarts, at_once=s.batch)
+        return replace(found, pose=found.pose.to(self.case.pose.dofs))
 
 
 def study_priors(
@@ -214,7 +219,7 @@ def study_priors(
     """What a study's registrations know beside the picture; the postures, where given, hold the ties of joints."""
     known = (
         ConstraintPrior(constraints=constraints, has_ties=postures is None),
-        None if postures is None else PosturePrior(postures=postures),
+        None if postures is None else PosturePrior(postures=postures, is_normalized=True),
         belief,
     )
     return tuple(one for one in known if one is not None)

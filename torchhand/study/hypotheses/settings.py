@@ -5,7 +5,7 @@ from typing import Literal, get_args
 
 from torchhand.errors import require, require_positive
 from torchhand.fit import Schedule
-from torchhand.fit.contour import SEARCH, ContourSettings
+from torchhand.fit.contour import THIN_SEARCH, ContourSettings, RestartSettings
 from torchhand.hand import POSE_SPACES
 from torchhand.study import PerturbationSettings
 
@@ -22,9 +22,11 @@ class HypothesisStudySettings:
 
     starts: int = 10_000
     """Starts of all pictures together, shared out evenly; 1 to 10,000,000."""
-    batch: int = 128
+    batch: int = 256
     """Starts that are registered together: bounds the memory. Other batches draw other starts. 1 to 4096."""
     perturbation: PerturbationSettings = field(default_factory=PerturbationSettings)
+    precision: Literal["single", "double"] = "single"
+    """Numbers that registration computes with; errors are always told from doubles."""
     space: str = "dof26"
     """Pose space, through the reference pose: what it ties or holds is as in the reference."""
     surface: SurfaceName = "primitives"
@@ -44,8 +46,10 @@ class HypothesisStudySettings:
     """Largest mean error of the joint angles of a success; above 0."""
     best_of: tuple[int, ...] = (1, 2, 4, 8, 16)
     """Numbers of starts of which that with the least misfit is evaluated; increasing, 1 or more."""
-    schedule: Schedule = SEARCH
+    schedule: Schedule = THIN_SEARCH
     """Registration from coarse to fine; at least one stage."""
+    restarts: RestartSettings = field(default_factory=RestartSettings)
+    """Hands that explain too little of the contour are registered from beside themselves as well."""
     contour: ContourSettings = field(default_factory=ContourSettings)
     """Weights and tolerances of the contours in a picture."""
 

@@ -13,6 +13,7 @@ from torchhand.hand import (
     JOINT_DOFS,
     KEYPOINTS,
     TIPS,
+    HandFrames,
     HandKinematics,
     HandPose,
     PoseJacobian,
@@ -59,14 +60,16 @@ def posed_belief(
     shape: Float[Tensor, "shape"],
     *,
     overconfidence: float = 1.0,
+    frames: HandFrames | None = None,
 ) -> PosedBelief:
     """Pose and keypoints of a followed hand with their covariances, first order.
 
     overconfidence: factor by which the belief's covariance is too small (`UpdateRule.overconfidence`).
+    frames: of `HandMotion.pose`, where they are known.
     """
     space, prior = motion.space.about(hand.base), motion.prior(hand)
     at = HandPose(dofs=space.dof(prior.mean), reference=hand.reference)
-    return posed_gaussian(at, overconfidence * prior.covariance, space, kinematics, shape)
+    return posed_gaussian(at, overconfidence * prior.covariance, space, kinematics, shape, frames)
 
 
 def posed_gaussian(
@@ -75,20 +78,21 @@ def posed_gaussian(
     space: PoseSpace,
     kinematics: HandKinematics,
     shape: Float[Tensor, "shape"],
+    frames: HandFrames | None = None,
 ) -> PosedBelief:
     """Pose () within the limits and its keypoints, from a covariance of a space's free parameters; the rotation about
-    the pose's reference."""
+    the pose's reference. frames: of the pose within the limits, where they are known."""
     dofs = clamp_to_limits(pose.dofs, kinematics.skeleton)
     basis = (dofs == pose.dofs)[:, None] * space.basis  # a tied angle may have stopped at its limit
-    frames = kinematics(dofs, shape, root_reference=pose.reference)
-    moved = _jacobian_of(kinematics)(dofs, frames)
+    bones: HandFrames = kinematics(dofs, shape, root_reference=pose.reference) if frames is None else frames
+    moved = _jacobian_of(kinematics)(dofs, bones)
     jacobian, bent = moved @ basis, moved[list(TIPS), :, _ROOT:] @ basis[_ROOT:]
     limited = HandPose(dofs=dofs, reference=pose.reference)
     return PosedBelief(
         pose=limited.vector,
         pose_std=(basis @ covariance @ basis.T).diagonal().clamp_min(0).sqrt(),
         root_rotation=limited.rotation,
-        keypoints=frames.keypoints,
+        keypoints=bones.keypoints,
         keypoints_cov=jacobian @ covariance @ jacobian.mT + _centre_covariance().to(dofs),
         tip_std=((bent @ covariance) * bent).sum((-2, -1)).clamp_min(0).sqrt(),
     )

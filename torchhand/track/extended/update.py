@@ -206,10 +206,12 @@ class ExtendedUpdate:
             in_view.append(inside)
             if picture is not None:
                 near.append(fraction)
+        placed = made.comparison.placed(pose)
         return Candidate(
             hand=hand,
             pose=pose,
-            agreement=made.comparison(pose, scene),
+            placed=placed,
+            agreement=made.comparison(placed, scene),
             edges=sum(near) / max(1, len(near)),
             in_view=max(in_view),
         )

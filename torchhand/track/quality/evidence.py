@@ -11,11 +11,12 @@ from torch import Tensor
 
 from torchhand.fit.contour import hand_length_px, is_in_picture, is_outer
 from torchhand.geometry import Camera
-from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, FINGERS, JOINT_DOFS, HandKinematics, HandPose
+from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, FINGERS, JOINT_DOFS, HandKinematics, HandPose, Primitives
 from torchhand.image import EdgeSettings, search_edges
 from torchhand.propose import LearnedPosture
-from torchhand.track.scene import Agreement, Scene, SceneKeypoints, deviations_of_digits
+from torchhand.track.scene import Agreement, PlacedHand, Scene, SceneKeypoints, deviations_of_digits
 from torchhand.view import HandProjector, OutlineTable, outline_table
+from torchhand.view.outlines import Generators
 
 EVIDENCE = (
     "spread",
@@ -62,6 +63,8 @@ class Told:
 
     pose: HandPose
     """(), in the world."""
+    placed: PlacedHand | None = None
+    """The hand of that pose before the cameras; None where that has to be computed."""
     shape: Float[Tensor, "shape"]
     tip_std: Float[Tensor, "5"]
     """Standard deviation of every fingertip about the wrist, metres."""
@@ -107,20 +110,26 @@ class FingerEvidence:
             plane = scene.plane(view)
             if plane is None:
                 continue
-            counts += self._in_view(projector, told, plane, scene.grey(view))
+            counts += self._in_view(projector, told, _seen_by(projector, told, view), (plane, scene.grey(view)))
             total += 1.0
         return counts / (_points_of_fingers() * max(1.0, total))[:, None]
 
     def _in_view(
-        self, projector: HandProjector, told: Told, plane: Tensor, levels: Tensor | None
+        self,
+        projector: HandProjector,
+        told: Told,
+        seen: tuple[Primitives, Generators],
+        pictures: tuple[Tensor, Tensor | None],
     ) -> Float[Tensor, "5 4"]:
         """Numbers of each finger's contour points in one view."""
         camera, pose = projector.camera, told.pose
-        primitives = projector.primitives_cam(projector.frames(pose.dofs, pose.reference))
-        generators = projector.generators_of(primitives)
+        primitives, generators = seen
+        plane, levels = pictures
         contour = projector.contour_of(primitives, _table(), generators)
-        seen = contour.visible & is_in_picture(contour.points_px, camera)
-        points, normals, finger = contour.points_px[seen], contour.normals[seen], _finger_of_point()[seen]
+        shown = (contour.visible & is_in_picture(contour.points_px, camera)).nonzero().squeeze(-1)
+        points, normals, finger = (
+            values.index_select(0, shown) for values in (contour.points_px, contour.normals, _finger_of_point())
+        )
         in_cam = torch.cat((camera.cam_from_world(pose.dofs[:3]), pose.dofs[3:]))
         length_px = hand_length_px(camera, self.kinematics, in_cam, told.shape)
         outer = is_outer(projector.silhouette_of(primitives, generators), points, normals, length_px)
@@ -137,6 +146,14 @@ class FingerEvidence:
         if self._made is None or self._made[0] is not shape:
             self._made = (shape, [HandProjector(self.kinematics, camera, shape) for camera in self.cameras])
         return self._made[1]
+
+
+def _seen_by(projector: HandProjector, told: Told, view: int) -> tuple[Primitives, Generators]:
+    """The hand's primitives as a camera has them, and their contour generators."""
+    if told.placed is not None:
+        return told.placed.views[view]
+    primitives = projector.primitives_cam(projector.frames(told.pose.dofs, told.pose.reference))
+    return primitives, projector.generators_of(primitives)
 
 
 def _difference(deviations: Sequence[Tensor]) -> Float[Tensor, "5"]:

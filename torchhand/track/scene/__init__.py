@@ -1,6 +1,6 @@
 """One time: what the cameras give, how a hand agrees with it, and which of several hands explains it best."""
 
-from torchhand.track.scene.agreement import Agreement, SilhouetteComparison, mean_overlap
+from torchhand.track.scene.agreement import Agreement, PlacedHand, SilhouetteComparison, mean_overlap
 from torchhand.track.scene.candidate import Candidate
 from torchhand.track.scene.health import MAX_BEYOND, MIN_KEYPOINTS, Health, HealthSettings
 from torchhand.track.scene.keypoints import (
@@ -45,6 +45,7 @@ __all__ = [
     "Masks",
     "ObservationsOf",
     "PackedMask",
+    "PlacedHand",
     "RigSegmentation",
     "Scene",
     "SceneKeypoints",

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float
@@ -50,26 +51,36 @@ class Agreement:
         unknown = torch.full_like(overlaps, math.nan)
         return cls(overlaps=overlaps, unexplained=unknown, beyond=unknown)
 
-    @property
+    @cached_property
     def overlap(self) -> float:
         """Mean over the views that there are; 0 where there is none."""
         return mean_overlap(self.overlaps)
 
-    @property
+    @cached_property
     def most_unexplained(self) -> float:
         """Of the view that explains least; 0 where there is none."""
         known = self.unexplained[self.unexplained.isfinite()]
         return float(known.max()) if len(known) else 0.0
 
-    @property
+    @cached_property
     def mean_beyond(self) -> float:
         """Over the views that there are; 0 where there is none."""
         return mean_overlap(self.beyond)
 
-    @property
+    @cached_property
     def views(self) -> int:
         """Views that were compared."""
         return int(self.overlaps.isfinite().sum())
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacedHand:
+    """A hand before cameras, whatever the size of their pictures."""
+
+    frames: HandFrames
+    """Bones and keypoints in the world."""
+    views: tuple[tuple[Primitives, Generators], ...]
+    """Of every camera: the primitives in its frame, and their contour generators with normals."""
 
 
 class SilhouetteComparison:
@@ -93,10 +104,10 @@ class SilhouetteComparison:
         self._rotation = torch.stack([camera.rotation for camera in small])
         self._translation = torch.stack([camera.translation for camera in small])
 
-    def __call__(self, pose: HandPose, scene: Scene) -> Agreement:
-        """In every view; what is apart from the hand does not count."""
-        found = []
-        for compared in self._compared(pose, [self._reduced(scene, view) for view in range(len(scene.views))]):
+    def __call__(self, hand: HandPose | PlacedHand, scene: Scene) -> Agreement:
+        """Of a hand () in every view; what is apart from it does not count."""
+        placed, found = self.placed(hand) if isinstance(hand, HandPose) else hand, []
+        for compared in self._compared(placed, [self._reduced(scene, view) for view in range(len(scene.views))]):
             if compared is None:
                 found.append((math.nan,) * 3)
             else:
@@ -111,7 +122,9 @@ class SilhouetteComparison:
             None if mask is None else reduced_mask(mask.cpu(), camera.height, camera.width)
             for camera, mask in zip(cameras, masks, strict=True)
         ]
-        found = [math.nan if compared is None else compared.overlap for compared in self._compared(pose, small)]
+        found = [
+            math.nan if compared is None else compared.overlap for compared in self._compared(self.placed(pose), small)
+        ]
         return torch.tensor(found, dtype=torch.float64)
 
     def _reduced(self, scene: Scene, view: int) -> Bool[Tensor, "height width"] | None:
@@ -120,15 +133,10 @@ class SilhouetteComparison:
         size = (camera.height, camera.width)
         return scene.once(("reduced", view, size), lambda: _reduced(scene, view, *size))
 
-    def _compared(self, pose: HandPose, silhouettes: Masks) -> Iterator["_Compared | None"]:
-        frames = self._projectors[0].frames(pose.dofs, pose.reference)
-        parts = zip(self._projectors, self._seen_by_all(frames), silhouettes, strict=True)
-        for projector, seen, silhouette in parts:
-            yield None if silhouette is None else self._in_view(projector, seen, frames.keypoints, silhouette)
-
-    def _seen_by_all(self, frames: HandFrames) -> list[tuple[Primitives, Generators]]:
-        """The primitives as each camera sees them, with their generators; those of like cameras are found together."""
+    def placed(self, pose: HandPose) -> PlacedHand:
+        """A hand () before the cameras; those that are alike are asked together."""
         first = self._projectors[0]
+        frames = first.frames(pose.dofs, pose.reference)
         placed = place_primitives(frames, first.sizes, is_left=first.kinematics.side == "left")
         rotation = self._rotation[:, None] @ placed.rotation
         position = placed.position @ self._rotation.mT + self._translation[:, None]
@@ -136,10 +144,14 @@ class SilhouetteComparison:
         for views in self._alike:
             seen = Primitives(sizes=placed.sizes, rotation=rotation[views], position=position[views])
             is_orthographic = self._projectors[views[0]].is_orthographic
-            cones, arcs = generators(seen, is_orthographic=is_orthographic, with_normals=False)
+            cones, arcs = generators(seen, is_orthographic=is_orthographic, with_normals=True)
             for place, view in enumerate(views):
                 found[view] = (seen.select(place), (cones.of_hand(place), arcs.of_hand(place)))
-        return [found[view] for view in range(len(self._projectors))]
+        return PlacedHand(frames=frames, views=tuple(found[view] for view in range(len(self._projectors))))
+
+    def _compared(self, placed: PlacedHand, silhouettes: Masks) -> Iterator["_Compared | None"]:
+        for projector, seen, silhouette in zip(self._projectors, placed.views, silhouettes, strict=True):
+            yield None if silhouette is None else self._in_view(projector, seen, placed.frames.keypoints, silhouette)
 
     def _in_view(
         self,

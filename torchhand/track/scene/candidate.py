@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.hand import HandPose
+from torchhand.hand import HandFrames, HandPose
 from torchhand.propose import LearnedPosture
 from torchhand.track.belief import FollowedHand
-from torchhand.track.scene.agreement import Agreement
+from torchhand.track.scene.agreement import Agreement, PlacedHand
 
 _PALM_M = 0.05  # from the wrist to the middle of the palm
 
@@ -19,6 +19,8 @@ class Candidate:
 
     hand: FollowedHand
     pose: HandPose
+    placed: PlacedHand | None = None
+    """The hand of that pose before the cameras; None where that has to be computed."""
     agreement: Agreement
     edges: float
     """Fraction of the contour, or of the silhouettes' edges, that is found where the hand predicts it."""
@@ -41,6 +43,11 @@ class Candidate:
     """Whether the estimate explains enough; one that does not is degraded, whatever the frames before explained."""
     if_failing: FollowedHand | None = None
     """Hand to go on with where the scene does not bear this one out; None stands for `hand` itself."""
+
+    @property
+    def frames(self) -> HandFrames | None:
+        """Bones and keypoints of the pose, where they are known."""
+        return None if self.placed is None else self.placed.frames
 
     @property
     def overlap(self) -> float:

@@ -1,7 +1,7 @@
 """Detected keypoints of a scene as observations of the hand, and the hand that they alone tell of."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import torch
@@ -9,9 +9,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchhand.fit import PosedHands, Stage
-from torchhand.fit.keypoints import KeypointSettings, PictureKeypoints, PostureKeypoints, place_hand
+from torchhand.fit.keypoints import KeypointSettings, PictureKeypoints, PostureKeypoints, keep_frames, place_hand
 from torchhand.geometry import Camera
-from torchhand.hand import FINGERS, JOINT_DOFS, HandKinematics, HandPose
+from torchhand.hand import FINGERS, JOINT_DOFS, HandFrames, HandKinematics, HandPose
 from torchhand.track.scene.views import Scene
 
 _PALM = (0, 1, 5, 9, 13, 17)
@@ -29,19 +29,27 @@ class SceneKeypoints:
     postures: tuple[PostureKeypoints, ...]
     """Postures of the views whose detector gives points in space."""
 
-    kept: dict[tuple[int, int], tuple[HandPose, Tensor, list[Tensor]]] = field(
-        default_factory=dict, repr=False, compare=False
-    )
+    kept: dict[tuple[int, int], "_Compared"] = field(default_factory=dict, repr=False, compare=False)
 
-    def deviations(self, pose: HandPose, shape: Float[Tensor, "shape"]) -> list[Float[Tensor, "21"]]:
+    def hands(self, pose: HandPose, shape: Float[Tensor, "shape"], frames: HandFrames | None = None) -> PosedHands:
+        """A hand () as observations are asked about it; made once for a pose. frames: of it, where they are known."""
+        return self._compared(pose, shape, frames).hands
+
+    def deviations(
+        self, pose: HandPose, shape: Float[Tensor, "shape"], frames: HandFrames | None = None
+    ) -> list[Float[Tensor, "21"]]:
         """Distance of every point of each picture from those of a hand (), standard deviations; NaN for missing points.
         Computed once for a pose."""
+        return self._compared(pose, shape, frames).deviations(self.pictures)
+
+    def _compared(self, pose: HandPose, shape: Tensor, frames: HandFrames | None) -> "_Compared":
         key = (id(pose), id(shape))
         if key not in self.kept:
             hands = PosedHands(pose=pose.reshape(1), shape=shape)
-            found = [one.associate(hands, _COMPARED).deviation(hands)[0] for one in self.pictures]
-            self.kept[key] = (pose, shape, found)  # both are kept, so that no others have their numbers
-        return self.kept[key][2]
+            if frames is not None and self.pictures:
+                keep_frames(self.pictures[0].kinematics, hands, frames)
+            self.kept[key] = _Compared(pose=pose, hands=hands)  # they are kept, so that no others have their numbers
+        return self.kept[key]
 
     @property
     def observations(self) -> tuple[PictureKeypoints | PostureKeypoints, ...]:
@@ -60,13 +68,29 @@ class SceneKeypoints:
             found[1:] = torch.maximum(found[1:], digits.nan_to_num().amin(0))
         return found
 
-    def agreement(self, pose: HandPose, shape: Float[Tensor, "shape"]) -> float | None:
+    def agreement(
+        self, pose: HandPose, shape: Float[Tensor, "shape"], frames: HandFrames | None = None
+    ) -> float | None:
         """How far a hand is the detector's, 0 to 1: mean over the points in the pictures and over the fingers of the
         postures of 1 / (1 + d² / 4), d in root mean square standard deviations. None where nothing was detected."""
         joints = pose.dofs[None, -len(JOINT_DOFS) :]
-        found = self.deviations(pose, shape) + [one.deviation(joints)[0] for one in self.postures]
+        found = self.deviations(pose, shape, frames) + [one.deviation(joints)[0] for one in self.postures]
         shares = [float((1 / (1 + one[one.isfinite()] ** 2 / 4)).mean()) for one in found if bool(one.isfinite().any())]
         return sum(shares) / len(shares) if shares else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Compared:
+    """A hand that detected points are compared with."""
+
+    pose: HandPose
+    hands: PosedHands
+    found: list[Float[Tensor, "21"]] = field(default_factory=list)
+
+    def deviations(self, pictures: Sequence[PictureKeypoints]) -> list[Float[Tensor, "21"]]:
+        if not self.found:
+            self.found.extend(one.associate(self.hands, _COMPARED).deviation(self.hands)[0] for one in pictures)
+        return list(self.found)
 
 
 def deviations_of_digits(points: Float[Tensor, "21"]) -> Float[Tensor, "5"]:
@@ -129,7 +153,7 @@ def _made(
 def with_further_postures(seen: SceneKeypoints, scene: Scene) -> SceneKeypoints:
     """Detected keypoints, and postures among the scene's further observations, such as a network's."""
     further = tuple(one for one in scene.observations if isinstance(one, PostureKeypoints))
-    return SceneKeypoints(pictures=seen.pictures, postures=(*seen.postures, *further)) if seen.pictures else seen
+    return replace(seen, postures=(*seen.postures, *further)) if seen.pictures else seen
 
 
 def detected_hand(

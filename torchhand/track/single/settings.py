@@ -50,9 +50,9 @@ class SinglePoseSettings:
     """The same as `min_overlap` of a hand that its outline alone tells of; 0 to 1."""
     alone_edges: float = 0.65
     """The same as `min_edges` of a hand that its outline alone tells of; 0 to 1."""
-    alone_odds: float = -0.146
+    alone_odds: float = -0.662
     """Smallest logarithm of the odds that such a hand is the right one, by all that the picture says for and against;
-    minus infinity asks nothing. About 5 % of the pictures without a hand that the model was fitted to reach these
+    minus infinity asks nothing. About 10 % of the pictures without a hand that the model was fitted to reach these
     (evidence.json)."""
     max_side_px: int = 640
     """Larger pictures are reduced to this longer side for the work; 64 or more."""

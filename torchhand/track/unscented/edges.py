@@ -35,6 +35,8 @@ class ContourVisibility:
 
     visible: Bool[Tensor, "points"]
     outer: Bool[Tensor, "visible_points"]
+    seen: OutlineTable
+    """The visible points in the table of all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +84,8 @@ class EdgeSearch:
         reference = replace(hands, rotation=hands.rotation[0], position=hands.position[0])
         own = (cones.of_hand(0), arcs.of_hand(0))
         contour = projector.contour_of(reference, self.table, own, before.visible if before else None)
-        points, normals = contour.points_px[contour.visible], contour.normals[contour.visible]
+        shown = contour.visible.nonzero().squeeze(-1)
+        points, normals = contour.points_px.index_select(0, shown), contour.normals.index_select(0, shown)
         in_picture = is_in_picture(points, camera)
         if int(in_picture.sum()) < _MIN_POINTS:
             return None
@@ -92,7 +95,8 @@ class EdgeSearch:
         else:
             outer = before.outer
         offset, is_found, variance = self._searched(points, normals, outer, planes, length_px, failures)
-        seen = self.table.select(contour.visible)
+        is_same = before is not None and torch.equal(before.visible, contour.visible)
+        seen = before.seen if before is not None and is_same else self.table.select(contour.visible)
         together = torch.bincount(seen.primitive, weights=is_found.to(offset))[seen.primitive]
         surface_px = self.settings.surface_std * length_px
         return EdgeMeasurement(
@@ -101,7 +105,7 @@ class EdgeSearch:
             value=(points * normals).sum(-1) + offset,
             variance=variance,
             is_found=is_found,
-            visibility=ContourVisibility(visible=contour.visible, outer=outer),
+            visibility=ContourVisibility(visible=contour.visible, outer=outer, seen=seen),
             in_picture=in_picture,
         )
 
@@ -120,10 +124,14 @@ class EdgeSearch:
         if planes.inner is not None:
             searches.append((~outer, planes.inner, s.inner_edges, _INNER_REACH * reach_px, s.inner_weight))
         for which, plane, how, half_length_px, fraction in searches:
-            if bool(which.any()):
-                edges = search_edges(plane, points[which], normals[which], replace(how, half_length_px=half_length_px))
-                offset[which], is_found[which], rivals[which] = edges.offset_px, edges.found, edges.candidates
-                weight[which] = fraction
+            rows = which.nonzero().squeeze(-1)
+            if len(rows):
+                own = (points.index_select(0, rows), normals.index_select(0, rows))
+                edges = search_edges(plane, *own, replace(how, half_length_px=half_length_px))
+                offset.index_copy_(0, rows, edges.offset_px)
+                is_found.index_copy_(0, rows, edges.found)
+                rivals.index_copy_(0, rows, edges.candidates)
+                weight.index_fill_(0, rows, fraction)
         return offset, is_found, s.edge_std_px**2 * rivals.clamp_min(1) / weight
 
 

@@ -1,18 +1,16 @@
-"""Any kind of observation in a filter: the quadratic model of its cost is a measurement with a linear prediction."""
+"""Any kind of observation in a filter, by the quadratic model of its cost."""
 
 from dataclasses import replace
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.fit import Problem, Stage
-from torchhand.numerics import NormalEquations, update_extended
+from torchhand.numerics import update_quadratic
 from torchhand.track.belief import FollowedHand, HandMotion
 from torchhand.track.scene import Scene
 
 _NEAR = Stage(gross_m=0.004)
-_NOTHING = 1e-12  # of the largest information, below which a direction is not observed
 
 
 def corrected_by(
@@ -29,18 +27,5 @@ def corrected_by(
         return hand
     free = hand.belief.mean[None, : motion.space.size]
     model = problem.associated(free, hand.reference[None], _NEAR).here()
-    innovation, rows = _measurement(model)
-    noise = torch.full_like(innovation, 1 / weight)
-    return motion.limited(replace(hand, belief=update_extended(hand.belief, innovation, rows, noise).state))
-
-
-def _measurement(model: NormalEquations) -> tuple[Float[Tensor, "m"], Float[Tensor, "m free"]]:
-    """Innovation and Jacobian of unit noise whose ½ |innovation - Jacobian · step|² is the model of one hand's cost.
-
-    With the eigenvalues λ and vectors V of its matrix: √λ Vᵀ, and -Vᵀ gradient / √λ.
-    """
-    values, vectors = torch.linalg.eigh(model.matrix[0])
-    is_seen = values > _NOTHING * values.max().clamp_min(torch.finfo(values.dtype).tiny)
-    root = torch.where(is_seen, values, 0.0).sqrt()
-    pull = vectors.mT @ model.gradient[0]
-    return -torch.where(is_seen, pull / root, 0.0), root[:, None] * vectors.mT
+    belief = update_quadratic(hand.belief, weight * model.gradient[0], weight * model.matrix[0])
+    return motion.limited(replace(hand, belief=belief))

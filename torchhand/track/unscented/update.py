@@ -107,11 +107,13 @@ class UnscentedUpdate:
         return self._candidate(replace(measured, nis=None), scene, shape)
 
     def _candidate(self, measured: _Measured, scene: Scene, shape: Tensor) -> Candidate:
-        pose = self.motion.pose(measured.hand)
+        pose, comparison = self.motion.pose(measured.hand), self._for(shape)[2]
+        placed = comparison.placed(pose)
         return Candidate(
             hand=measured.hand,
             pose=pose,
-            agreement=self._for(shape)[2](pose, scene),
+            placed=placed,
+            agreement=comparison(placed, scene),
             edges=measured.edges,
             in_view=measured.in_view,
             nis=measured.nis,
@@ -137,7 +139,7 @@ class UnscentedUpdate:
         poses = HandPose.of(self.motion.space.about(hand.base).dof(candidates), hand.reference)
         posed, stack = PosedHands(pose=poses, shape=shape), _Stack()
         for one in seen.observations:
-            factor = one.associate(PosedHands(pose=own.reshape(1), shape=shape), _KEYPOINTS)
+            factor = one.associate(seen.hands(own, shape), _KEYPOINTS)
             stack.add(factor.predict(posed), *factor.measurement())
         predicted, value, variance, valid = stack.joined()
         result = update(hand.belief, lambda _: predicted, value, variance, s.transform, valid=valid, observed=count)

@@ -88,6 +88,10 @@ class Contours(Protocol):
         """The contours of a hand of another shape."""
         ...
 
+    def thinned(self, factor: int) -> "Contours":
+        """The contours with one point in place of so many; itself for 1. Made once."""
+        ...
+
     def visible(self, pose: HandPose, *, probe_distance_px: float | Float[Tensor, "hands"] = 1.0) -> VisibleContour:
         """Contours at the poses (hands). probe_distance_px: how far outside a point the picture is asked for the
         hand."""
@@ -109,6 +113,7 @@ class PrimitiveContours:
         self.projector = projector
         with torch.inference_mode(False):  # what is kept is for callers in any mode
             self._tracer = OutlineTracer(projector, table)
+        self._thinned: dict[int, PrimitiveContours] = {1: self}
 
     @property
     def kinematics(self) -> HandKinematics:
@@ -125,6 +130,13 @@ class PrimitiveContours:
     def with_shape(self, shape: Float[Tensor, "shape"]) -> "PrimitiveContours":
         """The contours of a hand of another shape."""
         return PrimitiveContours(HandProjector(self.kinematics, self.camera, shape), self._tracer.table)
+
+    def thinned(self, factor: int) -> "PrimitiveContours":
+        """The contours with one point in place of so many; itself for 1. Made once."""
+        if factor not in self._thinned:
+            with torch.inference_mode(False):  # kept for callers in any mode
+                self._thinned[factor] = PrimitiveContours(self.projector, self._tracer.table.thinned(factor))
+        return self._thinned[factor]
 
     @own_precision
     def visible(self, pose: HandPose, *, probe_distance_px: float | Float[Tensor, "hands"] = 1.0) -> VisibleContour:

@@ -71,6 +71,7 @@ class MeshContours:
         self.hand, self._camera, self._max_points = hand, camera, max_points
         self._shape = hand.shape if shape is None else shape
         self._edges, self._faces_of_edge = _edges(hand.faces)
+        self._thinned: dict[int, MeshContours] = {}
 
     @property
     def kinematics(self) -> HandKinematics:
@@ -87,8 +88,18 @@ class MeshContours:
     def with_shape(self, shape: Float[Tensor, "shape"]) -> "MeshContours":
         """The contours of a hand of another shape."""
         other = copy.copy(self)
-        other._shape = shape
+        other._shape, other._thinned = shape, {}
         return other
+
+    def thinned(self, factor: int) -> "MeshContours":
+        """The contours with one point in place of so many; itself for 1. Made once."""
+        if factor == 1:
+            return self
+        if factor not in self._thinned:
+            other = copy.copy(self)
+            other._max_points, other._thinned = max(1, self._max_points // factor), {}
+            self._thinned[factor] = other
+        return self._thinned[factor]
 
     @own_precision
     def visible(self, pose: HandPose, *, probe_distance_px: float | Float[Tensor, "hands"] = 1.0) -> VisibleContour:

@@ -62,7 +62,8 @@ def seen_and_outer(
         enough, follow = depth - slack, _along_parallel_rays
     else:
         plane, follow = plane / depth[:, None], _along_central_rays
-        enough = depth - slack * depth / columns_cam.norm(dim=1)
+        x, y, z = columns_cam.unbind(1)
+        enough = depth - slack * depth / torch.addcmul(torch.addcmul(x * x, y, y), z, z).sqrt()
     nothing = torch.full_like(depth, torch.inf)  # every part hides what is far behind the hand
     x, y = torch.cat((plane, beyond), 2).unbind(1)
     rays = _Rays(

@@ -40,16 +40,23 @@ class OutlineTable:
     def size(self) -> int:
         return len(self.cone) + len(self.ellipsoid)
 
-    @property
+    @cached_property
     def primitive(self) -> Int[Tensor, "points"]:
         """Index into PRIMITIVE_NAMES of every point."""
-        return torch.cat((self.cone, self.ellipsoid + len(CONE_NAMES)))
+        with torch.inference_mode(False):  # kept for callers in any mode
+            return torch.cat((self.cone, self.ellipsoid + len(CONE_NAMES)))
 
     @cached_property
     def generator(self) -> Int[Tensor, "cone_points"]:
         """Index of every cone point's generator, two per cone."""
         with torch.inference_mode(False):  # kept for callers in any mode
             return 2 * self.cone + self.cone_side
+
+    @cached_property
+    def sweep(self) -> Float[Tensor, "ellipsoid_points 1"]:
+        """Where on its arc every ellipsoid's point is, -1 and 1 being the ends."""
+        with torch.inference_mode(False):
+            return (2 * self.ellipsoid_fraction - 1)[:, None]
 
     def select(self, keep: Bool[Tensor, "points"]) -> "OutlineTable":
         """The points where `keep` is true, in the same order."""
@@ -62,22 +69,41 @@ class OutlineTable:
             ellipsoid_fraction=self.ellipsoid_fraction[on_balls],
         )
 
+    def thinned(self, factor: int) -> "OutlineTable":
+        """Evenly spread points, one in place of so many, of a table that `outline_table` made; at least one on every
+        curve."""
+        cones, balls = self.cone.unique_consecutive(), self.ellipsoid.unique_consecutive()
+        return _even_table(
+            cones,
+            balls,
+            max(1, len(self.cone) // (2 * factor * max(1, len(cones)))),
+            max(1, len(self.ellipsoid) // (factor * max(1, len(balls)))),
+            dtype=self.cone_fraction.dtype,
+        )
+
 
 def outline_table(
     points_per_generator: int, points_per_arc: int, *, dtype: torch.dtype = torch.float64, without: tuple[str, ...] = ()
 ) -> OutlineTable:
     """Evenly spread points on every primitive but those named in `without`; ends are left out, where neighbours
     overlap."""
-    cones = [i for i, name in enumerate(CONE_NAMES) if name not in without]
-    balls = [i for i, name in enumerate(ELLIPSOID_NAMES) if name not in without]
-    along = (torch.arange(points_per_generator, dtype=dtype) + 0.5) / points_per_generator
-    around = (torch.arange(points_per_arc, dtype=dtype) + 0.5) / points_per_arc
-    cone_ids = torch.tensor(cones)
+    cones = torch.tensor([i for i, name in enumerate(CONE_NAMES) if name not in without])
+    balls = torch.tensor([i for i, name in enumerate(ELLIPSOID_NAMES) if name not in without])
+    return _even_table(cones, balls, points_per_generator, points_per_arc, dtype=dtype)
+
+
+def _even_table(
+    cones: Int[Tensor, "cones"], balls: Int[Tensor, "balls"], per_generator: int, per_arc: int, *, dtype: torch.dtype
+) -> OutlineTable:
+    """So many points on each of two generators of the cones, and on the arcs of the ellipsoids."""
+    along = (torch.arange(per_generator, dtype=dtype, device=cones.device) + 0.5) / per_generator
+    around = (torch.arange(per_arc, dtype=dtype, device=cones.device) + 0.5) / per_arc
+    sides = torch.tensor((0, 1), device=cones.device)
     return OutlineTable(
-        cone=cone_ids.repeat_interleave(2 * points_per_generator),
-        cone_side=torch.tensor((0, 1)).repeat_interleave(points_per_generator).repeat(len(cones)),
+        cone=cones.repeat_interleave(2 * per_generator),
+        cone_side=sides.repeat_interleave(per_generator).repeat(len(cones)),
         cone_fraction=along.repeat(2 * len(cones)),
-        ellipsoid=torch.tensor(balls).repeat_interleave(points_per_arc),
+        ellipsoid=balls.repeat_interleave(per_arc),
         ellipsoid_fraction=around.repeat(len(balls)),
     )
 
@@ -136,8 +162,7 @@ def sample_generators(cones: ConeGenerators, arcs: EllipsoidArcs, table: Outline
 
 def _along(curve: Tensor, half_angle: Tensor, table: OutlineTable) -> Tensor:
     """The table's points of arcs given by their centre and two radii: (points, 3, n)."""
-    sweep = (2 * table.ellipsoid_fraction - 1).to(curve.dtype)[:, None]
-    angle = half_angle.index_select(0, table.ellipsoid) * sweep
+    angle = half_angle.index_select(0, table.ellipsoid) * table.sweep.to(curve.dtype)
     centre, first, second = curve.index_select(0, table.ellipsoid).unbind(2)
     return torch.addcmul(torch.addcmul(centre, first, angle.cos()[:, None]), second, angle.sin()[:, None])
 

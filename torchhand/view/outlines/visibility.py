@@ -31,12 +31,10 @@ def visible_points(
     batch, count = outline.points_cam.shape[:-2], outline.points_cam.shape[-2]
     points = outline.points_cam.detach().reshape(-1, count, 3)
     parts = primitives_cam.implicit()
+    axis = parts.axis.movedim(-1, 0)
     if is_orthographic:
         table_of_rays, depth, near_enough = _parallel_rays(parts, points), points[..., 2], points[..., 2] - slack
-        origin, direction = (
-            points * points.new_tensor((1.0, 1.0, 0.0)),
-            points.new_tensor((0.0, 0.0, 1.0)).expand_as(points),
-        )
+        start, rate = points[..., :2] @ axis[..., :2].mT, axis[:, None, :, 2]
     else:
         # Depths along the ray to a point are counted in units of that point's distance.
         distance = points.norm(dim=-1).clamp_min(1e-12)
@@ -45,28 +43,31 @@ def visible_points(
             torch.ones_like(distance),
             1 - slack / distance,
         )
-        origin, direction = torch.zeros_like(points), points
+        start, rate = torch.zeros_like(depth[..., None]), points @ axis.mT
     quadratic, linear, constant = table_of_rays
     discriminant = linear * linear - quadratic * constant
     discriminant.scatter_(-1, table.primitive.expand(len(points), -1)[..., None], -1.0)  # not by itself
     # Few of all pairs meet: the rest is done for these alone.
-    hand, point, part = (discriminant >= 0).nonzero(as_tuple=True)
-    roots = quadratic_roots(*(x.expand_as(discriminant)[hand, point, part] for x in (quadratic, linear, constant)))
-    axis, low, high = _clips(parts, hand, part)
-    start = (axis * origin[hand, point]).sum(-1)
-    rate = (axis * direction[hand, point]).sum(-1)
-    kept = []
-    for root in roots:
-        height = start + root * rate
-        keeps = (root > 0) & root.isfinite() & (height >= low) & (height <= high)
-        kept.append(torch.where(keeps, root, torch.inf))
-    near, far = torch.minimum(*kept), torch.maximum(*kept)
-    here = depth[hand, point]
-    hides = near < near_enough[hand, point]
-    swallows = (near < here) & (far > here) & far.isfinite()
-    is_hidden = torch.zeros_like(depth, dtype=torch.bool)
-    covered = hides | swallows
-    is_hidden[hand[covered], point[covered]] = True
+    met = (discriminant >= 0).flatten().nonzero().squeeze(-1)
+    point = met // discriminant.shape[-1]  # of all hands
+
+    def of_pairs(values: Tensor) -> Tensor:
+        return values.expand_as(discriminant).reshape(-1).index_select(0, met)
+
+    def of_points(values: Tensor) -> Tensor:
+        return values.reshape(-1).index_select(0, point)
+
+    roots = torch.stack(quadratic_roots(of_pairs(quadratic), of_pairs(linear), of_pairs(constant)))
+    height = torch.addcmul(of_pairs(start), roots, of_pairs(rate))
+    low, high = (of_pairs(bound.mT[:, None]) for bound in (parts.low, parts.high))
+    keeps = (roots > 0) & (roots < torch.inf) & (height >= low) & (height <= high)
+    hits = torch.where(keeps, roots, torch.inf)
+    near, far = hits.amin(0), hits.amax(0)
+    here = of_points(depth)
+    hides = near < of_points(near_enough)
+    swallows = (near < here) & (far > here) & (far < torch.inf)
+    is_hidden = torch.zeros(depth.shape, dtype=torch.bool, device=depth.device)
+    is_hidden.view(-1).index_fill_(0, point[hides | swallows], True)
     return outline.is_real & ((depth > 0) & ~is_hidden).reshape(*batch, count)
 
 
@@ -86,8 +87,3 @@ def _parallel_rays(parts: Implicit, points: Tensor) -> tuple[Tensor, Tensor, Ten
     linear = upper[..., 2, 0] * x + upper[..., 2, 1] * y + edge[..., 2]
     constant = upper[..., 0, 0] * x * x + 2 * upper[..., 0, 1] * x * y + upper[..., 1, 1] * y * y
     return upper[..., 2, 2], linear, constant + 2 * (edge[..., 0] * x + edge[..., 1] * y) + corner
-
-
-def _clips(parts: Implicit, hand: Tensor, part: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Axis and bounds of the part of each pair."""
-    return parts.axis.movedim(-1, 0)[hand, part], parts.low[part, hand], parts.high[part, hand]

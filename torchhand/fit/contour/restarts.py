@@ -1,0 +1,96 @@
+"""Restarts of hands that leave much of a picture's contour unexplained: their fingers have settled on other fingers.
+
+Where two fingers of the model lie on one of the picture, or one before the palm, no small step leads away. With the
+palm where it was found, turned in the picture by somewhat more than half of what lies between two fingers, the fingers
+of the start fall onto those that they belong to; or the fingers are put to where the likeliest postures have them.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+
+from torchhand.devices import read_back, rows_where
+from torchhand.errors import require, require_positive
+from torchhand.fit import PostureResiduals, Problem, Schedule, Solutions, solve
+from torchhand.fit.contour.observation import CONTOUR
+from torchhand.fit.contour.settings import WIDE_SEARCH
+from torchhand.geometry import Camera, rotation_from_vector
+from torchhand.hand import HandPose
+
+_ROOT = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class RestartSettings:
+    """When hands are started again, and how."""
+
+    min_fraction: float = 0.93
+    """Share of the picture's contour that a hand must explain not to be started again, 0 to 1; 0 starts none again. A
+    finger that is left out is a tenth of the contour or more, where it does not lie beside another."""
+    turn_deg: float = 8.0
+    """Turn about the line of sight through the wrist, to either side; 0 to 90, 0 for none. Stretched fingers are some
+    12 degrees apart."""
+    schedule: Schedule = WIDE_SEARCH
+    """Stages of restarts, before the last stage of the first solution's; at least one."""
+    postures: int = 2
+    """Number of likely postures that the fingers are put into; 0 to 100."""
+    spread_deg: float = 10.0
+    """Standard deviation of the joint angles of starts, by which postures are judged; above 0."""
+
+    def __post_init__(self) -> None:
+        require(0 <= self.min_fraction <= 1, "restarts.min_fraction", "0 to 1", self.min_fraction)
+        require(0 <= self.turn_deg <= 90, "restarts.turn_deg", "0 to 90", self.turn_deg)
+        require(bool(self.schedule), "restarts.schedule", "at least one stage", self.schedule)
+        require(0 <= self.postures <= 100, "restarts.postures", "0 to 100", self.postures)
+        require_positive("restarts.spread_deg", self.spread_deg)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Restarts:
+    """Where hands are started again."""
+
+    settings: RestartSettings
+    camera: Camera
+    """Camera in whose picture hands are turned."""
+    postures: PostureResiduals | None = None
+    """Postures that are likely; None where none are known."""
+
+    def beside(self, hands: HandPose, starts: HandPose) -> HandPose:
+        """The starts (k) themselves, and others beside the hands that came of them: (several, k)."""
+        s, begun = self.settings, [starts]
+        ahead, place = self.camera.rotation.to(hands.dofs)[2], hands.normalized().dofs[:, :_ROOT]
+        for turn in (math.radians(s.turn_deg), -math.radians(s.turn_deg)) if s.turn_deg else ():
+            dofs = torch.cat((place, starts.dofs[:, _ROOT:]), 1)
+            begun.append(HandPose.of(dofs, rotation_from_vector(turn * ahead) @ hands.rotation))
+        if self.postures is not None and s.postures:
+            known = self.postures.on(place.device).nearest(starts.dofs, math.radians(s.spread_deg), s.postures)
+            begun += [HandPose.of(torch.cat((place, joints), 1), hands.rotation) for joints in known.unbind(1)]
+        return HandPose.stack(begun)
+
+
+def solve_with_restarts(
+    problem: Problem, starts: HandPose, schedule: Schedule, restarts: Restarts, *, at_once: int = 128
+) -> Solutions:
+    """`solve`; hands that explain too little of the picture's contour are then solved from other starts as well.
+
+    Restarts go through stages of their own; the cheapest one of each hypothesis goes through the schedule's last stage,
+    and is the result where it is cheaper than what was found before. One hypothesis never touches another.
+    """
+    found = solve(problem, starts, schedule, at_once=at_once)
+    if not found.explained:
+        return found
+    batch, starts = starts.batch_shape, starts.to(problem.space.basis).reshape(-1)
+    found = found.rows(slice(None))
+    unexplained = found.explained_by(CONTOUR).fraction < restarts.settings.min_fraction
+    poor = rows_where(read_back(unexplained), unexplained.device)
+    if len(poor):
+        begun = restarts.beside(found.pose[poor], starts[poor])
+        stages, kinds = restarts.settings.schedule, len(begun)
+        tried = solve(problem.rows(poor.repeat(kinds)), begun.reshape(-1), stages, at_once=at_once)
+        cheapest = tried.cost.unflatten(0, (kinds, -1)).argmin(0)
+        best = tried.rows(cheapest * len(poor) + torch.arange(len(poor), device=poor.device))
+        refined = solve(problem.rows(poor), best.pose, schedule[-1:], at_once=at_once)
+        spent = tried.iterations.unflatten(0, (kinds, -1)).sum(0) + refined.iterations
+        found = replace(found, iterations=found.iterations.index_add(0, poor, spent)).or_cheaper(poor, refined)
+    return found.reshape(batch)
