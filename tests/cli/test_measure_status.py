@@ -4,6 +4,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 
 from torchhand.cli.measure_status import _TABLE as TABLE
@@ -46,3 +48,18 @@ def test_hands_where_there_are_none_are_counted_beside_the_rest(tmp_path: Path) 
     for name in ("contour_planar", "fit_pose"):
         assert found[name]["reported"] == sum(found[name]["by_kind"].values())
     assert found["contour_planar"]["reported"] <= 1
+
+
+def test_photographs_need_pictures_without_a_hand_and_masks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    hands, others, out = tmp_path / "hands", tmp_path / "others", tmp_path / "evidence.json"
+    for folder in (hands, others):
+        folder.mkdir()
+        cv2.imwrite(str(folder / "a_1.png"), np.full((48, 64, 3), 128, np.uint8))
+    assert main(["--out", str(out), "--photographs", str(hands)]) == 2
+    assert "expected --without FOLDER beside it" in capsys.readouterr().err
+    assert main(["--out", str(out), "--photographs", str(hands), "--without", str(others)]) == 2
+    assert "expected a_1_mask.png beside a_1.png" in capsys.readouterr().err
+    cv2.imwrite(str(hands / "a_1_mask.png"), np.full((48, 64), 255, np.uint8))
+    assert main(["--out", str(out), "--photographs", str(hands), "--without", str(others)]) == 2
+    assert "0 right hands and 1 pictures without a hand" in capsys.readouterr().err
+    assert not out.exists()

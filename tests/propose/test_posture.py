@@ -80,7 +80,9 @@ def test_the_direction_near_a_hand_is_that_of_the_hypotheses_about_it() -> None:
     near, far = _turned(eye, 2, 0.3), _turned(eye, 1, 3.0)
     nothing = torch.zeros(30, dtype=torch.float64)
     weight = torch.tensor((0.7, 0.3), dtype=torch.float64)
-    found = LearnedPosture(joints=nothing, variance=nothing + 1, rotation=torch.stack((near, far)), weight=weight)
+    found = LearnedPosture(
+        joints=nothing, variance=nothing + 1, rotation=torch.stack((near, far)), weight=weight, spread=weight.sum()
+    )
     direction, precision = found.direction_near(eye)
     torch.testing.assert_close(direction, near, rtol=0, atol=1e-2)
     nowhere, none = found.direction_near(_turned(eye, 0, 2.0))

@@ -48,6 +48,8 @@ class LearnedPosture:
     """world_from_hand of every hypothesis."""
     weight: Float[Tensor, "k"]
     """Probabilities of the hypotheses; they sum to 1."""
+    spread: Float[Tensor, ""]
+    """Error that the network expects of the hypotheses (`ViewedHands.spread`), their mean by probability."""
 
     def direction_agreement(self, rotation: Float[Tensor, "3 3"]) -> Float[Tensor, ""]:
         """How far the hypotheses bear out a direction of the hand (world_from_hand): their mean, by probability, of
@@ -95,6 +97,7 @@ def learned_posture(
         variance=spread + _error_variance().to(spread),
         rotation=world_from_view @ found.rotation[0].to(pose.dofs),
         weight=share,
+        spread=(share * found.spread[0].to(share)).sum(),
     )
 
 

@@ -145,17 +145,17 @@ def test_an_open_hand_is_found_alone() -> None:
 
 
 def test_what_looks_like_something_else_is_refused_unless_a_detector_tells_of_it() -> None:
-    """No view is so much likelier that of a hand."""
-    placed, strict = staged("open"), SinglePoseSettings(alone_presence=1e3)
+    """No hand is so much likelier."""
+    placed, strict = staged("open"), SinglePoseSettings(alone_odds=1e3)
     alone = SinglePoseFitter(Studio().kinematics(), strict, sources=(aligned,))
     view = View(image=placed.picture())
     refused = alone(view, placed.camera, shape=placed.shape).estimate
     assert refused.status == "no_hand"
-    assert "looks like something else than a hand" in refused.reason
+    assert "more likely something else than a hand" in refused.reason
     seen = replace(view, keypoints=detected(placed))
     assert alone(seen, placed.camera, shape=placed.shape).estimate.status == "tracked"
-    with pytest.raises(ValueError, match="alone_presence: expected a number below infinity"):
-        SinglePoseSettings(alone_presence=float("inf"))
+    with pytest.raises(ValueError, match="alone_odds: expected a number below infinity"):
+        SinglePoseSettings(alone_odds=float("inf"))
 
 
 def test_the_network_s_view_corrects_a_detector_that_tells_a_fist_half_open() -> None:

@@ -17,6 +17,7 @@ from torchhand.image.segmentation.components import (
     solidity,
     touching,
 )
+from torchhand.image.segmentation.graph_cut import cut_along_edges, graph_cut
 from torchhand.image.segmentation.silhouette import SilhouetteSettings, segment
 from torchhand.image.segmentation.skin import SkinModel, learn_skin, skin_probability
 from torchhand.image.segmentation.skin_candidates import skin_candidates
@@ -26,6 +27,7 @@ from torchhand.image.segmentation.skin_start import (
     SkinStart,
     bootstrap_skin,
     is_grey,
+    mean_skin_likeness,
     otsu_cr_mask,
 )
 
@@ -43,14 +45,17 @@ __all__ = [
     "chroma_mask",
     "clean",
     "components",
+    "cut_along_edges",
     "fill_holes",
     "foreground_probability",
+    "graph_cut",
     "is_grey",
     "largest_component",
     "learn_background",
     "learn_colours",
     "learn_skin",
     "luminance",
+    "mean_skin_likeness",
     "otsu_cr_mask",
     "relearn_colours",
     "segment",

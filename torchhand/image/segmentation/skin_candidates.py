@@ -11,6 +11,7 @@ from torch import Tensor
 from torchhand.image.operations import binomial_blur, dilate, erode, square_kernel
 from torchhand.image.segmentation.colours import foreground_probability, learn_colours
 from torchhand.image.segmentation.components import clean, fill_holes, largest_component
+from torchhand.image.segmentation.graph_cut import cut_along_edges
 from torchhand.image.segmentation.skin_start import skin_likeness, skin_proposals
 
 _CLUSTERS = (3, 5)  # numbers of colours that a picture is divided into
@@ -20,19 +21,21 @@ _RIM_PX = 2  # mixed colours along an outline
 _MIN_AREA, _MAX_AREA = 0.004, 0.85  # share of the picture
 _SAME = 0.9  # intersection over union of two pieces that are one
 _MAX_HOLE = 0.002  # share of the picture
-_MOST = 6  # pieces
+_MOST_CUT = 6  # pieces that are cut along edges
+_MOST = 4  # pieces
 _FLOOR_PX = 50  # pixels of skin colour, below which brightness divides nothing
 
 
 def skin_candidates(
     image: UInt8[Tensor, "height width 3"], *, max_side_px: int = 240
 ) -> list[Bool[Tensor, "small_height small_width"]]:
-    """Distinct pieces that may be hand and bare forearm, in the picture reduced to `max_side_px`: large, skin-like ones
-    off the border first.
+    """Distinct pieces that may be hand and bare forearm, in the picture reduced to `max_side_px`: those that are cut
+    along the picture's edges first, and of these and of the others large, skin-like ones off the border first.
 
     Pieces are proposed by skin's hue (as `bootstrap_skin` does), by brightness among what has that hue, and by
-    clusters of colour. Each is also given with the colours, brightness included, that it teaches against the rest.
-    Which of them is a hand its shape must tell.
+    clusters of colour. Each is also given with the colours, brightness included, that it teaches against the rest, and
+    the likeliest ones as a graph cut has them, which adds what lies in the shade and takes away a wall of skin's
+    colour. Which of them is a hand its shape must tell.
     """
     scale = min(1.0, max_side_px / max(image.shape[:2]))
     pixels = image.cpu().contiguous().numpy()
@@ -47,7 +50,13 @@ def skin_candidates(
             if _MIN_AREA <= area <= _MAX_AREA and all(_overlap(one, other) < _SAME for other in found):
                 found.append(one)
     _, likeness = _luma_and_likeness(small)
-    return sorted(found, key=lambda piece: -_merit(piece, likeness))[:_MOST]
+    likeliest = sorted(found, key=lambda piece: -_merit(piece, likeness))[:_MOST_CUT]
+    kept: list[Tensor] = []
+    for piece in (*(largest_component(cut_along_edges(small, piece)) for piece in likeliest), *likeliest):
+        area = float(piece.float().mean())
+        if _MIN_AREA <= area <= _MAX_AREA and all(_overlap(piece, other) < _SAME for other in kept):
+            kept.append(piece)
+    return kept[:_MOST]
 
 
 def _merit(piece: Tensor, likeness: np.ndarray) -> float:

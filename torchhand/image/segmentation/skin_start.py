@@ -203,6 +203,12 @@ def skin_likeness(cr: np.ndarray | float, cb: np.ndarray | float) -> np.ndarray:
     return np.asarray(np.exp(-0.5 * square) * _is_believable(np.stack(np.broadcast_arrays(cr, cb), axis=-1)))
 
 
+def mean_skin_likeness(image: UInt8[Tensor, "height width 3"], mask: Bool[Tensor, "height width"]) -> float:
+    """Mean likeness to human skin, 0 to 1, of the pixels of a mask; 0 for an empty one."""
+    inside = _chroma(image)[mask.cpu().numpy()].astype(np.float64)
+    return float(skin_likeness(inside[:, 0], inside[:, 1]).mean()) if len(inside) else 0.0
+
+
 def _is_believable(chroma: np.ndarray) -> np.ndarray:
     (low_cr, high_cr), (low_cb, high_cb) = SKIN_CHROMA_RANGE
     cr, cb = chroma[..., 0], chroma[..., 1]

@@ -1,9 +1,11 @@
 """How often a hand is reported in pictures that show none."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import torch
+from jaxtyping import UInt8
+from torch import Tensor
 
 from torchhand.files import load_hand_model
 from torchhand.geometry import Camera, assumed_camera
@@ -13,6 +15,8 @@ from torchhand.track import Estimate, Tracker, TrackerSettings, View
 
 WIDTH, HEIGHT = 320, 240
 
+Picture = UInt8[Tensor, "height width 3"]
+
 Finder = Callable[[View, Camera], Estimate]
 """What is made of a single picture."""
 
@@ -21,7 +25,8 @@ Finder = Callable[[View, Camera], Estimate]
 class EmptyPicture:
     """What was made of a picture without a hand."""
 
-    kind: NoHandKind
+    kind: str
+    """What it shows."""
     is_reported: bool
     """Whether a hand was."""
 
@@ -36,12 +41,17 @@ def first_frame(settings: TrackerSettings) -> Finder:
     return found
 
 
-def reported_hands(find: Finder, count: int, seed: int) -> Iterator[EmptyPicture]:
-    """Pictures without a hand, all kinds in turn. The same seed gives the same pictures."""
-    camera = replace(assumed_camera(WIDTH, HEIGHT), is_assumed=False)
+def drawn_pictures(count: int, seed: int) -> Iterator[tuple[str, Picture]]:
+    """Drawn pictures without a hand, all kinds in turn. The same seed gives the same pictures."""
     kinds = tuple(NO_HAND)
     for index in range(count):
         generator = torch.Generator().manual_seed(seed_of(seed, "empty", index))
-        kind = kinds[index % len(kinds)]
-        estimate = find(View(image=picture_without_hand(kind, WIDTH, HEIGHT, generator)), camera)
-        yield EmptyPicture(kind=kind, is_reported=estimate.pose is not None)
+        kind: NoHandKind = kinds[index % len(kinds)]
+        yield kind, picture_without_hand(kind, WIDTH, HEIGHT, generator)
+
+
+def reported_hands(find: Finder, pictures: Iterable[tuple[str, Picture]]) -> Iterator[EmptyPicture]:
+    """What is made of pictures without a hand, each with its kind."""
+    for kind, picture in pictures:
+        camera = replace(assumed_camera(picture.shape[1], picture.shape[0]), is_assumed=False)
+        yield EmptyPicture(kind=kind, is_reported=find(View(image=picture), camera).pose is not None)

@@ -18,7 +18,6 @@ from torchhand.track.belief import posed_gaussian, scale_covariance, unknown_sca
 from torchhand.track.knowledge import Estimate
 from torchhand.track.quality import FingerEvidence, Told, qualities
 from torchhand.track.scene import (
-    MAX_BEYOND,
     MIN_KEYPOINTS,
     Agreement,
     HandKeypoints,
@@ -30,11 +29,11 @@ from torchhand.track.scene import (
     learned_observations,
     scene_keypoints,
     seen_posture,
-    seen_presence,
 )
+from torchhand.track.single.evidence import evidence_for, hand_odds, supported
 from torchhand.track.single.registration import PictureProblem, Registered
 from torchhand.track.single.settings import SinglePoseSettings
-from torchhand.track.single.silhouette import oval_overlap, silhouette_at, silhouettes_by_skin
+from torchhand.track.single.silhouette import cut_at, oval_overlap, silhouette_at, silhouettes_by_skin
 
 _CHECK_SIDE_PX = 320  # of the reduced pictures in which silhouettes are compared
 _OVAL = 0.93  # intersection over union with an ellipse, beyond which an outline alone shows nothing of a hand
@@ -44,6 +43,7 @@ _NETWORK_WORTH = 0.1
 photographs: of 27 signs by six people 81 % are named by the nearest neighbour over the angles of both with it, 79 % by
 the detector's alone and 43 % by the network's alone."""
 _ROUNDS = 2  # of colours learned at the hand and registration on what has them
+_HOPELESS = 3.0  # log odds that a hand may be short of belief for its silhouette to be looked for once more
 
 Picture = UInt8[Tensor, "height width 3"]
 PoseSource = Callable[[Bool[Tensor, "height width"], Picture | None, Camera, Float[Tensor, "shape"]], HandPose]
@@ -74,8 +74,23 @@ class _Judged:
 
     @property
     def score(self) -> float:
-        """For hands on different silhouettes, whose costs are not comparable."""
+        """For hands that detected keypoints tell of and others, whose costs are not comparable."""
         return self.agreement.overlap * self.hand.edges - float(bool(self.objection))
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandHypothesis:
+    """A hand on one of the silhouettes that a picture may show, and what speaks for it."""
+
+    judged: _Judged
+    evidence: Float[Tensor, "evidence"]
+    """In the order of `EVIDENCE`."""
+    odds: float
+    """Logarithm of the odds that it is the right one."""
+
+    @property
+    def hand(self) -> Registered:
+        return self.judged.hand
 
 
 class SinglePoseFitter:
@@ -115,6 +130,14 @@ class SinglePoseFitter:
             return _refused(best.objection, known)
         return self._result(best, work, view, camera.to(dtype=torch.float64), is_shape_known=shape is not None)
 
+    @torch.inference_mode()
+    @single_threaded()
+    def hypotheses(self, view: View, camera: Camera) -> tuple[list[HandHypothesis], Camera]:
+        """All hands that are weighed in a view without detected keypoints, and the camera, perhaps of a reduced
+        picture, in which they were registered. Raises ValueError as a call does."""
+        work = _Work.of(view, camera, self.settings.max_side_px)
+        return self._hypotheses(work, self.kinematics.default_shape, is_shape_known=False), work.camera
+
     def _with_keypoints(self, work: "_Work", shape: Tensor, is_shape_known: bool) -> _Judged | None:
         """The hand that detected keypoints tell of, which the outline chooses among those that explain them."""
         starts = work.by_keypoints(self.kinematics, self.settings, shape)
@@ -124,20 +147,61 @@ class SinglePoseFitter:
         return self._refined(work, found, shape, is_shape_known) if len(found) else None
 
     def _alone(self, work: "_Work", shape: Tensor, is_shape_known: bool) -> _Judged | None:
-        """The hand of the first silhouette that one explains, of all that the picture may show, the likeliest first."""
-        best: _Judged | None = None
-        masks = [work.mask] if work.mask is not None else [] if work.image is None else silhouettes_by_skin(work.image)
+        """The likeliest hand of all silhouettes that the picture may show, and of those that it gives itself."""
+        found = self._hypotheses(work, shape, is_shape_known)
+        if not found:
+            return None
+        best = max(found, key=lambda one: one.odds)
+        if best.judged.objection or best.odds >= self.settings.alone_odds:
+            return best.judged
+        told = f"log odds {best.odds:.1f}, {self.settings.alone_odds:g} or more expected"
+        return replace(
+            best.judged, objection=f"what has its colours is more likely something else than a hand ({told})"
+        )
+
+    def _hypotheses(self, work: "_Work", shape: Tensor, is_shape_known: bool) -> list[HandHypothesis]:
+        """A hand on every silhouette, and those on the silhouettes that the likeliest of them gives."""
+        given = [work.mask] if work.mask is not None else [] if work.image is None else silhouettes_by_skin(work.image)
+        found = [self._proposed(work, mask, shape, is_shape_known=True) for mask in given]
+        first = [one for one in found if one is not None]
+        told = [self._weighed(work, one, [other for other in first if other is not one]) for one in first]
+        best = max(told, key=lambda one: one.odds, default=None)
+        if best is None or work.mask is not None or best.odds < self.settings.alone_odds - _HOPELESS:
+            return told
+        others = [one for one in first if one is not best.judged]
+        again = self._recut(work, best.judged, shape, is_shape_known)
+        return told + [self._weighed(work, one, others) for one in again]
+
+    def _proposed(self, work: "_Work", mask: Tensor, shape: Tensor, *, is_shape_known: bool) -> _Judged | None:
+        """The hand that the sources of first poses lead to in a silhouette."""
+        parts = [source(mask, work.image, work.camera, shape) for source in self._sources]
+        starts = HandPose.cat(parts) if parts else None
+        if starts is None or not len(starts):
+            return None
+        return self._registered(work, mask, starts, shape, is_shape_known=is_shape_known)
+
+    def _recut(self, work: "_Work", best: _Judged, shape: Tensor, is_shape_known: bool) -> list[_Judged]:
+        """Hands on the silhouettes that a hand gives where it is placed: by a graph cut, and by its colours."""
+        if work.image is None:
+            return []
+        where = (best.hand.pose, self.kinematics, work.camera, shape)
+        masks = (cut_at(work.image, best.mask, *where), silhouette_at(work.image, *where))
+        found = []
         for mask in masks:
-            parts = [source(mask, work.image, work.camera, shape) for source in self._sources]
-            starts = HandPose.cat(parts) if parts else None
-            if starts is None or not len(starts):
+            if mask is None or not bool(mask.any()):
                 continue
-            best = self._better(best, self._registered(work, mask, starts, shape, is_shape_known=True))
-            if best is not None and not best.objection:
-                break
-        if best is None or work.mask is not None or work.image is None:
-            return best
-        return self._better(best, self._refined(work, best.hand.pose.reshape(1), shape, is_shape_known))
+            parts = [source(mask, work.image, work.camera, shape) for source in self._sources]
+            starts = HandPose.cat((best.hand.pose.reshape(1), *parts))
+            found.append(self._registered(work, mask, starts, shape, is_shape_known=is_shape_known))
+        return [one for one in found if one is not None]
+
+    def _weighed(self, work: "_Work", one: _Judged, others: Sequence[_Judged]) -> HandHypothesis:
+        """A hand with the evidence for it, beside those on other silhouettes."""
+        evidence = evidence_for(one.hand, one.agreement.overlap, work.scene(one.mask), work.camera, self.kinematics)
+        if work.mask is None:
+            rest = [other.hand for other in others]
+            evidence = supported(evidence, one.hand, rest, work.camera, self.kinematics)
+        return HandHypothesis(judged=one, evidence=evidence, odds=hand_odds()(evidence))
 
     def _refined(self, work: "_Work", starts: HandPose, shape: Tensor, is_shape_known: bool) -> _Judged | None:
         """A hand registered on what has the colours that it has where it is placed, over and over; the first of the
@@ -174,8 +238,6 @@ class SinglePoseFitter:
         objection = self._objection(hand, agreement, is_detected=is_detected)
         if not objection and not is_detected and oval_overlap(mask) > _OVAL:
             objection = "what has its colours is a plain oval, which a face may be as well"
-        if not objection and not is_detected:
-            objection = self._otherwise(hand, mask, work)
         return _Judged(hand=hand, mask=mask, agreement=agreement, objection=objection)
 
     def _by_network(self, work: "_Work", mask: Tensor, near: HandPose, shape: Tensor) -> tuple[PostureKeypoints, ...]:
@@ -202,20 +264,7 @@ class SinglePoseFitter:
         overlap, edges = (s.min_overlap, s.min_edges) if is_detected else (s.alone_overlap, s.alone_edges)
         if agreement.overlap < overlap or hand.edges < edges:
             return f"no hand explains what has its colours ({told})"
-        if agreement.mean_beyond > MAX_BEYOND and not is_detected:
-            return f"what follows beyond the wrist is no forearm ({told})"
         return ""
-
-    def _otherwise(self, hand: Registered, mask: Tensor, work: "_Work") -> str:
-        """The objection that what is there looks like something else than a hand; empty where it does not."""
-        if work.camera.kind != "pinhole":
-            return ""
-        pose = hand.pose.normalized()
-        presence = seen_presence(work.scene(mask), work.camera, self.kinematics, pose, hand.shape)
-        if presence is None or presence >= self.settings.alone_presence:
-            return ""
-        told = f"log odds of a hand {presence:.1f}, {self.settings.alone_presence:g} or more expected"
-        return f"what has its colours looks like something else than a hand ({told})"
 
     @staticmethod
     def _better(one: _Judged | None, other: _Judged | None) -> _Judged | None:

@@ -10,11 +10,24 @@ from torchhand.fit import learn_appearance
 from torchhand.fit.contour import hand_length_px
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics, HandPose
-from torchhand.image import clean, fill_holes, hand_region, skin_candidates, touching
+from torchhand.image import (
+    clean,
+    dilate,
+    disc_kernel,
+    erode,
+    fill_holes,
+    graph_cut,
+    hand_region,
+    reduced_mask,
+    skin_candidates,
+    touching,
+)
 from torchhand.view import HandProjector
 
 _MARGIN = 0.02  # hand lengths on either side of a placed hand's outline that teach no colours
 _AROUND = 1.6  # surroundings that teach colours, hand lengths from the wrist
+_CORE, _REACH = 0.03, 0.25  # hand lengths inside a placed hand that are believed, and about it that may be hand
+_CUT_SIDE_PX = 320  # of the reduced pictures that are cut
 _HOLE = 3e-4  # largest hole that is filled, squares of the hand's length
 
 
@@ -39,6 +52,39 @@ def silhouette_at(
         return None
     mask = fill_holes(clean(appearance.probability(image) > 0.5), max(1, round(_HOLE * length_px**2)))
     return touching(mask, model)
+
+
+def cut_at(
+    image: UInt8[Tensor, "height width 3"],
+    mask: Bool[Tensor, "height width"],
+    pose: HandPose,
+    kinematics: HandKinematics,
+    camera: Camera,
+    shape: Float[Tensor, "shape"],
+) -> Bool[Tensor, "height width"] | None:
+    """What a graph cut takes for the hand and its forearm that starts from a placed hand (`graph_cut`).
+
+    Inside is what lies deep in the hand and in the silhouette that it was placed on, outside what is far from both; the
+    forearm starts as the silhouette has it. None where nothing is inside. pose: (), in the camera's frame.
+    """
+    small = camera.resized(min(1.0, _CUT_SIDE_PX / max(camera.width, camera.height)))
+    size = (small.width, small.height)
+    pixels = torch.from_numpy(cv2.resize(image.cpu().contiguous().numpy(), size, interpolation=cv2.INTER_AREA))
+    projector, seen = HandProjector(kinematics, small, shape), reduced_mask(mask.cpu(), small.height, small.width)
+    model = projector.silhouette(pose.dofs, pose.reference)
+    keypoints = small.project(projector.frames(pose.dofs, pose.reference).keypoints)
+    length_px = hand_length_px(small, kinematics, pose.dofs, shape)
+    hand_side = hand_region((small.height, small.width), keypoints[0], keypoints[9], _AROUND * length_px)
+    inside = erode(model, disc_kernel(max(1, round(_CORE * length_px)))) & seen
+    if not bool(inside.any()):
+        return None
+    reach = disc_kernel(max(2, round(min(_REACH * length_px, _CUT_SIDE_PX))))
+    cut = graph_cut(pixels, model | (seen & ~hand_side), inside=inside, outside=~dilate(model | seen, reach))
+    cut = touching(clean(cut), model)
+    if not bool(cut.any()):
+        return None
+    whole = cv2.resize(cut.numpy().astype(np.float32), (camera.width, camera.height), interpolation=cv2.INTER_LINEAR)
+    return torch.from_numpy(whole > 0.5)
 
 
 def silhouettes_by_skin(image: UInt8[Tensor, "height width 3"]) -> list[Bool[Tensor, "height width"]]:
