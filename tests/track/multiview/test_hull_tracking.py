@@ -212,5 +212,5 @@ def test_other_hands_are_tried_seldom_for_one_that_stays_degraded(rig_hand, rig,
         assert estimate.status == "tracked"
         counts.append(len(asked) - before)
     assert counts[0] >= 3  # all at once when it has become so
-    assert max(counts[1:]) <= 1  # one source after the other
-    assert sum(counts[1:]) <= 4
+    assert max(counts[1:]) <= 2  # one source after the other; what is seen is fitted as detected, then as proposed
+    assert 2 <= sum(count > 0 for count in counts[1:]) <= 4
