@@ -120,7 +120,7 @@ def test_the_whole_result(done: Path) -> None:
     reference = kinematics(torch.from_numpy(arrays["reference_pose"][[0, 0, 0, 0, 1, 1, 1]])).keypoints
     points = kinematics(torch.from_numpy(arrays["pose"])).keypoints
     missed = 1e3 * (points - reference).norm(dim=-1).mean(-1).numpy()
-    np.testing.assert_allclose(arrays["keypoint_mm"], missed, atol=1e-6)
+    np.testing.assert_allclose(arrays["keypoint_mm"], missed, atol=1e-4)  # worked in single precision
     assert float(arrays["reference_overlap"].min()) > 0.97
     assert arrays["reference_shape"].shape == (2, len(arrays["shape_names"]))
 
@@ -165,7 +165,7 @@ def test_the_configuration_tells_everything(done: Path) -> None:
     assert config["perturbation"] == {"angle_deg": 15.0, "translation_mm": 10.0, "rotation_deg": 15.0, "levels": 2}
     assert config["batch"] == 3
     assert config["contour"]["boundary_points"] == 64
-    assert [stage["iterations"] for stage in config["schedule"]] == [1, 1, 1]
+    assert [stage["iterations"] for stage in config["schedule"]] == [2, 2, 1]  # six in four rounds
     run_config = config["run"]
     assert (run_config["input"], run_config["frames"], run_config["seed"]) == ("simulated pictures", [0, 2], 0)
     assert run_config["reference"] == "exact, of simulated pictures"
@@ -380,7 +380,7 @@ def test_settings_from_a_file_and_single_ones(tmp_path: Path, run: Run) -> None:
         (("--starts", "2", "--frames", "0-4"), "--starts: expected 5 or more, one for each frame, got 2"),
         (("--levels", "0"), "perturbation.levels: expected 1 to 100, got 0"),
         (("--angle-deg", "-3"), "perturbation.angle_deg: expected 0 to 180, got -3.0"),
-        (("--iterations", "5"), "--iterations: expected 6 or more, one for each round of the schedule, got 5"),
+        (("--iterations", "3"), "--iterations: expected 4 or more, one for each round of the schedule, got 3"),
         (("--batch", "5000"), "command line: batch: expected 1 to 4096, got 5000"),
         (("--space", "planar"), "space: expected one of planar_abduction, dof26, dof27, dof28, dof31, dof36"),
         (("--surface", "clay"), "invalid choice 'clay'"),

@@ -82,7 +82,10 @@ CASES = [
     *[(HealthSettings, name, 1.5, f"health.{name}: expected 0 to 1, got 1.5") for name in _FRACTIONS],
     *[(HealthSettings, name, -0.5, f"health.{name}: expected 0 to 1, got -0.5") for name in _FRACTIONS],
     (HealthSettings, "max_unexplained", -1.0, "health.max_unexplained: expected 0 or more, got -1.0"),
-    *[(HealthSettings, name, 0, f"health.{name}: expected 1 or more, got 0") for name in ("patience", "search_every")],
+    *[
+        (HealthSettings, name, 0, f"health.{name}: expected 1 or more, got 0")
+        for name in ("patience", "search_every", "alternatives_at_most_every")
+    ],
     (HealthSettings, "search_at_most_every", 2, "health.search_at_most_every: expected search_every or more, got 2"),
     (ColourUpdateSettings, "every", -1, "colours.every: expected 0 or more, got -1"),
     (ColourUpdateSettings, "keep", 1.5, "colours.keep: expected 0 to 1, got 1.5"),
