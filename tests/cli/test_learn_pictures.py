@@ -29,6 +29,7 @@ def order(recording: Recording, out: Path, *more: str) -> list[str]:
     return ["--pictures", "--out", str(out), *files, "--frames", "0", "4", "--judge", "5", "7", *more]
 
 
+@pytest.mark.slow
 def test_a_training_that_is_broken_off_twice_ends_in_the_same_bytes(
     recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

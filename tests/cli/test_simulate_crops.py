@@ -6,10 +6,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 
 from torchhand.cli.simulate_crops import main
 
 
+@pytest.mark.slow
 def test_shards_are_the_same_bytes_with_any_number_of_workers(tmp_path: Path) -> None:
     options = ["--count", "16", "--shard", "8", "--side-px", "64", "--seed", "5"]
     for workers in ("1", "2"):

@@ -323,6 +323,7 @@ def test_ctrl_c_keeps_what_is_tracked_and_resume_gives_the_uninterrupted_result(
     np.testing.assert_array_equal(one.keypoints3d_cov, other.keypoints3d_cov)
 
 
+@pytest.mark.slow
 def test_the_distance_map_tracker_is_chosen_saved_and_resumed(
     clip: Clip, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -232,6 +232,7 @@ def test_resuming_with_other_settings_is_refused(result: Path, recording: Path, 
     assert "made_with.settings.rig.octree.level was 7, is now 6" in line_of(capsys)
 
 
+@pytest.mark.slow
 def test_proportions_can_be_fitted_to_one_frame(recording: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert main([str(recording), "--out", str(out), "--max-frames", "1", "--no-overlay", *FAST]) == 0

@@ -196,7 +196,7 @@ def test_a_hand_that_leaves_is_lost_and_recovered_when_it_is_back(
     assert off.mean() < 3.0
 
 
-@pytest.mark.parametrize("background", ["plain", "dark", "clutter"])
+@pytest.mark.parametrize("background", ["plain", "dark", pytest.param("clutter", marks=pytest.mark.slow)])
 def test_without_a_hand_there_is_none(background: str, begin: Any) -> None:
     generator = torch.Generator().manual_seed(0)
     behind = background_picture(background, WIDTH, HEIGHT, generator)  # pyright: ignore[reportArgumentType]

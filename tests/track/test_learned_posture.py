@@ -49,6 +49,7 @@ def _begun(placed: Any, pose: HandPose) -> tuple[Tracker, TrackerState]:
     return tracker, replace(state, hand=tracker.parts.motion.started(pose))
 
 
+@pytest.mark.slow
 def test_a_hand_that_is_held_the_wrong_way_round_is_turned(studio: Any) -> None:
     """A fist from its back, followed as one from the palm: half a turn about the fingers' direction."""
     placed = studio.placed(size=0.7, view="back", posed="fist", camera=studio.camera(320, 240))

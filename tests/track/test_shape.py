@@ -94,6 +94,7 @@ def frames_of(studio: Studio, shape: Tensor) -> list[FollowedFrame]:
     return found
 
 
+@pytest.mark.slow
 def test_frames_that_are_independent_tell_the_proportions_of_the_person(
     studio: Studio, kinematics: HandKinematics, person: Tensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:

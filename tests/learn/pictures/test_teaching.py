@@ -105,9 +105,9 @@ def test_steps_on_a_recording_bring_the_network_to_its_silhouettes_and_points(sm
 def test_it_learns_the_same_on_any_device(device: torch.device) -> None:
     settings = PictureTraining(
         steps=1,
-        recorded_steps=2,
-        batch=4,
-        recorded_batch=4,
+        recorded_steps=1,
+        batch=2,
+        recorded_batch=2,
         pool=8,
         held_out=8,
         width=4,
