@@ -316,8 +316,8 @@ class Tracker:
         if not health.is_degraded(followed, state.usual_score):
             return frozenset()
         since, after = state.frames_since_alternatives, state.alternatives_after
-        is_new = state.score_in_vain == 0.0
-        if followed is not None and not is_new:
+        is_new = state.score_in_vain is None
+        if followed is not None and state.score_in_vain is not None:
             is_new = health.score(followed) < state.score_in_vain - health.settings.max_score_drop
         is_failing = health.is_failing(followed)
         if not is_new and not health.settings.alternatives_are_due(since, after, is_failing=is_failing):
@@ -343,7 +343,7 @@ class Tracker:
             frames_since_alternatives=0,
             alternatives_after=settings.next_alternatives(state.alternatives_after, has_helped=is_healthy),
             alternatives_tried=state.alternatives_tried + (len(tried) == 1),
-            score_in_vain=0.0 if is_healthy or best is None else health.score(best),
+            score_in_vain=None if is_healthy else 0.0 if best is None else health.score(best),
         )
 
     def _is_due(self, source: ProposalSource, best: Candidate | None, state: TrackerState, *, is_tried: bool) -> bool:
@@ -358,8 +358,7 @@ class Tracker:
             return False
         if occasion != "search":
             return True
-        s = health.settings
-        is_urgent = s.searches_when_failing and health.is_failing(best)
+        is_urgent = health.settings.searches_when_failing and health.is_failing(best)
         return is_urgent or state.frames_since_search >= state.search_after
 
     def _compared(

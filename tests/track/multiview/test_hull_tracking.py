@@ -214,3 +214,18 @@ def test_other_hands_are_tried_seldom_for_one_that_stays_degraded(rig_hand, rig,
     assert counts[0] >= 3  # all at once when it has become so
     assert max(counts[1:]) <= 2  # one source after the other; what is seen is fitted as detected, then as proposed
     assert 2 <= sum(count > 0 for count in counts[1:]) <= 4
+
+
+def test_other_hands_are_tried_seldom_while_the_hand_stays_lost(rig_hand, rig, poses, masks_of, monkeypatch):
+    tracker, asked = Tracker(rig_hand, rig, SELDOM), []
+    for name in ("fit_proposed", "vary_orientation", "vary_fingers", "search", "refine"):
+        monkeypatch.setattr(FrameFitter, name, lambda *_, own=name, **__: asked.append(own))
+    state = replace(_state(tracker, poses[0], usual_score=1.0), hand=None, keyframes=(), has_started=True)
+    counts = []
+    for frame in range(8):
+        before = len(asked)
+        state, estimate = tracker.step(state, _views(masks_of(poses[0])), frame * FRAME_S)
+        assert estimate.pose is None
+        counts.append(len(asked) - before)
+    assert counts[0] >= 1
+    assert sum(count > 0 for count in counts) <= 5

@@ -205,10 +205,8 @@ class CaseStudy:
             observations=(observation,),
             priors=study_priors(self._constraints, self._postures, belief),
         )
-        s, restarts = (
-            self.settings,
-            Restarts(settings=self.settings.restarts, camera=self.contours.camera, postures=self._postures),
-        )
+        s = self.settings
+        restarts = Restarts(settings=s.restarts, camera=self.contours.camera, postures=self._postures)
         found = solve_with_restarts(problem, starts, s.schedule, restarts, at_once=s.batch)
         return replace(found, pose=found.pose.to(self.case.pose.dofs))
 

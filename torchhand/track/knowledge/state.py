@@ -68,12 +68,14 @@ class TrackerState:
     refit_after: int = REFIT_EVERY
     """Frames after which such a fit is due."""
     frames_since_alternatives: int = 0
+    """Frames since other hands were tried in the place of a degraded one."""
     alternatives_after: int = 0
     """Frames after which other hands are tried in the place of a degraded one."""
     alternatives_tried: int = 0
     """Attempts in which one source of other hands was asked: the next one asks the next source."""
-    score_in_vain: float = 0.0
-    """Score of the hand that stayed degraded when others were last tried; 0 where these helped."""
+    score_in_vain: float | None = None
+    """Score of the hand that stayed degraded when others were last tried, 0 where there was none; None where these
+    helped."""
     frames_since_colours: int = 0
     """Good frames since colours were last learned."""
     has_started: bool = False

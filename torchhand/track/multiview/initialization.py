@@ -104,8 +104,8 @@ def _with_unit(
 
     nominal = climbed(units, agreement)
     fitter = FrameFitter(hand, in_unit(silhouettes.cameras, nominal), settings)
-    own = proposers[nominal]
-    found = initialize_hand(fitter, seen, own, detect=own.detected, done=done)
+    propose = proposers[nominal]
+    found = initialize_hand(fitter, seen, propose, detect=propose.detected, done=done)
     if not found.poses:
         return Initialization(hand=found, skins=skins)
     known = space.default.to(found.shape) if shape is None else shape
