@@ -2,7 +2,7 @@
 
 from collections.abc import Hashable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import torch
@@ -147,7 +147,9 @@ class Linearization:
     def misfit(self, cost: Float[Tensor, "k"]) -> Float[Tensor, "k"]:
         """What the observations alone have in the cost at the hands that data were associated with."""
         priors = self.factors[len(self.factors) - len(self.problem.priors) :]
-        return cost - sum((one.equations(self.hands).cost for one in priors), torch.zeros_like(cost))
+        hands = self.hands
+        known = [hands.once(("cost", id(one)), partial(lambda one: one.equations(hands).cost, one)) for one in priors]
+        return cost - sum(known, torch.zeros_like(cost))
 
     def equations(self, values: Float[Tensor, "n free"], rows: Int[Tensor, "n"]) -> NormalEquations:
         """Normal equations in the free parameters, at other values of the given rows."""
@@ -173,6 +175,7 @@ class Linearization:
             shared = _SharedSum.zero(like, count, hands.unknowns.size)
         for factor in factors:
             own = factor.equations(hands)
+            hands.kept["cost", id(factor)] = own.cost
             dofs = slice(own.first_dof, own.first_dof + own.gradient.shape[1])
             cost += own.cost
             gradient[:, dofs] += own.gradient

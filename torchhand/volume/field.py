@@ -10,11 +10,14 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.devices import constant_tensor
+from torchhand.devices import constant_tensor, read_back
 from torchhand.image import distance_map
 from torchhand.volume.octree import Octree
 
 MARGIN = 0.01  # metres
+
+_COLUMNS_AT_ONCE = 512
+_STEPS_AT_ONCE = 4  # between two looks at how many are left
 
 _NOTHING = 1e-24  # m²: keeps the slope of a length finite at zero
 
@@ -180,19 +183,25 @@ def distance_grid(marked: Bool[Tensor, "nx ny nz"], *, steps: int | None = None)
     are whole numbers, to which they are rounded.
     """
     first = min(range(3), key=lambda axis: marked.shape[axis])
-    squared = distance_map(marked.movedim(first, 0)).square_().round_()
-    lowest = squared.clone()
-    if marked.device.type == "cpu":  # half the time that torch takes for so little
-        _min_along(squared.numpy(), lowest.numpy(), np.minimum, steps)
+    lowest = distance_map(marked.movedim(first, 0)).square_().round_().contiguous()
+    if marked.device.type == "cpu":
+        # Half the time that torch takes for so little, and a part at a time, which stays in the processor's cache and
+        # needs no more steps than its own largest distance.
+        columns = lowest.flatten(1).numpy()
+        for start in range(0, columns.shape[1], _COLUMNS_AT_ONCE):
+            own = np.ascontiguousarray(columns[:, start : start + _COLUMNS_AT_ONCE])
+            least = own.copy()
+            _min_along(own, least, np.minimum, steps)
+            columns[:, start : start + _COLUMNS_AT_ONCE] = least
     else:
-        _min_along(squared, lowest, torch.minimum, steps)
+        _min_along(lowest.clone(), lowest, torch.minimum, steps)
     return lowest.sqrt_().movedim(0, first)
 
 
 def _min_along(squared: Any, lowest: Any, minimum: Callable[..., object], steps: int | None) -> None:
     """The least over the first axis of its squared distance and what is there, written to `lowest`."""
     for step in range(1, len(squared) if steps is None else min(len(squared), steps + 1)):
-        if step**2 >= float(lowest.max()):
+        if step % _STEPS_AT_ONCE == 1 and step**2 >= float(lowest.max()):
             break
         moved = squared + step**2
         minimum(lowest[step:], moved[:-step], out=lowest[step:])
@@ -202,8 +211,21 @@ def _min_along(squared: Any, lowest: Any, minimum: Callable[..., object], steps:
 def _signed(filled: Bool[Tensor, "nx ny nz"], steps: int | None) -> Float[Tensor, "nx ny nz"]:
     """Distance from the surface of the marked cells, in cells, negative inside; the diagonal where there are none."""
     diagonal = torch.tensor(filled.shape, dtype=torch.float64).norm()
-    outside, inside = distance_grid(filled, steps=steps) - 0.5, 0.5 - distance_grid(~filled)
-    return torch.where(filled, inside, outside).clamp_max(float(diagonal))
+    signed = distance_grid(filled, steps=steps) - 0.5
+    box = _box_around(filled)
+    if filled[box].numel():
+        signed[box] = torch.where(filled[box], 0.5 - distance_grid(~filled[box]), signed[box])
+    return signed.clamp_max_(float(diagonal))
+
+
+def _box_around(filled: Bool[Tensor, "nx ny nz"]) -> tuple[slice, ...]:
+    """The marked cells and one more on every side, where there are more: what is nearest to them is among these."""
+    cells = read_back(filled)
+    flat, kept = cells.any(0), []
+    for row in (cells.any((1, 2)), flat.any(1), flat.any(0)):
+        places = row.nonzero()[0]
+        kept.append(slice(max(0, int(places[0]) - 1), min(len(row), int(places[-1]) + 2)) if len(places) else slice(0))
+    return tuple(kept)
 
 
 def _shell(

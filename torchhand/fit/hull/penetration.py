@@ -7,10 +7,10 @@ give by a few millimetres. Their derivative is exact, the places at which two ca
 from dataclasses import dataclass, field
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchhand.devices import constant_tensor
+from torchhand.devices import constant_tensor, is_host
 from torchhand.fit import Equations, Explained, PosedHands, Stage
 from torchhand.fit.hull.skin import PosedBones, SkinPoints, bones_of
 from torchhand.geometry import tapered_capsule_touch
@@ -44,6 +44,9 @@ class PenetrationPrior:
         bones = bones_of(skin, hands)
         start, end, radii = _capsules(skin, hands, bones)
         _, first, second, slack = digit_pairs(self.settings, start.device)
+        if is_host(start.device):  # few pairs are near each other, and fewer in one another
+            near = _near(start, end, radii, first, second)
+            first, second, slack = first[near], second[near], slack[near]
         s, t = tapered_capsule_touch(
             start[:, first], end[:, first], radii[first], start[:, second], end[:, second], radii[second]
         )
@@ -54,8 +57,12 @@ class PenetrationPrior:
         distance = apart.norm(dim=-1).clamp_min(_NOTHING)
         excess = (reach - distance - slack.to(reach)).clamp_min(0)
         direction = apart / distance[..., None]
+        if is_host(start.device):
+            met = (excess != 0).any(0)
+            first, second, excess = first[met], second[met], excess[:, met]
+            here, there, direction = here[:, met], there[:, met], direction[:, met]
         own = constant_tensor(CONE_BONES[1:], torch.long, start.device)
-        pull = _turned(skin, bones, there, own[second], direction) - _turned(skin, bones, here, own[first], direction)
+        pull = _turned(skin, bones, (here, own[first]), (there, own[second]), direction)
         residual, rows = excess / self.settings.softness, pull / self.settings.softness
         square = (residual / _GROSS).square()
         trust = (excess > 0) / (1 + square)
@@ -81,15 +88,32 @@ def _capsules(skin: SkinPoints, hands: PosedHands, bones: PosedBones) -> tuple[T
     return start, end, torch.stack((radius, radius * sizes.cone_end_scale[1:]), -1)
 
 
+def _near(
+    start: Float[Tensor, "hands segments 3"],
+    end: Float[Tensor, "hands segments 3"],
+    radii: Float[Tensor, "segments 2"],
+    first: Int[Tensor, "pairs"],
+    second: Int[Tensor, "pairs"],
+) -> Bool[Tensor, "pairs"]:
+    """Which pairs of segments have balls around them that meet, in any of the hands or one that is no hand."""
+    middle, reach = 0.5 * (start + end), 0.5 * (end - start).norm(dim=-1) + radii.amax(-1)
+    apart = (middle[:, first] - middle[:, second]).norm(dim=-1)
+    return ~(apart > reach[:, first] + reach[:, second]).all(0)
+
+
 def _turned(
     skin: SkinPoints,
     bones: PosedBones,
-    points: Float[Tensor, "hands m 3"],
-    on: Int[Tensor, "m"],
+    one: tuple[Float[Tensor, "hands m 3"], Int[Tensor, "m"]],
+    other: tuple[Float[Tensor, "hands m 3"], Int[Tensor, "m"]],
     direction: Float[Tensor, "hands m 3"],
 ) -> Float[Tensor, "hands m angles"]:
-    """Derivative of direction · point in the joint angles, of points that bones carry."""
-    turning = skin.bones_turned
-    lever = points[:, :, None] - bones.position[:, None]  # hands m bones 3
-    torque = torch.linalg.cross(lever, direction[:, :, None].expand_as(lever)) * skin.carries[:, on].T[None, :, :, None]
-    return (bones.turns[:, None, 3:] * torque[:, :, turning]).sum(-1)
+    """Derivative of direction · (other - one) in the joint angles, both points on bones that carry them."""
+    (here, on), (there, other_on) = one, other
+    carries = skin.carries[skin.bones_turned].to(here)  # angles bones
+    near, far = carries[:, on].T[..., None], carries[:, other_on].T[..., None]  # m angles 1
+    origin = bones.position.index_select(1, skin.bones_turned)[:, None]  # hands 1 angles 3
+    lever = far * (there[:, :, None] - origin) - near * (here[:, :, None] - origin)
+    # direction · (axis × lever), for all angles
+    turned = torch.linalg.cross(direction[:, :, None].expand_as(lever), bones.turns[:, None, 3:].expand_as(lever))
+    return (turned * lever).sum(-1)

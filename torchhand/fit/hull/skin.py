@@ -66,8 +66,8 @@ class SkinMotion:
     """Fraction of each point that all bones carry together: 1 up to rounding."""
     turns: Float[Tensor, "hands 33 3"]
     """Axes of the rotation vector's columns, then of the angles."""
-    bones: Int[Tensor, "33"]
-    """Bone that each column of `turns` turns."""
+    turn_rows: Int[Tensor, "33"]
+    """Where each column of `turns` stands, three to a bone: those of bone b from 3 b on."""
     bends: Float[Tensor, "hands c 3 points"]
     """Derivatives of the correctives in their angles."""
     bend_rows: Int[Tensor, "c"]
@@ -77,7 +77,8 @@ class SkinMotion:
         """Derivative of direction · point in the DOFs, per metre and per radian, the direction held."""
         force = direction.mT
         torque = _cross(self.levers, force[:, None])
-        of_turns = (self.turns[..., None] * torque.index_select(1, self.bones)).sum(2)
+        axes = self.turns.new_zeros(len(self.turns), 3 * torque.shape[1], 3).index_copy_(1, self.turn_rows, self.turns)
+        of_turns = (axes.unflatten(1, (-1, 3)) @ torque).flatten(1, 2).index_select(1, self.turn_rows)
         found = torch.cat((force * self.fraction[:, None], of_turns), 1)
         of_bends = (self.bends * force[:, None]).sum(2)
         return found.index_add(1, self.bend_rows, of_bends).mT
@@ -104,6 +105,8 @@ class SkinPoints:
         self._around = _faces_around(hand.faces, self._together.shape[1])
         bones = [0, 0, 0, *hand.kinematics.skeleton.bone]
         self._bones = torch.tensor(bones, device=self.shape.device)
+        rows = [3 * bone + bones[:place].count(bone) for place, bone in enumerate(bones)]
+        self._turn_rows = torch.tensor(rows, device=self.shape.device)
 
     @cached_property
     def carries(self) -> Bool[Tensor, "20 20"]:
@@ -166,7 +169,7 @@ class SkinPoints:
     def normals(self, vertices: Float[Tensor, "hands vertices 3"]) -> Float[Tensor, "hands vertices 3"]:
         """Unit normals of whole skins, outward."""
         a, b, c = vertices.index_select(1, self._corners).unflatten(1, (3, -1)).unbind(1)
-        of_face = torch.nn.functional.pad(torch.linalg.cross(b - a, c - a), (0, 0, 0, 1))
+        of_face = torch.nn.functional.pad(_cross((b - a).mT, (c - a).mT).mT, (0, 0, 0, 1))
         total = of_face.index_select(1, self._around).unflatten(1, (-1, vertices.shape[1])).sum(1)
         return torch.nn.functional.normalize(total, dim=-1, eps=1e-30)
 
@@ -175,13 +178,13 @@ class SkinPoints:
         columns = torch.cat((bones.rotation, bones.position[..., None]), -1)  # hands 20 3 4
         bent = bones.bending @ vertices.correctives
         parts = (columns @ vertices.places).index_add_(1, self.hand.skinning.corrective_bones, bent)
-        whole = _with_what_they_carry(parts)
+        whole = _gathered(parts)
         return SkinMotion(
             points=whole[:, 0].mT,
             levers=torch.addcmul(whole, vertices.carried[:, :, None], bones.position[..., None], value=-1),
             fraction=vertices.carried[:, 0],
             turns=bones.turns,
-            bones=self._bones,
+            turn_rows=self._turn_rows,
             bends=bones.slopes @ vertices.correctives,
             bend_rows=self.hand.skinning.corrective_rows,
         )
@@ -206,12 +209,16 @@ def _cross(one: Float[Tensor, "*#batch 3 n"], other: Float[Tensor, "*#batch 3 n"
 
 def _with_what_they_carry(parts: Float[Tensor, "hands 20 *more"]) -> Float[Tensor, "hands 20 *more"]:
     """Sums over every bone and those beyond it, from the tips to the root."""
-    whole = parts.clone()
-    whole[:, 12:16] += whole[:, 16:]
-    whole[:, 6:11] += whole[:, 11:16]
-    whole[:, 1:6] += whole[:, 6:11]
-    whole[:, 0] += whole[:, 1:6].sum(1)
-    return whole
+    return _gathered(parts.clone())
+
+
+def _gathered(parts: Float[Tensor, "hands 20 *more"]) -> Float[Tensor, "hands 20 *more"]:
+    """`_with_what_they_carry` in the place of the parts."""
+    parts[:, 12:16] += parts[:, 16:]
+    parts[:, 6:11] += parts[:, 11:16]
+    parts[:, 1:6] += parts[:, 6:11]
+    parts[:, 0] += parts[:, 1:6].sum(1)
+    return parts
 
 
 @lru_cache(maxsize=8)

@@ -64,7 +64,9 @@ def depth_map(
 def _by_opencv(masks: Bool[Tensor, "n height width"]) -> Float[Tensor, "n height width"]:
     out = torch.empty(masks.shape, dtype=torch.float32)
     for mask, target in zip(masks.numpy(), out.numpy(), strict=True):
-        if mask.any():
+        if mask.all():
+            target[:] = 0.0
+        elif mask.any():
             free = np.logical_not(mask).view(np.uint8)
             cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE, dst=target)
         else:
