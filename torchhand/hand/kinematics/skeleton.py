@@ -78,6 +78,7 @@ class Skeleton:
         return joints.clamp(self.lower.to(joints), self.upper.to(joints))
 
     def to(self, *, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> "Skeleton":
-        """The same skeleton with its tensors moved."""
+        """The same skeleton with its tensors moved; itself where they need not be."""
         tensors = {f.name: getattr(self, f.name) for f in fields(self) if isinstance(getattr(self, f.name), Tensor)}
-        return replace(self, **{name: value.to(dtype=dtype, device=device) for name, value in tensors.items()})
+        moved = {name: value.to(dtype=dtype, device=device) for name, value in tensors.items()}
+        return self if all(moved[name] is value for name, value in tensors.items()) else replace(self, **moved)
