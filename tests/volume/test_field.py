@@ -35,6 +35,17 @@ def test_distances_are_scipys(size: tuple[int, int, int], fraction: float, gener
     assert bool(distance_grid(torch.zeros_like(marked)).isinf().all())
 
 
+def test_distances_of_many_columns_are_scipys(generator: torch.Generator) -> None:
+    """More than are worked on at once, with few marks, so that distances are long."""
+    marked = torch.zeros(33, 40, 31, dtype=torch.bool)
+    marked.view(-1)[torch.randint(0, marked.numel(), (12,), generator=generator)] = True
+    expected = scipy.ndimage.distance_transform_edt(~marked.numpy()).astype(np.float32)
+    torch.testing.assert_close(distance_grid(marked), torch.from_numpy(expected), atol=1e-6, rtol=1e-6)
+    assert float(expected.max()) > 12
+    inside = scipy.ndimage.distance_transform_edt(marked.numpy()).astype(np.float32)
+    torch.testing.assert_close(distance_grid(~marked), torch.from_numpy(inside), atol=1e-6, rtol=1e-6)
+
+
 def test_field_is_the_distance_from_the_faces_of_octants(rigs: Any) -> None:
     """Along an axis of a ball the surface lies halfway between centres."""
     octree = ball_hull(rigs)

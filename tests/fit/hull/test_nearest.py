@@ -1,9 +1,10 @@
 """The nearest vertices of the skin by place and direction."""
 
+import pytest
 import torch
 from torch import Tensor
 
-from torchhand.fit.hull.nearest import match_hull
+from torchhand.fit.hull.nearest import match_hull, nearest_columns
 
 
 def test_match_is_the_nearest_in_place_and_direction(generator: torch.Generator) -> None:
@@ -38,3 +39,11 @@ def test_points_that_are_not_finite_are_nobodys_match(generator: torch.Generator
     found = match_hull(hull, torch.nn.functional.normalize(hull, dim=-1), skin, normals, turn=0.01)
     assert not bool((found[0] == 3).any())
     assert bool(((found >= 0) & (found < 20)).all())
+
+
+def test_hands_one_by_one_are_those_of_a_batch(generator: torch.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    wanted = torch.randn(2, 30, 5, generator=generator)
+    points = torch.randn(4, 2, 5, 60, generator=generator)
+    found = nearest_columns(wanted, points)
+    monkeypatch.setattr("torchhand.fit.hull.nearest.is_host", lambda device: False)
+    assert torch.equal(nearest_columns(wanted, points), found)

@@ -81,3 +81,18 @@ def test_hands_whose_digits_are_apart_cost_nothing(hand: Hand) -> None:
     assert float(found.cost) == 0.0
     assert not found.gradient.any()
     assert not found.matrix.any()
+
+
+def test_pairs_that_are_apart_are_left_out_on_a_processor_alone(
+    hand: Hand, hands: PosedHands, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What an accelerator does for all pairs is done for those that meet: the same sums."""
+    apart = posed(hand, posture("open", dtype=torch.float64)[None])
+    prior = PenetrationPrior(skin=SkinPoints(hand))
+    found = [prior.equations(own) for own in (hands, apart)]
+    monkeypatch.setattr("torchhand.fit.hull.penetration.is_host", lambda device: False)
+    for own, few in zip((hands, apart), found, strict=True):
+        whole = prior.equations(PosedHands(pose=own.pose, shape=own.shape))
+        for name in ("cost", "gradient", "matrix"):
+            torch.testing.assert_close(getattr(few, name), getattr(whole, name), rtol=1e-12, atol=1e-9)
+    assert not bool(found[1].matrix.any())

@@ -54,6 +54,12 @@ def test_without_any_mark_everything_is_infinitely_far() -> None:
         assert float(found[1].max()) < 6
 
 
+def test_where_everything_is_marked_nothing_is_far() -> None:
+    marked = torch.ones(2, 5, 7, dtype=torch.bool)
+    assert torch.equal(distance_map(marked), torch.zeros(2, 5, 7))
+    assert torch.equal(distance_map_torch(marked), torch.zeros(2, 5, 7))
+
+
 def test_kornia_map_is_right_along_rows_and_short_across(generator: torch.Generator) -> None:
     mask = torch.zeros(41, 41)
     mask[20, 20] = 1
