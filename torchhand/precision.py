@@ -64,13 +64,10 @@ def _guarded(function: Callable[P, R], *, is_exact: bool) -> Callable[P, R]:
             return _switched_off(called, args, kwargs)
         kept = None
         for value in (*args, *kwargs.values()) if kwargs else args:
-            kind = type(value)
-            if kind is Tensor:  # told from others in a third of the time that all take
+            if isinstance(value, Tensor):
                 dtype = value.dtype
-            elif kind in _RECORDS:
+            elif type(value) in _RECORDS:
                 dtype = _dtype_of(value)
-            elif isinstance(value, Tensor):
-                dtype = value.dtype
             else:
                 continue
             if dtype is kept or dtype is None or not dtype.is_floating_point:

@@ -39,10 +39,10 @@ def test_distances_of_many_columns_are_scipys(generator: torch.Generator) -> Non
     """More than are worked on at once, with few marks, so that distances are long."""
     marked = torch.zeros(33, 40, 31, dtype=torch.bool)
     marked.view(-1)[torch.randint(0, marked.numel(), (12,), generator=generator)] = True
-    expected = scipy.ndimage.distance_transform_edt(~marked.numpy()).astype(np.float32)
+    expected = np.asarray(scipy.ndimage.distance_transform_edt(~marked.numpy())).astype(np.float32)
     torch.testing.assert_close(distance_grid(marked), torch.from_numpy(expected), atol=1e-6, rtol=1e-6)
     assert float(expected.max()) > 12
-    inside = scipy.ndimage.distance_transform_edt(marked.numpy()).astype(np.float32)
+    inside = np.asarray(scipy.ndimage.distance_transform_edt(marked.numpy())).astype(np.float32)
     torch.testing.assert_close(distance_grid(~marked), torch.from_numpy(inside), atol=1e-6, rtol=1e-6)
 
 

@@ -74,8 +74,9 @@ def _needs_no_derivative() -> bool:
 
 
 def _numbers_of_one(tensor: Tensor, count: int) -> list[float] | None:
-    """The numbers of a tensor of so many in the processor's memory; None for others, and where one is not finite."""
-    if tensor.numel() != count or not is_host(tensor.device):
+    """The numbers of a tensor of so many in the processor's memory; None for others, where one is not finite, and for a
+    compiler, which must not know them."""
+    if tensor.numel() != count or not is_host(tensor.device) or torch.compiler.is_compiling():
         return None
     numbers = tensor.flatten().tolist()
     return numbers if math.isfinite(sum(numbers)) else None

@@ -220,11 +220,10 @@ def _signed(filled: Bool[Tensor, "nx ny nz"], steps: int | None) -> Float[Tensor
 
 def _box_around(filled: Bool[Tensor, "nx ny nz"]) -> tuple[slice, ...]:
     """The marked cells and one more on every side, where there are more: what is nearest to them is among these."""
-    cells = read_back(filled)
-    flat, kept = cells.any(0), []
-    for row in (cells.any((1, 2)), flat.any(1), flat.any(0)):
-        places = row.nonzero()[0]
-        kept.append(slice(max(0, int(places[0]) - 1), min(len(row), int(places[-1]) + 2)) if len(places) else slice(0))
+    cells, kept = read_back(filled), []
+    for axis, count in enumerate(cells.shape):
+        places = np.flatnonzero(np.any(cells, axis=tuple(other for other in range(3) if other != axis)))
+        kept.append(slice(max(0, int(places[0]) - 1), min(count, int(places[-1]) + 2)) if len(places) else slice(0))
     return tuple(kept)
 
 

@@ -42,9 +42,7 @@ def nearest_columns(
     return torch.stack([_nearest(own, seen) for own, seen in zip(wanted, points.unbind(1), strict=True)], 1)
 
 
-def _nearest(
-    wanted: Float[Tensor, "wanted n"], points: Float[Tensor, "hands n points"]
-) -> Int[Tensor, "hands wanted"]:
+def _nearest(wanted: Float[Tensor, "wanted n"], points: Float[Tensor, "hands n points"]) -> Int[Tensor, "hands wanted"]:
     """Where wanted · column is least."""
     if not is_host(points.device):
         return (wanted @ points).argmin(-1)

@@ -183,9 +183,9 @@ def _choose(
     # Few numbers and many steps: numpy takes a third of torch's time for each, and gives the same bits.
     if is_host(response.device):
         batch = response.shape[:-1]
-        arrays = (None if x is None else x.reshape(-1, x.shape[-1]).numpy() for x in (response, may_be_edge))
+        answers, allowed = (None if x is None else x.reshape(-1, x.shape[-1]).numpy() for x in (response, may_be_edge))
         with np.errstate(all="ignore"):
-            parts = _chosen(np, _entries, *arrays, offsets.numpy(), settings)
+            parts = _chosen(np, _entries, answers, allowed, offsets.numpy(), settings)
         chosen = (torch.from_numpy(part).reshape(batch) for part in parts)
     else:
         chosen = _chosen(torch, torch.take_along_dim, response, may_be_edge, offsets, settings)
