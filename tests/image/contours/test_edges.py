@@ -1,8 +1,6 @@
 """Edge search along normals against steps whose place is known."""
 
 import math
-from dataclasses import fields
-from typing import Any
 
 import numpy as np
 import pytest
@@ -231,20 +229,3 @@ def test_settings_name_what_is_wrong(field: str, value: object, message: str) ->
     object.__setattr__(settings, field, value)
     with pytest.raises(ValueError, match=message):
         settings.__post_init__()
-
-
-@pytest.mark.parametrize("choose", ["strongest", "nearest"])
-@pytest.mark.parametrize("polarity", ["any", "inside_bright", "inside_dark"])
-def test_arrays_and_tensors_find_the_same_edges(
-    choose: Any, polarity: Any, generator: torch.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    image = torch.rand(80, 100, generator=generator)
-    points = torch.rand(3, 40, 2, generator=generator) * torch.tensor((110.0, 90.0)) - 5.0  # some beyond the picture
-    normals = torch.nn.functional.normalize(torch.randn(3, 40, 2, generator=generator), dim=-1)
-    settings = EdgeSettings(choose=choose, polarity=polarity)
-    by_arrays = search_edges(image, points, normals, settings)
-    monkeypatch.setattr("torchhand.image.contours.edges.is_host", lambda device: False)
-    by_tensors = search_edges(image, points, normals, settings)
-    for field in fields(by_arrays):
-        assert torch.equal(getattr(by_tensors, field.name), getattr(by_arrays, field.name))
-    assert 0.2 < float(by_arrays.found.double().mean()) < 1.0

@@ -119,16 +119,3 @@ def test_slack_decides_about_grazing_occluders(scene: Any, generator: torch.Gene
     strict, loose = (visible_points(primitives, seen, table, slack=slack) for slack in (0.0, 1.0))
     assert bool((loose | ~strict).all()), "slack can only show more"
     assert int(loose.sum()) > int(strict.sum())
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_arrays_and_tensors_tell_the_same(
-    kind: str, scene: Any, generator: torch.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    projector = scene.projector(scene.camera(kind))
-    primitives = scene.primitives(projector, *scene.pose(generator, 3))
-    table, orthographic = outline_table(4, 6), kind == "orthographic"
-    seen = outline(primitives, table, is_orthographic=orthographic)
-    by_arrays = visible_points(primitives, seen, table, is_orthographic=orthographic)
-    monkeypatch.setattr("torchhand.view.outlines.visibility.is_host", lambda device: False)
-    assert torch.equal(visible_points(primitives, seen, table, is_orthographic=orthographic), by_arrays)

@@ -1,12 +1,10 @@
 """Edges along the normals of a predicted contour."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Literal
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -171,66 +169,39 @@ def _band(kernel: Tensor, positions: int) -> Tensor:
     return band
 
 
-def _magnitude(response: Any, polarity: str) -> Any:
+def _magnitude(response: Tensor, polarity: str) -> Tensor:
     if polarity == "any":
-        return abs(response)
+        return response.abs()
     return -response if polarity == "inside_bright" else response
 
 
 def _choose(
     response: Tensor, may_be_edge: Tensor | None, offsets: Tensor, settings: EdgeSettings, dtype: torch.dtype
 ) -> EdgeSearch:
-    # Few numbers and many steps: numpy takes a third of torch's time for each, and gives the same bits.
-    if is_host(response.device):
-        batch = response.shape[:-1]
-        answers, allowed = (None if x is None else x.reshape(-1, x.shape[-1]).numpy() for x in (response, may_be_edge))
-        with np.errstate(all="ignore"):
-            parts = _chosen(np, _entries, answers, allowed, offsets.numpy(), settings)
-        chosen = (torch.from_numpy(part).reshape(batch) for part in parts)
-    else:
-        chosen = _chosen(torch, torch.take_along_dim, response, may_be_edge, offsets, settings)
-    offset, strength, polarity, found, candidates = chosen
-    return EdgeSearch(
-        offset_px=offset.to(dtype),
-        strength=strength,
-        polarity=polarity.to(torch.int64),
-        found=found,
-        candidates=candidates,
-    )
-
-
-def _chosen(
-    xp: Any, along: Callable[..., Any], response: Any, may_be_edge: Any, offsets: Any, settings: EdgeSettings
-) -> tuple[Any, Any, Any, Any, Any]:
-    """The fields of `EdgeSearch`. xp: numpy or torch, whose arrays the others are; along: takes entries along the last
-    axis."""
     magnitude = _magnitude(response, settings.polarity)
     before, here, after = magnitude[..., :-2], magnitude[..., 1:-1], magnitude[..., 2:]
     is_peak = (here > before) & (here >= after) & (here >= settings.min_strength)
     if may_be_edge is not None:
         is_peak = is_peak & may_be_edge
-    heights = xp.where(is_peak, here, -1.0)
-    strongest = xp.amax(heights, -1)
-    is_rival = heights >= settings.rival_fraction * xp.clip(strongest, 0.0, None)[..., None]
+    heights = torch.where(is_peak, here, -1.0)
     if settings.choose == "nearest":
-        index = xp.where(is_rival, abs(offsets), xp.inf).argmin(-1)[..., None]
+        strongest = heights.amax(-1, keepdim=True)
+        is_rival = heights >= settings.rival_fraction * strongest.clamp_min(0.0)
+        index = torch.where(is_rival, offsets.abs(), torch.inf).argmin(dim=-1, keepdim=True)
     else:
-        index = heights.argmax(-1)[..., None]
-    found = strongest >= 0
+        strongest, index = heights.max(dim=-1, keepdim=True)
+        is_rival = heights >= settings.rival_fraction * strongest.clamp_min(0.0)
+    found = strongest[..., 0] >= 0
 
-    a, b, c = (along(part, index, -1)[..., 0] for part in (before, here, after))
-    curvature = xp.where(found, a - 2.0 * b + c, -1.0)
-    shift = xp.clip(0.5 * (a - c) / curvature, -0.5, 0.5) * settings.step_px
-    sign = xp.sign(-along(response[..., 1:-1], index, -1)[..., 0])
-    return (
-        xp.where(found, offsets[index[..., 0]] + shift, 0.0),
-        xp.where(found, b, 0.0),
-        xp.where(found, sign, 0.0),
-        found,
-        is_rival.sum(-1),
+    a, b, c = (part.gather(-1, index)[..., 0] for part in (before, here, after))
+    curvature = torch.where(found, a - 2.0 * b + c, -1.0)
+    shift = (0.5 * (a - c) / curvature).clamp(-0.5, 0.5) * settings.step_px
+    place = offsets[index[..., 0]] + shift.to(dtype)
+    sign = -response[..., 1:-1].gather(-1, index)[..., 0].sign()
+    return EdgeSearch(
+        offset_px=torch.where(found, place.to(dtype), 0.0),
+        strength=torch.where(found, b, 0.0),
+        polarity=torch.where(found, sign, 0.0).to(torch.int64),
+        found=found,
+        candidates=is_rival.sum(dim=-1),
     )
-
-
-def _entries(array: np.ndarray, index: np.ndarray, _: int) -> np.ndarray:
-    """`numpy.take_along_axis` of (rows, columns) at (rows, 1), in a fraction of the time."""
-    return array[np.arange(len(index)), index[:, 0]][:, None]

@@ -1,16 +1,12 @@
 """Self-occlusion of outline points by ray-quadric intersection (Stenger et al. 2001, section 4.2)."""
 
-from dataclasses import fields
-from typing import Any, NamedTuple
-
-import numpy as np
 import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from torchhand.devices import is_host
-from torchhand.hand import Primitives
-from torchhand.precision import EXACT, own_precision
+from torchhand.geometry import quadratic_roots
+from torchhand.hand import Implicit, Primitives
+from torchhand.precision import own_precision
 from torchhand.view.outlines.outline import Outline, OutlineTable
 
 DEFAULT_SLACK = 1.5e-3
@@ -34,91 +30,60 @@ def visible_points(
     """
     batch, count = outline.points_cam.shape[:-2], outline.points_cam.shape[-2]
     points = outline.points_cam.detach().reshape(-1, count, 3)
-    parts, own = primitives_cam.implicit(), table.primitive
-    # Few numbers and many steps: numpy takes a third of torch's time for each.
-    if is_host(points.device) and points.dtype in EXACT:
-        arrays = (getattr(parts, field.name).detach().numpy() for field in fields(parts))
-        with np.errstate(all="ignore"):
-            free = torch.from_numpy(_is_free(np, _Parts(*arrays), points.numpy(), own.numpy(), slack, is_orthographic))
-    else:
-        tensors = (getattr(parts, field.name).detach() for field in fields(parts))
-        free = _is_free(torch, _Parts(*tensors), points, own, slack, is_orthographic)
-    return outline.is_real & free.reshape(*batch, count)
-
-
-class _Parts(NamedTuple):
-    """The fields of `Implicit`, as arrays or as tensors."""
-
-    upper: Any
-    edge: Any
-    corner: Any
-    axis: Any
-    low: Any
-    high: Any
-
-
-def _is_free(xp: Any, parts: _Parts, points: Any, own: Any, slack: float, is_orthographic: bool) -> Any:
-    """Whether points (hands, points, 3) lie before the camera and no part but their own hides them; (hands, points).
-
-    xp: numpy or torch, whose arrays the others are.
-    """
-    axis = parts.axis.swapaxes(0, 2)  # hands, 3, parts
+    parts = primitives_cam.implicit()
+    axis = parts.axis.movedim(-1, 0)
     if is_orthographic:
-        depth = points[..., 2]
-        table_of_rays, enough = _parallel_rays(xp, parts, points), depth - slack
-        start, rate = points[..., :2] @ axis[:, :2], axis[:, 2:]
+        table_of_rays, depth, near_enough = _parallel_rays(parts, points), points[..., 2], points[..., 2] - slack
+        start, rate = points[..., :2] @ axis[..., :2].mT, axis[:, None, :, 2]
     else:
         # Depths along the ray to a point are counted in units of that point's distance.
-        distance = xp.clip(xp.sqrt((points * points).sum(-1)), 1e-12, None)
-        depth = xp.ones_like(distance)
-        table_of_rays, enough = _central_rays(xp, parts, points), 1 - slack / distance
-        start, rate = xp.zeros_like(points[:, :1, :1]), points @ axis
+        distance = points.norm(dim=-1).clamp_min(1e-12)
+        table_of_rays, depth, near_enough = (
+            _central_rays(parts, points),
+            torch.ones_like(distance),
+            1 - slack / distance,
+        )
+        start, rate = torch.zeros_like(depth[..., None]), points @ axis.mT
     quadratic, linear, constant = table_of_rays
     discriminant = linear * linear - quadratic * constant
-    discriminant[:, xp.arange(len(own)), own] = -1.0  # not by itself
+    discriminant.scatter_(-1, table.primitive.expand(len(points), -1)[..., None], -1.0)  # not by itself
     # Few of all pairs meet: the rest is done for these alone.
-    hand, point, part = xp.argwhere(discriminant >= 0).T
-    shape = discriminant.shape
+    met = (discriminant >= 0).flatten().nonzero().squeeze(-1)
+    point = met // discriminant.shape[-1]  # of all hands
 
-    def of_pairs(values: Any) -> Any:
-        return xp.broadcast_to(values, shape)[hand, point, part]
+    def of_pairs(values: Tensor) -> Tensor:
+        return values.expand_as(discriminant).reshape(-1).index_select(0, met)
 
-    square, line, rest, begin, speed = (of_pairs(values) for values in (quadratic, linear, constant, start, rate))
-    low, high = (of_pairs(bound.T[:, None]) for bound in (parts.low, parts.high))
-    hits = []
-    for root in _roots(xp, square, line, rest, discriminant[hand, point, part]):
-        height = begin + root * speed
-        keeps = (root > 0) & (root < xp.inf) & (height >= low) & (height <= high)
-        hits.append(xp.where(keeps, root, xp.inf))
-    near, far = xp.minimum(*hits), xp.maximum(*hits)
-    here = depth[hand, point]
-    hides = near < enough[hand, point]
-    swallows = (near < here) & (far > here) & (far < xp.inf)
-    is_hidden, chosen = xp.zeros_like(depth, dtype=bool), hides | swallows
-    is_hidden[hand[chosen], point[chosen]] = True
-    return (depth > 0) & ~is_hidden
+    def of_points(values: Tensor) -> Tensor:
+        return values.reshape(-1).index_select(0, point)
 
-
-def _roots(xp: Any, quadratic: Any, linear: Any, constant: Any, discriminant: Any) -> tuple[Any, Any]:
-    """`quadratic_roots` where there are some."""
-    root = xp.sqrt(discriminant)
-    larger = -(linear + xp.where(linear >= 0, root, -root))
-    first = xp.where(quadratic == 0, xp.inf, larger / xp.where(quadratic == 0, 1.0, quadratic))
-    return first, xp.where(larger == 0, first, constant / xp.where(larger == 0, 1.0, larger))
+    roots = torch.stack(quadratic_roots(of_pairs(quadratic), of_pairs(linear), of_pairs(constant)))
+    height = torch.addcmul(of_pairs(start), roots, of_pairs(rate))
+    low, high = (of_pairs(bound.mT[:, None]) for bound in (parts.low, parts.high))
+    keeps = (roots > 0) & (roots < torch.inf) & (height >= low) & (height <= high)
+    hits = torch.where(keeps, roots, torch.inf)
+    near, far = hits.amin(0), hits.amax(0)
+    here = of_points(depth)
+    hides = near < of_points(near_enough)
+    swallows = (near < here) & (far > here) & (far < torch.inf)
+    is_hidden = torch.zeros(depth.shape, dtype=torch.bool, device=depth.device)
+    is_hidden.view(-1).index_fill_(0, point[hides | swallows], True)
+    return outline.is_real & ((depth > 0) & ~is_hidden).reshape(*batch, count)
 
 
-def _central_rays(xp: Any, parts: _Parts, points: Any) -> tuple[Any, Any, Any]:
+def _central_rays(parts: Implicit, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Coefficients of Q along s · point: (hands, points, parts) each, or broadcast against it."""
-    x, y, z = points[..., 0], points[..., 1], points[..., 2]
-    products = xp.stack((x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z), -1)
-    entries = parts.upper[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].swapaxes(0, 2)
-    return products @ entries, points @ parts.edge.swapaxes(0, 2), parts.corner.T[:, None]
+    upper, edge, corner = (x.movedim(-1, 0) for x in (parts.upper, parts.edge, parts.corner))
+    x, y, z = points.unbind(-1)
+    products = torch.stack((x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z), -1)
+    entries = (upper[:, :, i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
+    return products @ torch.stack(tuple(entries), 1), points @ edge.transpose(-1, -2), corner[:, None]
 
 
-def _parallel_rays(xp: Any, parts: _Parts, points: Any) -> tuple[Any, Any, Any]:
+def _parallel_rays(parts: Implicit, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Coefficients of Q along (x, y, s): (hands, points, parts) each, or broadcast against it."""
-    upper, edge = xp.moveaxis(parts.upper, -1, 0)[:, None], xp.moveaxis(parts.edge, -1, 0)[:, None]
+    upper, edge, corner = (x.movedim(-1, 0)[:, None] for x in (parts.upper, parts.edge, parts.corner))
     x, y = points[..., None, 0], points[..., None, 1]
     linear = upper[..., 2, 0] * x + upper[..., 2, 1] * y + edge[..., 2]
     constant = upper[..., 0, 0] * x * x + 2 * upper[..., 0, 1] * x * y + upper[..., 1, 1] * y * y
-    return upper[..., 2, 2], linear, constant + 2 * (edge[..., 0] * x + edge[..., 1] * y) + parts.corner.T[:, None]
+    return upper[..., 2, 2], linear, constant + 2 * (edge[..., 0] * x + edge[..., 1] * y) + corner
