@@ -20,7 +20,7 @@ from torchhand.errors import InputError
 from torchhand.files import Track, TrackWriter, check_output_folder, load_hand_model, load_track
 from torchhand.files.pictures import file_identity, input_identity, is_webcam, shown_address
 from torchhand.files.results import HAND_NAME, JSONL_NAME, OVERLAY_NAME, REPORT_NAME, STATUSES, UNFINISHED_NAME
-from torchhand.geometry import Camera
+from torchhand.geometry import Camera, Rig
 from torchhand.report import load_result, write_report
 from torchhand.runs.detected_tracks import kept_detections
 from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks, with_keypoints
@@ -37,7 +37,7 @@ from torchhand.runs.run import CHECKPOINT_EVERY, Run, Say, header_of, track_fram
 from torchhand.runs.second_pass import smooth_frames
 from torchhand.runs.watchers import opened_watchers, projector_of
 from torchhand.track import Keyframe, Tracker, TrackerState
-from torchhand.track.multiview import HandInitialization, HandProposer, Initialization, in_unit, initialize
+from torchhand.track.multiview import HandInitialization, HandProposer, Initialization, initialize
 from torchhand.track.scene import ViewSilhouettes
 from torchhand.view import HandProjector
 
@@ -195,7 +195,7 @@ def _track_views(recording: RigRecording | LiveRecording, out_dir: Path, request
             run = _track_all(start, keypoints, writer, say)
         track, shape = load_track(writer.folder), run.shape
         if isinstance(recording, RigRecording) and request.has_overlay and len(track) and shape is not None:
-            kinematics, cameras = run.tracker.kinematics, in_unit(recording.cameras, run.metres)
+            kinematics, cameras = run.tracker.kinematics, Rig(recording.cameras).scaled(run.metres)
             write_views(writer.folder / OVERLAY_NAME, track, kinematics, cameras, shape, recording)
         _write_report(writer, track, request)
     return track
@@ -216,7 +216,7 @@ def _track_all(start: "_RigStart", keypoints: KeypointSource | None, writer: Tra
         run.go_on_from(saved)
         done = writer.resume_point.last_frame + 1 - request.start
     run.keypoints = keypoints
-    cameras = in_unit(recording.cameras, run.metres)
+    cameras = Rig(recording.cameras).scaled(run.metres)
     run.save_config(writer.folder, _asked(request) | {"masks_given": recording.has_masks}, cameras)
     try:
         track_frames(run, writer, done, request.start, say, lambda frame, record: None)
@@ -260,7 +260,7 @@ class _RigStart:
 
     def tracker(self, metres: float) -> Tracker:
         """metres: of one unit of the cameras' translations."""
-        cameras = in_unit(self.recording.cameras, metres)
+        cameras = Rig(self.recording.cameras).scaled(metres)
         return Tracker(self.hand, cameras, self.settings, shape=self.known, plates=self.plates)
 
     def at_once(self) -> Run:
