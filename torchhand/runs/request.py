@@ -8,6 +8,7 @@ from typing import Any
 
 from torchhand.detect import HandDetector
 from torchhand.errors import InputError
+from torchhand.export import MAX_GAP_S
 from torchhand.files import FittedHand, find_config, load_hand, load_hand_model, load_settings, read_picture, setting_in
 from torchhand.fit.detect import StartPoints
 from torchhand.geometry import Camera
@@ -63,6 +64,8 @@ class Request:
     """One camera, live: where a page shows what is tracked; None for none."""
     streams: tuple[str, ...] = ()
     """One camera: where estimates go while they are made (`torchhand.runs.streams`)."""
+    max_gap_s: float = MAX_GAP_S
+    """One camera: longest time without pictures that a pose stream fills with held poses, seconds."""
     start: int = 0
     max_frames: int | None = None
     resume: bool = False
