@@ -29,6 +29,7 @@ from torchhand.runs.recordings import (
     LiveCamera,
     LiveRecording,
     OneCameraRecording,
+    RecordedFrame,
     RigRecording,
     rig_plates,
 )
@@ -255,6 +256,7 @@ class _RigStart:
         self.recording, self.request, self.settings = recording, request, request.settings
         self.hand = load_hand_model().hand(side=request.known_side, dtype=torch.float64)
         self.known = _known_shape(request)
+        self._times_s: dict[int, float] = {}  # of the frames in which the hand was looked for
         method, has_masks = self.settings.silhouette.method, recording.has_masks
         self.plates = rig_plates(recording.cameras, request.background, method, has_masks=has_masks)
 
@@ -283,7 +285,7 @@ class _RigStart:
             shape=found.hand.shape,
             appearance=tuple(found.skins) if any(found.skins) else (),
             keyframes=tuple(
-                Keyframe(time_s=frame / recording.fps, pose=pose) for frame, pose in found.hand.poses.items()
+                Keyframe(time_s=self._times_s[frame], pose=pose) for frame, pose in found.hand.poses.items()
             ),
         )
         provenance = self._provenance(found.hand) | {"unit_m": metres}
@@ -294,7 +296,7 @@ class _RigStart:
         wanted = max(1, self.settings.rig.shape_frames)
         wanted += wanted // 2 if self.request.unit == "hand" else 0  # frames of a bare arm tell a wrong unit
         sample = recording.sample(wanted)
-        frames = ((frame.index, with_keypoints(frame, self.keypoints, None).views) for frame in sample)
+        frames = ((self._noted(frame), with_keypoints(frame, self.keypoints, None).views) for frame in sample)
         with tqdm(
             total=wanted,
             desc="initializing",
@@ -323,6 +325,11 @@ class _RigStart:
             told = f"its proportions and poses in {len(found.hand.poses)} frames after {total:.1f} s"
             say(f"a first hand was found after {first[0]:.1f} s, {told}")
         return found
+
+    def _noted(self, frame: RecordedFrame) -> int:
+        """Index of a frame, whose time is kept."""
+        self._times_s[frame.index] = frame.time_s
+        return frame.index
 
     @property
     def _proposer(self) -> HandProposer:
