@@ -34,8 +34,8 @@ def test_the_slowest_camera_makes_the_frames() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_uneven_cameras(seed: int) -> None:
-    """Jittering times and dropped pictures: each picture in one frame at most, in order, never further away than half an
-    interval, and where a frame has none of a camera, none was free within reach."""
+    """Jittering times and dropped pictures: each picture in one frame at most, in order, never further away than half
+    an interval, and where a frame has none of a camera, none was free within reach."""
     generator = np.random.default_rng(seed)
     times = []
     for fps in (30.0, 24.0, 60.0):
