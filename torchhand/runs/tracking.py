@@ -63,7 +63,7 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
     if is_read_once and request.resume:
         what = f"webcam {source}" if is_webcam(source) else shown_address(str(source))
         raise InputError(f"{what}: cannot be resumed: expected a video or a folder, and no --live, with --resume")
-    if is_live and (request.start or request.keypoints):
+    if is_live and (request.start or (request.keypoints and isinstance(source, str))):
         option = "--start" if request.start else "--keypoints FILE"
         raise InputError(f"--live: expected none of what needs a recording with it, got {option}")
     check_output_folder(out_dir, resume=request.resume, overwrite=request.overwrite)
@@ -167,7 +167,7 @@ def track_live_rig(sources: Sequence[str | Path], folder: Path, out_dir: Path, r
         ("--resume", request.resume),
         ("--start", request.start > 0),
         ("--offset", bool(request.offsets)),
-        ("--keypoints FILE", bool(request.keypoints)),
+        ("--keypoints FILE", bool(request.keypoints) and any(isinstance(source, str) for source in sources)),
         ("--silhouettes masks", bool(request.masks)),
         ("--unit hand", request.unit == "hand"),
     ):

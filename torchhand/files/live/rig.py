@@ -136,7 +136,8 @@ class LiveRig:
                 if frame.image is None:
                     self._unreadable[camera] += 1
                     continue
-                self._tell(partial(self._pairing.add, camera, stamp_s, frame.image, self.now_s()))
+                add = partial(self._pairing.add, camera, stamp_s, frame.image, self.now_s(), number=frame.index)
+                self._tell(add)
         except InputError as error:  # such as a picture of another size: this camera ends, the others go on
             self._problems[camera] = str(error)
         finally:

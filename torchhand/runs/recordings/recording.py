@@ -44,8 +44,8 @@ class RecordedFrame:
     problems: tuple[str | None, ...]
     """Problems, one line for every view whose picture is missing or unreadable."""
     numbers: tuple[int | None, ...] = ()
-    """Several cameras: number of each view's picture among its camera's own, counted from 0; None where there is
-    none."""
+    """Number of each view's picture among its camera's own, counted from 0; None where there is none. Without them,
+    those of the frames."""
 
     def number(self, view: int) -> int | None:
         """Number of a view's picture among its camera's own, counted from 0; None where there is none."""
