@@ -89,6 +89,7 @@ class _Live:
             found.append(f"from a picture to its estimate: {median_ms:.0f} ms (median), {late_ms:.0f} ms in 95 %")
         for one, camera in zip(self._rig.counts(), self.cameras, strict=True):
             unread = f", {one.unreadable} unreadable" if one.unreadable else ""
+            unread += f", connected again {one.reconnected} times" if one.reconnected else ""
             ended = f"; {one.problem}" if one.problem else ""
             found.append(f"camera {camera.name}: {one.taken} pictures used, {one.dropped} dropped{unread}{ended}")
         return found
