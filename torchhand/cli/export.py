@@ -75,7 +75,7 @@ class Arguments:
     def __post_init__(self) -> None:
         if self.fps is not None and not 0 < self.fps <= 1e6:
             raise ValueError(f"--fps: expected more than 0, 1e6 at most, got {self.fps:g}")
-        check_max_gap(self.max_gap_s)
+        check_max_gap(self.max_gap_s, "--max-gap-s")
 
 
 @command

@@ -122,7 +122,7 @@ class Arguments:
     def __post_init__(self) -> None:
         if not -(2**63) <= self.seed < 2**63:
             raise ValueError(f"--seed: expected a number of 64 bits, got {self.seed}")
-        check_max_gap(self.max_gap_s)
+        check_max_gap(self.max_gap_s, "--max-gap-s")
         one_address(self.ray)
 
 

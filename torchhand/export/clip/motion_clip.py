@@ -267,10 +267,10 @@ class MotionClip:
         )
 
 
-def check_max_gap(seconds: float) -> None:
-    """Raise ValueError where this cannot be a clip's `max_gap_s`."""
+def check_max_gap(seconds: float, name: str = "max_gap_s") -> None:
+    """Raise ValueError where this cannot be a clip's `max_gap_s`. name: what the error calls it."""
     if not 0 < seconds <= _LARGEST_GAP_S:
-        raise ValueError(f"max_gap_s: expected more than 0, {_LARGEST_GAP_S:g} (a day) at most, got {seconds:g}")
+        raise ValueError(f"{name}: expected more than 0, {_LARGEST_GAP_S:g} (a day) at most, got {seconds:g}")
 
 
 def rest_clip(
