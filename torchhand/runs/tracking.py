@@ -29,6 +29,7 @@ from torchhand.runs.recordings import (
     LiveCamera,
     LiveRecording,
     OneCameraRecording,
+    RecordedFrame,
     RigRecording,
     rig_plates,
 )
@@ -62,7 +63,7 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
     if is_read_once and request.resume:
         what = f"webcam {source}" if is_webcam(source) else shown_address(str(source))
         raise InputError(f"{what}: cannot be resumed: expected a video or a folder, and no --live, with --resume")
-    if is_live and (request.start or request.keypoints):
+    if is_live and (request.start or (request.keypoints and isinstance(source, str))):
         option = "--start" if request.start else "--keypoints FILE"
         raise InputError(f"--live: expected none of what needs a recording with it, got {option}")
     check_output_folder(out_dir, resume=request.resume, overwrite=request.overwrite)
@@ -166,7 +167,7 @@ def track_live_rig(sources: Sequence[str | Path], folder: Path, out_dir: Path, r
         ("--resume", request.resume),
         ("--start", request.start > 0),
         ("--offset", bool(request.offsets)),
-        ("--keypoints FILE", bool(request.keypoints)),
+        ("--keypoints FILE", bool(request.keypoints) and any(isinstance(source, str) for source in sources)),
         ("--silhouettes masks", bool(request.masks)),
         ("--unit hand", request.unit == "hand"),
     ):
@@ -255,6 +256,7 @@ class _RigStart:
         self.recording, self.request, self.settings = recording, request, request.settings
         self.hand = load_hand_model().hand(side=request.known_side, dtype=torch.float64)
         self.known = _known_shape(request)
+        self._times_s: dict[int, float] = {}  # of the frames in which the hand was looked for
         method, has_masks = self.settings.silhouette.method, recording.has_masks
         self.plates = rig_plates(recording.cameras, request.background, method, has_masks=has_masks)
 
@@ -283,7 +285,7 @@ class _RigStart:
             shape=found.hand.shape,
             appearance=tuple(found.skins) if any(found.skins) else (),
             keyframes=tuple(
-                Keyframe(time_s=frame / recording.fps, pose=pose) for frame, pose in found.hand.poses.items()
+                Keyframe(time_s=self._times_s[frame], pose=pose) for frame, pose in found.hand.poses.items()
             ),
         )
         provenance = self._provenance(found.hand) | {"unit_m": metres}
@@ -294,7 +296,7 @@ class _RigStart:
         wanted = max(1, self.settings.rig.shape_frames)
         wanted += wanted // 2 if self.request.unit == "hand" else 0  # frames of a bare arm tell a wrong unit
         sample = recording.sample(wanted)
-        frames = ((frame.index, with_keypoints(frame, self.keypoints, None).views) for frame in sample)
+        frames = ((self._noted(frame), with_keypoints(frame, self.keypoints, None).views) for frame in sample)
         with tqdm(
             total=wanted,
             desc="initializing",
@@ -323,6 +325,11 @@ class _RigStart:
             told = f"its proportions and poses in {len(found.hand.poses)} frames after {total:.1f} s"
             say(f"a first hand was found after {first[0]:.1f} s, {told}")
         return found
+
+    def _noted(self, frame: RecordedFrame) -> int:
+        """Index of a frame, whose time is kept."""
+        self._times_s[frame.index] = frame.time_s
+        return frame.index
 
     @property
     def _proposer(self) -> HandProposer:
