@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from torchhand.detect import HandDetector
     from torchhand.files import load_cameras, load_hand, load_hand_model, load_rig, load_track
     from torchhand.fit.keypoints import SeenKeypoints, fit_keypoints
-    from torchhand.geometry import Camera, assumed_camera
+    from torchhand.geometry import Camera, Rig, assumed_camera
     from torchhand.hand import HandPrior
     from torchhand.runs import fit_hand, settings_of, track
     from torchhand.runs.pictures import fit_pose
@@ -28,6 +28,7 @@ __all__ = [
     "Hand",
     "HandDetector",
     "HandPrior",
+    "Rig",
     "SeenKeypoints",
     "Tracker",
     "TrackerSettings",
@@ -52,6 +53,7 @@ _DOORS = {
     "Estimate": "torchhand.track",
     "HandDetector": "torchhand.detect",
     "HandPrior": "torchhand.hand",
+    "Rig": "torchhand.geometry",
     "SeenKeypoints": "torchhand.fit.keypoints",
     "Tracker": "torchhand.track",
     "TrackerSettings": "torchhand.track",

@@ -163,6 +163,10 @@ def test_existing_files_and_inputs_are_kept(result: Path, tmp_path: Path, capsys
         (("--to", "OUT/hand.bvh", "--format", "fbx"), "fbx"),
         (("--to", "OUT/none/hand.bvh"), "--to: expected a file in an existing folder, got "),
         (("--to", "OUT/hand.bvh", "--fps", "0"), "--fps: expected more than 0, 1e6 at most, got 0"),
+        (
+            ("--to", "OUT/hand.bvh", "--max-gap-s", "0"),
+            "--max-gap-s: expected more than 0, 86400 (a day) at most, got 0",
+        ),
         (("--to", "OUT/hand.bvh", "--gaps", "fill"), "fill"),
         (("--to", "OUT/hand.bvh", "--hand", "OUT/none.json"), "none.json: no such file"),
         ((), "--to"),

@@ -1,6 +1,7 @@
 """The dispatcher: its list, its mistakes, and that it answers without loading torch."""
 
 import importlib
+import os
 import re
 import shutil
 import subprocess
@@ -53,6 +54,18 @@ def test_a_wrong_call_is_two(argv: list[str], line: str, capsys: pytest.CaptureF
     output, errors = capsys.readouterr()
     assert output == ""
     assert errors.startswith(line)
+
+
+@pytest.mark.parametrize("argv", [["--help"], ["track", "--help"], ["--version"], ["--completion", "bash"]])
+def test_a_reader_that_leaves_is_no_mistake(argv: list[str]) -> None:
+    """`torchhand track --help | head -1`: no traceback. The pipe is closed before anything is written."""
+    start = f"import sys; sys.path.insert(0, {str(REPOSITORY)!r}); from torchhand.cli.main import main"
+    program = f"{start}; sys.exit(main({argv}))"
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    done = subprocess.run([sys.executable, "-c", program], stdout=write_end, stderr=subprocess.PIPE, text=True)
+    os.close(write_end)
+    assert (done.returncode, done.stderr) == (141, "")
 
 
 def test_the_list_appears_without_loading_torch(tmp_path: Path) -> None:

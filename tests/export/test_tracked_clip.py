@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from torchhand.errors import InputError
 from torchhand.export.clip import MotionClip, rest_clip
+from torchhand.export.formats import write
+from torchhand.export.stream import clip_of_stream
 from torchhand.export.tracked_clip import load_clip
 from torchhand.files import load_track
 from torchhand.files.results import write_npz
@@ -92,6 +94,31 @@ def test_uneven_times_become_even_ones_where_a_format_has_one_rate(clip: MotionC
     assert even.frame == tuple(range(9))
     assert float((even.poses - whole.poses).abs().max()) < 1e-12
     assert whole.at_constant_rate() is whole
+
+
+def test_a_pause_lasts_so_long_at_most_where_a_format_has_one_rate(
+    make_result: Callable[..., Path], tmp_path: Path
+) -> None:
+    """Six frames of 25 a second with an hour between the third and the fourth: the hour becomes two seconds, whether
+    frames are numbered by time or on, and one line tells it; formats that know times keep it."""
+    folder = make_result()
+    track = load_track(folder)
+    times = np.array([0.0, 0.04, 0.08, 3600.08, 3600.12, 3600.16])
+    for number in (track.frame, np.array([0, 1, 2, 90_002, 90_003, 90_004])):
+        write_npz(replace(track, frame=number, time_s=times), folder / "track.npz")
+        clip = load_clip(folder)
+        assert float(clip.seconds[-1]) == pytest.approx(3600.16)
+        even = replace(clip, max_gap_s=2.0).at_constant_rate()
+        assert len(even) == 2 + 50 + 3
+        assert float((even.poses[:3] - clip.poses[:3]).abs().max()) < 1e-12
+        assert float((even.poses[-3:] - clip.poses[-3:]).abs().max()) < 1e-12
+        path = tmp_path / f"{number[-1]}.thp"
+        [line, _] = write(replace(clip, max_gap_s=2.0), path)
+        assert "1 gap(s) without frames, 3600.0 s the longest, last 2 s here (--max-gap-s)" in line
+        assert len(clip_of_stream(path, clip.model)) == len(even)
+    assert replace(clip, max_gap_s=3600.0).gap_notes() == []
+    with pytest.raises(ValueError, match=r"max_gap_s: expected more than 0, 86400 \(a day\) at most, got 0"):
+        replace(clip, max_gap_s=0.0)
 
 
 def test_axes_of_an_export(clip: MotionClip) -> None:

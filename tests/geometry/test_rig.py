@@ -8,6 +8,7 @@ import torch
 
 from torchhand.geometry.cameras import Camera, assumed_camera
 from torchhand.geometry.rig import (
+    Rig,
     aim_error_deg,
     centres_world,
     common_view,
@@ -105,3 +106,34 @@ def test_slightly_diverging_pair_is_not_suspected_of_looking_apart() -> None:
     right = replace(left, rotation=turn, translation=torch.tensor((-0.06, 0.0, 0.0), dtype=torch.float64))
     assert aim_error_deg([left, right]) > 90
     assert not look_away([left, right])
+
+
+def test_a_rig_is_its_cameras(rig: list[Camera]) -> None:
+    own = Rig(rig)
+    assert list(own) == rig
+    assert own.names == ("cam0", "cam1", "cam2")
+    assert own.named("cam1") is rig[1]
+    points = TARGET + 0.1 * torch.eye(3).double()
+    projected = own.project(points)
+    assert projected.shape == (3, 3, 2)
+    assert torch.equal(projected[2], rig[2].project(points))
+
+
+def test_a_rig_in_another_unit_sees_the_same(rig: list[Camera]) -> None:
+    inches = Rig(rig).scaled(1 / 0.0254)
+    torch.testing.assert_close(inches.project(TARGET / 0.0254), Rig(rig).project(TARGET))
+    assert math.isclose(rig_size(inches.scaled(0.0254)), rig_size(rig))
+    single = Rig(rig).to(dtype=torch.float32)
+    assert all(camera.rotation.dtype == torch.float32 for camera in single)
+
+
+def test_wrong_rigs_are_refused(rig: list[Camera]) -> None:
+    with pytest.raises(ValueError, match="at least one, got none"):
+        Rig([])
+    batch = replace(rig[0], rotation=rig[0].rotation.expand(2, 3, 3), translation=rig[0].translation.expand(2, 3))
+    with pytest.raises(ValueError, match="single ones, got a batch"):
+        Rig([rig[0], batch])
+    with pytest.raises(ValueError, match="expected one of cam0, cam1, cam2, each once, got 'left'"):
+        Rig(rig).named("left")
+    with pytest.raises(ValueError, match="each once"):
+        Rig([rig[0], rig[0]]).named("cam0")

@@ -73,9 +73,9 @@ class Arguments:
     """Markers of the ChArUco board, by OpenCV's name."""
     distortion: Literal[0, 4, 5, 8] = 5
     """Number of lens distortion coefficients, in OpenCV's order."""
-    offset: Annotated[tuple[str, ...], arg(metavar="NAME=FRAMES")] = ()
+    offset: Annotated[tuple[str, ...], arg(metavar="NAME=FRAMES|SECONDSs")] = ()
     """Offset of cameras that do not start together: this camera's picture number FRAMES belongs to number 0 of the
-    others."""
+    others. Or seconds, as in cam1=0.12s, with which videos are paired by their times."""
     every: Annotated[int | None, arg(metavar="N")] = None
     """Search every Nth frame only; for videos chosen so that about 60 are searched, if not given."""
     world: Literal["camera", "board"] = "camera"

@@ -9,7 +9,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.errors import InputError
-from torchhand.export import Axes, ExportOptions, FormatName, MotionClip, format_of, load_clip
+from torchhand.export import MAX_GAP_S, Axes, ExportOptions, FormatName, MotionClip, check_max_gap, format_of, load_clip
 from torchhand.files.disk import expanded
 from torchhand.files.results import (
     CHECKPOINT_NAME,
@@ -64,6 +64,9 @@ class Arguments:
     axes: Axes | None = None
     """Frame of what is written: camera (that of the track), y-up, z-up, wrist (the hand's own: x out of its back, y to
     the fingers, the wrist at the origin) or mano (the wrist's with MANO's axes); else each format's usual one."""
+    max_gap_s: float = MAX_GAP_S
+    """bvh, bap, thp, which know one rate: a time without frames that is longer becomes so many seconds long, and a note
+    tells it; the other formats keep the times."""
     options: OmitArgPrefixes[ExportOptions] = ExportOptions()  # noqa: RUF009 - frozen
     """Options that only some formats ask."""
     overwrite: bool = False
@@ -72,6 +75,7 @@ class Arguments:
     def __post_init__(self) -> None:
         if self.fps is not None and not 0 < self.fps <= 1e6:
             raise ValueError(f"--fps: expected more than 0, 1e6 at most, got {self.fps:g}")
+        check_max_gap(self.max_gap_s, "--max-gap-s")
 
 
 @command
@@ -93,7 +97,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             up=arguments.up,
             side=arguments.side,
         )
-        clip = replace(clip, axes=arguments.axes)
+        clip = replace(clip, axes=arguments.axes, max_gap_s=arguments.max_gap_s)
         if arguments.frame is not None:
             clip = _only(arguments, clip)
         files = kind.files(clip, target)

@@ -35,7 +35,17 @@ SHELLS = ("bash", "zsh", "fish", "tcsh")
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 0 done, 2 the user's input is wrong, 130 stopped by Ctrl-C."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        code = _run(list(sys.argv[1:] if argv is None else argv))
+        sys.stdout.flush()
+        return code
+    except BrokenPipeError:  # `torchhand track --help | head -3`
+        from torchhand.cli.command import reader_went_away
+
+        return reader_went_away()
+
+
+def _run(arguments: list[str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         print(_usage(), file=sys.stdout if arguments else sys.stderr)
         return 0 if arguments else 2

@@ -12,6 +12,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 from torchhand.cli.command import DONE, STOPPED_BY_USER, WRONG_INPUT, command, one_address, parse, threads
 from torchhand.cluster import Cluster
 from torchhand.errors import DiskError, InputError
+from torchhand.export import MAX_GAP_S, check_max_gap
 from torchhand.files import check_output_folder, sequences_of
 from torchhand.files.disk import expanded
 from torchhand.files.pictures import MAX_MEGAPIXELS, pixel_limit
@@ -88,6 +89,9 @@ class Arguments:
     """Give every frame's estimate to other programs: jsonl (a line on standard output), udp://HOST:PORT (JSON),
     osc://HOST:PORT, ws://HOST:PORT (a WebSocket that is served; pip install torchhand[stream]), or FILE.thp (a pose
     stream that grows frame by frame); may be repeated."""
+    max_gap_s: float = MAX_GAP_S
+    """With --stream FILE.thp: a time without pictures that is longer becomes so many seconds of held poses, and a line
+    tells it."""
     start: Annotated[int, arg(metavar="N")] = 0
     """First frame, counted from 0."""
     max_frames: Annotated[int | None, arg(metavar="N")] = None
@@ -118,6 +122,7 @@ class Arguments:
     def __post_init__(self) -> None:
         if not -(2**63) <= self.seed < 2**63:
             raise ValueError(f"--seed: expected a number of 64 bits, got {self.seed}")
+        check_max_gap(self.max_gap_s, "--max-gap-s")
         one_address(self.ray)
 
 
@@ -211,6 +216,7 @@ def _request(arguments: Arguments) -> Request:
         is_live=arguments.live,
         page_port=arguments.port if arguments.live and arguments.page else None,
         streams=arguments.stream,
+        max_gap_s=arguments.max_gap_s,
         start=arguments.start,
         max_frames=arguments.max_frames,
         resume=arguments.resume,

@@ -72,8 +72,9 @@ class Arguments:
     found in the pictures of one camera, in the cameras' order; to be given for each."""
     hand_model: Annotated[Path | None, arg(metavar="FILE")] = None
     """hand_landmarker.task for a MediaPipe that carries no models of its own (newer than 0.10.21)."""
-    offset: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME=FRAMES")] = ()
-    """A camera that started so many frames before the others; may be repeated."""
+    offset: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="NAME=FRAMES|SECONDSs")] = ()
+    """A camera that started so many frames before the others, or seconds, as in cam1=0.12s; may be repeated. Videos of
+    different or varying rates, and all with an offset in seconds, are paired by their times."""
     causal: bool = False
     """Estimate every frame from this and earlier ones alone. Else frames are estimated again by what comes after."""
     start: Annotated[int, arg(metavar="N")] = 0

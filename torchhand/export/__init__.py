@@ -1,6 +1,14 @@
 """Hands in motion in other programs' formats: one record that all writers take, one file per format, and readers."""
 
-from torchhand.export.clip import Axes, MotionClip, rest_clip, write_keypoints, write_mesh_frames
+from torchhand.export.clip import (
+    MAX_GAP_S,
+    Axes,
+    MotionClip,
+    check_max_gap,
+    rest_clip,
+    write_keypoints,
+    write_mesh_frames,
+)
 from torchhand.export.conventions import (
     BapMotion,
     BvhMotion,
@@ -44,6 +52,7 @@ from torchhand.export.tracked_clip import clip_of_track, load_clip
 
 __all__ = [
     "FORMATS",
+    "MAX_GAP_S",
     "MOTION_SUFFIXES",
     "Axes",
     "BapMotion",
@@ -60,6 +69,7 @@ __all__ = [
     "StreamSettings",
     "WristPoints",
     "bvh_names",
+    "check_max_gap",
     "clip_of_bap",
     "clip_of_bvh",
     "clip_of_mano",

@@ -130,7 +130,7 @@ def _glb(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
 
 def _bvh(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
     write_bvh(clip, path, names=options.bvh_names)
-    return []
+    return clip.gap_notes()
 
 
 def _urdf(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
@@ -187,8 +187,11 @@ def _bap(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
     lost = write_bap(clip, path, numbering=options.bap_numbering, version=options.bap_version).abs().amax(0)
     names = [JOINT_DOFS[i] for i in (lost > 1e-4).nonzero().squeeze(-1).tolist()]
     if not names:
-        return []
-    return [f"BAPs have no {', '.join(names)}: lost up to {float(torch.rad2deg(lost.max())):.1f} degrees"]
+        return clip.gap_notes()
+    return [
+        *clip.gap_notes(),
+        f"BAPs have no {', '.join(names)}: lost up to {float(torch.rad2deg(lost.max())):.1f} degrees",
+    ]
 
 
 def _joints(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
@@ -218,8 +221,9 @@ def _stream(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
     )
     figures = write_stream(clip, path, settings)
     return [
+        *clip.gap_notes(),
         f"{figures.motion_kbit_per_s:.2f} kbit/s and a header of {figures.header_bytes} bytes; joint angles off by"
-        f" {figures.mean_deg:.2f} degrees on average, {figures.worst_deg:.1f} at most"
+        f" {figures.mean_deg:.2f} degrees on average, {figures.worst_deg:.1f} at most",
     ]
 
 

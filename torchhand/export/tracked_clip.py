@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from torchhand.errors import InputError
-from torchhand.export.clip import MotionClip, Up, rest_clip
+from torchhand.export.clip import MISSING, MotionClip, Up, rest_clip
 from torchhand.export.motion_files import MOTION_SUFFIXES, is_motion_file, load_motion
 from torchhand.files import Track, load_hand, load_hand_model, load_track
 from torchhand.files.disk import expanded
@@ -137,7 +137,7 @@ def clip_of_track(
         pose_std=torch.from_numpy(std.astype(np.float64)),
         keypoints_cov=torch.from_numpy(cov.astype(np.float64)) if np.isfinite(cov).any() else None,
         finger_quality=quality,
-        status=tuple(str(said.get(int(f), "missing")) for f in frame),
+        status=tuple(str(said.get(int(f), MISSING)) for f in frame),
         name=name,
         up=up,
     )

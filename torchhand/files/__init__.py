@@ -43,7 +43,7 @@ from torchhand.files.results import (
     check_output_folder,
     load_track,
 )
-from torchhand.files.rigs import RigFrame, RigSource, load_rig, offsets_of, open_rig, rig_notes
+from torchhand.files.rigs import Offsets, RigFrame, RigSource, load_rig, offsets_of, open_rig, rig_notes
 from torchhand.files.settings import load_settings, save_settings, setting_in, settings_text
 
 __all__ = [
@@ -59,6 +59,7 @@ __all__ = [
     "LivePictures",
     "LiveRig",
     "LiveSettings",
+    "Offsets",
     "ResumePoint",
     "RigFrame",
     "RigSource",

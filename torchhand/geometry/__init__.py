@@ -26,6 +26,7 @@ from torchhand.geometry.quadrics import (
 )
 from torchhand.geometry.quaternions import continuous, quaternion_of_rotation, rotation_of_quaternion
 from torchhand.geometry.rig import (
+    Rig,
     centres_world,
     common_view,
     look_away,
@@ -50,6 +51,7 @@ __all__ = [
     "DISTORTION_LENGTHS",
     "Camera",
     "RayHits",
+    "Rig",
     "assumed_camera",
     "batch_first",
     "batch_last",

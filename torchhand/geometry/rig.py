@@ -1,7 +1,7 @@
 """What several cameras have in common: where they stand, what they see together, and signs of a misread pose."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import torch
@@ -17,6 +17,48 @@ _AIMED_DEG = 8.0  # cameras around one object aim at it about this well
 _WELL_AIMED_DEG = 5.0
 _PARALLEL_DEG = 15.0
 _RATIO = 4.0  # another reading must aim this much better
+
+
+class Rig(tuple[Camera, ...]):
+    """Several calibrated cameras that stand in one world: a tuple of them, for everything that takes cameras.
+
+    Points of the world are metres where the cameras' translations are. Raises ValueError for no camera, and for a batch
+    of cameras in the place of one.
+    """
+
+    __slots__ = ()
+
+    def __new__(cls, cameras: Iterable[Camera]) -> "Rig":
+        rig = super().__new__(cls, cameras)
+        if not rig:
+            raise ValueError("cameras: expected at least one, got none")
+        for camera in rig:
+            if camera.rotation.ndim != 2:
+                raise ValueError(f"cameras: expected single ones, got a batch {tuple(camera.rotation.shape[:-2])}")
+        return rig
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(camera.name for camera in self)
+
+    def named(self, name: str) -> Camera:
+        """The camera of a name. Raises ValueError where not exactly one has it."""
+        found = [camera for camera in self if camera.name == name]
+        if len(found) != 1:
+            raise ValueError(f"name: expected one of {', '.join(self.names)}, each once, got {name!r}")
+        return found[0]
+
+    def project(self, points_world: Float[Tensor, "*points 3"]) -> Float[Tensor, "cameras *points 2"]:
+        """Pixels of points of the world in every camera's picture; NaN for points that are not before a camera."""
+        return torch.stack([camera.project(points_world) for camera in self])
+
+    def scaled(self, metres: float) -> "Rig":
+        """The same cameras where one unit of their translations is so many metres."""
+        return Rig(replace(camera, translation=metres * camera.translation) for camera in self)
+
+    def to(self, *, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> "Rig":
+        """The same cameras with their tensors moved."""
+        return Rig(camera.to(dtype=dtype, device=device) for camera in self)
 
 
 def centres_world(cameras: Sequence[Camera]) -> Float[Tensor, "cameras 3"]:

@@ -37,7 +37,7 @@ class DetectedTracks:
                 if image is not None:
                     hand = detector.detect(image, None if followed_px is None else followed_px[view])
                 if self._log is not None:
-                    self._log.append(view, frame.index, hand)
+                    self._log.append(view, frame.index, hand, number=frame.number(view))
             found.append(hand_keypoints(hand))
             self._has_found |= hand is not None
         return found

@@ -65,7 +65,7 @@ class KeypointTracks:
         self, frame: RecordedFrame, followed_px: Float[Tensor, "views 21 2"] | None
     ) -> list[HandKeypoints | None]:
         """What was found in a frame, view by view; None where nothing was."""
-        return [view.hand(frame.index) for view in self._views]
+        return [view.hand(frame.number(place)) for place, view in enumerate(self._views)]
 
     def rewind(self) -> None:
         """Files can be read in any order."""
@@ -80,8 +80,10 @@ class _View:
             raise InputError(f"{path}: expected points in the picture, got points in space alone")
         self._pixels = self._found.in_pixels(camera.width, camera.height)
 
-    def hand(self, frame: int) -> HandKeypoints | None:
-        seen, in_picture = self._found.at_frame(frame), self._pixels.at_frame(frame)
+    def hand(self, number: int | None) -> HandKeypoints | None:
+        if number is None:
+            return None
+        seen, in_picture = self._found.at_frame(number), self._pixels.at_frame(number)
         if seen is None or in_picture is None:
             return None
         return hand_keypoints(replace(seen, picture=in_picture.picture, confidence=in_picture.confidence))

@@ -1,6 +1,6 @@
 """What a tracking run is asked for, read from texts and files and checked before anything starts."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from math import hypot, isfinite
 from pathlib import Path
@@ -8,7 +8,17 @@ from typing import Any
 
 from torchhand.detect import HandDetector
 from torchhand.errors import InputError
-from torchhand.files import FittedHand, find_config, load_hand, load_hand_model, load_settings, read_picture, setting_in
+from torchhand.export import MAX_GAP_S
+from torchhand.files import (
+    FittedHand,
+    Offsets,
+    find_config,
+    load_hand,
+    load_hand_model,
+    load_settings,
+    read_picture,
+    setting_in,
+)
 from torchhand.fit.detect import StartPoints
 from torchhand.geometry import Camera
 from torchhand.hand import Side
@@ -53,8 +63,8 @@ class Request:
     """Rig: what the cameras' translations are in; `hand`: to be fitted."""
     masks: bool | None = None
     """Rig: whether silhouettes are given; where it holds them if None."""
-    offsets: Mapping[str, int] = field(default_factory=dict)
-    """Rig: frames by which cameras started before the others, by name."""
+    offsets: Offsets = field(default_factory=dict)
+    """Rig: frames, or seconds, by which cameras started before the others, by name."""
     is_causal: bool = False
     """Whether every frame is estimated from this and earlier ones alone."""
     is_live: bool = False
@@ -63,6 +73,8 @@ class Request:
     """One camera, live: where a page shows what is tracked; None for none."""
     streams: tuple[str, ...] = ()
     """One camera: where estimates go while they are made (`torchhand.runs.streams`)."""
+    max_gap_s: float = MAX_GAP_S
+    """One camera: longest time without pictures that a pose stream fills with held poses, seconds."""
     start: int = 0
     max_frames: int | None = None
     resume: bool = False

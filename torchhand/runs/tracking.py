@@ -20,7 +20,7 @@ from torchhand.errors import InputError
 from torchhand.files import Track, TrackWriter, check_output_folder, load_hand_model, load_track
 from torchhand.files.pictures import file_identity, input_identity, is_webcam, shown_address
 from torchhand.files.results import HAND_NAME, JSONL_NAME, OVERLAY_NAME, REPORT_NAME, STATUSES, UNFINISHED_NAME
-from torchhand.geometry import Camera
+from torchhand.geometry import Camera, Rig
 from torchhand.report import load_result, write_report
 from torchhand.runs.detected_tracks import kept_detections
 from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks, with_keypoints
@@ -29,6 +29,7 @@ from torchhand.runs.recordings import (
     LiveCamera,
     LiveRecording,
     OneCameraRecording,
+    RecordedFrame,
     RigRecording,
     rig_plates,
 )
@@ -37,7 +38,7 @@ from torchhand.runs.run import CHECKPOINT_EVERY, Run, Say, header_of, track_fram
 from torchhand.runs.second_pass import smooth_frames
 from torchhand.runs.watchers import opened_watchers, projector_of
 from torchhand.track import Keyframe, Tracker, TrackerState
-from torchhand.track.multiview import HandInitialization, HandProposer, Initialization, in_unit, initialize
+from torchhand.track.multiview import HandInitialization, HandProposer, Initialization, initialize
 from torchhand.track.scene import ViewSilhouettes
 from torchhand.view import HandProjector
 
@@ -62,7 +63,7 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
     if is_read_once and request.resume:
         what = f"webcam {source}" if is_webcam(source) else shown_address(str(source))
         raise InputError(f"{what}: cannot be resumed: expected a video or a folder, and no --live, with --resume")
-    if is_live and (request.start or request.keypoints):
+    if is_live and (request.start or (request.keypoints and isinstance(source, str))):
         option = "--start" if request.start else "--keypoints FILE"
         raise InputError(f"--live: expected none of what needs a recording with it, got {option}")
     check_output_folder(out_dir, resume=request.resume, overwrite=request.overwrite)
@@ -166,7 +167,7 @@ def track_live_rig(sources: Sequence[str | Path], folder: Path, out_dir: Path, r
         ("--resume", request.resume),
         ("--start", request.start > 0),
         ("--offset", bool(request.offsets)),
-        ("--keypoints FILE", bool(request.keypoints)),
+        ("--keypoints FILE", bool(request.keypoints) and any(isinstance(source, str) for source in sources)),
         ("--silhouettes masks", bool(request.masks)),
         ("--unit hand", request.unit == "hand"),
     ):
@@ -195,7 +196,7 @@ def _track_views(recording: RigRecording | LiveRecording, out_dir: Path, request
             run = _track_all(start, keypoints, writer, say)
         track, shape = load_track(writer.folder), run.shape
         if isinstance(recording, RigRecording) and request.has_overlay and len(track) and shape is not None:
-            kinematics, cameras = run.tracker.kinematics, in_unit(recording.cameras, run.metres)
+            kinematics, cameras = run.tracker.kinematics, Rig(recording.cameras).scaled(run.metres)
             write_views(writer.folder / OVERLAY_NAME, track, kinematics, cameras, shape, recording)
         _write_report(writer, track, request)
     return track
@@ -216,7 +217,7 @@ def _track_all(start: "_RigStart", keypoints: KeypointSource | None, writer: Tra
         run.go_on_from(saved)
         done = writer.resume_point.last_frame + 1 - request.start
     run.keypoints = keypoints
-    cameras = in_unit(recording.cameras, run.metres)
+    cameras = Rig(recording.cameras).scaled(run.metres)
     run.save_config(writer.folder, _asked(request) | {"masks_given": recording.has_masks}, cameras)
     try:
         track_frames(run, writer, done, request.start, say, lambda frame, record: None)
@@ -255,12 +256,13 @@ class _RigStart:
         self.recording, self.request, self.settings = recording, request, request.settings
         self.hand = load_hand_model().hand(side=request.known_side, dtype=torch.float64)
         self.known = _known_shape(request)
+        self._times_s: dict[int, float] = {}  # of the frames in which the hand was looked for
         method, has_masks = self.settings.silhouette.method, recording.has_masks
         self.plates = rig_plates(recording.cameras, request.background, method, has_masks=has_masks)
 
     def tracker(self, metres: float) -> Tracker:
         """metres: of one unit of the cameras' translations."""
-        cameras = in_unit(self.recording.cameras, metres)
+        cameras = Rig(self.recording.cameras).scaled(metres)
         return Tracker(self.hand, cameras, self.settings, shape=self.known, plates=self.plates)
 
     def at_once(self) -> Run:
@@ -283,7 +285,7 @@ class _RigStart:
             shape=found.hand.shape,
             appearance=tuple(found.skins) if any(found.skins) else (),
             keyframes=tuple(
-                Keyframe(time_s=frame / recording.fps, pose=pose) for frame, pose in found.hand.poses.items()
+                Keyframe(time_s=self._times_s[frame], pose=pose) for frame, pose in found.hand.poses.items()
             ),
         )
         provenance = self._provenance(found.hand) | {"unit_m": metres}
@@ -294,7 +296,7 @@ class _RigStart:
         wanted = max(1, self.settings.rig.shape_frames)
         wanted += wanted // 2 if self.request.unit == "hand" else 0  # frames of a bare arm tell a wrong unit
         sample = recording.sample(wanted)
-        frames = ((frame.index, with_keypoints(frame, self.keypoints, None).views) for frame in sample)
+        frames = ((self._noted(frame), with_keypoints(frame, self.keypoints, None).views) for frame in sample)
         with tqdm(
             total=wanted,
             desc="initializing",
@@ -323,6 +325,11 @@ class _RigStart:
             told = f"its proportions and poses in {len(found.hand.poses)} frames after {total:.1f} s"
             say(f"a first hand was found after {first[0]:.1f} s, {told}")
         return found
+
+    def _noted(self, frame: RecordedFrame) -> int:
+        """Index of a frame, whose time is kept."""
+        self._times_s[frame.index] = frame.time_s
+        return frame.index
 
     @property
     def _proposer(self) -> HandProposer:

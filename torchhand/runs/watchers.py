@@ -10,7 +10,7 @@ from torchhand.runs.overlays import draw_live
 from torchhand.runs.recordings import LiveCamera, OneCameraRecording, RecordedFrame
 from torchhand.runs.request import Request
 from torchhand.runs.run import Run, Say
-from torchhand.runs.streams import message_of, opened_pose_files, opened_streams
+from torchhand.runs.streams import PoseRate, message_of, opened_pose_files, opened_streams
 from torchhand.view import HandProjector
 
 Watch = Callable[[RecordedFrame, FrameRecord], None]
@@ -27,7 +27,9 @@ def opened_watchers(
     with contextlib.ExitStack() as stack:
         draw = stack.enter_context(draw_live(writer.folder / OVERLAY_NAME if is_drawn else None, recording))
         streams = stack.enter_context(opened_streams(request.streams))
-        files = stack.enter_context(opened_pose_files(request.streams, side=side, fps=recording.fps))
+        files = stack.enter_context(
+            opened_pose_files(request.streams, PoseRate(recording.fps, request.max_gap_s), side, say)
+        )
         show = None
         if isinstance(recording, LiveCamera) and request.page_port is not None:
             show = stack.enter_context(opened_show(request.page_port, recording, side, writer.out_dir, say))

@@ -22,6 +22,7 @@ from torchhand.track.proposals import (
     LearnedHands,
     PostureSearch,
     ProposalSource,
+    TiltedHands,
     hull_sources,
 )
 from torchhand.track.scene import (
@@ -173,6 +174,8 @@ def _of_one_camera(
                 known_shape=shape,
             ),
         )
+        if own.moves_joints:
+            sources += (TiltedHands(kinematics=kinematics, camera=here),)
     return Assembly(
         kinematics=kinematics,
         cameras=(here,),

@@ -311,7 +311,7 @@ class Tracker:
         one after the other. The longer they do not help, the fewer frames.
         """
         health, kinds = self.parts.health, self._kinds
-        if health.settings.alternatives_at_most_every == 1:
+        if not self._is_budgeted:
             return frozenset(kinds)
         if not health.is_degraded(followed, state.usual_score):
             return frozenset()
@@ -327,13 +327,18 @@ class Tracker:
         return frozenset((kinds[state.alternatives_tried % len(kinds)],))
 
     @property
+    def _is_budgeted(self) -> bool:
+        """Whether a degraded hand is found otherwise in some frames alone."""
+        return self.parts.health.settings.alternatives_at_most_every > 1
+
+    @property
     def _kinds(self) -> tuple[type, ...]:
         """Kinds of the sources that are asked about a degraded hand, in their order."""
         return tuple(dict.fromkeys(type(one) for one in self.parts.sources if one.occasion != "always"))
 
     def _after_alternatives(self, state: TrackerState, search: _Search, tried: frozenset[type]) -> TrackerState:
         health, best, settings = self.parts.health, search.best, self.parts.health.settings
-        if settings.alternatives_at_most_every == 1:
+        if not self._is_budgeted:
             return state
         is_healthy = not health.is_degraded(best, state.usual_score)
         if not tried:
@@ -349,12 +354,13 @@ class Tracker:
     def _is_due(self, source: ProposalSource, best: Candidate | None, state: TrackerState, *, is_tried: bool) -> bool:
         """is_tried: whether it may be asked about a degraded hand in this frame."""
         health, occasion = self.parts.health, source.occasion
+        is_refit_due = state.frames_since_refit >= state.refit_after
         if occasion == "always":
             return True
         if not health.is_degraded(best, state.usual_score):
             is_declining = best is not None and health.score(best) < state.best_score - _DECLINE
-            return occasion == "declining" and is_declining and state.frames_since_refit >= state.refit_after
-        if not is_tried:
+            return occasion == "declining" and is_declining and is_refit_due
+        if not is_tried or (occasion == "declining" and not self._is_budgeted and not is_refit_due):
             return False
         if occasion != "search":
             return True

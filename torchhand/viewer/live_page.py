@@ -145,5 +145,5 @@ def _bar(name: str, value: float, std: float, low: float, high: float) -> str:
         "<div style='position:relative;height:9px;background:#ddd'>"
         f"<div style='{bar};{band};background:#9ecae1'></div>"
         f"<div style='{bar};left:{place(value):.1f}%;width:2px;background:#1f77b4'></div>"
-        f"</div></td><td style='text-align:right'>{value:.0f}° ± {std:.0f}°</td></tr>"
+        f"</div></td><td style='text-align:right'>{value:z.0f}° ± {std:.0f}°</td></tr>"
     )

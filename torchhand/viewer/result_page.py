@@ -118,7 +118,7 @@ class ResultPage:
         index = _ROOT + JOINT_DOFS.index(self.angle.value)
         if track.has_hand[row]:
             value, std = (float(np.rad2deg(array[row, index])) for array in (track.pose, track.pose_std))
-            lines.append(f"{self.angle.value}: {value:.1f}° ± {std:.1f}°")
+            lines.append(f"{self.angle.value}: {value:z.1f}° ± {std:.1f}°")
         return "\n\n".join(lines)
 
     def _show_curve(self, dof: str) -> None:

@@ -148,6 +148,7 @@ def test_the_skin_is_as_far_from_ours_as_said(clip: MotionClip, tmp_path: Path) 
         assert abs(worst - said.error) < FLOAT32
         assert (said.error < 3e-4) == has_correctives
         assert (len(said.targets) > 0) == has_correctives
+        assert bool(((said.target_weights >= 0) & (said.target_weights <= 1)).all())  # Blender clamps others
         assert said.linear_error > 2e-3
 
 

@@ -34,14 +34,14 @@ def test_what_an_earlier_run_found_comes_back_to_the_last_bit(tmp_path: Path) ->
     found = {(0, 0): _hand(1), (1, 0): None, (0, 1): _hand(2, "left"), (1, 1): _hand(3, None), (0, 2): _hand(4)}
     log = DetectionLog(path)
     for (view, frame), hand in found.items():
-        log.append(view, frame, hand)
+        log.append(view, frame, hand, number=frame)
     log.close()
     again = DetectionLog(path, keep_before=2)
     for (view, frame), hand in found.items():
         assert again.holds(view, frame) == (frame < 2)
         if frame < 2:
             assert _same(again.hand(view, frame), hand)
-    again.append(0, 2, found[0, 2])
+    again.append(0, 2, found[0, 2], number=2)
     again.close()
     assert len(path.read_text().splitlines()) == 5
 
@@ -49,8 +49,8 @@ def test_what_an_earlier_run_found_comes_back_to_the_last_bit(tmp_path: Path) ->
 def test_a_line_that_was_never_finished_is_dropped(tmp_path: Path) -> None:
     path = tmp_path / "keypoints.jsonl"
     log = DetectionLog(path)
-    log.append(0, 0, _hand(1))
-    log.append(0, 1, _hand(2))
+    log.append(0, 0, _hand(1), number=0)
+    log.append(0, 1, _hand(2), number=1)
     log.close()
     path.write_bytes(path.read_bytes()[:-20])
     again = DetectionLog(path, keep_before=9)
@@ -81,7 +81,7 @@ def test_the_arrays_are_read_like_any_file_of_keypoints(tmp_path: Path, side: Si
     log = DetectionLog(tmp_path / "keypoints.jsonl")
     found = [_hand(1, side), None, _hand(2, side)]
     for frame, hand in enumerate(found):
-        log.append(0, 5 + frame, hand)
+        log.append(0, 5 + frame, hand, number=5 + frame)
     log.close()
     save_detections(tmp_path / "keypoints.jsonl", tmp_path, 1)
     read = read_detections(tmp_path / "keypoints.npz", side=side)
@@ -103,7 +103,7 @@ def test_the_arrays_are_read_like_any_file_of_keypoints(tmp_path: Path, side: Si
 def test_each_view_has_arrays_of_its_own(tmp_path: Path) -> None:
     log = DetectionLog(tmp_path / "keypoints.jsonl")
     for view in (0, 1):
-        log.append(view, 0, _hand(1 + view) if view else None)
+        log.append(view, 0, _hand(1 + view) if view else None, number=0)
     log.close()
     save_detections(tmp_path / "keypoints.jsonl", tmp_path, 2)
     assert sorted(path.name for path in tmp_path.glob("*.npz")) == ["keypoints_0.npz", "keypoints_1.npz"]
@@ -112,3 +112,18 @@ def test_each_view_has_arrays_of_its_own(tmp_path: Path) -> None:
         assert math.isnan(nothing["score"][0])
         assert np.isnan(nothing["points_px"]).all()
     assert read_detections(tmp_path / "keypoints_1.npz", side="right").at_frame(0) is not None
+
+
+def test_arrays_are_numbered_as_the_camera_s_own_pictures(tmp_path: Path) -> None:
+    """Two frames of a recording of which a camera gave its pictures 4 and 6, and one of which it gave none."""
+    log = DetectionLog(tmp_path / "keypoints.jsonl")
+    for frame, number in enumerate((4, None, 6)):
+        log.append(0, frame, _hand(1 + frame) if number else None, number=number)
+    log.close()
+    save_detections(tmp_path / "keypoints.jsonl", tmp_path, 1)
+    found = read_detections(tmp_path / "keypoints.npz", side="right")
+    assert found.frame.tolist() == [4, 6]
+    assert _same(found.at_frame(6), _hand(3))
+    again = DetectionLog(tmp_path / "keypoints.jsonl", keep_before=3)
+    assert [again.holds(0, frame) for frame in range(4)] == [True, True, True, False]
+    again.close()

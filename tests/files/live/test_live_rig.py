@@ -95,3 +95,56 @@ def test_a_camera_whose_pictures_change_their_size_ends_with_its_reason() -> Non
 def test_no_cameras_are_refused() -> None:
     with pytest.raises(InputError, match="live: expected one camera or more, got none"):
         LiveRig([])
+
+
+class Broken(Played):
+    """The stream of a network camera, which nobody knows the length of, that breaks off after a few frames."""
+
+    def __init__(self, name: str, frames: int = COUNT) -> None:
+        super().__init__(name, frames)
+        self._frames, self.count = frames, None
+
+    def __iter__(self) -> Iterator[Frame]:
+        self.count = self._frames
+        yield from super().__iter__()
+        self.count = None
+
+
+def test_the_stream_of_a_network_camera_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once it comes back at the third try, then no more; every picture is counted, and the end is told."""
+    answers: list[FrameSource | None] = [Broken("gate", 4), None, None, Broken("gate", 6)]
+
+    def opened(address: str) -> FrameSource:
+        answer = answers.pop(0) if answers else None
+        if answer is None:
+            raise InputError(f"{address}: cannot be read (Connection refused)")
+        return answer
+
+    monkeypatch.setattr("torchhand.files.live.rig.open_source", opened)
+    monkeypatch.setattr("torchhand.files.live.rig._BETWEEN_TRIES_S", 0.01)
+    monkeypatch.setattr("torchhand.files.live.rig._TRIED_AGAIN_S", 0.2)
+    with LiveRig(["rtsp://127.0.0.1/gate"]) as rig:
+        found = list(rig)
+        [counts] = rig.counts()
+    assert counts.taken + counts.dropped == 10
+    assert counts.reconnected == 1
+    assert counts.problem is not None
+    assert counts.problem.startswith("ended at ")
+    assert all(one.images[0] is not None for one in found)
+
+
+def test_a_stream_that_is_a_file_is_not_begun_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Over HTTP, and one over RTSP that has come to the end that it promised."""
+    opened = list[str]()
+
+    def source(address: str) -> FrameSource:
+        opened.append(address)
+        return Played("clip") if address.startswith("rtsp") else Broken("clip")
+
+    monkeypatch.setattr("torchhand.files.live.rig.open_source", source)
+    for address in ("http://127.0.0.1/clip.ts", "rtsp://127.0.0.1/clip"):
+        opened.clear()
+        with LiveRig([address]) as rig:
+            list(rig)
+        assert opened == [address]
+        assert rig.counts()[0].reconnected == 0

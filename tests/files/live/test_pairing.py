@@ -26,9 +26,9 @@ def test_pictures_of_one_time_come_together_whatever_their_order() -> None:
     for frame in range(5):
         stamp_s = frame * PERIOD_S
         first, second = (0, 1) if frame % 2 else (1, 0)
-        pairing.add(first, stamp_s + 0.004 * first, picture(frame), stamp_s + 0.01)
+        pairing.add(first, stamp_s + 0.004 * first, picture(frame), stamp_s + 0.01, number=0)
         assert pairing.ready(stamp_s + 0.01) is None
-        pairing.add(second, stamp_s + 0.004 * second, picture(frame), stamp_s + 0.02)
+        pairing.add(second, stamp_s + 0.004 * second, picture(frame), stamp_s + 0.02, number=0)
         found = pairing.ready(stamp_s + 0.02)
         assert found is not None
         assert values(found) == [frame, frame]
@@ -43,9 +43,9 @@ def test_a_camera_that_stalls_is_waited_for_a_while_and_comes_back() -> None:
     seen = []
     for frame in range(12):
         stamp_s = frame * PERIOD_S
-        pairing.add(0, stamp_s, picture(frame), stamp_s)
+        pairing.add(0, stamp_s, picture(frame), stamp_s, number=0)
         if not 3 <= frame < 9:
-            pairing.add(1, stamp_s, picture(frame), stamp_s)
+            pairing.add(1, stamp_s, picture(frame), stamp_s, number=0)
         if (found := pairing.ready(stamp_s)) is not None:
             seen.append(values(found))
     # Frames 3 to 5 wait for the other camera, the newest of them goes without; those before it are dropped.
@@ -58,9 +58,9 @@ def test_a_camera_that_drops_frames_leaves_gaps_and_no_wrong_pairs() -> None:
     seen = []
     for frame in range(9):
         stamp_s = frame * PERIOD_S
-        pairing.add(0, stamp_s, picture(frame), stamp_s)
+        pairing.add(0, stamp_s, picture(frame), stamp_s, number=0)
         if frame % 3:
-            pairing.add(1, stamp_s, picture(frame), stamp_s)
+            pairing.add(1, stamp_s, picture(frame), stamp_s, number=0)
         if (found := pairing.ready(stamp_s)) is not None:
             seen.append(values(found))
     assert all(one == other for one, other in seen)
@@ -70,12 +70,12 @@ def test_a_camera_that_drops_frames_leaves_gaps_and_no_wrong_pairs() -> None:
 
 def test_a_camera_that_ends_is_not_waited_for() -> None:
     pairing = Pairing(2, LiveSettings())
-    pairing.add(0, 0.0, picture(0), 0.0)
-    pairing.add(1, 0.0, picture(0), 0.0)
+    pairing.add(0, 0.0, picture(0), 0.0, number=0)
+    pairing.add(1, 0.0, picture(0), 0.0, number=0)
     pairing.end(1)
     assert not pairing.is_over
     assert values(pairing.ready(0.0)) == [0, 0]
-    pairing.add(0, PERIOD_S, picture(1), PERIOD_S)
+    pairing.add(0, PERIOD_S, picture(1), PERIOD_S, number=0)
     assert values(pairing.ready(PERIOD_S)) == [1, None]
     pairing.end(0)
     assert pairing.is_over
@@ -85,12 +85,12 @@ def test_who_is_slow_gets_the_newest_and_the_rest_is_counted() -> None:
     pairing = Pairing(2, LiveSettings())
     for frame in range(10):
         for camera in range(2):
-            pairing.add(camera, frame * PERIOD_S, picture(frame), frame * PERIOD_S)
+            pairing.add(camera, frame * PERIOD_S, picture(frame), frame * PERIOD_S, number=0)
     found = pairing.ready(0.5)
     assert found is not None
     assert values(found) == [9, 9]
     assert pairing.dropped == [9, 9]
-    pairing.add(0, 8 * PERIOD_S, picture(8), 0.6)  # older than what was handed out
+    pairing.add(0, 8 * PERIOD_S, picture(8), 0.6, number=0)  # older than what was handed out
     assert pairing.ready(0.6) is None
     assert pairing.dropped == [10, 9]
 
@@ -103,7 +103,7 @@ def test_times_only_advance_and_every_picture_is_told_of(generator: torch.Genera
             if float(torch.rand((), generator=generator)) < 0.2:
                 continue
             stamp_s = frame * PERIOD_S + jitter_s * float(torch.rand((), generator=generator))
-            pairing.add(camera, stamp_s, picture(frame % 256), (frame + 1) * PERIOD_S)
+            pairing.add(camera, stamp_s, picture(frame % 256), (frame + 1) * PERIOD_S, number=0)
             given[camera] += 1
             found = pairing.ready((frame + 1) * PERIOD_S)
             if found is not None:
@@ -139,7 +139,7 @@ def test_what_waits_is_passed_in_steps_until_the_newest_is_reached() -> None:
     def pass_time(until_s: float) -> None:
         nonlocal now_s, clock
         while clock / 30 <= until_s:
-            pairing.add(0, clock / 30, torch.zeros(3, 4, 3, dtype=torch.uint8), clock / 30)
+            pairing.add(0, clock / 30, torch.zeros(3, 4, 3, dtype=torch.uint8), clock / 30, number=0)
             clock += 1
         now_s = until_s
 
@@ -165,7 +165,7 @@ def test_what_waits_does_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(pairing_file, "_KEPT_BYTES", 36 * 10)
     pairing = Pairing(1, LiveSettings(), keeps=True)
     for index in range(50):
-        pairing.add(0, index / 30, torch.zeros(3, 4, 3, dtype=torch.uint8), index / 30)
+        pairing.add(0, index / 30, torch.zeros(3, 4, 3, dtype=torch.uint8), index / 30, number=0)
     assert pairing.dropped[0] == 40
     pairing.step_s = 0.2
     taken = [found.time_s for _ in range(12) if (found := pairing.ready(2.0)) is not None]

@@ -138,13 +138,86 @@ def test_offsets(as_video: bool, record: Callable[..., Path], make_video: Callab
     assert numbers(frames) == [[i + 1, i + 3, i] for i in range(5)]
 
 
+@pytest.fixture
+def timed(make_clip: Callable[..., Path], picture: Picture) -> Callable[..., None]:
+    """timed("cam0.mp4", times) writes a video of numbered pictures that are shown at these times."""
+
+    def make(name: str, times_s: list[float]) -> None:
+        pictures = [np.ascontiguousarray(picture(index)[..., ::-1]) for index in range(len(times_s))]
+        make_clip(name, pictures, times_s=times_s)
+
+    return make
+
+
+def test_videos_of_two_rates_belong_together_by_their_times(timed: Callable[..., None], tmp_path: Path) -> None:
+    """20 and 59 frames a second: every frame of the slow one with the nearest of the fast one, at its own time."""
+    slow, fast = [0.05 * i for i in range(8)], [0.017 * i for i in range(22)]
+    timed("cam0.mp4", fast)
+    timed("cam1.mp4", slow)
+    source = open_rig(tmp_path, cameras(2))
+    assert (source.count, source.fps) == (8, pytest.approx(20.0))
+    assert source.warnings == [
+        "pictures are paired by their times (cam0 58.8235, cam1 20 per second): 8 frames, up to 7 ms apart"
+    ]
+    frames = read(source)
+    nearest = [min(range(22), key=lambda i, at=at: abs(fast[i] - at)) for at in slow]
+    assert numbers(frames) == [[fast_one, slow_one] for slow_one, fast_one in enumerate(nearest)]
+    assert [frame.numbers for frame in frames] == [(fast_one, i) for i, fast_one in enumerate(nearest)]
+    assert np.abs(np.array([frame.time_s for frame in frames]) - slow).max() < 1e-9
+    later = read(open_rig(tmp_path, cameras(2), start=3, max_frames=2))
+    assert numbers(later) == numbers(frames)[3:5]
+    assert [frame.time_s for frame in later] == [frame.time_s for frame in frames[3:5]]
+    with pytest.raises(InputError, match=r"start 8 lies after the last frame \(7\)"):
+        open_rig(tmp_path, cameras(2), start=8)
+
+
+def test_dropped_pictures_of_a_video_leave_holes(timed: Callable[..., None], tmp_path: Path) -> None:
+    """One of two cameras of 25 frames a second has dropped three: the others are still with those of their time."""
+    times = [0.04 * i for i in range(20)]
+    timed("cam0.mp4", times)
+    timed("cam1.mp4", [at for i, at in enumerate(times) if i not in (9, 10, 11)])
+    frames = read(open_rig(tmp_path, cameras(2)))
+    expected = [[i, i if i < 9 else None if i < 12 else i - 3] for i in range(20)]
+    assert numbers(frames) == expected
+    assert "cam1: no picture of this time" in (frames[9].problems[1] or "")
+    assert np.abs(np.array([frame.time_s for frame in frames]) - times).max() < 1e-9
+
+
+def test_videos_of_one_rate_belong_together_by_place(make_video: Callable[..., Path], tmp_path: Path) -> None:
+    for i in range(2):
+        make_video(f"cam{i}.mp4", 6)
+    source = open_rig(tmp_path, cameras(2))
+    assert source.warnings == []
+    frames = read(source)
+    assert [frame.time_s for frame in frames] == [i / 25.0 for i in range(6)]
+    assert [frame.numbers for frame in frames] == [(i, i) for i in range(6)]
+
+
+def test_offsets_in_seconds(make_video: Callable[..., Path], record: Callable[..., Path], tmp_path: Path) -> None:
+    """A tenth of a second at 25 frames a second is two and a half: paired by time, half a frame apart."""
+    for i in range(3):
+        make_video(f"cam{i}.mp4", 8)
+    frames = read(open_rig(tmp_path, cameras(), offsets=offsets_of(["cam1=0.08s", "cam2=-.04s"])))
+    assert numbers(frames) == [[i + 1, i + 3, i] for i in range(5)]
+    assert frames[0].time_s == 0
+    assert frames[4].time_s == pytest.approx(0.16)
+    with pytest.raises(InputError, match="the cameras' times have nothing in common; expected fewer frames or seconds"):
+        open_rig(tmp_path, cameras(), offsets={"cam1": 7.0})
+    folders = record(range(8), range(8))
+    with pytest.raises(InputError, match="expected seconds for videos, all of which tell their times"):
+        open_rig(folders, cameras(2), offsets={"cam1": 0.5})
+
+
 def test_wrong_offsets(record: Callable[..., Path]) -> None:
     folder = record(range(3), range(3))
     with pytest.raises(InputError, match=r"'cam11' is no camera \(did you mean cam1\?\); allowed: cam0, cam1"):
         open_rig(folder, cameras(2), offsets={"cam11": 1})
     assert offsets_of(["cam1=-3", "a=b=2"]) == {"cam1": -3, "a=b": 2}
-    for text in ("cam1", "cam1=x", "=3"):
-        with pytest.raises(InputError, match="expected NAME=FRAMES"):
+    seconds = offsets_of(["cam1=-0.5s", "cam2=2s", "cam3=.25s"])
+    assert seconds == {"cam1": -0.5, "cam2": 2.0, "cam3": 0.25}
+    assert all(isinstance(value, float) for value in seconds.values())
+    for text in ("cam1", "cam1=x", "=3", "cam1=0.5", "cam1=s", "cam1=nans"):
+        with pytest.raises(InputError, match=r"expected NAME=FRAMES such as cam1=-3, or seconds as cam1=0\.12s"):
             offsets_of([text])
 
 

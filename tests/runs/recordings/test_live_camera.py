@@ -56,6 +56,31 @@ def test_pictures_that_came_while_one_was_looked_at_are_passed_in_steps(pictures
     assert times_s[-1] == pytest.approx((FRAMES - 1) / 30)
 
 
+def test_a_search_does_not_make_the_steps_longer(pictures: Path) -> None:
+    """Of two frames, one after the other took long: the pictures after it are as near to one another as ever."""
+    recording = LiveCamera(pictures, None)
+    times_s = []
+    with recording.opened(0) as frames:
+        for frame in frames:
+            times_s.append(frame.time_s)
+            recording.keep_up(is_followed=True)
+            begun_s = recording.now_s()
+            while len(times_s) <= 2 and recording.now_s() < begun_s + 0.4:
+                time.sleep(0.01)
+    assert max(later - earlier for earlier, later in itertools.pairwise(times_s)) <= 0.15
+
+
+def test_frames_have_the_numbers_of_their_pictures(pictures: Path) -> None:
+    recording = LiveCamera(pictures, None, max_frames=2)
+    with recording.opened(0) as frames:
+        next(frames)
+        time.sleep(0.3)
+        frame = next(frames)
+    image = frame.views[0].image
+    assert image is not None
+    assert frame.number(0) == int(image[0, 0, 0]) // 8 > frame.index
+
+
 def test_a_camera_that_is_not_the_one_of_the_pictures(pictures: Path, tmp_path: Path) -> None:
     (tmp_path / "cameras.json").write_text("[]")
     with pytest.raises(InputError, match=r"cameras.json"):

@@ -12,12 +12,16 @@ from torchhand.errors import InputError
 from torchhand.export import PoseStreamReader, StreamSettings, clip_of_stream
 from torchhand.files import FrameRecord, load_hand_model
 from torchhand.hand import DOFS
-from torchhand.runs.streams.pose_file import opened_pose_files
+from torchhand.runs.streams.pose_file import PoseRate, opened_pose_files
 from torchhand.runs.streams.senders import check_streams
 
 MODEL = load_hand_model()
 SHAPE = MODEL.shape_space.default.double()
 BOUND = np.array([0.55 * StreamSettings().step_of(dof) for dof in DOFS]) + 1e-12
+
+
+def _unsaid(line: str) -> None:
+    raise AssertionError(line)
 
 
 def _frame(frame: int, time_s: float | None) -> FrameRecord:
@@ -30,7 +34,10 @@ def _lost(frame: int, time_s: float) -> FrameRecord:
 
 def test_each_frame_can_be_read_before_the_next_is_taken(tmp_path: Path) -> None:
     path, reader = tmp_path / "a.thp", PoseStreamReader(MODEL)
-    with opened_pose_files(["jsonl", str(path)], side="left", fps=25.0) as [file], path.open("rb") as following:
+    with (
+        opened_pose_files(["jsonl", str(path)], PoseRate(25.0), "left", _unsaid) as [file],
+        path.open("rb") as following,
+    ):
         for number in range(3):  # no hand yet
             file.take(_lost(number, number / 25), SHAPE)
             assert len(reader.feed(following.read())[0]) == 0
@@ -51,7 +58,7 @@ def test_lost_and_dropped_frames_are_held_and_crowded_ones_left_out(tmp_path: Pa
     """At 10 frames a second: a lost one, two times that no frame has, and two frames for one time."""
     path = tmp_path / "a.thp"
     frames = [_frame(0, 5.0), _lost(1, 5.1), _frame(2, 5.41), _frame(3, 5.43), _frame(4, 5.48)]
-    with opened_pose_files([str(path)], side="right", fps=10.0) as [file]:
+    with opened_pose_files([str(path)], PoseRate(10.0), "right", _unsaid) as [file]:
         for frame in frames:
             file.take(frame, SHAPE)
     clip = clip_of_stream(path, MODEL)
@@ -59,6 +66,23 @@ def test_lost_and_dropped_frames_are_held_and_crowded_ones_left_out(tmp_path: Pa
     assert torch.equal(clip.poses[1:4], clip.poses[:1].expand(3, -1))
     for place, own in ((0, frames[0]), (4, frames[2]), (5, frames[4])):
         assert (np.abs(clip.poses[place].numpy() - own.pose) <= BOUND).all()
+
+
+def test_a_pause_is_held_for_so_long_at_most_and_told(tmp_path: Path) -> None:
+    """An hour without pictures at 10 frames a second: two seconds of held poses, and the line that tells it; a gap of
+    two seconds is as long as it was."""
+    path, said = tmp_path / "a.thp", list[str]()
+    frames = [_frame(0, 0.0), _frame(1, 2.0), _frame(2, 3602.0), _frame(3, 3602.1)]
+    with opened_pose_files([str(path)], PoseRate(10.0, 2.0), "right", said.append) as [file]:
+        for frame in frames:
+            file.take(frame, SHAPE)
+    clip = clip_of_stream(path, MODEL)
+    assert clip.held == (*range(1, 20), *range(21, 40))
+    for place, own in zip((0, 20, 40, 41), frames, strict=True):
+        assert (np.abs(clip.poses[place].numpy() - own.pose) <= BOUND).all()
+    [line] = said
+    assert "3600.0 s without pictures before frame 2 last 2 s there (--max-gap-s)" in line
+    assert line.endswith("what follows comes 3598.0 s early")
 
 
 def test_files_that_cannot_be_made_are_refused(tmp_path: Path) -> None:
@@ -74,6 +98,6 @@ def test_files_that_cannot_be_made_are_refused(tmp_path: Path) -> None:
         check_streams([str(tmp_path / "nowhere" / "a.thp")])
     with (
         pytest.raises(InputError, match="cannot be written"),
-        opened_pose_files([str(tmp_path / "nowhere" / "a.thp")], side="left", fps=25.0),
+        opened_pose_files([str(tmp_path / "nowhere" / "a.thp")], PoseRate(25.0), "left", _unsaid),
     ):
         pass

@@ -4,12 +4,13 @@ import pytest
 import torch
 
 from torchhand.fit.hull import HullShapeSettings, HullStartSettings
+from torchhand.geometry import Rig
 from torchhand.hand import HandPose
 from torchhand.track.multiview.fitting import FrameFitter
 from torchhand.track.multiview.hand_initialization import evenly_spaced_frames, initialize_hand
 from torchhand.track.multiview.initialization import climbed
 from torchhand.track.multiview.proposer import HandProposer
-from torchhand.track.multiview.scale import in_unit, resized_pose, resized_shape, rough_units, size_factor
+from torchhand.track.multiview.scale import resized_pose, resized_shape, rough_units, size_factor
 from torchhand.track.multiview.settings import RigSettings
 from torchhand.track.scene import Scene, View
 
@@ -96,7 +97,7 @@ def test_no_hand_is_found_where_there_is_none(rig_hand, rig, pose_at, masks_of):
 
 
 def test_rough_units_hold_the_true_one(rig, pose_at, masks_of):
-    unknown = in_unit(rig, 1 / 0.0254)  # as if in inches
+    unknown = Rig(rig).scaled(1 / 0.0254)  # as if in inches
     empty = [torch.zeros_like(mask) for mask in masks_of(pose_at())]
     for postures in (("open",), ("fist", "open"), ("fist",)):
         frames = [(i, masks_of(pose_at(name))) for i, name in enumerate(postures)]

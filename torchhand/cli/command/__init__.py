@@ -1,7 +1,7 @@
 """What every command shares: reading its arguments, and turning the user's mistakes into one line and exit code 2."""
 
 from torchhand.cli.command.arguments import OnDevice, one_address, parse, print_help, threads, whole_record
-from torchhand.cli.command.guard import DONE, STOPPED_BY_USER, WRONG_INPUT, command
+from torchhand.cli.command.guard import DONE, STOPPED_BY_USER, WRONG_INPUT, command, reader_went_away
 from torchhand.cli.command.records import arguments_of, has_settings
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "one_address",
     "parse",
     "print_help",
+    "reader_went_away",
     "threads",
     "whole_record",
 ]

@@ -46,10 +46,7 @@ def command(main: Callable[Parameters, int]) -> Callable[Parameters, int]:
             print(f"{name}: error: {_one_line(str(error))}", file=sys.stderr)
             return DISK_REFUSES if isinstance(error, DiskError) else WRONG_INPUT
         except BrokenPipeError:
-            # The interpreter flushes stdout once more at exit; give it a place that takes everything.
-            with contextlib.suppress(OSError, ValueError):
-                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return READER_WENT_AWAY
+            return reader_went_away()
         except OSError as error:
             print(f"{name}: error: {_one_line(_os_error_text(error))}", file=sys.stderr)
             return DISK_REFUSES if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO) else WRONG_INPUT
@@ -60,6 +57,16 @@ def command(main: Callable[Parameters, int]) -> Callable[Parameters, int]:
             return stop.code if isinstance(stop.code, int) else DONE
 
     return guarded
+
+
+def reader_went_away() -> int:
+    """The exit code when nobody reads standard output any more, which from here on takes everything.
+
+    The interpreter flushes it once more at exit.
+    """
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return READER_WENT_AWAY
 
 
 def _os_error_text(error: OSError) -> str:

@@ -23,6 +23,11 @@ hand, back of the hand to y)."""
 _FRAMES_AT_ONCE = 64
 _STEADY = 0.05
 """Share of an interval by which times may be off those of the rate."""
+MAX_GAP_S = 10.0
+"""A still hand for so long tells that it is lost; more of it is as long a file for nothing."""
+_LARGEST_GAP_S = 86_400.0
+MISSING = "missing"
+"""Status of a frame whose number the track leaves out: it repeats the pose before it."""
 
 _Y_UP_FROM = {
     "y": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
@@ -69,6 +74,9 @@ class MotionClip:
     """What a user should know of how the clip came about, such as what was lost when another format was read."""
     axes: Axes | None = None
     """Frame that is asked of exports; each format's usual one where it is None."""
+    max_gap_s: float = MAX_GAP_S
+    """Longest time between two frames that formats of one rate keep, seconds, above 0, a day at most: longer gaps, in
+    which nothing was tracked, become so long."""
 
     def __post_init__(self) -> None:
         if self.names != DOFS:
@@ -92,6 +100,7 @@ class MotionClip:
             raise ValueError("time_s: expected increasing times, got others")
         if self.status and len(self.status) != len(self.poses):
             raise ValueError(f"status: expected {len(self.poses)}, one per pose, got {len(self.status)}")
+        check_max_gap(self.max_gap_s)
         self.model.shape_space.check(self.shape)
 
     def __len__(self) -> int:
@@ -162,8 +171,10 @@ class MotionClip:
         """The same motion at its rate throughout, for formats that know no times: in between poses are interpolated.
 
         Itself where its times are those of the rate; else frames are numbered by the rate, and a frame is held where
-        the nearest one that was taken is.
+        the nearest one that was taken is. Gaps longer than `max_gap_s` become so long (`gap_notes`).
         """
+        if self._gaps().numel():
+            return self._without_long_gaps().at_constant_rate()
         seconds = self.seconds
         grid = torch.arange(round(float(seconds[-1]) * self.fps) + 1, dtype=torch.float64) / self.fps
         if len(grid) == len(seconds) and float((grid - seconds).abs().max()) * self.fps < _STEADY:
@@ -188,7 +199,43 @@ class MotionClip:
             name=self.name,
             up=self.up,
             axes=self.axes,
+            max_gap_s=self.max_gap_s,
         )
+
+    def gap_notes(self) -> list[str]:
+        """One line where `at_constant_rate` shortens gaps, else none."""
+        gaps = self._gaps()
+        if not gaps.numel():
+            return []
+        early = float((gaps - self._longest_gap_s).sum())
+        return [
+            f"{len(gaps)} gap(s) without frames, {float(gaps.max()):.1f} s the longest, last {self.max_gap_s:g} s here"
+            f" (--max-gap-s): what follows comes up to {early:.1f} s early"
+        ]
+
+    def _taken(self) -> Tensor:
+        """Places of the frames that the track has, with a hand or without."""
+        places = [place for place in range(len(self)) if self.status[place : place + 1] != (MISSING,)]
+        return torch.tensor(places, dtype=torch.int64)
+
+    @property
+    def _longest_gap_s(self) -> float:
+        """One frame of the rate at least."""
+        return max(self.max_gap_s, 1 / self.fps)
+
+    def _gaps(self) -> Float64[Tensor, "gaps"]:
+        """Times between frames of the track that are too long."""
+        lengths = self.seconds[self._taken()].diff()
+        return lengths[lengths > self._longest_gap_s + _STEADY / self.fps]
+
+    def _without_long_gaps(self) -> "MotionClip":
+        """The clip with its long gaps shortened; of what is held in them, their beginning stays."""
+        taken, seconds = self._taken(), self.seconds
+        excess = (seconds[taken].diff() - self._longest_gap_s).clamp(min=0.0)
+        early = torch.cat((excess.new_zeros(1), excess.cumsum(0)))
+        before = torch.searchsorted(taken, torch.arange(len(self)), right=True) - 1
+        kept = (seconds - seconds[taken[before]] < self._longest_gap_s - 0.5 / self.fps).nonzero().squeeze(-1)
+        return replace(self._at(kept.tolist()), time_s=tuple((seconds - early[before])[kept].tolist()))
 
     def _turned_cov(self, turn: Tensor) -> Tensor | None:
         if self.keypoints_cov is None:
@@ -201,19 +248,29 @@ class MotionClip:
         if frame not in self.frame:
             allowed = f"{self.frame[0]} to {self.frame[-1]}"
             raise ValueError(f"frame: expected the number of a frame in the clip, {allowed}, got {frame}")
-        place = self.frame.index(frame)
-        rows = slice(place, place + 1)
+        return self._at([self.frame.index(frame)])
+
+    def _at(self, places: list[int]) -> "MotionClip":
+        """The clip of the frames at these places."""
+        frames = tuple(self.frame[place] for place in places)
+        held = set(self.held)
         return replace(
             self,
-            poses=self.poses[rows],
-            frame=(frame,),
-            time_s=self.time_s[rows],
-            keypoints_cov=None if self.keypoints_cov is None else self.keypoints_cov[rows],
-            held=tuple({frame} & set(self.held)),
-            pose_std=None if self.pose_std is None else self.pose_std[rows],
-            finger_quality=None if self.finger_quality is None else self.finger_quality[rows],
-            status=self.status[rows],
+            poses=self.poses[places],
+            frame=frames,
+            time_s=tuple(self.time_s[place] for place in places) if self.time_s else (),
+            keypoints_cov=None if self.keypoints_cov is None else self.keypoints_cov[places],
+            held=tuple(number for number in frames if number in held),
+            pose_std=None if self.pose_std is None else self.pose_std[places],
+            finger_quality=None if self.finger_quality is None else self.finger_quality[places],
+            status=tuple(self.status[place] for place in places) if self.status else (),
         )
+
+
+def check_max_gap(seconds: float, name: str = "max_gap_s") -> None:
+    """Raise ValueError where this cannot be a clip's `max_gap_s`. name: what the error calls it."""
+    if not 0 < seconds <= _LARGEST_GAP_S:
+        raise ValueError(f"{name}: expected more than 0, {_LARGEST_GAP_S:g} (a day) at most, got {seconds:g}")
 
 
 def rest_clip(

@@ -2,7 +2,8 @@
 
 Our skin is blended linearly, and then pose correctives are added in the frames of single bones. Morph targets are added
 before the blending instead. What they would have to be, frame by frame, is the missing offset turned back by the
-blended matrices; its principal components over a clip serve as targets, as many as hold the error below a bound.
+blended matrices; its principal components over a clip serve as targets, as many as hold the error below a bound. Each
+stands once for either sign: Blender clamps weights to the range from 0 to 1, and others do.
 """
 
 from dataclasses import dataclass
@@ -15,10 +16,13 @@ from torchhand.export.clip import MotionClip
 from torchhand.hand import HandFrames
 
 MAX_TARGETS = 64
+"""Principal components; one that is needed to both sides makes two targets."""
 ERROR_BOUND = 1e-4
 """Metres, at every vertex of the frames that the targets are made of."""
 _FRAMES_FOR_TARGETS = 512
 _FRAMES_AT_ONCE = 32
+_NEGLIGIBLE = 1e-6
+"""Metres by which a target moves a vertex at most that is left out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +36,7 @@ class LinearSkin:
     weights: Float64[Tensor, "vertices 20"]
     targets: Float64[Tensor, "targets vertices 3"]
     target_weights: Float64[Tensor, "frames targets"]
+    """Between 0 and 1."""
     error: float
     """Largest distance of a vertex from our own skin over all frames of the clip, metres."""
     linear_error: float
@@ -61,13 +66,13 @@ def linear_skin(clip: MotionClip, *, max_targets: int = MAX_TARGETS, bound: floa
         error = max(error, _largest(blended @ rest[..., None]))
         linear_error = max(linear_error, _largest(blended @ residual.unflatten(1, (-1, 3))[..., None]))
         found.append(fraction)
-    scale = targets.abs().amax(1, keepdim=True) if len(targets) else targets.new_ones(0, 1)
+    targets, target_weights = _one_sided(targets, torch.cat(found))
     return LinearSkin(
         vertices=vertices,
         bind=at_bind.frames,
         weights=weights,
-        targets=(targets / scale * 1e-2).unflatten(1, (-1, 3)),
-        target_weights=torch.cat(found) * scale.T * 1e2,
+        targets=targets.unflatten(1, (-1, 3)),
+        target_weights=target_weights,
         error=error,
         linear_error=linear_error,
     )
@@ -102,6 +107,16 @@ def _targets(residual: Float64[Tensor, "n m"], bound: float, max_targets: int) -
         if float(_norms(left).max()) <= bound:
             return directions[:count]
     return directions[:max_targets]
+
+
+def _one_sided(
+    targets: Float64[Tensor, "n m"], weights: Float64[Tensor, "frames n"]
+) -> tuple[Float64[Tensor, "targets m"], Float64[Tensor, "frames targets"]]:
+    """The same sums with weights from 0 to 1, to which players clamp them: a target for either sign that is used."""
+    both, sides = torch.cat((targets, -targets)), torch.cat((weights, -weights), 1).clamp(min=0)
+    both = both * sides.amax(0)[:, None]
+    used = (both.abs().amax(1) > _NEGLIGIBLE).nonzero().squeeze(-1) if len(both) else both.new_zeros(0).long()
+    return both[used], (sides / sides.amax(0).clamp(min=1e-12))[:, used]
 
 
 def _norms(flat: Tensor) -> Tensor:

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,10 +26,10 @@ class DetectionLog:
         self._earlier: dict[tuple[int, int], HandDetection | None] = {}
         size = 0
         if keep_before and path.exists():
-            for place, hand, end in _lines(path):
-                if place[1] >= keep_before:
+            for line in _lines(path):
+                if line.place[1] >= keep_before:
                     break
-                self._earlier[place], size = hand, end
+                self._earlier[line.place], size = line.hand, line.end
         self._lines = LineFile(path, size=size)
 
     def holds(self, view: int, frame: int) -> bool:
@@ -42,11 +42,13 @@ class DetectionLog:
 
     def recall(self) -> None:
         """Hold all that this run has found too."""
-        self._earlier |= {place: hand for place, hand, _ in _lines(self._lines.path)}
+        self._earlier |= {line.place: line.hand for line in _lines(self._lines.path)}
 
-    def append(self, view: int, frame: int, hand: HandDetection | None) -> None:
-        """Add a frame of a view."""
+    def append(self, view: int, frame: int, hand: HandDetection | None, *, number: int | None) -> None:
+        """Add a frame of a view. number: of its picture among the camera's own; None where it has none."""
         content: dict[str, Any] = {"view": view, "frame": frame}
+        if number != frame:
+            content["number"] = number
         if hand is not None and hand.picture is not None:
             content |= {"label": _LABELS[hand.label], "score": _number(hand.score)}
             content["points_px"] = [[_number(x) for x in point] for point in hand.picture[:, :2]]
@@ -60,11 +62,12 @@ class DetectionLog:
 
 def save_detections(log: Path, folder: Path, views: int) -> None:
     """Write what a log holds as arrays that `read_detections` reads: keypoints.npz, or of several views one file each,
-    keypoints_0.npz and so on. A view in which nothing was ever found gets its file too."""
+    keypoints_0.npz and so on, numbered as the camera's own pictures. A view in which nothing was ever found gets its
+    file too."""
     rows: list[dict[int, HandDetection | None]] = [{} for _ in range(views)]
-    for (view, frame), hand, _ in _lines(log):
-        if view < views:
-            rows[view][frame] = hand
+    for line in _lines(log):
+        if line.place[0] < views and line.number is not None:
+            rows[line.place[0]][line.number] = line.hand
     for view, found in enumerate(rows):
         hands = [found[frame] for frame in sorted(found)]
         arrays = {
@@ -79,8 +82,19 @@ def save_detections(log: Path, folder: Path, views: int) -> None:
             np.savez(file, **arrays)  # pyright: ignore[reportArgumentType] - the stub lacks keyword arrays
 
 
-def _lines(path: Path) -> Iterator[tuple[tuple[int, int], HandDetection | None, int]]:
-    """View and frame, what was found there, and the offset of the line's end."""
+class _Line(NamedTuple):
+    """What was found at one place."""
+
+    place: tuple[int, int]
+    """View and frame."""
+    number: int | None
+    """Of the picture among its camera's own."""
+    hand: HandDetection | None
+    end: int
+    """Offset of the line's end in the file."""
+
+
+def _lines(path: Path) -> Iterator[_Line]:
     sides: dict[str, Side | None] = {label: side for side, label in _LABELS.items()}
     for content, end in read_lines(path):
         try:
@@ -93,7 +107,9 @@ def _lines(path: Path) -> Iterator[tuple[tuple[int, int], HandDetection | None, 
                     label=sides[content["label"]],
                     score=float("nan") if content["score"] is None else float(content["score"]),
                 )
-            yield (int(content["view"]), int(content["frame"])), hand, end
+            place = int(content["view"]), int(content["frame"])
+            number = content.get("number", place[1])
+            yield _Line(place, None if number is None else int(number), hand, end)
         except (KeyError, TypeError, ValueError) as error:
             told = f"{type(error).__name__}: {error}"
             raise InputError(f"{path}: holds no detections that can be read ({told})") from error

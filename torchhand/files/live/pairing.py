@@ -2,6 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from jaxtyping import UInt8
 from torch import Tensor
@@ -36,6 +37,16 @@ class LivePictures:
     """Since the start, the earliest time stamp among them; later ones are later."""
     images: tuple[UInt8[Tensor, "height width 3"] | None, ...]
     """RGB, one per camera; None where a camera has none of that time."""
+    numbers: tuple[int | None, ...]
+    """Number of each picture in its source, counted from 0; None where a camera has none of that time."""
+
+
+class _Taken(NamedTuple):
+    """A picture that waits."""
+
+    stamp_s: float
+    number: int
+    image: UInt8[Tensor, "height width 3"]
 
 
 class Pairing:
@@ -51,7 +62,7 @@ class Pairing:
         self.step_s: float | None = None
         """How far the next set is after the last one at most, where there are pictures between them; None: any."""
         self.taken, self.dropped = [0] * cameras, [0] * cameras
-        self._waiting: list[deque[tuple[float, Tensor]]] = [deque() for _ in range(cameras)]
+        self._waiting: list[deque[_Taken]] = [deque() for _ in range(cameras)]
         self._heard_s = [0.0] * cameras  # when a camera last delivered
         self._has_ended = [False] * cameras
         self._last_s = -float("inf")  # latest time stamp that was handed out or passed over
@@ -61,20 +72,23 @@ class Pairing:
         """Whether all cameras have ended and all of their pictures are handed out."""
         return all(self._has_ended) and not any(self._waiting)
 
-    def add(self, camera: int, stamp_s: float, image: UInt8[Tensor, "height width 3"], now_s: float) -> None:
-        """A picture with its time stamp, in the order in which a camera takes them; times since the start."""
+    def add(
+        self, camera: int, stamp_s: float, image: UInt8[Tensor, "height width 3"], now_s: float, *, number: int
+    ) -> None:
+        """A picture with its time stamp and its number in the source, in the order in which a camera takes them; times
+        since the start."""
         self._heard_s[camera] = now_s
         if stamp_s <= self._last_s:
             self.dropped[camera] += 1
             return
         waiting = self._waiting[camera]
-        waiting.append((stamp_s, image))
+        waiting.append(_Taken(stamp_s, number, image))
         if not self._keeps:
             while len(waiting) > _KEPT:
                 waiting.popleft()
                 self.dropped[camera] += 1
         elif len(waiting) > max(_KEPT, _KEPT_BYTES // image.numel()):
-            del waiting[_spared([stamp for stamp, _ in waiting])]
+            del waiting[_spared([one.stamp_s for one in waiting])]
             self.dropped[camera] += 1
 
     def end(self, camera: int) -> None:
@@ -83,40 +97,41 @@ class Pairing:
 
     def ready(self, now_s: float) -> LivePictures | None:
         """The newest set; None where pictures are to be waited for."""
-        newest_s = [own[-1][0] for own in self._waiting if own]
+        newest_s = [own[-1].stamp_s for own in self._waiting if own]
         is_missing = any(self._is_awake(camera, now_s) and not own for camera, own in enumerate(self._waiting))
         if not newest_s or is_missing:
             return None
         common_s = self._within_step(min(newest_s))
         chosen = [self._chosen(camera, common_s) for camera in range(len(self._waiting))]
-        stamps = [one[0] for one in chosen if one is not None]
+        stamps = [one.stamp_s for one in chosen if one is not None]
         self._last_s = max(stamps)
         for camera, own in enumerate(self._waiting):
-            while own and own[0][0] <= self._last_s:
+            while own and own[0].stamp_s <= self._last_s:
                 own.popleft()
                 self.dropped[camera] += 1
         return LivePictures(
             time_s=min(stamps),
-            images=tuple(None if one is None else one[1] for one in chosen),
+            images=tuple(None if one is None else one.image for one in chosen),
+            numbers=tuple(None if one is None else one.number for one in chosen),
         )
 
     def _within_step(self, newest_s: float) -> float:
         """The latest time that is not too far from the last one; the next one there is, where all are."""
         if self.step_s is None or newest_s <= (end_s := self._last_s + self.step_s):
             return newest_s
-        times = [stamp_s for stamp_s, _ in min((own for own in self._waiting if own), key=lambda own: own[-1][0])]
+        times = [one.stamp_s for one in min((own for own in self._waiting if own), key=lambda own: own[-1].stamp_s)]
         return max((stamp_s for stamp_s in times if stamp_s <= end_s), default=times[0])
 
     def _is_awake(self, camera: int, now_s: float) -> bool:
         return not self._has_ended[camera] and now_s - self._heard_s[camera] <= self.settings.patience_s
 
-    def _chosen(self, camera: int, common_s: float) -> tuple[float, Tensor] | None:
+    def _chosen(self, camera: int, common_s: float) -> _Taken | None:
         """A camera's picture nearest to a time, taken out; those before it are dropped."""
         own = self._waiting[camera]
-        near = [one for one in own if abs(one[0] - common_s) <= self.settings.tolerance_s]
+        near = [one for one in own if abs(one.stamp_s - common_s) <= self.settings.tolerance_s]
         if not near:
             return None
-        best = min(near, key=lambda one: abs(one[0] - common_s))
+        best = min(near, key=lambda one: abs(one.stamp_s - common_s))
         while own.popleft() is not best:
             self.dropped[camera] += 1
         self.taken[camera] += 1

@@ -6,7 +6,7 @@ from torchhand.files.pictures.frames import is_stream, is_webcam, open_source, s
 from torchhand.files.pictures.identity import file_identity, input_identity
 from torchhand.files.pictures.limits import MAX_MEGAPIXELS, pixel_limit, size_problem
 from torchhand.files.pictures.pictures import PICTURE_SUFFIXES, PictureSource, natural_key, read_picture
-from torchhand.files.pictures.video import VIDEO_SUFFIXES
+from torchhand.files.pictures.video import VIDEO_SUFFIXES, video_times
 from torchhand.files.pictures.video_writer import VideoWriter, write_video
 
 __all__ = [
@@ -30,5 +30,6 @@ __all__ = [
     "sequences_of",
     "shown_address",
     "size_problem",
+    "video_times",
     "write_video",
 ]

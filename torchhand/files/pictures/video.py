@@ -1,5 +1,6 @@
 """Video files, addresses of streams and standard input, read in order by FFmpeg and never by seeking."""
 
+import contextlib
 import enum
 from collections import deque
 from collections.abc import Iterator
@@ -53,10 +54,8 @@ class VideoSource(FrameSource):
         self._what = "standard input" if place == STANDARD_INPUT else shown_address(str(place))
         self._frames, self._used = frames, False
         self._container, self._stream = open_container(place)
-        rate = float(self._stream.average_rate or self._stream.guessed_rate or 0)
-        is_credible = 0 < rate <= _LARGEST_FPS
-        self.fps = rate if is_credible else ASSUMED_FPS
-        self._clock = _Clock(float(self._stream.time_base or 0) if is_credible else 0.0, 1 / self.fps)
+        self.fps, unit_s = _rate_and_unit(self._stream)
+        self._clock = _Clock(unit_s, 1 / self.fps)
         self._promised = _promised(self._container, self._stream, self.fps)
         self.count = frames.within(self._promised)
         self._network_problem: str | None = None
@@ -175,6 +174,33 @@ class _Clock:
         if self._first is None:  # after frames without a time
             self._first = pts - round(self._count * self._step_s / self._unit_s)
         return (pts - self._first) * self._unit_s
+
+
+def video_times(path: Path) -> list[float] | None:
+    """When each frame of a file is shown, seconds since the first, as `VideoSource` tells them; nothing is decoded.
+
+    None where the container does not tell. Raises InputError where it is no video.
+    """
+    from av.error import FFmpegError
+
+    container, stream = open_container(path)
+    with container:
+        fps, unit_s = _rate_and_unit(stream)
+        stamps: list[int | None] = []
+        with contextlib.suppress(FFmpegError):  # what follows is not there
+            stamps += [packet.pts for packet in container.demux(stream) if packet.size and not packet.is_discard]
+    known = sorted(stamp for stamp in stamps if stamp is not None)
+    if unit_s <= 0 or not known or len(known) < len(stamps):
+        return None
+    clock = _Clock(unit_s, 1 / fps)
+    return [clock(stamp) for stamp in known]
+
+
+def _rate_and_unit(stream: "VideoStream") -> tuple[float, float]:
+    """Mean frames per second, and the unit of the presentation times, s; 0 where those cannot be true."""
+    rate = float(stream.average_rate or stream.guessed_rate or 0)
+    is_credible = 0 < rate <= _LARGEST_FPS
+    return (rate, float(stream.time_base or 0)) if is_credible else (ASSUMED_FPS, 0.0)
 
 
 def _promised(container: "InputContainer", stream: "VideoStream", fps: float) -> int | None:

@@ -1,11 +1,12 @@
 """Recordings of several cameras."""
 
 from torchhand.files.rigs.rig import UNITS, load_rig, rig_notes
-from torchhand.files.rigs.source import RigFrame, RigSource, offsets_of, open_rig, open_uncalibrated
+from torchhand.files.rigs.source import Offsets, RigFrame, RigSource, offsets_of, open_rig, open_uncalibrated
 from torchhand.files.rigs.views import mask_paths
 
 __all__ = [
     "UNITS",
+    "Offsets",
     "RigFrame",
     "RigSource",
     "load_rig",

@@ -1,7 +1,6 @@
 """Several calibrated cameras from a file or folder of any known format, checked for contradictions."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from torchhand.errors import InputError
@@ -18,7 +17,7 @@ from torchhand.files.cameras import (
 from torchhand.files.disk import expanded, short, suggestion
 from torchhand.files.pictures import natural_key, open_source
 from torchhand.files.rigs.views import view_paths
-from torchhand.geometry import Camera, common_view, look_away, rig_size, suspected_reading
+from torchhand.geometry import Camera, Rig, common_view, look_away, rig_size, suspected_reading
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 """Metres."""
@@ -32,7 +31,7 @@ _NO_METRES = 50.0  # no rig for a hand is so large
 _LARGE = 5.0
 
 
-def load_rig(path: str | Path, *, unit: str | float | None = None, size: tuple[int, int] | None = None) -> list[Camera]:
+def load_rig(path: str | Path, *, unit: str | float | None = None, size: tuple[int, int] | None = None) -> Rig:
     """The cameras of a rig, in the order of their file or files, float64.
 
     path: a file of one of the formats, or a folder that holds them: cameras.json; OpenCV's YAML or XML, one file per
@@ -48,7 +47,7 @@ def load_rig(path: str | Path, *, unit: str | float | None = None, size: tuple[i
     """
     path = expanded(path)
     factor = unit_in_metres(unit)
-    cameras = [replace(camera, translation=factor * camera.translation) for camera in _cameras(path, size)]
+    cameras = Rig(_cameras(path, size)).scaled(factor)
     _check(path, cameras)
     if unit is None and rig_size(cameras) > _NO_METRES:
         raise InputError(f"{path}: expected metres, but {_extent(cameras)}; {_units_that_fit(cameras)}")

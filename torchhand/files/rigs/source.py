@@ -1,6 +1,7 @@
 """Synchronised pictures of all cameras of a rig, frame by frame, each view with a reason where it has none."""
 
 import itertools
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,10 +12,15 @@ from torch import Tensor
 from torchhand.errors import InputError
 from torchhand.files.disk import expanded, suggestion
 from torchhand.files.rigs.faults import FrozenViews, blackness
+from torchhand.files.rigs.timing import PairedTimes, pair_times
 from torchhand.files.rigs.view import Picture, RigView, open_view
 from torchhand.files.rigs.views import find_views, mask_paths, view_paths
 from torchhand.geometry import Camera
 
+Offsets = Mapping[str, int | float]
+"""By the names of cameras, how long they started before the others: whole numbers of frames, or seconds."""
+_OFFSET = re.compile(r"[+-]?(\d{1,9}|(?P<seconds>\d{0,9}\.?\d{1,9}s))")
+_SAME_END_S = 0.1
 _MIN_AGREEMENT = 0.5  # share of the shortest view's numbers that all views have
 
 
@@ -24,6 +30,10 @@ class RigFrame:
 
     index: int
     """Index of the frame, counted from 0 at the rig's first one, also when reading starts later."""
+    time_s: float
+    """Time of the frame since the rig's first one."""
+    numbers: tuple[int | None, ...]
+    """Number of each camera's picture among its own, counted from 0; None where it has none of that time."""
     images: tuple[UInt8[Tensor, "_height _width 3"] | None, ...]
     """Pictures, RGB; None where a view is missing, unreadable, of another size, black or frozen."""
     problems: tuple[str | None, ...]
@@ -36,15 +46,17 @@ class RigSource:
     """A context manager and an iterator of `RigFrame`; read once and in order, one frame in memory.
 
     Pictures belong together by the number in their names where all views are folders of pictures whose numbers agree,
-    else by their place. A camera's offset is added to its positions: an offset of 3 takes its picture number 3 with
-    number 0 of the others. Reading ends with the shortest view.
+    else by their place; those of videos by their times where rates differ or vary, or where an offset is in seconds
+    (`pair_times`). A camera's offset is added to its positions: an offset of 3 takes its picture number 3 with number 0
+    of the others, one of 0.1 s what it took 0.1 s after its first with the first of the others. Reading ends with the
+    shortest view.
     """
 
     def __init__(
         self,
         views: Sequence[RigView],
         *,
-        offsets: Mapping[str, int] | None = None,
+        offsets: Offsets | None = None,
         start: int = 0,
         max_frames: int | None = None,
         every: int = 1,
@@ -76,18 +88,17 @@ class RigSource:
         self.sizes = tuple((view.width, view.height) for view in self._views)
         """Width and height of each view, px; zeros of those left out."""
         self.has_videos = any(view.pictures is None for view in usable)
-        self.fps = usable[0].fps
-        rates = {view.fps for view in usable}
-        if len(rates) > 1:
-            texts = ", ".join(f"{view.name} {view.fps:g}" for view in usable)
-            self.warnings.append(f"the views differ in frames per second ({texts}): they cannot stay synchronous")
+        self._timed = usable
+        self._pairs = self._paired(usable, every)
+        self.fps = usable[0].fps if self._pairs is None else every * self._pairs.fps or usable[0].fps
         self._length_warnings(usable)
         frames = self._frame_positions_of(usable, keep_all=keep_all)
         self._frame_positions = frames if frames is None else frames[::every]
-        if self._frame_positions is not None and start >= len(self._frame_positions):
-            raise InputError(f"start {start} lies after the last frame ({len(self._frame_positions) - 1})")
+        known = self._pairs if self._frame_positions is None else self._frame_positions
+        if known is not None and start >= len(known):
+            raise InputError(f"start {start} lies after the last frame ({len(known) - 1})")
         self._start, self._every, self._shift = start, every, self._first(usable)
-        stops = [max_frames and start + max_frames, self._frame_positions and len(self._frame_positions)]
+        stops = [max_frames and start + max_frames, known and len(known)]
         self._stop = min((stop for stop in stops if stop), default=None)
         self.count = self._promised_count(usable)
         """How many frames this reading will deliver, for a progress bar; None where nobody knows."""
@@ -98,9 +109,7 @@ class RigSource:
         if self._used:
             raise ValueError("a source is read once; open it again")
         self._used = True
-        self._readers = [
-            view.read(self._positions(offset)) for view, offset in zip(self._views, self._offsets, strict=True)
-        ]
+        self._readers = [self._reader(view) for view in range(len(self._views))]
         frozen = FrozenViews(self.names)
         for index in itertools.count(self._start):
             if self._stop is not None and index >= self._stop:
@@ -119,6 +128,8 @@ class RigSource:
             count = self._cameras
             yield RigFrame(
                 index=index,
+                time_s=index * self._every / self.fps if self._pairs is None else float(self._pairs.time_s[index]),
+                numbers=tuple(self._number(view, index) for view in range(count)),
                 images=good[:count],
                 problems=tuple(problems[:count]),
                 masks=None if count == len(good) else tuple(m if m is None else m[..., 0] > 127 for m in good[count:]),
@@ -138,12 +149,58 @@ class RigSource:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _positions(self, offset: int) -> Iterator[int]:
+    def _reader(self, view: int) -> Iterator[Picture]:
         indices = itertools.count(self._start) if self._stop is None else range(self._start, self._stop)
-        if self._frame_positions is None:
-            return (self._shift + index * self._every + offset for index in indices)
+        if self._pairs is None:
+            return self._views[view].read(self._position(view, index) for index in indices)
+        if self._views[view] not in self._timed:
+            return self._views[view].read(indices)
+        numbers = self._pairs.numbers[self._start : self._stop, self._timed.index(self._views[view])]
+        return self._views[view].read_frames(numbers.tolist())
+
+    def _position(self, view: int, index: int) -> int:
+        """Of a view's picture in a frame, where pictures belong together by number or place."""
         frames = self._frame_positions
-        return (frames[index] + offset for index in indices)
+        common = self._shift + index * self._every if frames is None else frames[index]
+        return common + int(self._offsets[view])
+
+    def _number(self, view: int, index: int) -> int | None:
+        """Of a view's picture in a frame, counted from 0 at its first."""
+        if self._pairs is None:
+            return self._position(view, index) - self._views[view].first
+        if self._views[view] not in self._timed:
+            return None
+        number = int(self._pairs.numbers[index, self._timed.index(self._views[view])])
+        return None if number < 0 else number
+
+    def _paired(self, usable: list[RigView], every: int) -> PairedTimes | None:
+        """The frames by time, where number or place does not tell which pictures belong together."""
+        has_seconds = any(isinstance(self._offset(view), float) for view in usable)
+        if not has_seconds and len({view.fps for view in usable}) == 1 and all(view.is_constant for view in usable):
+            return None
+        times = [view.times_s for view in usable if view.times_s is not None]
+        if len(times) < len(usable) or self._cameras < len(self._views):
+            if has_seconds:
+                raise InputError("offset: expected seconds for videos, all of which tell their times, without masks")
+            if len({view.fps for view in usable}) > 1:
+                texts = ", ".join(f"{view.name} {view.fps:g}" for view in usable)
+                self.warnings.append(f"the views differ in frames per second ({texts}): they cannot stay synchronous")
+            return None
+        try:
+            whole = pair_times([own - self._offset_s(view) for view, own in zip(usable, times, strict=True)])
+        except ValueError as error:
+            raise InputError(f"offset: {error}; expected fewer frames or seconds") from error
+        if len(usable) > 1:
+            rates = ", ".join(f"{view.name} {view.rate:g}" for view in usable)
+            self.warnings.append(
+                f"pictures are paired by their times ({rates} per second): {len(whole)} frames,"
+                f" up to {1e3 * whole.furthest_s:.0f} ms apart"
+            )
+        return whole.every(every)
+
+    def _offset_s(self, view: RigView) -> float:
+        offset = self._offset(view)
+        return offset if isinstance(offset, float) else offset / view.rate
 
     def _aligned(self, views: Sequence[RigView], *, keep_all: bool) -> list[RigView]:
         """Positions that mean the same in all views: numbers that they share, else places."""
@@ -164,7 +221,7 @@ class RigSource:
 
     def _numbers(self, view: RigView) -> set[int]:
         """Numbers of its pictures as a camera without offset would have them."""
-        return {position - self._offset(view) for position in view.pictures or ()}
+        return {position - int(self._offset(view)) for position in view.pictures or ()}
 
     def _frame_positions_of(self, usable: Sequence[RigView], *, keep_all: bool) -> list[int] | None:
         """Positions for a camera without offset; None where only reading tells the end."""
@@ -182,14 +239,19 @@ class RigSource:
 
     def _first(self, usable: Sequence[RigView]) -> int:
         """Position of the first frame, for a camera without offset."""
-        return max(view.first - self._offset(view) for view in usable)
+        return max(view.first - int(self._offset(view)) for view in usable)
 
-    def _offset(self, view: RigView) -> int:
+    def _offset(self, view: RigView) -> int | float:
         return self._offsets[self.names.index(view.name)]
 
     def _length_warnings(self, usable: Sequence[RigView]) -> None:
         lengths = {view.name: view.promised for view in usable if view.promised is not None}
-        if len(set(lengths.values())) > 1:
+        if self._pairs is not None:
+            ends = {view.name: (view.promised or 0) / view.rate - self._offset_s(view) for view in usable}
+            if max(ends.values()) - min(ends.values()) > _SAME_END_S:
+                texts = ", ".join(f"{name} {end:.1f} s" for name, end in ends.items())
+                self.warnings.append(f"the views end at different times ({texts}): reading ends with the first")
+        elif len(set(lengths.values())) > 1:
             texts = ", ".join(f"{name} {length}" for name, length in lengths.items())
             self.warnings.append(f"the views differ in length ({texts} frames): reading ends with the shortest")
 
@@ -197,10 +259,10 @@ class RigSource:
         ends = [
             -(-(view.promised - self._shift - self._offset(view)) // self._every)
             for view in usable
-            if view.promised is not None and view.pictures is None
+            if view.promised is not None and view.pictures is None and self._pairs is None
         ]
         ends += [] if self._stop is None else [self._stop]
-        return max(0, min(ends) - self._start) if ends else None
+        return max(0, int(min(ends)) - self._start) if ends else None
 
     def _report_end(self, pictures: Sequence[Picture | None], index: int) -> None:
         usable = [view.problem is None for view in self._views]
@@ -218,7 +280,7 @@ def open_rig(
     folder: str | Path,
     cameras: Sequence[Camera],
     *,
-    offsets: Mapping[str, int] | None = None,
+    offsets: Offsets | None = None,
     start: int = 0,
     max_frames: int | None = None,
     masks: bool = False,
@@ -253,7 +315,7 @@ def open_rig(
 
 
 def open_uncalibrated(
-    folder: str | Path, *, offsets: Mapping[str, int] | None = None, every: int = 1, max_frames: int | None = None
+    folder: str | Path, *, offsets: Offsets | None = None, every: int = 1, max_frames: int | None = None
 ) -> RigSource:
     """The recording of cameras that are not known yet: all views of a folder (see `find_views`), or one video."""
     folder = expanded(folder)
@@ -262,21 +324,19 @@ def open_uncalibrated(
     return RigSource(views, offsets=offsets, every=every, max_frames=max_frames, keep_all=True)
 
 
-def offsets_of(texts: Sequence[str]) -> dict[str, int]:
-    """Offsets written as NAME=FRAMES. Raises InputError naming the text that is none."""
-    offsets = {}
+def offsets_of(texts: Sequence[str]) -> dict[str, int | float]:
+    """Offsets written as NAME=FRAMES or NAME=SECONDSs. Raises InputError naming the text that is none."""
+    offsets: dict[str, int | float] = {}
     for text in texts:
-        name, sign, number = text.rpartition("=")
-        try:
-            offsets[name] = int(number)
-        except ValueError:
-            sign = ""
-        if not sign or not name:
-            raise InputError(f"offset: expected NAME=FRAMES such as cam1=-3, got {text!r}")
+        name, _, number = text.rpartition("=")
+        match = _OFFSET.fullmatch(number)
+        if not name or match is None:
+            raise InputError(f"offset: expected NAME=FRAMES such as cam1=-3, or seconds as cam1=0.12s, got {text!r}")
+        offsets[name] = float(number[:-1]) if match["seconds"] else int(number)
     return offsets
 
 
-def _offsets(names: Sequence[str], offsets: Mapping[str, int]) -> list[int]:
+def _offsets(names: Sequence[str], offsets: Offsets) -> list[int | float]:
     for name in offsets:
         if name not in names:
             raise InputError(f"offset: {name!r} is no camera{suggestion(name, names)}; allowed: {', '.join(names)}")

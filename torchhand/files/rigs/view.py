@@ -1,22 +1,35 @@
 """One camera's pictures within a rig, read in order of its positions; a bad picture never ends the others."""
 
+import contextlib
 import itertools
 import re
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from jaxtyping import UInt8
+import numpy as np
+from jaxtyping import Float64, UInt8
 from torch import Tensor
 
 from torchhand.errors import InputError
-from torchhand.files.pictures import ASSUMED_FPS, FrameRange, FrameSource, PictureSource, open_source, read_picture
+from torchhand.files.pictures import (
+    ASSUMED_FPS,
+    Frame,
+    FrameRange,
+    FrameSource,
+    PictureSource,
+    open_source,
+    read_picture,
+    video_times,
+)
+from torchhand.files.rigs.timing import is_constant, mean_rate
 from torchhand.files.rigs.views import pictures_in
 
 Picture = tuple[UInt8[Tensor, "height width 3"] | None, str | None]
 """A picture, or None and the reason."""
 
 _NUMBER = re.compile(r"(\d+)\D*$")
+_SAME_S = 1e-6  # by which two readings of one time differ at most
 _TRIES = 20  # pictures in which one of the right size is looked for
 
 
@@ -38,6 +51,8 @@ class RigView:
     """Why the view cannot be used at all."""
     pictures: dict[int, Path] | None = None
     """Pictures by position; None of videos."""
+    times_s: Float64[np.ndarray, "pictures"] | None = None
+    """Times at which a video's frames are shown, since the first; None where nobody knows."""
     reference: Path | None = None
     """A picture of the right size, which also tells what counts as white in pictures of more than 8 bits."""
 
@@ -46,12 +61,22 @@ class RigView:
         """Whether the positions are the numbers in the names of files."""
         return self.pictures is not None and list(self.pictures) == _numbers(list(self.pictures.values()))
 
+    @property
+    def is_constant(self) -> bool:
+        """Whether the pictures were taken at a constant rate, as far as anybody knows."""
+        return self.times_s is None or is_constant(self.times_s, self.fps)
+
+    @property
+    def rate(self) -> float:
+        """Pictures per second by their times, as far as anybody knows."""
+        return self.fps if self.times_s is None else mean_rate(self.times_s) or self.fps
+
     def in_order(self) -> "RigView":
         """The same view with places in the folder as positions."""
         if self.pictures is None:
             return self
         pictures = dict(enumerate(self.pictures.values()))
-        return RigView(**{**self.__dict__, "pictures": pictures, "first": 0})
+        return replace(self, pictures=pictures, first=0)
 
     def read(self, positions: Iterable[int]) -> Iterator[Picture]:
         """The pictures at growing positions; ends where a video does.
@@ -63,6 +88,39 @@ class RigView:
         if self.pictures is None:
             return _video_frames(self.path, positions)
         return _pictures(self, self.pictures, list(positions))
+
+    def read_frames(self, numbers: Iterable[int]) -> Iterator[Picture]:
+        """The frames of a video with these numbers among its times; none where a number is -1.
+
+        A frame is known by its time: what the decoder leaves out does not count.
+        """
+        if self.problem is not None or self.path is None or self.times_s is None:
+            return itertools.repeat((None, self.problem))
+        return _frames_at(self, self.path, [None if n < 0 else float(self.times_s[n]) for n in numbers])
+
+
+def _frames_at(view: RigView, path: Path, times_s: Sequence[float | None]) -> Iterator[Picture]:
+    """The frame of a video that is shown at each of these times, which grow."""
+    with open_source(path) as source:
+        frames = iter(source)
+        frame = next(frames, None)
+        for time_s in times_s:
+            if time_s is None:
+                yield None, f"{view.name}: no picture of this time"
+                continue
+            while frame is not None and frame.time_s < time_s - _SAME_S:
+                frame = _next_frame(frames)
+            if frame is None or frame.time_s > time_s + _SAME_S:
+                yield None, f"{path}: no picture can be decoded at {time_s:.3f} s"
+            else:
+                yield frame.image, frame.problem
+
+
+def _next_frame(frames: Iterator[Frame]) -> Frame | None:
+    """The next one; None at the end, which a picture of another size is too."""
+    with contextlib.suppress(InputError):
+        return next(frames, None)
+    return None
 
 
 def open_view(name: str, path: Path | None, size: tuple[int, int] | None = None) -> RigView:
@@ -112,7 +170,9 @@ def _video(name: str, path: Path, size: tuple[int, int] | None) -> RigView:
         found = (source.width, source.height)
         if size is not None and found != size:
             return RigView(name=name, path=path, problem=f"{path}: {_wrong_size(name, size, found)}")
-        return RigView(name=name, path=path, width=found[0], height=found[1], fps=source.fps, promised=source.count)
+        view = RigView(name=name, path=path, width=found[0], height=found[1], fps=source.fps, promised=source.count)
+    times_s = video_times(path)
+    return view if times_s is None else replace(view, times_s=np.array(times_s))
 
 
 def _wrong_size(name: str, expected: tuple[int, int], got: tuple[int, int]) -> str:

@@ -20,8 +20,8 @@ from torchhand.runs.records import undetermined_fingers
 
 def view_frames(
     track: Track, overlay: ViewsOverlay, recording: RigRecording
-) -> Iterator[UInt8[Tensor, "height width 3"]]:
-    """The frames of a track with what was found drawn over all views."""
+) -> Iterator[tuple[float, UInt8[Tensor, "height width 3"]]]:
+    """The frames of a track with what was found drawn over all views, and their times."""
     rows = {int(frame): row for row, frame in enumerate(track.frame)}
     nothing = np.full(len(track), np.nan)
     overlaps = np.stack([track.measures.get(f"overlap_{name}", nothing) for name in recording.camera_names], -1)
@@ -31,7 +31,7 @@ def view_frames(
             if row is None:
                 continue
             pose = track.pose[row]
-            yield overlay(
+            picture = overlay(
                 [view.image for view in frame.views],
                 torch.tensor(pose, dtype=torch.float64) if np.isfinite(pose).all() else None,
                 status=str(track.status[row]),
@@ -40,6 +40,7 @@ def view_frames(
                 problems=frame.problems,
                 undetermined=undetermined_fingers(None if track.finger_quality is None else track.finger_quality[row]),
             )
+            yield frame.time_s, picture
 
 
 def write_views(
@@ -57,6 +58,8 @@ def write_views(
         write_video(path, width=width, height=height, fps=recording.fps) as video,
         tqdm(total=len(track), desc="overlay", unit="frame", disable=not sys.stderr.isatty()) as bar,
     ):
-        for picture in view_frames(track, overlay, recording):
-            video.write(picture)
+        first_s: float | None = None
+        for time_s, picture in view_frames(track, overlay, recording):
+            first_s = time_s if first_s is None else first_s
+            video.write(picture, time_s=time_s - first_s)
             bar.update()

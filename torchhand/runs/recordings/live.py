@@ -19,6 +19,7 @@ _SHORTEST_STEP_S = 0.1
 """A hand that moves at half a metre a second, as people's do who show something, goes half its breadth in it."""
 _CATCHING_UP = 1.5  # how much faster pictures are passed than they come, where some wait
 _PACE_FRAMES = 15  # over which the time that a frame takes is judged
+_PACE_SHARE = 0.25  # of them that took no longer: frames with a search, which take seconds, tell nothing of the others
 _LATENCIES = 100_000  # of the last frames, of which the summary tells
 
 
@@ -39,7 +40,7 @@ class _Live:
         self.cameras: tuple[Camera, ...] = ()
         self.notes: list[str] = []
         self._latencies_s: deque[float] = deque(maxlen=_LATENCIES)
-        self._pace_s: deque[float] = deque([0.0], maxlen=_PACE_FRAMES)
+        self._pace_s: deque[float] = deque([0.0] * _PACE_FRAMES, maxlen=_PACE_FRAMES)
         self._taken_s = 0.0
 
     def close(self) -> None:
@@ -62,7 +63,8 @@ class _Live:
             self._rig.take_steps(None)
             return
         self._pace_s.append(self.now_s() - self._taken_s)
-        self._rig.take_steps(max(_SHORTEST_STEP_S, _CATCHING_UP * statistics.median(self._pace_s)))
+        pace_s = sorted(self._pace_s)[int(_PACE_SHARE * _PACE_FRAMES)]
+        self._rig.take_steps(max(_SHORTEST_STEP_S, _CATCHING_UP * pace_s))
 
     @property
     def latency_s(self) -> float | None:
@@ -87,6 +89,7 @@ class _Live:
             found.append(f"from a picture to its estimate: {median_ms:.0f} ms (median), {late_ms:.0f} ms in 95 %")
         for one, camera in zip(self._rig.counts(), self.cameras, strict=True):
             unread = f", {one.unreadable} unreadable" if one.unreadable else ""
+            unread += f", connected again {one.reconnected} times" if one.reconnected else ""
             ended = f"; {one.problem}" if one.problem else ""
             found.append(f"camera {camera.name}: {one.taken} pictures used, {one.dropped} dropped{unread}{ended}")
         return found
@@ -102,6 +105,7 @@ class _Live:
                     f"camera {camera.name}: {_NO_PICTURE}" if image is None else None
                     for camera, image in zip(self.cameras, pictures.images, strict=True)
                 ),
+                numbers=pictures.numbers,
             )
             self._latencies_s.append(self.now_s() - pictures.time_s)  # who looked at it comes back
 

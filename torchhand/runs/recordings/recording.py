@@ -1,7 +1,7 @@
 """Recordings as a run reads them: the views of one camera or several, time after time, from anywhere on."""
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from itertools import islice
@@ -9,7 +9,17 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from torchhand.errors import InputError
-from torchhand.files import FrameSource, RigSource, camera_for, load_rig, open_rig, open_source, read_picture, rig_notes
+from torchhand.files import (
+    FrameSource,
+    Offsets,
+    RigSource,
+    camera_for,
+    load_rig,
+    open_rig,
+    open_source,
+    read_picture,
+    rig_notes,
+)
 from torchhand.files.disk import expanded
 from torchhand.files.pictures import PICTURE_SUFFIXES, shown_address
 from torchhand.files.rigs import mask_paths
@@ -33,6 +43,13 @@ class RecordedFrame:
     views: tuple[View, ...]
     problems: tuple[str | None, ...]
     """Problems, one line for every view whose picture is missing or unreadable."""
+    numbers: tuple[int | None, ...] = ()
+    """Number of each view's picture among its camera's own, counted from 0; None where there is none. Without them,
+    those of the frames."""
+
+    def number(self, view: int) -> int | None:
+        """Number of a view's picture among its camera's own, counted from 0; None where there is none."""
+        return self.numbers[view] if self.numbers else self.index
 
 
 @runtime_checkable
@@ -160,7 +177,7 @@ class RigRecording:
         cameras: Path | None = None,
         unit: str | None = None,
         masks: bool | None = None,
-        offsets: Mapping[str, int] | None = None,
+        offsets: Offsets | None = None,
         start: int = 0,
         max_frames: int | None = None,
     ) -> None:
@@ -218,7 +235,9 @@ class RigRecording:
         for frame in source:
             masks = frame.masks or (None,) * len(self.cameras)
             views = tuple(View(image=image, mask=mask) for image, mask in zip(frame.images, masks, strict=True))
-            yield RecordedFrame(index=frame.index, time_s=frame.index / self.fps, views=views, problems=frame.problems)
+            yield RecordedFrame(
+                index=frame.index, time_s=frame.time_s, views=views, problems=frame.problems, numbers=frame.numbers
+            )
 
     def _open(self, done: int) -> RigSource:
         return open_rig(

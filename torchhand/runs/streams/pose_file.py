@@ -1,9 +1,9 @@
 """A pose stream (.thp) that grows while a hand is tracked: a packet with a checksum for every frame."""
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 import torch
@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.errors import InputError
-from torchhand.export import PoseStreamWriter, StreamHead, StreamSettings
+from torchhand.export import MAX_GAP_S, PoseStreamWriter, StreamHead, StreamSettings
 from torchhand.files import FrameRecord, load_hand_model
 from torchhand.files.disk import expanded, explained_errors
 from torchhand.hand import DOFS, Side
@@ -20,18 +20,29 @@ SUFFIX = ".thp"
 _SETTINGS = StreamSettings(packet_poses=1)
 
 
+class PoseRate(NamedTuple):
+    """How times become places in a stream."""
+
+    fps: float
+    """Frames per second; above 0."""
+    max_gap_s: float = MAX_GAP_S
+    """Longest time without frames that is filled with held poses, seconds; above 0."""
+
+
 class PoseFile:
     """One file. It begins with the first frame that has a hand, whose proportions it keeps.
 
     A stream has one rate: each frame takes the place that its time is nearest to. A place that no frame takes, and
     frames without a hand, repeat the pose before and are marked as held; of two frames in one place the first is kept.
+    Of a longer time without frames than `PoseRate.max_gap_s` only so much is held: what follows comes early, which is
+    said.
     """
 
-    def __init__(self, path: Path, *, side: Side, fps: float) -> None:
+    def __init__(self, path: Path, rate: PoseRate, side: Side, say: Callable[[str], None]) -> None:
         """Raises InputError where the file cannot be made."""
         with explained_errors(path):
             self._file: BinaryIO = path.open("wb")
-        self._path, self._fps = path, fps
+        self._path, self._fps, self._max_gap_s, self._say = path, rate.fps, rate.max_gap_s, say
         self._side: Side = side
         self._writer: PoseStreamWriter | None = None
         self._start_s, self._written = 0.0, 0
@@ -54,12 +65,26 @@ class PoseFile:
         missed = place - self._written
         if missed < 0:
             return
+        missed -= self._left_out(missed, record.frame)
         own = torch.from_numpy(record.pose.astype(np.float64))[None] if has_hand else self._pose
         data = self._writer.add(
             torch.cat((self._pose.expand(missed, -1), own)), np.array([True] * missed + [not has_hand])
         )
-        self._pose, self._written = own, place + 1
+        self._pose, self._written = own, self._written + missed + 1
         self._write(self._writer.head + data if begins else data)
+
+    def _left_out(self, missed: int, frame: int) -> int:
+        """How many of the places without a frame before this one are too many to be held."""
+        too_many = missed - max(0, round(self._max_gap_s * self._fps) - 1)
+        if too_many <= 0:
+            return 0
+        early_s = too_many / self._fps
+        self._start_s += early_s
+        self._say(
+            f"{self._path}: {(missed + 1) / self._fps:.1f} s without pictures before frame {frame} last"
+            f" {self._max_gap_s:g} s there (--max-gap-s): what follows comes {early_s:.1f} s early"
+        )
+        return too_many
 
     def close(self) -> None:
         """End the stream."""
@@ -88,12 +113,15 @@ def check_pose_file(text: str, *, may_replace: bool) -> None:
 
 
 @contextlib.contextmanager
-def opened_pose_files(texts: Sequence[str], *, side: Side, fps: float) -> Iterator[list[PoseFile]]:
-    """The files among the streams, which end with the block. Raises InputError for those that cannot be made."""
+def opened_pose_files(
+    texts: Sequence[str], rate: PoseRate, side: Side, say: Callable[[str], None]
+) -> Iterator[list[PoseFile]]:
+    """The files among the streams, which end with the block. say: takes lines for the user. Raises InputError for
+    those that cannot be made."""
     with contextlib.ExitStack() as stack:
         files = []
         for text in filter(is_pose_file, texts):
-            file = PoseFile(expanded(Path(text)), side=side, fps=fps)
+            file = PoseFile(expanded(Path(text)), rate, side, say)
             stack.callback(file.close)
             files.append(file)
         yield files

@@ -6,7 +6,6 @@ from torchhand.track.multiview.hand_initialization import HandInitialization, ev
 from torchhand.track.multiview.hulls import Hull
 from torchhand.track.multiview.initialization import Initialization, initialize
 from torchhand.track.multiview.proposer import HandProposer
-from torchhand.track.multiview.scale import in_unit
 from torchhand.track.multiview.settings import HullOctreeSettings, RigSettings
 from torchhand.track.multiview.update import HULL, HullUpdate, hull_about, hull_anywhere
 
@@ -26,7 +25,6 @@ __all__ = [
     "evenly_spaced_frames",
     "hull_about",
     "hull_anywhere",
-    "in_unit",
     "initialize",
     "initialize_hand",
 ]

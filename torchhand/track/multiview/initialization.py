@@ -7,11 +7,12 @@ from itertools import chain, islice
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.geometry import Rig
 from torchhand.hand import Hand
 from torchhand.track.multiview.fitting import FrameFitter, best_of
 from torchhand.track.multiview.hand_initialization import HandInitialization, initialize_hand
 from torchhand.track.multiview.proposer import HandProposer
-from torchhand.track.multiview.scale import in_unit, resized_pose, resized_shape, rough_units, size_factor
+from torchhand.track.multiview.scale import resized_pose, resized_shape, rough_units, size_factor
 from torchhand.track.multiview.settings import RigSettings
 from torchhand.track.scene import LearnedSkin, RigSegmentation, Scene, View, ViewSilhouettes
 
@@ -95,7 +96,7 @@ def _with_unit(
         return Initialization(hand=nothing, skins=skins)
     # Sizes differ more than what further fingers and hypotheses tell, which take most of a search's time.
     rough = replace(settings, start=settings.start.reduced())
-    fitters = {unit: FrameFitter(hand, in_unit(silhouettes.cameras, unit), rough) for unit in units}
+    fitters = {unit: FrameFitter(hand, Rig(silhouettes.cameras).scaled(unit), rough) for unit in units}
     proposers = {unit: replace(proposer, cameras=fitter.cameras) for unit, fitter in fitters.items()}
     shown = dict(seen)
 
@@ -103,7 +104,7 @@ def _with_unit(
         return max(_agreement(fitters[unit], shown[index], proposers[unit]) for index, _ in decisive)
 
     nominal = climbed(units, agreement)
-    fitter = FrameFitter(hand, in_unit(silhouettes.cameras, nominal), settings)
+    fitter = FrameFitter(hand, Rig(silhouettes.cameras).scaled(nominal), settings)
     propose = proposers[nominal]
     found = initialize_hand(fitter, seen, propose, detect=propose.detected, done=done)
     if not found.poses:

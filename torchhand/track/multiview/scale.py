@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.geometry import Camera, rig_size
+from torchhand.geometry import Camera, Rig, rig_size
 from torchhand.hand import HandPose, ShapeSpace
 from torchhand.track.multiview.hulls import Hulls
 from torchhand.track.multiview.settings import HullOctreeSettings
@@ -24,11 +24,6 @@ _LEAF = 0.012  # metres of that carving, in which the ball is looked for; how la
 _FIRST_SIZE = 0.6  # metres between the cameras in the first carving, which only tells the ball
 
 
-def in_unit(cameras: Sequence[Camera], metres: float) -> list[Camera]:
-    """The same cameras when one unit of their translations is so many metres."""
-    return [replace(camera, translation=metres * camera.translation) for camera in cameras]
-
-
 def rough_units(
     cameras: Sequence[Camera], frames: Sequence[tuple[int, Masks]]
 ) -> tuple[tuple[float, ...], list[tuple[int, Masks]]]:
@@ -38,7 +33,7 @@ def rough_units(
     No candidates where no frame has a hull.
     """
     first = _FIRST_SIZE / rig_size(cameras)
-    hulls = Hulls(in_unit(cameras, first), HullOctreeSettings(start_leaf=_LEAF))
+    hulls = Hulls(Rig(cameras).scaled(first), HullOctreeSettings(start_leaf=_LEAF))
     balls: list[tuple[float, int]] = []
     for place, (_, masks) in enumerate(frames):
         target = hulls.anywhere(masks, min_volume=0.0).target

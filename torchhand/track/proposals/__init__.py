@@ -5,6 +5,7 @@ from torchhand.track.proposals.keypoints import KeypointHand, KeypointStart
 from torchhand.track.proposals.learned import LearnedHands
 from torchhand.track.proposals.posture_search import PostureSearch
 from torchhand.track.proposals.protocol import Proposals, ProposalSource, Proposed
+from torchhand.track.proposals.tilted import TiltedHands
 
 __all__ = [
     "KeypointHand",
@@ -14,5 +15,6 @@ __all__ = [
     "ProposalSource",
     "Proposals",
     "Proposed",
+    "TiltedHands",
     "hull_sources",
 ]

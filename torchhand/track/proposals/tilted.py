@@ -1,0 +1,87 @@
+"""One camera: the followed hand tilted otherwise, its fingers as they are or as a network sees them."""
+
+import itertools
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.files import load_proposal_network
+from torchhand.fit.proposals import ProposalRegistration
+from torchhand.geometry import Camera, rotation_from_vector
+from torchhand.hand import JOINT_DOFS, HandKinematics, HandPose
+from torchhand.propose import Silhouette, propose_hands
+from torchhand.track.knowledge import TrackerState
+from torchhand.track.proposals.protocol import Occasion, Proposals, Proposed
+from torchhand.track.scene import Candidate, Scene
+
+_TILTS = (-math.radians(30.0), 0.0, math.radians(30.0))
+"""About either axis of the picture: the error of the best direction that the network proposes."""
+_PALM = (0, 5, 9, 13, 17)
+_COUNT = 4  # registered hands that the followed one is compared with
+_SAME_M = 0.005  # mean distance of keypoints, up to which two registered hands are one
+
+
+@dataclass(frozen=True, kw_only=True)
+class TiltedHands:
+    """Other tilts of a hand that explains less than it did, all registered on the silhouette at once.
+
+    Where fingers bend, tilt and flexion change an outline alike: a hand that is followed may slide into a tilt from
+    which no small step leads back.
+    """
+
+    kinematics: HandKinematics
+    camera: Camera
+    """A pinhole camera, which is the world."""
+
+    @property
+    def occasion(self) -> Occasion:
+        return "declining"
+
+    @cached_property
+    def _registration(self) -> ProposalRegistration:
+        return ProposalRegistration(kinematics=self.kinematics)
+
+    def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
+        """The cheapest hands that differ; none without a followed hand or a silhouette, nor beside a detector."""
+        plane, shape = scene.plane(0), state.shape
+        if best is None or best.keypoints is not None or shape is None:
+            return Proposals()
+        if plane is None or not bool((plane > 0.5).any()):
+            return Proposals()
+        seen = Silhouette(mask=plane > 0.5, camera=self.camera, image=scene.views[0].image)
+        found = self._registration(seen, self._starts(seen, best, shape), shape)
+        order = found.cost.argsort()
+        order = order[found.cost[order].isfinite()]
+        keypoints = self.kinematics(found.pose.dofs, shape, root_reference=found.pose.reference).keypoints
+        chosen: list[int] = []
+        for row in order.tolist():
+            apart = (keypoints[chosen] - keypoints[row]).norm(dim=-1).mean(-1)
+            if len(chosen) < _COUNT and bool((apart > _SAME_M).all()):
+                chosen.append(row)
+        return Proposals(hands=tuple(Proposed(pose=found.pose[row]) for row in chosen), has_foreground=True)
+
+    def _starts(self, seen: Silhouette, best: Candidate, shape: Float[Tensor, "shape"]) -> HandPose:
+        """The network's hands, and the followed one tilted about the middle of its palm."""
+        own = best.pose.normalized()
+        joints = [own.dofs[-len(JOINT_DOFS) :]]
+        joints += [] if best.learned is None else [best.learned.joints]
+        ways = list(itertools.product(joints, _TILTS, _TILTS))
+        tilts = own.dofs.new_tensor([(across, up, 0.0) for _, across, up in ways])
+        dofs = torch.cat((own.dofs.new_zeros(len(ways), 6), torch.stack([bent for bent, _, _ in ways])), 1)
+        rotation = rotation_from_vector(tilts) @ own.rotation
+        middles = [self._palm(dofs, rotation, shape), self._palm(own.dofs[None], own.reference[None], shape)]
+        dofs[:, :3] = middles[1] - middles[0]
+        proposed = propose_hands(load_proposal_network(), (seen,), self.kinematics, shape).pose[0]
+        is_there = proposed.dofs.isfinite().all(-1)
+        return HandPose(
+            dofs=torch.cat((proposed.dofs[is_there], dofs)),
+            reference=torch.cat((proposed.reference[is_there], rotation)),
+        )
+
+    def _palm(self, dofs: Tensor, reference: Tensor, shape: Tensor) -> Float[Tensor, "hands 3"]:
+        keypoints = self.kinematics(dofs, shape, root_reference=reference).keypoints
+        return keypoints[:, list(_PALM)].mean(1)
