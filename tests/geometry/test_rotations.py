@@ -124,17 +124,3 @@ def test_rotation_is_the_same_where_no_derivative_is_asked_for(generator: torch.
     expected = rotation_from_vector(vectors)
     with torch.inference_mode():
         torch.testing.assert_close(rotation_from_vector(vectors), expected, atol=1e-14, rtol=0)
-
-
-def test_one_rotation_is_that_of_a_batch(generator: torch.Generator) -> None:
-    """One at a time, without derivatives: computed in plain numbers."""
-    vectors = torch.cat((_vectors(generator), math.pi * torch.eye(3, dtype=torch.float64)))
-    with torch.inference_mode():
-        rotations = rotation_from_vector(vectors)
-        one_by_one = torch.stack([rotation_from_vector(vector) for vector in vectors])
-        torch.testing.assert_close(one_by_one, rotations, atol=1e-14, rtol=0)
-        back = torch.stack([vector_from_rotation(rotation) for rotation in rotations])
-        torch.testing.assert_close(back, vector_from_rotation(rotations), atol=1e-14, rtol=0)
-        assert rotation_from_vector(vectors[:1, None].float()).dtype is torch.float32
-        assert vector_from_rotation(rotations[:1, None]).shape == (1, 1, 3)
-        assert bool(rotation_from_vector(torch.tensor((0.1, math.nan, 0.0))).isnan().any())

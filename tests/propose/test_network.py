@@ -6,7 +6,7 @@ import torch
 from torchhand.files import load_hand_model
 from torchhand.hand import JOINT_DOFS
 from torchhand.propose.channels import CHANNELS
-from torchhand.propose.network import ProposalNetwork, without_normalisation
+from torchhand.propose.network import ProposalNetwork
 from torchhand.propose.views import SIDE_PX
 
 SKELETON = load_hand_model().skeleton
@@ -61,20 +61,3 @@ def test_views_are_seen_one_by_one(generator: torch.Generator) -> None:
 def test_sizes_that_make_no_network_are_refused(name: str) -> None:
     with pytest.raises(ValueError, match=f"{name}: expected 1 to 4096, got 0"):
         ProposalNetwork(SKELETON, **{name: 0})
-
-
-def test_normalisations_become_part_of_the_convolutions(generator: torch.Generator) -> None:
-    network = _network()
-    for layer in network.modules():
-        if isinstance(layer, torch.nn.BatchNorm2d):
-            for values, low in ((layer.running_mean, -1.0), (layer.running_var, 0.5)):
-                assert values is not None
-                values.uniform_(low, 2.0, generator=generator)
-    before = {name: value.clone() for name, value in network.state_dict().items()}
-    layers = without_normalisation(network.picture)
-    views = _views(generator, 3)
-    with torch.no_grad():
-        expected = network.picture(views)
-        torch.testing.assert_close(layers(views), expected, rtol=0, atol=1e-6 * float(expected.abs().max()))
-    assert not any(isinstance(layer, torch.nn.BatchNorm2d) for layer in layers.modules())
-    assert all(torch.equal(value, before[name]) for name, value in network.state_dict().items())

@@ -1,13 +1,11 @@
 """Rotation vectors and matrices: exponential, logarithm, left Jacobian; exact and smooth at zero."""
 
-import math
 from functools import lru_cache
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.devices import is_host
 from torchhand.precision import own_precision
 
 _SMALL_ANGLE_SQUARED = 1e-8  # below it the series is exact to float64 rounding in its first two terms
@@ -55,10 +53,7 @@ def _third_coefficient(angle_squared: Tensor, is_small: Tensor, safe: Tensor, an
 @own_precision
 def rotation_from_vector(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """Rotation by |vector| radians about vector (Rodrigues); smooth everywhere, zero included."""
-    if _needs_no_derivative():
-        one = _numbers_of_one(vector, 3)
-        if one is not None:
-            return vector.new_tensor(_rotation_of_one(*one)).reshape(*vector.shape, 3)
+    if torch.is_inference_mode_enabled() and not torch._C._are_functorch_transforms_active():
         return _rotation_without_derivative(vector)
     squared = (vector * vector).sum(-1)
     is_small, safe, angle = _safe_angle(squared)
@@ -67,52 +62,6 @@ def rotation_from_vector(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*b
     cross = skew(vector)
     identity = torch.eye(3, dtype=vector.dtype, device=vector.device)
     return identity + first[..., None, None] * cross + second[..., None, None] * (cross @ cross)
-
-
-def _needs_no_derivative() -> bool:
-    return torch.is_inference_mode_enabled() and not torch._C._are_functorch_transforms_active()
-
-
-def _numbers_of_one(tensor: Tensor, count: int) -> list[float] | None:
-    """The numbers of a tensor of so many in the processor's memory; None for others, where one is not finite, and for a
-    compiler, which must not know them."""
-    if tensor.numel() != count or not is_host(tensor.device) or torch.compiler.is_compiling():
-        return None
-    numbers = tensor.flatten().tolist()
-    return numbers if math.isfinite(sum(numbers)) else None
-
-
-def _rotation_of_one(x: float, y: float, z: float) -> tuple[float, ...]:
-    """The nine entries of one rotation in a twentieth of the time that tensors take, which are made for many."""
-    angle = math.sqrt(x * x + y * y + z * z)
-    half = math.sin(0.5 * angle) / (0.5 * angle) if angle > 0 else 1.0
-    first = math.sin(angle) / angle if angle > 0 else 1.0
-    second = 0.5 * half * half
-    xx, yy, zz, xy, xz, yz = (second * p for p in (x * x, y * y, z * z, x * y, x * z, y * z))
-    x, y, z = first * x, first * y, first * z
-    return (1 - (yy + zz), xy - z, xz + y, xy + z, 1 - (xx + zz), yz - x, xz - y, yz + x, 1 - (xx + yy))
-
-
-def _vector_of_one(*entries: float) -> tuple[float, float, float]:
-    """`vector_from_rotation` of one rotation, given row by row, in a twentieth of the time."""
-    a, b, c, d, e, f, g, h, i = entries
-    x, y, z = h - f, c - g, d - b
-    # Four times the outer product of the quaternion (w, x, y, z) with itself, as above; its row of largest diagonal.
-    rows = (
-        (1 + a + e + i, x, y, z),
-        (x, 1 + a - e - i, b + d, c + g),
-        (y, b + d, 1 - a + e - i, f + h),
-        (z, c + g, f + h, 1 - a - e + i),
-    )
-    best = max(range(4), key=lambda k: rows[k][k])
-    w, x, y, z = rows[best]
-    length = math.sqrt(w * w + x * x + y * y + z * z)
-    length = -length if w < 0 else length
-    w, x, y, z = w / length, x / length, y / length, z / length
-    squared = x * x + y * y + z * z
-    sine = math.sqrt(squared)
-    factor = 2 + squared / 3 if squared < _SMALL_ANGLE_SQUARED else 2 * math.atan2(sine, w) / sine
-    return factor * x, factor * y, factor * z
 
 
 def _rotation_without_derivative(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
@@ -169,8 +118,6 @@ def vector_from_rotation(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor,
     Goes through the unit quaternion of largest component, so it is accurate near π as well; at exactly π the sign of
     the vector is arbitrary, and the derivative does not exist.
     """
-    if _needs_no_derivative() and (one := _numbers_of_one(rotation, 9)) is not None:
-        return rotation.new_tensor(_vector_of_one(*one)).reshape(rotation.shape[:-1])
     # Four times the outer product of the quaternion (w, x, y, z) with itself; its rows are multiples of the quaternion.
     rows = _quaternion_products(rotation.dtype, rotation.device)
     rows = torch.addmm(rows[0], rotation.reshape(-1, 9), rows[1:]).reshape(*rotation.shape[:-2], 4, 4)

@@ -2,7 +2,7 @@
 
 from torchhand.propose.channels import CHANNELS, gaussian_blur_of, network_channels
 from torchhand.propose.hypotheses import HandHypotheses, Silhouette, propose_hands
-from torchhand.propose.network import ProposalNetwork, ViewedHands, picture_layers, without_normalisation
+from torchhand.propose.network import ProposalNetwork, ViewedHands, picture_layers
 from torchhand.propose.posture import LearnedPosture, learned_posture
 from torchhand.propose.presence import PresenceNetwork, hand_presence
 from torchhand.propose.views import SIDE_PX, SquareViews, palm_middle, views_towards
@@ -25,5 +25,4 @@ __all__ = [
     "picture_layers",
     "propose_hands",
     "views_towards",
-    "without_normalisation",
 ]

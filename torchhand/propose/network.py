@@ -1,13 +1,11 @@
 """A small convolutional network from a view of a silhouette to several weighted postures and places of a hand."""
 
-import copy
 import itertools
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
-from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from torchhand.geometry import rotation_from_columns
 from torchhand.hand import JOINT_DOFS, ROOT_DOFS, Skeleton, named_pose_space
@@ -104,20 +102,6 @@ class _Block(nn.Module):
 
     def forward(self, given: Tensor) -> Tensor:
         return torch.relu(given + self.inside(given))
-
-
-def without_normalisation(layers: nn.Sequential) -> nn.Sequential:
-    """Layers as `picture_layers` made them, for inference: each normalisation is made part of its convolution, which
-    then gives the same numbers up to rounding. They share nothing with the others."""
-    found: list[nn.Module] = []
-    for layer in layers:
-        if isinstance(layer, nn.BatchNorm2d):
-            found[-1] = fuse_conv_bn_eval(found[-1], layer.eval())  # type: ignore[type-var]
-        else:
-            found.append(copy.deepcopy(layer).eval())
-        if isinstance(layer, _Block):
-            found[-1].inside = without_normalisation(layer.inside)
-    return nn.Sequential(*found)
 
 
 def _convolution(before: int, after: int, size: int, *, stride: int = 1) -> tuple[nn.Module, nn.Module, nn.Module]:

@@ -52,12 +52,6 @@ def test_a_network_comes_back_to_16_bits(stored: Path, tmp_path: Path, generator
     assert stored.read_bytes() == (tmp_path / "again.npz").read_bytes()
 
 
-def test_a_loaded_network_is_for_inference_alone(stored: Path, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="loaded for inference"):
-        save_proposal_network(tmp_path / "again.npz", load_proposal_network(stored), {})
-    assert not (tmp_path / "again.npz").exists()
-
-
 @pytest.mark.parametrize(
     ("name", "value", "complaint"),
     [

@@ -14,7 +14,7 @@ from torchhand.errors import InputError
 from torchhand.files.disk import models_dir, opened_arrays, replacing
 from torchhand.files.hands.hand_model import load_hand_model
 from torchhand.hand import JOINT_DOFS
-from torchhand.propose import SIDE_PX, PresenceNetwork, ProposalNetwork, without_normalisation
+from torchhand.propose import SIDE_PX, PresenceNetwork, ProposalNetwork
 
 PROPOSAL_FORMAT = "torchhand proposals 1"
 PRESENCE_FORMAT = "torchhand presence 1"
@@ -30,18 +30,12 @@ Network = TypeVar("Network", ProposalNetwork, PresenceNetwork)
 
 
 def save_proposal_network(path: str | Path, network: ProposalNetwork, provenance: Mapping[str, Any]) -> None:
-    """Write a network; the same network gives the same bytes. provenance: how it was trained, for people.
-
-    Raises ValueError for one that was loaded, whose normalisations are part of its convolutions.
-    """
+    """Write a network; the same network gives the same bytes. provenance: how it was trained, for people."""
     _save(Path(path), PROPOSAL_FORMAT, network, network.sizes, provenance)
 
 
 def save_presence_network(path: str | Path, network: PresenceNetwork, provenance: Mapping[str, Any]) -> None:
-    """Write a network; the same network gives the same bytes. provenance: how it was trained, for people.
-
-    Raises ValueError for one that was loaded, whose normalisations are part of its convolutions.
-    """
+    """Write a network; the same network gives the same bytes. provenance: how it was trained, for people."""
     _save(Path(path), PRESENCE_FORMAT, network, network.sizes, provenance)
 
 
@@ -69,8 +63,6 @@ def load_presence_network(path: str | Path | None = None) -> PresenceNetwork:
 def _save(
     path: Path, file_format: str, network: nn.Module, sizes: Mapping[str, int], provenance: Mapping[str, Any]
 ) -> None:
-    if not any(isinstance(layer, nn.BatchNorm2d) for layer in network.modules()):
-        raise ValueError("network: expected one as it is trained, got one that was loaded for inference")
     header = {"format": file_format, "sizes": sizes, **_FACTS[file_format], "provenance": dict(provenance)}
     arrays = {_HEADER: np.array(json.dumps(header))}
     for name, value in network.state_dict().items():
@@ -99,7 +91,6 @@ def _load(path: Path, file_format: str, what: str, make: Callable[[dict[str, int
             raise InputError(f"{path}: {name}: expected finite numbers, got NaN or infinite ones")
     weights = {name: torch.from_numpy(arrays[name].astype(np.float32)) for name in expected}
     network.load_state_dict(weights, strict=False)
-    network.picture = without_normalisation(network.picture)
     # As convolutions read them, or they would be copied for each picture.
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     return network.eval().requires_grad_(False)

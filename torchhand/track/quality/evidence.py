@@ -14,14 +14,7 @@ from torchhand.geometry import Camera
 from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, FINGERS, JOINT_DOFS, HandKinematics, HandPose, Primitives
 from torchhand.image import EdgeSettings, search_edges
 from torchhand.propose import LearnedPosture
-from torchhand.track.scene import (
-    Agreement,
-    PlacedHand,
-    Scene,
-    SceneKeypoints,
-    SilhouetteComparison,
-    deviations_of_digits,
-)
+from torchhand.track.scene import Agreement, PlacedHand, Scene, SceneKeypoints, deviations_of_digits
 from torchhand.view import HandProjector, OutlineTable, outline_table
 from torchhand.view.outlines import Generators
 
@@ -62,7 +55,6 @@ _MIN_REACH_PX = 2.0
 _SPREAD_M = 0.01
 _SPECK = 0.002
 _MIN_DIRECTION = 0.02
-_ANY_SIDE_PX = 64  # no picture is compared where a hand is only placed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +82,7 @@ class FingerEvidence:
     def __init__(self, kinematics: HandKinematics, cameras: Sequence[Camera]) -> None:
         """cameras: as they see the scene's silhouettes."""
         self.kinematics, self.cameras = kinematics, tuple(cameras)
-        self._made: tuple[Tensor, list[HandProjector], SilhouetteComparison] | None = None
+        self._made: tuple[Tensor, list[HandProjector]] | None = None
 
     def __call__(self, told: Told, scene: Scene) -> Float[Tensor, "5 evidence"]:
         """A row for each finger, thumb to little, in the columns of EVIDENCE."""
@@ -114,13 +106,11 @@ class FingerEvidence:
         """Shares of each finger's contour in all views: outer found and missed, inner found and missed."""
         counts = torch.zeros(len(FINGERS), 4, dtype=torch.float64)
         total = 0.0
-        projectors, comparison = self._of_shape(told.shape)
-        placed = comparison.placed(told.pose) if told.placed is None else told.placed
-        for view, projector in enumerate(projectors):
+        for view, projector in enumerate(self._projectors(told.shape)):
             plane = scene.plane(view)
             if plane is None:
                 continue
-            counts += self._in_view(projector, told, placed.views[view], (plane, scene.grey(view)))
+            counts += self._in_view(projector, told, _seen_by(projector, told, view), (plane, scene.grey(view)))
             total += 1.0
         return counts / (_points_of_fingers() * max(1.0, total))[:, None]
 
@@ -152,13 +142,18 @@ class FingerEvidence:
         kind = 2 * (~outer).long() + (~found).long()
         return torch.bincount(4 * finger + kind, minlength=4 * len(FINGERS)).reshape(-1, 4).double()
 
-    def _of_shape(self, shape: Tensor) -> tuple[list[HandProjector], SilhouetteComparison]:
-        """What depends on the proportions, kept while they stay the same."""
+    def _projectors(self, shape: Tensor) -> list[HandProjector]:
         if self._made is None or self._made[0] is not shape:
-            projectors = [HandProjector(self.kinematics, camera, shape) for camera in self.cameras]
-            comparison = SilhouetteComparison(self.kinematics, self.cameras, shape, side_px=_ANY_SIDE_PX)
-            self._made = (shape, projectors, comparison)
-        return self._made[1:]
+            self._made = (shape, [HandProjector(self.kinematics, camera, shape) for camera in self.cameras])
+        return self._made[1]
+
+
+def _seen_by(projector: HandProjector, told: Told, view: int) -> tuple[Primitives, Generators]:
+    """The hand's primitives as a camera has them, and their contour generators."""
+    if told.placed is not None:
+        return told.placed.views[view]
+    primitives = projector.primitives_cam(projector.frames(told.pose.dofs, told.pose.reference))
+    return primitives, projector.generators_of(primitives)
 
 
 def _difference(deviations: Sequence[Tensor]) -> Float[Tensor, "5"]:
