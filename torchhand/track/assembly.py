@@ -161,21 +161,7 @@ def _of_one_camera(
         start,
     )
     if s.learned_proposals and here.kind == "pinhole":
-        sources += (
-            LearnedHands(
-                kinematics=kinematics,
-                camera=here,
-                table=own.table,
-                fit=s.fit,
-                silhouette=s.silhouette,
-                can_start=start_points is None,
-                can_restart=own.moves_joints,
-                plate=plate,
-                known_shape=shape,
-            ),
-        )
-        if own.moves_joints:
-            sources += (TiltedHands(kinematics=kinematics, camera=here),)
+        sources += _by_network(own, here, shape, plate, can_start=start_points is None)
     return Assembly(
         kinematics=kinematics,
         cameras=(here,),
@@ -188,6 +174,26 @@ def _of_one_camera(
         keypoint_settings=s.keypoints,
         has_learned_posture=s.learned_posture and here.kind == "pinhole" and own.moves_joints,
     )
+
+
+def _by_network(
+    own: _Ingredients, camera: Camera, shape: Tensor | None, plate: BackgroundPlate | None, *, can_start: bool
+) -> tuple[ProposalSource, ...]:
+    """Hands in any posture and, of a hand whose joints move, in other tilts. can_start: whether the first hand may come
+    from here."""
+    kinematics = own.hand.kinematics
+    hands = LearnedHands(
+        kinematics=kinematics,
+        camera=camera,
+        table=own.table,
+        fit=own.settings.fit,
+        silhouette=own.settings.silhouette,
+        can_start=can_start,
+        can_restart=own.moves_joints,
+        plate=plate,
+        known_shape=shape,
+    )
+    return (hands, TiltedHands(kinematics=kinematics, camera=camera)) if own.moves_joints else (hands,)
 
 
 def _of_a_rig(

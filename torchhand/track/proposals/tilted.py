@@ -9,18 +9,16 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.files import load_proposal_network
 from torchhand.fit.proposals import ProposalRegistration
 from torchhand.geometry import Camera, rotation_from_vector
 from torchhand.hand import JOINT_DOFS, HandKinematics, HandPose
-from torchhand.propose import Silhouette, propose_hands
+from torchhand.propose import Silhouette, palm_middle
 from torchhand.track.knowledge import TrackerState
 from torchhand.track.proposals.protocol import Occasion, Proposals, Proposed
 from torchhand.track.scene import Candidate, Scene
 
 _TILTS = (-math.radians(30.0), 0.0, math.radians(30.0))
-"""About either axis of the picture: the error of the best direction that the network proposes."""
-_PALM = (0, 5, 9, 13, 17)
+"""About either axis of the picture, and none: as far off as the network's view of a direction is."""
 _COUNT = 4  # registered hands that the followed one is compared with
 _SAME_M = 0.005  # mean distance of keypoints, up to which two registered hands are one
 
@@ -30,7 +28,7 @@ class TiltedHands:
     """Other tilts of a hand that explains less than it did, all registered on the silhouette at once.
 
     Where fingers bend, tilt and flexion change an outline alike: a hand that is followed may slide into a tilt from
-    which no small step leads back.
+    which no small step leads back. Turned over it explains outlines as well: that is a search's matter.
     """
 
     kinematics: HandKinematics
@@ -53,7 +51,7 @@ class TiltedHands:
         if plane is None or not bool((plane > 0.5).any()):
             return Proposals()
         seen = Silhouette(mask=plane > 0.5, camera=self.camera, image=scene.views[0].image)
-        found = self._registration(seen, self._starts(seen, best, shape), shape)
+        found = self._registration(seen, self._starts(best, shape), shape)
         order = found.cost.argsort()
         order = order[found.cost[order].isfinite()]
         keypoints = self.kinematics(found.pose.dofs, shape, root_reference=found.pose.reference).keypoints
@@ -64,8 +62,8 @@ class TiltedHands:
                 chosen.append(row)
         return Proposals(hands=tuple(Proposed(pose=found.pose[row]) for row in chosen), has_foreground=True)
 
-    def _starts(self, seen: Silhouette, best: Candidate, shape: Float[Tensor, "shape"]) -> HandPose:
-        """The network's hands, and the followed one tilted about the middle of its palm."""
+    def _starts(self, best: Candidate, shape: Float[Tensor, "shape"]) -> HandPose:
+        """It tilted about the middle of its palm, its fingers as they are and as the network sees them."""
         own = best.pose.normalized()
         joints = [own.dofs[-len(JOINT_DOFS) :]]
         joints += [] if best.learned is None else [best.learned.joints]
@@ -75,13 +73,8 @@ class TiltedHands:
         rotation = rotation_from_vector(tilts) @ own.rotation
         middles = [self._palm(dofs, rotation, shape), self._palm(own.dofs[None], own.reference[None], shape)]
         dofs[:, :3] = middles[1] - middles[0]
-        proposed = propose_hands(load_proposal_network(), (seen,), self.kinematics, shape).pose[0]
-        is_there = proposed.dofs.isfinite().all(-1)
-        return HandPose(
-            dofs=torch.cat((proposed.dofs[is_there], dofs)),
-            reference=torch.cat((proposed.reference[is_there], rotation)),
-        )
+        return HandPose(dofs=dofs, reference=rotation)
 
     def _palm(self, dofs: Tensor, reference: Tensor, shape: Tensor) -> Float[Tensor, "hands 3"]:
         keypoints = self.kinematics(dofs, shape, root_reference=reference).keypoints
-        return keypoints[:, list(_PALM)].mean(1)
+        return palm_middle(keypoints)
