@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import read_back, sent_to
 from torchhand.fit.observation import Explained
 from torchhand.fit.problem import Linearization, Problem
 from torchhand.fit.schedule import Schedule, Stage
@@ -181,14 +182,16 @@ class _Work:
     status: Status = Status.CONVERGED
     iterations: int = 0
     parts: tuple[_Part, ...] = ()
-    cost: float = torch.inf
+    cost: Float[Tensor, ""]
     """Lowest that a trial of the shared unknowns had since the association."""
     follow: tuple[Float[Tensor, "k free c"], ...] = ()
     """How the poses of every part change with the shared unknowns."""
 
     @classmethod
     def begin(cls, problem: Problem, start: HandPose, pose_tolerance: float, at_once: int) -> "_Work":
-        values, shared = problem.values_of(start), problem.shared
+        values = problem.values_of(start)
+        shared = None if problem.shared is None else sent_to(problem.shared, values.device)
+        problem = replace(problem, shared=shared)
         nothing = torch.zeros(len(start), dtype=torch.long, device=values.device)
         return cls(
             problem=problem,
@@ -200,6 +203,7 @@ class _Work:
             frame_iterations=nothing,
             pose_tolerance=pose_tolerance,
             at_once=at_once,
+            cost=values.new_full((), torch.inf),
         )
 
     def associate(self, stage: Stage) -> None:
@@ -212,7 +216,10 @@ class _Work:
             )
             for rows in (slice(first, first + self.at_once) for first in range(0, len(self.values), self.at_once))
         )
-        self.cost, self.follow = torch.inf, ()
+        self.cost = self.vector.new_full((), torch.inf)
+        self.follow = tuple(
+            own.new_zeros(*own.shape, len(self.vector)) for own in (self.values[part.rows] for part in self.parts)
+        )
 
     def solve_poses(self, iterations: int) -> None:
         """Finds the best poses for the shared unknowns as they are."""
@@ -226,7 +233,7 @@ class _Work:
     def descend(self, iterations: int, cost_tolerance: float) -> None:
         """Levenberg-Marquardt over the shared unknowns; the poses go along."""
         shared = self.problem.shared
-        if shared is None or not shared.size or not bool(self.is_sound.any()):
+        if shared is None or not shared.size or not read_back(self.is_sound).any():
             return
         lower, upper = shared.bounds(self.vector)
         settings = LevenbergMarquardtSettings(iterations=iterations, damping=_DAMPING, cost_tolerance=cost_tolerance)
@@ -243,8 +250,7 @@ class _Work:
         values, follow = [], []
         for number, part in enumerate(self.parts):
             start = self.values[part.rows]
-            if self.follow:
-                start = (start + self.follow[number] @ (vector - self.vector)).clamp(lower, upper)
+            start = (start + self.follow[number] @ (vector - self.vector)).clamp(lower, upper)
             found = part.solved(start, vector, settings).values
             arrow = part.arrow(found, vector, self.is_sound[part.rows])
             fixed = (found <= lower) & (arrow.block_gradient > 0) | (found >= upper) & (arrow.block_gradient < 0)
@@ -253,9 +259,10 @@ class _Work:
             matrix, gradient, cost = matrix + own.matrix, gradient + own.gradient, cost + own.cost
             values.append(found)
             follow.append(left.follow)
-        if float(cost) < self.cost:
-            self.cost, self.vector = float(cost), vector
-            self.values, self.follow = torch.cat(values), tuple(follow)
+        is_better = cost < self.cost  # chosen without a number being read: the device need not be waited for
+        self.cost, self.vector = torch.where(is_better, cost, self.cost), torch.where(is_better, vector, self.vector)
+        self.values = torch.where(is_better, torch.cat(values), self.values)
+        self.follow = tuple(torch.where(is_better, *own) for own in zip(follow, self.follow, strict=True))
         return NormalEquations(matrix=matrix, gradient=gradient, cost=cost)
 
     def solution(self, stage: Stage, information: Float[Tensor, "36"] | None) -> SharedSolution:
