@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchhand.devices import constant_tensor, sent_to
+from torchhand.devices import HOST, constant_tensor, sent_to
 from torchhand.hand import Anthropometry
 from torchhand.numerics.least_squares import NormalEquations
 
@@ -133,11 +133,11 @@ class SharedUnknowns:
 
     def vector(self, shape: Float[Tensor, "shape"]) -> Float[Tensor, "c"]:
         """The unknowns at their start."""
-        return torch.cat((shape[self._chosen(shape.device)], self.extra.to(shape)))
+        return torch.cat((shape[self.places(shape.device)], self.extra.to(shape)))
 
     def shape(self, vector: Float[Tensor, "c"], start: Float[Tensor, "shape"]) -> Float[Tensor, "shape"]:
         """The whole shape: free parameters of the vector, others of the start."""
-        return start.index_copy(0, self._chosen(vector.device), vector[: len(self.columns)])
+        return start.index_copy(0, self.places(vector.device), vector[: len(self.columns)])
 
     def feasible(self, vector: Float[Tensor, "c"], start: Float[Tensor, "shape"]) -> Float[Tensor, "shape"]:
         """The whole shape, put into the constraints; parameters that are neither free nor pliable stay."""
@@ -145,7 +145,7 @@ class SharedUnknowns:
         if self.population is None or not self.columns:
             return shape
         moving = torch.tensor(sorted({*self.columns, *self.pliable}), device=shape.device)
-        return shape.index_copy(0, moving, self.population.project(shape)[moving])
+        return shape.index_copy(0, moving, self.population.project(shape.to(HOST)).to(shape)[moving])
 
     def extras(self, vector: Float[Tensor, "c"]) -> Float[Tensor, "extra"]:
         """The numbers after the shape."""
@@ -154,12 +154,12 @@ class SharedUnknowns:
     def bounds(self, like: Tensor) -> tuple[Float[Tensor, "c"], Float[Tensor, "c"]]:
         """Bounds of the vector."""
         open_end = like.new_full((len(self.extra),), torch.inf)
-        chosen = self._chosen(like.device)
+        chosen = self.places(like.device)
         return torch.cat((self.lower.to(like)[chosen], -open_end)), torch.cat((self.upper.to(like)[chosen], open_end))
 
     def prior_equations(self, vector: Float[Tensor, "c"], start: Float[Tensor, "shape"]) -> NormalEquations:
         """What is believed of the unknowns, in the vector."""
-        found, chosen = self.prior.equations(self.shape(vector, start)), self._chosen(vector.device)
+        found, chosen = self.prior.equations(self.shape(vector, start)), self.places(vector.device)
         mean = self.extra if self.extra_mean is None else self.extra_mean
         away = (self.extras(vector) - mean.to(vector)) / self.extra_std.to(vector)
         size, count = self.size, len(self.columns)
@@ -169,6 +169,6 @@ class SharedUnknowns:
         gradient = torch.cat((found.gradient[chosen], away / self.extra_std.to(vector)))
         return NormalEquations(matrix=matrix, gradient=gradient, cost=found.cost + 0.5 * away.square().sum())
 
-    def _chosen(self, device: torch.device) -> Int[Tensor, "columns"]:
+    def places(self, device: torch.device) -> Int[Tensor, "columns"]:
         """Free parameters' places in the shape."""
         return constant_tensor(self.columns, torch.long, device)

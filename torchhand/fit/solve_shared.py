@@ -238,7 +238,8 @@ class _Work:
         lower, upper = shared.bounds(self.vector)
         settings = LevenbergMarquardtSettings(iterations=iterations, damping=_DAMPING, cost_tolerance=cost_tolerance)
         found = levenberg_marquardt(self._trial, self.vector, lower=lower, upper=upper, settings=settings)
-        self.status, self.iterations = Status(int(found.status)), self.iterations + int(found.iterations)
+        ended, tried = read_back(torch.stack((found.status, found.iterations))).tolist()
+        self.status, self.iterations = Status(ended), self.iterations + tried
 
     def _trial(self, vector: Float[Tensor, "c"]) -> NormalEquations:
         """Normal equations of the shared unknowns, every pose the best for them; the best trial is kept."""
@@ -271,17 +272,19 @@ class _Work:
         if shared is not None and shared.size:
             shape = shared.feasible(self.vector, shape)
             self.problem, count = replace(self.problem, shape=shape), len(shared.columns)
-            self.vector = torch.cat((shape[list(shared.columns)], self.vector[count:]))
+            self.vector = torch.cat((shared.vector(shape)[:count], self.vector[count:]))
             self.associate(stage)
             self.solve_poses(stage.iterations)
         self.associate(stage)
         cost, covariance, shared_covariance = self._covariances(information)
         std = torch.zeros_like(shape)
         if shared is not None:
-            columns = list(shared.columns)
+            columns = shared.places(std.device)
             std[columns] = shared_covariance.diagonal()[: len(columns)].clamp_min(0).sqrt()
-        elif not bool((self.frame_status == Status.CONVERGED.value).all()):
-            self.status = Status(int(self.frame_status.max()))
+        else:
+            statuses = read_back(self.frame_status)
+            if (statuses != Status.CONVERGED.value).any():
+                self.status = Status(int(statuses.max()))
         counts = [len(part.here.hands) for part in self.parts]
         return SharedSolution(
             pose=self.problem.pose_of(self.values, self.reference),
@@ -305,27 +308,28 @@ class _Work:
         shared, basis = self.problem.shared, self.problem.space.basis
         known = basis.new_zeros(len(basis)) if information is None else information.to(basis)
         prior_information = torch.diag((basis.square() * known[:, None]).sum(0))
-        matrix, cost = self.vector.new_zeros(len(self.vector), len(self.vector)), 0.0
+        matrix, cost = self.vector.new_zeros(len(self.vector), len(self.vector)), self.vector.new_zeros(())
         if shared is not None:
             prior = shared.prior_equations(self.vector, self.problem.shape)
-            matrix, cost = prior.matrix.clone(), float(prior.cost)
+            matrix, cost = prior.matrix.clone(), prior.cost
         own, follow = [], []
         for part in self.parts:
             arrow = part.arrow(self.values[part.rows], self.vector, self.is_sound[part.rows])
             arrow = replace(arrow, blocks=arrow.blocks + prior_information)
             own.append(covariance_of(arrow.blocks, self.is_sound[part.rows]))
-            cost += float(arrow.cost)
+            cost = cost + arrow.cost
             if len(self.vector):
                 left = arrow.eliminated()
                 matrix = matrix + left.equations.matrix
                 follow.append(left.follow)
         covariance = torch.cat(own)
+        total = float(read_back(cost))
         if not len(self.vector):
-            return cost, covariance, matrix
+            return total, covariance, matrix
         of_shared = covariance_of(matrix[None], torch.ones_like(self.is_sound[:1]))[0]
         for part, following in zip(self.parts, follow, strict=True):
             covariance[part.rows] += following @ of_shared @ following.mT
-        return cost, covariance, of_shared
+        return total, covariance, of_shared
 
     def _pose_settings(self, iterations: int) -> LevenbergMarquardtSettings:
         return LevenbergMarquardtSettings(
