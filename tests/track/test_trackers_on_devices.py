@@ -73,7 +73,8 @@ def same(found: Estimate, expected: Estimate) -> None:
 
 
 @pytest.mark.parametrize(
-    "config", ["contour_planar", *(pytest.param(name, marks=pytest.mark.slow) for name in ("contour_full", "distance_full"))]
+    "config",
+    ["contour_planar", *(pytest.param(name, marks=pytest.mark.slow) for name in ("contour_full", "distance_full"))],
 )
 def test_a_hand_is_followed_on_a_device_as_on_the_processor(config: str, device: torch.device, film: Any) -> None:
     _, expected = followed(tracker_of(film, CPU, config), film.images[:2])
@@ -149,9 +150,7 @@ def test_hulls_are_followed_and_their_hand_is_fitted(device: torch.device, rig: 
     torch.testing.assert_close(state.shape.to(CPU), expected_state.shape, rtol=0, atol=ATOL)
 
 
-def test_one_tensor_of_the_processor_is_found(
-    device: torch.device, film: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_tensor_of_the_processor_is_found(device: torch.device, film: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is made without a device where all else has one fails, as it would on CUDA."""
     told = "torchhand.track.belief.motion.HandMotion._told"
     monkeypatch.setattr(told, lambda self, values: torch.tensor(values, dtype=torch.float64))
@@ -181,8 +180,6 @@ def test_the_hand_of_a_single_picture(device: torch.device, studio: Any) -> None
     placed = studio.placed(posed="open", camera=studio.camera(160, 128))
     view = View(image=placed.picture(), mask=placed.mask)
     settings = SinglePoseSettings()
-    found, expected = (
-        single_pose_fitter("right", settings, where)(view, placed.camera) for where in (device, CPU)
-    )
+    found, expected = (single_pose_fitter("right", settings, where)(view, placed.camera) for where in (device, CPU))
     same(found.estimate, expected.estimate)
     torch.testing.assert_close(found.shape, expected.shape, rtol=0, atol=ATOL)

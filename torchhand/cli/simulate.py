@@ -126,7 +126,11 @@ def _with_bar(rendered: Iterator[Frame], arguments: Arguments) -> Iterable[Frame
 
 
 def _about(arguments: Arguments, actor: Actor, motion: Motion) -> dict[str, Any]:
-    given = {name: value for name, value in asdict(arguments).items() if name not in ("out", "overwrite", "threads", "device")}
+    given = {
+        name: value
+        for name, value in asdict(arguments).items()
+        if name not in ("out", "overwrite", "threads", "device")
+    }
     given = {name: value for name, value in given.items() if name not in _OPTIONAL or value != _OPTIONAL[name]}
     about = {name: str(value) if isinstance(value, Path) else value for name, value in given.items()}
     return {"torchhand": torchhand.__version__, "hand": actor.side, "motion": motion.name, "arguments": about}

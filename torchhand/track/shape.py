@@ -215,7 +215,9 @@ class _Fit:
         picture = picture_contours(mask, _SCHEDULE, settings, image=scene.views[0].image)
         if picture.is_empty:
             return None
-        table = sent_to(outline_table(s.points_per_generator, s.points_per_arc, without=("palm_wrist",)), self.tracker.device)
+        table = sent_to(
+            outline_table(s.points_per_generator, s.points_per_arc, without=("palm_wrist",)), self.tracker.device
+        )
         return ContourObservation(picture=picture, contours=PrimitiveContours(projector, table), settings=settings)
 
     @property
@@ -229,7 +231,9 @@ class _Fit:
         """The poses of some frames as one problem, the shape known."""
         kinematics, shape = self.tracker.parts.kinematics, self.state.shape
         assert shape is not None
-        postures = PostureResiduals.of(HandPrior(kinematics.skeleton, kinematics.shape_space).to(self.tracker.device).postures)
+        postures = PostureResiduals.of(
+            HandPrior(kinematics.skeleton, kinematics.shape_space).to(self.tracker.device).postures
+        )
         return Problem(
             space=self.tracker.parts.motion.space,
             skeleton=kinematics.skeleton,

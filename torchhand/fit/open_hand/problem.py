@@ -97,7 +97,11 @@ class OpenHandProblem:
         shape = space.default.clone()
         for finger, proximal in _PROXIMAL.items():
             shape[space.names.index(f"{finger}_proximal")] = proximal
-        mean, count, spread = torch.cat((pose[free_pose], shape[free_shape])), len(space.names), population.spread.clone()
+        mean, count, spread = (
+            torch.cat((pose[free_pose], shape[free_shape])),
+            len(space.names),
+            population.spread.clone(),
+        )
         spread[-1] *= shape[length]
         scale = population.settings.softness * torch.cat((spread, spread))
         problem = cls(

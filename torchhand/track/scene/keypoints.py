@@ -109,7 +109,9 @@ def parts_of(dofs: tuple[str, ...], device: torch.device) -> Int[Tensor, "dofs"]
     digits."""
     names = [name.split("_")[0] for name in dofs]
     with torch.inference_mode(False):  # kept for callers in any mode
-        return torch.tensor([1 + FINGERS.index(name) if name in FINGERS else 0 for name in names], dtype=torch.long, device=device)
+        return torch.tensor(
+            [1 + FINGERS.index(name) if name in FINGERS else 0 for name in names], dtype=torch.long, device=device
+        )
 
 
 def scene_keypoints(
