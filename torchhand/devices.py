@@ -90,6 +90,19 @@ def _sent(value: Any, device: torch.device) -> Any:
     return replace(value, **changed) if changed else value
 
 
+def finished(work: Callable[[], Any], device: torch.device) -> Callable[[], Any]:
+    """Work that ends when the device has done it, for clocks; itself on a processor."""
+    if device.type != "cuda":
+        return work
+
+    def done() -> Any:
+        found = work()
+        torch.cuda.synchronize(device)
+        return found
+
+    return done
+
+
 def on_host(work: _Work) -> _Work:
     """The door to numpy and OpenCV: work whose arguments are sent to the processor, and whose result is sent to the
     device of the first one. On a processor nothing is sent."""
