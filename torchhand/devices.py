@@ -10,7 +10,7 @@ once.
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
 from functools import lru_cache, wraps
-from typing import Any, TypeVar, cast
+from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
 import torch
@@ -26,6 +26,15 @@ HOST = torch.device("cpu")
 """Where numpy and OpenCV work, and what is written to disks comes from."""
 
 _HOSTS = ("cpu",)
+
+
+@runtime_checkable
+class _Moved(Protocol):
+    """What tells itself how it comes to a device, such as a module with records in it."""
+
+    def on(self, device: torch.device) -> Any: ...
+
+
 _Record = TypeVar("_Record")
 _Work = TypeVar("_Work", bound=Callable[..., Any])
 
@@ -82,8 +91,10 @@ def _sent(value: Any, device: torch.device) -> Any:
     if type(value) in (tuple, list):
         parts = type(value)(_sent(part, device) for part in value)
         return value if all(own is part for own, part in zip(parts, value, strict=True)) else parts
+    if isinstance(value, _Moved):
+        return value.on(device)
     if not is_dataclass(value) or isinstance(value, type):
-        return value.on(device) if hasattr(value, "on") else value
+        return value
     own = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
     moved = {name: _sent(part, device) for name, part in own.items()}
     changed = {name: part for name, part in moved.items() if part is not own[name]}

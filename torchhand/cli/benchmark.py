@@ -198,7 +198,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _measure(name: Name, arguments: Arguments) -> Figure:
-    measure = _MEASURES[name]
+    measure: Callable[..., Figure] = _MEASURES[name]
     if measure is recorded_stream:
         measure = partial(recorded_stream, recordings=arguments.recording)
     elif measure is soak_of_filters:
