@@ -7,7 +7,7 @@ _TRIM_THRESHOLD, _TOP_PAD, _MMAP_THRESHOLD = -1, -2, -3
 """Numbers of mallopt(3), as malloc.h of glibc has them."""
 _LARGEST = 1 << 25
 """Bytes above which memory is asked of the system one by one: the most that glibc takes."""
-_KEPT = 1 << 30
+_KEPT = 1 << 27
 """Free bytes at the end of the heap, from which on they are given back."""
 _AHEAD = 1 << 24
 """Bytes asked for at a time."""
