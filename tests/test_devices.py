@@ -7,6 +7,7 @@ import torch
 from torchhand import devices
 from torchhand.devices import TURNS, asks_after, constant_tensor, device_named, may_hold, read_back, rows_where
 from torchhand.errors import InputError
+from torchhand.track import HandKeypoints, View
 
 CPU, META = torch.device("cpu"), torch.device("meta")
 
@@ -56,3 +57,26 @@ def test_a_gpu_by_name() -> None:
 @pytest.mark.gpu
 def test_a_gpu_is_no_host() -> None:
     assert not devices.is_host(torch.device("cuda"))
+
+
+def test_records_in_records_are_sent_and_others_stay() -> None:
+    view = View(keypoints=HandKeypoints(points_px=torch.zeros(21, 2)))
+    assert devices.sent_to((view, "name"), torch.device("cpu"))[0] is view
+    sent = devices.sent_to((view, "name"), torch.device("meta"))
+    assert sent[0].keypoints is not None
+    assert sent[0].keypoints.points_px.device.type == "meta"
+    assert sent[1] == "name"
+
+
+def test_work_of_the_processor_gives_its_result_to_the_device(device: torch.device) -> None:
+    seen = []
+
+    @devices.on_host
+    def doubled(values: torch.Tensor, *, by: torch.Tensor) -> list[torch.Tensor]:
+        seen.extend((values.device.type, by.device.type))
+        return [torch.from_numpy(values.numpy() * by.numpy())]
+
+    [found] = doubled(torch.ones(3, device=device), by=torch.full((3,), 2.0, device=device))
+    assert seen == ["cpu", "cpu"]
+    assert found.device.type == device.type
+    assert found.tolist() == [2.0, 2.0, 2.0]

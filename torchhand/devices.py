@@ -7,9 +7,10 @@ asked after several turns only (`asks_after`). On a processor numbers are there 
 once.
 """
 
-from dataclasses import fields, replace
-from functools import lru_cache
-from typing import Any, TypeVar
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass, replace
+from functools import lru_cache, wraps
+from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
 import torch
@@ -21,8 +22,21 @@ from torchhand.errors import InputError
 TURNS = 8
 """Turns of a loop on an accelerator after which it asks whether it may end."""
 
+HOST = torch.device("cpu")
+"""Where numpy and OpenCV work, and what is written to disks comes from."""
+
 _HOSTS = ("cpu",)
+
+
+@runtime_checkable
+class _Moved(Protocol):
+    """What tells itself how it comes to a device, such as a module with records in it."""
+
+    def on(self, device: torch.device) -> Any: ...
+
+
 _Record = TypeVar("_Record")
+_Work = TypeVar("_Work", bound=Callable[..., Any])
 
 
 def is_host(device: torch.device) -> bool:
@@ -64,10 +78,55 @@ def constant_tensor(values: Any, dtype: torch.dtype, device: torch.device) -> Te
 
 
 def sent_to(record: _Record, device: torch.device) -> _Record:
-    """A dataclass with its own tensors on a device."""
-    values = {field.name: getattr(record, field.name) for field in fields(record)}  # type: ignore[arg-type]
-    moved = {name: value.to(device) for name, value in values.items() if isinstance(value, Tensor)}
-    return replace(record, **moved)  # type: ignore[type-var]
+    """A dataclass with its tensors on a device, those of the records in it too; itself where they are there.
+
+    What is no record, such as a module, is sent by its own method `on`, where it has one.
+    """
+    return _sent(record, device)
+
+
+def _sent(value: Any, device: torch.device) -> Any:
+    if isinstance(value, Tensor):
+        return value.to(device)
+    if type(value) in (tuple, list):
+        parts = type(value)(_sent(part, device) for part in value)
+        return value if all(own is part for own, part in zip(parts, value, strict=True)) else parts
+    if isinstance(value, _Moved):
+        return value.on(device)
+    if not is_dataclass(value) or isinstance(value, type):
+        return value
+    own = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
+    moved = {name: _sent(part, device) for name, part in own.items()}
+    changed = {name: part for name, part in moved.items() if part is not own[name]}
+    return replace(value, **changed) if changed else value
+
+
+def finished(work: Callable[[], Any], device: torch.device) -> Callable[[], Any]:
+    """Work that ends when the device has done it, for clocks; itself on a processor."""
+    if device.type != "cuda":
+        return work
+
+    def done() -> Any:
+        found = work()
+        torch.cuda.synchronize(device)
+        return found
+
+    return done
+
+
+def on_host(work: _Work) -> _Work:
+    """The door to numpy and OpenCV: work whose arguments are sent to the processor, and whose result is sent to the
+    device of the first one. On a processor nothing is sent."""
+
+    @wraps(work)
+    def done(first: Any, *others: Any, **named: Any) -> Any:
+        device = first.device
+        if is_host(device):
+            return work(first, *others, **named)
+        given = [sent_to(value, HOST) for value in (first, *others)]
+        return sent_to(work(*given, **{name: sent_to(value, HOST) for name, value in named.items()}), device)
+
+    return cast(_Work, done)
 
 
 def device_named(name: str, *, option: str = "--device") -> torch.device:

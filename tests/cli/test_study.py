@@ -23,7 +23,7 @@ from torchhand.files import load_hand_model, read_picture, save_hand
 from torchhand.hand import DOFS
 from torchhand.study.hypotheses import CaseStudy, Hypotheses, StudyBatch, frames_of
 
-RESULT_NAMES = {"study.csv", "study.png", "hypotheses.npz", "config.yaml"}
+RESULT_NAMES = {"study.csv", "study.png", "hypotheses.npz"}
 QUICK = (
     *("--size", "96x72", "--starts", "7", "--batch", "3", "--levels", "2", "--iterations", "6"),
     *("--set", "points_per_generator=6", "--set", "points_per_arc=6", "--set", "contour.boundary_points=64"),
@@ -150,6 +150,12 @@ def test_registration_helps_in_the_end(done: Path) -> None:
     assert float(largest["angle_median_deg"]) < 0.8 * float(largest["start_angle_median_deg"])
 
 
+def config_of(folder: Path) -> Any:
+    """The settings that a study keeps with its starts."""
+    with np.load(folder / "hypotheses.npz") as stored:
+        return yaml.safe_load(str(stored["config"]))
+
+
 def test_the_plot_shows_lines(done: Path) -> None:
     picture = read_picture(done / "study.png")
     assert picture.shape == (760, 1200, 3)
@@ -160,12 +166,12 @@ def test_the_plot_shows_lines(done: Path) -> None:
 
 
 def test_the_configuration_tells_everything(done: Path) -> None:
-    config = yaml.safe_load((done / "config.yaml").read_text())
+    config = config_of(done)
     assert config["starts"] == 7
     assert config["perturbation"] == {"angle_deg": 15.0, "translation_mm": 10.0, "rotation_deg": 15.0, "levels": 2}
     assert config["batch"] == 3
     assert config["contour"]["boundary_points"] == 64
-    assert [stage["iterations"] for stage in config["schedule"]] == [2, 2, 1]  # six in four rounds
+    assert [stage["iterations"] for stage in config["schedule"]] == [2, 2, 1, 1]  # six in four rounds
     run_config = config["run"]
     assert (run_config["input"], run_config["frames"], run_config["seed"]) == ("simulated pictures", [0, 2], 0)
     assert run_config["reference"] == "exact, of simulated pictures"
@@ -303,7 +309,7 @@ def test_another_maker_s_truth_of_keypoints(sequence: Path, tmp_path: Path, run:
     assert outcome.code == 0, outcome.err
     assert "our hand fitted to the truth's keypoints" in outcome.out
     assert "right hand)" in outcome.out
-    run_config = yaml.safe_load((tmp_path / "out" / "config.yaml").read_text())["run"]
+    run_config = config_of(tmp_path / "out")["run"]
     assert run_config["reference_overlap"][0] > 0.85
 
 
@@ -320,7 +326,7 @@ def test_a_picture_without_truth_is_its_own_reference(sequence: Path, tmp_path: 
         kinematics = load_hand_model().kinematics(dtype=torch.float64)
         points = kinematics(torch.from_numpy(stored["reference_pose"][0])).keypoints.numpy()
         assert np.linalg.norm(points - truth["keypoints3d"][0], axis=-1).mean() < 0.015
-    run_config = yaml.safe_load((tmp_path / "out" / "config.yaml").read_text())["run"]
+    run_config = config_of(tmp_path / "out")["run"]
     assert list(run_config["shape_of_first_frame"].values()) == load_hand_model().shape_space.default.tolist()
 
 
@@ -335,7 +341,7 @@ def saved_hand(folder: Path, factor: float, side: str) -> Path:
 def test_a_known_hand_is_simulated(tmp_path: Path, run: Run) -> None:
     hand = saved_hand(tmp_path, 1.1, "left")
     assert run("--out", tmp_path / "out", *QUICK, "--starts", "2", "--hand", hand).code == 0
-    run_config = yaml.safe_load((tmp_path / "out" / "config.yaml").read_text())["run"]
+    run_config = config_of(tmp_path / "out")["run"]
     assert run_config["side"] == "left"
     assert run_config["shape_of_first_frame"]["hand_length"] == pytest.approx(
         1.1 * float(load_hand_model().shape_space.default[0])
@@ -359,11 +365,21 @@ def test_settings_from_a_file_and_single_ones(tmp_path: Path, run: Run) -> None:
         "2",
     )
     assert run("--out", tmp_path / "out", *order).code == 0
-    config = yaml.safe_load((tmp_path / "out" / "config.yaml").read_text())
+    config = config_of(tmp_path / "out")
     assert (config["success_deg"], config["has_prior"], config["space"]) == (3.0, False, "dof27")
     assert config["perturbation"]["levels"] == 2
-    assert [stage["method"] for stage in config["schedule"]] == ["gradient_descent"] * 3
+    assert [stage["method"] for stage in config["schedule"]] == ["gradient_descent"] * 4
     assert config["run"]["seed"] == 0
+    again = run("--out", tmp_path / "again", "--config", tmp_path / "out" / "hypotheses.npz", "--print-config")
+    assert yaml.safe_load(again.out) == {key: value for key, value in config.items() if key != "run"}
+
+
+def test_an_older_version_s_settings_go_with_it(done: Path, tmp_path: Path, run: Run) -> None:
+    """The file in which they stood does not stay beside results that it does not belong to."""
+    old = Path(shutil.copytree(done, tmp_path / "old"))
+    (old / "config.yaml").write_text("starts: 7\n")
+    assert run("--out", old, *QUICK, "--starts", "2", "--overwrite").code == 0
+    assert {path.name for path in old.iterdir()} == RESULT_NAMES
 
 
 # ---------------------------------------------------------------------------------------- what a user can get wrong
@@ -512,6 +528,6 @@ def test_help_has_an_example(run: Run) -> None:
 def test_the_header_is_json_in_the_arrays(done: Path) -> None:
     with np.load(done / "hypotheses.npz") as stored:
         header = json.loads(str(stored["header"]))
-    assert header["format"] == "torchhand hypothesis study 2"
+    assert header["format"] == "torchhand hypothesis study 3"
     assert header["settings"]["best_of"] == [1, 2]
     assert header["frames"] == [0, 2]

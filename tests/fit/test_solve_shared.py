@@ -7,6 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from tests.device_guard import no_host_reads, on_device
+from torchhand import devices
 from torchhand.files import load_hand_model
 from torchhand.fit import Problem, SharedUnknowns, SolveStatus, Stage, solve_shared
 from torchhand.fit.keypoints import KeypointSettings, WorldKeypoints
@@ -183,6 +185,41 @@ def test_constraints_are_kept_exactly() -> None:
     assert bool(population.is_feasible(kept.shape))
     changed = (kept.shape != KINEMATICS.default_shape).nonzero()[:, 0].tolist()
     assert set(changed) <= set(bones)
+
+
+def test_no_trial_waits_for_its_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As often in six trials of the shape as in one, with the processor treated as an accelerator: when the rounds
+    end; and what comes out is what a processor finds, which asks itself all the time."""
+    truth = _poses(3, 1)
+    problem = _problem(_points(truth, _shape()))
+    few, many = ((Stage(gross_m=0.05, rounds=1, iterations=count),) for count in (1, 6))
+    expected = solve_shared(problem, _near(truth), many)
+    monkeypatch.setattr(devices, "_HOSTS", ())
+    solve_shared(problem, _near(truth), many)  # constants are sent once
+    counts = []
+    for stages in (few, many):
+        with no_host_reads() as permitted:
+            found = solve_shared(problem, _near(truth), stages)
+        counts.append(permitted.count)
+    assert counts[0] == counts[1] <= 6
+    torch.testing.assert_close(found.shape, expected.shape, rtol=0, atol=1e-9)
+    torch.testing.assert_close(found.pose.vector, expected.pose.vector, rtol=0, atol=1e-8)
+
+
+def test_one_shape_on_a_device_is_that_of_the_processor(device: torch.device) -> None:
+    """The problem, its frames and its constraints are on the device."""
+    truth = _poses(3, 1)
+    problem = _problem(_points(truth, _shape()))
+    assert problem.shared is not None
+    kept = replace(problem.shared, population=Anthropometry(KINEMATICS.shape_space))
+    problem, stages = replace(problem, shared=kept), (Stage(gross_m=0.05, rounds=1, iterations=6),)
+    expected = solve_shared(problem, _near(truth), stages)
+    there, starts = on_device((problem, _near(truth)), device)
+    found = solve_shared(there, starts, stages)
+    assert found.shape.device.type == device.type
+    torch.testing.assert_close(found.shape.cpu(), expected.shape, rtol=0, atol=1e-9)
+    torch.testing.assert_close(found.pose.vector.cpu(), expected.pose.vector, rtol=0, atol=1e-8)
+    torch.testing.assert_close(found.shared_covariance.cpu(), expected.shared_covariance, rtol=1e-6, atol=1e-12)
 
 
 def test_error_messages() -> None:

@@ -5,6 +5,7 @@ import pytest
 import torch
 from scipy.optimize import lsq_linear
 
+from tests.device_guard import no_host_reads
 from torchhand import devices
 from torchhand.numerics.box import mode_in_box
 from torchhand.numerics.filters import Gaussian
@@ -68,3 +69,17 @@ def test_the_mode_is_the_same_where_it_is_asked_seldom_whether_it_is_found(monke
     found = mode_in_box(state, *bounds)
     torch.testing.assert_close(found[0], expected[0], rtol=1e-12, atol=1e-12)
     assert torch.equal(found[1], expected[1])
+
+
+def test_no_turn_waits_for_its_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the processor treated as an accelerator: it is asked at the stride alone, and finds the same."""
+    state = _gaussian(5)
+    bound = torch.full((6,), 0.3, dtype=torch.float64)
+    expected, is_expected = mode_in_box(state, -bound, bound)
+    assert bool(is_expected.any())
+    monkeypatch.setattr(devices, "_HOSTS", ())
+    with no_host_reads() as permitted:
+        value, is_bound = mode_in_box(state, -bound, bound)
+    assert 0 < permitted.count <= 2 * 3 * 6 // devices.TURNS
+    torch.testing.assert_close(value, expected, atol=1e-12, rtol=0)
+    assert torch.equal(is_bound, is_expected)

@@ -44,7 +44,8 @@ from torchhand.cli.benchmarks import (
     track_views_memory,
     tracking,
 )
-from torchhand.cli.command import DONE, command, parse, threads
+from torchhand.cli.command import DONE, OnDevice, command, parse, threads
+from torchhand.devices import device_named
 from torchhand.errors import InputError
 from torchhand.evaluate import THREAD_VARIABLES, machine_facts
 from torchhand.files.disk import write_text
@@ -97,11 +98,18 @@ TRACKED: dict[Name, TrackingCase] = {
     "track_distance_points_640x480": TrackingCase(config="distance_full", has_points=True),
 }
 """Trackers of 27 degrees of freedom; "twice" is with the second pass, whose time counts for the same frames."""
+ON_DEVICES: tuple[Name, ...] = (
+    *("kinematics_forward", "kinematics_forward_backward"),
+    *("skinning_forward_4096", "skinning_gradients_64", "skinning_gradients_1024"),
+    *("registration", "registration_many", "track_planar_360x288"),
+    *TRACKED,
+)
+"""What --device moves; the rest is measured on the processor."""
 SLOW: tuple[Name, ...] = ("track_memory", "track_views_memory", "fit_hand_bones", *SOAK)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(OnDevice):
     """Measure speed against peers in the same run, what the hand model promises, frames per second, and memory.
 
     Ours and the peer take turns, and medians of the repeats are compared. A peer that is not installed
@@ -142,6 +150,9 @@ class Arguments:
         for name, value, maximum in (("repeats", self.repeats, 100_000), ("threads", self.threads, 1024)):
             if value is not None and not 1 <= value <= maximum:
                 raise ValueError(f"--{name}: expected 1 to {maximum}, got {value}")
+        elsewhere = [name for name in self.only if name not in ON_DEVICES] if self.device != "cpu" else []
+        if elsewhere:
+            raise ValueError(f"--device: expected cpu for {elsewhere[0]}, which is measured on the processor")
         if not 1 <= self.soak_steps <= 1_000_000_000:
             raise ValueError(f"--soak-steps: expected 1 to 1000000000, got {self.soak_steps}")
         if not 0 < self.soak_minutes <= 10_000:
@@ -151,6 +162,8 @@ class Arguments:
     def chosen(self) -> tuple[Name, ...]:
         """What to measure."""
         names: tuple[Name, ...] = get_args(Name)
+        if self.device != "cpu":
+            names = ON_DEVICES
         if self.only and not self.everything:
             wanted = {*self.only, *(SOAK if "soak" in self.only else ())}
             return tuple(name for name in names if name in wanted)
@@ -163,6 +176,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = parse(Arguments, argv, name="benchmark")
     if arguments.out is not None and (arguments.out.is_dir() or not arguments.out.absolute().parent.is_dir()):
         raise InputError(f"{arguments.out}: --out: expected the name of a file in a folder that exists")
+    device_named(arguments.device)  # a mistake is told before the work
     if any(os.environ.get(name) != str(arguments.threads) for name in THREAD_VARIABLES):
         return _measured_anew(arguments.threads, argv)
     with threads(arguments.threads):
@@ -184,13 +198,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _measure(name: Name, arguments: Arguments) -> Figure:
-    measure = _MEASURES[name]
+    measure: Callable[..., Figure] = _MEASURES[name]
     if measure is recorded_stream:
         measure = partial(recorded_stream, recordings=arguments.recording)
     elif measure is soak_of_filters:
         measure = partial(soak_of_filters, steps=arguments.soak_steps)
     elif measure is soak_of_tracking:
         measure = partial(soak_of_tracking, minutes=arguments.soak_minutes)
+    elif name in ON_DEVICES:
+        measure = partial(measure, device=device_named(arguments.device))
     return measure(name, arguments.repeats)
 
 

@@ -11,7 +11,8 @@ from jaxtyping import Bool, UInt8
 from torch import Tensor
 from tyro.conf import Positional, arg
 
-from torchhand.cli.command import DONE, command, parse, threads
+from torchhand.cli.command import DONE, OnDevice, command, parse, threads
+from torchhand.devices import device_named
 from torchhand.draw import draw_overlay
 from torchhand.errors import InputError
 from torchhand.files import camera_entry, camera_for, load_hand_model, read_picture, save_hand
@@ -44,7 +45,7 @@ _HAND_LENGTHS = (0.14, 0.24)  # metres: the bounds of the shape space
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(OnDevice):
     """Fit the hand to one picture of an open hand: its own proportions, with a standard deviation for each.
 
     IMAGE shows one open hand, fingers spread and apart, flat and square to the camera, with a bare forearm or none.
@@ -98,6 +99,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Fit one picture."""
     arguments = parse(Arguments, argv, name="fit_hand")
     _check_outputs(arguments)
+    device_named(arguments.device)  # a mistake is told before the work
     with pixel_limit(arguments.max_megapixels):
         return _fit(arguments)
 
@@ -172,7 +174,7 @@ def _fitted(
 ) -> tuple[OpenHand, Side, list[str]]:
     """The fit, the side, and what the user should know about them."""
     side: Side = arguments.side or "right"
-    model = load_hand_model()
+    model = load_hand_model().to(device=device_named(arguments.device))
     hand = fit_open_hand(mask, model.kinematics(side, dtype=torch.float64), camera)
     if isinstance(hand, NoRegions):
         raise InputError(f"{arguments.image}: {hand.reason}")

@@ -9,7 +9,8 @@ from typing import Annotated, Literal
 from tqdm import tqdm
 from tyro.conf import Positional, arg
 
-from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
+from torchhand.cli.command import DONE, STOPPED_BY_USER, OnDevice, command, parse, threads
+from torchhand.devices import device_named
 from torchhand.files import Track
 from torchhand.files.pictures import MAX_MEGAPIXELS, pixel_limit
 from torchhand.files.results import POSES_NAME
@@ -19,7 +20,7 @@ from torchhand.track.single import SinglePoseSettings
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(OnDevice):
     """Fit the hand to single pictures: any posture, every picture by itself, with detected keypoints or without.
 
     DIR gets poses.npz (the fields of track.npz, and for every picture its name, side, proportions and intrinsics),
@@ -79,6 +80,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         resume=arguments.resume,
         overwrite=arguments.overwrite,
         has_overlays=arguments.overlays,
+        device=device_named(arguments.device),
     )
     if arguments.camera is None:
         _say("no --camera given: a field of view is assumed, so distances are metric only up to that assumption")

@@ -21,6 +21,7 @@ from torchhand.cli.simulations import (
     rig_complaints,
     with_mask_noise,
 )
+from torchhand.devices import HOST, device_named, sent_to
 from torchhand.errors import InputError
 from torchhand.evaluate import flexion_deg
 from torchhand.geometry import Camera
@@ -51,6 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         scene = arguments.scene
     except ValueError as error:
         raise InputError(str(error)) from error
+    device_named(arguments.device)  # a mistake is told before the work
     with threads(arguments.threads):
         check_sequence_folder(arguments.out, overwrite=arguments.overwrite)
         if arguments.rig is None:
@@ -64,10 +66,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _render(arguments: Arguments, scene: SceneSettings) -> None:
     generator = torch.Generator().manual_seed(arguments.seed)
-    actor = actor_of(arguments, generator)
+    device = device_named(arguments.device)
+    actor = actor_of(arguments, generator, device)
     camera = camera_of(arguments)
     motion = motion_of(arguments, actor, camera, generator)
-    rendered = render_sequence(actor.kinematics, motion, camera, scene, generator, shape=actor.shape, hand=actor.hand)
+    kinematics, moving, there, shape = sent_to((actor.kinematics, motion, camera, actor.shape), device)
+    drawn = render_sequence(kinematics, moving, there, scene, generator, shape=shape, hand=actor.hand)
+    rendered = (sent_to(frame, HOST) for frame in drawn)
     if arguments.mask_noise:
         noise = torch.Generator().manual_seed(arguments.seed)
         rendered = (with_mask_noise(frame, arguments.mask_noise, noise) for frame in rendered)
@@ -88,10 +93,13 @@ def _render(arguments: Arguments, scene: SceneSettings) -> None:
 
 def _render_rig(arguments: Arguments, scene: SceneSettings, cameras: list[Camera]) -> None:
     generator = torch.Generator().manual_seed(arguments.seed)
-    actor = actor_of(arguments, generator)
+    device = device_named(arguments.device)
+    actor = actor_of(arguments, generator, device)
     stage = stage_camera(cameras, hand_length(actor.kinematics, actor.shape))
     motion = motion_of(arguments, actor, stage, generator)
-    rendered = render_rig(actor.kinematics, motion, cameras, scene, generator, shape=actor.shape, hand=actor.hand)
+    kinematics, moving, there, shape = sent_to((actor.kinematics, motion, cameras, actor.shape), device)
+    drawn = render_rig(kinematics, moving, there, scene, generator, shape=shape, hand=actor.hand)
+    rendered = (sent_to(frames, HOST) for frames in drawn)
     if arguments.mask_noise:
         noise = torch.Generator().manual_seed(arguments.seed)
         rendered = (
@@ -118,7 +126,11 @@ def _with_bar(rendered: Iterator[Frame], arguments: Arguments) -> Iterable[Frame
 
 
 def _about(arguments: Arguments, actor: Actor, motion: Motion) -> dict[str, Any]:
-    given = {name: value for name, value in asdict(arguments).items() if name not in ("out", "overwrite", "threads")}
+    given = {
+        name: value
+        for name, value in asdict(arguments).items()
+        if name not in ("out", "overwrite", "threads", "device")
+    }
     given = {name: value for name, value in given.items() if name not in _OPTIONAL or value != _OPTIONAL[name]}
     about = {name: str(value) if isinstance(value, Path) else value for name, value in given.items()}
     return {"torchhand": torchhand.__version__, "hand": actor.side, "motion": motion.name, "arguments": about}

@@ -54,8 +54,9 @@ class Arguments(OnDevice):
 
     INPUT is a sequence with truth (of `torchhand simulate`, or frames/, cameras.json and truth.npz with keypoints3d); a
     picture, a folder of pictures or a video of an open hand, whose best registration is then the reference; or nothing:
-    pictures of hands of our own are simulated. DIR gets study.csv (a row per size of the perturbation), study.png,
-    hypotheses.npz (every start) and config.yaml. The same arguments give the same files, stopped and resumed or not.
+    pictures of hands of our own are simulated. DIR gets study.csv (a row per size of the perturbation), study.png
+    and hypotheses.npz (every start, and the settings). The same arguments give the same files, stopped and resumed or
+    not.
 
     Example:
         torchhand study --out out/study --starts 10000
@@ -71,7 +72,7 @@ class Arguments(OnDevice):
     frames: Annotated[str, arg(metavar="N,N-N")] = "0"
     """Frames to study, from 0, such as 0 or 0,10,20-29, or all. Every number is another simulated picture."""
     config: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Settings (YAML), such as config.yaml of an earlier study; what follows changes single ones."""
+    """Settings (YAML), or hypotheses.npz of an earlier study, which holds its own; what follows changes single ones."""
     starts: Annotated[int | None, arg(metavar="N")] = None
     """Starts over all frames; 10000 if not given."""
     levels: Annotated[int | None, arg(metavar="N")] = None

@@ -9,8 +9,9 @@ from typing import Annotated, Literal
 from tqdm import tqdm
 from tyro.conf import Positional, UseAppendAction, arg
 
-from torchhand.cli.command import DONE, STOPPED_BY_USER, WRONG_INPUT, command, one_address, parse, threads
+from torchhand.cli.command import DONE, STOPPED_BY_USER, WRONG_INPUT, OnDevice, command, one_address, parse, threads
 from torchhand.cluster import Cluster
+from torchhand.devices import device_named
 from torchhand.errors import DiskError, InputError
 from torchhand.export import MAX_GAP_S, check_max_gap
 from torchhand.files import check_output_folder, sequences_of
@@ -36,7 +37,7 @@ from torchhand.track import TrackerSettings
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(OnDevice):
     """Track a hand through a video, a folder of pictures, a folder of videos, a webcam or a stream.
 
     DIR gets report.html, which opens in a browser, track.npz, track.jsonl with header.json, hand.json, config.yaml and
@@ -225,6 +226,7 @@ def _request(arguments: Arguments) -> Request:
         has_overlay=arguments.overlay,
         has_report=arguments.report,
         seed=arguments.seed,
+        device=device_named(arguments.device),
     )
 
 

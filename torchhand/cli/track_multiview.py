@@ -9,7 +9,8 @@ from typing import Annotated, Literal
 from tqdm import tqdm
 from tyro.conf import Positional, UseAppendAction, arg
 
-from torchhand.cli.command import DONE, STOPPED_BY_USER, command, parse, threads
+from torchhand.cli.command import DONE, STOPPED_BY_USER, OnDevice, command, parse, threads
+from torchhand.devices import device_named
 from torchhand.errors import InputError
 from torchhand.files import offsets_of
 from torchhand.files.pictures import MAX_MEGAPIXELS, pixel_limit
@@ -27,7 +28,7 @@ from torchhand.track import TrackerSettings
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(OnDevice):
     """Track a hand through the synchronised pictures of several calibrated cameras.
 
     RIG holds cameras.json (or OpenCV's, COLMAP's or plain text files) and, per camera in its order, view_K/ with
@@ -147,6 +148,7 @@ def _request(arguments: Arguments) -> Request:
         keeps_checkpoint=arguments.keep_checkpoint,
         has_overlay=arguments.overlay,
         has_report=arguments.report,
+        device=device_named(arguments.device),
     )
 
 

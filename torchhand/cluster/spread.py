@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 import torch
 
+from torchhand.cluster.memory import keep_freed_memory
 from torchhand.errors import InputError
 
 _AHEAD = 2
@@ -41,7 +42,12 @@ class Cluster:
         except ImportError as error:
             raise InputError("--ray needs Ray: pip install 'torchhand[cluster]'") from error
         quiet = {"log_to_driver": False, "configure_logging": True, "logging_level": "error"}
-        own = {"num_cpus": processes, "include_dashboard": False, "object_store_memory": _STORE_BYTES}
+        own = {
+            "num_cpus": processes,
+            "include_dashboard": False,
+            "object_store_memory": _STORE_BYTES,
+            "_system_config": {"worker_niceness": 0},  # Ray's own is 15, for clusters that others share
+        }
         try:
             self._ray.init(**quiet, **({"address": "local", **own} if address is None else {"address": address}))
         except (ConnectionError, RuntimeError, ValueError, OSError) as error:
@@ -93,6 +99,7 @@ def _run(token: str, shared: Sequence[Any], item: Any) -> Any:
 def _work(token: str, shared: Any) -> Callable[[Any], Any]:
     """What the worker makes once: for the token, since references to one object may differ."""
     torch.set_num_threads(1)
+    keep_freed_memory()
     make, folder = importlib.import_module("ray").get(shared)
     with contextlib.suppress(OSError):
         os.chdir(folder)  # relative paths lead where they lead for who asks

@@ -44,9 +44,10 @@ from torchhand.files.results import (
     load_track,
 )
 from torchhand.files.rigs import Offsets, RigFrame, RigSource, load_rig, offsets_of, open_rig, rig_notes
-from torchhand.files.settings import load_settings, save_settings, setting_in, settings_text
+from torchhand.files.settings import CONFIG_ARRAY, load_settings, save_settings, setting_in, settings_text
 
 __all__ = [
+    "CONFIG_ARRAY",
     "DetectionLog",
     "Detections",
     "FittedHand",

@@ -11,12 +11,14 @@ import yaml
 
 from torchhand import __version__
 from torchhand.errors import InputError
-from torchhand.files.disk import read_plain_file, read_yaml, short, suggestion, write_text
+from torchhand.files.disk import opened_arrays, read_plain_file, read_yaml, short, suggestion, write_text
 
 Settings = TypeVar("Settings")
 
 RUN_KEY = "run"
 """Top-level key of a saved file that tells how it was made; skipped when such a file is loaded again."""
+CONFIG_ARRAY = "config"
+"""Array of an .npz result that holds its settings as text."""
 COMMAND_LINE = "command line"
 _LARGEST_BYTES = 1 << 20
 
@@ -27,7 +29,8 @@ def load_settings(
     """The defaults with the differences of a YAML file, and then of `overrides`.
 
     `defaults` is an instance of a dataclass, which may hold others. Overrides are nested mappings or dotted names, such
-    as {"filter.order": 2}. A file that `save_settings` wrote loads as well.
+    as {"filter.order": 2}. A file that `save_settings` wrote loads as well, and so does a result (.npz) that
+    holds such text.
 
     Raises InputError naming the file (or the command line) and the key: syntax, unknown key, wrong type, impossible
     value.
@@ -49,33 +52,43 @@ def setting_in(path: str | Path, key: str) -> Any:
 
 def save_settings(settings: Any, path: str | Path, extra: Mapping[str, Any] | None = None) -> None:
     """Write every field, resolved, and under `run` the version and what else the caller knows (seed, input ...)."""
+    write_text(Path(path), settings_text(settings, extra or {}))
+
+
+def settings_text(settings: Any, extra: Mapping[str, Any] | None = None) -> str:
+    """Every field, resolved, as YAML that `load_settings` reads. extra: what is told under `run` beside the version;
+    None for nothing."""
     content = _plain(settings)
-    if RUN_KEY in content:
-        raise ValueError(f"settings: the field name {RUN_KEY!r} is reserved")
-    content[RUN_KEY] = {"torchhand": __version__, **_plain(dict(extra or {}))}
-    write_text(Path(path), _text(content))
-
-
-def settings_text(settings: Any) -> str:
-    """Every field, resolved, as YAML that `load_settings` reads."""
-    return _text(_plain(settings))
-
-
-def _text(content: dict[str, Any]) -> str:
+    if extra is not None:
+        if RUN_KEY in content:
+            raise ValueError(f"settings: the field name {RUN_KEY!r} is reserved")
+        content[RUN_KEY] = {"torchhand": __version__, **_plain(dict(extra))}
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:
-    try:
-        text = read_plain_file(path, largest=_LARGEST_BYTES).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: expected a YAML text file in UTF-8, got something else") from error
+    text = _text_in_result(path) if path.suffix.lower() == ".npz" else _text_of_file(path)
     content = read_yaml(text, str(path))
     if content is None:
         return {}
     if not isinstance(content, dict):
         raise InputError(f"{path}: expected keys with values, got {short(content)}")
     return content
+
+
+def _text_of_file(path: Path) -> str:
+    try:
+        return read_plain_file(path, largest=_LARGEST_BYTES).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected a YAML text file in UTF-8, got something else") from error
+
+
+def _text_in_result(path: Path) -> str:
+    with opened_arrays(path, complaint="is no result that can be read") as stored:
+        found = stored.chosen([CONFIG_ARRAY]).get(CONFIG_ARRAY)
+    if found is None or found.dtype.kind != "U" or found.ndim:
+        raise InputError(f"{path}: expected a result with its settings ({CONFIG_ARRAY!r}), found none")
+    return str(found)
 
 
 def _nested(overrides: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,12 +2,14 @@
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchhand.devices import HOST, constant_tensor, sent_to
 from torchhand.hand import Anthropometry
 from torchhand.numerics.least_squares import NormalEquations
 
@@ -43,21 +45,48 @@ def population_rows(
 ) -> tuple[Float[Tensor, "rows"], Float[Tensor, "rows shape"]]:
     """Residuals in standard deviations and their derivative in the parameters: the normal distribution over people,
     with length and breadth correlated, and those constraints beyond the bounds that are broken."""
-    space, count = population.space, len(population.space.names)
-    std = space.std.to(shape)
-    scaled = (shape - space.default.to(shape)) / std
-    length, breadth = (space.names.index(name) for name in ("hand_length", "hand_breadth"))
-    rho = population.settings.length_breadth_correlation
-    rows = torch.eye(count, dtype=shape.dtype, device=shape.device)
-    rows[breadth] /= math.sqrt(1 - rho * rho)
-    rows[breadth, length] = -rho / math.sqrt(1 - rho * rho)
-    matrix, bound = (x[2 * count :].to(shape) for x in (population.matrix, population.bound))
-    spread = population.spread.to(shape).clone()
-    spread[-1] *= float(space.default[length])
-    scale = population.settings.softness * torch.cat((spread, spread))
-    excess = (matrix @ shape - bound) / scale
-    of_excess = (excess > 0)[:, None] * matrix / scale[:, None]
-    return torch.cat((rows @ scaled, excess.clamp_min(0))), torch.cat((rows / std, of_excess))
+    known = _constants_of(population, shape.dtype, shape.device)
+    scaled = (shape - known.mean) / known.std
+    excess = (known.matrix @ shape - known.bound) / known.scale
+    of_excess = (excess > 0)[:, None] * known.matrix / known.scale[:, None]
+    return torch.cat((known.rows @ scaled, excess.clamp_min(0))), torch.cat((known.rows / known.std, of_excess))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Population:
+    """What is known of people's hands, as matrices."""
+
+    mean: Float[Tensor, "shape"]
+    std: Float[Tensor, "shape"]
+    rows: Float[Tensor, "shape shape"]
+    """Of the parameters in standard deviations: such as do not depend on each other."""
+    matrix: Float[Tensor, "constraints shape"]
+    bound: Float[Tensor, "constraints"]
+    scale: Float[Tensor, "constraints"]
+    """Standard deviation of every constraint."""
+
+
+@lru_cache(maxsize=8)
+def _constants_of(population: Anthropometry, dtype: torch.dtype, device: torch.device) -> _Population:
+    """Sent to a device once."""
+    with torch.inference_mode(False):  # kept for callers in any mode
+        space, count = population.space, len(population.space.names)
+        length, breadth = (space.names.index(name) for name in ("hand_length", "hand_breadth"))
+        rho = population.settings.length_breadth_correlation
+        rows = torch.eye(count, dtype=dtype)
+        rows[breadth] /= math.sqrt(1 - rho * rho)
+        rows[breadth, length] = -rho / math.sqrt(1 - rho * rho)
+        spread = population.spread.to(dtype, copy=True)
+        spread[-1] *= float(space.default[length])
+        found = _Population(
+            mean=space.default.to(dtype),
+            std=space.std.to(dtype),
+            rows=rows,
+            matrix=population.matrix[2 * count :].to(dtype),
+            bound=population.bound[2 * count :].to(dtype),
+            scale=population.settings.softness * torch.cat((spread, spread)),
+        )
+        return sent_to(found, device)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,12 +133,11 @@ class SharedUnknowns:
 
     def vector(self, shape: Float[Tensor, "shape"]) -> Float[Tensor, "c"]:
         """The unknowns at their start."""
-        return torch.cat((shape[list(self.columns)], self.extra.to(shape)))
+        return torch.cat((shape[self.places(shape.device)], self.extra.to(shape)))
 
     def shape(self, vector: Float[Tensor, "c"], start: Float[Tensor, "shape"]) -> Float[Tensor, "shape"]:
         """The whole shape: free parameters of the vector, others of the start."""
-        chosen = torch.tensor(self.columns, dtype=torch.long, device=vector.device)
-        return start.index_copy(0, chosen, vector[: len(self.columns)])
+        return start.index_copy(0, self.places(vector.device), vector[: len(self.columns)])
 
     def feasible(self, vector: Float[Tensor, "c"], start: Float[Tensor, "shape"]) -> Float[Tensor, "shape"]:
         """The whole shape, put into the constraints; parameters that are neither free nor pliable stay."""
@@ -117,7 +145,7 @@ class SharedUnknowns:
         if self.population is None or not self.columns:
             return shape
         moving = torch.tensor(sorted({*self.columns, *self.pliable}), device=shape.device)
-        return shape.index_copy(0, moving, self.population.project(shape)[moving])
+        return shape.index_copy(0, moving, self.population.project(shape.to(HOST)).to(shape)[moving])
 
     def extras(self, vector: Float[Tensor, "c"]) -> Float[Tensor, "extra"]:
         """The numbers after the shape."""
@@ -126,12 +154,12 @@ class SharedUnknowns:
     def bounds(self, like: Tensor) -> tuple[Float[Tensor, "c"], Float[Tensor, "c"]]:
         """Bounds of the vector."""
         open_end = like.new_full((len(self.extra),), torch.inf)
-        chosen = list(self.columns)
+        chosen = self.places(like.device)
         return torch.cat((self.lower.to(like)[chosen], -open_end)), torch.cat((self.upper.to(like)[chosen], open_end))
 
     def prior_equations(self, vector: Float[Tensor, "c"], start: Float[Tensor, "shape"]) -> NormalEquations:
         """What is believed of the unknowns, in the vector."""
-        found, chosen = self.prior.equations(self.shape(vector, start)), list(self.columns)
+        found, chosen = self.prior.equations(self.shape(vector, start)), self.places(vector.device)
         mean = self.extra if self.extra_mean is None else self.extra_mean
         away = (self.extras(vector) - mean.to(vector)) / self.extra_std.to(vector)
         size, count = self.size, len(self.columns)
@@ -140,3 +168,7 @@ class SharedUnknowns:
         matrix[count:, count:] = torch.diag(self.extra_std.to(vector) ** -2)
         gradient = torch.cat((found.gradient[chosen], away / self.extra_std.to(vector)))
         return NormalEquations(matrix=matrix, gradient=gradient, cost=found.cost + 0.5 * away.square().sum())
+
+    def places(self, device: torch.device) -> Int[Tensor, "columns"]:
+        """Free parameters' places in the shape."""
+        return constant_tensor(self.columns, torch.long, device)

@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import read_back, sent_to
 from torchhand.fit.observation import Explained
 from torchhand.fit.problem import Linearization, Problem
 from torchhand.fit.schedule import Schedule, Stage
@@ -181,14 +182,16 @@ class _Work:
     status: Status = Status.CONVERGED
     iterations: int = 0
     parts: tuple[_Part, ...] = ()
-    cost: float = torch.inf
+    cost: Float[Tensor, ""]
     """Lowest that a trial of the shared unknowns had since the association."""
     follow: tuple[Float[Tensor, "k free c"], ...] = ()
     """How the poses of every part change with the shared unknowns."""
 
     @classmethod
     def begin(cls, problem: Problem, start: HandPose, pose_tolerance: float, at_once: int) -> "_Work":
-        values, shared = problem.values_of(start), problem.shared
+        values = problem.values_of(start)
+        shared = None if problem.shared is None else sent_to(problem.shared, values.device)
+        problem = replace(problem, shared=shared)
         nothing = torch.zeros(len(start), dtype=torch.long, device=values.device)
         return cls(
             problem=problem,
@@ -200,6 +203,7 @@ class _Work:
             frame_iterations=nothing,
             pose_tolerance=pose_tolerance,
             at_once=at_once,
+            cost=values.new_full((), torch.inf),
         )
 
     def associate(self, stage: Stage) -> None:
@@ -212,7 +216,10 @@ class _Work:
             )
             for rows in (slice(first, first + self.at_once) for first in range(0, len(self.values), self.at_once))
         )
-        self.cost, self.follow = torch.inf, ()
+        self.cost = self.vector.new_full((), torch.inf)
+        self.follow = tuple(
+            own.new_zeros(*own.shape, len(self.vector)) for own in (self.values[part.rows] for part in self.parts)
+        )
 
     def solve_poses(self, iterations: int) -> None:
         """Finds the best poses for the shared unknowns as they are."""
@@ -226,12 +233,13 @@ class _Work:
     def descend(self, iterations: int, cost_tolerance: float) -> None:
         """Levenberg-Marquardt over the shared unknowns; the poses go along."""
         shared = self.problem.shared
-        if shared is None or not shared.size or not bool(self.is_sound.any()):
+        if shared is None or not shared.size or not read_back(self.is_sound).any():
             return
         lower, upper = shared.bounds(self.vector)
         settings = LevenbergMarquardtSettings(iterations=iterations, damping=_DAMPING, cost_tolerance=cost_tolerance)
         found = levenberg_marquardt(self._trial, self.vector, lower=lower, upper=upper, settings=settings)
-        self.status, self.iterations = Status(int(found.status)), self.iterations + int(found.iterations)
+        ended, tried = read_back(torch.stack((found.status, found.iterations))).tolist()
+        self.status, self.iterations = Status(ended), self.iterations + tried
 
     def _trial(self, vector: Float[Tensor, "c"]) -> NormalEquations:
         """Normal equations of the shared unknowns, every pose the best for them; the best trial is kept."""
@@ -243,8 +251,7 @@ class _Work:
         values, follow = [], []
         for number, part in enumerate(self.parts):
             start = self.values[part.rows]
-            if self.follow:
-                start = (start + self.follow[number] @ (vector - self.vector)).clamp(lower, upper)
+            start = (start + self.follow[number] @ (vector - self.vector)).clamp(lower, upper)
             found = part.solved(start, vector, settings).values
             arrow = part.arrow(found, vector, self.is_sound[part.rows])
             fixed = (found <= lower) & (arrow.block_gradient > 0) | (found >= upper) & (arrow.block_gradient < 0)
@@ -253,9 +260,10 @@ class _Work:
             matrix, gradient, cost = matrix + own.matrix, gradient + own.gradient, cost + own.cost
             values.append(found)
             follow.append(left.follow)
-        if float(cost) < self.cost:
-            self.cost, self.vector = float(cost), vector
-            self.values, self.follow = torch.cat(values), tuple(follow)
+        is_better = cost < self.cost  # chosen without a number being read: the device need not be waited for
+        self.cost, self.vector = torch.where(is_better, cost, self.cost), torch.where(is_better, vector, self.vector)
+        self.values = torch.where(is_better, torch.cat(values), self.values)
+        self.follow = tuple(torch.where(is_better, *own) for own in zip(follow, self.follow, strict=True))
         return NormalEquations(matrix=matrix, gradient=gradient, cost=cost)
 
     def solution(self, stage: Stage, information: Float[Tensor, "36"] | None) -> SharedSolution:
@@ -264,17 +272,19 @@ class _Work:
         if shared is not None and shared.size:
             shape = shared.feasible(self.vector, shape)
             self.problem, count = replace(self.problem, shape=shape), len(shared.columns)
-            self.vector = torch.cat((shape[list(shared.columns)], self.vector[count:]))
+            self.vector = torch.cat((shared.vector(shape)[:count], self.vector[count:]))
             self.associate(stage)
             self.solve_poses(stage.iterations)
         self.associate(stage)
         cost, covariance, shared_covariance = self._covariances(information)
         std = torch.zeros_like(shape)
         if shared is not None:
-            columns = list(shared.columns)
+            columns = shared.places(std.device)
             std[columns] = shared_covariance.diagonal()[: len(columns)].clamp_min(0).sqrt()
-        elif not bool((self.frame_status == Status.CONVERGED.value).all()):
-            self.status = Status(int(self.frame_status.max()))
+        else:
+            statuses = read_back(self.frame_status)
+            if (statuses != Status.CONVERGED.value).any():
+                self.status = Status(int(statuses.max()))
         counts = [len(part.here.hands) for part in self.parts]
         return SharedSolution(
             pose=self.problem.pose_of(self.values, self.reference),
@@ -298,27 +308,28 @@ class _Work:
         shared, basis = self.problem.shared, self.problem.space.basis
         known = basis.new_zeros(len(basis)) if information is None else information.to(basis)
         prior_information = torch.diag((basis.square() * known[:, None]).sum(0))
-        matrix, cost = self.vector.new_zeros(len(self.vector), len(self.vector)), 0.0
+        matrix, cost = self.vector.new_zeros(len(self.vector), len(self.vector)), self.vector.new_zeros(())
         if shared is not None:
             prior = shared.prior_equations(self.vector, self.problem.shape)
-            matrix, cost = prior.matrix.clone(), float(prior.cost)
+            matrix, cost = prior.matrix.clone(), prior.cost
         own, follow = [], []
         for part in self.parts:
             arrow = part.arrow(self.values[part.rows], self.vector, self.is_sound[part.rows])
             arrow = replace(arrow, blocks=arrow.blocks + prior_information)
             own.append(covariance_of(arrow.blocks, self.is_sound[part.rows]))
-            cost += float(arrow.cost)
+            cost = cost + arrow.cost
             if len(self.vector):
                 left = arrow.eliminated()
                 matrix = matrix + left.equations.matrix
                 follow.append(left.follow)
         covariance = torch.cat(own)
+        total = float(read_back(cost))
         if not len(self.vector):
-            return cost, covariance, matrix
+            return total, covariance, matrix
         of_shared = covariance_of(matrix[None], torch.ones_like(self.is_sound[:1]))[0]
         for part, following in zip(self.parts, follow, strict=True):
             covariance[part.rows] += following @ of_shared @ following.mT
-        return cost, covariance, of_shared
+        return total, covariance, of_shared
 
     def _pose_settings(self, iterations: int) -> LevenbergMarquardtSettings:
         return LevenbergMarquardtSettings(

@@ -61,6 +61,11 @@ class Camera:
         }
         return replace(self, **moved)
 
+    def at_origin(self) -> "Camera":
+        """The same camera in a world that is its own frame."""
+        eye = torch.eye(3, dtype=self.rotation.dtype, device=self.rotation.device)
+        return replace(self, rotation=eye, translation=torch.zeros_like(self.translation))
+
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "Camera":
         """Some cameras of a batch with one dimension; itself where there is one camera for all."""
         if self.intrinsics.ndim == 2 or len(self.intrinsics) == 1:

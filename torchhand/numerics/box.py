@@ -51,4 +51,6 @@ def _pull(covariance: Tensor, missing: Tensor, is_bound: Tensor) -> Tensor:
         return torch.zeros_like(missing).index_copy(0, bound, torch.linalg.solve(own, missing.index_select(0, bound)))
     kept = is_bound.to(missing)
     matrix = covariance * kept.unsqueeze(-1) * kept.unsqueeze(-2) + (1 - kept).diag_embed()
-    return torch.linalg.solve(matrix, missing)
+    if is_host(is_bound.device):
+        return torch.linalg.solve(matrix, missing)
+    return torch.linalg.solve_ex(matrix, missing).result  # does not ask whether a matrix was singular

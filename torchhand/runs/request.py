@@ -6,7 +6,10 @@ from math import hypot, isfinite
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from torchhand.detect import HandDetector
+from torchhand.devices import HOST
 from torchhand.errors import InputError
 from torchhand.export import MAX_GAP_S
 from torchhand.files import (
@@ -84,6 +87,8 @@ class Request:
     has_overlay: bool = True
     has_report: bool = True
     seed: int = 0
+    device: torch.device = HOST
+    """Device of the tracker; decoding and drawing are the processor's."""
 
     def with_side(self, recording: Recording, say: Callable[[str], None]) -> "Request":
         """The request with a side: the one given, that of the known hand, or the one that the recording shows."""

@@ -5,6 +5,7 @@ import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 import torchhand
+from torchhand.devices import HOST
 from torchhand.files import (
     FrameRecord,
     Track,
@@ -27,7 +29,7 @@ from torchhand.files import (
 )
 from torchhand.files.results import CONFIG_NAME, CONVENTION, HAND_NAME, JSONL_NAME, STATUSES
 from torchhand.geometry import Camera
-from torchhand.hand import DOFS
+from torchhand.hand import DOFS, HandKinematics
 from torchhand.runs.keypoint_tracks import KeypointSource, with_keypoints
 from torchhand.runs.progress import progress
 from torchhand.runs.recordings import RecordedFrame, Recording
@@ -77,9 +79,15 @@ class Run:
     @property
     def shape(self) -> Float[Tensor, "shape"] | None:
         """The proportions, where they are known."""
-        if self._recorded_shape is not None:
-            return self._recorded_shape
-        return self.tracker.known_shape if self.state is None else self.state.shape
+        known = self._recorded_shape
+        if known is None:
+            known = self.tracker.known_shape if self.state is None else self.state.shape
+        return None if known is None else known.to(HOST)
+
+    @cached_property
+    def kinematics(self) -> HandKinematics:
+        """The tracker's hand, wherever that computes, for what is drawn and written."""
+        return self.tracker.kinematics.on(HOST)
 
     def step(self, frame: RecordedFrame) -> tuple[FrameRecord, list[FrameRecord]]:
         """Track one frame; its record, and those of earlier ones that it corrects."""
@@ -141,7 +149,7 @@ class Run:
 
     def go_on_from(self, saved: Mapping[str, Any]) -> None:
         """Continue an interrupted run."""
-        self.state = restored_state(saved["state"])
+        self.state = restored_state(saved["state"], self.tracker.device)
         self._provenance = json.loads(saved["provenance"])
         self._followed_px = saved.get("followed_px")
 

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.devices import HOST, read_back, sent_to
 from torchhand.files import Track, TrackWriter, load_track
 from torchhand.files.results import BACKWARD_NAME, JSONL_NAME
 from torchhand.runs.keypoint_tracks import with_keypoints
@@ -48,13 +49,13 @@ def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
     writer.keep_forward()
     shape = _adopted_shape(run, forward, before, say)
     say("second pass: the hand is followed back from the last frame to the first (--causal does without)")
-    _follow_back(run, writer, forward, say)
+    _follow_back(run, writer, forward, shape, say)
     if shape is not before:
         forward = _reshaped(forward, run.tracker, before, shape)
     passes = TwoPasses.of(forward, load_track(writer.folder / BACKWARD_NAME))
-    cameras = run.tracker.own_cameras
+    cameras = sent_to(run.tracker.own_cameras, HOST)
     camera = cameras[0] if len(cameras) == 1 else None
-    for record in joined_records(passes, run.tracker.kinematics, shape, camera):
+    for record in joined_records(passes, run.kinematics, shape.to(HOST), camera):
         writer.correct(record)
     if shape is not before:
         run.save_hand(writer.folder)
@@ -107,15 +108,16 @@ def _reshaped(track: Track, tracker: Tracker, before: Tensor, shape: Tensor) -> 
     """A track of one camera with the hands of another shape in the place of its own."""
     kinematics, [camera], rows = tracker.kinematics, tracker.own_cameras, np.flatnonzero(track.has_hand)
     pose, keypoints = track.pose.copy(), track.keypoints3d.copy()
-    moved = reshaped_poses(torch.from_numpy(pose[rows]), tracker.parts.motion, kinematics, before, shape)
-    pose[rows], keypoints[rows] = moved.numpy(), kinematics(moved, shape).keypoints.numpy()
-    in_picture = camera.project(torch.from_numpy(keypoints)).numpy()
+    poses = torch.from_numpy(pose[rows]).to(tracker.device)
+    moved = reshaped_poses(poses, tracker.parts.motion, kinematics, before, shape)
+    pose[rows], keypoints[rows] = read_back(moved), read_back(kinematics(moved, shape).keypoints)
+    in_picture = camera.to(device=HOST).project(torch.from_numpy(keypoints)).numpy()
     return replace(track, pose=pose, keypoints3d=keypoints, keypoints2d=in_picture)
 
 
-def _follow_back(run: Run, writer: TrackWriter, forward: Track, say: Say) -> None:
+def _follow_back(run: Run, writer: TrackWriter, forward: Track, shape: Tensor, say: Say) -> None:
     assert run.state is not None
-    recording, follower = run.recording, BackwardPass(run.tracker, run.state, shape=run.shape)
+    recording, follower = run.recording, BackwardPass(run.tracker, run.state, shape=shape)
     names = [camera.name for camera in recording.cameras]
     rows = {int(frame): row for row, frame in enumerate(forward.frame)}
     has_hand = forward.has_hand

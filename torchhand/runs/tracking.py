@@ -79,7 +79,7 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
         request = request.with_side(recording, say)
         camera, count = recording.cameras[0], "unknown" if recording.count is None else recording.count
         _log.debug("%s: %dx%d px, %s frames, %s hand", source, camera.width, camera.height, count, request.known_side)
-        hand = load_hand_model().hand(side=request.known_side, dtype=torch.float64)
+        hand = load_hand_model().to(device=request.device).hand(side=request.known_side, dtype=torch.float64)
         tracker = Tracker(
             hand,
             recording.cameras,
@@ -196,7 +196,7 @@ def _track_views(recording: RigRecording | LiveRecording, out_dir: Path, request
             run = _track_all(start, keypoints, writer, say)
         track, shape = load_track(writer.folder), run.shape
         if isinstance(recording, RigRecording) and request.has_overlay and len(track) and shape is not None:
-            kinematics, cameras = run.tracker.kinematics, Rig(recording.cameras).scaled(run.metres)
+            kinematics, cameras = run.kinematics, Rig(recording.cameras).scaled(run.metres)
             write_views(writer.folder / OVERLAY_NAME, track, kinematics, cameras, shape, recording)
         _write_report(writer, track, request)
     return track
@@ -254,7 +254,8 @@ class _RigStart:
         """keypoints: those of files, which tell of the hand in any frame."""
         self.keypoints = keypoints
         self.recording, self.request, self.settings = recording, request, request.settings
-        self.hand = load_hand_model().hand(side=request.known_side, dtype=torch.float64)
+        model = load_hand_model().to(device=request.device)
+        self.hand = model.hand(side=request.known_side, dtype=torch.float64)
         self.known = _known_shape(request)
         self._times_s: dict[int, float] = {}  # of the frames in which the hand was looked for
         method, has_masks = self.settings.silhouette.method, recording.has_masks
@@ -352,7 +353,9 @@ class _RigStart:
 
 def _known_shape(request: Request) -> Float[Tensor, "shape"] | None:
     hand = request.hand
-    return None if hand is None else torch.tensor(list(hand.values.values()), dtype=torch.float64)
+    if hand is None:
+        return None
+    return torch.tensor(list(hand.values.values()), dtype=torch.float64, device=request.device)
 
 
 @contextlib.contextmanager
@@ -437,6 +440,7 @@ def _asked(request: Request) -> dict[str, Any]:
         "start": request.start,
         "max_frames": request.max_frames,
         "seed": request.seed,
+        "device": str(request.device),
     }
 
 

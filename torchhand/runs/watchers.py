@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Callable, Iterator
 
+from torchhand.devices import HOST
 from torchhand.files import FrameRecord, TrackWriter
 from torchhand.files.results import EMPTY_STATUSES, OVERLAY_NAME
 from torchhand.runs.live import opened_show
@@ -56,4 +57,4 @@ def opened_watchers(
 
 def projector_of(run: Run) -> HandProjector:
     """What projects poses into the pictures of one camera."""
-    return HandProjector(run.tracker.kinematics, run.tracker.own_cameras[0], run.shape)
+    return HandProjector(run.kinematics, run.tracker.own_cameras[0].to(device=HOST), run.shape)

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.devices import sent_to
 from torchhand.fit.detect import StartPoints
 from torchhand.fit.keypoints import KeypointSettings
 from torchhand.geometry import Camera
@@ -85,12 +86,13 @@ def assembled(
     is_exact = hand.shape.dtype == torch.float64
     hand = hand if is_exact else copy.deepcopy(hand).double()  # the caller's stays as it is
     motion = HandMotion(
-        space=named_pose_space(settings.pose_space),
+        space=named_pose_space(settings.pose_space).to(device=hand.shape.device),
         skeleton=hand.kinematics.skeleton,
         model=settings.motion,
         noise=settings.noise,
     )
     table = outline_table(settings.points_per_generator, settings.points_per_arc, without=("palm_wrist",))
+    table = sent_to(table, hand.shape.device)
     ingredients = _Ingredients(hand=hand, settings=settings, motion=motion, table=table)
     if len(cameras) == 1:
         return _of_one_camera(ingredients, cameras[0], shape, start_points, plates)
@@ -138,8 +140,7 @@ def _of_one_camera(
     plate = plates[0] if plates else None
     if s.silhouette.method == "background" and plate is None:
         raise ValueError("silhouette.method: 'background' needs a plate of the empty scene")
-    eye, zero = torch.eye(3, dtype=torch.float64), torch.zeros(3, dtype=torch.float64)
-    here = replace(camera.to(dtype=torch.float64), rotation=eye, translation=zero)
+    here = camera.to(dtype=torch.float64).at_origin()
     search = PostureSearch(
         kinematics=kinematics,
         camera=here,

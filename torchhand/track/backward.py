@@ -71,7 +71,8 @@ class BackwardPass:
     def step(self, views: Sequence[View], time_s: float, pose: Float[Tensor, "36"] | None) -> SecondEstimate:
         """The frame before that of the last call. pose: of the first pass, with the root's whole rotation vector; None
         where it found no hand."""
-        before = None if pose is None else HandPose.of(pose).normalized()
+        device = self._tracker.device
+        before = None if pose is None else HandPose.of(pose.to(device)).normalized()
         if self._state.hand is None:
             if before is None:
                 return SecondEstimate(estimate=Estimate(status="no_hand", time_s=time_s, reason="nothing to follow"))
@@ -80,10 +81,11 @@ class BackwardPass:
         estimate = replace(estimate, time_s=time_s)
         if estimate.keypoints is None or estimate.pose is None or before is None:
             return SecondEstimate(estimate=estimate)
-        if float((estimate.keypoints - self._keypoints(before, self._shape_before)).norm(dim=-1).mean()) < _SAME_M:
+        keypoints = estimate.keypoints.to(device)
+        if float((keypoints - self._keypoints(before, self._shape_before)).norm(dim=-1).mean()) < _SAME_M:
             return SecondEstimate(estimate=estimate, evidence=0.0, evidence_before=0.0)
         scene = self._tracker.scene(self._state, views, -time_s)
-        here, there = self._evidence([HandPose.of(estimate.pose).normalized(), before], scene)
+        here, there = self._evidence([HandPose.of(estimate.pose.to(device)).normalized(), before], scene)
         return SecondEstimate(estimate=estimate, evidence=here, evidence_before=there)
 
     def _reshaped(self, before: HandPose) -> HandPose:

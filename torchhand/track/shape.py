@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.devices import sent_to
 from torchhand.fit import (
     ConstraintPrior,
     FrameObservations,
@@ -148,7 +149,7 @@ def reshaped_poses(
     """Poses of a hand of another shape that lie where those of the hand before did, as far as its angles stay as they
     were: maximum a posteriori by its keypoints, of which another outline follows more than the angles. Angles that do
     not move while a hand is followed stay. Poses have the root's whole rotation vector."""
-    hands, space = HandPose.of(poses).normalized(), named_pose_space("dof36")
+    hands, space = HandPose.of(poses).normalized(), named_pose_space("dof36").to(device=poses.device)
     points = kinematics(hands.dofs, before, root_reference=hands.reference).keypoints
     std = poses.new_tensor([_angle_std(name, motion.space.free_names) for name in space.free_names])
     problem = Problem(
@@ -191,7 +192,8 @@ class _Fit:
         """The observations of a frame; None where nothing of the hand's contour is seen."""
         parts, shape = self.tracker.parts, self.state.shape
         assert shape is not None
-        scene, pose = self.tracker.scene(self.state, frame.views, frame.time_s), HandPose.of(frame.pose).normalized()
+        scene = self.tracker.scene(self.state, frame.views, frame.time_s)
+        pose = HandPose.of(frame.pose.to(self.tracker.device)).normalized()
         outline = self._contour(scene, pose, shape)
         if outline is None:
             return None
@@ -213,7 +215,9 @@ class _Fit:
         picture = picture_contours(mask, _SCHEDULE, settings, image=scene.views[0].image)
         if picture.is_empty:
             return None
-        table = outline_table(s.points_per_generator, s.points_per_arc, without=("palm_wrist",))
+        table = sent_to(
+            outline_table(s.points_per_generator, s.points_per_arc, without=("palm_wrist",)), self.tracker.device
+        )
         return ContourObservation(picture=picture, contours=PrimitiveContours(projector, table), settings=settings)
 
     @property
@@ -227,7 +231,9 @@ class _Fit:
         """The poses of some frames as one problem, the shape known."""
         kinematics, shape = self.tracker.parts.kinematics, self.state.shape
         assert shape is not None
-        postures = PostureResiduals.of(HandPrior(kinematics.skeleton, kinematics.shape_space).postures)
+        postures = PostureResiduals.of(
+            HandPrior(kinematics.skeleton, kinematics.shape_space).to(self.tracker.device).postures
+        )
         return Problem(
             space=self.tracker.parts.motion.space,
             skeleton=kinematics.skeleton,

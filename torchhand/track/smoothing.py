@@ -11,6 +11,7 @@ import math
 from collections import deque
 from dataclasses import dataclass, replace
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -53,9 +54,9 @@ class PastFrame:
             score=score,
         )
 
-    def scene(self) -> Scene:
-        """The scene in which a tracker follows a hand."""
-        masks = tuple(None if mask is None else mask.mask() for mask in self.masks)
+    def scene(self, device: torch.device) -> Scene:
+        """The scene in which a tracker follows a hand, on its device."""
+        masks = tuple(None if mask is None else mask.mask().to(device) for mask in self.masks)
         return Scene(views=self.views, masks=masks, probabilities=(None,) * len(masks), time_s=self.time_s)
 
 
@@ -89,7 +90,7 @@ class Smoother:
             is_in_vain = gains[-1] < max(gains) - _HOPELESS or len(gains) > gains.index(max(gains)) + _IN_VAIN
             if is_out or is_in_vain:
                 break
-            followed = self._tracker.follow(state, hand, past.scene(), time_s - past.time_s)
+            followed = self._tracker.follow(state, hand, past.scene(self._tracker.device), time_s - past.time_s)
             if followed is None or _distance(followed[1].keypoints, past.keypoints) < _SAME:
                 break
             hand, found = followed

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.devices import HOST, sent_to
 from torchhand.files import FrameStatus
 from torchhand.fit.detect import StartPoints
 from torchhand.geometry import Camera
@@ -61,8 +62,9 @@ class Tracker:
     """Follows one hand of a known side. Poses are in the world of the cameras, which is the camera's frame of one
     camera.
 
-    Computes in float64 on the CPU, on the calling thread alone (`single_threaded`): several trackers may run in several
-    threads. The same views give the same numbers bit for bit.
+    Computes in float64 on the hand's device, on the calling thread alone (`single_threaded`): several trackers may run
+    in several threads. On a processor the same views give the same numbers bit for bit. Views may be anywhere and are
+    sent to the device once; estimates come back to the processor, states stay on the device.
     """
 
     def __init__(
@@ -83,9 +85,10 @@ class Tracker:
         by scene, poses in the tracker's world; any `torchhand.fit.Observation`, under every update rule.
         Raises ValueError where that method lacks its plates, and for cameras that see no volume together.
         """
-        self.settings = settings or TrackerSettings()
-        self.cameras = (cameras,) if isinstance(cameras, Camera) else tuple(cameras)
-        known = None if shape is None else shape.double()
+        self.settings, self.device = settings or TrackerSettings(), hand.shape.device
+        given = (cameras,) if isinstance(cameras, Camera) else tuple(cameras)
+        self.cameras = tuple(camera.to(device=self.device) for camera in given)
+        known = None if shape is None else shape.double().to(self.device)
         self._working = working = WorkingViews(self.cameras, self.settings.max_pixels)
         plates, start_points = working.plates(plates), working.points(start_points)
         self.parts: Assembly = assembled(hand, working.cameras, self.settings, known, start_points, plates)
@@ -137,7 +140,8 @@ class Tracker:
         if state.hand is not None and predicted is not None and state.shape is not None:
             followed = self._followed(state.hand, predicted, scene, state.shape)
         state, search = self._searched(state, followed, predicted, scene)
-        return self._adopted(state, search, predicted, scene)
+        state, estimate = self._adopted(state, search, predicted, scene)
+        return state, sent_to(estimate, HOST)
 
     @torch.inference_mode()
     @single_threaded()
@@ -151,7 +155,7 @@ class Tracker:
         found = self.parts.rule.follow(hand, predicted, scene, state.shape)
         if found is None or self.parts.health.is_failing(found):
             return None
-        return found.hand, self._estimate("tracked", found, state, scene)
+        return found.hand, sent_to(self._estimate("tracked", found, state, scene), HOST)
 
     @torch.inference_mode()
     @single_threaded()

@@ -3,7 +3,7 @@
 import copy
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -37,7 +37,7 @@ def _camera(index: int, turn: tuple[float, float, float]) -> Camera:
 CAMERAS = [_camera(i, turn) for i, turn in enumerate(TURNS)]
 
 
-def same(found: list[Camera], expected: list[Camera] = CAMERAS, *, names: bool = True) -> None:
+def same(found: Sequence[Camera], expected: Sequence[Camera] = CAMERAS, *, names: bool = True) -> None:
     assert len(found) == len(expected)
     for a, b in zip(found, expected, strict=True):
         for field in ("intrinsics", "rotation", "translation", "distortion"):

@@ -159,6 +159,21 @@ def test_a_batch_is_a_loop(batch: tuple[int, ...]) -> None:
         close(pick(got), torch.stack([pick(one) for one in ones]).reshape(pick(got).shape), 1e-9)
 
 
+def test_asked_seldom_it_ends_where_it_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Turns after the last one that moves anything, which an accelerator takes, move nothing."""
+    prior, value, noise = problem(3)
+    expected = update_iterated(prior, linearised(curved), value, noise, IteratedSettings())
+    asked = []
+    monkeypatch.setattr(
+        "torchhand.numerics.filters.iterated.asks_after", lambda turn, device: asked.append(turn) is not None
+    )
+    found = update_iterated(prior, linearised(curved), value, noise, IteratedSettings())
+    assert len(asked) > IteratedSettings().iterations  # to the end of all turns
+    close(found.update.state.mean, expected.update.state.mean, 1e-12)
+    close(found.update.state.covariance, expected.update.state.covariance, 1e-12)
+    assert torch.equal(found.iterations, expected.iterations)
+
+
 def test_nothing_to_use_changes_nothing() -> None:
     state, measurement, variance = problem(2)
     valid = torch.zeros(2, 9, dtype=torch.bool)

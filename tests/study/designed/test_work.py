@@ -11,7 +11,7 @@ from torchhand.study.designed import Study, run_study
 from torchhand.study.designed.cell import CellRegistration
 from torchhand.study.hypotheses import CSV_NAME, NPZ_NAME, PICTURE_NAME, Hypotheses, StudyBatch
 
-NAMES = (CSV_NAME, NPZ_NAME, PICTURE_NAME, "config.yaml")
+NAMES = (CSV_NAME, NPZ_NAME, PICTURE_NAME)
 STUDY = Study(
     factors={"observation": ["points"], "dropout": [0.0, 1.0]},
     fixed={"hypotheses": 2},

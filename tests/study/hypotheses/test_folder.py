@@ -122,7 +122,7 @@ def test_an_older_result_stays_until_the_new_one_is_whole(tmp_path: Path) -> Non
     assert (tmp_path / "study.csv").read_text() == "new"
 
 
-@pytest.mark.parametrize("moves", range(4))
+@pytest.mark.parametrize("moves", range(len(RESULT_NAMES)))
 def test_killed_between_two_moves_the_new_result_is_whole_at_the_next_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moves: int
 ) -> None:
@@ -185,7 +185,7 @@ def test_what_is_no_study_is_not_resumed(tmp_path: Path) -> None:
 
 def test_another_program_s_arrays_are_no_study(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", header=np.array('{"format": "else"}'), status=np.array(["failed"]))
-    with pytest.raises(InputError, match="expected the format 'torchhand hypothesis study 2', got 'else'"):
+    with pytest.raises(InputError, match="expected the format 'torchhand hypothesis study 3', got 'else'"):
         load_study(tmp_path / "a.npz")
     np.savez(tmp_path / "b.npz", x=np.zeros(3))
     with pytest.raises(InputError, match=r"b.npz: is no hypothesis study that can be read \(KeyError: 'header"):

@@ -5,6 +5,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+import torch
+
+from torchhand.devices import HOST, finished
 from torchhand.evaluate import time_interleaved
 
 AT_MOST = ("MiB", "%", "rad", "ms", "kbit/s", "faults")
@@ -70,12 +73,13 @@ def against_peer(
     aim: float,
     work: float = 1.0,
     note: str = "",
+    device: torch.device = HOST,
 ) -> Figure:
-    """Time "ours", "peer" where it is there, and other variants of ours.
+    """Time "ours", "peer" where it is there, and other variants of ours, on the device where they compute.
 
     work: what ours does in a call over what the peer does in one, such as vertices; ratios are per piece of work.
     """
-    times = time_interleaved(candidates, repeats, warm_up=2)
+    times = time_interleaved({side: finished(call, device) for side, call in candidates.items()}, repeats, warm_up=2)
     ours, theirs = times["ours"], times.get("peer")
     details: dict[str, Any] = {f"{side}_fastest_ms": times[side].fastest for side in times}
     for variant in times.keys() - {"ours", "peer"}:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchhand.cli.benchmarks.figures import Figure, against_peer, peer_module
+from torchhand.devices import HOST
 from torchhand.files import load_hand_model, models_dir
 from torchhand.hand import JOINT_DOFS, ROOT_DOFS
 
@@ -29,31 +30,33 @@ def poses(count: int) -> Tensor:
 
 
 def peer_chain(pose: Tensor) -> tuple[Any, Tensor] | None:
-    """pytorch-kinematics' chain of the same URDF, and the joint angles in its order."""
+    """pytorch-kinematics' chain of the same URDF on the device of the poses, and the joint angles in its order."""
     library = peer_module("pytorch_kinematics")
     if library is None:
         return None
     chain = library.build_chain_from_urdf((models_dir() / "generic_hand" / "hand.urdf").read_bytes())
+    chain = chain.to(device=pose.device)
     columns = [len(ROOT_DOFS) + JOINT_DOFS.index(joint) for joint in chain.get_joint_parameter_names()]
     return chain, pose[:, columns].contiguous()
 
 
-def kinematics_forward(name: str, repeats: int | None) -> Figure:
+def kinematics_forward(name: str, repeats: int | None, device: torch.device = HOST) -> Figure:
     """Bone transforms and keypoints of many poses, float32, against the transforms of the peer's links."""
-    kinematics, pose = load_hand_model().kinematics(), poses(POSES)
+    kinematics, pose = load_hand_model().to(device=device).kinematics(), poses(POSES).to(device)
     candidates: dict[str, Callable[[], object]] = {"ours": torch.no_grad()(partial(kinematics, pose))}
     peer = peer_chain(pose)
     if peer is not None:
         candidates["peer"] = torch.no_grad()(partial(peer[0].forward_kinematics, peer[1]))
-    return against_peer(name, repeats or ROUNDS, "pytorch-kinematics", candidates, must=4.0, aim=8.0)
+    return against_peer(name, repeats or ROUNDS, "pytorch-kinematics", candidates, must=4.0, aim=8.0, device=device)
 
 
-def kinematics_forward_backward(name: str, repeats: int | None) -> Figure:
+def kinematics_forward_backward(name: str, repeats: int | None, device: torch.device = HOST) -> Figure:
     """Forward and backward with gradients to the pose and to a shape per pose, against the peer's analytical ones to
     joint angles alone."""
-    kinematics = load_hand_model().kinematics()
-    candidates = {"ours": _bones_there_and_back(kinematics, has_shapes=True)} | _peer_there_and_back()
-    return against_peer(name, repeats or ROUNDS, "pytorch-kinematics", candidates, must=3.0, aim=8.0)
+    kinematics = load_hand_model().to(device=device).kinematics()
+    ours = _bones_there_and_back(kinematics, has_shapes=True, device=device)
+    candidates = {"ours": ours} | _peer_there_and_back(device)
+    return against_peer(name, repeats or ROUNDS, "pytorch-kinematics", candidates, must=3.0, aim=8.0, device=device)
 
 
 def kinematics_compiled(name: str, repeats: int | None) -> Figure:
@@ -70,11 +73,13 @@ def kinematics_compiled(name: str, repeats: int | None) -> Figure:
     return against_peer(name, rounds, "pytorch-kinematics", candidates, must=COMPILED_MUST, aim=COMPILED_AIM)
 
 
-def _bones_there_and_back(kinematics: Callable[..., Any], *, has_shapes: bool) -> Callable[[], object]:
-    pose = poses(POSES).requires_grad_()
+def _bones_there_and_back(
+    kinematics: Callable[..., Any], *, has_shapes: bool, device: torch.device = HOST
+) -> Callable[[], object]:
+    pose = poses(POSES).to(device).requires_grad_()
     default = load_hand_model().shape_space.default.float()
     people = 1 + 0.02 * torch.randn(POSES, 1, generator=torch.Generator().manual_seed(1))
-    inputs = (pose, (people * default).requires_grad_()) if has_shapes else (pose,)
+    inputs = (pose, (people * default).to(device).requires_grad_()) if has_shapes else (pose,)
 
     def run() -> object:
         frames = kinematics(*inputs)
@@ -83,8 +88,8 @@ def _bones_there_and_back(kinematics: Callable[..., Any], *, has_shapes: bool) -
     return run
 
 
-def _peer_there_and_back() -> dict[str, Callable[[], object]]:
-    peer = peer_chain(poses(POSES))
+def _peer_there_and_back(device: torch.device = HOST) -> dict[str, Callable[[], object]]:
+    peer = peer_chain(poses(POSES).to(device))
     if peer is None:
         return {}
     chain, angles = peer[0], peer[1].requires_grad_()
@@ -96,41 +101,52 @@ def _peer_there_and_back() -> dict[str, Callable[[], object]]:
     return {"peer": run}
 
 
-def skinning(name: str, repeats: int | None, *, count: int, has_gradients: bool, must: float, aim: float) -> Figure:
+def skinning(
+    name: str,
+    repeats: int | None,
+    device: torch.device = HOST,
+    *,
+    count: int,
+    has_gradients: bool,
+    must: float,
+    aim: float,
+) -> Figure:
     """Poses to vertices, float32, one shape for all poses; against linear blend skinning of a hand of MANO's size.
 
     Ratios are per vertex. Gradients go to poses and shape. The variant has a shape per pose, as the peer always has.
     """
-    hand = load_hand_model().hand()
-    pose = poses(count).requires_grad_(has_gradients)
-    people = 1 + 0.02 * torch.randn(count, 1, generator=torch.Generator().manual_seed(1))
+    hand = load_hand_model().to(device=device).hand()
+    pose = poses(count).to(device).requires_grad_(has_gradients)
+    people = 1 + 0.02 * torch.randn(count, 1, generator=torch.Generator().manual_seed(1)).to(device)
     candidates = {}
     for variant, shape in (("ours", hand.shape), ("shape_each", people * hand.shape)):
         leaf = shape.clone().requires_grad_(has_gradients)
         candidates[variant] = _vertices(lambda pose, shape: hand(pose, shape).vertices, pose, leaf)
     library = peer_module("smplx.lbs")
     if library is not None:
-        candidates["peer"] = _peer_skinning(library, count, has_gradients=has_gradients)
+        candidates["peer"] = _peer_skinning(library, count, has_gradients=has_gradients, device=device)
     work = hand.skinning.weights.shape[1] / PEER_VERTICES
     note = f"per vertex; ours has {hand.skinning.weights.shape[1]}, the peer {PEER_VERTICES}"
     rounds = repeats or SKINNING_ROUNDS
-    return against_peer(name, rounds, "smplx.lbs", candidates, must=must, aim=aim, work=work, note=note)
+    return against_peer(name, rounds, "smplx.lbs", candidates, must=must, aim=aim, work=work, note=note, device=device)
 
 
-def _peer_skinning(library: Any, count: int, *, has_gradients: bool) -> Callable[[], object]:
+def _peer_skinning(library: Any, count: int, *, has_gradients: bool, device: torch.device) -> Callable[[], object]:
     generator = torch.Generator().manual_seed(0)
     normal, uniform = partial(torch.randn, generator=generator), partial(torch.rand, generator=generator)
     template, directions = 0.1 * normal(PEER_VERTICES, 3), 0.01 * normal(PEER_VERTICES, 3, PEER_SHAPES)
     correctives = 0.01 * normal(9 * (PEER_JOINTS - 1), 3 * PEER_VERTICES)
     regressor, weights = uniform(PEER_JOINTS, PEER_VERTICES), uniform(PEER_VERTICES, PEER_JOINTS)
     regressor, weights = (x / x.sum(1, keepdim=True) for x in (regressor, weights))
-    parents = torch.tensor(PEER_PARENTS)
+    parents = torch.tensor(PEER_PARENTS, device=device)
+    numbers = (template, directions, correctives, regressor, weights)
+    template, directions, correctives, regressor, weights = (x.to(device) for x in numbers)
 
     def vertices(pose: Tensor, shape: Tensor) -> Tensor:
         return library.lbs(shape, pose, template, directions, correctives, regressor, parents, weights)[0]
 
-    pose = (0.3 * normal(count, 3 * PEER_JOINTS)).requires_grad_(has_gradients)
-    return _vertices(vertices, pose, normal(count, PEER_SHAPES).requires_grad_(has_gradients))
+    pose = (0.3 * normal(count, 3 * PEER_JOINTS)).to(device).requires_grad_(has_gradients)
+    return _vertices(vertices, pose, normal(count, PEER_SHAPES).to(device).requires_grad_(has_gradients))
 
 
 def _vertices(function: Callable[[Tensor, Tensor], Tensor], pose: Tensor, shape: Tensor) -> Callable[[], object]:

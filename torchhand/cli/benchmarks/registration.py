@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 
 import cv2
@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchhand.cli.benchmarks.figures import Figure
+from torchhand.devices import HOST, finished, sent_to
 from torchhand.evaluate import time_interleaved
 from torchhand.files import load_hand_model
 from torchhand.fit import (
@@ -89,6 +90,15 @@ class Case:
             references=turned,
         )
 
+    def on(self, device: torch.device) -> "Case":
+        """The same case on a device; itself where it is there."""
+        own, projector = {f.name: getattr(self, f.name) for f in fields(self)}, self.projector
+        kinematics, camera = projector.kinematics.on(device), sent_to(projector.camera, device)
+        moved = {name: value.to(device) for name, value in own.items() if isinstance(value, Tensor)}
+        return (
+            self if kinematics is projector.kinematics else Case(projector=HandProjector(kinematics, camera), **moved)
+        )
+
     def contours(self, table: OutlineTable) -> PrimitiveContours:
         return PrimitiveContours(self.projector, table)
 
@@ -105,19 +115,21 @@ class Case:
 
 def _registration(case: Case, schedule: Schedule) -> Callable[[PictureContours], Solutions]:
     """Registration with all that a tracker's registration has: constraints, prior and what is expected."""
-    contours, model, starts = case.contours(TABLE), load_hand_model(), case.starts
-    std = torch.full((SPACE.size,), math.radians(9.0), dtype=torch.float64)
+    device, starts = case.pose.device, case.starts
+    contours, model = case.contours(sent_to(TABLE, device)), load_hand_model().to(device=device)
+    space = SPACE.to(device=device)
+    std = torch.full((SPACE.size,), math.radians(9.0), dtype=torch.float64, device=device)
     std[:3], std[3:6] = 0.03, 0.3
     priors = (
         ConstraintPrior(constraints=PoseConstraints(model.skeleton), has_ties=False),
         PosturePrior(postures=PostureResiduals.of(model.prior().postures)),
-        GaussianPrior.of_std(starts, std, SPACE),
+        GaussianPrior.of_std(starts, std, space),
     )
 
     def fit(picture: PictureContours) -> Solutions:
         observation = ContourObservation(picture=picture, contours=contours, settings=ContourSettings())
         problem = Problem(
-            space=SPACE,
+            space=space,
             skeleton=model.skeleton,
             shape=contours.shape,
             observations=(observation,),
@@ -139,15 +151,15 @@ def _picture_threads() -> Iterator[None]:
         cv2.setNumThreads(before)
 
 
-def one_registration(name: str, repeats: int | None) -> Figure:
+def one_registration(name: str, repeats: int | None, device: torch.device = HOST) -> Figure:
     """One hypothesis from a prediction a few degrees off; the picture's maps and valleys are measured by themselves."""
-    case = Case.of(1, deg=4.0, mm=3.0)
+    case = Case.of(1, deg=4.0, mm=3.0).on(device)
     fit, repeats = _registration(case, TRACKING), repeats or ROUNDS
     extract = partial(picture_contours, case.mask, TRACKING, image=case.image)
     with _picture_threads():
         contours = extract()
         calls = {"fit": lambda: fit(contours), "picture": extract, "together": lambda: fit(extract())}
-        times = time_interleaved(calls, repeats, warm_up=3)
+        times = time_interleaved({part: finished(call, device) for part, call in calls.items()}, repeats, warm_up=3)
     found = fit(contours)
     errors = [float(case.errors_mm(hands)) for hands in (case.starts, found.pose)]
     details = {f"{part}_ms": timing.median for part, timing in times.items()} | {
@@ -172,12 +184,13 @@ def one_registration(name: str, repeats: int | None) -> Figure:
     )
 
 
-def many_hypotheses(name: str, repeats: int | None) -> Figure:
+def many_hypotheses(name: str, repeats: int | None, device: torch.device = HOST) -> Figure:
     """Milliseconds per start of a batch, from coarse to fine, at most twenty iterations each."""
-    case = Case.of(MANY, deg=15.0, mm=10.0)
+    case = Case.of(MANY, deg=15.0, mm=10.0).on(device)
     fit, repeats = _registration(case, SEARCH), repeats or MANY_ROUNDS
     contours = picture_contours(case.mask, SEARCH, image=case.image)
-    [timing] = time_interleaved({"ours": lambda: fit(contours)}, repeats, warm_up=1).values()
+    ours = finished(lambda: fit(contours), device)
+    [timing] = time_interleaved({"ours": ours}, repeats, warm_up=1).values()
     found = fit(contours)
     each = timing.median / MANY
     details = {

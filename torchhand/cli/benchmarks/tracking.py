@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchhand.cli.benchmarks.figures import Figure, against_peer, peer_module
 from torchhand.cli.benchmarks.runs import FRAMES_PER_SECOND, memory_figure, speed_figure, there_and_back, with_bar
+from torchhand.devices import HOST
 from torchhand.files import load_hand_model, save_cameras, write_video
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.numerics import Gaussian, UnscentedSettings, sigma_points, update
@@ -109,13 +110,15 @@ def simulated_views(motion: str, size: tuple[int, int], frames: int, scene: Scen
     return camera, views
 
 
-def tracking(name: str, repeats: int | None, *, case: TrackingCase, must: float, aim: float) -> Figure:
+def tracking(
+    name: str, repeats: int | None, device: torch.device = HOST, *, case: TrackingCase, must: float, aim: float
+) -> Figure:
     """Frames per second of the tracker's steps alone: the pictures are there, the start is made."""
     camera, views = simulated_views(case.motion, case.size, case.frames, SceneSettings())
     views = views if case.has_points else [replace(view, keypoints=None) for view in views]
     settings = settings_of(case.config)
     settings = settings if case.has_network else replace(settings, learned_posture=False)
-    tracker = Tracker(load_hand_model().hand(dtype=torch.float64), camera, settings)
+    tracker = Tracker(load_hand_model().to(device=device).hand(dtype=torch.float64), camera, settings)
     start, _ = tracker.step(None, views[:1], 0.0)
     spent: list[float] = []
     run = partial(_track_all, tracker, start, views[1:], case.passes, spent)

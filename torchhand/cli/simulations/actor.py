@@ -36,15 +36,17 @@ class Actor:
     model: HandModel
 
 
-def actor_of(arguments: Arguments, generator: torch.Generator) -> Actor:
-    """Raises InputError where --hand cannot be used, or the model has no skin to draw."""
+def actor_of(arguments: Arguments, generator: torch.Generator, device: torch.device) -> Actor:
+    """The hand, whose skin is on the device that draws it.
+
+    Raises InputError where --hand cannot be used, or the model has no skin to draw."""
     model = load_hand_model()
     side, shape = _hand(arguments, model.shape_space, generator)
     return Actor(
         kinematics=model.kinematics(side, dtype=torch.float64),
         shape=shape,
         side=side,
-        hand=_skinned(model, side) if arguments.surface == "mesh" else None,
+        hand=_skinned(model, side, device) if arguments.surface == "mesh" else None,
         model=model,
     )
 
@@ -66,10 +68,10 @@ def motion_of(arguments: Arguments, actor: Actor, camera: Camera, generator: tor
     return perform(frames, actor.kinematics, camera, generator, pace=arguments.pace, **how)
 
 
-def _skinned(model: HandModel, side: Side) -> Hand:
+def _skinned(model: HandModel, side: Side, device: torch.device) -> Hand:
     if model.mesh is None:
         raise InputError(f"--surface mesh: the hand model {model.name!r} has no mesh (mesh.npz in its folder)")
-    return model.hand(side=side, dtype=torch.float64)
+    return model.to(device=device).hand(side=side, dtype=torch.float64)
 
 
 def _hand(arguments: Arguments, space: ShapeSpace, generator: torch.Generator) -> tuple[Side, Tensor]:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import UseAppendAction, arg
 
+from torchhand.cli.command import OnDevice
 from torchhand.errors import InputError
 from torchhand.simulate import SceneSettings
 from torchhand.simulate.rigs import FOV_DEG, SIZE_PX
@@ -16,7 +17,7 @@ DEFAULT_FRAMES, DEFAULT_SIZE, DEFAULT_FOV_DEG = 100, "360x288", 48.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(OnDevice):
     """Render a seeded sequence of a hand before one or several cameras, with exact truth.
 
     DIR gets frames/, masks/ (exact, without the forearm), cameras.json, truth.npz, about.json, and video.mp4 if asked

@@ -30,7 +30,7 @@ def rig_cameras(text: str, *, size: tuple[int, int] | None = None, fov_deg: floa
     for camera in cameras:
         if problem := size_problem(camera.width, camera.height):
             raise InputError(f"{path}: {camera.name}: {problem}")
-    return cameras
+    return list(cameras)
 
 
 def with_mask_noise(frame: RenderedFrame, std_px: float, generator: torch.Generator) -> RenderedFrame:

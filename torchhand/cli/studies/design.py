@@ -28,7 +28,7 @@ class Arguments:
 
     STUDY is that file, or the name of a shipped one: observations, hypotheses, calibration. Every cell of the design is
     tried on the same hands from starts of its own; DIR gets study.csv (a row per cell, with Wilson's intervals),
-    study.png (success over every factor; extra `study`), hypotheses.npz (every start) and config.yaml. The same study
+    study.png (success over every factor; extra `study`), hypotheses.npz (every start, and the cells). The same study
     gives the same files, stopped and resumed or not.
 
     Example:

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from torchhand.devices import HOST
 from torchhand.errors import InputError
 from torchhand.files.disk import models_dir, opened_arrays, replacing
 from torchhand.files.hands.hand_model import load_hand_model
@@ -40,24 +41,28 @@ def save_presence_network(path: str | Path, network: PresenceNetwork, provenance
 
 
 @lru_cache(maxsize=4)
-def load_proposal_network(path: str | Path | None = None) -> ProposalNetwork:
-    """The network in a file, the shipped one where none is named; float32, for inference.
+def load_proposal_network(path: str | Path | None = None, device: torch.device = HOST) -> ProposalNetwork:
+    """The network in a file, the shipped one where none is named; float32, for inference on a device.
 
     Raises InputError naming the file and what is wrong with it.
     """
     path = models_dir() / "proposals" / "network.npz" if path is None else Path(path)
     skeleton = load_hand_model().skeleton
-    return _load(path, PROPOSAL_FORMAT, "proposal network", lambda sizes: ProposalNetwork(skeleton, **sizes))
+    found = _load(path, PROPOSAL_FORMAT, "proposal network", lambda sizes: ProposalNetwork(skeleton, **sizes))
+    with torch.inference_mode(False):  # kept for callers in any mode
+        return found.to(device)
 
 
 @lru_cache(maxsize=4)
-def load_presence_network(path: str | Path | None = None) -> PresenceNetwork:
-    """The network in a file, the shipped one where none is named; float32, for inference.
+def load_presence_network(path: str | Path | None = None, device: torch.device = HOST) -> PresenceNetwork:
+    """The network in a file, the shipped one where none is named; float32, for inference on a device.
 
     Raises InputError naming the file and what is wrong with it.
     """
     path = models_dir() / "proposals" / "presence.npz" if path is None else Path(path)
-    return _load(path, PRESENCE_FORMAT, "presence network", lambda sizes: PresenceNetwork(**sizes))
+    found = _load(path, PRESENCE_FORMAT, "presence network", lambda sizes: PresenceNetwork(**sizes))
+    with torch.inference_mode(False):
+        return found.to(device)
 
 
 def _save(

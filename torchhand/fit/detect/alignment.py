@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.devices import on_host
 from torchhand.fit.detect.chamfer import Candidate, chamfer_costs, distinct, refined, thinned
 from torchhand.fit.detect.facing import facing_rotation, turned_in_picture
 from torchhand.fit.detect.template import boundary, draw_template, edge_distance
@@ -50,6 +51,7 @@ class Alignment:
     """Mean cut-off chamfer distance of both directions, 0 (perfect) to 1."""
 
 
+@on_host
 def align_posture(
     mask: Bool[Tensor, "height width"],
     camera: Camera,

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from torchhand.devices import on_host
 from torchhand.fit import Appearance, disc, learn_appearance, mask_plane
 from torchhand.fit.contour import hand_length_px, is_in_picture
 from torchhand.fit.detect.alignment import Alignment, align_points, align_posture
@@ -62,6 +63,7 @@ class NoStart:
     """Whether something hand-coloured of a believable size is there."""
 
 
+@on_host
 def segment_hand(
     image: UInt8[Tensor, "height width 3"],
     appearance: Appearance | None,
@@ -83,6 +85,7 @@ def segment_hand(
     return mask, "" if bool(mask.any()) else "nothing has the hand's colours"
 
 
+@on_host
 def find_hand(
     image: UInt8[Tensor, "height width 3"],
     kinematics: HandKinematics,
@@ -124,6 +127,7 @@ def find_hand(
     return best
 
 
+@on_host
 def start_at_points(
     image: UInt8[Tensor, "height width 3"],
     points: StartPoints,
@@ -151,6 +155,7 @@ def start_at_points(
     return best or NoStart(reason="the hand placed at the start points lies outside the picture", has_foreground=False)
 
 
+@on_host
 def start_at_pose(
     image: UInt8[Tensor, "height width 3"],
     pose: HandPose,

@@ -48,7 +48,7 @@ def place_hand(
         found = [starts_in_picture(one, shape, natural.mean.to(shape), _STARTS).reshape(-1) for one in pictures]
         starts = HandPose.cat(found)
     problem = Problem(
-        space=_SPACE,
+        space=_SPACE.to(device=shape.device),
         skeleton=kinematics.skeleton,
         shape=shape,
         observations=(*pictures, *told),

@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.devices import sent_to
 from torchhand.fit.contour import hand_length_px, is_outer
 from torchhand.fit.open_hand.problem import OpenHandProblem
 from torchhand.image import EdgeSettings, search_edges
@@ -51,7 +52,7 @@ def match_edges(
     lie up to half a pixel inside.
     """
     projector, pose = problem.projected(values)
-    table = outline_table(_POINTS_PER_GENERATOR, _POINTS_PER_ARC, without=("palm_wrist",))
+    table = sent_to(outline_table(_POINTS_PER_GENERATOR, _POINTS_PER_ARC, without=("palm_wrist",)), values.device)
     contour = projector.contour(pose, problem.root_reference, table)
     length_px = hand_length_px(problem.camera, problem.kinematics, pose, projector.shape)
     silhouette = projector.silhouette(pose, problem.root_reference)

@@ -13,13 +13,14 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
+from torchhand.devices import HOST, sent_to
 from torchhand.fit import mask_plane
 from torchhand.fit.detect import Fit, fit_overlap
 from torchhand.fit.open_hand.contour import OutlineFit, fit_outline
 from torchhand.fit.open_hand.problem import OpenHandProblem
 from torchhand.fit.open_hand.start import DigitResiduals, fit_digits, placed_open_hand
 from torchhand.geometry import Camera
-from torchhand.hand import DOFS, HandKinematics, ShapeSpace, rebased
+from torchhand.hand import HandKinematics, ShapeSpace, rebased
 from torchhand.image import HandRegions, NoRegions, PicturePart, divide_hand
 
 Facing = Literal["palm", "back"]
@@ -54,9 +55,12 @@ def fit_open_hand(
 ) -> OpenHand | NoRegions:
     """Measures the digits of a silhouette and fits pose and shape; or says why it shows no open hand.
 
-    The camera's frame is the world.
+    The camera's frame is the world. The fit is made on the device of the kinematics; digits are measured on the
+    processor, and all that comes back is there.
     """
-    regions = divide_hand(mask)
+    device = kinematics.default_shape.device
+    camera = camera.to(device=device)
+    regions = divide_hand(mask.to(HOST))
     if isinstance(regions, NoRegions):
         return regions
     facing = facing_of(kinematics.side, regions.is_mirrored)
@@ -66,13 +70,13 @@ def fit_open_hand(
         return NoRegions(
             reason="the fitted hand has hardly any edge in the picture", found=tuple(d.name for d in regions.digits)
         )
-    broken = problem.population.violation(problem.split(found.values)[1])
-    fit = _as_fit(found, problem)
+    broken = problem.population.violation(problem.split(found.values)[1].to(HOST))
+    fit = sent_to(_as_fit(found, problem), HOST)
     return OpenHand(
         fit=fit,
         regions=regions,
         facing=facing,
-        overlap=fit_overlap(regions.mask, kinematics, camera, fit),
+        overlap=fit_overlap(regions.mask, kinematics.on(HOST), camera.to(device=HOST), fit),
         corrected=tuple(
             name for name, amount in zip(broken.names, broken.amount.tolist(), strict=True) if amount > 1e-6
         ),
@@ -81,13 +85,13 @@ def fit_open_hand(
 
 def _registered(regions: HandRegions, problem: OpenHandProblem) -> OutlineFit | None:
     """Digits, outline, digits freed of the measurement's bias together with the outline."""
-    plane, digits = mask_plane(regions.mask), DigitResiduals(regions, problem)
+    plane, digits = mask_plane(regions.mask).to(problem.std.device), DigitResiduals(regions, problem)
     start = fit_digits(digits, problem)
     first = fit_outline(plane, digits, problem, start, rounds=_ROUNDS, digit_weight=_BIASED_WEIGHT)
     if first is None:
         return None
     projector, pose = problem.projected(first.values)
-    drawn = divide_hand(projector.silhouette(pose, problem.root_reference))
+    drawn = divide_hand(projector.silhouette(pose, problem.root_reference).to(HOST))
     if isinstance(drawn, NoRegions):
         return first
     digits = digits.corrected(first.values, drawn)
@@ -99,9 +103,11 @@ def _as_fit(found: OutlineFit, problem: OpenHandProblem) -> Fit:
     pose, shape = problem.split(found.values)
     std = found.covariance.diagonal().clamp_min(0).sqrt() * problem.std
     count = len(problem.free_pose)
-    pose_std = torch.zeros(len(DOFS), dtype=pose.dtype).index_copy(0, problem.free_pose, std[:count])
+    pose_std = torch.zeros_like(pose).index_copy(0, problem.free_pose, std[:count])
     shape_std = torch.zeros_like(shape).index_copy(0, problem.free_shape, std[count:])
-    shape, shape_std = _with_thickness(problem.population.space, problem.population.project(shape), shape_std)
+    shape, shape_std = _with_thickness(
+        problem.population.space, problem.population.project(shape.to(HOST)), shape_std.to(HOST)
+    )
     flat, reference = rebased(pose, problem.root_reference)
     return Fit(
         pose=flat,

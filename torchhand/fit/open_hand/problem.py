@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.devices import HOST, sent_to
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, Anthropometry, HandKinematics
 from torchhand.view import HandProjector
@@ -66,6 +67,8 @@ class OpenHandProblem:
     """Joint limits and lower bounds of the shape, scaled."""
     upper: Float[Tensor, "n"]
     """Joint limits and upper bounds of the shape, scaled."""
+    intervals: tuple[Float[Tensor, "rows shape"], Float[Tensor, "rows"], Float[Tensor, "rows"]]
+    """Anthropometric intervals: a matrix of the shape, bounds from above, and standard deviations of both."""
 
     @classmethod
     def about(
@@ -75,9 +78,10 @@ class OpenHandProblem:
         pose: Float[Tensor, "36"],
         root_reference: Float[Tensor, "3 3"],
     ) -> "OpenHandProblem":
-        """The problem with a pose and the mean shape over people as means."""
-        population = Anthropometry(kinematics.shape_space)
-        space, skeleton = population.space, kinematics.skeleton
+        """The problem with a pose and the mean shape over people as means, on the device of the pose."""
+        population, device = Anthropometry(kinematics.shape_space), pose.device
+        space, skeleton = population.space, kinematics.on(HOST).skeleton
+        pose = pose.to(HOST)
         pose_std = torch.tensor(
             [next((std for end, std in _POSE_STD.items() if dof.endswith(end)), 0.0) for dof in DOFS], dtype=pose.dtype
         )
@@ -93,8 +97,14 @@ class OpenHandProblem:
         shape = space.default.clone()
         for finger, proximal in _PROXIMAL.items():
             shape[space.names.index(f"{finger}_proximal")] = proximal
-        mean = torch.cat((pose[free_pose], shape[free_shape]))
-        return cls(
+        mean, count, spread = (
+            torch.cat((pose[free_pose], shape[free_shape])),
+            len(space.names),
+            population.spread.clone(),
+        )
+        spread[-1] *= shape[length]
+        scale = population.settings.softness * torch.cat((spread, spread))
+        problem = cls(
             kinematics=kinematics,
             camera=camera,
             root_reference=root_reference,
@@ -106,7 +116,9 @@ class OpenHandProblem:
             std=std,
             lower=(low - mean) / std,
             upper=(high - mean) / std,
+            intervals=(population.matrix[2 * count :], population.bound[2 * count :], scale),
         )
+        return sent_to(problem, device)
 
     @property
     def size(self) -> int:
@@ -133,11 +145,7 @@ class OpenHandProblem:
 
         In standard deviations.
         """
-        population, count = self.population, len(self.population.space.names)
-        matrix, bound = population.matrix[2 * count :], population.bound[2 * count :]
-        spread = population.spread.clone()
-        spread[-1] *= self.shape[population.space.names.index("hand_length")]
-        scale = population.settings.softness * torch.cat((spread, spread))
+        matrix, bound, scale = self.intervals
         excess = (self.split(values)[1] @ matrix.T - bound) / scale
         return torch.cat((values, excess.clamp_min(0)), -1)
 
@@ -146,6 +154,6 @@ def linearized(
     terms: Sequence[Callable[[Float[Tensor, "hands n"]], Float[Tensor, "hands _"]]], values: Float[Tensor, "n"]
 ) -> tuple[Float[Tensor, "rows"], Float[Tensor, "rows n"]]:
     """Residuals of all terms at scaled unknowns, one after the other, and their Jacobian by forward differences."""
-    hands = torch.cat((values[None], values + _STEP * torch.eye(len(values), dtype=values.dtype)))
+    hands = torch.cat((values[None], values + _STEP * torch.eye(len(values), dtype=values.dtype, device=values.device)))
     found = torch.cat([term(hands) for term in terms], -1)
     return found[0], (found[1:] - found[0]).T / _STEP

@@ -29,27 +29,28 @@ def placed_open_hand(
     regions: HandRegions, kinematics: HandKinematics, camera: Camera, facing: str
 ) -> tuple[Float[Tensor, "36"], Float[Tensor, "3 3"]]:
     """The open posture at the measured wrist, angle and size, square to the camera, and the root's orientation."""
-    pose = posture("open", dtype=torch.float64)
+    pose = posture("open", dtype=torch.float64).to(kinematics.default_shape.device)
     space = kinematics.shape_space
     length = float(space.default[space.names.index("hand_length")])
     focal_px = 0.5 * float(camera.intrinsics[0, 0] + camera.intrinsics[1, 1])
     is_pinhole = camera.kind == "pinhole"
     depth = focal_px * length / regions.hand_length if is_pinhole else 1.0
-    plane = camera.plane_from_pixels(torch.tensor(regions.wrist, dtype=pose.dtype))
+    plane = camera.plane_from_pixels(pose.new_tensor(regions.wrist))
     pose[:2], pose[2], pose[3:6] = plane * (depth if is_pinhole else 1.0), depth, 0.0
     angle = math.atan2(float(regions.axis[0]), -float(regions.axis[1]))
-    return pose, turned_in_picture(facing_rotation(facing), angle)
+    return pose, turned_in_picture(facing_rotation(facing), angle).to(pose.device)
 
 
 class DigitResiduals:
     """How far the model's digits are from the measured ones, in standard deviations."""
 
     def __init__(self, regions: HandRegions, problem: OpenHandProblem) -> None:
-        self._tip = _rows([digit.tip for digit in regions.digits])
-        self._base = _rows([digit.base for digit in regions.digits])
-        self._along = _rows([digit.direction for digit in regions.digits])
+        device = problem.std.device
+        self._tip = _rows([digit.tip for digit in regions.digits], device)
+        self._base = _rows([digit.base for digit in regions.digits], device)
+        self._along = _rows([digit.direction for digit in regions.digits], device)
         self._across = torch.stack((-self._along[:, 1], self._along[:, 0]), -1)
-        self._wrist = torch.from_numpy(regions.wrist).double()
+        self._wrist = torch.from_numpy(regions.wrist).double().to(device)
         self._unit_px = regions.hand_length
         self._problem = problem
 
@@ -60,10 +61,10 @@ class DigitResiduals:
         end beside their tips; but the same so in both pictures.
         """
         tips, bases, _, _ = self._points(values)
-        better = copy(self)
-        better._tip = self._tip + tips - _rows([digit.tip for digit in drawn.digits])
+        better, device = copy(self), tips.device
+        better._tip = self._tip + tips - _rows([digit.tip for digit in drawn.digits], device)
         better._base = self._base.clone()
-        better._base[1:] += bases - _rows([digit.base for digit in drawn.digits])[1:]
+        better._base[1:] += bases - _rows([digit.base for digit in drawn.digits], device)[1:]
         return better
 
     def __call__(self, values: Float[Tensor, "*batch n"]) -> Float[Tensor, "*batch rows"]:
@@ -98,7 +99,7 @@ def fit_digits(digits: DigitResiduals, problem: OpenHandProblem) -> Float[Tensor
 
     found = levenberg_marquardt(
         partial(linearized, (digits, problem.prior)),
-        torch.zeros(problem.size, dtype=torch.float64),
+        torch.zeros_like(problem.std),
         lower=problem.lower,
         upper=problem.upper,
         settings=LevenbergMarquardtSettings(iterations=15, cost_tolerance=1e-4),
@@ -106,8 +107,8 @@ def fit_digits(digits: DigitResiduals, problem: OpenHandProblem) -> Float[Tensor
     return found.values
 
 
-def _rows(points: Sequence[np.ndarray]) -> Float[Tensor, "n 2"]:
-    return torch.from_numpy(np.stack(points)).double()
+def _rows(points: Sequence[np.ndarray], device: torch.device) -> Float[Tensor, "n 2"]:
+    return torch.from_numpy(np.stack(points)).double().to(device)
 
 
 def _unit(vector: Tensor) -> Tensor:

@@ -60,6 +60,13 @@ class HandKinematics(nn.Module):
         self.register_buffer("default_shape", shape_space.default.clone(), persistent=False)
         self.register_buffer("default_levers", (levers @ default)[..., None], persistent=False)
 
+    def on(self, device: torch.device) -> "HandKinematics":
+        """The same hand on a device; itself where it is there."""
+        if self.default_shape.device == device:
+            return self
+        space, dtype = self.shape_space.to(device=device), self.default_shape.dtype
+        return HandKinematics(self.skeleton.to(device=device), space, self.side).to(dtype)
+
     @own_precision
     def forward(
         self,

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import asks_after, read_back
 from torchhand.numerics.filters.cholesky import robust_cholesky
 from torchhand.numerics.filters.extended import Linearised, masked_and_gated
 from torchhand.numerics.filters.gaussian import Gaussian
@@ -141,21 +142,22 @@ def update_iterated(
     is_converged = torch.zeros_like(best.cost, dtype=torch.bool)
     is_stuck = torch.zeros_like(is_converged)
     left = PosteriorRoot.of(best.rows)
-    for _ in range(settings.iterations):
+    device = best.cost.device
+    for turn in range(settings.iterations):
         step, length = left.step(best.residual, best.offset)
         is_converged = is_converged | (~is_stuck & (length <= settings.tolerance))
         moving = ~is_converged & ~is_stuck
-        if not bool(moving.any()):
+        if asks_after(turn, device) and not read_back(moving).any():
             break
         is_better = torch.zeros_like(moving)
         allowed = best.cost * (1 + 16 * torch.finfo(best.cost.dtype).eps)
         start, scale = best, torch.ones_like(best.cost)
-        for _ in range(settings.halvings + 1):
+        for halving in range(settings.halvings + 1):
             trial = evaluated(start.offset + (scale * moving).unsqueeze(-1) * step)
             improves = moving & ~is_better & trial.is_finite & (trial.cost <= allowed)
             best = trial.where(improves, best)
             is_better = is_better | improves
-            if bool((is_better | ~moving).all()):
+            if asks_after(halving, device) and read_back(is_better | ~moving).all():
                 break
             scale = torch.where(is_better, scale, 0.5 * scale)
         steps = steps + is_better

@@ -18,6 +18,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 import torchhand
+from torchhand.devices import HOST
 from torchhand.draw import draw_overlay
 from torchhand.errors import InputError
 from torchhand.files import FittedHand, Track, TrackHeader, load_hand_model, load_track, read_picture
@@ -69,6 +70,8 @@ class PicturesRequest:
     resume: bool = False
     overwrite: bool = False
     has_overlays: bool = True
+    device: torch.device = HOST
+    """Device of the fit; reading and drawing are the processor's."""
 
 
 class _Pictures:
@@ -101,9 +104,9 @@ class _Pictures:
 
 
 @lru_cache(maxsize=2)
-def single_pose_fitter(side: Side, settings: SinglePoseSettings) -> SinglePoseFitter:
-    """The fitter of a side with all sources of first poses that there are."""
-    kinematics = load_hand_model().kinematics(side, dtype=torch.float64)
+def single_pose_fitter(side: Side, settings: SinglePoseSettings, device: torch.device = HOST) -> SinglePoseFitter:
+    """The fitter of a side, on a device, with all sources of first poses that there are."""
+    kinematics = load_hand_model().to(device=device).kinematics(side, dtype=torch.float64)
     return SinglePoseFitter(kinematics, settings, sources=pose_sources(kinematics))
 
 
@@ -145,7 +148,7 @@ def _fitted(pictures: _Pictures, number: int, overlays: Path | None) -> PictureR
     if request.hand is not None:
         shape = torch.tensor(list(request.hand.values.values()), dtype=torch.float64)
     bounded = BoundedView.of(view, camera)
-    found = bounded.fitted(single_pose_fitter(side, request.settings), shape)
+    found = bounded.fitted(single_pose_fitter(side, request.settings, request.device), shape)
     record = _record(number, path, found.estimate, found, camera, side, started)
     if overlays is not None and bounded.view.image is not None:
         _save_overlay(overlays / f"{path.stem}.png", bounded.view.image, found, bounded.camera, side, number)

@@ -39,6 +39,8 @@ def pose_sources(kinematics: HandKinematics) -> tuple[PoseSource, ...]:
         if camera.kind != "pinhole" or not bool(mask.any()):
             return by_named_postures(mask, image, camera, shape)
         seen = Silhouette(mask=mask, camera=camera, image=image)
-        return propose_hands(load_proposal_network(), (seen,), kinematics, shape, count=_OF_NETWORK).pose[0]
+        return propose_hands(
+            load_proposal_network(device=shape.device), (seen,), kinematics, shape, count=_OF_NETWORK
+        ).pose[0]
 
     return (learned,)

@@ -10,8 +10,8 @@ import yaml
 
 import torchhand
 from torchhand.cluster import Cluster
+from torchhand.files import CONFIG_ARRAY
 from torchhand.files.disk import write_text
-from torchhand.files.results import CONFIG_NAME
 from torchhand.hand import DOFS, named_pose_space
 from torchhand.study.designed.cell import CellRegistration, planned
 from torchhand.study.designed.plot import draw_study, require_matplotlib
@@ -51,7 +51,7 @@ def run_study(
     resume: bool = False,
     overwrite: bool = False,
 ) -> DesignedResults:
-    """Run a study, or go on with it, and write study.csv, study.png, hypotheses.npz and config.yaml into a folder.
+    """Run a study, or go on with it, and write study.csv, study.png and hypotheses.npz into a folder.
 
     The same study gives the same files, stopped and resumed or not, whatever the workers. Raises InputError where the
     folder cannot be used, holds another study than the one to resume, or matplotlib is missing.
@@ -70,11 +70,11 @@ def run_study(
         "free_names": named_pose_space(study.space).free_names,
         "success": found.is_success(study.success_deg),
         "units": UNITS,
+        CONFIG_ARRAY: yaml.safe_dump(_written(study), sort_keys=False, allow_unicode=True),
     }
     with folder.finishing() as place:
         write_text(place / CSV_NAME, csv_text(study, rows))
         draw_study(study, rows, place / PICTURE_NAME)
-        write_text(place / CONFIG_NAME, yaml.safe_dump(_written(study), sort_keys=False, allow_unicode=True))
         save_study(place / NPZ_NAME, folder.header, found, further)
     return DesignedResults(study=study, rows=rows, hypotheses=found, seconds=seconds)
 

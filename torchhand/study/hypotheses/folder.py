@@ -16,10 +16,12 @@ from torchhand.study.hypotheses.batches import BatchFile
 from torchhand.study.hypotheses.record import STATUS_NAMES, Hypotheses
 
 CSV_NAME, NPZ_NAME, PICTURE_NAME, HEADER_NAME = "study.csv", "hypotheses.npz", "study.png", "header.json"
-STUDY_FORMAT = "torchhand hypothesis study 2"
-RESULT_NAMES = (CSV_NAME, PICTURE_NAME, CONFIG_NAME, NPZ_NAME)
+STUDY_FORMAT = "torchhand hypothesis study 3"
+RESULT_NAMES = (CSV_NAME, PICTURE_NAME, NPZ_NAME)
 
 _BATCHES_NAME = "batches.bin"
+_OF_BEFORE = (CONFIG_NAME,)
+"""Files of an older version's study, which are part of others now."""
 _COMPLAINT = "is no hypothesis study that can be read"
 
 
@@ -55,7 +57,7 @@ class StudyFolder:
     def finishing(self) -> Iterator[Path]:
         """A folder for the results (RESULT_NAMES), moved into place when the block ends well."""
         yield self.folder
-        replace_result(self.out_dir, self.folder, RESULT_NAMES, dropped=())
+        replace_result(self.out_dir, self.folder, RESULT_NAMES, dropped=_OF_BEFORE)
         self._clear()
 
     def discard(self) -> None:

@@ -8,7 +8,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 import torch
 from tqdm import tqdm
 
-from torchhand.cluster import Cluster
+from torchhand.cluster import Cluster, keep_freed_memory
 from torchhand.study.hypotheses.case_study import StudyBatch
 from torchhand.study.hypotheses.folder import StudyFolder
 from torchhand.study.hypotheses.record import Hypotheses
@@ -47,6 +47,7 @@ def _worked(
     if isinstance(workers, Cluster):
         yield from workers.done(make_worker, plan)
         return
+    keep_freed_memory()
     side_by_side, work = workers, make_worker(workers)
     if side_by_side == 1:
         yield from ((batch, work(batch)) for batch in plan)

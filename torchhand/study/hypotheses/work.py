@@ -13,9 +13,8 @@ from torch import Tensor
 
 import torchhand
 from torchhand.cluster import Cluster
-from torchhand.files import camera_entry, load_hand_model, save_settings
+from torchhand.files import CONFIG_ARRAY, camera_entry, load_hand_model, settings_text
 from torchhand.files.disk import write_text
-from torchhand.files.results import CONFIG_NAME
 from torchhand.fit import PostureResiduals
 from torchhand.hand import DOFS, named_pose_space
 from torchhand.study.hypotheses.case_study import CaseStudy, StudyBatch, StudyCase, plan_batches
@@ -106,15 +105,16 @@ class Work:
             "success": hypotheses.is_success(self.settings.success_deg),
             "units": UNITS,
             "convention": CONVENTION,
+            CONFIG_ARRAY: self._config(),
         }
         with folder.finishing() as place:
             write_text(place / CSV_NAME, csv_text(rows, self.settings))
             write_picture(place / PICTURE_NAME, draw_study(rows, self.settings))
-            self._save_config(place / CONFIG_NAME)
             save_study(place / NPZ_NAME, folder.header, hypotheses, further)
         return rows
 
-    def _save_config(self, path: Path) -> None:
+    def _config(self) -> str:
+        """Every setting, resolved, and what else the study was made of; as YAML that --config reads."""
         first = self.cases[0]
         run = {
             "input": self.source,
@@ -129,7 +129,7 @@ class Work:
             "device": self.device,
             "torch": str(torch.__version__),
         }
-        save_settings(self.settings, path, run)
+        return settings_text(self.settings, run)
 
 
 def write_picture(path: Path, picture: Tensor) -> None:

@@ -1,5 +1,6 @@
 """How a followed hand moves between two frames, and how it begins: prediction, spreads, limits."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -64,17 +65,20 @@ class HandMotion:
     def density(self) -> Float[Tensor, "free"]:
         """Nominal spectral density of the process noise."""
         root = {"translation": self.noise.translation, "rotation": self.noise.rotation, "angle": self.noise.angle}
-        return torch.tensor([root[kind] ** 2 for kind in self.kinds], dtype=torch.float64)
+        return self._told([root[kind] ** 2 for kind in self.kinds])
 
     @cached_property
     def spread(self) -> Float[Tensor, "state"]:
         """Variances of a state of which nothing but a rough pose is known: parameters, then their rates."""
         tables = (_START_STD, _START_SPEED, _START_ACCELERATION)[: self.model.order + 1]
-        return torch.cat([torch.tensor([t[kind] for kind in self.kinds], dtype=torch.float64) ** 2 for t in tables])
+        return torch.cat([self._told([t[kind] for kind in self.kinds]) ** 2 for t in tables])
 
     @cached_property
     def _is_rotation(self) -> Tensor:
-        return torch.tensor([kind == "rotation" for kind in self.kinds])
+        return torch.tensor([kind == "rotation" for kind in self.kinds], device=self.space.basis.device)
+
+    def _told(self, values: Sequence[float]) -> Float[Tensor, "n"]:
+        return torch.tensor(values, dtype=torch.float64, device=self.space.basis.device)
 
     @cached_property
     def _last_about(self) -> "list[tuple[Tensor, _About]]":
@@ -100,7 +104,7 @@ class HandMotion:
 
     def predicted(self, hand: FollowedHand, dt_s: float) -> FollowedHand:
         """The hand a time step later, nothing being seen."""
-        transition = self.model.transition(_rounded(dt_s), self.space.size)
+        transition = self.model.transition(_rounded(dt_s), self.space.size, device=self.space.basis.device)
         return replace(
             hand,
             belief=predict_linear(hand.belief, transition, self.process_noise(dt_s, hand.density)),

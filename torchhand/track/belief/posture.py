@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.devices import sent_to
 from torchhand.geometry import vector_from_rotation
 from torchhand.hand import DOFS, PoseSpace
 from torchhand.track.belief.settings import PosturePriorSettings
@@ -78,10 +79,11 @@ def posture_prior(space: PoseSpace, settings: PosturePriorSettings, *, has_tilt:
         rows.append(row)
         variances.append(std**2)
     matrix = torch.stack(rows) if rows else torch.zeros(0, len(names), dtype=torch.float64)
-    return PostureMeasurements(
+    told = PostureMeasurements(
         matrix=matrix,
         variance=torch.tensor(variances, dtype=torch.float64),
         tilts=tuple(tilts),
         is_tie=torch.tensor(ties, dtype=torch.bool),
         is_rest=torch.tensor(rests, dtype=torch.bool),
     )
+    return sent_to(told, space.basis.device)

@@ -177,7 +177,7 @@ class ExtendedUpdate:
             return self.motion.begun(predicted, found.pose, found.covariance)
         belief = predicted.belief
         if s.pose_weight > 0 and bool(found.covariance.isfinite().all()):
-            identity = torch.eye(count, dtype=free.dtype)
+            identity = torch.eye(count, dtype=free.dtype, device=free.device)
             noise = found.covariance / s.pose_weight
             belief = update_extended(belief, free - belief.mean[:count], identity, noise).state
         belief = update_iterated(

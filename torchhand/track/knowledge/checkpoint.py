@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 
+from torchhand.devices import HOST, sent_to
 from torchhand.fit import Appearance
 from torchhand.hand import HandPose
 from torchhand.image import ColourModel, SkinModel
@@ -38,15 +39,15 @@ def saved_state(state: TrackerState) -> dict[str, Any]:
     return _plain(state)
 
 
-def restored_state(saved: Mapping[str, Any]) -> TrackerState:
-    """The inverse of `saved_state`.
+def restored_state(saved: Mapping[str, Any], device: torch.device = HOST) -> TrackerState:
+    """The inverse of `saved_state`, for a tracker on a device.
 
     Raises ValueError for content that is none: an unknown record, or one with other fields.
     """
     state = _record(saved)
     if not isinstance(state, TrackerState):
         raise ValueError(f"checkpoint: expected a TrackerState, got {type(state).__name__}")
-    return state
+    return sent_to(state, device)
 
 
 def _plain(value: Any) -> Any:
@@ -55,7 +56,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Gaussian):
         return {_KIND: "Gaussian", "mean": _plain(value.mean), "covariance": _plain(value.covariance)}
     if isinstance(value, torch.Tensor):
-        return value.clone()
+        return value.to(HOST, copy=True)
     if isinstance(value, tuple):
         return [_plain(one) for one in value]
     return value

@@ -49,7 +49,7 @@ class AccumulatedShape:
         """Proportions and the frames with the poses that go with them; frames without a hull drop out."""
         seen = []
         for frame in frames:
-            masks = [None if mask is None else mask.mask() for mask in frame.masks]
+            masks = [None if mask is None else mask.mask().to(shape.device) for mask in frame.masks]
             hull = self.fitter.hull_about(frame.pose, shape, masks)
             if hull.target is not None and not hull.target.is_empty:
                 seen.append((frame, hull))

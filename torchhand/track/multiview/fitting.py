@@ -136,15 +136,15 @@ class FrameFitter:
         Raises ValueError for cameras that see no volume together where no cube is given.
         """
         self.hand, self.settings = hand, settings
-        self.cameras = tuple(camera.to(dtype=torch.float64) for camera in cameras)
+        self.cameras = tuple(camera.to(dtype=torch.float64, device=hand.shape.device) for camera in cameras)
         self.hulls = Hulls(self.cameras, settings.octree, min_views=settings.min_views, contours=settings.contours)
-        self.space = named_pose_space(settings.pose_space)
-        skeleton = hand.kinematics.skeleton
+        device, skeleton = hand.shape.device, hand.kinematics.skeleton
+        self.space = named_pose_space(settings.pose_space).to(device=device)
         self.joints = JointPriors(
             # One finger bent beside straight ones is told by the silhouettes; the bands between the knuckles' flexions
             # (Ouhaddi and Horain 1998, eq. 3) would forbid it.
             constraints=PoseConstraints(skeleton, ConstraintSettings(bands="none")),
-            postures=PostureResiduals.of(HandPrior(skeleton, hand.kinematics.shape_space).postures),
+            postures=PostureResiduals.of(HandPrior(skeleton, hand.kinematics.shape_space).to(device).postures),
             weights=settings.joints,
         )
         self._fitters: _Fitters | None = None
@@ -250,7 +250,7 @@ class FrameFitter:
     ) -> HullFit | None:
         """The best of the hands turned about the palm from where one is, such as after a fast turn of the forearm."""
         palm = self._palm(pose, shape)
-        turns = torch.deg2rad(torch.tensor(_TURNS_DEG, dtype=pose.dofs.dtype))
+        turns = torch.deg2rad(pose.dofs.new_tensor(_TURNS_DEG))
         references = rotation_from_vector(turns @ pose.reference.mT) @ pose.reference
         moved = palm + references @ (pose.reference.mT @ (pose.dofs[:3] - palm))
         tried = HandPose.of(torch.cat((moved, pose.dofs[3:].expand(len(moved), -1)), -1), references)

@@ -44,7 +44,7 @@ class HandEnd:
             points = rays.points[first : first + len(view.plane)]
             first += len(points)
             own = [self._in_view(camera, lengths, points) for camera, lengths in self._lengths if camera is view.camera]
-            kept.append((own[0] if own else torch.ones(len(points), dtype=torch.bool)).nonzero()[:, 0])
+            kept.append((own[0] if own else torch.ones_like(points[:, 0], dtype=torch.bool)).nonzero()[:, 0])
         return (rays.chosen(kept) if any(map(len, kept)) else rays).thinned(count)
 
     def _in_view(self, camera: Camera, lengths: Tensor, points: Float[Tensor, "n 3"]) -> Bool[Tensor, "n"]:

@@ -160,7 +160,7 @@ def _consistent(fitter: FrameFitter, seen: Sequence[_Frame], shape: Tensor) -> l
         others = [other for _, _, other in found if other is not fit]
         others = [other.pose for other in sorted(others, key=lambda one: -one.score)[:_MAX_OTHERS]]
         alternatives.append([fit, *fitter.fit_in_place(frame.hull, fit.pose, others, shape, frame.masks)])
-    scores = [torch.tensor([fit.score - _SCORE_PER_NAT * float(fit.cost) for fit in own]) for own in alternatives]
+    scores = [shape.new_tensor([fit.score - _SCORE_PER_NAT * float(fit.cost) for fit in own]) for own in alternatives]
     facing = [torch.stack([fit.pose.reference for fit in own]) for own in alternatives]
     chosen = list(seen)
     for (place, frame, _), own, index in zip(found, alternatives, viterbi_path(scores, facing), strict=True):
@@ -210,7 +210,7 @@ def _within(seen: Sequence[_Frame], max_drop: float) -> list[_Frame]:
 def _scaled_shapes(fitter: FrameFitter) -> list[Tensor]:
     """The generic hand in several sizes."""
     space = fitter.hand.kinematics.shape_space
-    metric = torch.tensor([unit == "m" for unit in space.units])
+    metric = torch.tensor([unit == "m" for unit in space.units], device=space.default.device)
     default = space.default.to(torch.float64)
     scaled = [torch.where(metric, size * default, default) for size in fitter.settings.sizes]
     return [shape.clamp(space.lower.to(shape), space.upper.to(shape)) for shape in scaled]

@@ -100,8 +100,8 @@ class Hulls:
     def _cube_of(self, end: HandEnd, octree: Octree) -> RootCube:
         """A cube around what may be a hand; the whole one where nothing may."""
         filled, first = octree.occupancy()
-        corner = torch.tensor(self.root.corner, dtype=torch.float64)
-        places = corner + octree.leaf_side * (filled.nonzero().cpu() + torch.tensor(first) + 0.5)
+        corner = torch.tensor(self.root.corner, dtype=torch.float64, device=filled.device)
+        places = corner + octree.leaf_side * (filled.nonzero() + filled.new_tensor(first, dtype=torch.long) + 0.5)
         places = places[end(places)]
         if not len(places):
             return self.root
@@ -147,7 +147,7 @@ class Hulls:
 
     def _carved(self, masks: Masks, root: RootCube, level: int, min_volume: float) -> "_Carved":
         """An octree from all views or, where these do not meet, from all but the one without which most is left."""
-        views = tuple(view for view, mask in enumerate(masks) if mask is not None and mask.cpu().numpy().any())
+        views = tuple(view for view, mask in enumerate(masks) if mask is not None and bool(mask.any()))
         if len(views) < self._min_views:
             missing = sum(mask is None for mask in masks)
             reason = (

@@ -7,7 +7,8 @@ from itertools import chain, islice
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.geometry import Rig
+from torchhand.devices import sent_to
+from torchhand.geometry import Camera, Rig
 from torchhand.hand import Hand
 from torchhand.track.multiview.fitting import FrameFitter, best_of
 from torchhand.track.multiview.hand_initialization import HandInitialization, initialize_hand
@@ -52,10 +53,15 @@ def initialize(
     """
     skins, frames = _with_skins(silhouettes, frames)
     segmentation = RigSegmentation(silhouettes=silhouettes)
-    seen = ((index, segmentation.scene(views, tuple(skins), float(index))) for index, views in frames)
+    device = hand.shape.device
+    cameras = sent_to(silhouettes.cameras, device)
+    seen = (
+        (index, segmentation.scene(sent_to(tuple(views), device), tuple(skins), float(index)))
+        for index, views in frames
+    )
     if fits_unit:
-        return _with_unit(hand, silhouettes, tuple(seen), settings, proposer, shape, skins, done)
-    fitter = FrameFitter(hand, silhouettes.cameras, settings)
+        return _with_unit(hand, cameras, tuple(seen), settings, proposer, shape, skins, done)
+    fitter = FrameFitter(hand, cameras, settings)
     if settings.shape_frames == 0 and shape is None:
         shape = hand.kinematics.default_shape
     own = replace(proposer, cameras=fitter.cameras)
@@ -80,7 +86,7 @@ def _with_skins(
 
 def _with_unit(
     hand: Hand,
-    silhouettes: ViewSilhouettes,
+    cameras: Sequence[Camera],
     seen: Sequence[tuple[int, Scene]],
     settings: RigSettings,
     proposer: HandProposer,
@@ -90,13 +96,13 @@ def _with_unit(
 ) -> Initialization:
     """Initialization with the unit that makes the hand as large as it is known, or expected, to be."""
     space = hand.kinematics.shape_space
-    units, decisive = rough_units(silhouettes.cameras, [(index, scene.masks) for index, scene in seen])
+    units, decisive = rough_units(cameras, [(index, scene.masks) for index, scene in seen])
     if not units:
         nothing = HandInitialization(shape=hand.kinematics.default_shape, shape_std=None, poses={}, shape_frames=())
         return Initialization(hand=nothing, skins=skins)
     # Sizes differ more than what further fingers and hypotheses tell, which take most of a search's time.
     rough = replace(settings, start=settings.start.reduced())
-    fitters = {unit: FrameFitter(hand, Rig(silhouettes.cameras).scaled(unit), rough) for unit in units}
+    fitters = {unit: FrameFitter(hand, Rig(cameras).scaled(unit), rough) for unit in units}
     proposers = {unit: replace(proposer, cameras=fitter.cameras) for unit, fitter in fitters.items()}
     shown = dict(seen)
 
@@ -104,7 +110,7 @@ def _with_unit(
         return max(_agreement(fitters[unit], shown[index], proposers[unit]) for index, _ in decisive)
 
     nominal = climbed(units, agreement)
-    fitter = FrameFitter(hand, Rig(silhouettes.cameras).scaled(nominal), settings)
+    fitter = FrameFitter(hand, Rig(cameras).scaled(nominal), settings)
     propose = proposers[nominal]
     found = initialize_hand(fitter, seen, propose, detect=propose.detected, done=done)
     if not found.poses:

@@ -43,11 +43,11 @@ class HandProposer:
         views = zip(self.cameras, scene.masks, scene.views, strict=True)
         seen = [
             # A picture is as its camera took it, and fits the silhouette without distortion only where there is none.
-            Silhouette(mask=mask.cpu(), camera=camera, image=None if camera.has_distortion else view.image)
+            Silhouette(mask=mask, camera=camera, image=None if camera.has_distortion else view.image)
             for camera, mask, view in views
             if mask is not None and camera.kind == "pinhole" and bool(mask.any())
         ]
         if not seen:
             return []
-        hands = propose_hands(load_proposal_network(), seen, self.kinematics, shape)
+        hands = propose_hands(load_proposal_network(device=shape.device), seen, self.kinematics, shape)
         return [hands.pose.reshape(-1)]

@@ -51,7 +51,7 @@ def rough_units(
 
 def resized_shape(shape: Float[Tensor, "shape"], factor: float, space: ShapeSpace) -> Float[Tensor, "shape"]:
     """The hand when everything is so many times as large; held within the bounds."""
-    metric = torch.tensor([unit == "m" for unit in space.units])
+    metric = torch.tensor([unit == "m" for unit in space.units], device=shape.device)
     larger = torch.where(metric, factor * shape, shape)
     return larger.clamp(space.lower.to(shape), space.upper.to(shape))
 

@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -18,7 +17,7 @@ from torchhand.track.scene import Candidate, Scene, detected_hand
 from torchhand.view import OutlineTable
 
 _SLANT = 0.6  # radians between bones and the picture's plane up to which an outline tells their length: cos is 0.83
-_FLEXIONS = torch.tensor([name.endswith(("mcp_fe", "pip_fe", "dip_fe")) for name in DOFS])
+_FLEXIONS = [i for i, name in enumerate(DOFS) if name.endswith(("mcp_fe", "pip_fe", "dip_fe"))]
 
 
 @dataclass(frozen=True, kw_only=True)

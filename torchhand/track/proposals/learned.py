@@ -84,7 +84,7 @@ class LearnedHands:
     def _registered(self, seen: Silhouette, shape: Tensor) -> Solutions:
         """Registered hypotheses: the cheapest, the cheapest of those that are turned away from it, then the rest by
         their cost."""
-        hands = propose_hands(load_proposal_network(), (seen,), self.kinematics, shape)
+        hands = propose_hands(load_proposal_network(device=shape.device), (seen,), self.kinematics, shape)
         found = self._registration(seen, hands.pose[0], shape, weight=hands.weight[0])
         order = found.cost.argsort()
         order = order[found.cost[order].isfinite()]

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchhand.devices import sent_to
 from torchhand.fit.contour import hand_length_px, is_in_picture, is_outer
 from torchhand.geometry import Camera
 from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, FINGERS, JOINT_DOFS, HandKinematics, HandPose, Primitives
@@ -86,25 +87,25 @@ class FingerEvidence:
 
     def __call__(self, told: Told, scene: Scene) -> Float[Tensor, "5 evidence"]:
         """A row for each finger, thumb to little, in the columns of EVIDENCE."""
-        joints = told.pose.dofs[None, -len(JOINT_DOFS) :]
+        joints, device = told.pose.dofs[None, -len(JOINT_DOFS) :], told.tip_std.device
         in_pictures = [deviations_of_digits(one) for one in told.keypoints.deviations(told.pose, told.shape)]
         postures = [one.deviation(joints)[0] for one in told.keypoints.postures]
         unexplained = math.log1p(told.agreement.most_unexplained / _SPECK)
         columns = [
             (told.tip_std.clamp_min(1e-4) / _SPREAD_M).log(),
             *self._borne_out(told, scene).unbind(-1),
-            _difference(in_pictures),
-            torch.full((len(FINGERS),), float(not in_pictures)),
-            _difference(postures),
+            _difference(in_pictures, device),
+            torch.full((len(FINGERS),), float(not in_pictures), device=device),
+            _difference(postures, device),
             *_learned(told, joints[0]).unbind(-1),
-            torch.full((len(FINGERS),), told.agreement.overlap),
-            torch.full((len(FINGERS),), unexplained),
+            torch.full((len(FINGERS),), told.agreement.overlap, device=device),
+            torch.full((len(FINGERS),), unexplained, device=device),
         ]
         return torch.stack([column.to(told.tip_std) for column in columns], -1)
 
     def _borne_out(self, told: Told, scene: Scene) -> Float[Tensor, "5 4"]:
         """Shares of each finger's contour in all views: outer found and missed, inner found and missed."""
-        counts = torch.zeros(len(FINGERS), 4, dtype=torch.float64)
+        counts = told.tip_std.new_zeros(len(FINGERS), 4)
         total = 0.0
         for view, projector in enumerate(self._projectors(told.shape)):
             plane = scene.plane(view)
@@ -112,7 +113,7 @@ class FingerEvidence:
                 continue
             counts += self._in_view(projector, told, _seen_by(projector, told, view), (plane, scene.grey(view)))
             total += 1.0
-        return counts / (_points_of_fingers() * max(1.0, total))[:, None]
+        return counts / (_points_of_fingers(counts.device) * max(1.0, total))[:, None]
 
     def _in_view(
         self,
@@ -125,10 +126,11 @@ class FingerEvidence:
         camera, pose = projector.camera, told.pose
         primitives, generators = seen
         plane, levels = pictures
-        contour = projector.contour_of(primitives, _table(), generators)
+        contour = projector.contour_of(primitives, _table(pose.dofs.device), generators)
         shown = (contour.visible & is_in_picture(contour.points_px, camera)).nonzero().squeeze(-1)
         points, normals, finger = (
-            values.index_select(0, shown) for values in (contour.points_px, contour.normals, _finger_of_point())
+            values.index_select(0, shown)
+            for values in (contour.points_px, contour.normals, _finger_of_point(pose.dofs.device))
         )
         in_cam = torch.cat((camera.cam_from_world(pose.dofs[:3]), pose.dofs[3:]))
         length_px = hand_length_px(camera, self.kinematics, in_cam, told.shape)
@@ -156,10 +158,10 @@ def _seen_by(projector: HandProjector, told: Told, view: int) -> tuple[Primitive
     return primitives, projector.generators_of(primitives)
 
 
-def _difference(deviations: Sequence[Tensor]) -> Float[Tensor, "5"]:
+def _difference(deviations: Sequence[Tensor], device: torch.device) -> Float[Tensor, "5"]:
     """ln(1 + d²) of the mean over those that are known; 0 where none is."""
     if not deviations:
-        return torch.zeros(len(FINGERS))
+        return torch.zeros(len(FINGERS), device=device)
     return torch.stack([one.square().log1p() for one in deviations]).nanmean(0).nan_to_num()
 
 
@@ -181,24 +183,24 @@ def _finger_of(name: str) -> int | None:
     return FINGERS.index(finger) if finger in FINGERS and part in parts else None
 
 
-@lru_cache(maxsize=1)
-def _table() -> OutlineTable:
+@lru_cache(maxsize=4)
+def _table(device: torch.device) -> OutlineTable:
     """Points of the fingers' last two phalanges alone."""
     with torch.inference_mode(False):  # kept for callers in any mode
         names = (*CONE_NAMES, *ELLIPSOID_NAMES)
         without = tuple(name for name in names if _finger_of(name) is None)
-        return outline_table(8, 10, without=without)
+        return sent_to(outline_table(8, 10, without=without), device)
 
 
-@lru_cache(maxsize=1)
-def _finger_of_point() -> Int[Tensor, "points"]:
+@lru_cache(maxsize=4)
+def _finger_of_point(device: torch.device) -> Int[Tensor, "points"]:
     with torch.inference_mode(False):
         fingers = [_finger_of(name) for name in (*CONE_NAMES, *ELLIPSOID_NAMES)]
-        return torch.tensor([-1 if one is None else one for one in fingers])[_table().primitive]
+        return torch.tensor([-1 if one is None else one for one in fingers], device=device)[_table(device).primitive]
 
 
-@lru_cache(maxsize=1)
-def _points_of_fingers() -> Float[Tensor, "5"]:
+@lru_cache(maxsize=4)
+def _points_of_fingers(device: torch.device) -> Float[Tensor, "5"]:
     """Number of points that each finger has at all."""
     with torch.inference_mode(False):
-        return torch.bincount(_finger_of_point(), minlength=len(FINGERS)).double()
+        return torch.bincount(_finger_of_point(device), minlength=len(FINGERS)).double()

@@ -119,7 +119,7 @@ class SilhouetteComparison:
         """Intersection over union alone, with silhouettes of any size; NaN in views without one."""
         cameras = [projector.camera for projector in self._projectors]
         small = [
-            None if mask is None else reduced_mask(mask.cpu(), camera.height, camera.width)
+            None if mask is None else reduced_mask(mask.to(self.shape.device), camera.height, camera.width)
             for camera, mask in zip(cameras, masks, strict=True)
         ]
         found = [
@@ -131,7 +131,7 @@ class SilhouetteComparison:
         """The silhouette of a view in its reduced picture, made once for all comparisons of that size."""
         camera = self._projectors[view].camera
         size = (camera.height, camera.width)
-        return scene.once(("reduced", view, size), lambda: _reduced(scene, view, *size))
+        return scene.once(("reduced", view, size), lambda: _reduced(scene, view, size, self.shape.device))
 
     def placed(self, pose: HandPose) -> PlacedHand:
         """A hand () before the cameras; those that are alike are asked together."""
@@ -219,9 +219,11 @@ def mean_overlap(overlaps: Float[Tensor, "views"]) -> float:
     return float(known.mean()) if len(known) else 0.0
 
 
-def _reduced(scene: Scene, view: int, height: int, width: int) -> Bool[Tensor, "height width"] | None:
+def _reduced(
+    scene: Scene, view: int, size: tuple[int, int], device: torch.device
+) -> Bool[Tensor, "height width"] | None:
     """The silhouette of a view in a reduced picture: what is probably hand in the mean over a pixel's area."""
     plane, mask = scene.probabilities[view], scene.masks[view]
     if plane is not None:
-        return reduced(plane, height, width) > 0.5
-    return None if mask is None else reduced_mask(mask.cpu(), height, width)
+        return reduced(plane.to(device), *size) > 0.5
+    return None if mask is None else reduced_mask(mask.to(device), *size)

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchhand.devices import constant_tensor
 from torchhand.fit import PosedHands, Stage
 from torchhand.fit.keypoints import KeypointSettings, PictureKeypoints, PostureKeypoints, keep_frames, place_hand
 from torchhand.geometry import Camera
@@ -15,7 +16,7 @@ from torchhand.hand import FINGERS, JOINT_DOFS, HandFrames, HandKinematics, Hand
 from torchhand.track.scene.views import Scene
 
 _PALM = (0, 1, 5, 9, 13, 17)
-_DIGITS = torch.tensor([[first + 1, first + 2, first + 3] for first in _PALM[1:]])
+_DIGITS = tuple((first + 1, first + 2, first + 3) for first in _PALM[1:])
 """Keypoints beyond the palm, digit by digit."""
 _COMPARED = Stage(gross_m=0.01)
 
@@ -95,7 +96,7 @@ class _Compared:
 
 def deviations_of_digits(points: Float[Tensor, "21"]) -> Float[Tensor, "5"]:
     """Root mean squares of the known deviations of each digit's points; NaN where none is known."""
-    return _rms(points[_DIGITS])
+    return _rms(points[constant_tensor(_DIGITS, torch.long, points.device)])
 
 
 def _rms(values: Float[Tensor, "k n"]) -> Float[Tensor, "k"]:
@@ -103,12 +104,14 @@ def _rms(values: Float[Tensor, "k n"]) -> Float[Tensor, "k"]:
 
 
 @lru_cache(maxsize=8)
-def parts_of(dofs: tuple[str, ...]) -> Int[Tensor, "dofs"]:
+def parts_of(dofs: tuple[str, ...], device: torch.device) -> Int[Tensor, "dofs"]:
     """Which part of the hand (as `SceneKeypoints.deviation` has them) a degree of freedom moves: 0 the whole, then
     digits."""
     names = [name.split("_")[0] for name in dofs]
     with torch.inference_mode(False):  # kept for callers in any mode
-        return torch.tensor([1 + FINGERS.index(name) if name in FINGERS else 0 for name in names], dtype=torch.long)
+        return torch.tensor(
+            [1 + FINGERS.index(name) if name in FINGERS else 0 for name in names], dtype=torch.long, device=device
+        )
 
 
 def scene_keypoints(

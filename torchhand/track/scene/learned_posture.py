@@ -28,8 +28,8 @@ def seen_posture(
     scene: Scene, camera: Camera, kinematics: HandKinematics, pose: HandPose, shape: Float[Tensor, "shape"]
 ) -> LearnedPosture | None:
     """What the network sees of the hand near a pose () in the only view of a scene; None without a silhouette."""
-    seen = _silhouette(scene, camera)
-    return None if seen is None else learned_posture(load_proposal_network(), seen, kinematics, pose, shape)
+    seen, network = _silhouette(scene, camera), load_proposal_network(device=shape.device)
+    return None if seen is None else learned_posture(network, seen, kinematics, pose, shape)
 
 
 def seen_presence(
@@ -37,8 +37,8 @@ def seen_presence(
 ) -> float | None:
     """Logarithm of how much likelier a hand at a pose () in the only view of a scene is than something else there, as a
     network sees it; None without a silhouette."""
-    seen = _silhouette(scene, camera)
-    return None if seen is None else float(hand_presence(load_presence_network(), seen, kinematics, pose, shape))
+    seen, network = _silhouette(scene, camera), load_presence_network(device=shape.device)
+    return None if seen is None else float(hand_presence(network, seen, kinematics, pose, shape))
 
 
 def _silhouette(scene: Scene, camera: Camera) -> Silhouette | None:
@@ -52,8 +52,8 @@ def learned_observations(seen: LearnedPosture, pose: HandPose) -> tuple[PostureK
     """The joint angles and the direction that were seen, as observations of the hand near a pose ()."""
     none, rotation = pose.dofs.new_zeros(len(DOFS) - len(JOINT_DOFS)), pose.rotation
     direction, precision = seen.direction_near(rotation)
-    space, turns = _space()
-    information = torch.zeros(space.size, space.size, dtype=none.dtype)
+    space, turns = _space(none.device)
+    information = none.new_zeros(space.size, space.size)
     information[turns, turns] = precision.to(none)
     return (
         PostureKeypoints(
@@ -76,13 +76,13 @@ def credible_posture(
     joints = pose.dofs[-len(JOINT_DOFS) :]
     deviation = (joints - seen.joints).square() / seen.variance
     is_far = torch.stack([deviation[rows].mean() for rows in _FLEXIONS]).sqrt() > _CREDIBLE
-    is_put = torch.cat((torch.zeros_like(is_far[:1]), is_far))[parts_of(free_names)]
+    is_put = torch.cat((torch.zeros_like(is_far[:1]), is_far))[parts_of(free_names, is_far.device)]
     return HandPose(dofs=torch.cat((pose.dofs[: -len(JOINT_DOFS)], seen.joints)), reference=pose.reference), is_put
 
 
-@lru_cache(maxsize=1)
-def _space() -> tuple[PoseSpace, list[int]]:
+@lru_cache(maxsize=4)
+def _space(device: torch.device) -> tuple[PoseSpace, list[int]]:
     """The space in which a direction is told, and the places of the root's rotation in it."""
     with torch.inference_mode(False):  # kept for callers in any mode
-        space = named_pose_space("dof27")
+        space = named_pose_space("dof27").to(device=device)
     return space, [space.free_names.index(name) for name in ("root_rx", "root_ry", "root_rz")]

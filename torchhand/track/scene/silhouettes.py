@@ -35,7 +35,7 @@ class PackedMask:
 
     def mask(self) -> Bool[Tensor, "height width"]:
         """As it was, on the CPU."""
-        flat = np.unpackbits(self.bits.numpy(), count=self.shape[0] * self.shape[1])
+        flat = np.unpackbits(self.bits.cpu().numpy(), count=self.shape[0] * self.shape[1])
         return torch.from_numpy(flat.view(bool).reshape(self.shape))
 
 

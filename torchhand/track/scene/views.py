@@ -4,6 +4,7 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
+import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
@@ -45,6 +46,11 @@ class View:
     @property
     def is_empty(self) -> bool:
         return self.image is None and self.mask is None and self.keypoints is None
+
+    def is_on(self, device: torch.device) -> bool:
+        """Whether all that there is lies on a device."""
+        keypoints = () if self.keypoints is None else (self.keypoints.points_px, self.keypoints.points)
+        return all(one is None or one.device == device for one in (self.image, self.mask, *keypoints))
 
 
 @dataclass(frozen=True, kw_only=True)

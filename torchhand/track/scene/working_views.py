@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.devices import sent_to
 from torchhand.geometry import Camera
 from torchhand.image import BackgroundPlate, PicturePart
 from torchhand.track.scene.views import View
@@ -32,20 +33,25 @@ class WorkingViews:
         given, part = self.given[index], self._parts[index]
         is_whole = part.size == part.part
         is_undistorted = given.has_distortion and not used.has_distortion
-        if is_whole and (view.keypoints is None or not is_undistorted):
+        device = used.intrinsics.device
+        if is_whole and (view.keypoints is None or not is_undistorted) and view.is_on(device):
             return view
         if index in self._last and self._last[index][0] is used and is_same_view(self._last[index][1], view):
             return self._last[index][2]
-        keypoints = view.keypoints
+        keypoints = None if view.keypoints is None else sent_to(view.keypoints, device)
         if keypoints is not None and is_undistorted:
             points = used.pixels_from_plane(given.plane_from_pixels(keypoints.points_px.to(used.intrinsics)))
             keypoints = replace(keypoints, points_px=points)
-        elif keypoints is not None:
+        elif keypoints is not None and not is_whole:
             points = torch.from_numpy(part.part_px(keypoints.points_px.cpu().numpy())).to(keypoints.points_px)
             keypoints = replace(keypoints, points_px=points)
         image = view.image if is_whole or view.image is None else part.image(view.image)
         mask = view.mask if is_whole or view.mask is None else part.mask(view.mask)
-        own = View(image=image, mask=mask, keypoints=keypoints)
+        own = View(
+            image=None if image is None else image.to(device),
+            mask=None if mask is None else mask.to(device),
+            keypoints=keypoints,
+        )
         self._last[index] = (used, view, own)
         return own
 

@@ -17,6 +17,7 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from torchhand.devices import read_back
 from torchhand.fit.contour import hand_length_px
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics
@@ -126,7 +127,7 @@ def outline_rank(image: UInt8[Tensor, "height width 3"], model: Bool[Tensor, "he
     across, down = (cv2.Sobel(lab, cv2.CV_32F, *order) for order in ((1, 0), (0, 1)))
     edges = cv2.dilate(np.sqrt((across**2 + down**2).sum(-1)), _NEAR)
     rank = edges.ravel().argsort(kind="stable").argsort(kind="stable").reshape(edges.shape) / max(1, edges.size - 1)
-    rim = (model & ~erode(model, disc_kernel(1))).numpy()
+    rim = read_back(model & ~erode(model, disc_kernel(1)))
     rim[0] = rim[-1] = rim[:, 0] = rim[:, -1] = False  # the picture's end is no outline
     return float(rank[rim].mean()) if rim.any() else 0.5
 

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from torchhand.devices import HOST, sent_to
 from torchhand.fit.keypoints import PostureKeypoints, starts_in_picture
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics, HandPose
@@ -96,7 +97,8 @@ class HandHypothesis:
 class SinglePoseFitter:
     """Estimates the hand of a known side in single pictures, each by itself.
 
-    Computes in float64 on the CPU, on the calling thread alone.
+    Computes in float64 on the device of the kinematics, on the calling thread alone; what a call returns is on the
+    processor.
     """
 
     def __init__(
@@ -108,6 +110,7 @@ class SinglePoseFitter:
     ) -> None:
         """kinematics: float64. sources: of first poses where detected keypoints do not tell or are wrong."""
         self.kinematics, self.settings, self._sources = kinematics, settings or SinglePoseSettings(), tuple(sources)
+        self.device = kinematics.default_shape.device
 
     @torch.inference_mode()
     @single_threaded()
@@ -117,6 +120,10 @@ class SinglePoseFitter:
         shape: proportions where they are known. A hand that the picture does not bear out is refused.
         Raises ValueError for a view without picture and silhouette, or of another size than the camera's.
         """
+        found = self._found(view, camera.to(device=self.device), None if shape is None else shape.to(self.device))
+        return sent_to(found, HOST)
+
+    def _found(self, view: View, camera: Camera, shape: Float[Tensor, "shape"] | None) -> SinglePose:
         work = _Work.of(view, camera, self.settings.max_side_px)
         known = self.kinematics.default_shape if shape is None else shape.double()
         best = self._with_keypoints(work, known, shape is not None)
@@ -135,7 +142,7 @@ class SinglePoseFitter:
     def hypotheses(self, view: View, camera: Camera) -> tuple[list[HandHypothesis], Camera]:
         """All hands that are weighed in a view without detected keypoints, and the camera, perhaps of a reduced
         picture, in which they were registered. Raises ValueError as a call does."""
-        work = _Work.of(view, camera, self.settings.max_side_px)
+        work = _Work.of(view, camera.to(device=self.device), self.settings.max_side_px)
         return self._hypotheses(work, self.kinematics.default_shape, is_shape_known=False), work.camera
 
     def _with_keypoints(self, work: "_Work", shape: Tensor, is_shape_known: bool) -> _Judged | None:
@@ -342,19 +349,18 @@ class _Work:
                 )
         if view.image is None and view.mask is None:
             raise ValueError("view: expected a picture or a silhouette, got neither")
-        here = replace(
-            camera.to(dtype=torch.float64),
-            rotation=torch.eye(3, dtype=torch.float64),
-            translation=torch.zeros(3, dtype=torch.float64),
-        )
+        here = camera.to(dtype=torch.float64).at_origin()
+        device = here.rotation.device
         scale = max_side_px / max(camera.width, camera.height)
-        if scale >= 1:
-            return cls(camera=here, image=view.image, mask=view.mask, keypoints=view.keypoints)
-        small = here.resized(scale)
-        size = (small.width, small.height)
-        image = None if view.image is None else _shrunk(view.image, size)
-        mask = None if view.mask is None else _shrunk(255 * view.mask.to(torch.uint8), size) > 127
-        return cls(camera=small, image=image, mask=mask, keypoints=_scaled(view.keypoints, scale))
+        image, mask, keypoints = view.image, view.mask, view.keypoints
+        if scale < 1:
+            here = here.resized(scale)
+            size = (here.width, here.height)
+            image = None if image is None else _shrunk(image, size)
+            mask = None if mask is None else _shrunk(255 * mask.to(torch.uint8), size) > 127
+            keypoints = _scaled(keypoints, scale)
+        seen = sent_to(View(image=image, mask=mask, keypoints=keypoints), device)
+        return cls(camera=here, image=seen.image, mask=seen.mask, keypoints=seen.keypoints)
 
     def scene(self, mask: Tensor | None) -> Scene:
         return Scene(

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import sent_to
 from torchhand.fit import (
     ConstraintPrior,
     Observation,
@@ -73,7 +74,7 @@ class PictureProblem:
 
     @property
     def space(self) -> PoseSpace:
-        return named_pose_space(self.settings.pose_space)
+        return named_pose_space(self.settings.pose_space).to(device=self.kinematics.default_shape.device)
 
     @property
     def _priors(self) -> tuple[Observation, ...]:
@@ -134,6 +135,7 @@ class PictureProblem:
     def _problem(self, mask: Tensor, image: Tensor | None, shape: Tensor) -> Problem:
         s, skeleton = self.settings, self.kinematics.skeleton
         table = outline_table(s.points_per_generator, s.points_per_arc, without=("palm_wrist",))
+        table = sent_to(table, shape.device)
         contour = ContourObservation(
             picture=picture_contours(mask, s.schedule, s.contour, image=image),
             contours=PrimitiveContours(HandProjector(self.kinematics, self.camera, shape), table),
@@ -202,7 +204,8 @@ def _columns(space: PoseSpace) -> list[tuple[int, float]]:
 
 @lru_cache(maxsize=4)
 def _postures(kinematics: HandKinematics) -> PostureResiduals:
-    return PostureResiduals.of(HandPrior(kinematics.skeleton, kinematics.shape_space).postures)
+    prior = HandPrior(kinematics.skeleton, kinematics.shape_space).to(kinematics.default_shape.device)
+    return PostureResiduals.of(prior.postures)
 
 
 @lru_cache(maxsize=4)

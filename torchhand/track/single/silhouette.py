@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from torchhand.devices import on_host
 from torchhand.fit import learn_appearance
 from torchhand.fit.contour import hand_length_px
 from torchhand.geometry import Camera
@@ -54,6 +55,7 @@ def silhouette_at(
     return touching(mask, model)
 
 
+@on_host
 def cut_at(
     image: UInt8[Tensor, "height width 3"],
     mask: Bool[Tensor, "height width"],
@@ -87,6 +89,7 @@ def cut_at(
     return torch.from_numpy(whole > 0.5)
 
 
+@on_host
 def silhouettes_by_skin(image: UInt8[Tensor, "height width 3"]) -> list[Bool[Tensor, "height width"]]:
     """What may be hand and bare forearm where nothing is known of it: `skin_candidates` in the picture's size."""
     height, width = image.shape[:2]

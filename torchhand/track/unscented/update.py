@@ -69,7 +69,7 @@ class UnscentedUpdate:
         self.settings, self.keypoints, self._side_px = settings, keypoints, side_px
         self._search = EdgeSearch(settings=settings, table=table)
         self._prior = posture_prior(motion.space, settings.prior, has_tilt=len(self.cameras) == 1)
-        self._parts_of_free = parts_of(motion.space.free_names)
+        self._parts_of_free = parts_of(motion.space.free_names, motion.space.basis.device)
         self._made: tuple[Tensor, list[HandProjector], SilhouetteComparison] | None = None
 
     @property

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.devices import sent_to
 from torchhand.geometry import Camera, batch_first
 from torchhand.hand import (
     CONE_NAMES,
@@ -52,7 +53,7 @@ class HandProjector:
         self.camera = camera
         self.shape = kinematics.default_shape if shape is None else shape
         self.sizes: PrimitiveSizes = primitive_sizes(kinematics.shape_space, self.shape)
-        self._polygon_table = _polygon_table(self.shape.dtype)
+        self._polygon_table = sent_to(_polygon_table(self.shape.dtype), self.shape.device)
         identity = torch.eye(3, dtype=camera.rotation.dtype, device=camera.rotation.device)
         self._camera_is_world = bool((camera.rotation == identity).all() and (camera.translation == 0).all())
 
@@ -170,7 +171,7 @@ class HandProjector:
             for polygon in np.rint(_inset(corners[keep]) * (1 << _SHIFT)).astype(np.int32):
                 cv2.fillConvexPoly(canvas, polygon, 1, shift=_SHIFT)
             start += len(corners)
-        return torch.from_numpy(canvas).view(torch.bool)
+        return torch.from_numpy(canvas).view(torch.bool).to(points.device)
 
 
 def _inset(polygons: np.ndarray) -> np.ndarray:
