@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from torchhand.devices import sent_to
 from torchhand.geometry.cameras import Camera, assumed_camera
 from torchhand.geometry.rig import (
     Rig,
@@ -125,6 +126,9 @@ def test_a_rig_in_another_unit_sees_the_same(rig: list[Camera]) -> None:
     assert math.isclose(rig_size(inches.scaled(0.0254)), rig_size(rig))
     single = Rig(rig).to(dtype=torch.float32)
     assert all(camera.rotation.dtype == torch.float32 for camera in single)
+    sent = sent_to(Rig(rig), torch.device("meta"))
+    assert isinstance(sent, Rig)
+    assert all(camera.rotation.is_meta for camera in sent)
 
 
 def test_wrong_rigs_are_refused(rig: list[Camera]) -> None:

@@ -60,6 +60,10 @@ class Rig(tuple[Camera, ...]):
         """The same cameras with their tensors moved."""
         return Rig(camera.to(dtype=dtype, device=device) for camera in self)
 
+    def on(self, device: torch.device) -> "Rig":
+        """The same cameras on a device (`torchhand.devices.sent_to`)."""
+        return self.to(device=device)
+
 
 def centres_world(cameras: Sequence[Camera]) -> Float[Tensor, "cameras 3"]:
     """Optical centres -Rᵀ t, in the unit of the translations."""
