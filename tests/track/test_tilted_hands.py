@@ -68,6 +68,13 @@ def test_nothing_is_proposed_beside_a_detector_or_without_a_hand(half_closed: An
     assert source(replace(scene, probabilities=(None,), masks=(None,)), state, followed).hands == ()
 
 
+@pytest.mark.parametrize("name", ["contour_planar", "distance_full"])
+def test_hands_that_are_rigid_or_sought_on_distance_maps_do_without(name: str, studio: Any) -> None:
+    placed = studio.placed(size=0.7, camera=studio.camera(320, 240))
+    tracker = Tracker(right_hand(), placed.camera, settings_of(name), shape=placed.shape)
+    assert not any(isinstance(one, TiltedHands) for one in tracker.parts.sources)
+
+
 def test_it_is_asked_seldom(half_closed: Any, studio: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """A hand that is never as good as it was, frame after frame."""
     tracker, state, scene, _, _ = half_closed
