@@ -180,9 +180,11 @@ def _of_one_camera(
 def _by_network(
     own: _Ingredients, camera: Camera, shape: Tensor | None, plate: BackgroundPlate | None, *, can_start: bool
 ) -> tuple[ProposalSource, ...]:
-    """Hands in any posture and, of a hand whose joints are followed by edges along normals, in other tilts: distance maps
-    look as far by themselves (with tilts, flexion errors of `rom_palm` and `rom_side` were 5.2° and 4.6° there, 4.5° and
-    4.2° without). can_start: whether the first hand may come from here."""
+    """Hands in any posture and, of a hand whose joints are followed by edges along normals, in other tilts.
+
+    Distance maps look as far by themselves: with tilts flexion errors on `rom_palm` and `rom_side` are 5.2° and 4.6°
+    there, 4.5° and 4.2° without. can_start: whether the first hand may come from here.
+    """
     kinematics = own.hand.kinematics
     hands = LearnedHands(
         kinematics=kinematics,
