@@ -38,6 +38,11 @@ from torchhand.view import HandProjector, PrimitiveContours, outline_table
 
 _BY_KEYPOINTS = (Stage(gross_m=0.03, rounds=2, iterations=8), Stage(gross_m=0.01, rounds=1, iterations=8))
 _ALTERNATIVE = 20.0  # nats: hands that explain keypoints worse by more cannot be saved by an outline
+_OUTLINE_BESIDE_POSTURE = 0.5
+"""What an outline is worth beside a detector's posture, of what it is alone: with proportions of one picture it takes
+away what the points tell of bent fingers. Of 404 photographs 75 % of the signs are told by the angles with 1, 80 % with
+a half and a quarter; the overlap is 0.91, 0.90 and 0.89 in the median. Proportions are the outline's matter as they
+were."""
 _SAME_RAD = 0.1  # largest difference of an angle with which two hypotheses are one
 _SHOWN = ("hand_breadth", "thumb_proximal", "index_proximal", "middle_proximal", "ring_proximal", "little_proximal")
 """Proportions that one outline shows; the rest follows the mean of people."""
@@ -77,10 +82,14 @@ class PictureProblem:
         return named_pose_space(self.settings.pose_space).to(device=self.kinematics.default_shape.device)
 
     @property
+    def _is_told(self) -> bool:
+        """Whether a detector tells the posture."""
+        return any(isinstance(one, PostureKeypoints) for one in self.observations)
+
+    @property
     def _priors(self) -> tuple[Observation, ...]:
         """What is believed of postures: less where a detector tells the posture of this hand."""
-        is_told = any(isinstance(one, PostureKeypoints) for one in self.observations)
-        weight = self.settings.detected_prior_weight if is_told else 1.0
+        weight = self.settings.detected_prior_weight if self._is_told else 1.0
         constraints = ConstraintPrior(constraints=PoseConstraints(self.kinematics.skeleton), has_ties=weight == 0)
         if weight == 0:
             return (constraints,)
@@ -112,7 +121,8 @@ class PictureProblem:
         """The best of the hands that are reached from some starts (k); None where the silhouette has no outline, and
         where none of them is in sight."""
         s = self.settings
-        problem = self._problem(mask, image, shape)
+        worth = _OUTLINE_BESIDE_POSTURE if self._is_told else 1.0
+        problem = self._problem(mask, image, shape, worth)
         if problem.observations[0].is_empty:
             return None
         if len(starts) > s.finalists:
@@ -130,16 +140,28 @@ class PictureProblem:
             cost=float(best.cost),
             modes=modes,
         )
-        return result if is_shape_known or not s.fits_shape else self._with_shape(problem, result, best.covariance)
+        if is_shape_known or not s.fits_shape:
+            return result
+        shaped = self._with_shape(self._problem(mask, image, shape, 1.0), result, best.covariance)
+        if worth == 1.0 or shaped is result:
+            return shaped
+        problem = self._problem(mask, image, shaped.shape, worth)
+        return self._posed(problem, shaped, result.covariance - best.covariance)
 
-    def _problem(self, mask: Tensor, image: Tensor | None, shape: Tensor) -> Problem:
+    def _problem(self, mask: Tensor, image: Tensor | None, shape: Tensor, worth: float) -> Problem:
+        """worth: factor on what the outline counts."""
         s, skeleton = self.settings, self.kinematics.skeleton
+        settings = replace(
+            s.contour,
+            contour_weight=worth * s.contour.contour_weight,
+            coverage_weight=worth * s.contour.coverage_weight,
+        )
         table = outline_table(s.points_per_generator, s.points_per_arc, without=("palm_wrist",))
         table = sent_to(table, shape.device)
         contour = ContourObservation(
-            picture=picture_contours(mask, s.schedule, s.contour, image=image),
+            picture=picture_contours(mask, s.schedule, settings, image=image),
             contours=PrimitiveContours(HandProjector(self.kinematics, self.camera, shape), table),
-            settings=s.contour,
+            settings=settings,
         )
         return Problem(
             space=self.space,
@@ -165,6 +187,14 @@ class PictureProblem:
             covariance=found.covariance[0] + result.covariance - own,
             edges=float(contour.fraction),
         )
+
+    def _posed(self, problem: Problem, result: Registered, left_open: Float[Tensor, "free free"]) -> Registered:
+        """The hand with its proportions, its pose as the problem has it. left_open: covariance of other hypotheses."""
+        found = solve(problem, result.pose.reshape(1), self.settings.schedule[-1:]).select(0)
+        if not bool(found.is_sound) or not bool(found.covariance.isfinite().all()):
+            return result
+        edges = float(found.explained_by(CONTOUR).fraction)
+        return replace(result, pose=found.pose, covariance=found.covariance + left_open, edges=edges)
 
 
 def mixture(found: Solutions, space: PoseSpace) -> tuple[Solutions, Float[Tensor, "free free"], int]:
