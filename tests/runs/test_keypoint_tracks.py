@@ -1,0 +1,44 @@
+"""Detections of files beside the pictures of a recording."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from torchhand.files import save_cameras, write_video
+from torchhand.geometry import assumed_camera
+from torchhand.runs.keypoint_tracks import KeypointTracks
+from torchhand.runs.recordings import RigRecording
+
+WIDTH, HEIGHT = 40, 30
+
+
+def test_frames_of_several_cameras_have_the_times_and_the_keypoints_of_their_pictures(tmp_path: Path) -> None:
+    """25 frames a second beside 10: the frames of the slow camera, and of the fast one the keypoints of the pictures
+    that were taken then; wherever reading starts."""
+    one = assumed_camera(WIDTH, HEIGHT)
+    save_cameras([replace(one, name="fast"), replace(one, name="slow")], tmp_path / "cameras.json")
+    files = []
+    for name, fps, count in (("fast", 25.0, 26), ("slow", 10.0, 11)):
+        with write_video(tmp_path / f"{name}.mp4", width=WIDTH, height=HEIGHT, fps=fps) as video:
+            for number in range(count):
+                video.write(torch.full((HEIGHT, WIDTH, 3), 40 + 3 * number, dtype=torch.uint8))
+        points = np.broadcast_to(np.arange(count, dtype=np.float64)[:, None, None], (count, 21, 2))
+        files.append(tmp_path / f"{name}.npz")
+        np.savez(files[-1], points_px=points, label=np.full(count, "Left"), score=np.ones(count))
+    recording = RigRecording(tmp_path)
+    assert (recording.fps, recording.count) == (pytest.approx(10.0), 11)
+    keypoints = KeypointTracks(files, recording.cameras)
+    for done in (0, 4):
+        with recording.opened(done) as opened:
+            frames = list(opened)
+        assert [frame.index for frame in frames] == list(range(done, 11))
+        assert [frame.time_s for frame in frames] == pytest.approx([0.1 * i for i in range(done, 11)], abs=1e-9)
+        for frame in frames:
+            fast, slow = keypoints.hands(frame, None)
+            assert fast is not None
+            assert slow is not None
+            assert float(slow.points_px[0, 0]) == frame.index
+            assert abs(float(fast.points_px[0, 0]) / 25 - frame.time_s) <= 0.02 + 1e-9
