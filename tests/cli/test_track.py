@@ -42,6 +42,7 @@ from torchhand.hand import DOFS
 from torchhand.runs import settings_of
 from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
 from torchhand.track import DEFAULTS, Tracker, TrackerSettings
+from torchhand.track.scene import HealthSettings
 
 FRAMES, WIDTH, HEIGHT = 10, 200, 160
 RESULT_NAMES = {"config.yaml", "hand.json", "header.json", "overlay.mp4", "report.html", "track.jsonl", "track.npz"}
@@ -520,13 +521,21 @@ def test_a_webcam_ends_well_with_ctrl_c_and_draws_live(
     _assert_refused(run("0", "--out", "out", "--resume", *clip.options), "webcam 0: cannot be resumed")
 
 
-def test_a_recording_is_played_live_to_other_programs(clip: Clip, run: Run, tmp_path: Path) -> None:
-    """The newest picture each time, every estimate at once on standard output, and nothing else there."""
-    out = tmp_path / "out"
+def test_a_recording_is_played_live_to_other_programs(
+    clip: Clip, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The newest picture each time, every estimate at once on standard output, and nothing else there; searches come as
+    seldom as they must live."""
+    out, asked = tmp_path / "out", []
+    own = HealthSettings.for_live
+    monkeypatch.setattr(
+        "torchhand.track.scene.health.HealthSettings.for_live", lambda self: asked.append(own(self)) or asked[-1]
+    )
     grown = tmp_path / "live.thp"
     streams = ("--stream", "jsonl", "--stream", grown)
     outcome = run(clip.frames, "--out", out, "--live", "--no-page", *streams, *clip.options)
     assert outcome.code == 0
+    assert [one.searches_when_failing for one in asked] == [False]
     messages = [json.loads(line) for line in outcome.out.splitlines()]
     track = load_track(out)
     assert track.time_s is not None

@@ -62,7 +62,9 @@ def track(
             seen = DetectedTracks([HandDetector(side=side, hand_model=hand_model)])
         elif files:
             seen = KeypointTracks(files, recording.cameras, side=side)
-        tracker = Tracker(hand, recording.cameras, settings or settings_of("contour_full"), shape=shape)
+        settings = settings or settings_of("contour_full")
+        settings = settings.for_live() if recording.is_live else settings
+        tracker = Tracker(hand, recording.cameras, settings, shape=shape)
         state, followed_px = None, None
         with recording.opened(0) as frames:
             for frame in frames:

@@ -83,7 +83,7 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
         tracker = Tracker(
             hand,
             recording.cameras,
-            request.settings,
+            request.settings.for_live() if is_live else request.settings,
             shape=_known_shape(request),
             start_points=request.start_points,
             plates=None if plate is None else [plate],

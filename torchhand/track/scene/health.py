@@ -23,8 +23,8 @@ _DIRECTION_WEIGHT = 0.3  # share of the score that the network's view of the dir
 _SURE_DIRECTION = 0.3  # agreement with that view which is as good as any: half of its hypotheses within its error
 _MIN_DIRECTION = 0.12  # agreement below which it is in doubt
 _ONE_PLACE_M = 0.1  # between the palms of two hands that are the same hand otherwise held: half a hand's length
-_RIG_SEARCH_EVERY = 60  # frames from one search of several cameras to the next where they find nothing
-_RIG_ALTERNATIVES_EVERY = 8  # frames from one attempt of several cameras to the next where they are in vain
+_RARE_SEARCH_EVERY = 60  # frames from one search that takes seconds to the next where they find nothing
+_RARE_ALTERNATIVES_EVERY = 8  # frames from one attempt that takes tenths of a second to the next where they are in vain
 _ALTERNATIVES_EVERY = 4  # the same after the first attempt
 _FAILING_SOONER = 4  # times as often while the hand is failing or lost
 
@@ -88,16 +88,18 @@ class HealthSettings:
         return since >= (after // _FAILING_SOONER if is_failing else after)
 
     def for_rig(self) -> "HealthSettings":
-        """For several cameras: what one view leaves unexplained the others decide, as they do how far a hand is; and a
-        search without a guess takes seconds, other hands tenths of one, so that they come the less often the longer
-        they bring nothing better."""
+        """For several cameras: what one view leaves unexplained the others decide, as they do how far a hand is; and
+        other hands take as long as they do live."""
+        return replace(self.for_live(), max_unexplained=float("inf"), nearer_by=0.0)
+
+    def for_live(self) -> "HealthSettings":
+        """For pictures that do not wait: a search without a guess takes seconds, other hands tenths of one, so that
+        they come the less often the longer they bring nothing better."""
         return replace(
             self,
-            max_unexplained=float("inf"),
-            nearer_by=0.0,
             searches_when_failing=False,
-            search_at_most_every=max(self.search_at_most_every, _RIG_SEARCH_EVERY),
-            alternatives_at_most_every=max(self.alternatives_at_most_every, _RIG_ALTERNATIVES_EVERY),
+            search_at_most_every=max(self.search_at_most_every, _RARE_SEARCH_EVERY),
+            alternatives_at_most_every=max(self.alternatives_at_most_every, _RARE_ALTERNATIVES_EVERY),
         )
 
     def __post_init__(self) -> None:
