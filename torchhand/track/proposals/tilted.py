@@ -63,7 +63,7 @@ class TiltedHands:
         return Proposals(hands=tuple(Proposed(pose=found.pose[row]) for row in chosen), has_foreground=True)
 
     def _starts(self, best: Candidate, shape: Float[Tensor, "shape"]) -> HandPose:
-        """It tilted about the middle of its palm, its fingers as they are and as the network sees them."""
+        """The followed hand tilted about the middle of its palm, with its own fingers and with those a network sees."""
         own = best.pose.normalized()
         joints = [own.dofs[-len(JOINT_DOFS) :]]
         joints += [] if best.learned is None else [best.learned.joints]

@@ -39,9 +39,10 @@ from torchhand.view import HandProjector, PrimitiveContours, outline_table
 _BY_KEYPOINTS = (Stage(gross_m=0.03, rounds=2, iterations=8), Stage(gross_m=0.01, rounds=1, iterations=8))
 _ALTERNATIVE = 20.0  # nats: hands that explain keypoints worse by more cannot be saved by an outline
 _OUTLINE_BESIDE_POSTURE = 0.5
-"""What an outline is worth beside a detector's posture, of what it is alone: it takes away what the points tell of bent
-fingers, before proportions that one picture tells. Of 404 photographs 78 % of the signs are told by the angles, 75 %
-with 1; the overlap is 0.91 in the median with both. Proportions are the outline's matter as they were."""
+"""What an outline is worth for the pose beside a detector's posture, as a share of what it is worth alone: proportions
+from one picture are rough, and a strong outline then bends fingers away from what the points tell. Of the signs in 404
+photographs 78 % are told by the angles, 75 % with 1; the median overlap is 0.91 with both. Proportions are still fitted
+to the outline with its whole worth."""
 _SAME_RAD = 0.1  # largest difference of an angle with which two hypotheses are one
 _SHOWN = ("hand_breadth", "thumb_proximal", "index_proximal", "middle_proximal", "ring_proximal", "little_proximal")
 """Proportions that one outline shows; the rest follows the mean of people."""
