@@ -49,8 +49,8 @@ class Rig(tuple[Camera, ...]):
         return found[0]
 
     def project(self, points_world: Float[Tensor, "*points 3"]) -> Float[Tensor, "cameras *points 2"]:
-        """Pixels of points of the world, metres, in every camera's picture, as `Camera.project` has them: of points behind a
-        camera too (`sees` tells which are)."""
+        """Pixels of points of the world, metres, in every camera's picture, as `Camera.project` has them: of points
+        behind a camera too (`sees` tells which are not)."""
         return torch.stack([camera.project(points_world) for camera in self])
 
     def scaled(self, metres: float) -> "Rig":
