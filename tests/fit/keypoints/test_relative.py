@@ -1,9 +1,12 @@
 """Points in space whose place and size say nothing: their cost, its derivatives, and what it does not depend on."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torch import Tensor
 
+from tests.studio import Studio
 from torchhand.files import load_hand_model
 from torchhand.fit import PosedHands, Stage
 from torchhand.fit.keypoints.relative import RelativeKeypoints
@@ -89,3 +92,18 @@ def test_frames_are_independent_of_each_other() -> None:
     whole = _cost(_observed(points), poses)
     some = _observed(points).rows(torch.tensor([2, 0]))
     torch.testing.assert_close(_cost(some, poses[[2, 0]]), whole[[2, 0]], rtol=1e-12, atol=0.0)
+
+
+def test_points_of_one_frame_are_compared_with_any_number_of_hypotheses() -> None:
+    """As many rows of the same points give the same equations; a camera's axes are those of the points."""
+    poses = _poses(3)
+    turn = rotation_from_vector(torch.tensor((0.3, -0.2, 0.5), dtype=DOUBLE))
+    camera = replace(Studio().camera(), rotation=turn)
+    points = KINEMATICS(_poses(1, seed=1), KINEMATICS.default_shape).keypoints @ turn.T
+    one, hands = RelativeKeypoints.of_points(points, KINEMATICS, camera), _hands(poses)
+    found = one.rows(torch.tensor([0, 0, 0])).associate(hands, STAGE).equations(hands)
+    expected = _observed(points.expand(3, -1, -1), turn).associate(hands, STAGE).equations(hands)
+    for name in ("cost", "gradient", "matrix"):
+        torch.testing.assert_close(getattr(found, name), getattr(expected, name), rtol=1e-12, atol=1e-12)
+    some = one.associate(hands, STAGE).rows(torch.tensor([2]))
+    torch.testing.assert_close(some.equations(_hands(poses[2:])).cost, expected.cost[2:], rtol=1e-12, atol=0)

@@ -197,3 +197,13 @@ def test_the_natural_prior_counts_as_far_as_it_holds(generator: torch.Generator)
     )  # the cost is quadratic
     assert not found.gradient[:, 10 - found.first_dof : 14 - found.first_dof].any()
     torch.testing.assert_close(at(natural.mean.expand(3, -1)).cost, torch.zeros(3, dtype=DOUBLE), rtol=0, atol=1e-20)
+
+
+def test_one_share_of_the_natural_prior_serves_all_hypotheses(generator: torch.Generator) -> None:
+    kinematics, natural = _hand(), natural_posture()
+    hands = PosedHands(pose=HandPose.of(_poses(kinematics, 3, generator)), shape=kinematics.default_shape)
+    fraction = torch.rand(1, 36, generator=generator, dtype=DOUBLE)
+    found = NaturalPrior(posture=natural, fraction=fraction).rows(torch.tensor([0, 0, 0])).equations(hands)
+    expected = NaturalPrior(posture=natural, fraction=fraction.repeat(3, 1)).equations(hands)
+    for name in ("cost", "gradient", "matrix"):
+        torch.testing.assert_close(getattr(found, name), getattr(expected, name), rtol=1e-12, atol=1e-12)

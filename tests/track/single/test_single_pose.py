@@ -11,11 +11,12 @@ from torch import Tensor
 from tests.studio import StagedHand, Studio
 from torchhand.fit import Solutions, SolveStatus
 from torchhand.fit.detect import align_posture
+from torchhand.fit.keypoints import RelativeKeypoints
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandPose, named_pose_space, posture
 from torchhand.track import HandKeypoints, View
 from torchhand.track.single import SinglePoseFitter, SinglePoseSettings
-from torchhand.track.single.registration import mixture
+from torchhand.track.single.registration import PictureProblem, mixture
 
 FLEXIONS = [i for i, n in enumerate(DOFS) if n.endswith(("mcp_fe", "pip_fe")) and not n.startswith("thumb")]
 
@@ -89,6 +90,34 @@ def test_proportions_come_out_of_the_outline_where_they_are_not_known() -> None:
     breadth, length = names.index("hand_breadth"), names.index("hand_length")
     relative = [float(one[breadth] / one[length]) for one in (placed.shape, found.shape, broad)]
     assert relative[1] - relative[0] > 0.5 * (relative[2] - relative[0])
+
+
+def test_girths_come_out_of_the_outline_where_a_detector_tells_the_posture() -> None:
+    """So that an outline need not bend a thin hand's fingers."""
+    placed = staged("open")
+    names = placed.kinematics.shape_space.names
+    girths = [i for i, name in enumerate(names) if name.endswith(("pip_radius", "dip_radius", "ip_radius"))]
+    told = []
+    for factor in (0.85, 1.15):
+        own = placed.shape.clone()
+        own[girths] *= factor
+        hand = replace(placed, shape=own)
+        found = fitter()(View(mask=hand.mask, keypoints=detected(hand)), hand.camera)
+        told.append(float((found.shape[girths] / placed.shape[girths]).mean()))
+    assert told[1] - told[0] > 0.02  # one pixel of a finger's breadth; 0 where nothing is told
+
+
+def test_points_in_space_count_beside_the_posture_that_they_tell() -> None:
+    """Each joint's bending and where every point lies are two readings of them: together they are nearer."""
+    placed = staged("point")
+    seen, generator = detected(placed), torch.Generator().manual_seed(7)
+    assert seen.points is not None
+    noisy = replace(seen, points=seen.points + 0.008 * torch.randn(21, 3, generator=generator, dtype=torch.float64))
+    view = View(mask=placed.mask, keypoints=noisy)
+    fitters = fitter(), _WithoutSpace(Studio().kinematics())
+    found = [one(view, placed.camera, shape=placed.shape).estimate.pose for one in fitters]
+    errors = [float((pose - placed.pose)[FLEXIONS].abs().mean()) for pose in found if pose is not None]
+    assert errors[0] < errors[1]
 
 
 @pytest.mark.parametrize("what", ["wall", "noise", "blob"])
@@ -168,6 +197,13 @@ def test_the_network_s_view_corrects_a_detector_that_tells_a_fist_half_open() ->
     assert found[0] is not None
     assert found[1] is not None
     assert float(found[0][FLEXIONS].mean()) > float(found[1][FLEXIONS].mean()) + 0.02
+
+
+class _WithoutSpace(SinglePoseFitter):
+    def _problem(self, *given: Any) -> PictureProblem:
+        made = super()._problem(*given)
+        rest = tuple(one for one in made.observations if not isinstance(one, RelativeKeypoints))
+        return replace(made, observations=rest)
 
 
 class _WithoutNetwork(SinglePoseFitter):

@@ -5,7 +5,8 @@ from torchhand.fit.keypoints.observation import PictureKeypoints
 from torchhand.fit.keypoints.placement import place_hand
 from torchhand.fit.keypoints.points import Detector, KeypointSettings, keep_frames
 from torchhand.fit.keypoints.posture import PostureKeypoints
-from torchhand.fit.keypoints.prior import limit_information
+from torchhand.fit.keypoints.prior import NaturalPrior, limit_information, natural_posture
+from torchhand.fit.keypoints.relative import RelativeKeypoints
 from torchhand.fit.keypoints.rig import RefinedCameras, triangulated
 from torchhand.fit.keypoints.seen import SeenKeypoints
 from torchhand.fit.keypoints.settings import KeypointFitSettings
@@ -17,14 +18,17 @@ __all__ = [
     "KeypointFit",
     "KeypointFitSettings",
     "KeypointSettings",
+    "NaturalPrior",
     "PictureKeypoints",
     "PostureKeypoints",
     "RefinedCameras",
+    "RelativeKeypoints",
     "SeenKeypoints",
     "WorldKeypoints",
     "fit_keypoints",
     "keep_frames",
     "limit_information",
+    "natural_posture",
     "place_hand",
     "refine_cameras",
     "starts_in_picture",

@@ -52,16 +52,16 @@ class NaturalPrior:
     """½ |posture - mean|² in the metric of the precision, counted DOF by DOF. Its own factor: nothing is associated."""
 
     posture: NaturalPosture
-    fraction: Float[Tensor, "rows 36"]
-    """0 to 1: how far the belief in the natural posture holds for each DOF of each frame."""
+    fraction: Float[Tensor, "#rows 36"]
+    """0 to 1: how far the belief in the natural posture holds for each DOF: of each frame, or of all hypotheses."""
 
     @property
     def is_empty(self) -> bool:
         return False
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "NaturalPrior":
-        """The rows of some of the frames."""
-        return replace(self, fraction=self.fraction[rows])
+        """The rows of some of the frames; itself where there is one for all."""
+        return self if len(self.fraction) == 1 else replace(self, fraction=self.fraction[rows])
 
     def associate(self, hands: PosedHands, stage: Stage) -> "NaturalPrior":
         """Itself."""
@@ -72,11 +72,11 @@ class NaturalPrior:
         root = self.fraction[:, _ROOT:].sqrt()
         precision = self.posture.precision[_ROOT:, _ROOT:].to(root)
         away = root * (hands.pose.dofs - self.posture.mean.to(root))[:, _ROOT:]
-        pull = away @ precision
+        pull, matrix = away @ precision, root[:, :, None] * precision * root[:, None]
         return Equations(
             cost=0.5 * (pull * away).sum(-1),
             gradient=root * pull,
-            matrix=root[:, :, None] * precision * root[:, None],
+            matrix=matrix.expand(len(hands), -1, -1),
             first_dof=_ROOT,
         )
 

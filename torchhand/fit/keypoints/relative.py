@@ -10,18 +10,26 @@ from torch import Tensor
 from torchhand.devices import read_back
 from torchhand.fit import Equations, Explained, PosedHands, Stage
 from torchhand.fit.keypoints.points import Detector, equations_of_points
+from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics
+
+STD_M = 0.008
+"""Standard deviation of MediaPipe's world landmarks across the line of sight, metres, where all points of a hand
+count."""
+DEPTH_STD_M = 0.012
+"""The same along the line of sight."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RelativeKeypoints:
-    """Points in space about an origin and in a unit of their own, along the axes of a camera; a row for each frame.
+    """Points in space about an origin and in a unit of their own, along the axes of a camera; one hand for all
+    hypotheses, or a row for each frame.
 
     The hand's size over that of the points varies from frame to frame with such detectors (MediaPipe's by a third
     within one recording), and depth is what they tell worst.
     """
 
-    points: Float[Tensor, "rows 21 3"]
+    points: Float[Tensor, "#rows 21 3"]
     """NaN for missing points."""
     kinematics: HandKinematics
     cam_from_world: Float[Tensor, "#rows 3 3"]
@@ -30,6 +38,15 @@ class RelativeKeypoints:
     """Standard deviation of a point along each of its axes, in the points' unit."""
     detector: Detector | None = None
     """Properties of the detector; None for one whose keypoints are ours."""
+
+    @classmethod
+    def of_points(
+        cls, points: Float[Tensor, "#rows 21 3"], kinematics: HandKinematics, camera: Camera
+    ) -> "RelativeKeypoints":
+        """Points as MediaPipe's world landmarks: metres along the axes of a camera, or of one for each row."""
+        std = points.new_tensor((STD_M, STD_M, DEPTH_STD_M))
+        turn = camera.rotation.to(points).reshape(-1, 3, 3)
+        return cls(points=points, kinematics=kinematics, cam_from_world=turn, std=std)
 
     @property
     def is_empty(self) -> bool:
@@ -40,25 +57,27 @@ class RelativeKeypoints:
         return not read_back(self.is_known).any()
 
     @property
-    def is_known(self) -> Bool[Tensor, "rows 21"]:
+    def is_known(self) -> Bool[Tensor, "#rows 21"]:
         """Points that are not missing."""
         return self.points.isfinite().all(-1)
 
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "RelativeKeypoints":
-        """The rows of some of the frames."""
+        """The rows of some of the frames; itself where the points are the same for all."""
+        if len(self.points) == 1:
+            return self
         turn = self.cam_from_world
         return replace(self, points=self.points[rows], cam_from_world=turn if len(turn) == 1 else turn[rows])
 
     def associate(self, hands: PosedHands, stage: Stage) -> "RelativeKeypointFactor":
         """Every known point counts the same at any distance."""
-        like, is_known = hands.pose.dofs, self.is_known
+        like, count, is_known = hands.pose.dofs, len(hands), self.is_known
         weight = is_known.to(like)[..., None]
         points = torch.where(is_known[..., None], self.points, 0.0).to(like)
         return RelativeKeypointFactor(
             kinematics=self.kinematics,
-            points=weight * (points - _mean(points, weight)) / self.std.to(like),
-            weight=weight,
-            axes=(self.cam_from_world.to(like) / self.std.to(like)[:, None]).expand(len(points), -1, -1),
+            points=(weight * (points - _mean(points, weight)) / self.std.to(like)).expand(count, -1, -1),
+            weight=weight.expand(count, -1, -1),
+            axes=(self.cam_from_world.to(like) / self.std.to(like)[:, None]).expand(count, -1, -1),
             detector=self.detector or Detector.known(like),
         )
 

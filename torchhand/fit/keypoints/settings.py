@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 from torchhand.errors import require, require_positive
+from torchhand.fit.keypoints.relative import DEPTH_STD_M, STD_M
 
 PRIORS = ("auto", "where_missing", "always", "never")
 
@@ -19,10 +20,10 @@ class KeypointFitSettings:
     noise_fraction: float = 0.025
     """Standard deviation of a point in a picture as a share of the longer side of the box around the frame's points;
     above 0."""
-    relative_noise: float = 0.008
+    relative_noise: float = STD_M
     """Standard deviation of a point in space beside pictures (`SeenKeypoints.points`) across the line of sight, metres,
     where all points of a hand count; above 0."""
-    relative_noise_depth: float = 0.012
+    relative_noise_depth: float = DEPTH_STD_M
     """The same along the line of sight, metres; above 0."""
     gross: float = 5.0
     """Standard deviations beyond which points count for less (Huber); above 0, infinite for none."""

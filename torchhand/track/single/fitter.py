@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from torchhand.devices import HOST, sent_to
-from torchhand.fit.keypoints import PostureKeypoints, starts_in_picture
+from torchhand.fit.keypoints import PostureKeypoints, RelativeKeypoints, starts_in_picture
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics, HandPose
 from torchhand.image import GREY, is_grey
@@ -258,11 +258,12 @@ class SinglePoseFitter:
         return (replace(posture, precision=_NETWORK_WORTH * posture.precision),)
 
     def _problem(self, work: "_Work", further: tuple[PostureKeypoints, ...] = ()) -> PictureProblem:
+        detected = work.seen(self.kinematics, self.settings).observations
         return PictureProblem(
             kinematics=self.kinematics,
             camera=work.camera,
             settings=self.settings,
-            observations=(*work.seen(self.kinematics, self.settings).observations, *further),
+            observations=(*detected, *work.in_space(self.kinematics, self.settings), *further),
         )
 
     def _objection(self, hand: Registered, agreement: Agreement, *, is_detected: bool) -> str:
@@ -373,6 +374,14 @@ class _Work:
     def seen(self, kinematics: HandKinematics, settings: SinglePoseSettings) -> SceneKeypoints:
         """Detected keypoints and the posture that they tell."""
         return scene_keypoints(self.plain, (self.camera,), kinematics, settings.keypoints)
+
+    def in_space(self, kinematics: HandKinematics, settings: SinglePoseSettings) -> tuple[RelativeKeypoints, ...]:
+        """Detected points in space as they are, beside the posture that they tell."""
+        if self.keypoints is None or not self.seen(kinematics, settings).postures:
+            return ()
+        assert self.keypoints.points is not None
+        points = self.keypoints.points.to(torch.float64)[None]
+        return (RelativeKeypoints.of_points(points, kinematics, self.camera),)
 
     def by_keypoints(self, kinematics: HandKinematics, settings: SinglePoseSettings, shape: Tensor) -> HandPose | None:
         """Hands (k) where detected keypoints are: as these alone tell it, and in that posture seen from other sides,

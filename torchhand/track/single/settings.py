@@ -21,7 +21,7 @@ error is 7.6° with 60 and 7.0° with 20."""
 class SinglePoseSettings:
     """What one picture tells of a hand, and when it is believed."""
 
-    pose_space: str = "dof28"
+    pose_space: str = "dof27"
     """Free DOFs: a name of torchhand.hand.POSE_SPACES."""
     contour: ContourSettings = field(
         default_factory=lambda: ContourSettings(
@@ -33,9 +33,6 @@ class SinglePoseSettings:
     """How far detected points are believed."""
     schedule: Schedule = (*SEARCH[:-1], replace(SEARCH[-1], gross_m=_FINEST_M))
     """Registration from coarse to fine; the first stage is that of all hypotheses, the others those of the best."""
-    detected_prior_weight: float = 0.0
-    """Weight of the posture prior where a detector tells the posture; 0 or more, 0 leaves it out. Without a detector it
-    is 1."""
     finalists: int = 4
     """Hypotheses that are registered to the end; 1 or more."""
     fits_shape: bool = True
@@ -66,8 +63,6 @@ class SinglePoseSettings:
         for name in ("min_overlap", "min_edges", "alone_overlap", "alone_edges"):
             require(0 <= getattr(self, name) <= 1, name, "0 to 1", getattr(self, name))
         require(self.alone_odds < math.inf, "alone_odds", "a number below infinity", self.alone_odds)
-        weight = self.detected_prior_weight
-        require(0 <= weight < float("inf"), "detected_prior_weight", "0 or more and finite", weight)
         counts = (("finalists", 1), ("max_side_px", 64), ("points_per_generator", 2), ("points_per_arc", 4))
         for name, minimum in counts:
             require(getattr(self, name) >= minimum, name, f"{minimum} or more", getattr(self, name))
