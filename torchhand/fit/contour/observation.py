@@ -120,7 +120,8 @@ class ContourFactor:
         if hands.unknowns is None:
             return found
         rows = motion.slopes(terms.direction).flatten(1, 2)
-        shared = (terms.direction[..., None] * shape_slopes(self.contours, self.visible, hands)[:, None]).sum(2).flatten(1, 2)
+        slopes = shape_slopes(self.contours, self.visible, hands)
+        shared = (terms.direction[..., None] * slopes[:, None]).sum(2).flatten(1, 2)
         weighted = terms.curvature.flatten(1)[..., None] * shared
         return replace(
             found,
