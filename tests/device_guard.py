@@ -23,6 +23,7 @@ _PACKAGE = str(Path(torchhand.__file__).parent)
 PERMITTED = {
     *(("devices.py", name) for name in ("read_back", "are_equal", "rows_where")),
     ("mesh_contours.py", "_depths"),
+    ("edges.py", "_searched"),
 }
 """The named places that may wait."""
 

@@ -16,6 +16,7 @@ from torchhand.geometry import rotation_from_vector
 from torchhand.hand import Anthropometry, HandPose, named_pose_space, posture
 from torchhand.hand.limits import clamp_to_limits
 from torchhand.numerics import RobustLoss
+from torchhand.numerics.least_squares import Status
 
 DOUBLE = torch.float64
 SPACE = named_pose_space("dof27")
@@ -231,3 +232,27 @@ def test_error_messages() -> None:
         solve_shared(_problem(torch.full((2, 21, 3), torch.nan, dtype=DOUBLE)), truth, SCHEDULE)
     with pytest.raises(ValueError, match="problem: expected data and at least one frame"):
         solve_shared(problem, truth[:0], SCHEDULE)
+
+
+def test_single_steps_come_to_the_same_shape_and_poses() -> None:
+    """Poses and shape stepped together, once after each association, end where Levenberg-Marquardt does, but for what a
+    joint on its limit takes from the step of the others; a frame that fails tells nothing there either."""
+    start, truth = _poses(4, 0), _shape()
+    points = _points(start, truth)
+    steps = (Stage(gross_m=0.05, rounds=30, iterations=1, method="gauss_newton"),)
+    problem = _problem(points)
+    expected = solve_shared(problem, start, SCHEDULE, cost_tolerance=1e-12, pose_tolerance=1e-12)
+    found = solve_shared(problem, start, steps)
+    assert found.cost <= expected.cost * (1 + 1e-4)
+    off = (found.shape - expected.shape)[list(COLUMNS)] / expected.shape_std[list(COLUMNS)]
+    assert float(off.abs().max()) < 1e-2
+    torch.testing.assert_close(found.pose.dofs, expected.pose.dofs, rtol=0, atol=1e-3)
+    assert found.status == Status.CONVERGED
+    assert found.iterations == 30
+    broken = points.clone()
+    broken[2] = torch.nan
+    without = solve_shared(_problem(broken), start, steps)
+    assert without.frame_status.tolist()[2] == solve_shared(_problem(broken), start, SCHEDULE).frame_status.tolist()[2]
+    three = torch.tensor([0, 1, 3])
+    alone = solve_shared(_problem(points[three]), start[three], steps)
+    torch.testing.assert_close(without.shape, alone.shape, rtol=0, atol=1e-9)

@@ -265,7 +265,7 @@ def _save(
         "side_given": arguments.side is not None or arguments.facing is not None,
         "quality": _quality(hand),
         "overlap": hand.overlap,
-        "median_residual_px": fit.residual_px / part.scale,
+        "mean_residual_px": fit.residual_px / part.scale,
         "edges_found": fit.found_fraction,
         "corrected": list(hand.corrected),
         "notes": notes,

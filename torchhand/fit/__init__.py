@@ -21,7 +21,7 @@ from torchhand.fit.posture import PostureResiduals
 from torchhand.fit.priors import ConstraintPrior, GaussianPrior, PosturePrior
 from torchhand.fit.problem import Linearization, Problem
 from torchhand.fit.schedule import Schedule, Stage
-from torchhand.fit.shared import PopulationPrior, SharedPrior, SharedUnknowns
+from torchhand.fit.shared import PopulationPrior, ShapePrior, SharedPrior, SharedUnknowns
 from torchhand.fit.solve import Solutions, SolveStatus, covariance_of, solve
 from torchhand.fit.solve_shared import SharedSolution, solve_shared
 
@@ -44,6 +44,7 @@ __all__ = [
     "PostureResiduals",
     "Problem",
     "Schedule",
+    "ShapePrior",
     "SharedPrior",
     "SharedSolution",
     "SharedUnknowns",

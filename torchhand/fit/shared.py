@@ -30,23 +30,42 @@ class PopulationPrior:
 
     population: Anthropometry
     weight: float = 1.0
+    mean: Float[Tensor, "shape"] | None = None
+    """Mean over people; the default of the shape space where None."""
 
     def equations(self, shape: Float[Tensor, "shape"]) -> NormalEquations:
         """Normal equations in all shape parameters."""
-        residual, rows = population_rows(self.population, shape)
+        residual, rows = population_rows(self.population, shape, self.mean)
         weighted = self.weight * rows
         return NormalEquations(
             matrix=weighted.T @ rows, gradient=weighted.T @ residual, cost=0.5 * self.weight * residual.square().sum()
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class ShapePrior:
+    """A shape that is expected, its parameters' errors independent; one of spread 0 is not free."""
+
+    mean: Float[Tensor, "shape"]
+    std: Float[Tensor, "shape"]
+
+    def equations(self, shape: Float[Tensor, "shape"]) -> NormalEquations:
+        """Normal equations in all shape parameters."""
+        precision = torch.where(self.std > 0, self.std.square().reciprocal(), 0.0)
+        away = shape - self.mean
+        return NormalEquations(
+            matrix=precision.diag(), gradient=precision * away, cost=0.5 * (precision * away.square()).sum()
+        )
+
+
 def population_rows(
-    population: Anthropometry, shape: Float[Tensor, "shape"]
+    population: Anthropometry, shape: Float[Tensor, "shape"], mean: Float[Tensor, "shape"] | None = None
 ) -> tuple[Float[Tensor, "rows"], Float[Tensor, "rows shape"]]:
     """Residuals in standard deviations and their derivative in the parameters: the normal distribution over people,
-    with length and breadth correlated, and those constraints beyond the bounds that are broken."""
+    with length and breadth correlated, and those constraints beyond the bounds that are broken. mean: over people; the
+    default of the shape space where None."""
     known = _constants_of(population, shape.dtype, shape.device)
-    scaled = (shape - known.mean) / known.std
+    scaled = (shape - (known.mean if mean is None else mean)) / known.std
     excess = (known.matrix @ shape - known.bound) / known.scale
     of_excess = (excess > 0)[:, None] * known.matrix / known.scale[:, None]
     return torch.cat((known.rows @ scaled, excess.clamp_min(0))), torch.cat((known.rows / known.std, of_excess))

@@ -7,6 +7,7 @@ Gauss-Newton knows it. Every pose keeps its own damping, so that a frame whose p
 none of the others, as it would in joint steps with one damping for all.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -14,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.devices import read_back, sent_to
-from torchhand.fit.observation import Explained
+from torchhand.fit.observation import Explained, Factor, PosedHands
 from torchhand.fit.problem import Linearization, Problem
 from torchhand.fit.schedule import Schedule, Stage
 from torchhand.fit.solve import SolveStatus, covariance_of
@@ -25,6 +26,7 @@ from torchhand.numerics.least_squares import (
     LevenbergMarquardtSettings,
     NormalEquations,
     Status,
+    damped_box_step,
     levenberg_marquardt,
 )
 from torchhand.precision import without_autocast
@@ -85,6 +87,9 @@ def solve_shared(
     that it lies between its limits; it counts in the covariances alone. at_once: frames that are worked on together,
     which bounds the memory.
 
+    Stages by "gauss_newton" take one step of poses and shared unknowns together after each association, whatever it
+    does to the cost: where data are associated anew after every step, that is all that an association is good for.
+
     Raises ValueError for a problem without frames or without data.
     """
     if not schedule:
@@ -96,8 +101,11 @@ def solve_shared(
         for stage in schedule:
             for _ in range(stage.rounds):
                 work.associate(stage)
-                work.solve_poses(stage.iterations)
-                work.descend(stage.iterations, cost_tolerance)
+                if stage.method == "gauss_newton":
+                    work.step(cost_tolerance)
+                else:
+                    work.solve_poses(stage.iterations)
+                    work.descend(stage.iterations, cost_tolerance)
         return work.solution(schedule[-1], information)
 
 
@@ -134,6 +142,13 @@ class _Part:
         found = [self._arrow(rows, values[rows], vector, is_sound[rows]) for rows in each]
         return ArrowEquations.cat(found)
 
+    def arrow_here(self, vector: Float[Tensor, "c"], is_sound: Bool[Tensor, "k"]) -> ArrowEquations:
+        """The same at the hands of the association, of which most is known."""
+        if len(self.here.hands) > _DERIVATIVES:
+            return self.arrow(self.here.values, vector, is_sound)
+        _, moving = self.here.problem.dofs_of(self.here.values)
+        return self._arrow_of(self.here.hands, self.here.factors, moving, is_sound)
+
     def _arrow(
         self, rows: Int[Tensor, "n"], values: Float[Tensor, "n free"], vector: Tensor, is_sound: Bool[Tensor, "n"]
     ) -> ArrowEquations:
@@ -142,15 +157,25 @@ class _Part:
         factors = self.here.factors if is_all else tuple(factor.rows(rows) for factor in self.here.factors)
         dofs, moving = problem.dofs_of(values)
         hands = problem.hands(HandPose(dofs=dofs, reference=reference[rows]), vector)
+        return self._arrow_of(hands, factors, moving, is_sound)
+
+    def _arrow_of(
+        self,
+        hands: PosedHands,
+        factors: tuple[Factor, ...],
+        moving: Bool[Tensor, "n 36"],
+        is_sound: Bool[Tensor, "n"],
+    ) -> ArrowEquations:
         found, basis = self.here.sum(factors, hands), self.here.basis(moving)
         mixed, gradient, matrix = (  # None where nothing is shared
-            values.new_zeros(len(values), *sizes) if part is None else part
+            basis.new_zeros(len(hands), *sizes) if part is None else part
             for part, sizes in (
                 (found.mixed, (basis.shape[-2], 0)),
                 (found.shared_gradient, (0,)),
                 (found.shared_matrix, (0, 0)),
             )
         )
+        is_sound = is_sound & found.cost.isfinite() & found.gradient.isfinite().all(-1)
 
         def sound(part: Tensor) -> Tensor:
             return torch.where(is_sound.reshape(-1, *(1,) * (part.ndim - 1)), part, 0.0)
@@ -241,6 +266,32 @@ class _Work:
         ended, tried = read_back(torch.stack((found.status, found.iterations))).tolist()
         self.status, self.iterations = Status(ended), self.iterations + tried
 
+    def step(self, cost_tolerance: float) -> None:
+        """One step of Gauss and Newton for poses and shared unknowns together; what leaves its bounds is put onto
+        them."""
+        lower, upper = self.problem.bounds
+        left = [part.arrow_here(self.vector, self.is_sound[part.rows]).eliminated() for part in self.parts]
+        moved = self._shared_step([one.equations for one in left], cost_tolerance)
+        steps = torch.cat([one.step + one.follow @ moved for one in left])
+        self.values, self.vector = (self.values + steps).clamp(lower, upper), self.vector + moved
+
+    def _shared_step(self, left: Sequence[NormalEquations], cost_tolerance: float) -> Float[Tensor, "c"]:
+        """The step of the shared unknowns, given what is left of the equations of all parts."""
+        shared = self.problem.shared
+        if shared is None or not shared.size:
+            return torch.zeros_like(self.vector)
+        prior = shared.prior_equations(self.vector, self.problem.shape.to(self.vector))
+        matrix, gradient, cost = (
+            torch.stack([getattr(one, name) for one in (prior, *left)]).sum(0)
+            for name in ("matrix", "gradient", "cost")
+        )
+        lower, upper = shared.bounds(self.vector)
+        rooms = ((lower - self.vector)[None], (upper - self.vector)[None])
+        step = damped_box_step(matrix[None], gradient[None], matrix.new_zeros(1), *rooms)[0][0]
+        is_there = bool(read_back(-0.5 * (gradient @ step) <= cost_tolerance * cost))
+        self.status, self.iterations = Status.CONVERGED if is_there else Status.STALLED, self.iterations + 1
+        return step
+
     def _trial(self, vector: Float[Tensor, "c"]) -> NormalEquations:
         """Normal equations of the shared unknowns, every pose the best for them; the best trial is kept."""
         shared = self.problem.shared
@@ -273,6 +324,7 @@ class _Work:
             shape = shared.feasible(self.vector, shape)
             self.problem, count = replace(self.problem, shape=shape), len(shared.columns)
             self.vector = torch.cat((shared.vector(shape)[:count], self.vector[count:]))
+        if len(self.vector) or stage.method == "gauss_newton":
             self.associate(stage)
             self.solve_poses(stage.iterations)
         self.associate(stage)

@@ -12,7 +12,7 @@ from torchhand.fit import mask_plane
 from torchhand.fit.contour import hand_length_px, is_in_picture, is_outer
 from torchhand.fit.detect.edge_fit import Fit, FitSettings, fit_contour, pose_prior_std
 from torchhand.geometry import assumed_camera, rotation_from_vector
-from torchhand.hand import DOFS, posture
+from torchhand.hand import DOFS, HandPose, posture
 from torchhand.simulate import sample_shape
 from torchhand.view import HandProjector, raycast
 
@@ -38,9 +38,9 @@ def _exact_mask(placed: Any) -> Tensor:
 
 
 def _fitted(placed: Any, studio: Any, generator: torch.Generator, shape: Tensor, **options: Any) -> Fit:
-    pose, reference = _perturbed(placed, generator)
     plane = mask_plane(_exact_mask(placed))
-    return fit_contour(plane, placed.kinematics, placed.camera, studio.table, pose, reference, shape, **options)
+    projector = HandProjector(placed.kinematics, placed.camera, shape)
+    return fit_contour(plane, projector, studio.table, HandPose.of(*_perturbed(placed, generator)), **options)
 
 
 def _overlap(fit: Fit, placed: Any) -> float:
@@ -135,9 +135,7 @@ def test_the_pose_comes_back_with_a_zero_rotation_vector_and_frozen_joints(studi
 def test_edges_that_are_none_leave_the_start(studio: Any) -> None:
     placed = studio.placed()
     empty = torch.zeros(placed.camera.height, placed.camera.width)
-    fit = fit_contour(
-        empty, placed.kinematics, placed.camera, studio.table, placed.pose, placed.root_reference, placed.shape
-    )
+    fit = fit_contour(empty, placed.projector, studio.table, HandPose.of(placed.pose, placed.root_reference))
     assert fit.found_fraction == 0.0
     assert fit.residual_px == math.inf
     torch.testing.assert_close(fit.pose, placed.pose, rtol=0, atol=1e-9)
@@ -150,7 +148,7 @@ def test_a_hand_behind_the_camera_is_no_error(studio: Any) -> None:
     pose = placed.pose.clone()
     pose[2] = -0.5
     plane = mask_plane(placed.mask)
-    fit = fit_contour(plane, placed.kinematics, placed.camera, studio.table, pose, placed.root_reference, placed.shape)
+    fit = fit_contour(plane, placed.projector, studio.table, HandPose.of(pose, placed.root_reference))
     assert fit.found_fraction == 0.0
     assert torch.equal(fit.pose, pose)
 

@@ -1,20 +1,21 @@
 """Open hands of known truth: which finger is which, proportions, pose and what the fit says about itself."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
 from torchhand.files import load_hand_model
-from torchhand.fit import mask_plane
+from torchhand.fit import PosedHands, Stage
 from torchhand.fit.detect import facing_rotation, turned_in_picture
-from torchhand.fit.open_hand.edges import match_edges
+from torchhand.fit.open_hand.digits import DigitObservation
 from torchhand.fit.open_hand.fit import OpenHand, facing_of, fit_open_hand
-from torchhand.fit.open_hand.problem import OpenHandProblem, linearized
-from torchhand.fit.open_hand.start import DigitResiduals, fit_digits, placed_open_hand
+from torchhand.fit.open_hand.problem import open_hand_problem
+from torchhand.fit.open_hand.start import placed_open_hand
 from torchhand.geometry import assumed_camera
-from torchhand.hand import DOFS, Anthropometry, Side, posture
+from torchhand.hand import DOFS, Anthropometry, HandKinematics, HandPose, Side, posture
 from torchhand.image import HandRegions, NoRegions, divide_hand
 from torchhand.simulate import sample_shape, scripted_motion
 from torchhand.view import HandProjector
@@ -153,77 +154,76 @@ def test_facing_follows_from_side_and_thumb() -> None:
     assert facing_of("left", True) == "back"
 
 
-def problem_of(seed: int) -> tuple[OpenHandProblem, HandRegions]:
-    """The problem that a random person's silhouette poses, and its measured digits."""
+def measured(seed: int) -> tuple[HandKinematics, HandPose, HandRegions]:
+    """The start that a random person's silhouette gives, and its measured digits."""
     mask, _, _ = silhouette("right", seed)
     regions = divide_hand(mask)
     assert isinstance(regions, HandRegions)
     kinematics = load_hand_model().kinematics("right", dtype=torch.float64)
-    placed = placed_open_hand(regions, kinematics, CAMERA, "back")
-    return OpenHandProblem.about(kinematics, CAMERA, *placed), regions
+    return kinematics, placed_open_hand(regions, kinematics, CAMERA, "back"), regions
 
 
-def test_values_are_the_scaled_unknowns_and_the_prior_adds_what_leaves_its_interval() -> None:
-    kinematics = load_hand_model().kinematics("right", dtype=torch.float64)
-    identity = torch.eye(3, dtype=torch.float64)
-    problem = OpenHandProblem.about(kinematics, CAMERA, posture("open", dtype=torch.float64), identity)
-    values = 2.5 * torch.randn(3, problem.size, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
-    residual = problem.prior(values)
-    assert bool((residual[:, : problem.size] == values).all())
-    population = Anthropometry(kinematics.shape_space)
-    shapes = problem.split(values)[1]
-    rows = (
-        population.matrix[-2 * len(population.mean) :] @ shapes.T - population.bound[-2 * len(population.mean) :, None]
+def test_people_are_believed_to_be_as_the_tables_say_and_the_length_stays() -> None:
+    """What is believed costs nothing at the start; proximal phalanges are those of the tables, not the model's."""
+    kinematics, start, _ = measured(3)
+    problem = open_hand_problem(kinematics, Anthropometry(kinematics.shape_space), start)
+    assert problem.shared is not None
+    names, default = kinematics.shape_space.names, kinematics.default_shape
+    assert names.index("hand_length") not in problem.shared.columns
+    assert len(problem.shared.columns) == len(names) - 1
+    found = problem.shared.prior_equations(problem.shared.vector(problem.shape), problem.shape)
+    own = problem.shared.prior_equations(problem.shared.vector(default), default)
+    assert float(found.gradient.abs().max()) == 0.0
+    assert float(own.cost) > float(found.cost)
+    moved = (problem.shape != default).nonzero()[:, 0].tolist()
+    assert {names[i] for i in moved} == {f"{finger}_proximal" for finger in ("index", "middle", "ring", "little")}
+
+
+def test_equations_of_digits_are_the_change_of_their_residuals(generator: torch.Generator) -> None:
+    """In the pose and in the shape; here differences are taken to both sides and a hundred times as wide."""
+    kinematics, start, regions = measured(3)
+    digits = replace(DigitObservation.of(regions, kinematics, CAMERA), trust=0.5)
+    problem = open_hand_problem(kinematics, Anthropometry(kinematics.shape_space), start)
+    assert problem.shared is not None
+    hands = PosedHands(pose=start.reshape(1), shape=problem.shape, unknowns=problem.shared, extra=problem.shared.extra)
+    factor = digits.associate(hands, Stage())
+    found = factor.equations(hands)
+    step = 1e-2 * torch.randn(36, generator=generator, dtype=torch.float64)
+    columns = list(problem.shared.columns)
+    change = torch.zeros_like(problem.shape)
+    change[columns] = 1e-2 * torch.randn(len(columns), generator=generator, dtype=torch.float64)
+    change *= kinematics.shape_space.std
+
+    def residual(sign: float) -> torch.Tensor:
+        dofs = (start.dofs + sign * 1e-2 * step)[None]
+        return digits.residuals(dofs, problem.shape + sign * 1e-2 * change, start.reference)[0]
+
+    here, slope = residual(0.0), (residual(1.0) - residual(-1.0)) / 2e-2
+    assert found.mixed is not None
+    assert found.shared_gradient is not None
+    assert found.shared_matrix is not None
+    own = change[columns]
+    torch.testing.assert_close(found.cost[0], 0.5 * here.square().sum())
+    torch.testing.assert_close(
+        found.gradient[0] @ step + found.shared_gradient[0] @ own, here @ slope, rtol=1e-3, atol=0
     )
-    assert bool(((residual[:, problem.size :] > 0) == (rows.T > 0)).all())
-    assert bool((rows > 0).any())
-    pose, shape = problem.split(0 * values[0])
-    assert bool((pose == posture("open", dtype=torch.float64)).all())
-    assert float(shape[0]) == pytest.approx(0.187)
-
-
-def test_jacobians_are_the_change_of_the_residuals(generator: torch.Generator) -> None:
-    """Of digits, edges and prior; here differences are taken to both sides and ten times as wide."""
-    problem, regions = problem_of(3)
-    values = 0.2 * torch.randn(problem.size, generator=generator, dtype=torch.float64)
-    edges = match_edges(mask_plane(regions.mask), problem, values)
-    assert edges is not None
-    direction = torch.randn(problem.size, generator=generator, dtype=torch.float64)
-    there = torch.stack((values + 1e-3 * direction, values - 1e-3 * direction))
-    for term in (DigitResiduals(regions, problem), edges.residuals, problem.prior):
-        more, less = term(there)
-        residual, jacobian = linearized((term,), values)
-        torch.testing.assert_close(residual, term(values[None])[0])
-        expected = (more - less) / 2e-3
-        assert float((jacobian @ direction - expected).norm() / expected.norm()) < 1e-3
+    curvature = step @ found.matrix[0] @ step + 2 * step @ found.mixed[0] @ own + own @ found.shared_matrix[0] @ own
+    torch.testing.assert_close(curvature, slope @ slope, rtol=1e-3, atol=0)
 
 
 def test_corrected_digits_of_the_models_own_silhouette_have_no_bias() -> None:
     """Where the picture is the model's own, digits freed of the measurement's bias lie where the model has them."""
-    problem, regions = problem_of(3)
-    digits = DigitResiduals(regions, problem)
-    values = fit_digits(digits, problem)
-    projector, pose = problem.projected(values)
-    drawn = divide_hand(projector.silhouette(pose, problem.root_reference))
+    kinematics, start, regions = measured(3)
+    drawn = divide_hand(HandProjector(kinematics, CAMERA).silhouette(start.dofs, start.reference))
     assert isinstance(drawn, HandRegions)
-    own = DigitResiduals(drawn, problem)
+    own, shape = DigitObservation.of(drawn, kinematics, CAMERA), kinematics.default_shape
     tips_and_bases = slice(0, 14)
-    assert float(own(values)[tips_and_bases].abs().max()) > 0.5
+
+    def residual(digits: DigitObservation) -> torch.Tensor:
+        return digits.residuals(start.dofs[None], shape, start.reference)[0, tips_and_bases]
+
+    assert float(residual(own).abs().max()) > 0.5
     torch.testing.assert_close(
-        own.corrected(values, drawn)(values)[tips_and_bases], torch.zeros(14).double(), rtol=0, atol=1e-9
+        residual(own.corrected(start, shape, drawn)), torch.zeros(14).double(), rtol=0, atol=1e-9
     )
-
-
-def test_edges_of_the_models_own_silhouette_lie_on_its_contour() -> None:
-    problem, _ = problem_of(3)
-    zero = torch.zeros(problem.size, dtype=torch.float64)
-    projector, pose = problem.projected(zero)
-    plane = mask_plane(projector.silhouette(pose, problem.root_reference))
-    edges = match_edges(plane, problem, zero)
-    assert edges is not None
-    assert edges.found_fraction > 0.97
-    assert edges.residual_px < 0.3
-    none = match_edges(torch.zeros_like(plane), problem, zero)
-    assert none is not None
-    assert none.found_fraction == 0.0
-    assert none.residual_px == math.inf
+    assert float(residual(DigitObservation.of(regions, kinematics, CAMERA)).abs().max()) > 0.5

@@ -1,5 +1,7 @@
-"""The contours of a picture as an observation (Ouhaddi and Horain 1998, section 7): distance maps and valleys."""
+"""The contours of a picture as an observation (Ouhaddi and Horain 1998, section 7): distance maps and valleys; and
+edges along normals (Stenger et al. 2001)."""
 
+from torchhand.fit.contour.edges import EDGE_REACH, EDGES, EdgeFactor, EdgeObservation
 from torchhand.fit.contour.observation import CONTOUR, ContourFactor, ContourObservation
 from torchhand.fit.contour.picture import PictureContours, picture_contours
 from torchhand.fit.contour.points import hand_length_px, is_in_picture, is_outer, pixels_per_metre
@@ -8,6 +10,8 @@ from torchhand.fit.contour.settings import SEARCH, THIN_SEARCH, TRACKING, WIDE_S
 
 __all__ = [
     "CONTOUR",
+    "EDGES",
+    "EDGE_REACH",
     "SEARCH",
     "THIN_SEARCH",
     "TRACKING",
@@ -15,6 +19,8 @@ __all__ = [
     "ContourFactor",
     "ContourObservation",
     "ContourSettings",
+    "EdgeFactor",
+    "EdgeObservation",
     "PictureContours",
     "RestartSettings",
     "Restarts",

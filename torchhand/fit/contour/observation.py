@@ -22,7 +22,6 @@ from torchhand.view import Contours, VisibleContour
 
 CONTOUR = "contour"
 _STEEP = 0.15  # of the hand's length: a palm seen shorter than this has no direction in the picture
-_SHAPE_STEP = 1e-5  # of a finite difference, standard deviations of the population
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +120,8 @@ class ContourFactor:
         if hands.unknowns is None:
             return found
         rows = motion.slopes(terms.direction).flatten(1, 2)
-        shared = (terms.direction[..., None] * self._shape_slopes(hands)[:, None]).sum(2).flatten(1, 2)
+        slopes = shape_slopes(self.contours, self.visible, hands)
+        shared = (terms.direction[..., None] * slopes[:, None]).sum(2).flatten(1, 2)
         weighted = terms.curvature.flatten(1)[..., None] * shared
         return replace(
             found,
@@ -161,32 +161,22 @@ class ContourFactor:
             ),
         )
 
-    def _shape_slopes(self, hands: PosedHands) -> Float[Tensor, "k 2 points c"]:
-        """Derivative of the points in the shared unknowns, px; by finite differences. Only across the outline, along
-        which points may slide, is it that of the outline."""
-        assert hands.unknowns is not None
-        shape, std = hands.shape, self.contours.kinematics.shape_space.std.to(hands.shape)
-        here = contours_of(self.contours, shape, hands).points(hands.pose, self.visible)
-        slopes = []
-        for column in hands.unknowns.columns:
-            step = torch.zeros_like(shape)
-            step[column] = _SHAPE_STEP * std[column]
-            other = contours_of(self.contours, shape + step, hands, column)
-            slopes.append((other.points(hands.pose, self.visible) - here) / step[column])
-        nothing = [torch.zeros_like(here)] * len(hands.unknowns.extra)
-        return torch.stack((*slopes, *nothing), -1)
+
+def shape_slopes(contours: Contours, visible: VisibleContour, hands: PosedHands) -> Float[Tensor, "k 2 points c"]:
+    """Derivative of the points of contours in the shared unknowns, px; none but the shape moves them."""
+    assert hands.unknowns is not None
+    own = contours_of(contours, hands.shape, hands)
+    slopes = own.shape_slopes(hands.pose, visible, hands.unknowns.columns)
+    return torch.nn.functional.pad(slopes, (0, len(hands.unknowns.extra)))
 
 
-def contours_of(
-    contours: Contours, shape: Float[Tensor, "shape"], hands: PosedHands, column: int | None = None
-) -> Contours:
-    """Contours of the hands' shape, or of the one that differs from it in a column; remade once where they must be."""
+def contours_of(contours: Contours, shape: Float[Tensor, "shape"], hands: PosedHands) -> Contours:
+    """Contours of the hands' shape; remade once where they must be."""
 
     def own() -> Contours:
-        is_same = column is None and are_equal(shape, contours.shape)
-        return contours if is_same else contours.with_shape(shape)
+        return contours if are_equal(shape, contours.shape) else contours.with_shape(shape)
 
-    return contours if shape is contours.shape else hands.once_for_shape((id(contours), column), own)
+    return contours if shape is contours.shape else hands.once_for_shape(id(contours), own)
 
 
 def is_beyond_wrist(

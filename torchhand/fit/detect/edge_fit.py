@@ -1,7 +1,7 @@
-"""Fits pose and proportions to one picture: maximum a posteriori Gauss-Newton on edges along the contour's normals.
+"""Fits pose and proportions to one picture: maximum a posteriori on edges along the contour's normals.
 
 The start of a track: Stenger et al. (2001) set the model's parameters by hand and name their estimation within the same
-framework as future work (section 6.1); this is that. The measurement is the tracker's own.
+framework as future work (section 6.1); this is that.
 """
 
 from dataclasses import dataclass
@@ -10,12 +10,19 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.fit.contour import hand_length_px, is_outer
-from torchhand.geometry import Camera
-from torchhand.hand import DOFS, HandKinematics, rebased
-from torchhand.hand.limits import clamp_to_limits
-from torchhand.image import EdgeSettings, search_edges
-from torchhand.view import HandProjector, OutlineTable
+from torchhand.fit import (
+    GaussianPrior,
+    Problem,
+    Schedule,
+    ShapePrior,
+    SharedSolution,
+    SharedUnknowns,
+    Stage,
+    solve_shared,
+)
+from torchhand.fit.contour import EDGE_REACH, EDGES, EdgeObservation
+from torchhand.hand import DOFS, HandKinematics, HandPose, pose_space
+from torchhand.view import HandProjector, OutlineTable, PrimitiveContours
 
 # Prior standard deviations of the pose about the start posture, by ending of the DOF's name: metres and radians.
 # Flexion of a straight finger is hardly seen in one picture and trades against its length, so it stays close.
@@ -36,9 +43,6 @@ _POSE_STD = {
     "dip_fe": 0.05,
 }
 _BENT = 0.3  # radians: a finger joint flexed more than this by the posture counts as bent
-_MIN_POINTS = 10
-_MIN_SEARCH_PX = 4.0
-_STEP = 1e-4  # of the numerical derivative, prior standard deviations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +65,15 @@ class FitSettings:
         if not self.iterations >= 1:
             raise ValueError(f"fit.iterations: expected 1 or more, got {self.iterations!r}")
 
+    def schedule(self, length_m: float) -> Schedule:
+        """One step after each search of edges, from coarse to fine, for a hand of some length."""
+        finer = self.final_search_fraction / self.search_fraction
+        progress = (step / max(1, self.iterations - 1) for step in range(self.iterations))
+        reaches = (length_m * self.search_fraction * finer**part for part in progress)
+        return tuple(
+            Stage(gross_m=reach / EDGE_REACH, rounds=1, iterations=1, method="gauss_newton") for reach in reaches
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
@@ -76,7 +89,7 @@ class Fit:
     shape_std: Float[Tensor, "shape"]
     """0 for parameters that are held, and for those that lie at their bound."""
     residual_px: float
-    """Median absolute distance of the found edges from the contour before the last step; infinite without edges."""
+    """Mean distance of the found edges from the contour, cut off where they are gross; infinite without edges."""
     found_fraction: float
     """Share of the visible outer contour points at which an edge was found."""
 
@@ -96,6 +109,28 @@ class Fit:
             found_fraction=0.0,
         )
 
+    @classmethod
+    def of_solution(cls, found: SharedSolution, problem: Problem) -> "Fit":
+        """The one hand of a problem of one picture, with edges among its observations."""
+        pose, outline = found.pose[0], next(one for one in found.explained if one.name == EDGES)
+        basis, (lower, upper) = problem.space.basis, problem.bounds
+        values = problem.values_of(found.pose)[0]
+        std = found.covariance[0].diagonal().clamp_min(0).sqrt()
+        std = basis @ torch.where((values > lower) & (values < upper), std, 0.0)
+        shape_std = found.shape_std
+        if problem.shared is not None:
+            at_bound = (found.shape <= problem.shared.lower) | (found.shape >= problem.shared.upper)
+            shape_std = shape_std.masked_fill(at_bound, 0.0)
+        return cls(
+            pose=pose.dofs,
+            root_reference=pose.reference,
+            shape=found.shape,
+            pose_std=std,
+            shape_std=shape_std,
+            residual_px=float(outline.distance),
+            found_fraction=float(outline.fraction),
+        )
+
 
 def pose_prior_std(pose: Float[Tensor, "36"], bent_std_rad: float) -> Float[Tensor, "36"]:
     """Standard deviation of every DOF about a start posture, metres and radians; 0 for DOFs that are held."""
@@ -109,90 +144,51 @@ def pose_prior_std(pose: Float[Tensor, "36"], bent_std_rad: float) -> Float[Tens
 
 def fit_contour(
     plane: Float[Tensor, "height width"],
-    kinematics: HandKinematics,
-    camera: Camera,
+    projector: HandProjector,
     table: OutlineTable,
-    pose: Float[Tensor, "36"],
-    root_reference: Float[Tensor, "3 3"],
-    shape: Float[Tensor, "shape"],
+    pose: HandPose,
     settings: FitSettings | None = None,
     *,
     fit_shape: bool = True,
-    edges: EdgeSettings | None = None,
 ) -> Fit:
     """Moves pose and shape from a rough start until the outer contour lies on the edges of `plane` (hand bright, 0..1).
 
-    Minimises Σ ρ(n·(e - x)) / σ² plus the squared distance to the start in units of its prior spread: the shape space's
-    over people, a fixed one of the posture. Hand length stays: one picture cannot tell it from depth. Joint limits and
-    the shape's bounds hold. The camera's frame is the world. Where fewer than ten contour points can be compared, the
-    start comes back with `found_fraction` 0.
+    Maximum a posteriori: edges along the contour's normals, and the distance to the start in units of its prior spread,
+    of the shape space's over people and a fixed one of the posture. Hand length stays: one picture cannot tell it from
+    depth. The camera's frame is the world; projector: with the shape to start from. Where the contour finds no edges,
+    the start comes back with `found_fraction` 0.
     """
-    settings = settings or FitSettings()
-    edges = edges or EdgeSettings(polarity="inside_bright", min_strength=0.15, choose="nearest")
+    settings, start, kinematics = settings or FitSettings(), pose.normalized(), projector.kinematics
+    shape, names = projector.shape, kinematics.shape_space.names
+    edges = EdgeObservation(plane=plane, contours=PrimitiveContours(projector, table), std_px=settings.edge_std_px)
+    if edges.is_empty:
+        return Fit.of_start(start.dofs, start.reference, shape)
+    pose_std = pose_prior_std(start.dofs, settings.bent_std_rad)
+    space = pose_space("start", tuple(dof for dof, std in zip(DOFS, pose_std.tolist(), strict=True) if std > 0))
+    space = space.about(start.dofs)
+    problem = Problem(
+        space=space,
+        skeleton=kinematics.skeleton,
+        shape=shape,
+        observations=(edges,),
+        priors=(GaussianPrior.of_std(start, pose_std[pose_std > 0], space),),
+        shared=_shape_about(shape, kinematics) if fit_shape else None,
+    )
+    found = solve_shared(problem, start.reshape(1), settings.schedule(float(shape[names.index("hand_length")])))
+    return Fit.of_solution(found, problem)
+
+
+def _shape_about(shape: Float[Tensor, "shape"], kinematics: HandKinematics) -> SharedUnknowns:
+    """All proportions but the hand's length, expected as they are with the spread over people."""
     space = kinematics.shape_space
-    pose_std = pose_prior_std(pose, settings.bent_std_rad)
-    shape_std = space.std.to(pose).clone()
-    shape_std[space.names.index("hand_length")] = 0.0
-    if not fit_shape:
-        shape_std = torch.zeros_like(shape_std)
-    free_pose, free_shape = pose_std.nonzero()[:, 0], shape_std.nonzero()[:, 0]
-    prior_std = torch.cat((pose_std[free_pose], shape_std[free_shape]))
-    start = torch.cat((pose[free_pose], shape[free_shape]))
-    values = start.clone()
-    is_bounded = torch.zeros_like(values, dtype=torch.bool)
-
-    def split(candidates: Tensor) -> tuple[Tensor, Tensor]:
-        poses = pose.expand(*candidates.shape[:-1], -1).index_copy(-1, free_pose, candidates[..., : len(free_pose)])
-        shapes = shape.expand(*candidates.shape[:-1], -1).index_copy(-1, free_shape, candidates[..., len(free_pose) :])
-        return poses, shapes
-
-    precision = torch.diag(prior_std**-2)
-    steps = _STEP * prior_std
-    information, residual, found_fraction = precision, torch.zeros(0, dtype=pose.dtype), 0.0
-    for iteration in range(settings.iterations):
-        here_pose, here_shape = split(values)
-        projector = HandProjector(kinematics, camera, here_shape)
-        contour = projector.contour(here_pose, root_reference, table)
-        length_px = hand_length_px(camera, kinematics, here_pose, here_shape)
-        silhouette = projector.silhouette(here_pose, root_reference)
-        keep = contour.visible & is_outer(silhouette, contour.points_px, contour.normals, length_px)
-        if int(keep.sum()) < _MIN_POINTS:
-            break
-        progress = iteration / max(1, settings.iterations - 1)
-        fraction = settings.search_fraction * (settings.final_search_fraction / settings.search_fraction) ** progress
-        search = torch.full((int(keep.sum()),), max(_MIN_SEARCH_PX, fraction * length_px), dtype=pose.dtype)
-        normals = contour.normals[keep]
-        seen = search_edges(plane, contour.points_px[keep], normals, edges, half_length_px=search)
-        chosen = table.select(keep)
-        shifted = torch.cat((values + torch.diag(steps), values - torch.diag(steps)))
-        poses, shapes = split(shifted)
-        points = HandProjector(kinematics, camera, shapes).outline_px(poses, root_reference, chosen)
-        plus, minus = points.chunk(2)
-        jacobian = ((plus - minus) * normals).sum(-1).T / (2 * steps)
-        residual, found_fraction = seen.offset_px, float(seen.found.float().mean())
-        # Geman-McClure weights: half the search length is far; wrong edges of neighbouring fingers fade out.
-        scale = max(2.0, 0.3 * fraction * length_px)
-        weight = seen.found / settings.edge_std_px**2 / (1 + (residual / scale) ** 2) ** 2
-        weight = weight / seen.candidates.clamp_min(1)
-        information = jacobian.T @ (weight[:, None] * jacobian) + precision
-        gradient = jacobian.T @ (weight * residual) - precision @ (values - start)
-        values = values + torch.linalg.solve(information, gradient)
-        bounded_pose = clamp_to_limits(split(values)[0], kinematics.skeleton)[free_pose]
-        lower, upper = space.lower.to(pose)[free_shape], space.upper.to(pose)[free_shape]
-        bounded = torch.cat((bounded_pose, values[len(free_pose) :].clamp(lower, upper)))
-        is_bounded = bounded != values
-        values = bounded
-        residual = residual[seen.found]
-    std = torch.linalg.inv(information).diagonal().clamp_min(0).sqrt()
-    std = torch.where(is_bounded, torch.zeros_like(std), std)
-    final_pose, final_shape = split(values)
-    rebased_pose, reference = rebased(final_pose, root_reference)
-    return Fit(
-        pose=rebased_pose,
-        root_reference=reference,
-        shape=final_shape,
-        pose_std=torch.zeros_like(pose).index_copy(0, free_pose, std[: len(free_pose)]),
-        shape_std=torch.zeros_like(shape).index_copy(0, free_shape, std[len(free_pose) :]),
-        residual_px=float(residual.abs().median()) if residual.numel() else float("inf"),
-        found_fraction=found_fraction,
+    std = space.std.to(shape).clone()
+    std[space.names.index("hand_length")] = 0.0
+    nothing = shape.new_zeros(0)
+    return SharedUnknowns(
+        columns=tuple(std.nonzero()[:, 0].tolist()),
+        prior=ShapePrior(mean=shape, std=std),
+        lower=space.lower,
+        upper=space.upper,
+        extra=nothing,
+        extra_std=nothing,
     )

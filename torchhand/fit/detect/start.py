@@ -180,9 +180,8 @@ def start_at_pose(
         if appearance is None:
             break
         mask = fill_holes(clean(appearance.probability(image) > 0.5))
-        plane = mask_plane(mask)
-        where = (placed.pose, placed.root_reference, placed.shape)
-        placed = fit_contour(plane, kinematics, camera, table, *where, settings, fit_shape=fit_shape)
+        at, projector = HandPose.of(placed.pose, placed.root_reference), HandProjector(kinematics, camera, placed.shape)
+        placed = fit_contour(mask_plane(mask), projector, table, at, settings, fit_shape=fit_shape)
         start = Start(fit=placed, appearance=appearance, overlap=fit_overlap(mask, kinematics, camera, placed))
     return start or NoStart(reason="the placed hand lies outside the picture", has_foreground=False)
 
@@ -205,17 +204,8 @@ def _fitted(
     settings: FitSettings | None,
     appearance: Appearance | None,
 ) -> Start | None:
-    fit = fit_contour(
-        mask_plane(mask),
-        kinematics,
-        camera,
-        table,
-        alignment.pose,
-        alignment.root_reference,
-        shape,
-        settings,
-        fit_shape=fit_shape,
-    )
+    pose, projector = HandPose.of(alignment.pose, alignment.root_reference), HandProjector(kinematics, camera, shape)
+    fit = fit_contour(mask_plane(mask), projector, table, pose, settings, fit_shape=fit_shape)
     keypoints = camera.project(kinematics(fit.pose, fit.shape, root_reference=fit.root_reference).keypoints)
     if float(is_in_picture(keypoints, camera).double().mean()) < _MIN_INSIDE:
         return None

@@ -6,7 +6,8 @@ the bias of the measurement, and the outline is registered once more. Hand lengt
 the module hand_size gives the hand a metric size.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -14,19 +15,26 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from torchhand.devices import HOST, sent_to
-from torchhand.fit import mask_plane
+from torchhand.fit import Observation, Problem, Schedule, SharedSolution, Stage, mask_plane, solve_shared
+from torchhand.fit.contour import EdgeObservation
 from torchhand.fit.detect import Fit, fit_overlap
-from torchhand.fit.open_hand.contour import OutlineFit, fit_outline
-from torchhand.fit.open_hand.problem import OpenHandProblem
-from torchhand.fit.open_hand.start import DigitResiduals, fit_digits, placed_open_hand
+from torchhand.fit.open_hand.digits import DigitObservation
+from torchhand.fit.open_hand.problem import open_hand_problem
+from torchhand.fit.open_hand.start import placed_open_hand
 from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics, ShapeSpace, rebased
+from torchhand.hand import Anthropometry, HandKinematics, HandPose, ShapeSpace
 from torchhand.image import HandRegions, NoRegions, PicturePart, divide_hand
+from torchhand.view import HandProjector, PrimitiveContours, outline_table
 
 Facing = Literal["palm", "back"]
 
-_ROUNDS, _CORRECTED_ROUNDS = 2, 3  # of matching and fitting the outline, before and after digits are corrected
-_BIASED_WEIGHT = 0.15  # of the digits' residuals before
+_POINTS_PER_GENERATOR, _POINTS_PER_ARC = 10, 8  # on each straight side of a primitive and on each round end
+_EDGE_STD_M = 0.00094  # standard deviation of the surface: surfaces differ, and neighbours alike
+_BIASED_TRUST = 0.15  # factor on the digits' residuals before they are corrected
+_ON_DIGITS = (Stage(rounds=1, iterations=15),)
+_ON_BIASED, _ON_EDGES = (
+    (Stage(gross_m=0.00168, rounds=rounds, iterations=2, method="gauss_newton"),) for rounds in (2, 3)
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,14 +72,15 @@ def fit_open_hand(
     if isinstance(regions, NoRegions):
         return regions
     facing = facing_of(kinematics.side, regions.is_mirrored)
-    problem = OpenHandProblem.about(kinematics, camera, *placed_open_hand(regions, kinematics, camera, facing))
-    found = _registered(regions, problem)
-    if found is None:
+    population, start = Anthropometry(kinematics.shape_space), placed_open_hand(regions, kinematics, camera, facing)
+    problem = open_hand_problem(kinematics, population, start)
+    found = _registered(regions, problem, start, HandProjector(kinematics, camera))
+    if not math.isfinite(found.residual_px):
         return NoRegions(
             reason="the fitted hand has hardly any edge in the picture", found=tuple(d.name for d in regions.digits)
         )
-    broken = problem.population.violation(problem.split(found.values)[1].to(HOST))
-    fit = sent_to(_as_fit(found, problem), HOST)
+    found = sent_to(found, HOST)
+    broken, fit = population.violation(found.shape), _feasible(found, population)
     return OpenHand(
         fit=fit,
         regions=regions,
@@ -83,41 +92,36 @@ def fit_open_hand(
     )
 
 
-def _registered(regions: HandRegions, problem: OpenHandProblem) -> OutlineFit | None:
+def _registered(regions: HandRegions, problem: Problem, start: HandPose, projector: HandProjector) -> Fit:
     """Digits, outline, digits freed of the measurement's bias together with the outline."""
-    plane, digits = mask_plane(regions.mask).to(problem.std.device), DigitResiduals(regions, problem)
-    start = fit_digits(digits, problem)
-    first = fit_outline(plane, digits, problem, start, rounds=_ROUNDS, digit_weight=_BIASED_WEIGHT)
-    if first is None:
-        return None
-    projector, pose = problem.projected(first.values)
-    drawn = divide_hand(projector.silhouette(pose, problem.root_reference).to(HOST))
-    if isinstance(drawn, NoRegions):
-        return first
-    digits = digits.corrected(first.values, drawn)
-    return fit_outline(plane, digits, problem, first.values, rounds=_CORRECTED_ROUNDS, digit_weight=1.0)
+    kinematics, camera, device = projector.kinematics, projector.camera, start.dofs.device
+    digits = DigitObservation.of(regions, kinematics, camera)
+    table = sent_to(outline_table(_POINTS_PER_GENERATOR, _POINTS_PER_ARC, without=("palm_wrist",)), device)
+    edges = EdgeObservation(
+        plane=mask_plane(regions.mask).to(device),
+        contours=PrimitiveContours(projector, table),
+        std_m=_EDGE_STD_M,
+    )
+
+    def solved(before: SharedSolution | None, schedule: Schedule, *observations: Observation) -> SharedSolution:
+        shape, pose = (problem.shape, start.reshape(1)) if before is None else (before.shape, before.pose)
+        return solve_shared(replace(problem, shape=shape, observations=observations), pose, schedule)
+
+    placed = solved(None, _ON_DIGITS, digits)
+    first = solved(placed, _ON_BIASED, edges, replace(digits, trust=_BIASED_TRUST))
+    fit = Fit.of_solution(first, problem)
+    own = HandProjector(kinematics, camera, fit.shape)
+    drawn = divide_hand(own.silhouette(fit.pose, fit.root_reference).to(HOST))
+    if isinstance(drawn, NoRegions) or not math.isfinite(fit.residual_px):
+        return fit
+    digits = digits.corrected(first.pose[0], first.shape, drawn)
+    return Fit.of_solution(solved(first, _ON_EDGES, edges, digits), problem)
 
 
-def _as_fit(found: OutlineFit, problem: OpenHandProblem) -> Fit:
-    """Pose and feasible shape with their standard deviations."""
-    pose, shape = problem.split(found.values)
-    std = found.covariance.diagonal().clamp_min(0).sqrt() * problem.std
-    count = len(problem.free_pose)
-    pose_std = torch.zeros_like(pose).index_copy(0, problem.free_pose, std[:count])
-    shape_std = torch.zeros_like(shape).index_copy(0, problem.free_shape, std[count:])
-    shape, shape_std = _with_thickness(
-        problem.population.space, problem.population.project(shape.to(HOST)), shape_std.to(HOST)
-    )
-    flat, reference = rebased(pose, problem.root_reference)
-    return Fit(
-        pose=flat,
-        root_reference=reference,
-        shape=shape,
-        pose_std=pose_std,
-        shape_std=shape_std,
-        residual_px=found.edges.residual_px,
-        found_fraction=found.edges.found_fraction,
-    )
+def _feasible(fit: Fit, population: Anthropometry) -> Fit:
+    """The fit with its shape put into the anthropometric constraints, the palm as thick as the thumb."""
+    shape, std = _with_thickness(population.space, population.project(fit.shape), fit.shape_std)
+    return replace(fit, shape=shape, shape_std=std)
 
 
 def _with_thickness(space: ShapeSpace, shape: Tensor, std: Tensor) -> tuple[Tensor, Tensor]:

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
+from torchhand.devices import constant_tensor
 from torchhand.image.operations import suits_opencv
 
 _IS_EXACT = int(cv2.__version__.split(".")[0]) >= 5  # OpenCV 4 rounds places to 1/32 px
@@ -43,7 +44,7 @@ def sample_bilinear_torch(
 ) -> Float[Tensor, "channels *batch"]:
     """`sample_bilinear` in torch alone."""
     height, width = image.shape[-2:]
-    size = points_px.new_tensor([max(width - 1, 1), max(height - 1, 1)])
+    size = constant_tensor((max(width - 1, 1), max(height - 1, 1)), points_px.dtype, points_px.device)
     unit = (points_px.nan_to_num(nan=0.0) / size * 2.0 - 1.0).to(image.dtype)
     flat = unit.reshape(1, -1, 1, 2)
     values = grid_sample(image[None], flat, mode="bilinear", padding_mode="border", align_corners=True)

@@ -61,6 +61,7 @@ class ArrowEquations:
                 matrix=0.5 * (matrix + matrix.mT), gradient=self.shared_gradient - correction[:, -1], cost=self.cost
             ),
             follow=-solved[..., :-1],
+            step=-solved[..., -1],
         )
 
 
@@ -72,3 +73,5 @@ class Eliminated:
     """No batch dimension. The cost is that of the blocks as they were, the gradient that after they have followed."""
     follow: Float[Tensor, "f n c"]
     """How the minima of the blocks change with the shared unknowns."""
+    step: Float[Tensor, "f n"]
+    """Steps of the blocks to their minima, the shared unknowns as they were."""

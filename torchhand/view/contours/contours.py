@@ -16,13 +16,14 @@ from torch import Tensor
 
 from torchhand.devices import constant_tensor
 from torchhand.geometry import Camera
-from torchhand.hand import BONES, HandKinematics, HandPose
+from torchhand.hand import BONES, HandKinematics, HandPose, ShapeSpace
 from torchhand.precision import own_precision
 from torchhand.view.contours.jacobian import OutlineTracer
 from torchhand.view.contours.terms import PointToLineTerms
 from torchhand.view.outlines import HandProjector, OutlineTable, pixel_normals, seen_and_outer
 
 _MIN_DEPTH = 1e-3  # metres before the camera
+_SHAPE_STEP = 1e-5  # of a finite difference, standard deviations of the population
 _WRIST, _MIDDLE_PROXIMAL = BONES.index("wrist"), BONES.index("middle_proximal")
 
 
@@ -105,6 +106,13 @@ class Contours(Protocol):
         """The same points with their motion."""
         ...
 
+    def shape_slopes(
+        self, pose: HandPose, visible: VisibleContour, columns: tuple[int, ...]
+    ) -> Float[Tensor, "hands 2 points columns"]:
+        """Derivative of the same points in some parameters of the shape, px; by finite differences. Only across the
+        outline, along which points may slide, is it that of the outline."""
+        ...
+
 
 class PrimitiveContours:
     """Contours of the 37 quadrics; `table` as for `OutlineTracer`."""
@@ -181,6 +189,28 @@ class PrimitiveContours:
     def motion(self, pose: HandPose, visible: VisibleContour) -> ContourMotion:
         """The same points with their motion."""
         return self._tracer(pose)
+
+    @own_precision
+    def shape_slopes(
+        self, pose: HandPose, visible: VisibleContour, columns: tuple[int, ...]
+    ) -> Float[Tensor, "hands 2 points columns"]:
+        """Derivative of the same points in some parameters of the shape, px; by finite differences, of all parameters
+        at once. Only across the outline, along which points may slide, is it that of the outline."""
+        shapes, steps = varied_shapes(self.kinematics.shape_space, self.shape, columns)
+        projector, table = HandProjector(self.kinematics, self.camera, shapes), self._tracer.table
+        hands = zip(pose.dofs, pose.reference, strict=True)
+        points = torch.stack([projector.outline_px(dofs.expand(len(shapes), -1), at, table) for dofs, at in hands])
+        return ((points[:, 1:] - points[:, :1]) / steps[:, None, None]).permute(0, 3, 2, 1)
+
+
+def varied_shapes(
+    space: ShapeSpace, shape: Float[Tensor, "shape"], columns: tuple[int, ...]
+) -> tuple[Float[Tensor, "varied shape"], Float[Tensor, "columns"]]:
+    """A shape, and the shapes that differ from it by a small step in one of some parameters each; and these steps."""
+    places = constant_tensor(columns, torch.long, shape.device)
+    steps = _SHAPE_STEP * space.std.to(shape)[places]
+    varied = shape.expand(len(columns), -1) + torch.zeros_like(shape).index_copy(0, places, steps).diag()[places]
+    return torch.cat((shape[None], varied)), steps
 
 
 def wrist_and_axis(

@@ -12,7 +12,7 @@ from torchhand.devices import constant_tensor, is_host
 from torchhand.geometry import Camera
 from torchhand.hand import KEYPOINTS, Hand, HandKinematics, HandPose, skin_jacobian
 from torchhand.precision import own_precision
-from torchhand.view.contours.contours import VisibleContour, wrist_and_axis
+from torchhand.view.contours.contours import VisibleContour, varied_shapes, wrist_and_axis
 from torchhand.view.contours.jacobian import cam_force
 from torchhand.view.contours.terms import PointToLineTerms
 from torchhand.view.raster import rasterize, rasterize_many
@@ -148,6 +148,15 @@ class MeshContours:
             jacobian=self._camera.rotation @ jacobian,
             camera=self._camera,
         )
+
+    def shape_slopes(
+        self, pose: HandPose, visible: VisibleContour, columns: tuple[int, ...]
+    ) -> Float[Tensor, "hands 2 points columns"]:
+        """Derivative of the same points in some parameters of the shape, px; by finite differences, one parameter after
+        the other. Only across the outline, along which points may slide, is it that of the outline."""
+        shapes, steps = varied_shapes(self.kinematics.shape_space, self._shape, columns)
+        here, *others = (self.with_shape(shape).points(pose, visible) for shape in shapes)
+        return torch.stack([(other - here) / step for other, step in zip(others, steps, strict=True)], -1)
 
     def _visible(
         self, vertices: Float[Tensor, "hands vertices 3"], probe_distance_px: Float[Tensor, "hands"]
