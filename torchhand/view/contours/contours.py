@@ -20,7 +20,7 @@ from torchhand.hand import BONES, HandKinematics, HandPose
 from torchhand.precision import own_precision
 from torchhand.view.contours.jacobian import OutlineTracer
 from torchhand.view.contours.terms import PointToLineTerms
-from torchhand.view.outlines import HandProjector, OutlineTable, pixel_normals, seen_and_outer
+from torchhand.view.outlines import HandProjector, OutlineTable, lengths_along, pixel_normals, seen_and_outer
 
 _MIN_DEPTH = 1e-3  # metres before the camera
 _WRIST, _MIDDLE_PROXIMAL = BONES.index("wrist"), BONES.index("middle_proximal")
@@ -53,6 +53,8 @@ class VisibleContour:
     """Visible, with background beyond."""
     inner: Bool[Tensor, "hands points"]
     """Visible, with more of the hand beyond."""
+    length_px: Float[Tensor, "hands points"]
+    """Length of outline that each point stands for, px; points are not evenly spread."""
     wrist_px: Float[Tensor, "hands 2"]
     distal_px: Float[Tensor, "hands 2"]
     """Direction in the picture from the wrist to the middle finger's knuckle."""
@@ -167,6 +169,7 @@ class PrimitiveContours:
             normals=normals,
             outer=visible & outer,
             inner=visible & ~outer,
+            length_px=lengths_along(motion.columns_px, tracer.table),
             wrist_px=wrist,
             distal_px=distal,
             motion=motion,
