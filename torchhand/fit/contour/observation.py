@@ -83,8 +83,8 @@ class ContourObservation:
         gross_px: Float[Tensor, "hands"],
         length_px: Float[Tensor, "hands"],
     ) -> Float[Tensor, "hands terms"]:
-        """Weights of the model's points, then of the picture's: inverse variances, shared among those that count, on the
-        model by the length of outline that they stand for."""
+        """Weights of the model's points, then of the picture's: inverse variances, shared among those that count, on
+        the model by the length of outline that they stand for."""
         s = self.settings
         precision = (s.contour_std_fraction * gross_px).clamp_min(s.contour_std_px).square().reciprocal()[:, None]
         model = visible.length_px * visible.outer
