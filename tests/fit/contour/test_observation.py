@@ -87,7 +87,8 @@ class Scene:
         visible = contours.visible(associated.pose, probe_distance_px=1 + s.probe_distance_m * scale)
         motion = contours.motion(hands.pose, visible)
         precision = torch.maximum(torch.tensor(s.contour_std_px), s.contour_std_fraction * gross_px).square()[:, None]
-        each = s.contour_weight / precision / visible.outer.double().sum(-1, keepdim=True)
+        weight = visible.length_px * (visible.outer + s.valley_weight * visible.inner)
+        each = visible.length_px * s.contour_weight / precision / weight.sum(-1, keepdim=True)
         ahead = ((boundary.points_px - visible.wrist_px[:, None]) * visible.distal_px[:, None]).sum(-1) > 0
         of_each = s.coverage_weight / precision / ahead.double().sum(-1, keepdim=True)
         match = match_boundary(boundary, visible.points_px, visible.normals, visible.outer, turn_px=s.turn_m * scale)
@@ -122,6 +123,21 @@ def test_equations_are_those_of_all_residuals(stage: Stage, studio: Any, generat
     part = factor.rows(some).equations(scene.posed(moved.pose[some]))
     torch.testing.assert_close(part.cost, found.cost[some])
     torch.testing.assert_close(part.gradient, found.gradient[some])
+
+
+@pytest.mark.parametrize("surface", ["primitives", "mesh"])
+def test_an_outline_is_worth_as_much_however_much_of_it_is_inner(
+    surface: str, studio: Any, generator: torch.Generator
+) -> None:
+    scene = Scene(studio, generator, surface=surface)
+    bent = scene.hands.pose.dofs + torch.linspace(0, 1.4, COUNT)[:, None] * SPACE.basis[:, 6:].sum(1).clamp(0, 1)
+    hands = scene.posed(HandPose(dofs=bent, reference=scene.hands.pose.reference))
+    factor = scene.observation.associate(hands, TRACKING[-1])
+    inner, count = factor.visible.inner.double().mean(-1), factor.visible.inner.shape[1]
+    assert float(inner.max()) > 1.3 * float(inner.min())
+    std = (SETTINGS.contour_std_fraction * factor.gross_px).clamp_min(SETTINGS.contour_std_px)
+    worth = factor.pairs.weight[:, :count].sum(-1) * std.square()
+    torch.testing.assert_close(worth, torch.full_like(worth, SETTINGS.contour_weight))
 
 
 @pytest.mark.parametrize("surface", ["primitives", "mesh"])

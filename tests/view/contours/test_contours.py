@@ -184,6 +184,28 @@ def test_every_hand_has_a_probe_distance_of_its_own(surface: str, scene: Any) ->
     assert int(both.outer[1].sum()) < int(both.outer[0].sum())  # between the fingers there is little room
 
 
+def test_points_stand_for_lengths_that_do_not_depend_on_their_number(scene: Any) -> None:
+    hand = facing_hand(scene, "fist")
+    projector = scene.projector(scene.camera())
+    totals = []
+    for points in (6, 24):
+        visible = PrimitiveContours(projector, outline_table(points, points, without=("palm_wrist",))).visible(hand)
+        totals.append(torch.stack([(visible.length_px * which).sum(-1) for which in (visible.outer, visible.inner)]))
+    torch.testing.assert_close(totals[0], totals[1], atol=0, rtol=0.1)
+
+
+def test_a_point_of_a_mesh_stands_for_its_edge(scene: Any) -> None:
+    hand, contours = facing_hand(scene, "fist"), surfaces(scene)["mesh"]
+    visible = contours.visible(hand)
+    assert visible.edges is not None
+    assert isinstance(contours, MeshContours)
+    vertices = contours.hand(hand.dofs, contours.shape, root_reference=hand.reference).vertices
+    ends = contours.camera.project(vertices[0, visible.edges[0]])
+    is_point = visible.outer[0] | visible.inner[0]
+    length = (ends[:, 1] - ends[:, 0]).norm(dim=-1)
+    torch.testing.assert_close(visible.length_px[0, is_point], length[is_point])
+
+
 def contours_mask(contours: Contours, hand: HandPose) -> Tensor:
     if isinstance(contours, PrimitiveContours):
         return contours.projector.silhouette(hand.dofs[0], hand.reference[0])

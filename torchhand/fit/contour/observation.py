@@ -82,16 +82,17 @@ class ContourObservation:
         gross_px: Float[Tensor, "hands"],
         length_px: Float[Tensor, "hands"],
     ) -> Float[Tensor, "hands terms"]:
-        """Weights of the model's points, then of the picture's: inverse variances, shared among those that count."""
+        """Weights of the model's points, then of the picture's: inverse variances, shared among those that count, on
+        the model by the length of outline that they stand for."""
         s = self.settings
         precision = (s.contour_std_fraction * gross_px).clamp_min(s.contour_std_px).square().reciprocal()[:, None]
-        outer, inner = visible.outer.to(precision), visible.inner.to(precision)
-        is_hand = is_beyond_wrist(visible, boundary, _STEEP * length_px).to(precision)
-        each = s.contour_weight * precision / outer.sum(-1, keepdim=True).clamp_min(1)
-        of_each = s.coverage_weight * precision / is_hand.sum(-1, keepdim=True).clamp_min(1)
+        model = visible.length_px * visible.outer
         if self.picture.valleys is not None:
-            outer = torch.add(outer, inner, alpha=s.valley_weight)
-        return torch.cat((each * outer, of_each * is_hand), 1)
+            model = torch.add(model, visible.length_px * visible.inner, alpha=s.valley_weight)
+        is_hand = is_beyond_wrist(visible, boundary, _STEEP * length_px).to(precision)
+        each = s.contour_weight * precision / model.sum(-1, keepdim=True).clamp_min(1)
+        of_each = s.coverage_weight * precision / is_hand.sum(-1, keepdim=True).clamp_min(1)
+        return torch.cat((each * model, of_each * is_hand), 1)
 
 
 @dataclass(frozen=True, kw_only=True)

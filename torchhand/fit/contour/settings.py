@@ -49,13 +49,12 @@ class ContourSettings:
     """Standard deviation of the contour's distance over the distance at which a stage takes residuals for gross: coarse
     stages may be wrong about what belongs to what, and leave more to the priors. Above 0."""
     contour_weight: float = 60.0
-    """Independent measurements that all outer model points together are worth, neighbours being correlated; 0 or
-    more."""
+    """Independent measurements that the model's outline is worth, outer and inner, shared out by length; 0 or more."""
     coverage_weight: float = 60.0
     """Independent measurements that the picture's contour points are worth; 0 or more. Without them a hand folded
     inside the silhouette costs nothing."""
     valley_weight: float = 0.5
-    """Worth of an inner model point near a valley over that of an outer one; 0 or more, 0 leaves valleys out."""
+    """Worth of a piece of inner outline over that of an outer one as long; 0 or more, 0 leaves valleys out."""
     valley_gross_m: float = 0.0028
     """Distance beyond which a valley is not that of a model point, metres at the hand; above 0."""
     turn_m: float = 0.0224

@@ -13,6 +13,9 @@ SurfaceName = Literal["primitives", "mesh"]
 STUDY_SPACES = tuple(name for name, (free, _) in POSE_SPACES.items() if any(not dof.startswith("root") for dof in free))
 """Pose spaces with joint angles to recover."""
 
+_GAP_M = 0.0005
+"""Beyond one pixel, how broad a gap between two fingers is at least: masks of simulated pictures are exact, and show
+narrower ones than those of skin colour, on whose contour a finger beside another would have no place."""
 _MAX_STARTS, _MAX_AT_ONCE = 10_000_000, 4096
 
 
@@ -50,7 +53,7 @@ class HypothesisStudySettings:
     """Registration from coarse to fine; at least one stage."""
     restarts: RestartSettings = field(default_factory=RestartSettings)
     """Hands that explain too little of the contour are registered from beside themselves as well."""
-    contour: ContourSettings = field(default_factory=ContourSettings)
+    contour: ContourSettings = field(default_factory=lambda: ContourSettings(probe_distance_m=_GAP_M))
     """Weights and tolerances of the contours in a picture."""
 
     def __post_init__(self) -> None:

@@ -20,7 +20,7 @@ from torchhand.hand import BONES, HandKinematics, HandPose, ShapeSpace
 from torchhand.precision import own_precision
 from torchhand.view.contours.jacobian import OutlineTracer
 from torchhand.view.contours.terms import PointToLineTerms
-from torchhand.view.outlines import HandProjector, OutlineTable, pixel_normals, seen_and_outer
+from torchhand.view.outlines import HandProjector, OutlineTable, lengths_along, pixel_normals, seen_and_outer
 
 _MIN_DEPTH = 1e-3  # metres before the camera
 _SHAPE_STEP = 1e-5  # of a finite difference, standard deviations of the population
@@ -54,6 +54,8 @@ class VisibleContour:
     """Visible, with background beyond."""
     inner: Bool[Tensor, "hands points"]
     """Visible, with more of the hand beyond."""
+    length_px: Float[Tensor, "hands points"]
+    """Length of outline that each point stands for, px; points are not evenly spread."""
     wrist_px: Float[Tensor, "hands 2"]
     distal_px: Float[Tensor, "hands 2"]
     """Direction in the picture from the wrist to the middle finger's knuckle."""
@@ -175,6 +177,7 @@ class PrimitiveContours:
             normals=normals,
             outer=visible & outer,
             inner=visible & ~outer,
+            length_px=lengths_along(motion.columns_px, tracer.table),
             wrist_px=wrist,
             distal_px=distal,
             motion=motion,

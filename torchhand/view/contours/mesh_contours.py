@@ -112,7 +112,7 @@ class MeshContours:
         some = 1 if is_host(like.device) else max(1, len(like))
         parts = zip(state.vertices.split(some), probes.split(some), strict=True)
         found = zip(*(self._visible(*own) for own in parts), strict=True)
-        points, normals, outer, inner, edges = (torch.cat(part) for part in found)
+        points, normals, outer, inner, length, edges = (torch.cat(part) for part in found)
         ends = state.frames.keypoints.index_select(1, constant_tensor((_WRIST, _KNUCKLE), torch.long, like.device))
         ends = self._camera.cam_from_world(ends)
         wrist, distal = wrist_and_axis(ends, self._camera)
@@ -121,6 +121,7 @@ class MeshContours:
             normals=normals,
             outer=outer,
             inner=inner,
+            length_px=length,
             wrist_px=wrist,
             distal_px=distal,
             edges=edges,
@@ -161,7 +162,7 @@ class MeshContours:
     def _visible(
         self, vertices: Float[Tensor, "hands vertices 3"], probe_distance_px: Float[Tensor, "hands"]
     ) -> tuple[Tensor, ...]:
-        """Contours: points, normals, which are outer, which inner, edges; padded with what is neither."""
+        """Contours: points, normals, which are outer, which inner, lengths, edges; padded with what is neither."""
         camera, faces = self._camera, self.hand.faces
         seen = camera.cam_from_world(vertices)
         a, b, c = seen[:, faces].unbind(2)
@@ -200,7 +201,8 @@ class MeshContours:
             return torch.where(is_kept[..., None], found, 0).reshape(*kept.shape, *values.shape[2:])
 
         filled = torch.where(is_kept[..., None], edges[kept], self._edges[0])
-        return padded(points), padded(normals), padded(outer).bool(), padded(visible & ~outer).bool(), filled
+        decided = padded(outer).bool(), padded(visible & ~outer).bool()
+        return padded(points), padded(normals), *decided, padded(along.norm(dim=-1)), filled
 
     def _depths(self, vertices: Float[Tensor, "hands vertices 3"]) -> Float[Tensor, "hands height width"]:
         """Z-buffers of the hands. The one place where contours wait for an accelerator, once for each association of

@@ -2,7 +2,15 @@
 
 from torchhand.view.outlines.contour_visibility import seen_and_outer
 from torchhand.view.outlines.generators import generators
-from torchhand.view.outlines.outline import Outline, OutlineTable, outline, outline_points, outline_table, pixel_normals
+from torchhand.view.outlines.outline import (
+    Outline,
+    OutlineTable,
+    lengths_along,
+    outline,
+    outline_points,
+    outline_table,
+    pixel_normals,
+)
 from torchhand.view.outlines.part_outlines import OutlineColumns, PartOutlines
 from torchhand.view.outlines.projector import Contour, Generators, HandProjector
 from torchhand.view.outlines.visibility import visible_points
@@ -16,6 +24,7 @@ __all__ = [
     "OutlineTable",
     "PartOutlines",
     "generators",
+    "lengths_along",
     "outline",
     "outline_points",
     "outline_table",

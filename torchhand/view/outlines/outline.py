@@ -53,6 +53,17 @@ class OutlineTable:
             return 2 * self.cone + self.cone_side
 
     @cached_property
+    def neighbours(self) -> Int[Tensor, "2 points"]:
+        """The points before and after every point on the same curve; the point itself at the ends."""
+        with torch.inference_mode(False):
+            curve = torch.cat((self.generator, self.ellipsoid + 2 * len(CONE_NAMES)))
+            place, follows = torch.arange(self.size, device=curve.device), curve[1:] == curve[:-1]
+            before, after = place.clone(), place.clone()
+            before[1:] -= follows.long()
+            after[:-1] += follows.long()
+            return torch.stack((before, after))
+
+    @cached_property
     def sweep(self) -> Float[Tensor, "ellipsoid_points 1"]:
         """Where on its arc every ellipsoid's point is, -1 and 1 being the ends."""
         with torch.inference_mode(False):
@@ -70,14 +81,14 @@ class OutlineTable:
         )
 
     def thinned(self, factor: int) -> "OutlineTable":
-        """Evenly spread points, one in place of so many, of a table that `outline_table` made; at least one on every
-        curve."""
+        """Evenly spread points, one in place of so many, of a table that `outline_table` made; at least two on every
+        curve that has them, each of which stands for a length."""
         cones, balls = self.cone.unique_consecutive(), self.ellipsoid.unique_consecutive()
+        on_each = len(self.cone) // max(1, 2 * len(cones)), len(self.ellipsoid) // max(1, len(balls))
         return _even_table(
             cones,
             balls,
-            max(1, len(self.cone) // (2 * factor * max(1, len(cones)))),
-            max(1, len(self.ellipsoid) // (factor * max(1, len(balls)))),
+            *(max(min(2, own), own // factor) for own in on_each),
             dtype=self.cone_fraction.dtype,
         )
 
@@ -106,6 +117,14 @@ def _even_table(
         ellipsoid=balls.repeat_interleave(per_arc),
         ellipsoid_fraction=around.repeat(len(balls)),
     )
+
+
+def lengths_along(columns_px: Float[Tensor, "hands 2 points"], table: OutlineTable) -> Float[Tensor, "hands points"]:
+    """Length of outline that each point of the table stands for, px: half the way from the point before it on its curve
+    to the one after, whole at an end. Zero for a curve's only point and where a neighbour is not finite."""
+    before, after = table.neighbours
+    way = (columns_px.index_select(2, after) - columns_px.index_select(2, before)).square().sum(1).sqrt()
+    return torch.where(way.isfinite(), way, 0.0) / (after - before).clamp_min(1)
 
 
 @dataclass(frozen=True, kw_only=True)
