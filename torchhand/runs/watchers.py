@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 
 from torchhand.devices import HOST
 from torchhand.files import FrameRecord, TrackWriter
-from torchhand.files.results import EMPTY_STATUSES, OVERLAY_NAME
+from torchhand.files.results import OVERLAY_NAME
 from torchhand.runs.live import opened_show
 from torchhand.runs.overlays import draw_live
 from torchhand.runs.recordings import LiveCamera, OneCameraRecording, RecordedFrame
@@ -36,8 +36,6 @@ def opened_watchers(
             show = stack.enter_context(opened_show(request.page_port, recording, side, writer.out_dir, say))
 
         def watch(frame: RecordedFrame, record: FrameRecord) -> None:
-            if isinstance(recording, LiveCamera):
-                recording.keep_up(is_followed=record.status not in EMPTY_STATUSES)
             if streams:
                 message = message_of(record, side=side)
                 for stream in streams:

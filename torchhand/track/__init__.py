@@ -11,6 +11,7 @@ from types import ModuleType
 from typing import Any
 
 from torchhand.track.backward import BackwardPass
+from torchhand.track.beside import SearchBeside, opened_tracker
 from torchhand.track.knowledge import Estimate, Keyframe, TrackerState, restored_state, saved_state
 from torchhand.track.paths import HandPath, PosedHand, combined_hand, path_weights
 from torchhand.track.scene import HandKeypoints, View
@@ -37,6 +38,7 @@ __all__ = [
     "PastFrame",
     "PosedHand",
     "RecordedShape",
+    "SearchBeside",
     "Smoother",
     "Tracker",
     "TrackerSettings",
@@ -44,6 +46,7 @@ __all__ = [
     "View",
     "can_tell_shape",
     "combined_hand",
+    "opened_tracker",
     "path_weights",
     "recorded_shape",
     "reshaped_poses",
