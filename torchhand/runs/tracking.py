@@ -4,7 +4,7 @@ import contextlib
 import logging
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -212,27 +212,38 @@ def _track_all(start: "_RigStart", keypoints: KeypointSource | None, writer: Tra
     recording, request = start.recording, start.request
     if writer.note is not None:
         say(writer.note)
+    if isinstance(recording, LiveRecording):
+        with opened_tracker(start.maker(1.0), waits=False) as (tracker, beside):
+            run = start.at_once(tracker, beside)
+            with contextlib.suppress(KeyboardInterrupt):
+                _track_rest(run, keypoints, writer, 0, request, say)
+        run.save_hand(writer.folder)  # fitted while the hand was followed
+        return run
     if writer.resume_point is None:
         run, done = start.begun(recording, say), 0
         run.save_hand(writer.folder)
     else:
         saved = writer.resume_point.state
-        run = Run(recording, start.tracker(float(saved["metres"])), {}, metres=float(saved["metres"]))
+        metres = float(saved["metres"])
+        run = Run(recording, start.maker(metres)(), {}, metres=metres)
         run.go_on_from(saved)
         done = writer.resume_point.last_frame + 1 - request.start
-    run.keypoints = keypoints
-    cameras = Rig(recording.cameras).scaled(run.metres)
-    run.save_config(writer.folder, _asked(request) | {"masks_given": recording.has_masks}, cameras)
-    try:
-        track_frames(run, writer, done, request.start, say, lambda frame, record: None)
-    except KeyboardInterrupt:
-        if isinstance(recording, RigRecording):
-            raise
-    if isinstance(recording, LiveRecording):
-        run.save_hand(writer.folder)  # fitted while the hand was followed
+    _track_rest(run, keypoints, writer, done, request, say)
     if not request.is_causal and not request.settings.smoothing_window_s:
         smooth_frames(run, writer, say)
     return run
+
+
+def _track_rest(
+    run: Run, keypoints: KeypointSource | None, writer: TrackWriter, done: int, request: Request, say: Say
+) -> None:
+    """The forward pass of several cameras over what is left."""
+    run.keypoints = keypoints
+    recording = run.recording
+    has_masks = isinstance(recording, RigRecording) and recording.has_masks
+    cameras = Rig(recording.cameras).scaled(run.metres)
+    run.save_config(writer.folder, _asked(request) | {"masks_given": has_masks}, cameras)
+    track_frames(run, writer, done, request.start, say, lambda frame, record: None)
 
 
 def _say_finished(writer: TrackWriter, say: Say) -> None:
@@ -265,15 +276,15 @@ class _RigStart:
         method, has_masks = self.settings.silhouette.method, recording.has_masks
         self.plates = rig_plates(recording.cameras, request.background, method, has_masks=has_masks)
 
-    def tracker(self, metres: float) -> Tracker:
-        """metres: of one unit of the cameras' translations."""
+    def maker(self, metres: float) -> Callable[[], Tracker]:
+        """What makes the tracker. metres: of one unit of the cameras' translations."""
         cameras = Rig(self.recording.cameras).scaled(metres)
-        return Tracker(self.hand, cameras, self.settings, shape=self.known, plates=self.plates)
+        return partial(Tracker, self.hand, cameras, self.settings, shape=self.known, plates=self.plates)
 
-    def at_once(self) -> Run:
+    def at_once(self, tracker: Tracker, beside: SearchBeside | None) -> Run:
         """A run that knows nothing: the hand is found, and its proportions are fitted, while the cameras go on."""
         method = "visual hulls of frames that were followed" if self.known is None else "given"
-        return Run(self.recording, self.tracker(1.0), {"method": method, "unit_m": 1.0})
+        return Run(self.recording, tracker, {"method": method, "unit_m": 1.0}, beside=beside)
 
     def begun(self, recording: RigRecording, say: Say) -> Run:
         """A run that knows the hand's colours, its proportions and its pose in some frames.

@@ -23,8 +23,7 @@ def opened_watchers(
 ) -> Iterator[Watch]:
     """A function that is to be called with every frame once it is tracked."""
     side = request.known_side
-    has_page = isinstance(recording, LiveCamera) and request.page_port is not None
-    is_drawn = recording.is_live and request.has_overlay and not has_page
+    is_drawn = recording.is_live and request.has_overlay and not request.is_live
     with contextlib.ExitStack() as stack:
         draw = stack.enter_context(draw_live(writer.folder / OVERLAY_NAME if is_drawn else None, recording))
         streams = stack.enter_context(opened_streams(request.streams))

@@ -122,8 +122,8 @@ class Tracker:
 
         state: that of the frame before, None at first. views: one per camera; an empty one where its picture is
         missing. time_s: of the frame, after that of the one before. occasions: those of the sources of other hands that
-        may be asked; where one of another occasion should be, the estimate tells (`is_doubted`). other: what a tracker knew at an earlier time that has
-        followed another hand, which is compared with this one's as proposed hands are.
+        may be asked; where one of another occasion should be, the estimate tells (`is_doubted`). other: what another
+        tracker knew at an earlier time, whose hand is compared with this one's as proposed hands are.
 
         A hand that the views do not bear out is looked for otherwise at once, one in doubt when a search is due; a hand
         found again after a lost frame is `recovered`. Raises ValueError for views that are not the cameras' in number

@@ -18,7 +18,7 @@ from torchhand.track.tracker import Tracker
 
 _log = logging.getLogger(__name__)
 
-_SENT_EVERY_S = 0.09  # from one picture that is kept for a search that goes on to the next: a step of its way, or less
+_SENT_EVERY_S = 0.09  # from one picture that is sent for a search that goes on to the next: hardly less than its steps
 
 
 class SearchBeside:
@@ -29,8 +29,8 @@ class SearchBeside:
     hands it over at the newest: there the two hands are compared as any are. One search goes on at a time. While a
     hand is followed, the next one begins as long after one in vain as that one took, so that half of a core is spent.
 
-    A process, for a thread would have the interpreter's lock in common with the tracker: two trackers of one camera take
-    33 ms a frame each in two processes on two idle cores, 31 ms alone, and 62 to 87 ms in two threads.
+    A process, for a thread would have the interpreter's lock in common with the tracker: two trackers of one camera
+    take 31 to 39 ms a frame each in two processes on two idle cores, 32 to 36 ms alone, 62 to 87 ms in two threads.
 
     Results depend on when searches end: for pictures that do not wait, not for recordings. A context manager.
     """

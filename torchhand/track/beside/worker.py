@@ -1,5 +1,6 @@
 """The process that searches: one search after the other, each followed to the newest picture."""
 
+import math
 import os
 import pickle
 import signal
@@ -17,11 +18,11 @@ from torchhand.track.knowledge import TrackerState, restored_state, saved_state
 from torchhand.track.proposals import OCCASIONS, Occasion
 from torchhand.track.tracker import Tracker
 
-FOLLOWING: tuple[Occasion, ...] = ("always",)
-"""Occasions of the sources that are asked in every frame."""
+FOLLOWING: tuple[Occasion, ...] = ("always", "detected")
+"""Occasions of the sources that are quick enough for a frame."""
 
-_NEAR: tuple[Occasion, ...] = ("always", "declining", "degraded")
-_WIDE: tuple[Occasion, ...] = ("always", "search")  # what takes more than a second, where the others bring nothing
+_NEAR: tuple[Occasion, ...] = (*FOLLOWING, "declining", "degraded")
+_WIDE: tuple[Occasion, ...] = (*FOLLOWING, "search")  # what takes more than a second, where the others bring nothing
 _STEP_S = 0.1
 """From one picture to the next on the way to the newest: a hand that moves at half a metre a second, as people's do who
 show something, goes half its breadth in it."""
@@ -47,14 +48,14 @@ class Inbox:
             found, self._search = self._search, None
             return found
 
-    def later_frame(self, time_s: float, step_s: float) -> SeenFrame | None:
-        """The last frame that is not more than a step after a time, else the first after it; None where there is no
-        later one. Those before it are dropped."""
+    def later_frame(self, time_s: float, step_s: float) -> tuple[SeenFrame, bool] | None:
+        """The last frame that is not more than a step after a time, else the first after it, and whether it is the
+        newest; None where there is none. Those before it are dropped."""
         with self._changed:
             found = None
             while self._later and (found is None or self._later[0].time_s <= time_s + step_s):
                 found = self._later.popleft()
-            return found
+            return None if found is None else (found, not self._later)
 
     def _read(self) -> None:
         try:
@@ -80,30 +81,33 @@ class Inbox:
 class Searcher:
     """Searches as the tracker itself does where pictures wait, and follows what it found to the newest picture."""
 
-    def __init__(self, tracker: Tracker, later_frame: Callable[[float, float], SeenFrame | None]) -> None:
+    def __init__(self, tracker: Tracker, later_frame: Callable[[float, float], tuple[SeenFrame, bool] | None]) -> None:
         """later_frame: the frame to follow to from a time, about a step later (`Inbox.later_frame`)."""
         self._tracker, self._later_frame = tracker, later_frame
 
     def __call__(self, search: Search) -> Answer:
         begun_s, frame = time.monotonic(), search.frame
         before = None if search.state is None else restored_state(search.state, self._tracker.device)
-        is_first = before is None or not before.has_started
-        for occasions in (OCCASIONS,) if is_first else (_NEAR, _WIDE):
+        has_started = before is not None and before.has_started
+        is_detected = any(view.keypoints is not None for view in frame.views)
+        for occasions in (_NEAR, _WIDE) if has_started or is_detected else (OCCASIONS,):
             state, estimate = self._tracker.step(before, frame.views, frame.time_s, occasions=occasions)
             if estimate.is_new:
                 break
         seconds = time.monotonic() - begun_s
-        print('searched',search.number,frame.time_s,estimate.status,estimate.is_new,occasions,round(seconds,2),estimate.score,estimate.reason,file=__import__('sys').stderr,flush=True)
-        found = self._followed(state) if estimate.is_new else None
+        found = self._followed(state, is_detected=is_detected) if estimate.is_new else None
         return Answer(number=search.number, seconds=seconds, state=None if found is None else saved_state(found))
 
-    def _followed(self, state: TrackerState) -> TrackerState:
-        """The state at the newest frame, or where the hand is given up on the way."""
-        step_s = _STEP_S
+    def _followed(self, state: TrackerState, *, is_detected: bool) -> TrackerState:
+        """The state at the newest frame, or where the hand is given up on the way. is_detected: whether a detector
+        tells of the hand, so that it needs no way."""
+        step_s, is_newest = math.inf if is_detected else _STEP_S, False
         assert state.time_s is not None
-        while state.hand is not None and (frame := self._later_frame(state.time_s, step_s)) is not None:
-            begun_s = time.monotonic()
+        while not is_newest and (later := self._later_frame(state.time_s, step_s)) is not None:
+            (frame, is_newest), begun_s = later, time.monotonic()
             state, _ = self._tracker.step(state, frame.views, frame.time_s, occasions=FOLLOWING)
+            if state.hand is None:
+                break
             step_s = max(_STEP_S, _CATCHING_UP * (time.monotonic() - begun_s))
             assert state.time_s is not None
         return state

@@ -38,9 +38,10 @@ class Proposals:
     """Whether the scene shows something that may be a hand."""
 
 
-Occasion = Literal["always", "declining", "degraded", "search"]
-"""When a source is asked: at every frame; where the hand explains less than it did at best; where it is degraded; where
-it is degraded and a search is due."""
+Occasion = Literal["always", "detected", "declining", "degraded", "search"]
+"""When a source is asked: at every frame; where the hand is degraded and a detector tells of one, which takes no longer
+than a frame; where it explains less than it did at best; where it is degraded; where it is degraded and a search is
+due."""
 
 OCCASIONS: tuple[Occasion, ...] = get_args(Occasion)
 
