@@ -14,6 +14,7 @@ from torchhand.track.backward import BackwardPass
 from torchhand.track.beside import SearchBeside, opened_tracker
 from torchhand.track.knowledge import Estimate, Keyframe, TrackerState, restored_state, saved_state
 from torchhand.track.paths import HandPath, PosedHand, combined_hand, path_weights
+from torchhand.track.proposals import OCCASIONS
 from torchhand.track.scene import HandKeypoints, View
 from torchhand.track.settings import DEFAULTS, TrackerSettings
 from torchhand.track.shape import (
@@ -29,6 +30,7 @@ from torchhand.track.tracker import Tracker
 
 __all__ = [
     "DEFAULTS",
+    "OCCASIONS",
     "BackwardPass",
     "Estimate",
     "FollowedFrame",
