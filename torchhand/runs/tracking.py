@@ -305,7 +305,7 @@ class _RigStart:
             ),
         )
         provenance = self._provenance(found.hand) | {"unit_m": metres}
-        return Run(recording, self.tracker(metres), provenance, state=state, metres=metres)
+        return Run(recording, self.maker(metres)(), provenance, state=state, metres=metres)
 
     def _initialization(self, recording: RigRecording, say: Say) -> Initialization:
         silhouettes = ViewSilhouettes(recording.cameras, self.settings.silhouette, plates=self.plates)
