@@ -10,10 +10,9 @@ import torch
 
 from tests.steps import right_hand
 from torchhand.runs import settings_of
-from torchhand.track import Tracker, TrackerState, View, restored_state
-from torchhand.track.beside import worker
-from torchhand.track.beside.messages import Search, SeenFrame, packed
-from torchhand.track.beside.worker import Inbox, Searcher
+from torchhand.track import Tracker, TrackerState, View, restored_state, worker
+from torchhand.track.messages import Search, SeenFrame, packed
+from torchhand.track.worker import Inbox, Searcher
 
 
 @pytest.fixture(scope="module")

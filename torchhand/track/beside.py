@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import get_context
 from types import TracebackType
 
-from torchhand.track.beside.messages import Answer, Search, SeenFrame, packed
-from torchhand.track.beside.worker import FOLLOWING, serve
 from torchhand.track.knowledge import Estimate, TrackerState, restored_state, saved_state
+from torchhand.track.messages import Answer, Search, SeenFrame, packed
 from torchhand.track.scene import View
 from torchhand.track.tracker import Tracker
+from torchhand.track.worker import FOLLOWING, serve
 
 _log = logging.getLogger(__name__)
 

@@ -13,8 +13,8 @@ from multiprocessing.connection import Connection
 
 import torch
 
-from torchhand.track.beside.messages import READY, Answer, Search, SeenFrame, packed
 from torchhand.track.knowledge import TrackerState, restored_state, saved_state
+from torchhand.track.messages import READY, Answer, Search, SeenFrame, packed
 from torchhand.track.proposals import OCCASIONS, Occasion
 from torchhand.track.tracker import Tracker
 
