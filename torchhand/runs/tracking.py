@@ -4,7 +4,7 @@ import contextlib
 import logging
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -38,7 +38,7 @@ from torchhand.runs.request import MEDIAPIPE, Request, check_start_points, plate
 from torchhand.runs.run import CHECKPOINT_EVERY, Run, Say, header_of, track_frames
 from torchhand.runs.second_pass import smooth_frames
 from torchhand.runs.watchers import opened_watchers, projector_of
-from torchhand.track import Keyframe, SearchBeside, Tracker, TrackerState, opened_tracker
+from torchhand.track import Keyframe, Tracker, TrackerState, opened_tracker
 from torchhand.track.multiview import HandInitialization, HandProposer, Initialization, initialize
 from torchhand.track.scene import ViewSilhouettes
 from torchhand.view import HandProjector
@@ -213,10 +213,9 @@ def _track_all(start: "_RigStart", keypoints: KeypointSource | None, writer: Tra
     if writer.note is not None:
         say(writer.note)
     if isinstance(recording, LiveRecording):
-        with opened_tracker(start.maker(1.0), waits=False) as (tracker, beside):
-            run = start.at_once(tracker, beside)
-            with contextlib.suppress(KeyboardInterrupt):
-                _track_rest(run, keypoints, writer, 0, request, say)
+        run = start.at_once()
+        with contextlib.suppress(KeyboardInterrupt):
+            _track_rest(run, keypoints, writer, 0, request, say)
         run.save_hand(writer.folder)  # fitted while the hand was followed
         return run
     if writer.resume_point is None:
@@ -225,7 +224,7 @@ def _track_all(start: "_RigStart", keypoints: KeypointSource | None, writer: Tra
     else:
         saved = writer.resume_point.state
         metres = float(saved["metres"])
-        run = Run(recording, start.maker(metres)(), {}, metres=metres)
+        run = Run(recording, start.tracker(metres), {}, metres=metres)
         run.go_on_from(saved)
         done = writer.resume_point.last_frame + 1 - request.start
     _track_rest(run, keypoints, writer, done, request, say)
@@ -276,15 +275,15 @@ class _RigStart:
         method, has_masks = self.settings.silhouette.method, recording.has_masks
         self.plates = rig_plates(recording.cameras, request.background, method, has_masks=has_masks)
 
-    def maker(self, metres: float) -> Callable[[], Tracker]:
-        """What makes the tracker. metres: of one unit of the cameras' translations."""
+    def tracker(self, metres: float) -> Tracker:
+        """metres: of one unit of the cameras' translations."""
         cameras = Rig(self.recording.cameras).scaled(metres)
-        return partial(Tracker, self.hand, cameras, self.settings, shape=self.known, plates=self.plates)
+        return Tracker(self.hand, cameras, self.settings, shape=self.known, plates=self.plates)
 
-    def at_once(self, tracker: Tracker, beside: SearchBeside | None) -> Run:
+    def at_once(self) -> Run:
         """A run that knows nothing: the hand is found, and its proportions are fitted, while the cameras go on."""
         method = "visual hulls of frames that were followed" if self.known is None else "given"
-        return Run(self.recording, tracker, {"method": method, "unit_m": 1.0}, beside=beside)
+        return Run(self.recording, self.tracker(1.0), {"method": method, "unit_m": 1.0})
 
     def begun(self, recording: RigRecording, say: Say) -> Run:
         """A run that knows the hand's colours, its proportions and its pose in some frames.
@@ -305,7 +304,7 @@ class _RigStart:
             ),
         )
         provenance = self._provenance(found.hand) | {"unit_m": metres}
-        return Run(recording, self.maker(metres)(), provenance, state=state, metres=metres)
+        return Run(recording, self.tracker(metres), provenance, state=state, metres=metres)
 
     def _initialization(self, recording: RigRecording, say: Say) -> Initialization:
         silhouettes = ViewSilhouettes(recording.cameras, self.settings.silhouette, plates=self.plates)
