@@ -1,8 +1,12 @@
 """A tracker whose searches run in another process."""
 
 import multiprocessing
+import os
+import subprocess
+import sys
 import time
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -64,6 +68,40 @@ def test_a_hand_is_found_while_steps_go_on(film: Any) -> None:
         _, forgotten = beside.step(None, [View(image=film.images[0])], 0.0)
         assert forgotten.status == "no_hand"
         assert _until_tracked(beside, film)[-1].status == "tracked"  # and is found anew
+
+
+SCRIPT = """
+from functools import partial
+import time
+import torch
+from tests.steps import right_hand
+from tests.studio import Studio
+from torchhand.runs import settings_of
+from torchhand.track import SearchBeside, Tracker, View
+print("once", flush=True)
+wall = torch.zeros(160, 200, 3, dtype=torch.uint8)
+with SearchBeside(partial(Tracker, right_hand(), Studio().camera(), settings_of("contour_planar"))) as beside:
+    begun_s, state = time.monotonic(), None
+    while not beside.is_ready:
+        state, _ = beside.step(state, [View(image=wall)], time.monotonic() - begun_s)
+        time.sleep(0.1)
+print("ready")
+"""
+
+
+def test_a_script_needs_no_guard(tmp_path: Path) -> None:
+    """Ten lines of a newcomer have none: the other process must not run them again."""
+    script, root = tmp_path / "script.py", Path(__file__).parents[2]
+    script.write_text(SCRIPT, encoding="utf-8")
+    ran = subprocess.run(
+        [sys.executable, str(script)],
+        capture_output=True,
+        text=True,
+        timeout=2 * PATIENCE_S,
+        env=os.environ | {"PYTHONPATH": str(root)},
+        check=False,
+    )
+    assert (ran.returncode, ran.stdout) == (0, "once\nready\n"), ran.stderr
 
 
 def _until_tracked(beside: SearchBeside, film: Any) -> list[Estimate]:

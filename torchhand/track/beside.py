@@ -4,11 +4,12 @@ import contextlib
 import logging
 import pickle
 import queue
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import get_context
-from types import TracebackType
+from types import ModuleType, TracebackType
 
 from torchhand.track.knowledge import Estimate, TrackerState, restored_state, saved_state
 from torchhand.track.messages import Answer, Search, SeenFrame, packed
@@ -48,7 +49,8 @@ class SearchBeside:
         self._sent_s, self._rest_until_s = 0.0, 0.0
 
     def __enter__(self) -> "SearchBeside":
-        self._process.start()
+        with _without_main():
+            self._process.start()
         self._theirs.close()
         self._sender.start()
         return self
@@ -61,6 +63,11 @@ class SearchBeside:
         self._process.join()
         self._sender.join()
         self._connection.close()
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether the other process was heard from: it has begun, and looks for hands."""
+        return self._is_ready
 
     def step(self, state: TrackerState | None, views: Sequence[View], time_s: float) -> tuple[TrackerState, Estimate]:
         """`Tracker.step` without searches; state None forgets what is searched as well.
@@ -112,7 +119,7 @@ class SearchBeside:
                 self._sent_s = estimate.time_s
             return
         is_resting = estimate.pose is not None and time.monotonic() < self._rest_until_s
-        if not self._is_ready or not estimate.is_doubted or is_resting:
+        if not self.is_ready or not estimate.is_doubted or is_resting:
             return
         self._number += 1
         _log.debug("search %d begins at %.2f s", self._number, estimate.time_s)
@@ -124,6 +131,17 @@ class SearchBeside:
         with contextlib.suppress(OSError):  # nobody is there any more: who reads answers says so
             while (message := self._messages.get()) is not None:
                 self._connection.send_bytes(packed(message))
+
+
+@contextlib.contextmanager
+def _without_main() -> Iterator[None]:
+    """Processes that begin here do not run the program's own script first, as others do: it tracks, too."""
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
 
 
 @contextlib.contextmanager
