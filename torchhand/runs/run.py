@@ -34,7 +34,16 @@ from torchhand.runs.keypoint_tracks import KeypointSource, with_keypoints
 from torchhand.runs.progress import progress
 from torchhand.runs.recordings import RecordedFrame, Recording
 from torchhand.runs.records import record_of
-from torchhand.track import PastFrame, Smoother, Tracker, TrackerSettings, TrackerState, restored_state, saved_state
+from torchhand.track import (
+    PastFrame,
+    SearchBeside,
+    Smoother,
+    Tracker,
+    TrackerSettings,
+    TrackerState,
+    restored_state,
+    saved_state,
+)
 
 CHECKPOINT_EVERY = 30
 """Frames from one saved state of the tracker to the next."""
@@ -63,11 +72,14 @@ class Run:
         state: TrackerState | None = None,
         metres: float = 1.0,
         keypoints: KeypointSource | None = None,
+        beside: SearchBeside | None = None,
     ) -> None:
         """provenance: of the proportions, for hand.json. state: with which to begin. metres: of the recording's
-        unit. keypoints: what gives those of its frames."""
+        unit. keypoints: what gives those of its frames. beside: what searches for the tracker where pictures do not
+        wait."""
         self.recording, self.tracker, self.metres = recording, tracker, metres
         self.keypoints = keypoints
+        self._step = tracker.step if beside is None else beside.step
         self._followed_px: Float[Tensor, "views 21 2"] | None = None
         self.state, self._provenance = state, dict(provenance)
         self._smoother = Smoother(tracker, tracker.settings.smoothing_window_s)
@@ -93,7 +105,7 @@ class Run:
         """Track one frame; its record, and those of earlier ones that it corrects."""
         started = time.perf_counter()
         frame = with_keypoints(frame, self.keypoints, self._followed_px)
-        state, estimate = self.tracker.step(self.state, frame.views, frame.time_s)
+        state, estimate = self._step(self.state, frame.views, frame.time_s)
         better = self._smoother.corrections(state, estimate)
         seconds = time.perf_counter() - started
         if self.tracker.settings.smoothing_window_s > 0:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -22,7 +23,7 @@ from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks, with_
 from torchhand.runs.recordings import LiveCamera, OneCameraRecording
 from torchhand.runs.request import MEDIAPIPE, settings_of
 from torchhand.runs.side import find_side
-from torchhand.track import Estimate, Tracker, TrackerSettings
+from torchhand.track import Estimate, Tracker, TrackerSettings, opened_tracker
 
 
 def track(
@@ -63,15 +64,13 @@ def track(
         elif files:
             seen = KeypointTracks(files, recording.cameras, side=side)
         settings = settings or settings_of("contour_full")
-        settings = settings.for_live() if recording.is_live else settings
-        tracker = Tracker(hand, recording.cameras, settings, shape=shape)
+        make = partial(Tracker, hand, recording.cameras, settings, shape=shape)
         state, followed_px = None, None
-        with recording.opened(0) as frames:
+        with opened_tracker(make, waits=not recording.is_live) as (tracker, beside), recording.opened(0) as frames:
+            step = tracker.step if beside is None else beside.step
             for frame in frames:
                 views = with_keypoints(frame, seen, followed_px).views
-                state, estimate = tracker.step(state, views, frame.time_s)
-                if isinstance(recording, LiveCamera):
-                    recording.keep_up(is_followed=estimate.pose is not None)
+                state, estimate = step(state, views, frame.time_s)
                 followed_px = followed_px if estimate.keypoints_px is None else estimate.keypoints_px
                 yield estimate
     finally:

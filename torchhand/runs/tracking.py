@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ from torchhand.runs.request import MEDIAPIPE, Request, check_start_points, plate
 from torchhand.runs.run import CHECKPOINT_EVERY, Run, Say, header_of, track_frames
 from torchhand.runs.second_pass import smooth_frames
 from torchhand.runs.watchers import opened_watchers, projector_of
-from torchhand.track import Keyframe, Tracker, TrackerState
+from torchhand.track import Keyframe, Tracker, TrackerState, opened_tracker
 from torchhand.track.multiview import HandInitialization, HandProposer, Initialization, initialize
 from torchhand.track.scene import ViewSilhouettes
 from torchhand.view import HandProjector
@@ -80,17 +81,21 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
         camera, count = recording.cameras[0], "unknown" if recording.count is None else recording.count
         _log.debug("%s: %dx%d px, %s frames, %s hand", source, camera.width, camera.height, count, request.known_side)
         hand = load_hand_model().to(device=request.device).hand(side=request.known_side, dtype=torch.float64)
-        tracker = Tracker(
+        make = partial(
+            Tracker,
             hand,
             recording.cameras,
-            request.settings.for_live() if is_live else request.settings,
+            request.settings,
             shape=_known_shape(request),
             start_points=request.start_points,
             plates=None if plate is None else [plate],
         )
         files, detectors = request.keypoint_tracks(recording.cameras), request.detectors(recording.cameras)
-        run = Run(recording, tracker, _provenance(request, recording.cameras[0]))
-        with _writer(out_dir, recording, request, detectors) as writer:
+        with (
+            opened_tracker(make, waits=not is_live) as (tracker, beside),
+            _writer(out_dir, recording, request, detectors) as writer,
+        ):
+            run = Run(recording, tracker, _provenance(request, recording.cameras[0]), beside=beside)
             if writer.is_finished:
                 _say_finished(writer, say)
                 run.recall_shape(writer.folder)
@@ -207,28 +212,37 @@ def _track_all(start: "_RigStart", keypoints: KeypointSource | None, writer: Tra
     recording, request = start.recording, start.request
     if writer.note is not None:
         say(writer.note)
+    if isinstance(recording, LiveRecording):
+        run = start.at_once()
+        with contextlib.suppress(KeyboardInterrupt):
+            _track_rest(run, keypoints, writer, 0, request, say)
+        run.save_hand(writer.folder)  # fitted while the hand was followed
+        return run
     if writer.resume_point is None:
-        is_live = isinstance(recording, LiveRecording)
-        run, done = start.at_once() if is_live else start.begun(recording, say), 0
+        run, done = start.begun(recording, say), 0
         run.save_hand(writer.folder)
     else:
         saved = writer.resume_point.state
-        run = Run(recording, start.tracker(float(saved["metres"])), {}, metres=float(saved["metres"]))
+        metres = float(saved["metres"])
+        run = Run(recording, start.tracker(metres), {}, metres=metres)
         run.go_on_from(saved)
         done = writer.resume_point.last_frame + 1 - request.start
-    run.keypoints = keypoints
-    cameras = Rig(recording.cameras).scaled(run.metres)
-    run.save_config(writer.folder, _asked(request) | {"masks_given": recording.has_masks}, cameras)
-    try:
-        track_frames(run, writer, done, request.start, say, lambda frame, record: None)
-    except KeyboardInterrupt:
-        if isinstance(recording, RigRecording):
-            raise
-    if isinstance(recording, LiveRecording):
-        run.save_hand(writer.folder)  # fitted while the hand was followed
+    _track_rest(run, keypoints, writer, done, request, say)
     if not request.is_causal and not request.settings.smoothing_window_s:
         smooth_frames(run, writer, say)
     return run
+
+
+def _track_rest(
+    run: Run, keypoints: KeypointSource | None, writer: TrackWriter, done: int, request: Request, say: Say
+) -> None:
+    """The forward pass of several cameras over what is left."""
+    run.keypoints = keypoints
+    recording = run.recording
+    has_masks = isinstance(recording, RigRecording) and recording.has_masks
+    cameras = Rig(recording.cameras).scaled(run.metres)
+    run.save_config(writer.folder, _asked(request) | {"masks_given": has_masks}, cameras)
+    track_frames(run, writer, done, request.start, say, lambda frame, record: None)
 
 
 def _say_finished(writer: TrackWriter, say: Say) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 
 from torchhand.devices import HOST
 from torchhand.files import FrameRecord, TrackWriter
-from torchhand.files.results import EMPTY_STATUSES, OVERLAY_NAME
+from torchhand.files.results import OVERLAY_NAME
 from torchhand.runs.live import opened_show
 from torchhand.runs.overlays import draw_live
 from torchhand.runs.recordings import LiveCamera, OneCameraRecording, RecordedFrame
@@ -23,8 +23,7 @@ def opened_watchers(
 ) -> Iterator[Watch]:
     """A function that is to be called with every frame once it is tracked."""
     side = request.known_side
-    has_page = isinstance(recording, LiveCamera) and request.page_port is not None
-    is_drawn = recording.is_live and request.has_overlay and not has_page
+    is_drawn = recording.is_live and request.has_overlay and not request.is_live
     with contextlib.ExitStack() as stack:
         draw = stack.enter_context(draw_live(writer.folder / OVERLAY_NAME if is_drawn else None, recording))
         streams = stack.enter_context(opened_streams(request.streams))
@@ -36,8 +35,6 @@ def opened_watchers(
             show = stack.enter_context(opened_show(request.page_port, recording, side, writer.out_dir, say))
 
         def watch(frame: RecordedFrame, record: FrameRecord) -> None:
-            if isinstance(recording, LiveCamera):
-                recording.keep_up(is_followed=record.status not in EMPTY_STATUSES)
             if streams:
                 message = message_of(record, side=side)
                 for stream in streams:

@@ -11,8 +11,10 @@ from types import ModuleType
 from typing import Any
 
 from torchhand.track.backward import BackwardPass
+from torchhand.track.beside import SearchBeside, opened_tracker
 from torchhand.track.knowledge import Estimate, Keyframe, TrackerState, restored_state, saved_state
 from torchhand.track.paths import HandPath, PosedHand, combined_hand, path_weights
+from torchhand.track.proposals import OCCASIONS
 from torchhand.track.scene import HandKeypoints, View
 from torchhand.track.settings import DEFAULTS, TrackerSettings
 from torchhand.track.shape import (
@@ -28,6 +30,7 @@ from torchhand.track.tracker import Tracker
 
 __all__ = [
     "DEFAULTS",
+    "OCCASIONS",
     "BackwardPass",
     "Estimate",
     "FollowedFrame",
@@ -37,6 +40,7 @@ __all__ = [
     "PastFrame",
     "PosedHand",
     "RecordedShape",
+    "SearchBeside",
     "Smoother",
     "Tracker",
     "TrackerSettings",
@@ -44,6 +48,7 @@ __all__ = [
     "View",
     "can_tell_shape",
     "combined_hand",
+    "opened_tracker",
     "path_weights",
     "recorded_shape",
     "reshaped_poses",

@@ -1,6 +1,6 @@
 """Settings of a tracker, and the presets by their method; configs/*.yaml hold differences from these."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 from torchhand.errors import require, require_positive
@@ -67,10 +67,6 @@ class TrackerSettings:
     """Longer side of the reduced pictures in which silhouettes are compared; 64 or more."""
     nominal_dt_s: float = 1 / 30
     """Time step that is assumed at the first frame; above 0."""
-
-    def for_live(self) -> "TrackerSettings":
-        """For pictures that do not wait (`HealthSettings.for_live`)."""
-        return replace(self, health=self.health.for_live())
 
     def __post_init__(self) -> None:
         require(self.pose_space in POSE_SPACES, "pose_space", f"one of {', '.join(POSE_SPACES)}", self.pose_space)

@@ -4,7 +4,7 @@ A tracker is a value: `step` takes a state and the views of one time and returns
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -23,7 +23,7 @@ from torchhand.propose import LearnedPosture
 from torchhand.track.assembly import Assembly, assembled
 from torchhand.track.belief import FollowedHand, posed_belief, scale_covariance, unknown_scale_std
 from torchhand.track.knowledge import REFIT_EVERY, Estimate, TrackerState
-from torchhand.track.proposals import Proposals, ProposalSource, Proposed
+from torchhand.track.proposals import OCCASIONS, Occasion, Proposals, ProposalSource, Proposed
 from torchhand.track.quality import FingerEvidence, Told, qualities
 from torchhand.track.scene import (
     Appearances,
@@ -56,6 +56,8 @@ class _Search:
     """The proposal that the best hand came from; None where it was followed."""
     has_foreground: bool
     reason: str
+    is_doubted: bool = False
+    """Whether other hands were to be looked for, and were not."""
 
 
 class Tracker:
@@ -107,11 +109,21 @@ class Tracker:
     @without_autocast
     @torch.inference_mode()
     @single_threaded()
-    def step(self, state: TrackerState | None, views: Sequence[View], time_s: float) -> tuple[TrackerState, Estimate]:
+    def step(
+        self,
+        state: TrackerState | None,
+        views: Sequence[View],
+        time_s: float,
+        *,
+        occasions: Collection[Occasion] = OCCASIONS,
+        other: TrackerState | None = None,
+    ) -> tuple[TrackerState, Estimate]:
         """The next state and the estimate of this time.
 
         state: that of the frame before, None at first. views: one per camera; an empty one where its picture is
-        missing. time_s: of the frame, after that of the one before.
+        missing. time_s: of the frame, after that of the one before. occasions: those of the sources of other hands that
+        may be asked; where one of another occasion should be, the estimate tells (`is_doubted`). other: what another
+        tracker knew at an earlier time, whose hand is compared with this one's as proposed hands are.
 
         A hand that the views do not bear out is looked for otherwise at once, one in doubt when a search is due; a hand
         found again after a lost frame is `recovered`. Raises ValueError for views that are not the cameras' in number
@@ -139,9 +151,12 @@ class Tracker:
         followed = None
         if state.hand is not None and predicted is not None and state.shape is not None:
             followed = self._followed(state.hand, predicted, scene, state.shape)
-        state, search = self._searched(state, followed, predicted, scene)
+        facing = None if predicted is None else predicted.reference
+        search = _Search(best=followed, proposed=None, has_foreground=followed is not None, reason="")
+        search = search if other is None else self._with_other(search, other, facing, scene, state)
+        state, search = self._searched(state, search, facing, scene, occasions)
         state, estimate = self._adopted(state, search, predicted, scene)
-        return state, sent_to(estimate, HOST)
+        return state, sent_to(replace(estimate, is_doubted=search.is_doubted), HOST)
 
     @torch.inference_mode()
     @single_threaded()
@@ -278,21 +293,27 @@ class Tracker:
     # ------------------------------------------------------------------ other hands
 
     def _searched(
-        self, state: TrackerState, followed: Candidate | None, predicted: FollowedHand | None, scene: Scene
+        self,
+        state: TrackerState,
+        search: _Search,
+        facing: Tensor | None,
+        scene: Scene,
+        occasions: Collection[Occasion],
     ) -> tuple[TrackerState, _Search]:
-        """The followed hand, or another one where that is in doubt and the other explains enough more.
+        """The hand so far, or another one where that is in doubt and the other explains enough more.
 
-        A source is not asked again about a hand that it was asked about already.
+        facing: world_from_hand as expected. A source is not asked again about a hand that it was asked about already.
         """
         health = self.parts.health
-        search = _Search(best=followed, proposed=None, has_foreground=followed is not None, reason="")
-        facing = None if predicted is None else predicted.reference
         asked: dict[type, Candidate | None] = {}
-        tried = self._tried(followed, state)
+        tried = self._tried(search.best, state)
         for source in self.parts.sources:
             kind = type(source)
             is_due = self._is_due(source, search.best, state, is_tried=kind in tried)
             if not is_due or (kind in asked and asked[kind] is search.best):
+                continue
+            if source.occasion not in occasions:
+                search = replace(search, is_doubted=True)
                 continue
             asked[kind] = search.best
             before = search.best
@@ -306,7 +327,19 @@ class Tracker:
                 is_vain = search.best is before
                 after = min(2 * state.refit_after, _VAIN_REFIT_EVERY) if is_vain else REFIT_EVERY
                 state = replace(state, frames_since_refit=0, refit_after=after)
-        return self._after_alternatives(state, search, tried), search
+        return state if search.is_doubted else self._after_alternatives(state, search, tried), search
+
+    def _with_other(
+        self, search: _Search, other: TrackerState, facing: Tensor | None, scene: Scene, state: TrackerState
+    ) -> _Search:
+        """The better of the best hand so far and the one that another tracker followed to an earlier time."""
+        if other.hand is None or other.time_s is None or state.shape is None:
+            return search
+        predicted = self.parts.motion.predicted(other.hand, scene.time_s - other.time_s)
+        candidate = self._followed(other.hand, predicted, scene, state.shape)
+        if candidate is None:
+            return search
+        return self._better(search, Proposed(pose=candidate.pose), candidate, facing)
 
     def _tried(self, followed: Candidate | None, state: TrackerState) -> frozenset[type]:
         """Kinds of sources that may be asked for other hands in the place of a degraded one.
@@ -375,22 +408,27 @@ class Tracker:
         self, search: _Search, proposals: Proposals, facing: Tensor | None, scene: Scene, state: TrackerState
     ) -> tuple[_Search, bool]:
         """The better of the best hand so far and the proposed ones, and whether any of these is a hand at all."""
-        health, has_found = self.parts.health, False
+        has_found = False
         has_foreground = search.has_foreground or proposals.has_foreground
-        best, chosen, reason = search.best, search.proposed, proposals.reason or search.reason
+        search = replace(search, has_foreground=has_foreground, reason=proposals.reason or search.reason)
         for proposed in proposals.hands:
             candidate = self._judged(proposed, scene, state)
-            if candidate is None:
-                continue
-            if not health.is_found(candidate):
-                told = f"edges on {candidate.edges:.0%}, overlap {candidate.overlap:.2f}"
-                reason = f"no hand where the search began ({told})"
-                if best is not None and not health.is_failing(best):
-                    continue  # what is no hand takes no hand's place
-            has_found |= health.is_found(candidate)
-            before, best = best, health.better(best, candidate, facing)
-            chosen = proposed if best is not before else chosen
-        return replace(search, best=best, proposed=chosen, has_foreground=has_foreground, reason=reason), has_found
+            if candidate is not None:
+                search = self._better(search, proposed, candidate, facing)
+                has_found |= self.parts.health.is_found(candidate)
+        return search, has_found
+
+    def _better(self, search: _Search, proposed: Proposed, candidate: Candidate, facing: Tensor | None) -> _Search:
+        """The better of the best hand so far and a proposed one, as the tracker's update rule sees that."""
+        health, best = self.parts.health, search.best
+        if not health.is_found(candidate):
+            told = f"edges on {candidate.edges:.0%}, overlap {candidate.overlap:.2f}"
+            search = replace(search, reason=f"no hand where the search began ({told})")
+            if best is not None and not health.is_failing(best):
+                return search  # what is no hand takes no hand's place
+        if health.better(best, candidate, facing) is best:
+            return search
+        return replace(search, best=candidate, proposed=proposed)
 
     def _judged(self, proposed: Proposed, scene: Scene, state: TrackerState) -> Candidate | None:
         """A proposal as the tracker's own update rule sees it."""

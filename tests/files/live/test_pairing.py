@@ -1,12 +1,9 @@
 """Pairing by time stamps, without threads or clocks: in time, stalled, dropping, ending, too fast."""
 
-import itertools
-
 import pytest
 import torch
 from torch import Tensor
 
-from torchhand.files.live import pairing as pairing_file
 from torchhand.files.live.pairing import LivePictures, LiveSettings, Pairing
 
 PERIOD_S = 1 / 30
@@ -129,46 +126,3 @@ def test_times_only_advance_and_every_picture_is_told_of(generator: torch.Genera
 def test_settings_that_cannot_be(settings: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         LiveSettings(**settings)
-
-
-def test_what_waits_is_passed_in_steps_until_the_newest_is_reached() -> None:
-    """A tracker that needs 0.1 s a picture after a search of 2 s: it never leaps, and ends at the newest."""
-    pairing = Pairing(1, LiveSettings(), keeps=True)
-    now_s, clock, taken = 0.0, 0, list[float]()
-
-    def pass_time(until_s: float) -> None:
-        nonlocal now_s, clock
-        while clock / 30 <= until_s:
-            pairing.add(0, clock / 30, torch.zeros(3, 4, 3, dtype=torch.uint8), clock / 30, number=0)
-            clock += 1
-        now_s = until_s
-
-    pass_time(0.0)
-    found = pairing.ready(now_s)
-    pairing.step_s = 0.2
-    pass_time(2.0)
-    while len(taken) < 30 and (found := pairing.ready(now_s)) is not None:
-        taken.append(found.time_s)
-        pass_time(now_s + 0.1)
-    steps = [later - earlier for earlier, later in itertools.pairwise(taken)]
-    assert max(steps) <= 0.2 + 1e-9
-    assert now_s - taken[-1] < 0.2  # 2 s behind at first
-    pairing.step_s = None
-    pass_time(now_s + 3.0)
-    found = pairing.ready(now_s)
-    assert found is not None
-    assert now_s - found.time_s < 0.05
-    assert pairing.dropped[0] + pairing.taken[0] == clock
-
-
-def test_what_waits_does_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pairing_file, "_KEPT_BYTES", 36 * 10)
-    pairing = Pairing(1, LiveSettings(), keeps=True)
-    for index in range(50):
-        pairing.add(0, index / 30, torch.zeros(3, 4, 3, dtype=torch.uint8), index / 30, number=0)
-    assert pairing.dropped[0] == 40
-    pairing.step_s = 0.2
-    taken = [found.time_s for _ in range(12) if (found := pairing.ready(2.0)) is not None]
-    steps = [later - earlier for earlier, later in itertools.pairwise(taken[1:])]
-    assert max(steps) <= 0.2 + 1e-9  # what is kept is spread over the time
-    assert taken[-1] == 49 / 30

@@ -10,8 +10,6 @@ from torch import Tensor
 from torchhand.errors import require, require_positive
 
 _KEPT = 4  # pictures of a camera that wait for those of the others
-_KEPT_BYTES = 2**28  # of one camera's pictures, where they are handed out in steps
-_SPREAD_S = 0.15  # from one picture that waits to the next, where not all can
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,12 +53,8 @@ class Pairing:
     Pictures that no set took are dropped, and counted camera by camera.
     """
 
-    def __init__(self, cameras: int, settings: LiveSettings, *, keeps: bool = False) -> None:
-        """keeps: whether pictures wait, as memory allows, for sets that are asked for in steps."""
-        self._keeps = keeps
+    def __init__(self, cameras: int, settings: LiveSettings) -> None:
         self.settings = settings
-        self.step_s: float | None = None
-        """How far the next set is after the last one at most, where there are pictures between them; None: any."""
         self.taken, self.dropped = [0] * cameras, [0] * cameras
         self._waiting: list[deque[_Taken]] = [deque() for _ in range(cameras)]
         self._heard_s = [0.0] * cameras  # when a camera last delivered
@@ -83,12 +77,8 @@ class Pairing:
             return
         waiting = self._waiting[camera]
         waiting.append(_Taken(stamp_s, number, image))
-        if not self._keeps:
-            while len(waiting) > _KEPT:
-                waiting.popleft()
-                self.dropped[camera] += 1
-        elif len(waiting) > max(_KEPT, _KEPT_BYTES // image.numel()):
-            del waiting[_spared([one.stamp_s for one in waiting])]
+        while len(waiting) > _KEPT:
+            waiting.popleft()
             self.dropped[camera] += 1
 
     def end(self, camera: int) -> None:
@@ -101,7 +91,7 @@ class Pairing:
         is_missing = any(self._is_awake(camera, now_s) and not own for camera, own in enumerate(self._waiting))
         if not newest_s or is_missing:
             return None
-        common_s = self._within_step(min(newest_s))
+        common_s = min(newest_s)
         chosen = [self._chosen(camera, common_s) for camera in range(len(self._waiting))]
         stamps = [one.stamp_s for one in chosen if one is not None]
         self._last_s = max(stamps)
@@ -114,13 +104,6 @@ class Pairing:
             images=tuple(None if one is None else one.image for one in chosen),
             numbers=tuple(None if one is None else one.number for one in chosen),
         )
-
-    def _within_step(self, newest_s: float) -> float:
-        """The latest time that is not too far from the last one; the next one there is, where all are."""
-        if self.step_s is None or newest_s <= (end_s := self._last_s + self.step_s):
-            return newest_s
-        times = [one.stamp_s for one in min((own for own in self._waiting if own), key=lambda own: own[-1].stamp_s)]
-        return max((stamp_s for stamp_s in times if stamp_s <= end_s), default=times[0])
 
     def _is_awake(self, camera: int, now_s: float) -> bool:
         return not self._has_ended[camera] and now_s - self._heard_s[camera] <= self.settings.patience_s
@@ -136,10 +119,3 @@ class Pairing:
             self.dropped[camera] += 1
         self.taken[camera] += 1
         return best
-
-
-def _spared(stamps: list[float]) -> int:
-    """The one whose neighbours are nearest to each other; the first one where these are too far apart."""
-    gaps = [after - before for before, after in zip(stamps, stamps[2:], strict=False)]
-    least = min(range(len(gaps)), key=gaps.__getitem__)
-    return least + 1 if gaps[least] <= _SPREAD_S else 0

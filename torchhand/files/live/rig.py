@@ -46,15 +46,8 @@ class LiveRig:
     with the last camera.
     """
 
-    def __init__(
-        self,
-        sources: Sequence[str | Path | FrameSource],
-        settings: LiveSettings | None = None,
-        *,
-        keeps: bool = False,
-    ) -> None:
-        """sources: as `open_source` takes them (the text "0" is the first webcam), or open ones. keeps: whether
-        pictures wait, for those who ask for them in steps (`take_steps`).
+    def __init__(self, sources: Sequence[str | Path | FrameSource], settings: LiveSettings | None = None) -> None:
+        """sources: as `open_source` takes them (the text "0" is the first webcam), or open ones.
 
         Raises InputError for one that cannot be opened, and where there is none.
         """
@@ -70,7 +63,7 @@ class LiveRig:
         self.sizes = tuple((source.width, source.height) for source in opened)
         self.names = tuple(source.name for source in opened)
         self.fps = min(source.fps for source in opened)
-        self._pairing = Pairing(len(opened), settings or LiveSettings(), keeps=keeps)
+        self._pairing = Pairing(len(opened), settings or LiveSettings())
         self._changed, self._stopped = threading.Condition(), threading.Event()
         self._unreadable, self._reconnected = [0] * len(opened), [0] * len(opened)
         self._problems: list[str | None] = [None] * len(opened)
@@ -105,12 +98,6 @@ class LiveRig:
                         return
                     self._changed.wait(_LONGEST_WAIT_S)
             yield found
-
-    def take_steps(self, step_s: float | None) -> None:
-        """From now on pictures are handed out so far apart at most: older ones than the newest, until the newest are
-        reached. None: always the newest."""
-        with self._changed:
-            self._pairing.step_s = step_s
 
     def counts(self) -> tuple[LiveCounts, ...]:
         """Of every camera, until now."""

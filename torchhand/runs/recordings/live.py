@@ -15,11 +15,6 @@ from torchhand.runs.recordings.recording import ASSUMED_CAMERA, RecordedFrame
 from torchhand.track import View
 
 _NO_PICTURE = "no picture of this time"
-_SHORTEST_STEP_S = 0.1
-"""A hand that moves at half a metre a second, as people's do who show something, goes half its breadth in it."""
-_CATCHING_UP = 1.5  # how much faster pictures are passed than they come, where some wait
-_PACE_FRAMES = 15  # over which the time that a frame takes is judged
-_PACE_SHARE = 0.25  # of them that took no longer: frames with a search, which take seconds, tell nothing of the others
 _LATENCIES = 100_000  # of the last frames, of which the summary tells
 
 
@@ -35,13 +30,11 @@ class _Live:
     def __init__(self, sources: Sequence[str | Path], max_frames: int | None) -> None:
         """sources: as `open_source` takes them. Raises InputError for those that cannot be opened."""
         self.source, self.max_frames = ",".join(shown_address(str(source)) for source in sources), max_frames
-        self._rig = LiveRig(sources, keeps=len(sources) == 1)
+        self._rig = LiveRig(sources)
         self.fps, self.count = self._rig.fps, max_frames
         self.cameras: tuple[Camera, ...] = ()
         self.notes: list[str] = []
         self._latencies_s: deque[float] = deque(maxlen=_LATENCIES)
-        self._pace_s: deque[float] = deque([0.0] * _PACE_FRAMES, maxlen=_PACE_FRAMES)
-        self._taken_s = 0.0
 
     def close(self) -> None:
         """Let go of the cameras; may be called twice."""
@@ -54,17 +47,6 @@ class _Live:
             raise ValueError(f"done: expected 0, for live cameras are not read again, got {done}")
         with self._rig:
             yield self._numbered()
-
-    def keep_up(self, *, is_followed: bool) -> None:
-        """Tell after each frame whether a hand is followed in it: then the next picture is near enough to follow on,
-        and what a search has missed is made up for in steps that are longer than the time they take; else it is the
-        newest."""
-        if not is_followed:
-            self._rig.take_steps(None)
-            return
-        self._pace_s.append(self.now_s() - self._taken_s)
-        pace_s = sorted(self._pace_s)[int(_PACE_SHARE * _PACE_FRAMES)]
-        self._rig.take_steps(max(_SHORTEST_STEP_S, _CATCHING_UP * pace_s))
 
     @property
     def latency_s(self) -> float | None:
@@ -96,7 +78,6 @@ class _Live:
 
     def _numbered(self) -> Iterator[RecordedFrame]:
         for index, pictures in enumerate(islice(self._rig, self.max_frames)):
-            self._taken_s = self.now_s()
             yield RecordedFrame(
                 index=index,
                 time_s=pictures.time_s,

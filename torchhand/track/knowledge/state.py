@@ -127,5 +127,7 @@ class Estimate:
     """Views that the hand was compared with."""
     is_new: bool = False
     """Whether the hand was found otherwise than by following it from the frame before."""
+    is_doubted: bool = False
+    """Whether other hands were to be looked for, where the step was not to."""
     reason: str = ""
     """Why a frame is lost or without a hand."""

@@ -4,13 +4,15 @@ from torchhand.track.proposals.hull import hull_sources
 from torchhand.track.proposals.keypoints import KeypointHand, KeypointStart
 from torchhand.track.proposals.learned import LearnedHands
 from torchhand.track.proposals.posture_search import PostureSearch
-from torchhand.track.proposals.protocol import Proposals, ProposalSource, Proposed
+from torchhand.track.proposals.protocol import OCCASIONS, Occasion, Proposals, ProposalSource, Proposed
 from torchhand.track.proposals.tilted import TiltedHands
 
 __all__ = [
+    "OCCASIONS",
     "KeypointHand",
     "KeypointStart",
     "LearnedHands",
+    "Occasion",
     "PostureSearch",
     "ProposalSource",
     "Proposals",

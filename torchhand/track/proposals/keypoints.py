@@ -31,7 +31,7 @@ class KeypointHand:
 
     @property
     def occasion(self) -> Occasion:
-        return "degraded"
+        return "detected"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """At most one hand; none of one camera before the first, which has to bring its colours."""

@@ -1,7 +1,7 @@
 """Proposals: other hands that may explain a scene, tried in their order while the followed one is degraded."""
 
 from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal, Protocol, get_args, runtime_checkable
 
 from jaxtyping import Float
 from torch import Tensor
@@ -38,9 +38,12 @@ class Proposals:
     """Whether the scene shows something that may be a hand."""
 
 
-Occasion = Literal["always", "declining", "degraded", "search"]
-"""When a source is asked: at every frame; where the hand explains less than it did at best; where it is degraded; where
-it is degraded and a search is due."""
+Occasion = Literal["always", "detected", "declining", "degraded", "search"]
+"""When a source is asked: at every frame; where the hand is degraded and a detector tells of one, which takes no longer
+than a frame; where it explains less than it did at best; where it is degraded; where it is degraded and a search is
+due."""
+
+OCCASIONS: tuple[Occasion, ...] = get_args(Occasion)
 
 
 @runtime_checkable

@@ -89,15 +89,13 @@ class HealthSettings:
         return since >= (after // _FAILING_SOONER if is_failing else after)
 
     def for_rig(self) -> "HealthSettings":
-        """For several cameras: what one view leaves unexplained the others decide, as they do how far a hand is; and
-        other hands take as long as they do live."""
-        return replace(self.for_live(), max_unexplained=float("inf"), nearer_by=0.0)
-
-    def for_live(self) -> "HealthSettings":
-        """For pictures that do not wait: a search without a guess takes seconds, other hands tenths of one, so that
-        they come the less often the longer they bring nothing better."""
+        """For several cameras: what one view leaves unexplained the others decide, as they do how far a hand is. A
+        search without a guess takes seconds, other hands tenths of one, so that they come the less often the longer
+        they bring nothing better."""
         return replace(
             self,
+            max_unexplained=float("inf"),
+            nearer_by=0.0,
             searches_when_failing=False,
             search_at_most_every=max(self.search_at_most_every, _RARE_SEARCH_EVERY),
             alternatives_at_most_every=max(self.alternatives_at_most_every, _RARE_ALTERNATIVES_EVERY),

@@ -1,0 +1,154 @@
+"""A tracker whose searches run in another process: a step takes as long as a hand is followed."""
+
+import contextlib
+import logging
+import pickle
+import queue
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from multiprocessing import get_context
+from types import ModuleType, TracebackType
+
+from torchhand.track.knowledge import Estimate, TrackerState, restored_state, saved_state
+from torchhand.track.messages import Answer, Search, SeenFrame, packed
+from torchhand.track.scene import View
+from torchhand.track.tracker import Tracker
+from torchhand.track.worker import FOLLOWING, serve
+
+_log = logging.getLogger(__name__)
+
+_SENT_EVERY_S = 0.09  # from one picture that is sent for a search that goes on to the next: hardly less than its steps
+
+
+class SearchBeside:
+    """Steps of a tracker that never search; where other hands are to be looked for, another process does so.
+
+    That process has a tracker of its own. It is given what was known before a frame that left the hand in doubt, does
+    with the frame what `Tracker.step` does, follows what it finds through the pictures that have come meanwhile, and
+    hands it over at the newest: there the two hands are compared as any are. One search goes on at a time. While a
+    hand is followed, the next one begins as long after one in vain as that one took, so that half of a core is spent.
+
+    A process, for a thread would have the interpreter's lock in common with the tracker: two trackers of one camera
+    take 31 to 39 ms a frame each in two processes on two idle cores, 32 to 36 ms alone, 62 to 87 ms in two threads.
+
+    Results depend on when searches end: for pictures that do not wait, not for recordings. A context manager.
+    """
+
+    def __init__(self, make: Callable[[], Tracker]) -> None:
+        """make: makes the tracker, here and in the other process; picklable, such as a `functools.partial`."""
+        self.tracker = make()
+        context = get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(target=serve, args=(theirs, packed(make)), name="search", daemon=True)
+        self._theirs = theirs
+        self._messages: queue.Queue[Search | SeenFrame | None] = queue.Queue()
+        self._sender = threading.Thread(target=self._send, name="searches", daemon=True)
+        self._number, self._is_ready, self._is_busy = 0, False, False
+        self._sent_s, self._rest_until_s = 0.0, 0.0
+
+    def __enter__(self) -> "SearchBeside":
+        with _without_main():
+            self._process.start()
+        self._theirs.close()
+        self._sender.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._messages.put(None)
+        self._process.kill()  # it has nothing to keep
+        self._process.join()
+        self._sender.join()
+        self._connection.close()
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether the other process was heard from: it has begun, and looks for hands."""
+        return self._is_ready
+
+    def step(self, state: TrackerState | None, views: Sequence[View], time_s: float) -> tuple[TrackerState, Estimate]:
+        """`Tracker.step` without searches; state None forgets what is searched as well.
+
+        Raises RuntimeError where the other process has failed.
+        """
+        if state is None:
+            self._number += 1
+        other = self._answered()
+        if other is not None and (state is None or not state.has_started):
+            state, other = other, None
+        after, estimate = self.tracker.step(state, views, time_s, occasions=FOLLOWING, other=other)
+        self._offer(state, views, estimate)
+        return after, estimate
+
+    def _answered(self) -> TrackerState | None:
+        """What was known of a hand that the last search has found, at one of the last frames; None where there is
+        nothing new."""
+        found = None
+        while self._connection.poll():
+            answer = self._received()
+            if answer is None:
+                self._is_ready = True
+                continue
+            self._is_busy = False
+            told = "no other hand" if answer.state is None else f"a hand at {answer.state['time_s']:.2f} s"
+            _log.debug("search %d: %s after %.2f s", answer.number, told, answer.seconds)
+            self._rest_until_s = time.monotonic() + answer.seconds
+            if answer.number == self._number and answer.state is not None:
+                found = restored_state(answer.state, self.tracker.device)
+        return found
+
+    def _received(self) -> Answer | None:
+        """The next message, None where it says that searches may begin."""
+        try:
+            message = pickle.loads(self._connection.recv_bytes())
+        except (EOFError, OSError) as error:
+            self._process.join()
+            raise RuntimeError(f"the process that searches ended (exit code {self._process.exitcode})") from error
+        if isinstance(message, Exception):
+            raise message
+        return message if isinstance(message, Answer) else None
+
+    def _offer(self, before: TrackerState | None, views: Sequence[View], estimate: Estimate) -> None:
+        """A frame that was tracked: for the search that goes on, or for one that is due."""
+        if self._is_busy:
+            if estimate.time_s >= self._sent_s + _SENT_EVERY_S:
+                self._messages.put(SeenFrame.of(views, estimate.time_s))
+                self._sent_s = estimate.time_s
+            return
+        is_resting = estimate.pose is not None and time.monotonic() < self._rest_until_s
+        if not self.is_ready or not estimate.is_doubted or is_resting:
+            return
+        self._number += 1
+        _log.debug("search %d begins at %.2f s", self._number, estimate.time_s)
+        state = None if before is None else saved_state(before)
+        self._messages.put(Search(number=self._number, frame=SeenFrame.of(views, estimate.time_s), state=state))
+        self._is_busy, self._sent_s = True, estimate.time_s
+
+    def _send(self) -> None:
+        with contextlib.suppress(OSError):  # nobody is there any more: who reads answers says so
+            while (message := self._messages.get()) is not None:
+                self._connection.send_bytes(packed(message))
+
+
+@contextlib.contextmanager
+def _without_main() -> Iterator[None]:
+    """Processes that begin here do not run the program's own script first, as others do: it tracks, too."""
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
+
+
+@contextlib.contextmanager
+def opened_tracker(make: Callable[[], Tracker], *, waits: bool) -> Iterator[tuple[Tracker, SearchBeside | None]]:
+    """A tracker, and what searches for it where pictures do not wait. make: makes it; picklable."""
+    if waits:
+        yield make(), None
+        return
+    with SearchBeside(make) as beside:
+        yield beside.tracker, beside

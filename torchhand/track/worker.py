@@ -1,0 +1,135 @@
+"""The process that searches: one search after the other, each followed to the newest picture."""
+
+import math
+import os
+import pickle
+import signal
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+
+import torch
+
+from torchhand.track.knowledge import TrackerState, restored_state, saved_state
+from torchhand.track.messages import READY, Answer, Search, SeenFrame, packed
+from torchhand.track.proposals import OCCASIONS, Occasion
+from torchhand.track.tracker import Tracker
+
+FOLLOWING: tuple[Occasion, ...] = ("always", "detected")
+"""Occasions of the sources that are quick enough for a frame."""
+
+_NEAR: tuple[Occasion, ...] = (*FOLLOWING, "declining", "degraded")
+_WIDE: tuple[Occasion, ...] = (*FOLLOWING, "search")  # what takes more than a second, where the others bring nothing
+_STEP_S = 0.1
+"""From one picture to the next on the way to the newest: a hand that moves at half a metre a second, as people's do who
+show something, goes half its breadth in it."""
+_CATCHING_UP = 2.0  # how much faster pictures are passed than they come
+_NICENESS = 5  # where there are too few cores, pictures go first
+_KEPT_BYTES = 2**28  # of pictures that wait until a search has ended
+
+
+class Inbox:
+    """Messages as they come, read in a thread of its own: the tracker never waits for a search."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection, self._changed = connection, threading.Condition()
+        self._search: Search | None = None
+        self._later: deque[SeenFrame] = deque()
+        self._is_closed = False
+        threading.Thread(target=self._read, name="messages", daemon=True).start()
+
+    def next_search(self) -> Search | None:
+        """The next search, once there is one; None where nobody is left to ask for any."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._search is not None or self._is_closed)
+            found, self._search = self._search, None
+            return found
+
+    def later_frame(self, time_s: float, step_s: float) -> tuple[SeenFrame, bool] | None:
+        """The last frame that is not more than a step after a time, else the first after it, and whether it is the
+        newest; None where there is none. Those before it are dropped."""
+        with self._changed:
+            found = None
+            while self._later and (found is None or self._later[0].time_s <= time_s + step_s):
+                found = self._later.popleft()
+            return None if found is None else (found, not self._later)
+
+    def _read(self) -> None:
+        try:
+            while True:
+                self._take(pickle.loads(self._connection.recv_bytes()))
+        except (EOFError, OSError):
+            with self._changed:
+                self._is_closed = True
+                self._changed.notify_all()
+
+    def _take(self, message: Search | SeenFrame) -> None:
+        with self._changed:
+            if isinstance(message, Search):
+                self._search = message
+                self._later.clear()
+                self._changed.notify_all()
+                return
+            self._later.append(message)
+            if len(self._later) * message.bytes > _KEPT_BYTES:
+                self._later = deque(list(self._later)[1::2])
+
+
+class Searcher:
+    """Searches as the tracker itself does where pictures wait, and follows what it found to the newest picture."""
+
+    def __init__(self, tracker: Tracker, later_frame: Callable[[float, float], tuple[SeenFrame, bool] | None]) -> None:
+        """later_frame: the frame to follow to from a time, about a step later (`Inbox.later_frame`)."""
+        self._tracker, self._later_frame = tracker, later_frame
+
+    def __call__(self, search: Search) -> Answer:
+        begun_s, frame = time.monotonic(), search.frame
+        before = None if search.state is None else restored_state(search.state, self._tracker.device)
+        has_started = before is not None and before.has_started
+        is_detected = any(view.keypoints is not None for view in frame.views)
+        for occasions in (_NEAR, _WIDE) if has_started or is_detected else (OCCASIONS,):
+            state, estimate = self._tracker.step(before, frame.views, frame.time_s, occasions=occasions)
+            if estimate.is_new:
+                break
+        seconds = time.monotonic() - begun_s
+        found = self._followed(state, is_detected=is_detected) if estimate.is_new else None
+        return Answer(number=search.number, seconds=seconds, state=None if found is None else saved_state(found))
+
+    def _followed(self, state: TrackerState, *, is_detected: bool) -> TrackerState:
+        """The state at the newest frame, or where the hand is given up on the way. is_detected: whether a detector
+        tells of the hand, so that it needs no way."""
+        step_s, is_newest = math.inf if is_detected else _STEP_S, False
+        assert state.time_s is not None
+        while not is_newest and (later := self._later_frame(state.time_s, step_s)) is not None:
+            (frame, is_newest), begun_s = later, time.monotonic()
+            state, _ = self._tracker.step(state, frame.views, frame.time_s, occasions=FOLLOWING)
+            if state.hand is None:
+                break
+            step_s = max(_STEP_S, _CATCHING_UP * (time.monotonic() - begun_s))
+            assert state.time_s is not None
+        return state
+
+
+def serve(connection: Connection, make: bytes) -> None:
+    """Search until nobody is at the other end. make: a pickled function that makes the tracker.
+
+    Answers with the text of an error in place of an `Answer` where one occurs, and ends.
+    """
+    if hasattr(os, "nice"):
+        os.nice(_NICENESS)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the tracker's to see
+    torch.set_num_threads(1)
+    try:
+        tracker = pickle.loads(make)()
+        inbox = Inbox(connection)
+        connection.send_bytes(packed(READY))
+        searcher = Searcher(tracker, inbox.later_frame)
+        while (search := inbox.next_search()) is not None:
+            connection.send_bytes(packed(searcher(search)))
+    except (BrokenPipeError, EOFError):
+        return
+    except Exception:
+        connection.send_bytes(packed(RuntimeError(traceback.format_exc())))
