@@ -517,7 +517,10 @@ def test_a_webcam_ends_well_with_ctrl_c_and_draws_live(
     assert outcome.code == 0
     assert opened == ["0"]  # and not a second time for the overlay
     track = load_track(tmp_path / "out")
-    assert track.status.tolist() == ["no_hand"] * (len(track) - 3) + ["tracked"] * 3
+    followed = [status for status in track.status.tolist() if status != "no_hand"]
+    assert track.status.tolist() == ["no_hand"] * (len(track) - len(followed)) + followed
+    assert followed[-3:] == ["tracked"] * 3
+    assert set(followed) <= {"recovered", "tracked"}  # by the picture at which the other process finds it
     assert track.time_s is not None
     assert (np.diff(track.time_s) > 0).all()
     assert f"camera cam0: {len(track)} pictures used, 0 dropped" in outcome.err

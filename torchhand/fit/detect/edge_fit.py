@@ -119,7 +119,8 @@ class Fit:
         std = basis @ torch.where((values > lower) & (values < upper), std, 0.0)
         shape_std = found.shape_std
         if problem.shared is not None:
-            at_bound = (found.shape <= problem.shared.lower) | (found.shape >= problem.shared.upper)
+            lower, upper = problem.shared.lower.to(found.shape), problem.shared.upper.to(found.shape)
+            at_bound = (found.shape <= lower) | (found.shape >= upper)
             shape_std = shape_std.masked_fill(at_bound, 0.0)
         return cls(
             pose=pose.dofs,
