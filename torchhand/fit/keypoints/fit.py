@@ -290,11 +290,9 @@ def _in_pictures(
         coarse.append(wide[good])
         if view.points is None:
             continue
-        turn = view.camera.rotation.reshape(-1, 3, 3)
         std_m = like.new_tensor((settings.relative_noise, settings.relative_noise, settings.relative_noise_depth))
-        own = RelativeKeypoints(
-            points=view.points, kinematics=kinematics, cam_from_world=turn, std=std_m, detector=detector
-        ).rows(good)
+        seen_in_space = RelativeKeypoints.of_points(view.points, kinematics, view.camera)
+        own = replace(seen_in_space, std=std_m, detector=detector).rows(good)
         relative.append(own)
         postures.append(PostureKeypoints.of_points(own.points, kinematics, shape, KeypointSettings()))
     return Measured(
