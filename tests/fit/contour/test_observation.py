@@ -45,7 +45,9 @@ def normal(generator: torch.Generator, *size: int) -> Tensor:
 class Scene:
     """Hands near a picture with a crease in its palm."""
 
-    def __init__(self, studio: Any, generator: torch.Generator, *, surface: str = "primitives") -> None:
+    def __init__(
+        self, studio: Any, generator: torch.Generator, *, surface: str = "primitives", by_length: bool = False
+    ) -> None:
         placed = studio.placed(posed="open", camera=studio.camera(320, 256))
         image, points = torch.full((256, 320, 3), 40, dtype=torch.uint8), placed.keypoints_px
         image[placed.mask] = torch.tensor((200, 150, 120), dtype=torch.uint8)
@@ -59,7 +61,8 @@ class Scene:
             else MeshContours(load_hand_model().hand(dtype=torch.float64), placed.camera, max_points=120)
         )
         self.projector = placed.projector
-        self.observation = ContourObservation(picture=self.picture, contours=self.contours, settings=SETTINGS)
+        self.settings = replace(SETTINGS, by_length=by_length)
+        self.observation = ContourObservation(picture=self.picture, contours=self.contours, settings=self.settings)
         free = SPACE.free(placed.pose) + 0.1 * normal(generator, COUNT, SPACE.size)
         free[:, :3] = SPACE.free(placed.pose)[:3] + 0.004 * normal(generator, COUNT, 3)
         self.hands = self.posed(HandPose.of(SPACE.dof(free), placed.root_reference).normalized())
@@ -75,7 +78,7 @@ class Scene:
 
     def plainly(self, associated: PosedHands, hands: PosedHands, stage: Stage) -> NormalEquations:
         """The specification, hand by hand sizes included."""
-        s, camera, k = SETTINGS, self.contours.camera, stage.thinning
+        s, camera, k = self.settings, self.contours.camera, stage.thinning
         every = self.picture.boundary
         boundary = Boundary(points_px=every.points_px[::k], normals=every.normals[::k])
         contours = (
@@ -87,8 +90,9 @@ class Scene:
         visible = contours.visible(associated.pose, probe_distance_px=1 + s.probe_distance_m * scale)
         motion = contours.motion(hands.pose, visible)
         precision = torch.maximum(torch.tensor(s.contour_std_px), s.contour_std_fraction * gross_px).square()[:, None]
-        weight = visible.length_px * (visible.outer + s.valley_weight * visible.inner)
-        each = visible.length_px * s.contour_weight / precision / weight.sum(-1, keepdim=True)
+        size = visible.length_px if s.by_length else 1
+        weight = size * (visible.outer + s.valley_weight * visible.inner)
+        each = size * s.contour_weight / precision / weight.sum(-1, keepdim=True)
         ahead = ((boundary.points_px - visible.wrist_px[:, None]) * visible.distal_px[:, None]).sum(-1) > 0
         of_each = s.coverage_weight / precision / ahead.double().sum(-1, keepdim=True)
         match = match_boundary(boundary, visible.points_px, visible.normals, visible.outer, turn_px=s.turn_m * scale)
@@ -111,9 +115,12 @@ def agree(found: Equations, expected: NormalEquations) -> None:
 
 
 @pytest.mark.parametrize("stage", [*TRACKING, replace(TRACKING[0], thinning=2)])
-def test_equations_are_those_of_all_residuals(stage: Stage, studio: Any, generator: torch.Generator) -> None:
+@pytest.mark.parametrize("by_length", [False, True])
+def test_equations_are_those_of_all_residuals(
+    stage: Stage, by_length: bool, studio: Any, generator: torch.Generator
+) -> None:
     """At the hands of the association, where their motion is known, and away from them; of some of the hands."""
-    scene = Scene(studio, generator)
+    scene = Scene(studio, generator, by_length=by_length)
     factor = scene.observation.associate(scene.hands, stage)
     agree(factor.equations(scene.hands), scene.plainly(scene.hands, scene.hands, stage))
     moved = scene.moved(0.1 * normal(generator, COUNT, 36) * (torch.arange(36) > 2))
@@ -126,10 +133,11 @@ def test_equations_are_those_of_all_residuals(stage: Stage, studio: Any, generat
 
 
 @pytest.mark.parametrize("surface", ["primitives", "mesh"])
+@pytest.mark.parametrize("by_length", [False, True])
 def test_an_outline_is_worth_as_much_however_much_of_it_is_inner(
-    surface: str, studio: Any, generator: torch.Generator
+    surface: str, by_length: bool, studio: Any, generator: torch.Generator
 ) -> None:
-    scene = Scene(studio, generator, surface=surface)
+    scene = Scene(studio, generator, surface=surface, by_length=by_length)
     bent = scene.hands.pose.dofs + torch.linspace(0, 1.4, COUNT)[:, None] * SPACE.basis[:, 6:].sum(1).clamp(0, 1)
     hands = scene.posed(HandPose(dofs=bent, reference=scene.hands.pose.reference))
     factor = scene.observation.associate(hands, TRACKING[-1])

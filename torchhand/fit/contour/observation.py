@@ -83,12 +83,13 @@ class ContourObservation:
         length_px: Float[Tensor, "hands"],
     ) -> Float[Tensor, "hands terms"]:
         """Weights of the model's points, then of the picture's: inverse variances, shared among those that count, on
-        the model by the length of outline that they stand for."""
+        the model by the length of outline that they stand for where the settings say so."""
         s = self.settings
         precision = (s.contour_std_fraction * gross_px).clamp_min(s.contour_std_px).square().reciprocal()[:, None]
-        model = visible.length_px * visible.outer
+        size = visible.length_px if s.by_length else torch.ones_like(visible.length_px)
+        model = size * visible.outer
         if self.picture.valleys is not None:
-            model = torch.add(model, visible.length_px * visible.inner, alpha=s.valley_weight)
+            model = torch.add(model, size * visible.inner, alpha=s.valley_weight)
         is_hand = is_beyond_wrist(visible, boundary, _STEEP * length_px).to(precision)
         each = s.contour_weight * precision / model.sum(-1, keepdim=True).clamp_min(1)
         of_each = s.coverage_weight * precision / is_hand.sum(-1, keepdim=True).clamp_min(1)

@@ -49,12 +49,17 @@ class ContourSettings:
     """Standard deviation of the contour's distance over the distance at which a stage takes residuals for gross: coarse
     stages may be wrong about what belongs to what, and leave more to the priors. Above 0."""
     contour_weight: float = 60.0
-    """Independent measurements that the model's outline is worth, outer and inner, shared out by length; 0 or more."""
+    """Independent measurements that the model's outline is worth, outer and inner, shared out among its points; 0 or
+    more."""
+    by_length: bool = False
+    """Whether a point of the model counts by the length of outline that it stands for, or as much as any other. Points
+    are crowded on fingertips and knuckles. By length the hand that explains the outline best is more often the right
+    one of several (studies); one that is followed keeps its bent fingers better where every point counts the same."""
     coverage_weight: float = 60.0
     """Independent measurements that the picture's contour points are worth; 0 or more. Without them a hand folded
     inside the silhouette costs nothing."""
     valley_weight: float = 0.5
-    """Worth of a piece of inner outline over that of an outer one as long; 0 or more, 0 leaves valleys out."""
+    """Worth of an inner point (or length) near a valley over that of an outer one; 0 or more, 0 leaves valleys out."""
     valley_gross_m: float = 0.0028
     """Distance beyond which a valley is not that of a model point, metres at the hand; above 0."""
     turn_m: float = 0.0224

@@ -53,7 +53,7 @@ class HypothesisStudySettings:
     """Registration from coarse to fine; at least one stage."""
     restarts: RestartSettings = field(default_factory=RestartSettings)
     """Hands that explain too little of the contour are registered from beside themselves as well."""
-    contour: ContourSettings = field(default_factory=lambda: ContourSettings(probe_distance_m=_GAP_M))
+    contour: ContourSettings = field(default_factory=lambda: ContourSettings(by_length=True, probe_distance_m=_GAP_M))
     """Weights and tolerances of the contours in a picture."""
 
     def __post_init__(self) -> None:
