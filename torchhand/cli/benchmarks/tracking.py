@@ -18,7 +18,7 @@ from torchhand.cli.benchmarks.runs import FRAMES_PER_SECOND, memory_figure, spee
 from torchhand.devices import HOST
 from torchhand.files import load_hand_model, save_cameras, write_video
 from torchhand.geometry import Camera, assumed_camera
-from torchhand.numerics import Gaussian, UnscentedSettings, sigma_points, update
+from torchhand.numerics import Gaussian, Measurement, UnscentedSettings, sigma_points, update
 from torchhand.runs import settings_of
 from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
 from torchhand.track import BackwardPass, HandKeypoints, Tracker, TrackerState, View
@@ -49,19 +49,19 @@ def filter_update(name: str, repeats: int | None) -> Figure:
     # The points of the first components alone: the centre, then plus and minus of each column.
     kept = torch.cat((torch.arange(OBSERVED + 1), 1 + STATE + torch.arange(OBSERVED)))
     seen_by_few = seen[kept]
-    measurement = observe(state.mean) + 0.5 * normal(MEASUREMENTS)
+    measurement = Measurement(observe(state.mean) + 0.5 * normal(MEASUREMENTS), variance)
     candidates: dict[str, Callable[[], object]] = {
-        "ours": lambda: update(state, lambda _: seen, measurement, variance),
-        f"observed_{OBSERVED}": lambda: update(state, lambda _: seen_by_few, measurement, variance, observed=OBSERVED),
+        "ours": lambda: update(state, lambda _: seen, measurement),
+        f"observed_{OBSERVED}": lambda: update(state, lambda _: seen_by_few, measurement, observed=OBSERVED),
     }
     library = peer_module("filterpy.kalman")
     if library is not None:
-        candidates["peer"] = _filterpy_update(library, state, points, seen, measurement, variance)
+        candidates["peer"] = _filterpy_update(library, state, points, seen, measurement)
     return against_peer(name, repeats or FILTER_ROUNDS, "filterpy", candidates, must=10.0, aim=15.0)
 
 
 def _filterpy_update(
-    library: Any, state: Gaussian, points: Tensor, seen: Tensor, measurement: Tensor, variance: Tensor
+    library: Any, state: Gaussian, points: Tensor, seen: Tensor, measurement: Measurement
 ) -> Callable[[], object]:
     calls = count()
     observations = seen.numpy()
@@ -69,11 +69,11 @@ def _filterpy_update(
     peer = library.UnscentedKalmanFilter(
         STATE, MEASUREMENTS, 1.0, hx=lambda _: observations[next(calls) % len(observations)], fx=None, points=spread
     )
-    noise = np.diag(variance.numpy())
+    noise = np.diag(measurement.noise.numpy())
 
     def run() -> object:
         peer.x, peer.P, peer.sigmas_f = state.mean.numpy().copy(), state.covariance.numpy().copy(), points.numpy()
-        peer.update(measurement.numpy(), R=noise)
+        peer.update(measurement.value.numpy(), R=noise)
         return peer.x
 
     return run
