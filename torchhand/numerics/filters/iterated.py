@@ -105,10 +105,7 @@ def update_iterated(
 
     Estimates at which `observe` returns NaN or an infinity for a used measurement are never accepted.
     """
-    size = state.mean.shape[-1]
-    seen = size if observed is None else observed
-    if not 1 <= seen <= size:
-        raise ValueError(f"observed must be None or 1 to {size}, got {observed!r}")
+    seen = _observed(state, observed)
     if period is not None and not bool((period > 0).all()):
         raise ValueError("period must be above 0, infinite where a measurement does not repeat")
     root = robust_cholesky(state.covariance)
@@ -207,6 +204,14 @@ def _line_search(
             break
         scale = torch.where(is_better, scale, 0.5 * scale)
     return best, is_better
+
+
+def _observed(state: Gaussian, observed: int | None) -> int:
+    size = state.mean.shape[-1]
+    seen = size if observed is None else observed
+    if not 1 <= seen <= size:
+        raise ValueError(f"observed must be None or 1 to {size}, got {observed!r}")
+    return seen
 
 
 def _difference(measured: Tensor, values: Tensor, period: Tensor | None) -> Tensor:
