@@ -274,6 +274,10 @@ def test_errors_are_named() -> None:
     state, measurement, variance = random_problem()
     with pytest.raises(ValueError, match=r"variance must be above 0"):
         update(state, observe, Measurement(measurement, variance * 0))
+    with pytest.raises(ValueError, match=r"noise: expected variances .*, got covariances \(20, 20\)"):
+        update(state, observe, Measurement(measurement, variance.diag()))
+    with pytest.raises(ValueError, match=r"noise: expected torch.float64, that of the value, got torch.float32"):
+        Measurement(measurement, variance.float())
     with pytest.raises(ValueError, match=r"gate must be None or above 0, got -1"):
         update(state, observe, Measurement(measurement, variance), gate=-1.0)
     with pytest.raises(ValueError, match=r"observed must be None or 1 to 6, got 7"):
