@@ -8,7 +8,7 @@ from torch import Tensor
 from torchhand.files import load_hand_model
 from torchhand.geometry import Camera, assumed_camera, rotation_from_vector
 from torchhand.hand import HandKinematics, posture
-from torchhand.simulate import Motion, SceneSettings, facing, hand_length, render_sequence, scripted_motion
+from torchhand.simulate import Motion, SceneSettings, Staging, facing, hand_length, render_sequence, scripted_motion
 from torchhand.simulate.motion import View
 from torchhand.view import HandProjector, OutlineTable, outline_table
 
@@ -126,7 +126,7 @@ class Studio:
         """The first `frames` of a scripted motion of `total` frames of the default right hand; it starts from rest."""
         kinematics, camera = self.kinematics(), camera or self.camera()
         generator = torch.Generator().manual_seed(seed)
-        motion = scripted_motion(script, total or frames, kinematics, camera, generator, pace=pace)
+        motion = scripted_motion(script, total or frames, kinematics, camera, generator, staging=Staging(pace=pace))
         motion = replace(motion, poses=motion.poses[:frames])
         scene = scene or SceneSettings(supersampling=2)
         rendered = list(render_sequence(kinematics, motion, camera, scene, generator))

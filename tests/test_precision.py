@@ -18,6 +18,7 @@ from torchhand import SeenKeypoints, assumed_camera, fit_keypoints, load_hand_mo
 from torchhand.fit import Problem, Stage, solve
 from torchhand.numerics import (
     Gaussian,
+    Measurement,
     gradient_descent,
     levenberg_marquardt,
     mode_in_box,
@@ -107,11 +108,13 @@ WALKED: dict[str, Walk] = {
     "evaluate": lambda a, d: g.evaluate(a(FIXED), a(VECTOR)),
     "distort": lambda a, d: g.undistort(g.distort(a(PIXELS / 100), a(VECTOR[:, 0] / 9)), a(VECTOR[:, 0] / 9)),
     "fit_keypoints": lambda a, d: fit_keypoints(hand(d).kinematics, posed(d).keypoints).pose,
-    "update": lambda a, d: update(_belief(a), lambda x: x @ a(FIXED), a(FIXED[0]), a(FIXED[0])).state,
+    "update": lambda a, d: update(_belief(a), lambda x: x @ a(FIXED), Measurement(a(FIXED[0]), a(FIXED[0]))).state,
     "update_extended": lambda a, d: update_extended(_belief(a), a(FIXED[0]), a(FIXED), a(FIXED[0])).state,
     "update_quadratic": lambda a, d: update_quadratic(_belief(a), a(FIXED[0]), a(FIXED)),
     "update_iterated": lambda a, d: (
-        update_iterated(_belief(a), lambda x: (x @ a(FIXED), a(FIXED)), a(FIXED[0]), a(FIXED[0])).update.state
+        update_iterated(
+            _belief(a), lambda x: (x @ a(FIXED), a(FIXED)), Measurement(a(FIXED[0]), a(FIXED[0]))
+        ).update.state
     ),
     "predict": lambda a, d: predict(_belief(a), lambda x: x @ a(FIXED), a(FIXED)),
     "predict_linear": lambda a, d: predict_linear(_belief(a), a(FIXED), a(FIXED)),

@@ -15,7 +15,7 @@ import torch
 
 from torchhand.cli import benchmark
 from torchhand.cli.benchmark import Arguments, main
-from torchhand.cli.benchmarks import Figure, line_of
+from torchhand.cli.benchmarks import Figure, Peer, line_of
 from torchhand.cli.benchmarks import hand as benchmark_hand
 from torchhand.cli.benchmarks import runs as benchmark_runs
 from torchhand.cli.benchmarks import soak as benchmark_soak
@@ -86,7 +86,7 @@ def test_both_filters_compute_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("filterpy.kalman")
     given: dict[str, Any] = {}
 
-    def keep(name: str, repeats: int, peer: str, candidates: dict[str, Any], *, must: float, aim: float) -> Figure:
+    def keep(name: str, repeats: int, peer: Peer, candidates: dict[str, Any], *, must: float, aim: float) -> Figure:
         given.update(candidates)
         return Figure(name=name, value=None, unit="ratio", must=must, aim=aim, repeats=repeats)
 

@@ -17,7 +17,7 @@ from torchhand.draw.overlay import (
 from torchhand.draw.second_view import PAPER
 from torchhand.files import load_hand_model
 from torchhand.geometry import assumed_camera
-from torchhand.hand import posture
+from torchhand.hand import HandPose, posture
 from torchhand.simulate import facing
 from torchhand.view import HandProjector
 
@@ -52,7 +52,7 @@ def _grown(mask: Tensor, px: int) -> Tensor:
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_the_contour_runs_along_the_outline_of_the_silhouette(name: str, dtype: torch.dtype) -> None:
     projector, pose, reference = _projector(dtype), _pose(name, dtype), facing("back").to(dtype)
-    overlay = draw_overlay(_picture(), projector, pose, reference, status="tracked", frame=7)
+    overlay = draw_overlay(_picture(), projector, HandPose.of(pose, reference), status="tracked", frame=7)
     drawn = _near(overlay[:HEIGHT, :WIDTH], CONTOUR_COLOUR, 110)
     drawn[:30] = False  # the line of text
     silhouette = projector.silhouette(pose, reference)
@@ -69,7 +69,7 @@ def test_the_contour_runs_along_the_outline_of_the_silhouette(name: str, dtype: 
 def test_hidden_contours_are_not_drawn() -> None:
     """Fingers bent behind the palm leave no lines on the back of the hand."""
     projector, pose = _projector(), _pose("fist")
-    overlay = draw_overlay(_picture(), projector, pose, facing("back"), status="tracked", frame=0)
+    overlay = draw_overlay(_picture(), projector, HandPose.of(pose, facing("back")), status="tracked", frame=0)
     points = projector.frames(pose, facing("back")).keypoints
     tips = projector.camera.project(points[[8, 12, 16]]).round().long()
     for x, y in tips.tolist():
@@ -80,7 +80,7 @@ def test_the_picture_stays_as_it_is_away_from_the_drawing() -> None:
     noise = torch.randint(0, 255, (HEIGHT, WIDTH, 3), generator=torch.Generator().manual_seed(0)).to(torch.uint8)
     before = noise.clone()
     projector, pose = _projector(), _pose()
-    overlay = draw_overlay(noise, projector, pose, facing("back"), status="tracked", frame=0)
+    overlay = draw_overlay(noise, projector, HandPose.of(pose, facing("back")), status="tracked", frame=0)
     far = ~_grown(projector.silhouette(pose, facing("back")), 4)
     far[:30] = False
     assert torch.equal(overlay[:HEIGHT, :WIDTH][far], before[far])
@@ -89,14 +89,14 @@ def test_the_picture_stays_as_it_is_away_from_the_drawing() -> None:
 
 @pytest.mark.parametrize("status", ["lost", "no_hand"])
 def test_a_lost_frame_has_neither_contour_nor_second_view(status: str) -> None:
-    overlay = draw_overlay(_picture(), _projector(), None, None, status=status, frame=12)
+    overlay = draw_overlay(_picture(), _projector(), None, status=status, frame=12)
     assert (overlay[30:HEIGHT, :WIDTH] == GREY).all()
     assert (overlay[:, WIDTH:] == torch.tensor(PAPER, dtype=torch.uint8)).all()
 
 
 @pytest.mark.parametrize("status", STATUS_COLOURS)
 def test_the_status_is_written_in_its_colour(status: str) -> None:
-    overlay = draw_overlay(_picture(), _projector(), None, None, status=status, frame=12)
+    overlay = draw_overlay(_picture(), _projector(), None, status=status, frame=12)
     line = overlay[:30, :WIDTH]
     assert _near(line, STATUS_COLOURS[status], 45).sum() > 8
     others = [colour for other, colour in STATUS_COLOURS.items() if other != status and other != "no_hand"]
@@ -105,7 +105,7 @@ def test_the_status_is_written_in_its_colour(status: str) -> None:
 
 def test_the_overlap_is_written_where_it_is_known() -> None:
     without, with_it = (
-        draw_overlay(_picture(), _projector(), None, None, status="tracked", frame=3, iou=iou) for iou in (None, 0.875)
+        draw_overlay(_picture(), _projector(), None, status="tracked", frame=3, iou=iou) for iou in (None, 0.875)
     )
     assert (without[:30] != with_it[:30]).any()
     assert torch.equal(without[30:], with_it[30:])
@@ -114,13 +114,13 @@ def test_the_overlap_is_written_where_it_is_known() -> None:
 def test_keypoints_are_dots() -> None:
     points = torch.tensor(((50.0, 60.0), (120.25, 150.0), (float("nan"), 3.0)), dtype=torch.float64)
     points = torch.cat((points, torch.full((18, 2), 1e6, dtype=torch.float64)))  # far outside
-    overlay = draw_overlay(_picture(), _projector(), None, None, status="tracked", frame=3, keypoints_px=points)
+    overlay = draw_overlay(_picture(), _projector(), None, status="tracked", frame=3, keypoints_px=points)
     dots = _near(overlay[:, :WIDTH], KEYPOINT_COLOUR, 100).nonzero()
     assert {(round(x / 50), round(y / 50)) for y, x in dots.tolist()} == {(1, 1), (2, 3)}
 
 
 def test_the_second_view_shows_the_hand_beside_the_picture() -> None:
-    overlay = draw_overlay(_picture(), _projector(), _pose(), facing("back"), status="recovered", frame=0)
+    overlay = draw_overlay(_picture(), _projector(), HandPose.of(_pose(), facing("back")), status="recovered", frame=0)
     is_hand = ~_near(overlay[:, WIDTH:], PAPER, 25)
     assert 0.05 < is_hand.double().mean() < 0.5
     border = torch.cat((is_hand[0], is_hand[-1], is_hand[:, 0], is_hand[:, -1]))
@@ -130,7 +130,7 @@ def test_the_second_view_shows_the_hand_beside_the_picture() -> None:
 @pytest.mark.parametrize(("width", "height"), [(360, 288), (641, 481), (64, 48), (48, 64), (30, 20)])
 def test_sizes_are_even_and_as_announced(width: int, height: int) -> None:
     overlay = draw_overlay(
-        _picture(width, height), _projector(), _pose(), facing("back"), status="tracked", frame=10**6
+        _picture(width, height), _projector(), HandPose.of(_pose(), facing("back")), status="tracked", frame=10**6
     )
     assert tuple(overlay.shape) == (*overlay_size(width, height)[::-1], 3)
     assert overlay.shape[0] % 2 == 0
@@ -142,14 +142,14 @@ def test_sizes_are_even_and_as_announced(width: int, height: int) -> None:
 def test_a_hand_half_behind_the_camera_is_drawn_without_failing() -> None:
     pose = _pose()
     pose[2] = 0.01
-    overlay = draw_overlay(_picture(), _projector(), pose, facing("palm"), status="tracked", frame=0)
+    overlay = draw_overlay(_picture(), _projector(), HandPose.of(pose, facing("palm")), status="tracked", frame=0)
     assert tuple(overlay.shape) == (*overlay_size(WIDTH, HEIGHT)[::-1], 3)
     assert _near(overlay[:, WIDTH:], PAPER, 25).double().mean() < 0.95  # the second view follows the hand
 
 
 def test_an_unknown_status_is_named() -> None:
     with pytest.raises(ValueError, match="status: expected one of tracked, recovered, lost, no_hand, got 'found'"):
-        draw_overlay(_picture(), _projector(), None, None, status="found", frame=0)
+        draw_overlay(_picture(), _projector(), None, status="found", frame=0)
 
 
 def test_fingers_that_are_not_determined_are_grey_and_told() -> None:
@@ -157,7 +157,13 @@ def test_fingers_that_are_not_determined_are_grey_and_told() -> None:
     points = projector.camera.project(projector.frames(pose, reference).keypoints)
     both = [
         draw_overlay(
-            _picture(), projector, pose, reference, status="tracked", frame=0, keypoints_px=points, undetermined=fingers
+            _picture(),
+            projector,
+            HandPose.of(pose, reference),
+            status="tracked",
+            frame=0,
+            keypoints_px=points,
+            undetermined=fingers,
         )[:HEIGHT, :WIDTH]
         for fingers in ((), ("index",))
     ]

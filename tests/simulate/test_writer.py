@@ -13,9 +13,10 @@ from torchhand.evaluate import flexion_deg, load_truth
 from torchhand.files import load_cameras, load_hand_model, open_source
 from torchhand.geometry import assumed_camera
 from torchhand.hand import DOFS
+from torchhand.simulate.folder import SequenceFolder
 from torchhand.simulate.motion import scripted_motion
 from torchhand.simulate.scene import RenderedFrame, SceneSettings, render_sequence
-from torchhand.simulate.writer import write_sequence
+from torchhand.simulate.writer import MovingHand, write_sequence
 
 CAMERA = assumed_camera(64, 48, horizontal_fov_deg=48.0)
 KINEMATICS = load_hand_model().kinematics("right", dtype=torch.float64)
@@ -27,7 +28,11 @@ def _write(out: Path, rendered: Iterator[RenderedFrame] | None = None, **options
     motion = scripted_motion("planar", FRAMES, KINEMATICS, CAMERA, torch.Generator().manual_seed(2))
     scene = SceneSettings(supersampling=1)
     frames = list(render_sequence(KINEMATICS, motion, CAMERA, scene, torch.Generator().manual_seed(2)))
-    write_sequence(out, iter(frames) if rendered is None else rendered, motion, CAMERA, KINEMATICS, SHAPE, **options)
+    hand = MovingHand(kinematics=KINEMATICS, shape=SHAPE, motion=motion)
+    folder = SequenceFolder(
+        path=out, **{name: options.pop(name) for name in ("picture_format", "overwrite") & options.keys()}
+    )
+    write_sequence(folder, iter(frames) if rendered is None else rendered, hand, CAMERA, **options)
     return frames
 
 

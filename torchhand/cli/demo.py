@@ -23,7 +23,15 @@ from torchhand.files.disk import replacing
 from torchhand.files.results import REPORT_NAME
 from torchhand.geometry import assumed_camera
 from torchhand.runs import Request, overlay_frames, settings_of, track_sequence
-from torchhand.simulate import SceneSettings, check_sequence_folder, render_sequence, scripted_motion, write_sequence
+from torchhand.simulate import (
+    MovingHand,
+    SceneSettings,
+    SequenceFolder,
+    check_sequence_folder,
+    render_sequence,
+    scripted_motion,
+    write_sequence,
+)
 from torchhand.view import HandProjector
 
 CONFIG = "contour_full"
@@ -121,13 +129,10 @@ def _simulate(folder: Path, arguments: Arguments) -> None:
     motion = scripted_motion("greet", arguments.frames, kinematics, camera, generator, shape=shape)
     rendered = render_sequence(kinematics, motion, camera, SCENE, generator, shape=shape, hand=hand)
     write_sequence(
-        folder,
+        SequenceFolder(path=folder, overwrite=arguments.overwrite),
         iter(tqdm(rendered, total=arguments.frames, desc="rendering", unit="frame", disable=not sys.stderr.isatty())),
-        motion,
+        MovingHand(kinematics=kinematics, shape=shape, motion=motion),
         camera,
-        kinematics,
-        shape,
-        overwrite=arguments.overwrite,
         about={"torchhand": torchhand.__version__, "made_by": "torchhand demo", "seed": arguments.seed},
         measures={"flexion_deg": flexion_deg},
     )

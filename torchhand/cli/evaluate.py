@@ -157,20 +157,7 @@ def range_table(ranges: Mapping[str, JointRange]) -> str:
 
 def table(figures: dict[str, Any]) -> str:
     """The figures as text, one line each; what could not be judged is missing."""
-    lines: list[tuple[str, str]] = []
-    tracking = figures["tracking"]
-    of_truth = "" if tracking["frames_of_truth"] is None else f" (the truth has {tracking['frames_of_truth']})"
-    lines.append(("frames followed", f"{tracking['followed']} of {tracking['frames']}{of_truth}"))
-    until_loss = tracking["frames_until_first_loss"]
-    lines.append(("frames until first loss", "never lost" if until_loss is None else f"{until_loss}"))
-    if tracking["losses"]:
-        recovered = tracking["frames_to_recover"]
-        lengths = ", ".join(str(length) for length in recovered) or "none recovered"
-        lines.append(("losses, frames to recover", f"{tracking['losses']}: {lengths}"))
-    if "share_largest_error_below_20mm" in tracking:
-        lines.append(("frames with every joint within 20 mm", f"{tracking['share_largest_error_below_20mm']:.1%}"))
-        fraction = tracking["share_largest_root_relative_error_below_20mm"]
-        lines.append(("the same, relative to the wrist", f"{fraction:.1%}"))
+    lines = _tracking_lines(figures["tracking"])
     for section, key, label, unit in TABLE:
         if section in figures:
             lines.append((label, _three(figures[section][key], unit)))
@@ -220,6 +207,23 @@ def table(figures: dict[str, Any]) -> str:
         lines.append(("compute time per frame", f"median {figures['speed']['median_ms_per_frame']:.2f} ms"))
     width = max(len(label) for label, _ in lines)
     return "\n".join(f"{label:<{width}}  {text}" for label, text in lines)
+
+
+def _tracking_lines(tracking: dict[str, Any]) -> list[tuple[str, str]]:
+    lines: list[tuple[str, str]] = []
+    of_truth = "" if tracking["frames_of_truth"] is None else f" (the truth has {tracking['frames_of_truth']})"
+    lines.append(("frames followed", f"{tracking['followed']} of {tracking['frames']}{of_truth}"))
+    until_loss = tracking["frames_until_first_loss"]
+    lines.append(("frames until first loss", "never lost" if until_loss is None else f"{until_loss}"))
+    if tracking["losses"]:
+        recovered = tracking["frames_to_recover"]
+        lengths = ", ".join(str(length) for length in recovered) or "none recovered"
+        lines.append(("losses, frames to recover", f"{tracking['losses']}: {lengths}"))
+    if "share_largest_error_below_20mm" in tracking:
+        lines.append(("frames with every joint within 20 mm", f"{tracking['share_largest_error_below_20mm']:.1%}"))
+        fraction = tracking["share_largest_root_relative_error_below_20mm"]
+        lines.append(("the same, relative to the wrist", f"{fraction:.1%}"))
+    return lines
 
 
 def _quality_lines(quality: dict[str, Any]) -> list[tuple[str, str]]:

@@ -33,7 +33,7 @@ from torchhand.fit.open_hand import (
     sized,
 )
 from torchhand.geometry import Camera
-from torchhand.hand import DOFS, HandKinematics, Side
+from torchhand.hand import DOFS, HandKinematics, HandPose, Side
 from torchhand.image import NoRegions, PicturePart
 from torchhand.image.fingers import HandSilhouette
 from torchhand.view import HandProjector
@@ -237,7 +237,13 @@ def _draw(path: Path, image: Tensor, kinematics: HandKinematics, camera: Camera,
     projector = HandProjector(kinematics, camera, fit.shape)
     keypoints = camera.project(projector.frames(fit.pose, fit.root_reference).keypoints)
     picture = draw_overlay(
-        image, projector, fit.pose, fit.root_reference, status="tracked", frame=0, keypoints_px=keypoints, iou=overlap
+        image,
+        projector,
+        HandPose.of(fit.pose, fit.root_reference),
+        status="tracked",
+        frame=0,
+        keypoints_px=keypoints,
+        iou=overlap,
     )
     with replacing(path) as temporary:
         if not cv2.imwrite(str(temporary), cv2.cvtColor(picture.numpy(), cv2.COLOR_RGB2BGR)):

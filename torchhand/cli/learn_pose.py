@@ -16,7 +16,7 @@ import torchhand
 from torchhand.cli.command import DONE, STOPPED_BY_USER, OnDevice, command, parse, threads
 from torchhand.cli.learning import PictureJob, Sources, check_same, check_training_folder, learn_from_pictures
 from torchhand.devices import device_named
-from torchhand.draw import draw_chart
+from torchhand.draw import Axes, draw_chart
 from torchhand.errors import InputError
 from torchhand.files import load_hand_model
 from torchhand.files.disk import replacing, write_text
@@ -205,11 +205,10 @@ def _draw(out: Path, curve: Curve, baseline: Figures) -> None:
     steps = [row["step"] for row in curve]
     charts = [
         draw_chart(
-            FIGURES[name],
+            Axes(FIGURES[name], x_name="step"),
             steps,
             {"network": [row[name] for row in curve]},
             levels={"mean posture": baseline[name]},
-            x_name="step",
         )
         for name in SHOWN
     ]

@@ -27,7 +27,9 @@ from torchhand.evaluate import flexion_deg
 from torchhand.geometry import Camera
 from torchhand.simulate import (
     Motion,
+    MovingHand,
     SceneSettings,
+    SequenceFolder,
     check_sequence_folder,
     hand_length,
     render_rig,
@@ -77,15 +79,11 @@ def _render(arguments: Arguments, scene: SceneSettings) -> None:
         noise = torch.Generator().manual_seed(arguments.seed)
         rendered = (with_mask_noise(frame, arguments.mask_noise, noise) for frame in rendered)
     write_sequence(
-        arguments.out,
+        _folder(arguments),
         iter(_with_bar(rendered, arguments)),
-        motion,
+        MovingHand(kinematics=actor.kinematics, shape=actor.shape, motion=motion),
         camera,
-        actor.kinematics,
-        actor.shape,
-        picture_format=arguments.pictures,
         with_video=arguments.video,
-        overwrite=arguments.overwrite,
         about=_about(arguments, actor, motion),
         measures={"flexion_deg": flexion_deg},
     )
@@ -106,19 +104,19 @@ def _render_rig(arguments: Arguments, scene: SceneSettings, cameras: list[Camera
             tuple(with_mask_noise(frame, arguments.mask_noise, noise) for frame in frames) for frames in rendered
         )
     record = write_rig_sequence(
-        arguments.out,
+        _folder(arguments),
         iter(_with_bar(rendered, arguments)),
-        motion,
+        MovingHand(kinematics=actor.kinematics, shape=actor.shape, motion=motion),
         cameras,
-        actor.kinematics,
-        actor.shape,
-        picture_format=arguments.pictures,
-        overwrite=arguments.overwrite,
         about=_about(arguments, actor, motion),
         measures={"flexion_deg": flexion_deg},
     )
     for line in rig_complaints(record, cameras):
         print(f"torchhand simulate: {line}", file=sys.stderr)
+
+
+def _folder(arguments: Arguments) -> SequenceFolder:
+    return SequenceFolder(path=arguments.out, picture_format=arguments.pictures, overwrite=arguments.overwrite)
 
 
 def _with_bar(rendered: Iterator[Frame], arguments: Arguments) -> Iterable[Frame]:

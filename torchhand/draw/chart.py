@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -29,39 +30,49 @@ _PALE = 0.8  # share of the paper's colour in a band's
 _SHIFT = 4  # fractional bits of OpenCV's coordinates
 
 
+@dataclass(frozen=True)
+class Axes:
+    """What the axes of a chart mean, and how large it is."""
+
+    title: str
+    """Name of the chart and of what goes up in it."""
+    x_name: str = ""
+    y_end: Number | None = None
+    """Where the upward axis ends; where the largest value wants it, if not given."""
+    size_px: tuple[int, int] = (480, 320)
+    """Width and height of the picture; 160x120 or more."""
+
+    def __post_init__(self) -> None:
+        if self.size_px[0] < 160 or self.size_px[1] < 120:
+            raise ValueError(f"size: expected at least 160x120 px, got {self.size_px[0]}x{self.size_px[1]}")
+
+
 def draw_chart(
-    title: str,
+    axes: Axes,
     x: Sequence[Number],
     lines: Mapping[str, Sequence[Number]],
     *,
     levels: Mapping[str, Number] | None = None,
     bands: Mapping[str, tuple[Sequence[Number], Sequence[Number]]] | None = None,
-    x_name: str = "",
-    y_end: Number | None = None,
     has_dots: bool = False,
-    width: int = 480,
-    height: int = 320,
 ) -> UInt8[Tensor, "height width 3"]:
     """Lines over x from zero up, RGB, and `levels` as dashed horizontal lines. Values that are not finite are left out.
 
     Every line and level is named below, in its colour. bands: by the name of a line, lower and upper ends of a pale
-    band behind it. y_end: where the axis ends; where the largest value wants it, if not given. has_dots: marks the
-    values.
+    band behind it. has_dots: marks the values.
     """
-    if width < 160 or height < 120:
-        raise ValueError(f"size: expected at least 160x120 px, got {width}x{height}")
     for name, values in lines.items():
         if len(values) != len(x):
             raise ValueError(f"{name}: expected {len(x)} values, as many as x has, got {len(values)}")
     for name, ends in (bands or {}).items():
         if name not in lines or any(len(values) != len(x) for values in ends):
             raise ValueError(f"band of {name!r}: expected a line of that name, and {len(x)} values at either end")
-    levels = levels or {}
+    levels, (width, height) = levels or {}, axes.size_px
     canvas = np.full((height, width, 3), _PAPER, dtype=np.uint8)
     x_end = _largest(x)
     y_largest = _largest([value for values in (*lines.values(), levels.values()) for value in values])
-    y_step = tick_step(y_end or y_largest)
-    y_top = y_end or y_step * math.ceil(y_largest / y_step - 1e-9)
+    y_step = tick_step(axes.y_end or y_largest)
+    y_top = axes.y_end or y_step * math.ceil(y_largest / y_step - 1e-9)
 
     def place(px: Number, py: Number) -> Point:
         across, up = px / x_end, min(py / y_top, 1.0)
@@ -74,7 +85,7 @@ def draw_chart(
     for name, (low, high) in (bands or {}).items():
         pale = tuple(round(_PALE * paper + (1 - _PALE) * c) for paper, c in zip(_PAPER, colours[name], strict=True))
         cv2.fillPoly(canvas, [_fixed(corners(low) + corners(high)[::-1])], pale, cv2.LINE_AA, _SHIFT)
-    _draw_axes(canvas, place, x_end, y_top, y_step, title, x_name)
+    _draw_axes(canvas, place, x_end, y_top, y_step, axes)
     at = float(_LEFT)
     for name, values in reversed(list(lines.items())):  # the first on top
         cv2.polylines(canvas, [_fixed(corners(values))], False, colours[name], 2, cv2.LINE_AA, _SHIFT)
@@ -102,9 +113,7 @@ def _largest(values: Sequence[Number]) -> Number:
     return largest if largest > 0 else 1.0
 
 
-def _draw_axes(
-    canvas: np.ndarray, place: Place, x_end: Number, y_end: Number, y_step: Number, title: str, x_name: str
-) -> None:
+def _draw_axes(canvas: np.ndarray, place: Place, x_end: Number, y_end: Number, y_step: Number, axes: Axes) -> None:
     height, width = canvas.shape[:2]
     x_step = tick_step(x_end)
     for tick in np.arange(0, y_end + 0.5 * y_step, y_step):
@@ -115,8 +124,8 @@ def _draw_axes(
         at = place(tick, 0)
         cv2.line(canvas, _whole(at), _whole((at[0], at[1] + 4)), _INK, 1)
         _text(canvas, f"{tick:g}", at[0], at[1] + 18, align=0.5)
-    _text(canvas, title, _LEFT, 20, align=0.0)
-    _text(canvas, x_name, width - _RIGHT, height - 26, align=1.0)
+    _text(canvas, axes.title, _LEFT, 20, align=0.0)
+    _text(canvas, axes.x_name, width - _RIGHT, height - 26, align=1.0)
 
 
 def _draw_dashes(canvas: np.ndarray, start: Point, end: Point, colour: Colour) -> None:

@@ -11,7 +11,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from torchhand.draw.second_view import PAPER, draw_second_view
-from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, KEYPOINTS
+from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, KEYPOINTS, HandPose
 from torchhand.view import HandProjector, OutlineTable, outline_table
 
 STATUS_COLOURS = {
@@ -44,8 +44,7 @@ def overlay_size(width: int, height: int) -> tuple[int, int]:
 def draw_overlay(
     image: UInt8[Tensor, "height width 3"],
     projector: HandProjector,
-    pose: Float[Tensor, "36"] | None,
-    root_reference: Float[Tensor, "3 3"] | None,
+    pose: HandPose | None,
     *,
     status: str,
     frame: int,
@@ -68,10 +67,10 @@ def draw_overlay(
     canvas[:, width:] = canvas[height:] = PAPER
     picture = canvas[:height, :width]
     picture[:] = image.cpu().numpy()
-    if pose is not None and root_reference is not None:
-        draw_contour(picture, projector, pose, root_reference, undetermined)
+    if pose is not None:
+        draw_contour(picture, projector, pose.dofs, pose.reference, undetermined)
         side = _panel_side(height)
-        view = draw_second_view(projector, pose, root_reference, min(side, _LARGEST_CAST)).cpu().numpy()
+        view = draw_second_view(projector, pose.dofs, pose.reference, min(side, _LARGEST_CAST)).cpu().numpy()
         view = cv2.resize(view, (side, side), interpolation=cv2.INTER_CUBIC)
         top = (total_height - side) // 2
         canvas[top : top + side, width : width + side] = view

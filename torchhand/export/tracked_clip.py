@@ -69,17 +69,8 @@ def load_clip(
     folder = path if path.is_dir() else path.parent
     track = load_track(path)
     side, shape = _hand_of(folder / HAND_NAME if hand is None else expanded(hand), model)
-    return clip_of_track(
-        track,
-        model,
-        shape,
-        side,
-        gaps=gaps,
-        fps=fps,
-        name=_plain(folder.resolve().name),
-        up=up,
-        where=str(path),
-    )
+    clip = clip_of_track(track, model, shape, side, gaps=gaps, fps=fps, where=str(path))
+    return replace(clip, name=_plain(folder.resolve().name), up=up)
 
 
 def clip_of_track(
@@ -90,8 +81,6 @@ def clip_of_track(
     *,
     gaps: Gaps,
     fps: float | None = None,
-    name: str = "hand",
-    up: Up = "-y",
     where: str = "track",
 ) -> MotionClip:
     """The clip of a track that was read already.
@@ -138,8 +127,6 @@ def clip_of_track(
         keypoints_cov=torch.from_numpy(cov.astype(np.float64)) if np.isfinite(cov).any() else None,
         finger_quality=quality,
         status=tuple(str(said.get(int(f), MISSING)) for f in frame),
-        name=name,
-        up=up,
     )
 
 

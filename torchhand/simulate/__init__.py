@@ -10,13 +10,14 @@ from torchhand.simulate.crops import (
     CropStream,
     forearm_meshes,
 )
-from torchhand.simulate.folder import check_sequence_folder
+from torchhand.simulate.folder import SequenceFolder, check_sequence_folder
 from torchhand.simulate.motion import (
     GLOVE_COLUMNS,
     SCRIPTS,
     VIEWS,
     GloveRecording,
     Motion,
+    Staging,
     facing,
     hand_length,
     joints_of_glove,
@@ -43,7 +44,7 @@ from torchhand.simulate.scene import (
     picture_without_hand,
     render_sequence,
 )
-from torchhand.simulate.writer import write_sequence
+from torchhand.simulate.writer import MovingHand, write_sequence
 
 __all__ = [
     "BACKGROUNDS",
@@ -61,11 +62,14 @@ __all__ = [
     "Crops",
     "GloveRecording",
     "Motion",
+    "MovingHand",
     "NoHandKind",
     "RenderedFrame",
     "RigRecord",
     "SceneSettings",
+    "SequenceFolder",
     "SkinTone",
+    "Staging",
     "background_picture",
     "check_sequence_folder",
     "facing",

@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -51,6 +52,23 @@ def check_sequence_folder(out_dir: str | Path, *, overwrite: bool = False) -> No
             f"{path}: cannot be replaced: it holds {foreign[0]}, which is no part of a simulated sequence"
             f" ({', '.join(SEQUENCE_NAMES)}, view_0, masks_0, ...)"
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SequenceFolder:
+    """Where a sequence goes."""
+
+    path: str | Path
+    picture_format: PictureFormat = "jpg"
+    overwrite: bool = False
+    """Whether an older sequence there is replaced."""
+
+    @contextlib.contextmanager
+    def written(self) -> Iterator[Path]:
+        """A temporary folder that takes its place when the block ends well. Raises InputError where it cannot."""
+        check_sequence_folder(self.path, overwrite=self.overwrite)
+        with whole_folder(Path(self.path)) as folder:
+            yield folder
 
 
 @contextlib.contextmanager

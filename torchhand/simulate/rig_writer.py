@@ -3,7 +3,6 @@
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,14 +19,12 @@ from torchhand.simulate.folder import (
     TRUTH_NAME,
     VIEW_MASKS_NAME,
     VIEW_NAME,
-    PictureFormat,
-    check_sequence_folder,
-    whole_folder,
+    SequenceFolder,
     write_picture,
 )
 from torchhand.simulate.motion import Motion
 from torchhand.simulate.scene import RenderedFrame, SceneSettings, render_sequence
-from torchhand.simulate.writer import Measure, pose_truth
+from torchhand.simulate.writer import Measure, MovingHand, pose_truth
 
 RIG_CONVENTION = (
     "keypoints3d and pose in the world of cameras.json (x right, y down, z forward of OpenCV for its cameras); the"
@@ -66,15 +63,11 @@ def render_rig(
 
 
 def write_rig_sequence(
-    out_dir: str | Path,
+    out: SequenceFolder,
     rendered: Iterator[tuple[RenderedFrame, ...]],
-    motion: Motion,
+    hand: MovingHand,
     cameras: Sequence[Camera],
-    kinematics: HandKinematics,
-    shape: Float[Tensor, "shape"],
     *,
-    picture_format: PictureFormat = "jpg",
-    overwrite: bool = False,
     about: Mapping[str, Any] | None = None,
     measures: Mapping[str, Measure] | None = None,
 ) -> RigRecord:
@@ -83,17 +76,15 @@ def write_rig_sequence(
     Otherwise as `write_sequence`: whole, or not there at all. Raises InputError where the folder cannot be used or
     written.
     """
-    out_dir = Path(out_dir)
-    check_sequence_folder(out_dir, overwrite=overwrite)
-    in_view, is_cut = [], []
-    with whole_folder(out_dir) as folder:
+    kinematics, motion, (in_view, is_cut) = hand.kinematics, hand.motion, ([], [])
+    with out.written() as folder:
         for index in range(len(cameras)):
             (folder / VIEW_NAME.format(index)).mkdir()
             (folder / VIEW_MASKS_NAME.format(index)).mkdir()
         for views in rendered:
             for index, frame in enumerate(views):
                 number = f"{frame.index:04d}"
-                write_picture(folder / VIEW_NAME.format(index) / f"{number}.{picture_format}", frame.image)
+                write_picture(folder / VIEW_NAME.format(index) / f"{number}.{out.picture_format}", frame.image)
                 write_picture(folder / VIEW_MASKS_NAME.format(index) / f"{number}.png", frame.mask)
             in_view.append([bool(frame.mask.any()) for frame in views])
             is_cut.append([_touches_edge(frame.mask) for frame in views])
@@ -101,11 +92,11 @@ def write_rig_sequence(
             raise ValueError(f"rendered: expected {len(motion.poses)} frames, got {len(in_view)}")
         record = RigRecord(in_view=np.array(in_view), is_cut=np.array(is_cut))
         like = kinematics.default_shape
-        frames = kinematics(motion.poses.to(like), shape.to(like), root_reference=motion.root_reference.to(like))
+        frames = kinematics(motion.poses.to(like), hand.shape.to(like), root_reference=motion.root_reference.to(like))
         keypoints3d = frames.keypoints.double().numpy()
         truth = {"keypoints3d": keypoints3d, "in_view": record.in_view, "is_cut": record.is_cut}
         truth |= {name: measure(keypoints3d) for name, measure in (measures or {}).items()}
-        truth |= pose_truth(motion, kinematics, shape, RIG_CONVENTION)
+        truth |= pose_truth(hand, RIG_CONVENTION)
         np.savez(folder / TRUTH_NAME, **truth)  # type: ignore[arg-type]
         save_cameras(list(cameras), folder / CAMERAS_NAME)
         (folder / ABOUT_NAME).write_text(json.dumps(dict(about or {}), indent=1) + "\n", encoding="utf-8")

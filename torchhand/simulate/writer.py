@@ -3,7 +3,7 @@
 import contextlib
 import json
 from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,9 +20,7 @@ from torchhand.simulate.folder import (
     MASKS_NAME,
     TRUTH_NAME,
     VIDEO_NAME,
-    PictureFormat,
-    check_sequence_folder,
-    whole_folder,
+    SequenceFolder,
     write_picture,
 )
 from torchhand.simulate.motion import Motion
@@ -39,32 +37,35 @@ Measure = Callable[[Float[np.ndarray, "frames 21 3"]], np.ndarray]
 """Makes a further array of the truth from all keypoints."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class MovingHand:
+    """The hand of a sequence: its skeleton, proportions and motion."""
+
+    kinematics: HandKinematics
+    shape: Float[Tensor, "shape"]
+    motion: Motion
+
+
 def write_sequence(
-    out_dir: str | Path,
+    out: SequenceFolder,
     rendered: Iterator[RenderedFrame],
-    motion: Motion,
+    hand: MovingHand,
     camera: Camera,
-    kinematics: HandKinematics,
-    shape: Float[Tensor, "shape"],
     *,
-    picture_format: PictureFormat = "jpg",
     with_video: bool = False,
-    overwrite: bool = False,
     about: Mapping[str, Any] | None = None,
     measures: Mapping[str, Measure] | None = None,
 ) -> None:
     """Writes frames/, masks/, cameras.json, truth.npz, about.json, and video.mp4 if wanted.
 
-    Everything grows in a folder beside `out_dir` and takes its name when all is there; when `rendered` raises, or the
+    Everything grows in a folder beside `out` and takes its name when all is there; when `rendered` raises, or the
     disk refuses, nothing is left and what was there before stays. `about` is saved as it is; `measures` adds arrays to
     the truth.
 
     Raises InputError where the folder cannot be used (see `check_sequence_folder`) or written.
     """
-    out_dir = Path(out_dir)
-    check_sequence_folder(out_dir, overwrite=overwrite)
-    points_3d, points_2d, in_view = [], [], []
-    with whole_folder(out_dir) as folder, contextlib.ExitStack() as stack:
+    motion, (points_3d, points_2d, in_view) = hand.motion, ([], [], [])
+    with out.written() as folder, contextlib.ExitStack() as stack:
         (folder / FRAMES_NAME).mkdir()
         (folder / MASKS_NAME).mkdir()
         video = None
@@ -72,7 +73,7 @@ def write_sequence(
             size = {"width": camera.width, "height": camera.height}
             video = stack.enter_context(write_video(folder / VIDEO_NAME, **size, fps=motion.fps))
         for frame in rendered:
-            write_picture(folder / FRAMES_NAME / f"{frame.index:04d}.{picture_format}", frame.image)
+            write_picture(folder / FRAMES_NAME / f"{frame.index:04d}.{out.picture_format}", frame.image)
             write_picture(folder / MASKS_NAME / f"{frame.index:04d}.png", frame.mask)
             points_3d.append(frame.keypoints_cam.double().numpy())
             points_2d.append(frame.keypoints_px.double().numpy())
@@ -84,16 +85,15 @@ def write_sequence(
         keypoints3d = np.stack(points_3d)
         truth = {"keypoints3d": keypoints3d, "keypoints2d": np.stack(points_2d), "in_view": np.array(in_view)}
         truth |= {name: measure(keypoints3d) for name, measure in (measures or {}).items()}
-        truth |= pose_truth(motion, kinematics, shape)
+        truth |= pose_truth(hand)
         np.savez(folder / TRUTH_NAME, **truth)  # type: ignore[arg-type]
         save_cameras([camera], folder / CAMERAS_NAME)
         (folder / ABOUT_NAME).write_text(json.dumps(dict(about or {}), indent=1) + "\n", encoding="utf-8")
 
 
-def pose_truth(
-    motion: Motion, kinematics: HandKinematics, shape: Float[Tensor, "shape"], convention: str = CONVENTION
-) -> dict[str, np.ndarray]:
+def pose_truth(hand: MovingHand, convention: str = CONVENTION) -> dict[str, np.ndarray]:
     """What truth.npz holds of poses and shape."""
+    motion, space = hand.motion, hand.kinematics.shape_space
     rotation = rotation_from_vector(motion.poses[:, 3:6]) @ motion.root_reference
     return {
         "frame": np.arange(len(motion.poses)),
@@ -101,10 +101,10 @@ def pose_truth(
         "dof_names": np.array(DOFS),
         "root_reference": motion.root_reference.numpy(),
         "root_rotation": rotation.numpy(),
-        "shape": shape.double().cpu().numpy(),
-        "shape_names": np.array(kinematics.shape_space.names),
-        "shape_units": np.array(kinematics.shape_space.units),
-        "side": np.array(kinematics.side),
+        "shape": hand.shape.double().cpu().numpy(),
+        "shape_names": np.array(space.names),
+        "shape_units": np.array(space.units),
+        "side": np.array(hand.kinematics.side),
         "fps": np.array(motion.fps),
         "units": np.array(UNITS),
         "convention": np.array(convention),

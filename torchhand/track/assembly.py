@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.devices import sent_to
-from torchhand.fit.detect import StartPoints
+from torchhand.fit.detect import ContourFitter, StartPoints
 from torchhand.fit.keypoints import KeypointSettings
 from torchhand.geometry import Camera
 from torchhand.hand import Hand, HandKinematics, named_pose_space
@@ -141,28 +141,29 @@ def _of_one_camera(
     if s.silhouette.method == "background" and plate is None:
         raise ValueError("silhouette.method: 'background' needs a plate of the empty scene")
     here = camera.to(dtype=torch.float64).at_origin()
-    search = PostureSearch(
+    fitter = ContourFitter(
         kinematics=kinematics,
         camera=here,
         table=own.table,
+        shape=kinematics.default_shape if shape is None else shape,
+        fit_shape=shape is None,
+        settings=s.fit,
+    )
+    search = PostureSearch(
+        fitter=fitter,
         posture=s.posture,
-        fit=s.fit,
         silhouette=s.silhouette,
         min_overlap=s.search_overlap,
         plate=plate,
         start_points=start_points,
-        known_shape=shape,
-    )
-    start = KeypointStart(
-        kinematics=kinematics, camera=here, settings=s.keypoints, table=own.table, fit=s.fit, known_shape=shape
     )
     sources: tuple[ProposalSource, ...] = (
         KeypointHand(kinematics=kinematics, cameras=(here,), settings=s.keypoints),
         search,
-        start,
+        KeypointStart(fitter=fitter, settings=s.keypoints),
     )
     if s.learned_proposals and here.kind == "pinhole":
-        sources += _by_network(own, here, shape, plate, can_start=start_points is None)
+        sources += _by_network(own, fitter, plate, can_start=start_points is None)
     return Assembly(
         kinematics=kinematics,
         cameras=(here,),
@@ -178,29 +179,24 @@ def _of_one_camera(
 
 
 def _by_network(
-    own: _Ingredients, camera: Camera, shape: Tensor | None, plate: BackgroundPlate | None, *, can_start: bool
+    own: _Ingredients, fitter: ContourFitter, plate: BackgroundPlate | None, *, can_start: bool
 ) -> tuple[ProposalSource, ...]:
     """Hands in any posture and, of a hand whose joints are followed by edges along normals, in other tilts.
 
     Distance maps look as far by themselves: with tilts flexion errors on `rom_palm` and `rom_side` are 5.2° and 4.6°
     there, 4.5° and 4.2° without. can_start: whether the first hand may come from here.
     """
-    kinematics = own.hand.kinematics
     hands = LearnedHands(
-        kinematics=kinematics,
-        camera=camera,
-        table=own.table,
-        fit=own.settings.fit,
+        fitter=fitter,
         silhouette=own.settings.silhouette,
         can_start=can_start,
         can_restart=own.moves_joints,
         plate=plate,
-        known_shape=shape,
     )
     takes_small_steps = isinstance(own.settings.update, UnscentedUpdateSettings)
     if not (own.moves_joints and takes_small_steps):
         return (hands,)
-    return hands, TiltedHands(kinematics=kinematics, camera=camera)
+    return hands, TiltedHands(kinematics=fitter.kinematics, camera=fitter.camera)
 
 
 def _of_a_rig(

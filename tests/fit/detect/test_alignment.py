@@ -96,7 +96,6 @@ def test_placements_are_distinct_and_limited(studio: Any) -> None:
         is_turned = _angle_between_deg(one.root_reference, other.root_reference) > math.degrees(0.1)
         is_apart = float((one.pose[:3] - other.pose[:3]).norm()) > 0.005
         assert is_turned or is_apart
-    assert {one.facing for one in align_posture(*arguments, facings=("back",))} == {"back"}
 
 
 @pytest.mark.parametrize("size", [0, 3])

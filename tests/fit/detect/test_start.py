@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -9,7 +10,15 @@ import torch
 
 from torchhand.fit import learn_appearance
 from torchhand.fit.detect.edge_fit import Fit
-from torchhand.fit.detect.start import NoStart, Start, find_hand, fit_overlap, segment_hand, start_at_points
+from torchhand.fit.detect.start import (
+    ContourFitter,
+    NoStart,
+    Start,
+    find_hand,
+    fit_overlap,
+    segment_hand,
+    start_at_points,
+)
 from torchhand.hand import posture
 from torchhand.image import SilhouetteSettings, learn_background
 from torchhand.simulate import SceneSettings, background_picture, sample_shape
@@ -18,18 +27,19 @@ from torchhand.simulate.scene import BackgroundKind
 CLUTTER = SceneSettings(supersampling=2, background="clutter", noise=3.0)
 
 
-def _find(image: torch.Tensor, placed: Any, studio: Any, posed: str = "open", **options: Any) -> Start | NoStart:
-    kinematics = placed.kinematics
+def _fitter(placed: Any, studio: Any, *, fit_shape: bool = True) -> ContourFitter:
+    own = placed.kinematics
+    return ContourFitter(
+        kinematics=own, camera=placed.camera, table=studio.table, shape=own.default_shape, fit_shape=fit_shape
+    )
+
+
+def _find(
+    image: torch.Tensor, placed: Any, studio: Any, posed: str = "open", fit_shape: bool = True, **options: Any
+) -> Start | NoStart:
     with torch.no_grad():
-        return find_hand(
-            image,
-            kinematics,
-            placed.camera,
-            kinematics.default_shape,
-            studio.table,
-            posture(posed, dtype=torch.float64),
-            **options,
-        )
+        fitter = _fitter(placed, studio, fit_shape=fit_shape)
+        return find_hand(image, posture(posed, dtype=torch.float64), fitter, **options)
 
 
 def _error(start: Start | NoStart, placed: Any) -> float:
@@ -129,17 +139,9 @@ def test_two_points_start_in_clutter(side: str, view: Any, fit_shape: bool, stud
     image = placed.picture(CLUTTER, seed=4)
     wrist, tip = (tuple(point) for point in placed.keypoints_px[[0, 12]].tolist())
     off = (wrist[0] + 2.0, wrist[1] - 2.0, tip[0] - 1.0, tip[1] + 2.0)  # as well as a person clicks
-    arguments = (
-        image,
-        off,
-        placed.kinematics,
-        placed.camera,
-        placed.shape,
-        studio.table,
-        posture("open", dtype=torch.float64),
-    )
+    fitter = replace(_fitter(placed, studio, fit_shape=fit_shape), shape=placed.shape)
     with torch.no_grad():
-        start = start_at_points(*arguments, fit_shape=fit_shape)
+        start = start_at_points(image, off, posture("open", dtype=torch.float64), fitter)
     assert _error(start, placed) < 0.04
     assert isinstance(start, Start)
     assert float((start.fit.root_reference @ placed.root_reference.T).trace()) > 2.7
@@ -150,15 +152,8 @@ def test_points_out_of_the_picture_are_no_start(studio: Any) -> None:
     placed = studio.placed()
     image = placed.picture()
     points = (900.0, 900.0, 900.0, 830.0)
-    start = start_at_points(
-        image,
-        points,
-        placed.kinematics,
-        placed.camera,
-        placed.shape,
-        studio.table,
-        posture("open", dtype=torch.float64),
-    )
+    fitter = replace(_fitter(placed, studio), shape=placed.shape)
+    start = start_at_points(image, points, posture("open", dtype=torch.float64), fitter)
     assert isinstance(start, NoStart)
     assert "outside the picture" in start.reason
 

@@ -17,7 +17,7 @@ from torchhand.fit.open_hand.start import placed_open_hand
 from torchhand.geometry import assumed_camera
 from torchhand.hand import DOFS, Anthropometry, HandKinematics, HandPose, Side, posture
 from torchhand.image import HandRegions, NoRegions, divide_hand
-from torchhand.simulate import sample_shape, scripted_motion
+from torchhand.simulate import Staging, sample_shape, scripted_motion
 from torchhand.view import HandProjector
 
 CAMERA = assumed_camera(480, 400)
@@ -137,7 +137,9 @@ def test_pointing_hand_is_refused_by_name() -> None:
 
 def test_motion_script_frame_is_fitted_as_a_left_hand() -> None:
     kinematics = load_hand_model().kinematics("left", dtype=torch.float64)
-    motion = scripted_motion("planar", 1, kinematics, CAMERA, torch.Generator().manual_seed(0), view="palm")
+    motion = scripted_motion(
+        "planar", 1, kinematics, CAMERA, torch.Generator().manual_seed(0), staging=Staging(view="palm")
+    )
     mask = HandProjector(kinematics, CAMERA).silhouette(motion.poses[0], motion.root_reference)
     hand = fitted(mask, "left")
     joints = torch.rad2deg(hand.fit.pose - motion.poses[0])

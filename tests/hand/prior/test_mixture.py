@@ -12,7 +12,7 @@ from torch import Tensor
 from torchhand.files import load_hand_model
 from torchhand.hand.kinematics import DOFS, JOINT_DOFS, posture
 from torchhand.hand.limits import TIES, ConstraintSettings, PoseConstraints
-from torchhand.hand.prior.components import PostureComponent, posture_component
+from torchhand.hand.prior.components import DigitAngles, PostureComponent, posture_component
 from torchhand.hand.prior.mixture import PostureMixture
 from torchhand.hand.prior.postures import COMPONENTS
 
@@ -181,6 +181,8 @@ def test_components_are_postures_a_hand_can_take() -> None:
         assert float(worst) < math.radians(3), f"{component.name}: {constraints.violation(pose).describe()}"
     assert len({component.name for component in COMPONENTS}) == len(COMPONENTS)
     flat = posture_component(
-        "mine", 1.0, thumb=(0, 0, 0, 0, 0, 0), index=(0, 0, 30), middle=(0, 0, 0), ring=(0, 0, 0), little=(0, 0, 0)
+        "mine",
+        1.0,
+        DigitAngles(thumb=(0, 0, 0, 0, 0, 0), index=(0, 0, 30), middle=(0, 0, 0), ring=(0, 0, 0), little=(0, 0, 0)),
     )
     assert float(flat.mean[JOINT_DOFS.index("index_dip_fe")]) == pytest.approx(math.radians(20))

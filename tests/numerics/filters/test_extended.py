@@ -11,7 +11,7 @@ from torch import Tensor
 
 from tests.numerics.filters.linearised import linearised
 from torchhand.numerics.filters.extended import update_extended
-from torchhand.numerics.filters.gaussian import Gaussian
+from torchhand.numerics.filters.gaussian import Gaussian, Measurement
 from torchhand.numerics.filters.motion import MotionModel
 from torchhand.numerics.filters.unscented import predict_linear, update
 from torchhand.numerics.filters.whitening import wrapped
@@ -84,7 +84,7 @@ def test_a_run_equals_filterpy_and_the_unscented_filter() -> None:
         result = update_extended(ours, z - matrix @ ours.mean[:dofs], matrix, variance)
         ours = result.state
         theirs = predict_linear(theirs, model.transition(dt_s, dofs), model.process_noise(dt_s, density))
-        theirs = update(theirs, lambda x: x @ matrix.mT, z, variance, observed=dofs).state
+        theirs = update(theirs, lambda x: x @ matrix.mT, Measurement(z, variance), observed=dofs).state
         close(ours.mean, torch.from_numpy(peer.x[:, 0]))
         close(ours.covariance, torch.from_numpy(peer.P))
         close(ours.mean, theirs.mean)

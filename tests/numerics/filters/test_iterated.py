@@ -10,7 +10,7 @@ from torch import Tensor
 
 from tests.numerics.filters.linearised import linearised
 from torchhand.numerics.filters.extended import update_extended
-from torchhand.numerics.filters.gaussian import Gaussian
+from torchhand.numerics.filters.gaussian import Gaussian, Measurement
 from torchhand.numerics.filters.iterated import IteratedSettings, update_iterated
 
 
@@ -55,7 +55,9 @@ def test_on_a_linear_problem_it_is_the_kalman_filter(is_full: bool, observed: in
     measurement = randn(7, seed=5).where(valid, torch.nan)
     columns = rows.shape[1]
     expected = update_extended(state, measurement - rows @ state.mean[:columns], rows, noise, valid=valid)
-    got = update_iterated(state, lambda x: (x @ rows.mT, rows), measurement, noise, valid=valid, observed=observed)
+    got = update_iterated(
+        state, lambda x: (x @ rows.mT, rows), Measurement(measurement, noise, valid), observed=observed
+    )
     close(got.update.state.mean, expected.state.mean)
     close(got.update.state.covariance, expected.state.covariance)
     close(got.update.nis, expected.nis, 1e-9)
@@ -67,7 +69,9 @@ def test_on_a_linear_problem_it_is_the_kalman_filter(is_full: bool, observed: in
 def test_it_ends_at_the_mode_that_scipy_finds_and_one_step_does_not() -> None:
     state, measurement, variance = problem(6)
     root = torch.linalg.cholesky(state.covariance)
-    got = update_iterated(state, OBSERVE, measurement, variance, IteratedSettings(iterations=40, tolerance=1e-9))
+    got = update_iterated(
+        state, OBSERVE, Measurement(measurement, variance), IteratedSettings(iterations=40, tolerance=1e-9)
+    )
     value, jacobian = OBSERVE(state.mean)
     single = update_extended(state, measurement - value, jacobian, variance).state.mean
     assert got.is_converged.all()
@@ -94,7 +98,7 @@ def test_one_iteration_moves_to_the_extended_filters_mean() -> None:
     measurement = curved(state.mean) + 1e-3 * randn(9, seed=1)
     value, jacobian = OBSERVE(state.mean)
     expected = update_extended(state, measurement - value, jacobian, variance).state.mean
-    got = update_iterated(state, OBSERVE, measurement, variance, IteratedSettings(iterations=1))
+    got = update_iterated(state, OBSERVE, Measurement(measurement, variance), IteratedSettings(iterations=1))
     close(got.update.state.mean, expected, 1e-14)
     assert int(got.iterations) == 1
 
@@ -104,10 +108,10 @@ def test_steps_that_overshoot_are_halved() -> None:
     state = Gaussian(torch.tensor([3.0], dtype=torch.float64), torch.tensor([[1e6]], dtype=torch.float64))
     zero, variance = torch.zeros(1, dtype=torch.float64), torch.tensor([1e-4], dtype=torch.float64)
     settings = IteratedSettings(iterations=30)
-    got = update_iterated(state, linearised(torch.atan), zero, variance, settings)
+    got = update_iterated(state, linearised(torch.atan), Measurement(zero, variance), settings)
     assert bool(got.is_converged)
     assert abs(float(got.update.state.mean)) < 1e-5
-    stuck = update_iterated(state, linearised(torch.atan), zero, variance, IteratedSettings(halvings=0))
+    stuck = update_iterated(state, linearised(torch.atan), Measurement(zero, variance), IteratedSettings(halvings=0))
     assert not bool(stuck.is_converged)
     assert int(stuck.iterations) == 0
     assert float(stuck.update.state.mean) == 3.0  # the best estimate there was
@@ -118,7 +122,9 @@ def test_an_estimate_that_cannot_be_observed_is_stepped_back_from() -> None:
     state = Gaussian(torch.tensor([3.0], dtype=torch.float64), torch.tensor([[4.0]], dtype=torch.float64))
     measurement = torch.tensor([-1.0], dtype=torch.float64)
     variance = torch.tensor([1e-4], dtype=torch.float64)
-    got = update_iterated(state, linearised(torch.log), measurement, variance, IteratedSettings(iterations=30))
+    got = update_iterated(
+        state, linearised(torch.log), Measurement(measurement, variance), IteratedSettings(iterations=30)
+    )
     assert bool(got.is_converged)
     assert float(got.update.state.mean) == pytest.approx(math.exp(-1.0), abs=1e-3)
 
@@ -132,10 +138,10 @@ def test_angles_are_met_across_the_end_of_their_period() -> None:
     def observe(x: Tensor) -> tuple[Tensor, Tensor]:
         return torch.remainder(x + math.pi / 2, math.pi) - math.pi / 2, torch.ones(1, 1, dtype=torch.float64)
 
-    got = update_iterated(state, observe, measurement, variance, period=period, gate=9.0)
+    got = update_iterated(state, observe, Measurement(measurement, variance), period=period, gate=9.0)
     assert float(got.update.innovation.rad2deg()) == pytest.approx(2.0, abs=1e-9)
     assert float(got.update.state.mean.rad2deg()) == pytest.approx(90.0, abs=1e-9)
-    without = update_iterated(state, observe, measurement, variance, gate=9.0)
+    without = update_iterated(state, observe, Measurement(measurement, variance), gate=9.0)
     assert not without.update.used.any()
 
 
@@ -144,10 +150,11 @@ def test_a_batch_is_a_loop(batch: tuple[int, ...]) -> None:
     state, measurement, variance = problem(*batch, seed=20)
     valid = randn(*batch, 9, seed=30) > -1
     options: dict[str, Any] = {"gate": 60.0, "group": 3}
-    got = update_iterated(state, OBSERVE, measurement, variance, valid=valid, **options)
+    got = update_iterated(state, OBSERVE, Measurement(measurement, variance, valid), **options)
     flat = [x.reshape(-1, *x.shape[len(batch) :]) for x in (state.mean, state.covariance, measurement, variance, valid)]
     ones = [
-        update_iterated(Gaussian(x, p), OBSERVE, z, r, valid=v, **options) for x, p, z, r, v in zip(*flat, strict=True)
+        update_iterated(Gaussian(x, p), OBSERVE, Measurement(z, r, v), **options)
+        for x, p, z, r, v in zip(*flat, strict=True)
     ]
     for pick in (
         lambda u: u.update.state.mean,
@@ -162,12 +169,12 @@ def test_a_batch_is_a_loop(batch: tuple[int, ...]) -> None:
 def test_asked_seldom_it_ends_where_it_does(monkeypatch: pytest.MonkeyPatch) -> None:
     """Turns after the last one that moves anything, which an accelerator takes, move nothing."""
     prior, value, noise = problem(3)
-    expected = update_iterated(prior, linearised(curved), value, noise, IteratedSettings())
+    expected = update_iterated(prior, linearised(curved), Measurement(value, noise), IteratedSettings())
     asked = []
     monkeypatch.setattr(
         "torchhand.numerics.filters.iterated.asks_after", lambda turn, device: asked.append(turn) is not None
     )
-    found = update_iterated(prior, linearised(curved), value, noise, IteratedSettings())
+    found = update_iterated(prior, linearised(curved), Measurement(value, noise), IteratedSettings())
     assert len(asked) > IteratedSettings().iterations  # to the end of all turns
     close(found.update.state.mean, expected.update.state.mean, 1e-12)
     close(found.update.state.covariance, expected.update.state.covariance, 1e-12)
@@ -177,7 +184,7 @@ def test_asked_seldom_it_ends_where_it_does(monkeypatch: pytest.MonkeyPatch) -> 
 def test_nothing_to_use_changes_nothing() -> None:
     state, measurement, variance = problem(2)
     valid = torch.zeros(2, 9, dtype=torch.bool)
-    got = update_iterated(state, OBSERVE, measurement * torch.nan, variance * torch.nan, valid=valid)
+    got = update_iterated(state, OBSERVE, Measurement(measurement * torch.nan, variance * torch.nan, valid))
     assert torch.equal(got.update.state.mean, state.mean)
     assert torch.equal(got.update.state.covariance, state.covariance)
     assert got.is_converged.all()
@@ -190,8 +197,8 @@ def test_errors_are_named() -> None:
             IteratedSettings(**{name: value})
     state, measurement, variance = problem()
     with pytest.raises(ValueError, match="observed must be None or 1 to 4, got 5"):
-        update_iterated(state, OBSERVE, measurement, variance, observed=5)
+        update_iterated(state, OBSERVE, Measurement(measurement, variance), observed=5)
     with pytest.raises(ValueError, match=r"observe must return values \(8,\), got \(9,\)"):
-        update_iterated(state, OBSERVE, measurement[:8], variance[:8])
+        update_iterated(state, OBSERVE, Measurement(measurement[:8], variance[:8]))
     with pytest.raises(ValueError, match="period must be above 0, infinite where a measurement does not repeat"):
-        update_iterated(state, OBSERVE, measurement, variance, period=torch.zeros_like(variance))
+        update_iterated(state, OBSERVE, Measurement(measurement, variance), period=torch.zeros_like(variance))

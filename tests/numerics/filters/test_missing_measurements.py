@@ -9,7 +9,7 @@ from torch import Tensor
 
 from tests.numerics.filters.linearised import linearised
 from torchhand.numerics.filters.extended import update_extended
-from torchhand.numerics.filters.gaussian import Gaussian
+from torchhand.numerics.filters.gaussian import Gaussian, Measurement
 from torchhand.numerics.filters.iterated import update_iterated
 from torchhand.numerics.filters.unscented import Update, update
 
@@ -27,8 +27,10 @@ def observe(points: Tensor) -> Tensor:
     return (0.5 * points @ MIX.mT).sin() + 0.1 * points @ MIX.mT
 
 
-def unscented(state: Gaussian, seen: Callable[[Tensor], Tensor], z: Tensor, r: Tensor, **options: Any) -> Update:
-    return update(state, seen, z, r, **options)
+def unscented(
+    state: Gaussian, seen: Callable[[Tensor], Tensor], z: Tensor, r: Tensor, valid: Tensor | None = None, **options: Any
+) -> Update:
+    return update(state, seen, Measurement(z, r, valid), **options)
 
 
 def extended(state: Gaussian, seen: Callable[[Tensor], Tensor], z: Tensor, r: Tensor, **options: Any) -> Update:
@@ -43,8 +45,10 @@ def extended_correlated(state: Gaussian, seen: Any, z: Tensor, r: Tensor, **opti
     return update_extended(state, z - value, jacobian, noise, **options)
 
 
-def iterated(state: Gaussian, seen: Callable[[Tensor], Tensor], z: Tensor, r: Tensor, **options: Any) -> Update:
-    return update_iterated(state, linearised(seen), z, r, **options).update
+def iterated(
+    state: Gaussian, seen: Callable[[Tensor], Tensor], z: Tensor, r: Tensor, valid: Tensor | None = None, **options: Any
+) -> Update:
+    return update_iterated(state, linearised(seen), Measurement(z, r, valid), **options).update
 
 
 FILTERS = [unscented, extended, extended_correlated, iterated]
@@ -138,6 +142,6 @@ def test_an_estimate_without_a_finite_jacobian_is_stepped_back_from() -> None:
     def seen(x: Tensor) -> tuple[Tensor, Tensor]:
         return x, torch.where(x > 0.3, torch.ones_like(x), torch.nan).unsqueeze(-1)
 
-    got = update_iterated(state, seen, torch.zeros(1, dtype=torch.float64), variance).update.state
+    got = update_iterated(state, seen, Measurement(torch.zeros(1, dtype=torch.float64), variance)).update.state
     assert 0.3 < float(got.mean) < 0.5
     assert float(got.covariance) == pytest.approx(1e-2, rel=1e-3)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchhand.numerics.filters.extended import update_extended
-from torchhand.numerics.filters.gaussian import Gaussian
+from torchhand.numerics.filters.gaussian import Gaussian, Measurement
 from torchhand.numerics.filters.iterated import update_iterated
 from torchhand.numerics.filters.square_root import PosteriorRoot
 from torchhand.numerics.filters.unscented import update
@@ -44,8 +44,10 @@ def updated(name: str, state: Gaussian, rows: Tensor, z: Tensor, variance: Tenso
     if name == "extended":
         return update_extended(state, z - seen(state.mean[..., :columns]), rows, variance).state
     if name == "iterated":
-        return update_iterated(state, lambda x: (seen(x), rows), z, variance, observed=columns).update.state
-    return update(state, lambda x: x @ rows.mT, z, variance, observed=columns).state
+        return update_iterated(
+            state, lambda x: (seen(x), rows), Measurement(z, variance), observed=columns
+        ).update.state
+    return update(state, lambda x: x @ rows.mT, Measurement(z, variance), observed=columns).state
 
 
 def textbook(state: Gaussian, rows: Tensor, z: Tensor, variance: Tensor) -> Gaussian:
@@ -155,8 +157,8 @@ def test_nis_is_never_negative_and_that_of_the_innovation_s_covariance(name: str
     state, variance = Gaussian(torch.zeros(batch, n, dtype=dtype), covariance), torch.full((batch, m), 1e-6).to(dtype)
     calls: dict[str, Callable[[Tensor], Any]] = {
         "extended": lambda z: update_extended(state, z, rows, variance),
-        "iterated": lambda z: update_iterated(state, lambda x: (x @ rows.mT, rows), z, variance).update,
-        "unscented": lambda z: update(state, lambda x: x @ rows.mT, z, variance),
+        "iterated": lambda z: update_iterated(state, lambda x: (x @ rows.mT, rows), Measurement(z, variance)).update,
+        "unscented": lambda z: update(state, lambda x: x @ rows.mT, Measurement(z, variance)),
     }
     # All of the innovation is explained by the state: ν lies in the span of H, and NIS is that of the state's change.
     y = randn(batch, n, seed=3).to(dtype)

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from torchhand.numerics.filters.gaussian import Gaussian
+from torchhand.numerics.filters.gaussian import Gaussian, Measurement
 from torchhand.numerics.filters.motion import MotionModel
 from torchhand.numerics.filters.sigma import UnscentedSettings
 from torchhand.numerics.filters.unscented import predict, predict_linear, update
@@ -51,10 +51,8 @@ def test_equals_the_kalman_filter_over_many_steps_with_missing_rows(dofs: int, s
         result = update(
             ours,
             lambda x: x[..., :dofs] @ matrix.mT,
-            measurement.where(used, torch.nan),
-            variance,
+            Measurement(measurement.where(used, torch.nan), variance, used),
             settings,
-            valid=used,
             observed=dofs if index % 3 else None,
         )
         ours = result.state
@@ -87,7 +85,7 @@ def test_the_printed_set_predicts_too_little_covariance_and_gains_less() -> None
     assert torch.allclose(predicted.covariance, (4 * ratio + 1) * state.covariance, rtol=0, atol=1e-14)
     measurement, variance = torch.tensor([[1.0], [0.5]], dtype=torch.float64)
     for observed in (None, 1):
-        result = update(state, lambda x: x[..., :1], measurement, variance, settings, observed=observed)
+        result = update(state, lambda x: x[..., :1], Measurement(measurement, variance), settings, observed=observed)
         gain = ratio / (ratio + 0.5)
         assert result.state.mean.tolist() == pytest.approx([gain, 0.0, 0.0], abs=1e-14)
         assert result.state.covariance.diagonal().tolist() == pytest.approx([1 - gain * ratio, 1.0, 1.0], abs=1e-14)
@@ -97,6 +95,6 @@ def test_correlated_but_unobserved_states_move_too() -> None:
     covariance = torch.tensor([[1.0, 0.8], [0.8, 1.0]], dtype=torch.float64)
     state = Gaussian(torch.zeros(2, dtype=torch.float64), covariance)
     measurement, variance = torch.tensor([[1.0], [1.0]], dtype=torch.float64)
-    result = update(state, lambda x: x, measurement, variance, observed=1)
+    result = update(state, lambda x: x, Measurement(measurement, variance), observed=1)
     assert result.state.mean.tolist() == pytest.approx([0.5, 0.4], abs=1e-15)
     assert result.state.covariance.flatten().tolist() == pytest.approx([0.5, 0.4, 0.4, 0.68], abs=1e-15)

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from torchhand.numerics.filters.consistency import nis
-from torchhand.numerics.filters.gaussian import Gaussian
+from torchhand.numerics.filters.gaussian import Gaussian, Measurement
 from torchhand.numerics.filters.sigma import UnscentedSettings, sigma_points
 from torchhand.numerics.filters.unscented import predict, update
 
@@ -79,10 +79,8 @@ def test_information_form_equals_the_dense_form_with_rows_deleted(
     got = update(
         state,
         observe,
-        measurement.where(used, torch.nan),
-        variance.where(used, torch.nan),
+        Measurement(measurement.where(used, torch.nan), variance.where(used, torch.nan), used),
         settings,
-        valid=used,
         observed=observed,
     )
     tolerance = 1e-10 if settings.alpha == 1.0 else 1e-8  # the dense form cancels for small alpha
@@ -108,8 +106,8 @@ def test_observing_only_the_first_components_equals_the_full_evaluation(
         angles = points[..., :observed] @ MIX[:, : min(observed, SEEN)].mT if observed < SEEN else None
         return observe(points) if angles is None else angles.sin() + 0.3 * angles.square()
 
-    full = update(state, observe_first, measurement, variance, settings, gate=4.0)
-    short = update(state, observe_first, measurement, variance, settings, gate=4.0, observed=observed)
+    full = update(state, observe_first, Measurement(measurement, variance), settings, gate=4.0)
+    short = update(state, observe_first, Measurement(measurement, variance), settings, gate=4.0, observed=observed)
     assert calls == [(2, 3, 2 * SIZE + 1, SIZE), (2, 3, 2 * observed + 1, observed)]
     tolerance = 1e-12 if settings.alpha == 1.0 else 1e-9
     assert torch.allclose(short.state.mean, full.state.mean, rtol=0, atol=tolerance)
@@ -155,7 +153,7 @@ def test_equals_filterpy_on_a_nonlinear_problem(theirs: Any, ours: UnscentedSett
         measurement = observe(truth) + 0.3 * randn(ROWS, seed=100 + index)
         variance = 0.05 + randn(ROWS, seed=200 + index).square()
         peer.update(measurement.numpy(), R=variance.diag().numpy())
-        result = update(state, observe, measurement, variance, ours, points=None if is_redrawn else points)
+        result = update(state, observe, Measurement(measurement, variance), ours, points=None if is_redrawn else points)
         state = result.state
         assert torch.allclose(state.mean, torch.from_numpy(peer.x), rtol=0, atol=1e-9)
         assert torch.allclose(state.covariance, torch.from_numpy(peer.P), rtol=0, atol=1e-9)
@@ -172,11 +170,11 @@ def test_a_batch_equals_a_loop(settings: UnscentedSettings, batch: tuple[int, ..
     valid.view(-1, ROWS)[-1] = False  # the last filter sees nothing
     noise = 0.01 * torch.eye(SIZE, dtype=torch.float64)
     moved = predict(state, transition, noise, settings)
-    together = update(moved, observe, measurement, variance, settings, valid=valid, gate=9.0)
+    together = update(moved, observe, Measurement(measurement, variance, valid), settings, gate=9.0)
     for index in torch.cartesian_prod(*(torch.arange(n) for n in batch)).reshape(-1, len(batch)).tolist():
         at = tuple(index)
         one = predict(Gaussian(state.mean[at], state.covariance[at]), transition, noise, settings)
-        alone = update(one, observe, measurement[at], variance[at], settings, valid=valid[at], gate=9.0)
+        alone = update(one, observe, Measurement(measurement[at], variance[at], valid[at]), settings, gate=9.0)
         tolerance = 1e-12 if settings.alpha == 1.0 else 1e-9
         assert torch.allclose(together.state.mean[at], alone.state.mean, rtol=0, atol=tolerance)
         assert torch.allclose(together.state.covariance[at], alone.state.covariance, rtol=0, atol=tolerance)
@@ -189,11 +187,11 @@ def test_gating_equals_deleting_the_outliers() -> None:
     state, measurement, variance = random_problem()
     measurement[3] += 40.0
     measurement[11] -= 60.0
-    gated = update(state, observe, measurement, variance, gate=9.0)
+    gated = update(state, observe, Measurement(measurement, variance), gate=9.0)
     assert (~gated.used).nonzero().flatten().tolist() == [3, 11]
     assert int(gated.count) == ROWS - 2
     assert float(gated.innovation[3]) > 20
-    expected = update(state, observe, measurement, variance, valid=gated.used)
+    expected = update(state, observe, Measurement(measurement, variance, gated.used))
     assert torch.allclose(gated.state.mean, expected.state.mean, rtol=0, atol=1e-13)
     assert torch.allclose(gated.state.covariance, expected.state.covariance, rtol=0, atol=1e-13)
     assert torch.allclose(gated.nis, expected.nis, rtol=1e-12, atol=0)
@@ -202,7 +200,7 @@ def test_gating_equals_deleting_the_outliers() -> None:
 def test_the_gate_is_measured_in_standard_deviations_of_the_innovation() -> None:
     state = Gaussian(torch.zeros(4, dtype=torch.float64), 3.0 * torch.eye(4, dtype=torch.float64))
     measurement = torch.tensor([5.9, 6.1, -5.9, -6.1], dtype=torch.float64)  # S = 3 + 1, three sigma = 6
-    result = update(state, lambda x: x, measurement, torch.ones(4, dtype=torch.float64), gate=9.0)
+    result = update(state, lambda x: x, Measurement(measurement, torch.ones(4, dtype=torch.float64)), gate=9.0)
     assert result.used.tolist() == [True, False, True, False]
 
 
@@ -214,8 +212,8 @@ def test_nan_predicted_in_hidden_rows_has_no_effect() -> None:
     def observe_some(points: torch.Tensor) -> torch.Tensor:
         return observe(points).where(valid, torch.nan)
 
-    result = update(Gaussian(mean, state.covariance), observe_some, measurement, variance, valid=valid)
-    expected = update(state, observe, measurement, variance, valid=valid)
+    result = update(Gaussian(mean, state.covariance), observe_some, Measurement(measurement, variance, valid))
+    expected = update(state, observe, Measurement(measurement, variance, valid))
     assert torch.equal(result.state.mean, expected.state.mean)
     assert torch.equal(result.state.covariance, expected.state.covariance)
     (gradient,) = torch.autograd.grad(result.state.mean.sum() + result.nis, mean)
@@ -226,10 +224,15 @@ def test_nan_predicted_in_hidden_rows_has_no_effect() -> None:
 def test_without_measurements_nothing_changes(settings: UnscentedSettings) -> None:
     state, measurement, variance = random_problem(2)
     hidden = update(
-        state, observe, measurement * torch.nan, variance * 0, settings, valid=torch.zeros(2, ROWS, dtype=torch.bool)
+        state,
+        observe,
+        Measurement(measurement * torch.nan, variance * 0, torch.zeros(2, ROWS, dtype=torch.bool)),
+        settings,
     )
-    empty = update(state, lambda x: x[..., :0], measurement[..., :0], variance[..., :0], settings, observed=SEEN)
-    gated = update(state, observe, measurement + 1e3, variance, settings, gate=1.0)
+    empty = update(
+        state, lambda x: x[..., :0], Measurement(measurement[..., :0], variance[..., :0]), settings, observed=SEEN
+    )
+    gated = update(state, observe, Measurement(measurement + 1e3, variance), settings, gate=1.0)
     for result in (hidden, empty, gated):
         assert torch.equal(result.state.mean, state.mean)
         assert torch.equal(result.state.covariance, state.covariance)
@@ -242,7 +245,7 @@ def test_gradients_are_right_and_nan_in_hidden_rows_stays_out() -> None:
 
     def posterior(root: torch.Tensor, mean: torch.Tensor, z: torch.Tensor, r: torch.Tensor) -> tuple[torch.Tensor, ...]:
         state = Gaussian(mean, root @ root.mT)
-        result = update(state, observe, z.where(valid, torch.nan), r, valid=valid, observed=SEEN)
+        result = update(state, observe, Measurement(z.where(valid, torch.nan), r, valid), observed=SEEN)
         return result.state.mean, result.state.covariance, result.nis
 
     state, measurement, variance = random_problem()
@@ -258,7 +261,9 @@ def test_float32_stays_positive_definite_in_a_long_run() -> None:
     for index in range(100):
         state = predict(state, lambda x: 0.99 * x, noise)
         measurement = 0.01 * randn(ROWS, seed=index).float()
-        result = update(state, lambda x: (x[..., :SEEN] @ mix.mT).sin(), measurement, torch.full((ROWS,), 1e-6))
+        result = update(
+            state, lambda x: (x[..., :SEEN] @ mix.mT).sin(), Measurement(measurement, torch.full((ROWS,), 1e-6))
+        )
         state = result.state
     assert state.mean.dtype == torch.float32
     assert float(torch.linalg.eigvalsh(state.covariance)[0]) > 0
@@ -268,20 +273,24 @@ def test_float32_stays_positive_definite_in_a_long_run() -> None:
 def test_errors_are_named() -> None:
     state, measurement, variance = random_problem()
     with pytest.raises(ValueError, match=r"variance must be above 0"):
-        update(state, observe, measurement, variance * 0)
+        update(state, observe, Measurement(measurement, variance * 0))
+    with pytest.raises(ValueError, match=r"noise: expected variances .*, got covariances \(20, 20\)"):
+        update(state, observe, Measurement(measurement, variance.diag()))
+    with pytest.raises(ValueError, match=r"noise: expected torch.float64, that of the value, got torch.float32"):
+        Measurement(measurement, variance.float())
     with pytest.raises(ValueError, match=r"gate must be None or above 0, got -1"):
-        update(state, observe, measurement, variance, gate=-1.0)
+        update(state, observe, Measurement(measurement, variance), gate=-1.0)
     with pytest.raises(ValueError, match=r"observed must be None or 1 to 6, got 7"):
-        update(state, observe, measurement, variance, observed=7)
+        update(state, observe, Measurement(measurement, variance), observed=7)
     with pytest.raises(ValueError, match=r"observe must return shape \(13, 20\), got \(13, 19\)"):
-        update(state, lambda x: observe(x)[..., :-1], measurement, variance)
+        update(state, lambda x: observe(x)[..., :-1], Measurement(measurement, variance))
     with pytest.raises(ValueError, match=r"transition must return shape \(13, 6\), got \(13, 5\)"):
         predict(state, lambda x: x[..., :-1], torch.eye(SIZE, dtype=torch.float64))
     points = sigma_points(state, UnscentedSettings()).points
     with pytest.raises(ValueError, match="got both observed and points"):
-        update(state, observe, measurement, variance, points=points, observed=2)
+        update(state, observe, Measurement(measurement, variance), points=points, observed=2)
     with pytest.raises(ValueError, match="points must be 13 for a state of 6 numbers, got 12"):
-        update(state, observe, measurement, variance, points=points[:-1])
+        update(state, observe, Measurement(measurement, variance), points=points[:-1])
 
 
 def test_a_centre_that_would_leave_no_covariance_is_left_out() -> None:
@@ -293,7 +302,7 @@ def test_a_centre_that_would_leave_no_covariance_is_left_out() -> None:
     def squared(points: torch.Tensor) -> torch.Tensor:
         return points.square().sum(-1, keepdim=True)
 
-    got = update(state, squared, torch.full((1,), 5.0, dtype=torch.float64), variance, settings)
+    got = update(state, squared, Measurement(torch.full((1,), 5.0, dtype=torch.float64), variance), settings)
     assert float(got.innovation_variance) > 0
     assert float(got.nis) >= 0
     assert float(torch.linalg.eigvalsh(got.state.covariance)[0]) > -1e-12
@@ -302,9 +311,9 @@ def test_a_centre_that_would_leave_no_covariance_is_left_out() -> None:
 def test_a_measurement_whose_square_overflows_is_a_missing_one() -> None:
     state, measurement, variance = random_problem()
     used = torch.arange(ROWS) % 4 != 1
-    expected = update(state, observe, measurement, variance, valid=used)
+    expected = update(state, observe, Measurement(measurement, variance, used))
     far = torch.finfo(torch.float64).max / 4
-    got = update(state, observe, measurement.where(used, far), variance)
+    got = update(state, observe, Measurement(measurement.where(used, far), variance))
     assert torch.equal(got.used, used)
     assert torch.equal(got.state.mean, expected.state.mean)
     assert torch.equal(got.state.covariance, expected.state.covariance)

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchhand.files import load_hand_model
 from torchhand.geometry import Camera, assumed_camera, rotation_from_vector
 from torchhand.hand import DOFS, HandKinematics, posture
-from torchhand.simulate.motion.motion import VIEWS, Motion, facing, scripted_motion
+from torchhand.simulate.motion.motion import VIEWS, Motion, Staging, facing, scripted_motion
 from torchhand.simulate.motion.population import sample_shape
 from torchhand.simulate.motion.scripts import SCRIPTS
 
@@ -38,7 +38,7 @@ def _joint(motion: Motion, dof: str) -> Tensor:
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_angles_stay_inside_the_limits(name: str, kinematics: HandKinematics) -> None:
     for seed in range(5):
-        joints = _motion(name, kinematics, seed=seed, pace=3.0).poses[:, 6:]
+        joints = _motion(name, kinematics, seed=seed, staging=Staging(pace=3.0)).poses[:, 6:]
         assert (joints >= kinematics.skeleton.lower).all()
         assert (joints <= kinematics.skeleton.upper).all()
 
@@ -154,7 +154,7 @@ def test_views_show_the_side_they_name(side: str) -> None:
     kinematics = load_hand_model().kinematics("left" if side == "left" else "right", dtype=torch.float64)
     for view in VIEWS:
         assert float(torch.linalg.det(facing(view))) == pytest.approx(1.0)
-        points = _keypoints(_motion("planar", kinematics, view=view), kinematics)[0]
+        points = _keypoints(_motion("planar", kinematics, staging=Staging(view=view)), kinematics)[0]
         assert points[12, 1] < points[0, 1]  # fingers up
         # The thumb of a right hand seen from the back is at the left.
         thumb_is_left = points[4, 0] < points[20, 0]
@@ -177,9 +177,9 @@ def test_wrong_wishes_are_named(kinematics: HandKinematics) -> None:
     with pytest.raises(ValueError, match=r"motion: expected one of planar, .* got 'dance'"):
         _motion("dance", kinematics)
     with pytest.raises(ValueError, match="pace: expected 0 or more, got -1"):
-        _motion("planar", kinematics, pace=-1.0)
+        _motion("planar", kinematics, staging=Staging(pace=-1.0))
     with pytest.raises(ValueError, match="fps: expected a positive"):
-        _motion("planar", kinematics, fps=0.0)
+        _motion("planar", kinematics, staging=Staging(fps=0.0))
     with pytest.raises(ValueError, match="frames: expected 1 or more, got 0"):
         scripted_motion("planar", 0, kinematics, CAMERA, torch.Generator())
 

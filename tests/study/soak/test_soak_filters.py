@@ -79,8 +79,8 @@ def test_the_input_is_hostile() -> None:
     """Measurements that are infinite, NaN, missing and far off; beliefs that are singular; gaps."""
     world = Hostile(400, MotionModel(), torch.float64, torch.Generator().manual_seed(0))
     seen = [world.measure() for _ in range(20)]
-    values = torch.stack([one.values for one in seen])
-    valid = torch.stack([one.valid for one in seen])
+    values = torch.stack([one.value for one in seen])
+    valid = torch.stack([one.valid for one in seen if one.valid is not None])
     assert bool((values == torch.inf).any() & (values == -torch.inf).any() & values.isnan().any())
     assert float(values[values.isfinite()].abs().max()) > 1e200
     assert 0.05 < float((~valid).double().mean()) < 0.5

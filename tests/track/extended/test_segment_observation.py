@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import CONE_NAMES, DOFS, PoseSpace, named_pose_space, posture
-from torchhand.numerics import Gaussian, IteratedSettings, update_extended, update_iterated
+from torchhand.numerics import Gaussian, IteratedSettings, Measurement, update_extended, update_iterated
 from torchhand.track.extended.segment_jacobian import SEGMENT_NAMES
 from torchhand.track.extended.segment_observation import (
     OBSERVED,
@@ -260,7 +260,7 @@ def test_the_iterated_filter_finds_the_registered_pose_from_far_away(studio: Any
     start = belief(size, scale)
     state = Gaussian(start.mean.expand(count, -1), start.covariance.expand(count, -1, -1))
     measured = observe.measure(truth)
-    options: dict[str, Any] = {"valid": measured.valid, "period": observe.period, "observed": size}
+    options: dict[str, Any] = {"period": observe.period, "observed": size}
     turned = (measured.value - observe.value(state.mean[:, :size]))[measured.valid & observe.period.isfinite()]
     assert int((turned.abs() > math.pi / 2).sum()) >= 5  # met only by wrapping
     is_seen = measured.valid.reshape(count, 20, 4)[..., 0]
@@ -269,15 +269,16 @@ def test_the_iterated_filter_finds_the_registered_pose_from_far_away(studio: Any
         error = observe.value(mean[:, :size]) - measured.value
         return error.reshape(count, 20, 4)[..., :2].norm(dim=-1)[is_seen]
 
-    got = update_iterated(state, observe, measured.value, measured.noise, **options)
-    one = update_iterated(state, observe, measured.value, measured.noise, IteratedSettings(iterations=1), **options)
+    seen = Measurement(measured.value, measured.noise, measured.valid)
+    got = update_iterated(state, observe, seen, **options)
+    one = update_iterated(state, observe, seen, IteratedSettings(iterations=1), **options)
     assert got.is_converged.all()
     assert float(error_px(got.update.state.mean).max()) < 0.3
     assert float(error_px(one.update.state.mean).mean()) > 10 * float(error_px(got.update.state.mean).mean())
     deviation = (got.update.state.mean[:, :size] - truth) / got.update.state.std[:, :size]
     assert float(deviation.square().mean()) < 1.5  # the covariance tells the truth
     without = {**options, "period": torch.full_like(observe.period, math.inf)}
-    lost = update_iterated(state, observe, measured.value, measured.noise, **without)
+    lost = update_iterated(state, observe, seen, **without)
     assert float(error_px(lost.update.state.mean).max()) > 3
 
 

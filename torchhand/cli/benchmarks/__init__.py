@@ -1,6 +1,6 @@
 """What `torchhand benchmark` measures."""
 
-from torchhand.cli.benchmarks.figures import Figure, line_of
+from torchhand.cli.benchmarks.figures import Figure, Peer, line_of
 from torchhand.cli.benchmarks.fit_hand import fit_hand_bones
 from torchhand.cli.benchmarks.hand import kinematics_compiled, kinematics_forward, kinematics_forward_backward, skinning
 from torchhand.cli.benchmarks.iteration import lm_iteration_jacfwd, lm_iteration_pypose
@@ -16,6 +16,7 @@ from torchhand.cli.benchmarks.volume import frame_cameras, octree
 
 __all__ = [
     "Figure",
+    "Peer",
     "TrackingCase",
     "crops",
     "filter_update",

@@ -63,29 +63,34 @@ def _amount(value: float, unit: str) -> str:
     return f"{value:.0f} {unit}" if unit in ("MiB", "frames/s") else f"{value:.3g} {unit}"
 
 
+@dataclass(frozen=True)
+class Peer:
+    """A library of others that does the same."""
+
+    name: str
+    work: float = 1.0
+    """What ours does in a call over what the peer does in one, such as vertices; ratios are per piece of work."""
+
+
 def against_peer(
     name: str,
     repeats: int,
-    peer: str,
+    peer: Peer,
     candidates: dict[str, Callable[[], object]],
     *,
     must: float,
     aim: float,
-    work: float = 1.0,
     note: str = "",
     device: torch.device = HOST,
 ) -> Figure:
-    """Time "ours", "peer" where it is there, and other variants of ours, on the device where they compute.
-
-    work: what ours does in a call over what the peer does in one, such as vertices; ratios are per piece of work.
-    """
+    """Time "ours", "peer" where it is there, and other variants of ours, on the device where they compute."""
     times = time_interleaved({side: finished(call, device) for side, call in candidates.items()}, repeats, warm_up=2)
     ours, theirs = times["ours"], times.get("peer")
     details: dict[str, Any] = {f"{side}_fastest_ms": times[side].fastest for side in times}
     for variant in times.keys() - {"ours", "peer"}:
         details[f"{variant}_ms"] = times[variant].median
-        details[f"{variant}_ratio"] = None if theirs is None else work * times[variant].faster_than(theirs)
-    ratio = None if theirs is None else work * ours.faster_than(theirs)
+        details[f"{variant}_ratio"] = None if theirs is None else peer.work * times[variant].faster_than(theirs)
+    ratio = None if theirs is None else peer.work * ours.faster_than(theirs)
     return Figure(
         name=name,
         value=ratio,
@@ -93,11 +98,11 @@ def against_peer(
         must=must,
         aim=aim,
         ours_ms=ours.median,
-        peer=peer,
+        peer=peer.name,
         peer_ms=None if theirs is None else theirs.median,
         ratio=ratio,
         repeats=repeats,
-        note=f"{peer} is not installed: nothing to compare with" if theirs is None else note,
+        note=f"{peer.name} is not installed: nothing to compare with" if theirs is None else note,
         details=details,
     )
 

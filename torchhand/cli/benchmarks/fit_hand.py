@@ -18,7 +18,7 @@ from torchhand.fit.open_hand import fit_open_hand, known_length, sized
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import HandKinematics
 from torchhand.image import NoRegions, find_open_hand
-from torchhand.simulate import SceneSettings, render_sequence, sample_shape, scripted_motion
+from torchhand.simulate import SceneSettings, Staging, render_sequence, sample_shape, scripted_motion
 from torchhand.simulate.scene import BackgroundKind
 from torchhand.view import HandProjector
 
@@ -62,7 +62,7 @@ def pictures(count: int) -> Iterator[Picture]:
             camera,
             generator,
             shape=shape,
-            view=view,
+            staging=Staging(view=view),
         )
         motion = replace(motion, poses=motion.poses[-1:])
         background = _BACKGROUNDS[index // 5 % 4] if index % 5 == 0 else "plain"

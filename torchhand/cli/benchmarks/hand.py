@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchhand.cli.benchmarks.figures import Figure, against_peer, peer_module
+from torchhand.cli.benchmarks.figures import Figure, Peer, against_peer, peer_module
 from torchhand.devices import HOST
 from torchhand.files import load_hand_model, models_dir
 from torchhand.hand import JOINT_DOFS, ROOT_DOFS
@@ -47,7 +47,9 @@ def kinematics_forward(name: str, repeats: int | None, device: torch.device = HO
     peer = peer_chain(pose)
     if peer is not None:
         candidates["peer"] = torch.no_grad()(partial(peer[0].forward_kinematics, peer[1]))
-    return against_peer(name, repeats or ROUNDS, "pytorch-kinematics", candidates, must=4.0, aim=8.0, device=device)
+    return against_peer(
+        name, repeats or ROUNDS, Peer("pytorch-kinematics"), candidates, must=4.0, aim=8.0, device=device
+    )
 
 
 def kinematics_forward_backward(name: str, repeats: int | None, device: torch.device = HOST) -> Figure:
@@ -56,7 +58,9 @@ def kinematics_forward_backward(name: str, repeats: int | None, device: torch.de
     kinematics = load_hand_model().to(device=device).kinematics()
     ours = _bones_there_and_back(kinematics, has_shapes=True, device=device)
     candidates = {"ours": ours} | _peer_there_and_back(device)
-    return against_peer(name, repeats or ROUNDS, "pytorch-kinematics", candidates, must=3.0, aim=8.0, device=device)
+    return against_peer(
+        name, repeats or ROUNDS, Peer("pytorch-kinematics"), candidates, must=3.0, aim=8.0, device=device
+    )
 
 
 def kinematics_compiled(name: str, repeats: int | None) -> Figure:
@@ -70,7 +74,7 @@ def kinematics_compiled(name: str, repeats: int | None) -> Figure:
         "pose_alone": _bones_there_and_back(compiled, has_shapes=False),
     } | _peer_there_and_back()
     rounds = repeats or ROUNDS
-    return against_peer(name, rounds, "pytorch-kinematics", candidates, must=COMPILED_MUST, aim=COMPILED_AIM)
+    return against_peer(name, rounds, Peer("pytorch-kinematics"), candidates, must=COMPILED_MUST, aim=COMPILED_AIM)
 
 
 def _bones_there_and_back(
@@ -128,7 +132,7 @@ def skinning(
     work = hand.skinning.weights.shape[1] / PEER_VERTICES
     note = f"per vertex; ours has {hand.skinning.weights.shape[1]}, the peer {PEER_VERTICES}"
     rounds = repeats or SKINNING_ROUNDS
-    return against_peer(name, rounds, "smplx.lbs", candidates, must=must, aim=aim, work=work, note=note, device=device)
+    return against_peer(name, rounds, Peer("smplx.lbs", work), candidates, must=must, aim=aim, note=note, device=device)
 
 
 def _peer_skinning(library: Any, count: int, *, has_gradients: bool, device: torch.device) -> Callable[[], object]:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.func import jacfwd, vmap
 
-from torchhand.cli.benchmarks.figures import Figure, against_peer, peer_module
+from torchhand.cli.benchmarks.figures import Figure, Peer, against_peer, peer_module
 from torchhand.cli.benchmarks.registration import SPACE, Case
 from torchhand.fit import Stage
 from torchhand.fit.contour import picture_contours
@@ -94,7 +94,7 @@ def lm_iteration_jacfwd(name: str, repeats: int | None) -> Figure:
     }
     note = f"{HYPOTHESES} hypotheses, {SPACE.size} parameters, {TABLE.size} residuals; both with our solver"
     rounds = repeats or ROUNDS
-    return against_peer(name, rounds, "vmap(jacfwd)", candidates, must=1.3, aim=2.0, note=note)
+    return against_peer(name, rounds, Peer("vmap(jacfwd)"), candidates, must=1.3, aim=2.0, note=note)
 
 
 def lm_iteration_pypose(name: str, repeats: int | None) -> Figure:
@@ -115,7 +115,7 @@ def lm_iteration_pypose(name: str, repeats: int | None) -> Figure:
     )
     fraction = HYPOTHESES / PEER_HYPOTHESES
     rounds = repeats or ROUNDS
-    return against_peer(name, rounds, "pypose", candidates, must=5.0, aim=20.0, work=fraction, note=note)
+    return against_peer(name, rounds, Peer("pypose", fraction), candidates, must=5.0, aim=20.0, note=note)
 
 
 class _Model(nn.Module):

@@ -12,7 +12,7 @@ from torchhand.files import load_hand_model, save_cameras, save_hand, write_vide
 from torchhand.geometry import Camera, rotation_from_vector
 from torchhand.hand import Hand, HandPose
 from torchhand.runs import settings_of
-from torchhand.simulate import named_rig, scripted_motion, stage_camera
+from torchhand.simulate import Staging, named_rig, scripted_motion, stage_camera
 from torchhand.track import Keyframe, Tracker, TrackerState, View
 from torchhand.view import mesh_silhouette
 
@@ -39,7 +39,7 @@ def _simulated(frames: int) -> _Recording:
     hand = load_hand_model().hand(side="right", dtype=torch.float64)
     cameras, generator = named_rig(RIG, size=SIZE_PX), torch.Generator().manual_seed(0)
     stage = stage_camera(cameras, float(hand.kinematics.shape_space.metric(hand.shape)["hand_length"]))
-    course = scripted_motion(MOTION, frames, hand.kinematics, stage, generator, fps=FRAMES_PER_SECOND)
+    course = scripted_motion(MOTION, frames, hand.kinematics, stage, generator, staging=Staging(fps=FRAMES_PER_SECOND))
     screen, skin = torch.tensor(_SCREEN), torch.tensor(_SKIN)
     noise = torch.randint(-_NOISE, _NOISE + 1, (SIZE_PX[1], SIZE_PX[0], 3), generator=generator)
     seen = []

@@ -15,7 +15,7 @@ from torchhand.export.stream import StreamFigures
 from torchhand.files import load_hand_model
 from torchhand.geometry import assumed_camera
 from torchhand.hand import DOFS, ROOT_DOFS, HandModel
-from torchhand.simulate import joints_of_glove, read_glove, scripted_motion
+from torchhand.simulate import Staging, joints_of_glove, read_glove, scripted_motion
 
 FPS = 25.0
 SECONDS = 60  # of the synthetic motion
@@ -33,7 +33,7 @@ def synthetic_stream(name: str, repeats: int | None) -> Figure:
     camera = assumed_camera(640, 480)
     generator = torch.Generator().manual_seed(0)
     kinematics = model.kinematics(dtype=torch.float64)
-    motion = scripted_motion(SYNTHETIC, int(FPS * SECONDS), kinematics, camera, generator, fps=FPS)
+    motion = scripted_motion(SYNTHETIC, int(FPS * SECONDS), kinematics, camera, generator, staging=Staging(fps=FPS))
     return _figure(name, repeats, {SYNTHETIC: _clip(model, motion.poses.double())})
 
 

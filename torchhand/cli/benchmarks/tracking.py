@@ -13,14 +13,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchhand.cli.benchmarks.figures import Figure, against_peer, peer_module
+from torchhand.cli.benchmarks.figures import Figure, Peer, against_peer, peer_module
 from torchhand.cli.benchmarks.runs import FRAMES_PER_SECOND, memory_figure, speed_figure, there_and_back, with_bar
 from torchhand.devices import HOST
 from torchhand.files import load_hand_model, save_cameras, write_video
 from torchhand.geometry import Camera, assumed_camera
-from torchhand.numerics import Gaussian, UnscentedSettings, sigma_points, update
+from torchhand.numerics import Gaussian, Measurement, UnscentedSettings, sigma_points, update
 from torchhand.runs import settings_of
-from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
+from torchhand.simulate import SceneSettings, Staging, render_sequence, scripted_motion
 from torchhand.track import BackwardPass, HandKeypoints, Tracker, TrackerState, View
 
 STATE, OBSERVED, MEASUREMENTS = 81, 27, 800
@@ -49,19 +49,19 @@ def filter_update(name: str, repeats: int | None) -> Figure:
     # The points of the first components alone: the centre, then plus and minus of each column.
     kept = torch.cat((torch.arange(OBSERVED + 1), 1 + STATE + torch.arange(OBSERVED)))
     seen_by_few = seen[kept]
-    measurement = observe(state.mean) + 0.5 * normal(MEASUREMENTS)
+    measurement = Measurement(observe(state.mean) + 0.5 * normal(MEASUREMENTS), variance)
     candidates: dict[str, Callable[[], object]] = {
-        "ours": lambda: update(state, lambda _: seen, measurement, variance),
-        f"observed_{OBSERVED}": lambda: update(state, lambda _: seen_by_few, measurement, variance, observed=OBSERVED),
+        "ours": lambda: update(state, lambda _: seen, measurement),
+        f"observed_{OBSERVED}": lambda: update(state, lambda _: seen_by_few, measurement, observed=OBSERVED),
     }
     library = peer_module("filterpy.kalman")
     if library is not None:
-        candidates["peer"] = _filterpy_update(library, state, points, seen, measurement, variance)
-    return against_peer(name, repeats or FILTER_ROUNDS, "filterpy", candidates, must=10.0, aim=15.0)
+        candidates["peer"] = _filterpy_update(library, state, points, seen, measurement)
+    return against_peer(name, repeats or FILTER_ROUNDS, Peer("filterpy"), candidates, must=10.0, aim=15.0)
 
 
 def _filterpy_update(
-    library: Any, state: Gaussian, points: Tensor, seen: Tensor, measurement: Tensor, variance: Tensor
+    library: Any, state: Gaussian, points: Tensor, seen: Tensor, measurement: Measurement
 ) -> Callable[[], object]:
     calls = count()
     observations = seen.numpy()
@@ -69,11 +69,11 @@ def _filterpy_update(
     peer = library.UnscentedKalmanFilter(
         STATE, MEASUREMENTS, 1.0, hx=lambda _: observations[next(calls) % len(observations)], fx=None, points=spread
     )
-    noise = np.diag(variance.numpy())
+    noise = np.diag(measurement.noise.numpy())
 
     def run() -> object:
         peer.x, peer.P, peer.sigmas_f = state.mean.numpy().copy(), state.covariance.numpy().copy(), points.numpy()
-        peer.update(measurement.numpy(), R=noise)
+        peer.update(measurement.value.numpy(), R=noise)
         return peer.x
 
     return run
@@ -100,7 +100,7 @@ def simulated_views(motion: str, size: tuple[int, int], frames: int, scene: Scen
     kinematics = load_hand_model().kinematics(dtype=torch.float64)
     camera = replace(assumed_camera(*size, horizontal_fov_deg=FOV_DEG), is_assumed=False)
     generator = torch.Generator().manual_seed(0)
-    course = scripted_motion(motion, frames, kinematics, camera, generator, fps=FRAMES_PER_SECOND)
+    course = scripted_motion(motion, frames, kinematics, camera, generator, staging=Staging(fps=FRAMES_PER_SECOND))
     rendered = list(with_bar(render_sequence(kinematics, course, camera, scene, generator), frames, "rendering"))
     views = []
     for frame in rendered:

@@ -14,7 +14,7 @@ import torchhand
 from torchhand.cli.command import DONE, STOPPED_BY_USER, threads
 from torchhand.cli.learning.folders import check_same, check_training_folder
 from torchhand.devices import sent_to
-from torchhand.draw import draw_chart
+from torchhand.draw import Axes, draw_chart
 from torchhand.errors import InputError
 from torchhand.files import load_hand_model
 from torchhand.files.disk import replacing, write_text
@@ -186,7 +186,7 @@ def _bar(what: str, total: int | None, unit: str) -> tqdm:
 def _draw(out: Path, curve: Curve) -> None:
     steps = [row["step"] for row in curve]
     shown = [name for name in _SHOWN if name in curve[0]]
-    charts = [draw_chart(name, steps, {"network": [row[name] for row in curve]}, x_name="step") for name in shown]
+    charts = [draw_chart(Axes(name, x_name="step"), steps, {"network": [row[name] for row in curve]}) for name in shown]
     with replacing(out / PICTURE_NAME) as temporary:
         cv2.imwrite(str(temporary), cv2.cvtColor(torch.cat(charts, 1).numpy(), cv2.COLOR_RGB2BGR))
 

@@ -15,6 +15,7 @@ from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import Hand, HandKinematics, HandModel, ShapeSpace, Side
 from torchhand.simulate import (
     Motion,
+    Staging,
     parse_pose,
     posed_motion,
     recorded_motion,
@@ -54,7 +55,8 @@ def actor_of(arguments: Arguments, generator: torch.Generator, device: torch.dev
 def motion_of(arguments: Arguments, actor: Actor, camera: Camera, generator: torch.Generator) -> Motion:
     """Motion in the world of that camera. Raises InputError naming the option that cannot be met."""
     frames = arguments.frames or DEFAULT_FRAMES
-    how = {"shape": actor.shape, "view": arguments.view, "fps": arguments.fps}
+    staging = Staging(view=arguments.view, fps=arguments.fps, pace=arguments.pace)
+    how = {"shape": actor.shape, "staging": staging}
     if arguments.pose:
         poses = [parse_pose(text, actor.kinematics.skeleton) for text in arguments.pose]
         return posed_motion(poses, frames, actor.kinematics, camera, **how)
@@ -65,7 +67,7 @@ def motion_of(arguments: Arguments, actor: Actor, camera: Camera, generator: tor
         perform = partial(scripted_motion, arguments.motion)
     else:
         perform = partial(recorded_motion, arguments.recorded, start_s=arguments.recorded_start)
-    return perform(frames, actor.kinematics, camera, generator, pace=arguments.pace, **how)
+    return perform(frames, actor.kinematics, camera, generator, **how)
 
 
 def _skinned(model: HandModel, side: Side, device: torch.device) -> Hand:

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from torchhand.errors import InputError
-from torchhand.files.disk import read_numbers, short
+from torchhand.files.disk import read_numbers, read_text, short
 from torchhand.geometry import DISTORTION_LENGTHS, rotation_from_vector
 
 _KEYS = ("name", "size", "matrix", "distortions", "rotation", "translation")
@@ -24,12 +24,9 @@ def aniposelib_entries(path: Path) -> list[tuple[str, dict[str, Any]]]:
 
     Raises InputError naming the file, the table and the key.
     """
+    text = read_text(path, "a TOML text file")
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: expected a TOML text file in UTF-8, got something else") from error
+        content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path}: is no TOML that can be read ({error})") from error
     tables = {

@@ -6,7 +6,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from torchhand.errors import InputError
-from torchhand.files.disk import short
+from torchhand.files.disk import read_text, short
 
 # Parameters after the focal lengths and the principal point become OpenCV's k1 k2 p1 p2.
 _MODELS = {"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8}
@@ -42,14 +42,7 @@ def colmap_entries(folder: Path) -> list[tuple[str, dict[str, Any]]]:
 
 def _lines(path: Path) -> Iterator[tuple[str, list[str]]]:
     """Place and words of every line that is no comment; empty lines too, because images.txt needs them."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file (a COLMAP text model has cameras.txt and images.txt)") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: expected a text file in UTF-8, got something else") from error
+    text = read_text(path, missing="no such file (a COLMAP text model has cameras.txt and images.txt)")
     for i, line in enumerate(text.splitlines(), start=1):
         if not line.lstrip().startswith("#"):
             yield f"{path}, line {i}", line.split()

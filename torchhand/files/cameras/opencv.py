@@ -8,7 +8,7 @@ import cv2
 import torch
 
 from torchhand.errors import InputError
-from torchhand.files.disk import quiet_opencv, short
+from torchhand.files.disk import quiet_opencv, read_text, short
 from torchhand.geometry import rotation_from_vector
 
 OPENCV_SUFFIXES = (".yml", ".yaml", ".xml")
@@ -67,12 +67,7 @@ def opencv_entries(path: Path, *, size: tuple[int, int] | None = None) -> list[E
 
 def read_storage(path: Path) -> dict[str, Any]:
     """A FileStorage file as dictionaries, lists (matrices: lists of rows), numbers and texts."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: expected a YAML or XML text file in UTF-8, got something else") from error
+    text = read_text(path, "a YAML or XML text file")
     if not text.strip():
         raise InputError(f"{path}: is empty")
     with quiet_opencv():

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from torchhand.errors import InputError
-from torchhand.files.disk import short
+from torchhand.files.disk import read_text, short
 from torchhand.files.pictures import natural_key
 
 _LENS_FILE = re.compile(r"c(\d+)\.dat")
@@ -50,14 +50,7 @@ def plain_text_entries(
 
 def _sections(path: Path) -> dict[str, list[float]]:
     """Numbers under each title, titles in small letters."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file (expected cK.dat and rot_trans_cK.dat for every camera K)") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: expected a text file in UTF-8, got something else") from error
+    text = read_text(path, missing="no such file (expected cK.dat and rot_trans_cK.dat for every camera K)")
     sections: dict[str, list[float]] = {}
     numbers: list[float] = []
     for i, line in enumerate(text.splitlines(), start=1):

@@ -5,7 +5,7 @@ from torchhand.files.disk.json_checks import read_json, read_number, read_number
 from torchhand.files.disk.line_file import LineFile, read_lines
 from torchhand.files.disk.locations import configs_dir, find_config, models_dir
 from torchhand.files.disk.native_messages import quiet_opencv
-from torchhand.files.disk.plain_files import check_name, check_plain_file, expanded, read_plain_file
+from torchhand.files.disk.plain_files import check_name, check_plain_file, expanded, read_plain_file, read_text
 from torchhand.files.disk.safe_write import explained_errors, replacing, temporary_path, write_text
 from torchhand.files.disk.text_input import finite, read_lines_of, whole
 from torchhand.files.disk.yaml_text import read_yaml
@@ -28,6 +28,7 @@ __all__ = [
     "read_number",
     "read_numbers",
     "read_plain_file",
+    "read_text",
     "read_yaml",
     "replacing",
     "short",

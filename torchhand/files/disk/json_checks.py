@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from torchhand.errors import InputError
+from torchhand.files.disk.plain_files import read_text
 
 
 def read_json(path: Path) -> Any:
@@ -15,14 +16,9 @@ def read_json(path: Path) -> Any:
 
     Raises InputError with the line number of a syntax error.
     """
+    text = read_text(path, "a JSON text file", missing="no such file")
     try:
-        return json.loads(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: expected a JSON text file in UTF-8, got something else") from error
+        return json.loads(text)
     except json.JSONDecodeError as error:
         raise InputError(f"{path}, line {error.lineno}: is no valid JSON ({error.msg})") from error
     except (ValueError, RecursionError) as error:  # whole numbers of thousands of digits, lists in lists in lists

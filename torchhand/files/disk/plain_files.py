@@ -15,6 +15,21 @@ _KINDS = (
 )
 
 
+def read_text(path: Path, kind: str = "a text file", *, missing: str | None = None) -> str:
+    """The text of a file in UTF-8, with or without a byte order mark. Raises InputError naming the file.
+
+    kind: what is expected, in words. missing: what is said where there is no such file.
+    """
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        if missing is not None and isinstance(error, FileNotFoundError):
+            raise InputError(f"{path}: {missing}") from None
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected {kind} in UTF-8, got something else") from error
+
+
 def check_plain_file(path: Path) -> int:
     """The size of a regular file, bytes; nothing is opened.
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from torchhand.errors import InputError
 from torchhand.files.disk.json_checks import short
+from torchhand.files.disk.plain_files import read_text
 
 _LARGEST_BYTES = 1 << 30
 
@@ -14,13 +15,9 @@ def read_lines_of(path: Path, what: str) -> list[str]:
     try:
         if path.stat().st_size > _LARGEST_BYTES:
             raise InputError(f"{path}: expected {what} of less than 1 GiB, got {path.stat().st_size} bytes")
-        return path.read_text(encoding="utf-8-sig").splitlines()
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: expected {what}, a text file in UTF-8, got something else") from error
+    except OSError:
+        pass  # the reading tells
+    return read_text(path, f"{what}, a text file", missing="no such file").splitlines()
 
 
 def finite(where: str, word: str) -> float:

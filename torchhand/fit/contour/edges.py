@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchhand.devices import read_back
 from torchhand.fit import Equations, Explained, PosedHands, Stage
-from torchhand.fit.contour.observation import contours_of, shape_slopes
+from torchhand.fit.contour.equations import MovingContour, contours_of
 from torchhand.fit.contour.points import pixels_per_metre
 from torchhand.image import EdgeSettings, search_edges
 from torchhand.view import Contours, VisibleContour
@@ -122,11 +122,9 @@ class EdgeFactor:
 
     def equations(self, hands: PosedHands) -> Equations:
         """Normal equations in the DOFs, and in the shape where it is unknown."""
-        motion = self.visible.motion if hands is self.associated else None
-        if motion is None:
-            motion = contours_of(self.contours, hands.shape, hands).motion(hands.pose, self.visible)
+        moving = MovingContour.of(self.contours, self.visible, hands, self.associated)
         normals, sharpness = self.visible.normals.mT, self.gross_px[:, None].square().reciprocal()
-        moved = (normals * (motion.columns_px - self.visible.points_px.mT)).sum(1)
+        moved = (normals * (moving.motion.columns_px - self.visible.points_px.mT)).sum(1)
         residual = torch.where(self.found, moved - self.offset_px, 0.0)
         robust = (1 + residual.square() * sharpness).reciprocal()
         saturated = torch.where(self.found, residual.square() * robust, 1 / sharpness)
@@ -136,19 +134,7 @@ class EdgeFactor:
             curvature=curvature[:, None],
             gradient=(curvature * residual)[:, None],
         )
-        matrix, gradient = motion.equations(terms)
-        found = Equations(cost=0.5 * (self.weight * saturated).sum(-1), gradient=gradient, matrix=matrix)
-        if hands.unknowns is None:
-            return found
-        rows = motion.slopes(terms.direction).squeeze(1)
-        shared = (terms.direction.squeeze(1)[..., None] * shape_slopes(self.contours, self.visible, hands)).sum(1)
-        weighted = curvature[..., None] * shared
-        return replace(
-            found,
-            mixed=rows.mT @ weighted,
-            shared_gradient=(terms.gradient @ shared).squeeze(1),
-            shared_matrix=shared.mT @ weighted,
-        )
+        return moving.equations(terms, 0.5 * (self.weight * saturated).sum(-1))
 
     def rows(self, rows: Int[Tensor, "n"]) -> "EdgeFactor":
         """The rows of some of the hands."""

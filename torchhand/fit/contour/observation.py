@@ -10,9 +10,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchhand.devices import are_equal
 from torchhand.fit import Equations, Explained, PosedHands, Stage
 from torchhand.fit.contour.correspondences import Correspondences, boundary_offset, contour_terms
+from torchhand.fit.contour.equations import MovingContour, contours_of
 from torchhand.fit.contour.matching import match_boundary
 from torchhand.fit.contour.picture import PictureContours
 from torchhand.fit.contour.points import pixels_per_metre
@@ -113,24 +113,9 @@ class ContourFactor:
 
     def equations(self, hands: PosedHands) -> Equations:
         """Normal equations in the DOFs, and in the shape where it is unknown."""
-        motion = self.visible.motion if hands is self.associated else None
-        if motion is None:
-            motion = contours_of(self.contours, hands.shape, hands).motion(hands.pose, self.visible)
-        terms, cost = contour_terms(motion.columns_px, self.field, self.valleys, self.pairs)
-        matrix, gradient = motion.equations(terms)
-        found = Equations(cost=cost, gradient=gradient, matrix=matrix)
-        if hands.unknowns is None:
-            return found
-        rows = motion.slopes(terms.direction).flatten(1, 2)
-        slopes = shape_slopes(self.contours, self.visible, hands)
-        shared = (terms.direction[..., None] * slopes[:, None]).sum(2).flatten(1, 2)
-        weighted = terms.curvature.flatten(1)[..., None] * shared
-        return replace(
-            found,
-            mixed=rows.mT @ weighted,
-            shared_gradient=(terms.gradient.flatten(1)[:, None] @ shared).squeeze(1),
-            shared_matrix=shared.mT @ weighted,
-        )
+        moving = MovingContour.of(self.contours, self.visible, hands, self.associated)
+        terms, cost = contour_terms(moving.motion.columns_px, self.field, self.valleys, self.pairs)
+        return moving.equations(terms, cost)
 
     def rows(self, rows: Int[Tensor, "n"]) -> "ContourFactor":
         """The rows of some of the hands."""
@@ -162,23 +147,6 @@ class ContourFactor:
                 distance=torch.where(is_seen, mean, torch.inf),
             ),
         )
-
-
-def shape_slopes(contours: Contours, visible: VisibleContour, hands: PosedHands) -> Float[Tensor, "k 2 points c"]:
-    """Derivative of the points of contours in the shared unknowns, px; none but the shape moves them."""
-    assert hands.unknowns is not None
-    own = contours_of(contours, hands.shape, hands)
-    slopes = own.shape_slopes(hands.pose, visible, hands.unknowns.columns)
-    return torch.nn.functional.pad(slopes, (0, len(hands.unknowns.extra)))
-
-
-def contours_of(contours: Contours, shape: Float[Tensor, "shape"], hands: PosedHands) -> Contours:
-    """Contours of the hands' shape; remade once where they must be."""
-
-    def own() -> Contours:
-        return contours if are_equal(shape, contours.shape) else contours.with_shape(shape)
-
-    return contours if shape is contours.shape else hands.once_for_shape(id(contours), own)
 
 
 def is_beyond_wrist(

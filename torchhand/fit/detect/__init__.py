@@ -4,6 +4,7 @@ from torchhand.fit.detect.alignment import Alignment, align_posture
 from torchhand.fit.detect.edge_fit import Fit, FitSettings
 from torchhand.fit.detect.facing import facing_rotation, turned_in_picture
 from torchhand.fit.detect.start import (
+    ContourFitter,
     NoStart,
     Start,
     StartPoints,
@@ -16,6 +17,7 @@ from torchhand.fit.detect.start import (
 
 __all__ = [
     "Alignment",
+    "ContourFitter",
     "Fit",
     "FitSettings",
     "NoStart",

@@ -26,6 +26,7 @@ from torchhand.image import depth_map, mask_moments
 _WORK_SIDE_PX = 200  # pictures are searched at this size
 _ANGLES = 48
 _SCALES = (0.72, 0.8, 0.9, 1.0, 1.1, 1.22, 1.35)  # palm radii tried, over that of the disc
+_FACINGS = ("palm", "back")
 _SPREADS = (1.0, 0.35)  # the posture is tried with its abductions as they are and with narrower ones
 _COARSE_POINTS, _FINE_POINTS = 110, 260  # outline points compared in the search and in its refinement
 _BEST = 12  # placements kept of each disc and template
@@ -59,7 +60,6 @@ def align_posture(
     shape: Float[Tensor, "shape"],
     pose: Float[Tensor, "36"],
     *,
-    facings: tuple[str, ...] = ("palm", "back"),
     keep: int = 4,
 ) -> list[Alignment]:
     """The best placements of a posture over a silhouette, best first, distinct in side, place and angle.
@@ -85,7 +85,7 @@ def align_posture(
     coarse = thinned(edge, _COARSE_POINTS)
     angles = np.linspace(-math.pi, math.pi, _ANGLES, endpoint=False) + _inertia_angle(small)
     is_spread = torch.tensor([name.endswith("_aa") for name in DOFS])
-    for facing, spread in itertools.product(facings, _SPREADS):
+    for facing, spread in itertools.product(_FACINGS, _SPREADS):
         variant = torch.where(is_spread, spread * pose, pose)
         template = draw_template(kinematics, shape, variant, facing)
         for centre, radius in discs:
@@ -141,8 +141,6 @@ def align_points(
     kinematics: HandKinematics,
     shape: Float[Tensor, "shape"],
     pose: Float[Tensor, "36"],
-    *,
-    facings: tuple[str, ...] = ("palm", "back"),
 ) -> list[Alignment]:
     """The placements whose wrist and middle fingertip project to two points that the user gives, one per facing.
 
@@ -154,7 +152,7 @@ def align_points(
     if not bool(span.norm() > 0):
         raise ValueError(f"start points: expected two different points, got {wrist_px} twice")
     found = []
-    for facing in facings:
+    for facing in _FACINGS:
         straight = pose.clone()
         straight[:6] = 0
         rotation = facing_rotation(facing, dtype=pose.dtype)

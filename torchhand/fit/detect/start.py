@@ -1,7 +1,7 @@
 """Finds a hand in a single picture and fits it: the start of a track, and its restart after a loss."""
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import torch
 from jaxtyping import Bool, Float, UInt8
@@ -37,6 +37,36 @@ _GOOD = 0.93  # overlap at which no other start is tried
 _NEAR = 0.65  # overlap below which other abductions are not tried: the hand has another posture or is elsewhere
 _MIN_FOUND = 0.8  # share of the fitted contour that must lie on edges
 _MIN_INSIDE = 0.8  # share of the keypoints that must lie in the picture
+_MIN_AREA_FRACTION = 0.004  # share of the picture that a silhouette fills at least
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContourFitter:
+    """A hand before a camera, and how its contour is fitted to a picture."""
+
+    kinematics: HandKinematics
+    camera: Camera
+    """Camera whose frame is the world."""
+    table: OutlineTable
+    shape: Float[Tensor, "shape"]
+    """Proportions to start from, or known ones."""
+    fit_shape: bool = True
+    """Whether proportions are fitted; else `shape` is kept."""
+    settings: FitSettings = field(default_factory=FitSettings)
+
+    def fitted(self, mask: Bool[Tensor, "height width"], start: Fit) -> Fit:
+        """The hand of `start` moved until its contour lies on that of the mask; see `fit_contour`."""
+        projector = HandProjector(self.kinematics, self.camera, start.shape)
+        pose = HandPose.of(start.pose, start.root_reference)
+        return fit_contour(mask_plane(mask), projector, self.table, pose, self.settings, fit_shape=self.fit_shape)
+
+    def overlap(self, mask: Bool[Tensor, "height width"], fit: Fit) -> float:
+        """Intersection over union of a fitted hand and a mask, forearm cut at the wrist."""
+        return fit_overlap(mask, self.kinematics, self.camera, fit)
+
+    def length_px(self, fit: Fit) -> float:
+        """Length of a fitted hand that is held parallel to the picture."""
+        return hand_length_px(self.camera, self.kinematics, fit.pose, fit.shape)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,25 +118,20 @@ def segment_hand(
 @on_host
 def find_hand(
     image: UInt8[Tensor, "height width 3"],
-    kinematics: HandKinematics,
-    camera: Camera,
-    shape: Float[Tensor, "shape"],
-    table: OutlineTable,
     posture: Float[Tensor, "36"],
+    fitter: ContourFitter,
     *,
     appearance: Appearance | None = None,
-    fit_shape: bool = True,
-    settings: FitSettings | None = None,
     min_overlap: float = 0.75,
-    min_area_fraction: float = 0.004,
     silhouette: SilhouetteSettings | None = None,
     plate: BackgroundPlate | None = None,
 ) -> Start | NoStart:
     """Segments the picture, lays the posture over the silhouette, fits pose and shape, and judges the result."""
     mask, reason = segment_hand(image, appearance, silhouette, plate)
-    if float(mask.float().mean()) < min_area_fraction:
+    if float(mask.float().mean()) < _MIN_AREA_FRACTION:
         return NoStart(reason=reason or "too little of the picture has the hand's colours", has_foreground=False)
-    alignments = [a for a in align_posture(mask, camera, kinematics, shape, posture) if a.cost < _WORST_COST]
+    where = (fitter.camera, fitter.kinematics, fitter.shape)
+    alignments = [a for a in align_posture(mask, *where, posture) if a.cost < _WORST_COST]
     best: Start | None = None
     best_facing = ""
     for spread, alignment in itertools.product(_SPREADS, alignments[:_TRIES]):
@@ -114,9 +139,7 @@ def find_hand(
             break
         if spread != 1.0 and (best is None or best.overlap < _NEAR or alignment.facing != best_facing):
             continue
-        start = _fitted(
-            image, mask, _spread(alignment, spread), kinematics, camera, shape, table, fit_shape, settings, appearance
-        )
+        start = _fitted(image, mask, _spread(alignment, spread), fitter, appearance)
         if start is not None and (best is None or start.quality > best.quality):
             best, best_facing = start, alignment.facing
     if best is None or best.overlap < min_overlap or best.fit.found_fraction < _MIN_FOUND:
@@ -129,16 +152,7 @@ def find_hand(
 
 @on_host
 def start_at_points(
-    image: UInt8[Tensor, "height width 3"],
-    points: StartPoints,
-    kinematics: HandKinematics,
-    camera: Camera,
-    shape: Float[Tensor, "shape"],
-    table: OutlineTable,
-    posture: Float[Tensor, "36"],
-    *,
-    fit_shape: bool = True,
-    settings: FitSettings | None = None,
+    image: UInt8[Tensor, "height width 3"], points: StartPoints, posture: Float[Tensor, "36"], fitter: ContourFitter
 ) -> Start | NoStart:
     """Starts from the wrist and the middle fingertip that the user gives, as Stenger et al. (2001) start by hand.
 
@@ -147,42 +161,31 @@ def start_at_points(
     colours can be learned, and a small overlap is the caller's to judge.
     """
     best: Start | None = None
-    for alignment in align_points(points[:2], points[2:], camera, kinematics, shape, posture):
-        pose = HandPose.of(alignment.pose, alignment.root_reference)
-        start = start_at_pose(image, pose, kinematics, camera, shape, table, fit_shape=fit_shape, settings=settings)
+    where = (fitter.camera, fitter.kinematics, fitter.shape)
+    for alignment in align_points(points[:2], points[2:], *where, posture):
+        start = start_at_pose(image, HandPose.of(alignment.pose, alignment.root_reference), fitter)
         if isinstance(start, Start) and (best is None or start.overlap > best.overlap):
             best = start
     return best or NoStart(reason="the hand placed at the start points lies outside the picture", has_foreground=False)
 
 
 @on_host
-def start_at_pose(
-    image: UInt8[Tensor, "height width 3"],
-    pose: HandPose,
-    kinematics: HandKinematics,
-    camera: Camera,
-    shape: Float[Tensor, "shape"],
-    table: OutlineTable,
-    *,
-    fit_shape: bool = True,
-    settings: FitSettings | None = None,
-) -> Start | NoStart:
+def start_at_pose(image: UInt8[Tensor, "height width 3"], pose: HandPose, fitter: ContourFitter) -> Start | NoStart:
     """Starts from a hand that is placed already, in the camera's frame.
 
     The colours of the palm so placed, against those around the hand, give a silhouette to fit; then those of the fitted
     hand give a better one. A small overlap is the caller's to judge.
     """
     at = pose.normalized()
-    placed = Fit.of_start(at.dofs, at.reference, shape)
+    placed = Fit.of_start(at.dofs, at.reference, fitter.shape)
     start: Start | None = None
     for is_first in (True, False, False):
-        appearance = _appearance_of(image, kinematics, camera, placed, palm_only=is_first)
+        appearance = _appearance_of(image, fitter, placed, palm_only=is_first)
         if appearance is None:
             break
         mask = fill_holes(clean(appearance.probability(image) > 0.5))
-        at, projector = HandPose.of(placed.pose, placed.root_reference), HandProjector(kinematics, camera, placed.shape)
-        placed = fit_contour(mask_plane(mask), projector, table, at, settings, fit_shape=fit_shape)
-        start = Start(fit=placed, appearance=appearance, overlap=fit_overlap(mask, kinematics, camera, placed))
+        placed = fitter.fitted(mask, placed)
+        start = Start(fit=placed, appearance=appearance, overlap=fitter.overlap(mask, placed))
     return start or NoStart(reason="the placed hand lies outside the picture", has_foreground=False)
 
 
@@ -193,26 +196,17 @@ def _spread(alignment: Alignment, factor: float) -> Alignment:
 
 
 def _fitted(
-    image: Tensor,
-    mask: Tensor,
-    alignment: Alignment,
-    kinematics: HandKinematics,
-    camera: Camera,
-    shape: Tensor,
-    table: OutlineTable,
-    fit_shape: bool,
-    settings: FitSettings | None,
-    appearance: Appearance | None,
+    image: Tensor, mask: Tensor, alignment: Alignment, fitter: ContourFitter, appearance: Appearance | None
 ) -> Start | None:
-    pose, projector = HandPose.of(alignment.pose, alignment.root_reference), HandProjector(kinematics, camera, shape)
-    fit = fit_contour(mask_plane(mask), projector, table, pose, settings, fit_shape=fit_shape)
-    keypoints = camera.project(kinematics(fit.pose, fit.shape, root_reference=fit.root_reference).keypoints)
-    if float(is_in_picture(keypoints, camera).double().mean()) < _MIN_INSIDE:
+    """The hand fitted from an alignment; None where much of it lies outside the picture, or teaches no colours."""
+    camera = fitter.camera
+    fit = fitter.fitted(mask, Fit.of_start(alignment.pose, alignment.root_reference, fitter.shape))
+    frames = fitter.kinematics(fit.pose, fit.shape, root_reference=fit.root_reference)
+    if float(is_in_picture(camera.project(frames.keypoints), camera).double().mean()) < _MIN_INSIDE:
         return None
-    quality = fit_overlap(mask, kinematics, camera, fit)
+    quality = fitter.overlap(mask, fit)
     if appearance is None:
-        margin = max(1, round(0.01 * hand_length_px(camera, kinematics, fit.pose, fit.shape)))
-        appearance = learn_appearance(image, mask, ~mask, margin)
+        appearance = learn_appearance(image, mask, ~mask, max(1, round(0.01 * fitter.length_px(fit))))
     return None if appearance is None else Start(fit=fit, appearance=appearance, overlap=quality)
 
 
@@ -226,18 +220,16 @@ def fit_overlap(mask: Tensor, kinematics: HandKinematics, camera: Camera, fit: F
     return float(intersection_over_union(model, mask, region, empty=0.0))
 
 
-def _appearance_of(
-    image: Tensor, kinematics: HandKinematics, camera: Camera, fit: Fit, *, palm_only: bool
-) -> Appearance | None:
+def _appearance_of(image: Tensor, fitter: ContourFitter, fit: Fit, *, palm_only: bool) -> Appearance | None:
     """Colours of a placed hand, or of its palm alone, against its surroundings.
 
     The side where a forearm may be counts for neither, nor does what lies near the outline of a hand that is placed
     roughly.
     """
-    projector = HandProjector(kinematics, camera, fit.shape)
+    camera, projector = fitter.camera, HandProjector(fitter.kinematics, fitter.camera, fit.shape)
     silhouette = projector.silhouette(fit.pose, fit.root_reference)
     keypoints = camera.project(projector.frames(fit.pose, fit.root_reference).keypoints)
-    length_px = hand_length_px(camera, kinematics, fit.pose, fit.shape)
+    length_px = fitter.length_px(fit)
     size = (camera.height, camera.width)
     around = hand_region(size, keypoints[0], keypoints[9], 1.6 * length_px)
     inside, margin = silhouette, round(0.015 * length_px)

@@ -60,25 +60,28 @@ class PostureComponent:
             raise ValueError(f"angles of {self.name}: expected finite means and spreads above 0")
 
 
-def posture_component(
-    name: str,
-    weight: float,
-    *,
-    thumb: Thumb,
-    index: Finger,
-    middle: Finger,
-    ring: Finger,
-    little: Finger,
-    twist: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
-    spread: float = 1.0,
-) -> PostureComponent:
+@dataclass(frozen=True, kw_only=True)
+class DigitAngles:
+    """A posture, digit by digit, in degrees."""
+
+    thumb: Thumb
+    index: Finger
+    middle: Finger
+    ring: Finger
+    little: Finger
+    twist: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    """Turn of the MCP joints about the fingers, index to little."""
+
+
+def posture_component(name: str, weight: float, angles: DigitAngles, *, spread: float = 1.0) -> PostureComponent:
     """A component from angles in degrees; the outer metacarpals cup a little with the flexion of their fingers.
 
-    twist: of the MCP joints, index to little. spread: multiplies the spreads of all angles.
+    spread: multiplies the spreads of all angles.
     """
-    mean_deg = dict(zip(JOINT_DOFS[:6], thumb, strict=True))
+    mean_deg = dict(zip(JOINT_DOFS[:6], angles.thumb, strict=True))
     cup = {"index": (0.5, 0.0), "middle": (0.5, 0.0), "ring": (1.0, 0.03), "little": (2.0, 0.06)}
-    for finger, values, turn in zip(FINGERS[1:], (index, middle, ring, little), twist, strict=True):
+    fingers = (angles.index, angles.middle, angles.ring, angles.little)
+    for finger, values, turn in zip(FINGERS[1:], fingers, angles.twist, strict=True):
         mcp, spread_out, pip, *dip = values
         still, bent = cup[finger]
         mean_deg |= {

@@ -14,7 +14,7 @@ from torchhand.numerics.filters.extended import (
     Linearised,
     update_extended,
 )
-from torchhand.numerics.filters.gaussian import Gaussian
+from torchhand.numerics.filters.gaussian import Gaussian, Measurement
 from torchhand.numerics.filters.information import update_quadratic
 from torchhand.numerics.filters.iterated import IteratedSettings, IteratedUpdate, update_iterated
 from torchhand.numerics.filters.motion import MotionModel
@@ -28,6 +28,7 @@ __all__ = [
     "IteratedSettings",
     "IteratedUpdate",
     "Linearised",
+    "Measurement",
     "MotionModel",
     "SigmaPoints",
     "UnscentedSettings",

@@ -9,10 +9,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.numerics.filters.cholesky import robust_cholesky, semidefinite
-from torchhand.numerics.filters.gaussian import Gaussian
+from torchhand.numerics.filters.gaussian import Gaussian, Measurement
 from torchhand.numerics.filters.information import correct, is_bearable_centre
 from torchhand.numerics.filters.sigma import UnscentedSettings, Weights, sigma_points, spread_points
-from torchhand.numerics.filters.whitening import is_countable, usable
+from torchhand.numerics.filters.whitening import is_countable, is_full, usable
 from torchhand.precision import full_precision
 
 DEFAULT_SETTINGS = UnscentedSettings()
@@ -75,11 +75,9 @@ def predict_linear(
 def update(
     state: Gaussian,
     observe: Callable[[Tensor], Tensor],
-    measurement: Float[Tensor, "*batch m"],
-    variance: Float[Tensor, "*batch m"],
+    measurement: Measurement,
     settings: UnscentedSettings = DEFAULT_SETTINGS,
     *,
-    valid: Bool[Tensor, "*batch m"] | None = None,
     gate: float | None = None,
     observed: int | None = None,
     points: Float[Tensor, "*batch p n"] | None = None,
@@ -87,10 +85,8 @@ def update(
     """Measurement update: x + K ν and P - K S Kᵀ with the unscented K and S, in information form (Woodbury).
 
     observe    maps states (*batch, p, k) to measurements (*batch, p, m), k = n or `observed`; any nonlinearity
-    variance   of each measurement's noise, > 0; noises are independent
-    valid      False leaves a measurement out; whatever number or NaN stands there has no effect. A measurement that is
-               not finite, or whose prediction is not, or that is too far from it for the square of the distance, is
-               left out as well
+    measurement with variances, as noises are independent. One that is not finite, or whose prediction is not, or that
+               is too far from it for the square of the distance, is left out as well
     gate       leaves out each measurement with ν² > gate * S_jj, for example 9 for three sigma
     observed   `observe` depends on the first k components only and is given only those, at 2k + 1 instead of 2n + 1
                points: offsets are columns of a lower triangular factor, so all other points look like the centre
@@ -101,15 +97,18 @@ def update(
     """
     if gate is not None and not gate > 0:
         raise ValueError(f"gate must be None or above 0, got {gate!r}")
+    size, variance = measurement.value.shape[-1], measurement.noise
+    if is_full(variance, measurement.value):
+        raise ValueError(f"noise: expected variances of independent noises, got covariances {tuple(variance.shape)}")
     if points is None:
-        spread = _spread_of_draw(state, observe, settings, observed, measurement.shape[-1])
+        spread = _spread_of_draw(state, observe, settings, observed, size)
     elif observed is not None:
         raise ValueError("observed needs freshly drawn points, got both observed and points")
     else:
-        spread = _spread_of_points(state, observe, settings, points, measurement.shape[-1])
+        spread = _spread_of_points(state, observe, settings, points, size)
 
-    rows, innovation = spread.rows, measurement - spread.predicted
-    used = usable(innovation, valid)
+    rows, innovation = spread.rows, measurement.value - spread.predicted
+    used = usable(innovation, measurement.valid)
     if not bool(((variance > 0) | ~used).all()):
         raise ValueError("variance must be above 0 wherever a measurement is valid, got 0, a negative number or NaN")
     used = used & is_countable(innovation, variance)

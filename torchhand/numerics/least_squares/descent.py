@@ -73,12 +73,7 @@ def gradient_descent(
     def evaluate(values: Tensor) -> NormalEquations:
         if takes_rows:
             return normal_equations(linearise(values, rows), robust)
-        found = normal_equations(linearise(values.reshape(start.shape)), robust)
-        return NormalEquations(
-            matrix=found.matrix.reshape(-1, size, size),
-            gradient=found.gradient.reshape(-1, size),
-            cost=found.cost.reshape(-1),
-        )
+        return _flat(normal_equations(linearise(values.reshape(start.shape)), robust))
 
     def bounded(values: Tensor) -> Tensor:
         return values if low is None else values.clamp(low, high)
@@ -88,12 +83,7 @@ def gradient_descent(
     here = evaluate(values)
     is_open = here.cost.isfinite() & here.gradient.isfinite().all(-1)
     status = torch.where(is_open, Status.STALLED.value, Status.FAILED.value)
-    if scale is None:
-        diagonal = here.matrix.diagonal(dim1=-2, dim2=-1)
-        floor = _MIN_DIAGONAL * diagonal.amax(-1, keepdim=True) + torch.finfo(values.dtype).tiny
-        squared = torch.maximum(diagonal, floor).reciprocal()
-    else:
-        squared = scale.to(start).expand(start.shape).reshape(-1, size).square()
+    squared = _squared_scale(here, scale, start)
     rate = torch.full_like(here.cost, settings.rate)
     iterations = torch.zeros_like(rows)
     for turn in range(settings.iterations):
@@ -106,17 +96,11 @@ def gradient_descent(
         trial = torch.where(is_open[:, None], trial, values)
         found = evaluate(trial)
         iterations += is_open
-        is_finite = found.cost.isfinite() & found.gradient.isfinite().all(-1)
-        better = is_open & is_finite & (found.cost < here.cost)
+        better = is_open & found.cost.isfinite() & found.gradient.isfinite().all(-1) & (found.cost < here.cost)
         done = better & (here.cost - found.cost <= settings.cost_tolerance * here.cost)
         status = status.masked_fill(done, Status.CONVERGED.value)
         rate = torch.where(better, rate * settings.growth, rate * settings.shrink)
-        values = torch.where(better[:, None], trial, values)
-        here = NormalEquations(
-            matrix=torch.where(better[:, None, None], found.matrix, here.matrix),
-            gradient=torch.where(better[:, None], found.gradient, here.gradient),
-            cost=torch.where(better, found.cost, here.cost),
-        )
+        values, here = torch.where(better[:, None], trial, values), _where(better, found, here)
         is_open = is_open & ~done
     on_bound = torch.zeros_like(values, dtype=torch.bool)
     if low is not None and high is not None:
@@ -129,4 +113,32 @@ def gradient_descent(
         matrix=here.matrix.reshape(*batch, size, size),
         gradient=here.gradient.reshape(start.shape),
         on_bound=on_bound.reshape(start.shape),
+    )
+
+
+def _flat(equations: NormalEquations) -> NormalEquations:
+    """The same with one batch dimension."""
+    size = equations.gradient.shape[-1]
+    return NormalEquations(
+        matrix=equations.matrix.reshape(-1, size, size),
+        gradient=equations.gradient.reshape(-1, size),
+        cost=equations.cost.reshape(-1),
+    )
+
+
+def _squared_scale(here: NormalEquations, scale: Tensor | None, start: Tensor) -> Tensor:
+    """Squares of the typical changes, of flat problems; those of the curvature where they are not given."""
+    if scale is not None:
+        return scale.to(start).expand(start.shape).reshape(here.gradient.shape).square()
+    diagonal = here.matrix.diagonal(dim1=-2, dim2=-1)
+    floor = _MIN_DIAGONAL * diagonal.amax(-1, keepdim=True) + torch.finfo(diagonal.dtype).tiny
+    return torch.maximum(diagonal, floor).reciprocal()
+
+
+def _where(choose: Tensor, one: NormalEquations, other: NormalEquations) -> NormalEquations:
+    """The equations of `one` for the problems that `choose` names, those of `other` elsewhere."""
+    return NormalEquations(
+        matrix=torch.where(choose[:, None, None], one.matrix, other.matrix),
+        gradient=torch.where(choose[:, None], one.gradient, other.gradient),
+        cost=torch.where(choose, one.cost, other.cost),
     )

@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from torchhand.draw import draw_overlay, overlay_size
 from torchhand.files import FrameRecord, Track, open_source, write_video
+from torchhand.hand import HandPose
 from torchhand.image import WORKING_PIXELS, PicturePart
 from torchhand.numerics import single_threaded
 from torchhand.runs.recordings import LiveCamera, OneCameraRecording, RecordedFrame
@@ -142,8 +143,7 @@ def _drawn(
     return draw_overlay(
         image,
         projector,
-        torch.tensor(pose, dtype=torch.float64) if has_pose else None,
-        torch.eye(3, dtype=torch.float64) if has_pose else None,
+        HandPose.of(torch.tensor(pose, dtype=torch.float64)) if has_pose else None,
         status=status,
         frame=frame,
         keypoints_px=torch.tensor(keypoints_px, dtype=torch.float64) if has_pose and keypoints_px is not None else None,

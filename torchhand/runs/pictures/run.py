@@ -188,8 +188,7 @@ def _save_overlay(
     picture = draw_overlay(
         image,
         HandProjector(kinematics, here, found.shape),
-        None if pose is None else pose.dofs,
-        None if pose is None else pose.reference,
+        pose,
         status=estimate.status,
         frame=number,
         keypoints_px=None if estimate.keypoints is None else here.project(estimate.keypoints.double()),

@@ -1,6 +1,15 @@
 """How simulated hands move: scripts, postures, recordings, and whose hands they are."""
 
-from torchhand.simulate.motion.motion import VIEWS, Motion, View, facing, filling_distance, hand_length, scripted_motion
+from torchhand.simulate.motion.motion import (
+    VIEWS,
+    Motion,
+    Staging,
+    View,
+    facing,
+    filling_distance,
+    hand_length,
+    scripted_motion,
+)
 from torchhand.simulate.motion.population import sample_shape
 from torchhand.simulate.motion.poses import parse_pose, posed_motion, sampled_motion
 from torchhand.simulate.motion.recorded import (
@@ -18,6 +27,7 @@ __all__ = [
     "VIEWS",
     "GloveRecording",
     "Motion",
+    "Staging",
     "View",
     "facing",
     "filling_distance",

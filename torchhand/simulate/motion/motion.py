@@ -34,6 +34,18 @@ class Motion:
     """Frames per second."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Staging:
+    """How a motion is shown."""
+
+    view: View = "back"
+    """Side of the hand that faces the camera at first."""
+    fps: float = 30.0
+    """Frames per second; above 0."""
+    pace: float = 1.0
+    """Factor on speeds; 0 or more."""
+
+
 def scripted_motion(
     name: str,
     frames: int,
@@ -42,21 +54,19 @@ def scripted_motion(
     generator: torch.Generator,
     *,
     shape: Float[Tensor, "shape"] | None = None,
-    view: View = "back",
-    fps: float = 30.0,
-    pace: float = 1.0,
+    staging: Staging | None = None,
 ) -> Motion:
     """The script of that name (SCRIPTS) for a hand and a camera; float64.
 
     The hand starts from rest, upright, in the middle of the picture and as far away as makes it fill the picture well.
-    Joint angles stay inside the skeleton's limits. `pace` multiplies every speed of the scripts that run by the clock;
+    Joint angles stay inside the skeleton's limits. The pace multiplies speeds of the scripts that run by the clock;
     "flexion" and "leave" spread their events over the sequence. Raises ValueError for a name, frames, fps or pace that
     cannot be.
     """
     if name not in SCRIPTS:
         raise ValueError(f"motion: expected one of {', '.join(SCRIPTS)}, got {name!r}")
-    length = hand_length(kinematics, shape)
-    stage = stage_before(camera, frames, generator, hand_length=length, fps=fps, pace=pace)
+    length, staging = hand_length(kinematics, shape), staging or Staging()
+    stage = stage_before(camera, frames, generator, hand_length=length, staging=staging)
     course = SCRIPTS[name](stage)
     joints = posture(course.posture, dtype=torch.float64)[6:].expand(frames, -1)
     joints = joints if course.joints is None else joints + course.joints
@@ -66,9 +76,8 @@ def scripted_motion(
         kinematics.skeleton.within_limits(joints),
         camera,
         hand_length=length,
-        view=view,
         stage=stage,
-        fps=fps,
+        staging=staging,
     )
 
 
@@ -79,11 +88,12 @@ def hand_length(kinematics: HandKinematics, shape: Float[Tensor, "shape"] | None
 
 
 def stage_before(
-    camera: Camera, frames: int, generator: torch.Generator, *, hand_length: float, fps: float, pace: float
+    camera: Camera, frames: int, generator: torch.Generator, *, hand_length: float, staging: Staging
 ) -> Stage:
     """The clock of a sequence, and the room before the camera where a hand of that length fills the picture well."""
     if frames < 1:
         raise ValueError(f"frames: expected 1 or more, got {frames}")
+    fps, pace = staging.fps, staging.pace
     if not (math.isfinite(fps) and fps > 0):
         raise ValueError(f"fps: expected a positive number of frames per second, got {fps}")
     if not (math.isfinite(pace) and pace >= 0):
@@ -128,13 +138,12 @@ def perform(
     camera: Camera,
     *,
     hand_length: float,
-    view: View,
     stage: Stage,
-    fps: float,
+    staging: Staging,
 ) -> Motion:
     """Places the course before the camera: the hand turns about its middle, which starts in the picture's middle."""
     tilt = rotation_from_vector(torch.deg2rad(torch.tensor(course.tilt_deg, dtype=torch.float64)))
-    cam_from_hand = tilt @ facing(view)
+    cam_from_hand = tilt @ facing(staging.view)
     middle_px = torch.tensor(((camera.width - 1) / 2, (camera.height - 1) / 2), dtype=torch.float64)
     plane = camera.to(dtype=torch.float64, device="cpu").plane_from_pixels(middle_px)
     depth = torch.tensor([stage.distance], dtype=torch.float64)
@@ -144,4 +153,4 @@ def perform(
     world_from_cam = camera.rotation.double().cpu().T
     wrist_world = (wrist - camera.translation.double().cpu()) @ world_from_cam.T
     poses = torch.cat((wrist_world, course.turn @ world_from_cam.T, joints), -1)
-    return Motion(name=name, poses=poses, root_reference=world_from_cam @ cam_from_hand, fps=fps)
+    return Motion(name=name, poses=poses, root_reference=world_from_cam @ cam_from_hand, fps=staging.fps)

@@ -11,7 +11,7 @@ from torchhand.errors import InputError
 from torchhand.files.disk import suggestion
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, POSTURES, HandKinematics, HandPrior, Skeleton, posture
-from torchhand.simulate.motion.motion import Motion, View, hand_length, perform, stage_before
+from torchhand.simulate.motion.motion import Motion, Staging, hand_length, perform, stage_before
 from torchhand.simulate.motion.scripts import Course
 
 _ROOT = 6
@@ -58,8 +58,7 @@ def posed_motion(
     camera: Camera,
     *,
     shape: Float[Tensor, "shape"] | None = None,
-    view: View = "back",
-    fps: float = 30.0,
+    staging: Staging | None = None,
 ) -> Motion:
     """Through the poses of `parse_pose` one after the other, evenly; as many frames as poses: each once.
 
@@ -72,7 +71,7 @@ def posed_motion(
     after = (before + 1).clamp_max(len(poses) - 1)
     known = torch.stack([pose.double() for pose in poses])
     course = torch.lerp(known[before], known[after], (place - before)[:, None])
-    return _performed("poses", course, kinematics, camera, shape, view, fps)
+    return _performed("poses", course, kinematics, camera, shape, staging)
 
 
 def sampled_motion(
@@ -83,8 +82,7 @@ def sampled_motion(
     generator: torch.Generator,
     *,
     shape: Float[Tensor, "shape"] | None = None,
-    view: View = "back",
-    fps: float = 30.0,
+    staging: Staging | None = None,
     turn_deg: float = 40.0,
 ) -> Motion:
     """Unrelated postures of the prior, one per frame, turned about any axis by up to `turn_deg`."""
@@ -93,7 +91,7 @@ def sampled_motion(
     amount = torch.rand(frames, 1, generator=generator, dtype=torch.float64)
     root = torch.cat((torch.zeros(frames, 3, dtype=torch.float64), math.radians(turn_deg) * amount * axis), -1)
     course = torch.cat((root, drawn[:, _ROOT:].double()), -1)
-    return _performed("sampled", course, kinematics, camera, shape, view, fps)
+    return _performed("sampled", course, kinematics, camera, shape, staging)
 
 
 def _performed(
@@ -102,11 +100,10 @@ def _performed(
     kinematics: HandKinematics,
     camera: Camera,
     shape: Tensor | None,
-    view: View,
-    fps: float,
+    staging: Staging | None,
 ) -> Motion:
-    length = hand_length(kinematics, shape)
-    stage = stage_before(camera, len(course), torch.Generator(), hand_length=length, fps=fps, pace=1.0)
+    length, staging = hand_length(kinematics, shape), staging or Staging()
+    stage = stage_before(camera, len(course), torch.Generator(), hand_length=length, staging=staging)
     path = Course(posture="flat", centre=course[:, :3], turn=course[:, 3:_ROOT])
     joints = kinematics.skeleton.within_limits(course[:, _ROOT:])
-    return perform(name, path, joints, camera, hand_length=length, view=view, stage=stage, fps=fps)
+    return perform(name, path, joints, camera, hand_length=length, stage=stage, staging=staging)

@@ -12,7 +12,7 @@ from torch import Tensor
 from torchhand.errors import InputError
 from torchhand.geometry import Camera
 from torchhand.hand import JOINT_DOFS, HandKinematics
-from torchhand.simulate.motion.motion import Motion, View, hand_length, perform, stage_before
+from torchhand.simulate.motion.motion import Motion, Staging, hand_length, perform, stage_before
 from torchhand.simulate.motion.scripts import Course, planar_course
 
 TIME_COLUMNS = 7
@@ -110,31 +110,27 @@ def recorded_motion(
     generator: torch.Generator,
     *,
     shape: Float[Tensor, "shape"] | None = None,
-    view: View = "back",
-    fps: float = 30.0,
-    pace: float = 1.0,
+    staging: Staging | None = None,
     start_s: float = 0.0,
-    planar: bool = True,
 ) -> Motion:
     """Recorded joint angles, resampled to the frame rate and clamped to the skeleton's limits; float64.
 
-    `start_s` is where in the recording the sequence starts, `pace` how much faster it is played. `planar` lets the hand
-    move in the picture plane as well. The wrist's own angles are not used.
+    `start_s` is where in the recording the sequence starts, the pace how much faster it is played. The hand moves in
+    the picture plane as well. The wrist's own angles are not used.
 
     Raises InputError as `read_glove` does, and where the recording is shorter than the frames wanted.
     """
     recording = read_glove(path)
-    length = hand_length(kinematics, shape)
-    stage = stage_before(camera, frames, generator, hand_length=length, fps=fps, pace=pace)
-    times = start_s + pace * stage.seconds.numpy()
+    length, staging = hand_length(kinematics, shape), staging or Staging()
+    stage = stage_before(camera, frames, generator, hand_length=length, staging=staging)
+    times = start_s + staging.pace * stage.seconds.numpy()
     end = float(recording.seconds[-1])
     if start_s < 0 or times[-1] > end + 1e-9:
         raise InputError(
             f"{path}: expected a recording of at least {times[-1]:.2f} s (start {start_s:g} s, {frames} frames at"
-            f" {fps:g} frames/s, pace {pace:g}), got {end:.2f} s"
+            f" {staging.fps:g} frames/s, pace {staging.pace:g}), got {end:.2f} s"
         )
     joints = kinematics.skeleton.within_limits(joints_of_glove(recording, times))
-    still = torch.zeros(frames, 3, dtype=torch.float64)
-    centre, turn = planar_course(stage, 0.6) if planar else (still, still)
+    centre, turn = planar_course(stage, 0.6)
     course = Course(posture="flat", centre=centre, turn=turn)
-    return perform(Path(path).stem, course, joints, camera, hand_length=length, view=view, stage=stage, fps=fps)
+    return perform(Path(path).stem, course, joints, camera, hand_length=length, stage=stage, staging=staging)

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-from torchhand.draw import draw_chart
+from torchhand.draw import Axes, draw_chart
 from torchhand.study.hypotheses.settings import HypothesisStudySettings
 from torchhand.study.hypotheses.table import ALL_FRAMES, StudyRow
 
@@ -23,8 +23,9 @@ def draw_study(rows: Sequence[StudyRow], settings: HypothesisStudySettings) -> U
     limits = f"{largest.angle_deg:g} deg, {largest.translation_mm:g} mm, {largest.rotation_deg:g} deg"
     x_name = f"size of the perturbation, % of {limits}"
 
-    def chart(title: str, lines: dict[str, list[float]], **options: Any) -> Tensor:
-        return draw_chart(title, size, lines, x_name=x_name, has_dots=True, width=_WIDTH, height=_HEIGHT, **options)
+    def chart(title: str, lines: dict[str, list[float]], y_end: float | None = None, **options: Any) -> Tensor:
+        axes = Axes(title, x_name=x_name, y_end=y_end, size_px=(_WIDTH, _HEIGHT))
+        return draw_chart(axes, size, lines, has_dots=True, **options)
 
     def percent(name: str) -> list[float]:
         return [_PERCENT * getattr(row, name) for row in shown]

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torchhand.numerics import (
     Gaussian,
+    Measurement,
     MotionModel,
     UnscentedSettings,
     Update,
@@ -22,11 +23,11 @@ from torchhand.numerics import (
     update_extended,
     update_iterated,
 )
-from torchhand.study.soak.hostile import DOFS, STEPS_S, Hostile, Seen
+from torchhand.study.soak.hostile import DOFS, STEPS_S, Hostile
 
 _TOLERANCE = 4.0  # times the dtype's rounding and the number of states: what a product of square roots may be off
 
-Correction = Callable[[Hostile, Gaussian, Seen, "float | None"], Update]
+Correction = Callable[[Hostile, Gaussian, Measurement, "float | None"], Update]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,40 +60,35 @@ class SoakResult:
 
 
 def _unscented(
-    world: Hostile, state: Gaussian, seen: Seen, gate: float | None, *, settings: UnscentedSettings, observed: bool
+    world: Hostile,
+    state: Gaussian,
+    seen: Measurement,
+    gate: float | None,
+    *,
+    settings: UnscentedSettings,
+    observed: bool,
 ) -> Update:
-    return update(
-        state,
-        world.observe,
-        seen.values,
-        seen.variance,
-        settings,
-        valid=seen.valid,
-        gate=gate,
-        observed=DOFS if observed else None,
-    )
+    return update(state, world.observe, seen, settings, gate=gate, observed=DOFS if observed else None)
 
 
-def _from_points(world: Hostile, state: Gaussian, seen: Seen, gate: float | None) -> Update:
+def _from_points(world: Hostile, state: Gaussian, seen: Measurement, gate: float | None) -> Update:
     points = sigma_points(state, UnscentedSettings()).points
-    return update(state, world.observe, seen.values, seen.variance, valid=seen.valid, gate=gate, points=points)
+    return update(state, world.observe, seen, gate=gate, points=points)
 
 
-def _extended(world: Hostile, state: Gaussian, seen: Seen, gate: float | None) -> Update:
+def _extended(world: Hostile, state: Gaussian, seen: Measurement, gate: float | None) -> Update:
     value, jacobian = world.linearised(state.mean)
-    return update_extended(state, seen.values - value, jacobian, seen.variance, valid=seen.valid, gate=gate)
+    return update_extended(state, seen.value - value, jacobian, seen.noise, valid=seen.valid, gate=gate)
 
 
-def _correlated(world: Hostile, state: Gaussian, seen: Seen, gate: float | None) -> Update:
+def _correlated(world: Hostile, state: Gaussian, seen: Measurement, gate: float | None) -> Update:
     value, jacobian = world.linearised(state.mean)
     noise = world.correlated(seen)
-    return update_extended(state, seen.values - value, jacobian, noise, valid=seen.valid, gate=gate, group=2)
+    return update_extended(state, seen.value - value, jacobian, noise, valid=seen.valid, gate=gate, group=2)
 
 
-def _iterated(world: Hostile, state: Gaussian, seen: Seen, gate: float | None) -> Update:
-    found = update_iterated(
-        state, world.linearised, seen.values, seen.variance, valid=seen.valid, gate=gate, observed=DOFS
-    )
+def _iterated(world: Hostile, state: Gaussian, seen: Measurement, gate: float | None) -> Update:
+    found = update_iterated(state, world.linearised, seen, gate=gate, observed=DOFS)
     return found.update
 
 

@@ -1,29 +1,18 @@
 """Hostile input of filters: motions, measurements with every kind of fault, beliefs that are hardly covariances."""
 
 import math
-from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.numerics import Gaussian, MotionModel
+from torchhand.numerics import Gaussian, Measurement, MotionModel
 
 DOFS, ROWS = 4, 10
 STEPS_S = (1 / 120, 1 / 30, 0.2, 2.0)
 _BLIND_BEYOND = 6.0  # the last measurement cannot be predicted where the first degree of freedom is above this
 _GAP_BEGINS, _GAP_ENDS = 0.02, 0.1
 _RESTARTS = 0.02
-
-
-@dataclass(frozen=True, kw_only=True)
-class Seen:
-    """Measurements of every filter in one step."""
-
-    values: Float[Tensor, "filters rows"]
-    variance: Float[Tensor, "filters rows"]
-    """Of the noise; any number or NaN where a measurement is not valid."""
-    valid: Bool[Tensor, "filters rows"]
 
 
 class Hostile:
@@ -89,7 +78,7 @@ class Hostile:
         jump = self._chance(0.01, self.count, 1) | ~(moved.abs() < 20).all(-1, keepdim=True)
         self.truth = torch.where(jump, self._normal(self.count, self.size), moved)
 
-    def measure(self) -> Seen:
+    def measure(self) -> Measurement:
         """Measurements with noise, outliers of every size, infinities, NaN, missing ones, and gaps of many frames."""
         shape = (self.count, ROWS)
         variance = 10 ** self._between(-1.2 * self.precision, 0.4 * self.precision, *shape)
@@ -111,11 +100,9 @@ class Hostile:
         valid = valid & ~self.in_gap[:, None]
         nonsense = torch.tensor([0.0, -1.0, torch.nan, torch.inf], dtype=self.dtype)
         nonsense = nonsense[torch.randint(4, shape, generator=self.generator)]
-        return Seen(
-            values=values, variance=torch.where(valid | self._chance(0.5, *shape), variance, nonsense), valid=valid
-        )
+        return Measurement(values, torch.where(valid | self._chance(0.5, *shape), variance, nonsense), valid)
 
-    def correlated(self, seen: Seen) -> Float[Tensor, "filters rows rows"]:
+    def correlated(self, seen: Measurement) -> Float[Tensor, "filters rows rows"]:
         """The noise's variances with correlations, in some filters of one direction alone."""
         direction = self._normal(self.count, ROWS, 1)
         direction = direction / direction.norm(dim=-2, keepdim=True)
@@ -123,7 +110,7 @@ class Hostile:
         correlation = direction @ direction.mT
         identity = torch.eye(ROWS, dtype=self.dtype)
         correlation = own * identity + correlation
-        std = seen.variance.sqrt()
+        std = seen.noise.sqrt()
         return std[:, :, None] * correlation * std[:, None, :]
 
     def _is_blind(self, states: Tensor) -> Tensor:

@@ -42,6 +42,7 @@ from torchhand.image import SilhouetteSettings, segment
 from torchhand.simulate import (
     Motion,
     SceneSettings,
+    Staging,
     facing,
     hand_length,
     noisy_mask,
@@ -86,7 +87,7 @@ def own_bent(model: HandModel, cameras: Sequence[Camera], angle_deg: float, seed
     straight, bent = posture("flat", dtype=torch.float64), posture("flat", dtype=torch.float64)
     bent[DOFS.index(INDEX_KNUCKLE)] = math.radians(angle_deg)
     stage = stage_camera(cameras, hand_length(kinematics))
-    motion = posed_motion([straight, bent], 2, kinematics, stage, view="palm")
+    motion = posed_motion([straight, bent], 2, kinematics, stage, staging=Staging(view="palm"))
     only = Motion(name="bent", poses=motion.poses[1:], root_reference=motion.root_reference, fps=motion.fps)
     scene = SceneSettings(surface="mesh", background="blue", supersampling=2)
     generator = torch.Generator().manual_seed(seed_of(seed, "bent"))

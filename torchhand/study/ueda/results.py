@@ -13,7 +13,7 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
-from torchhand.draw import draw_chart
+from torchhand.draw import Axes, draw_chart
 from torchhand.files.disk import write_text
 from torchhand.study.ueda.stages import PAPER_MS, STAGES
 
@@ -152,7 +152,7 @@ def _figure(
             continue
         lines = {f"level {part['level']}": [shown(value) for value in part[key]] for part in found}
         count = len(next(iter(lines.values())))
-        charts.append(draw_chart(f"{title}: {name}", list(range(count)), lines, x_name="iteration"))
+        charts.append(draw_chart(Axes(f"{title}: {name}", x_name="iteration"), list(range(count)), lines))
     return torch.cat(charts, 1)
 
 
@@ -167,7 +167,7 @@ def _comparison(rows: Rows) -> UInt8[Tensor, "height width 3"]:
     ):
         value = {(row["method"], row["cameras"]): row[key] for row in rows}
         lines = {method: [value.get((method, count), float("nan")) for count in counts] for method in methods}
-        charts.append(draw_chart(title, counts, lines, x_name="cameras", has_dots=True, width=560))
+        charts.append(draw_chart(Axes(title, x_name="cameras", size_px=(560, 320)), counts, lines, has_dots=True))
     return torch.cat(charts, 1)
 
 

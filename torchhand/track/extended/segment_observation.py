@@ -60,7 +60,7 @@ class SegmentSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class SegmentMeasurement:
-    """The segments of a registered pose as a measurement for `update_extended` and `update_iterated`."""
+    """The segments of a registered pose as what `update_extended` and `update_iterated` measure."""
 
     value: Float[Tensor, "*batch m"]
     """Pixels; directions in radians."""

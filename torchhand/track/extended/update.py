@@ -20,6 +20,7 @@ from torchhand.geometry import Camera
 from torchhand.hand import Hand, HandPose, HandPrior, PoseConstraints
 from torchhand.image import channel_of, clean, fill_holes, largest_component, touching
 from torchhand.numerics import (
+    Measurement,
     adapted_variance,
     noise_density,
     process_covariance,
@@ -181,7 +182,12 @@ class ExtendedUpdate:
             noise = found.covariance / s.pose_weight
             belief = update_extended(belief, free - belief.mean[:count], identity, noise).state
         belief = update_iterated(
-            belief, observe, seen.value, seen.noise, s.iterated, valid=used, period=observe.period, observed=count
+            belief,
+            observe,
+            Measurement(seen.value, seen.noise, used),
+            s.iterated,
+            period=observe.period,
+            observed=count,
         ).update.state
         density = predicted.density
         if s.is_adaptive:

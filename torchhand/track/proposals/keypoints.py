@@ -2,19 +2,15 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from jaxtyping import Float
-from torch import Tensor
-
-from torchhand.fit.detect import FitSettings, NoStart, start_at_pose
+from torchhand.fit.detect import ContourFitter, NoStart, start_at_pose
 from torchhand.fit.keypoints import KeypointSettings
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandKinematics, HandPose
 from torchhand.track.knowledge import TrackerState
 from torchhand.track.proposals.protocol import Occasion, Proposals, Proposed
 from torchhand.track.scene import Candidate, Scene, detected_hand
-from torchhand.view import OutlineTable
 
 _SLANT = 0.6  # radians between bones and the picture's plane up to which an outline tells their length: cos is 0.83
 _FLEXIONS = [i for i, name in enumerate(DOFS) if name.endswith(("mcp_fe", "pip_fe", "dip_fe"))]
@@ -50,12 +46,9 @@ class KeypointStart:
     """One camera: the first hand, where the points are, with its colours, and its proportions where these are not
     known."""
 
-    kinematics: HandKinematics
-    camera: Camera
+    fitter: ContourFitter
+    """How that hand is fitted."""
     settings: KeypointSettings
-    table: OutlineTable
-    fit: FitSettings
-    known_shape: Float[Tensor, "shape"] | None = None
 
     @property
     def occasion(self) -> Occasion:
@@ -66,13 +59,11 @@ class KeypointStart:
         image = scene.views[0].image
         if state.has_started or image is None:
             return Proposals()
-        shape = self.kinematics.default_shape if self.known_shape is None else self.known_shape
-        pose = detected_hand(scene, (self.camera,), self.kinematics, self.settings, shape)
+        own = self.fitter
+        pose = detected_hand(scene, (own.camera,), own.kinematics, self.settings, own.shape)
         if pose is None:
             return Proposals()
-        fit_shape = self.known_shape is None and shows_proportions(pose, self.camera)
-        where = (self.kinematics, self.camera, shape, self.table)
-        start = start_at_pose(image, pose, *where, fit_shape=fit_shape, settings=self.fit)
+        start = start_at_pose(image, pose, fitter_of(pose, own))
         if isinstance(start, NoStart):
             return Proposals(reason=start.reason, has_foreground=start.has_foreground)
         fitted = HandPose.of(start.fit.pose, start.fit.root_reference)
@@ -80,7 +71,12 @@ class KeypointStart:
         return Proposals(hands=(proposed,), has_foreground=True)
 
 
-def shows_proportions(pose: HandPose, camera: Camera) -> bool:
+def fitter_of(pose: HandPose, fitter: ContourFitter) -> ContourFitter:
+    """The fitter of a first hand that is placed: proportions are fitted where they are not known and it shows them."""
+    return replace(fitter, fit_shape=fitter.fit_shape and _shows_proportions(pose, fitter.camera))
+
+
+def _shows_proportions(pose: HandPose, camera: Camera) -> bool:
     """Whether the outline of a hand tells its proportions: an open hand, parallel to the picture."""
     palm = float((camera.rotation.to(pose.rotation) @ pose.rotation)[2, 0].abs())
     return palm > math.cos(_SLANT) and float(pose.dofs[_FLEXIONS].max()) < _SLANT

@@ -4,22 +4,21 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from torch import Tensor
 
 from torchhand.files import load_proposal_network
 from torchhand.fit import Appearance, Solutions
-from torchhand.fit.detect import FitSettings, NoStart, segment_hand, start_at_pose
+from torchhand.fit.detect import ContourFitter, NoStart, segment_hand, start_at_pose
 from torchhand.fit.proposals import ProposalRegistration
-from torchhand.geometry import Camera, cosine_between
-from torchhand.hand import HandKinematics, HandPose
+from torchhand.geometry import cosine_between
+from torchhand.hand import HandPose
 from torchhand.image import BackgroundPlate, SilhouetteSettings, solidity
 from torchhand.propose import Silhouette, propose_hands
 from torchhand.track.knowledge import TrackerState
-from torchhand.track.proposals.keypoints import shows_proportions
+from torchhand.track.proposals.keypoints import fitter_of
 from torchhand.track.proposals.protocol import Occasion, Proposals, Proposed
 from torchhand.track.scene import Candidate, Scene
-from torchhand.view import OutlineTable
 
 _MIN_AREA = 0.004  # share of the picture that a silhouette fills at least
 _MAX_SOLIDITY = 0.9
@@ -42,18 +41,14 @@ class LearnedHands:
     followed.
     """
 
-    kinematics: HandKinematics
-    camera: Camera
-    """A pinhole camera, which is the world."""
-    table: OutlineTable
-    fit: FitSettings
+    fitter: ContourFitter
+    """How the first hand is fitted; with a pinhole camera, which is the world."""
     silhouette: SilhouetteSettings
     can_start: bool = True
     """Whether the first hand may come from here; not where the user said where it is."""
     can_restart: bool = True
     """Whether later hands may; not where the posture is held, which is that of the first hand."""
     plate: BackgroundPlate | None = None
-    known_shape: Float[Tensor, "shape"] | None = None
 
     @property
     def occasion(self) -> Occasion:
@@ -61,7 +56,7 @@ class LearnedHands:
 
     @cached_property
     def _registration(self) -> ProposalRegistration:
-        return ProposalRegistration(kinematics=self.kinematics)
+        return ProposalRegistration(kinematics=self.fitter.kinematics)
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """Some hands; none in frames in which no search was or is due."""
@@ -73,9 +68,8 @@ class LearnedHands:
         mask = self._mask(scene, image, state)
         if float(mask.float().mean()) < _MIN_AREA or (best is None and solidity(mask) > _MAX_SOLIDITY):
             return Proposals()
-        seen = Silhouette(mask=mask, camera=self.camera, image=image)
-        shape = state.shape if state.shape is not None else self.known_shape
-        found = self._registered(seen, self.kinematics.default_shape if shape is None else shape)
+        seen = Silhouette(mask=mask, camera=self.fitter.camera, image=image)
+        found = self._registered(seen, self.fitter.shape if state.shape is None else state.shape)
         if state.has_started:
             hands = tuple(Proposed(pose=found.pose[i]) for i in range(min(_RESTARTS, len(found.cost))))
             return Proposals(hands=hands, has_foreground=True)
@@ -84,7 +78,7 @@ class LearnedHands:
     def _registered(self, seen: Silhouette, shape: Tensor) -> Solutions:
         """Registered hypotheses: the cheapest, the cheapest of those that are turned away from it, then the rest by
         their cost."""
-        hands = propose_hands(load_proposal_network(device=shape.device), (seen,), self.kinematics, shape)
+        hands = propose_hands(load_proposal_network(device=shape.device), (seen,), self.fitter.kinematics, shape)
         found = self._registration(seen, hands.pose[0], shape, weight=hands.weight[0])
         order = found.cost.argsort()
         order = order[found.cost[order].isfinite()]
@@ -96,13 +90,10 @@ class LearnedHands:
 
     def _first(self, found: Solutions, image: Tensor) -> Proposals:
         """The first hand with its colours, as it is refitted to the silhouette by these."""
-        shape = self.kinematics.default_shape if self.known_shape is None else self.known_shape
-        where = (self.kinematics, self.camera, shape, self.table)
         hands = []
         for index in range(min(_STARTS, len(found.cost))):
             pose = found.pose[index]
-            fit_shape = self.known_shape is None and shows_proportions(pose, self.camera)
-            start = start_at_pose(image, pose, *where, fit_shape=fit_shape, settings=self.fit)
+            start = start_at_pose(image, pose, fitter_of(pose, self.fitter))
             if isinstance(start, NoStart) or start.overlap < _MIN_OVERLAP or start.fit.found_fraction < _MIN_FOUND:
                 continue
             fitted = HandPose.of(start.fit.pose, start.fit.root_reference)

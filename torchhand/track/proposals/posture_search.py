@@ -1,20 +1,17 @@
 """One camera: a hand in the posture of the start, looked for over the whole picture without a guess."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.fit import Appearance
-from torchhand.fit.detect import FitSettings, NoStart, Start, StartPoints, find_hand, start_at_points
-from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics, HandPose, posture
+from torchhand.fit.detect import ContourFitter, NoStart, Start, StartPoints, find_hand, start_at_points
+from torchhand.hand import HandPose, posture
 from torchhand.image import BackgroundPlate, SilhouetteSettings
 from torchhand.track.knowledge import TrackerState
 from torchhand.track.proposals.protocol import Occasion, Proposals, Proposed
 from torchhand.track.scene import Candidate, Scene
-from torchhand.view import OutlineTable
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,18 +21,15 @@ class PostureSearch:
     The first hand ever brings its proportions and its colours.
     """
 
-    kinematics: HandKinematics
-    camera: Camera
-    table: OutlineTable
+    fitter: ContourFitter
+    """How the first hand is fitted: proportions too, unless they are known."""
     posture: str
     """Name of the posture for which the first search looks."""
-    fit: FitSettings
     silhouette: SilhouetteSettings
     min_overlap: float
     plate: BackgroundPlate | None = None
     start_points: StartPoints | None = None
     """Wrist and middle fingertip in the first picture, px, given by the user in place of the first search."""
-    known_shape: Float[Tensor, "shape"] | None = None
 
     @property
     def occasion(self) -> Occasion:
@@ -56,27 +50,16 @@ class PostureSearch:
         return Proposals(hands=(proposed,), has_foreground=True)
 
     def _found(self, image: Tensor, state: TrackerState) -> Start | NoStart:
-        default = self.kinematics.default_shape if self.known_shape is None else self.known_shape
-        where = (self.kinematics, self.camera, default if state.shape is None else state.shape, self.table)
-        is_first = not state.has_started
-        fits_shape = is_first and self.known_shape is None
+        first, is_first = self.fitter, not state.has_started
         if is_first and self.start_points is not None:
-            return start_at_points(
-                image,
-                self.start_points,
-                *where,
-                posture(self.posture, dtype=torch.float64),
-                fit_shape=fits_shape,
-                settings=self.fit,
-            )
+            return start_at_points(image, self.start_points, posture(self.posture, dtype=torch.float64), first)
+        shape = first.shape if state.shape is None else state.shape
         known = state.appearance[0] if state.appearance else None
         return find_hand(
             image,
-            *where,
             posture(self.posture, dtype=torch.float64) if state.posture is None else state.posture,
+            replace(first, shape=shape, fit_shape=is_first and first.fit_shape),
             appearance=known if isinstance(known, Appearance) else None,
-            fit_shape=fits_shape,
-            settings=self.fit,
             min_overlap=self.min_overlap,
             silhouette=self.silhouette,
             plate=self.plate,

@@ -11,7 +11,7 @@ from torchhand.fit import PosedHands, Stage
 from torchhand.fit.keypoints import KeypointSettings, PostureKeypoints
 from torchhand.geometry import Camera
 from torchhand.hand import HandFrames, HandKinematics, HandPose
-from torchhand.numerics import Gaussian, observed_points, update
+from torchhand.numerics import Gaussian, Measurement, observed_points, update
 from torchhand.track.belief import FollowedHand, HandMotion, posture_prior
 from torchhand.track.scene import (
     Candidate,
@@ -141,8 +141,8 @@ class UnscentedUpdate:
         for one in seen.observations:
             factor = one.associate(seen.hands(own, shape), _KEYPOINTS)
             stack.add(factor.predict(posed), *factor.measurement())
-        predicted, value, variance, valid = stack.joined()
-        result = update(hand.belief, lambda _: predicted, value, variance, s.transform, valid=valid, observed=count)
+        predicted, measurement = stack.joined()
+        result = update(hand.belief, lambda _: predicted, measurement, s.transform, observed=count)
         return self.motion.limited(replace(hand, belief=result.state))
 
     def _updated(self, before: _Measured, scene: Scene, shape: Tensor) -> _Measured:
@@ -169,17 +169,9 @@ class UnscentedUpdate:
                 stack.add(one.predicted, one.value, variance, one.is_found)
         is_believed = self._believed(scene, by_points=by_points)
         stack.add(candidates @ self._prior.matrix.T, prior, self._prior.variance, is_believed)
-        predicted, value, variance, valid = stack.joined()
-        result = update(
-            hand.belief,
-            lambda _: predicted,
-            value,
-            variance * s.passes,  # every pass has its share of the weight
-            s.transform,
-            valid=valid,
-            gate=s.gate,
-            observed=count,
-        )
+        predicted, measurement = stack.joined()
+        measurement = replace(measurement, noise=measurement.noise * s.passes)  # every pass has its share of the weight
+        result = update(hand.belief, lambda _: predicted, measurement, s.transform, gate=s.gate, observed=count)
         return self._judged(
             edges, result.used, replace(hand, belief=result.state), float(result.nis), int(result.count)
         )
@@ -259,10 +251,7 @@ class _Stack:
         """predicted: (sigma points, m); the others (m,)."""
         self._parts.append((predicted, value, variance, valid))
 
-    def joined(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        return (
-            torch.cat([part[0] for part in self._parts], -1),
-            torch.cat([part[1] for part in self._parts]),
-            torch.cat([part[2] for part in self._parts]),
-            torch.cat([part[3] for part in self._parts]),
-        )
+    def joined(self) -> tuple[Tensor, Measurement]:
+        """All predictions, and what was measured in their place."""
+        predicted, value, variance, valid = (torch.cat(parts, -1) for parts in zip(*self._parts, strict=True))
+        return predicted, Measurement(value, variance, valid)
