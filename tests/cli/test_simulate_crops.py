@@ -1,6 +1,10 @@
 """Labelled crops in WebDataset's form, by the command."""
 
 import json
+import os
+import platform
+import subprocess
+import sys
 import tarfile
 from pathlib import Path
 
@@ -42,3 +46,24 @@ def test_shards_are_the_same_bytes_with_any_number_of_workers(tmp_path: Path) ->
         assert labels["side"] in ("left", "right")
     assert main(["--out", str(tmp_path / "1"), *options]) == 2
     assert main(["--out", str(tmp_path / "3"), "--count", "6"]) == 2
+
+
+_TWICE = """
+import resource, sys
+from torchhand.cli.simulate_crops import main
+for turn in range(2):
+    begun = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    main(["--out", f"{sys.argv[1]}/{turn}", "--count", "256", "--workers", "1"])
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - begun)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library keeps memory in its own way")
+def test_memory_of_one_batch_serves_the_next(tmp_path: Path) -> None:
+    """Of the pages that the pictures alone take, as floating-point numbers, few come anew."""
+    env = os.environ | {"MALLOC_MMAP_THRESHOLD_": "131072"}
+    arguments = [sys.executable, "-c", _TWICE, str(tmp_path)]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=True, env=env)
+    pages = 256 * 128 * 128 * 3 * 4 // os.sysconf("SC_PAGESIZE")
+    assert int(done.stdout.splitlines()[-1]) < 0.25 * pages

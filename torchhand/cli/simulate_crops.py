@@ -14,6 +14,7 @@ from tqdm import tqdm
 from tyro.conf import OmitArgPrefixes, arg
 
 from torchhand.cli.command import DONE, command, parse
+from torchhand.cluster import keep_freed_memory
 from torchhand.errors import InputError
 from torchhand.files.disk import explained_errors, write_text
 from torchhand.simulate.crops import CropSettings, Shard, about, write_shard
@@ -96,7 +97,9 @@ def _check_folder(path: Path) -> None:
 def _written(shards: list[Shard], workers: int) -> Iterable[Path]:
     """The shards' files, in their order, as they are done."""
     if workers == 1 or len(shards) == 1:
+        keep_freed_memory()
         yield from map(write_shard, shards)
         return
-    with ProcessPoolExecutor(min(workers, len(shards)), mp_context=get_context("spawn")) as pool:
+    count = min(workers, len(shards))
+    with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=keep_freed_memory) as pool:
         yield from pool.map(write_shard, shards)
