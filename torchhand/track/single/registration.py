@@ -152,12 +152,14 @@ class PictureProblem:
         return self._posed(problem, shaped, result.covariance - best.covariance)
 
     def _problem(self, mask: Tensor, image: Tensor | None, shape: Tensor, worth: float) -> Problem:
-        """worth: factor on what the outline counts."""
+        """worth: factor on what the outline counts. Beside a detector's posture it counts by its length, so that the
+        crowded points of fingertips and knuckles do not contradict the detector more than the rest."""
         s, skeleton = self.settings, self.kinematics.skeleton
         settings = replace(
             s.contour,
             contour_weight=worth * s.contour.contour_weight,
             coverage_weight=worth * s.contour.coverage_weight,
+            by_length=s.contour.by_length or self._is_told,
         )
         table = outline_table(s.points_per_generator, s.points_per_arc, without=("palm_wrist",))
         table = sent_to(table, shape.device)

@@ -25,7 +25,7 @@ class SinglePoseSettings:
     """Free DOFs: a name of torchhand.hand.POSE_SPACES."""
     contour: ContourSettings = field(
         default_factory=lambda: ContourSettings(
-            contour_std_fraction=0.25, contour_weight=_OUTLINE_WORTH, coverage_weight=_OUTLINE_WORTH, by_length=True
+            contour_std_fraction=0.25, contour_weight=_OUTLINE_WORTH, coverage_weight=_OUTLINE_WORTH
         )
     )
     """Weights of contours, coverage and valleys."""
