@@ -23,9 +23,11 @@ from torchhand.runs.records import (
     TwoPasses,
     joined_records,
     record_of,
+    widened,
 )
 from torchhand.runs.run import Run, Say
 from torchhand.track import (
+    Alternatives,
     BackwardPass,
     FollowedFrame,
     Tracker,
@@ -49,13 +51,14 @@ def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
     writer.keep_forward()
     shape = _adopted_shape(run, forward, before, say)
     say("second pass: the hand is followed back from the last frame to the first (--causal does without)")
-    _follow_back(run, writer, forward, shape, say)
+    alternatives = _follow_back(run, writer, forward, shape, say)
     if shape is not before:
         forward = _reshaped(forward, run.tracker, before, shape)
     passes = TwoPasses.of(forward, load_track(writer.folder / BACKWARD_NAME))
     cameras = sent_to(run.tracker.own_cameras, HOST)
     camera = cameras[0] if len(cameras) == 1 else None
-    for record in joined_records(passes, run.kinematics, shape.to(HOST), camera):
+    joined = list(joined_records(passes, run.kinematics, shape.to(HOST), camera))
+    for record in widened(joined, alternatives):
         writer.correct(record)
     if shape is not before:
         run.save_hand(writer.folder)
@@ -115,12 +118,13 @@ def _reshaped(track: Track, tracker: Tracker, before: Tensor, shape: Tensor) -> 
     return replace(track, pose=pose, keypoints3d=keypoints, keypoints2d=in_picture)
 
 
-def _follow_back(run: Run, writer: TrackWriter, forward: Track, shape: Tensor, say: Say) -> None:
+def _follow_back(run: Run, writer: TrackWriter, forward: Track, shape: Tensor, say: Say) -> dict[int, Alternatives]:
+    """Writes the second pass; hands that explain the pictures about as well, by rows, where others were looked for."""
     assert run.state is not None
     recording, follower = run.recording, BackwardPass(run.tracker, run.state, shape=shape)
     names = [camera.name for camera in recording.cameras]
     rows = {int(frame): row for row, frame in enumerate(forward.frame)}
-    has_hand = forward.has_hand
+    has_hand, alternatives = forward.has_hand, dict[int, Alternatives]()
     count = int(np.flatnonzero(has_hand)[-1]) + 1  # nothing is followed back from a later frame
     if run.keypoints is not None:
         run.keypoints.rewind()
@@ -142,4 +146,7 @@ def _follow_back(run: Run, writer: TrackWriter, forward: Track, shape: Tensor, s
                 IS_SURE: run.tracker.is_sure(second.estimate),
             }
             lines.append(record.with_measures(own).as_json())
+            if second.alternatives is not None:
+                alternatives[row] = sent_to(second.alternatives, HOST)
             bar.update()
+    return alternatives

@@ -10,15 +10,16 @@ from collections.abc import Iterator
 from types import ModuleType
 from typing import Any
 
+from torchhand.track.alternatives import Alternatives
 from torchhand.track.backward import BackwardPass
 from torchhand.track.beside import SearchBeside, opened_tracker
+from torchhand.track.frame_fit import FollowedFrame
 from torchhand.track.knowledge import Estimate, Keyframe, TrackerState, restored_state, saved_state
 from torchhand.track.paths import HandPath, PosedHand, combined_hand, path_weights
 from torchhand.track.proposals import OCCASIONS
 from torchhand.track.scene import HandKeypoints, View
 from torchhand.track.settings import DEFAULTS, TrackerSettings
 from torchhand.track.shape import (
-    FollowedFrame,
     RecordedShape,
     can_tell_shape,
     recorded_shape,
@@ -31,6 +32,7 @@ from torchhand.track.tracker import Tracker
 __all__ = [
     "DEFAULTS",
     "OCCASIONS",
+    "Alternatives",
     "BackwardPass",
     "Estimate",
     "FollowedFrame",

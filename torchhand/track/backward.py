@@ -10,8 +10,10 @@ from torch import Tensor
 from torchhand.fit.keypoints import PostureKeypoints
 from torchhand.hand import HandPose
 from torchhand.numerics import single_threaded
+from torchhand.track.alternatives import Alternatives, TiltAlternatives
 from torchhand.track.belief import FollowedHand
 from torchhand.track.knowledge import Estimate, TrackerState
+from torchhand.track.paths import MOTION_NATS
 from torchhand.track.scene import (
     Scene,
     SceneKeypoints,
@@ -32,6 +34,7 @@ _OVERLAP_NATS = 80.0
 """The same in the overlap with the silhouettes (there 0 to 50; it decides where the network is misled)."""
 _SAME_M = 0.003  # mean distance of keypoints, up to which two hands are taken for one: no pass is better
 _NEAR_M = 0.01  # mean distance of keypoints, up to which a view of one hand shows another as well
+_LOOK_EVERY = 5  # frames from one look at other tilts to the next
 _HELD = 1e-6  # radians and metres by which a pose may differ from what a track can reach
 
 
@@ -44,6 +47,8 @@ class SecondEstimate:
     """How far the views bear out the hand, nats; None where nothing is compared."""
     evidence_before: float | None = None
     """The same of the hand of the first pass, in the same scene."""
+    alternatives: Alternatives | None = None
+    """Hands that explain the picture, where others were looked for."""
 
 
 class BackwardPass:
@@ -63,6 +68,9 @@ class BackwardPass:
         self._shape = state.shape if shape is None else shape
         mirrored = tuple(replace(one, time_s=-one.time_s) for one in state.keyframes)
         self._state = replace(state, time_s=None, hand=None, keyframes=mirrored, shape=self._shape)
+        self._tilts = TiltAlternatives(tracker, self._state) if TiltAlternatives.can_tilt(tracker) else None
+        self._frames_to_look = 0
+        self._odds: tuple[Tensor, Tensor] | None = None
         self._comparisons = [
             SilhouetteComparison(tracker.kinematics, tracker.parts.cameras, one, side_px=tracker.settings.check_side_px)
             for one in (self._shape, self._shape_before)
@@ -79,14 +87,57 @@ class BackwardPass:
             self._state = replace(self._state, hand=self._begun(self._reshaped(before)), time_s=None)
         self._state, estimate = self._tracker.step(self._state, views, -time_s)
         estimate = replace(estimate, time_s=time_s)
+        other, estimate = self._other_tilts(estimate, before, views, time_s)
         if estimate.keypoints is None or estimate.pose is None or before is None:
-            return SecondEstimate(estimate=estimate)
+            return SecondEstimate(estimate=estimate, alternatives=other)
         keypoints = estimate.keypoints.to(device)
         if float((keypoints - self._keypoints(before, self._shape_before)).norm(dim=-1).mean()) < _SAME_M:
-            return SecondEstimate(estimate=estimate, evidence=0.0, evidence_before=0.0)
+            return SecondEstimate(estimate=estimate, evidence=0.0, evidence_before=0.0, alternatives=other)
         scene = self._tracker.scene(self._state, views, -time_s)
         here, there = self._evidence([HandPose.of(estimate.pose.to(device)).normalized(), before], scene)
-        return SecondEstimate(estimate=estimate, evidence=here, evidence_before=there)
+        return SecondEstimate(estimate=estimate, evidence=here, evidence_before=there, alternatives=other)
+
+    def _other_tilts(
+        self, estimate: Estimate, before: HandPose | None, views: Sequence[View], time_s: float
+    ) -> tuple[Alternatives | None, Estimate]:
+        """Every few frames, the hands that explain the picture; the likeliest is followed on where it is surely
+        likelier."""
+        self._frames_to_look -= 1
+        if self._tilts is None or estimate.pose is None or self._frames_to_look > 0:
+            return None, estimate
+        self._frames_to_look = _LOOK_EVERY
+        device = self._tracker.device
+        scene = self._tracker.scene(self._state, views, -time_s)
+        hands = [HandPose.of(estimate.pose.to(device)).normalized()]
+        hands += [] if before is None else [self._reshaped(before)]
+        found = self._tilts(scene, hands)
+        if found is None:
+            self._odds = None
+            return None, estimate
+        assert estimate.keypoints is not None
+        away = found.keypoints - estimate.keypoints.to(device)
+        odds = self._odds_of(found, away)
+        best, followed = int(odds.argmax()), found.row[0]
+        if best != followed or float((away[best] - away[best].mean(0)).norm(dim=-1).mean()) > float(
+            os.environ.get("H16_NEAR", "1")
+        ):
+            placed = self._tracker.placed(self._state, found.pose[best], scene)
+            if placed is not None:
+                self._state, other = placed
+                away = away - (other.keypoints - estimate.keypoints).to(device)
+                estimate = replace(other, time_s=time_s)
+                found = replace(found, row=(best, *found.row[1:]))
+        self._odds = (away, odds)
+        return found, estimate
+
+    def _odds_of(self, found: Alternatives, away: Tensor) -> Tensor:
+        """Logarithms of how likely each hand is by all looks so far: from one look to the next the hand seldom moves in
+        relation to the one that is followed (forward algorithm, Rabiner 1989). away: (k 21 3)"""
+        if self._odds is None:
+            return -found.cost
+        before, odds = self._odds
+        moved = (away[:, None] - before).norm(dim=-1).mean(-1)
+        return -found.cost + (odds - MOTION_NATS * moved).logsumexp(1)
 
     def _reshaped(self, before: HandPose) -> HandPose:
         """A pose of the first pass as one of the hand that is followed back."""

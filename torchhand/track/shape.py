@@ -12,39 +12,27 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.devices import sent_to
 from torchhand.fit import (
-    ConstraintPrior,
-    FrameObservations,
     GaussianPrior,
-    Observation,
-    PosturePrior,
-    PostureResiduals,
     Problem,
     SharedUnknowns,
     Stage,
     solve,
     solve_shared,
 )
-from torchhand.fit.contour import ContourObservation, ContourSettings, picture_contours
 from torchhand.fit.keypoints import KeypointSettings, WorldKeypoints, limit_information
 from torchhand.hand import (
     FINGERS,
     Anthropometry,
     HandKinematics,
     HandPose,
-    HandPrior,
-    PoseConstraints,
     named_pose_space,
 )
-from torchhand.image import clean, fill_holes, touching
 from torchhand.numerics import RobustLoss, single_threaded
 from torchhand.track.belief import HandMotion
-from torchhand.track.extended import ExtendedUpdateSettings
+from torchhand.track.frame_fit import FollowedFrame, FrameFit, SeenFrame, contour_settings
 from torchhand.track.knowledge import TrackerState
-from torchhand.track.scene import Scene, View, learned_observations, scene_keypoints, seen_posture
 from torchhand.track.tracker import Tracker
-from torchhand.view import HandProjector, PrimitiveContours, outline_table
 
 _SCHEDULE = (Stage(gross_m=0.0075, rounds=2, iterations=4),)
 """The finest stage of the distance-map tracker, from poses that were followed there."""
@@ -55,17 +43,6 @@ _KEYPOINTS, _SQUARES = KeypointSettings(space_std_m=0.003, correlation=0.0), Rob
 """How far the keypoints of a hand of another shape may lie from those before."""
 _NEAR = (Stage(gross_m=0.03, rounds=2, iterations=6),)
 _KEPT_RAD, _HELD_RAD = 0.1, 1e-3  # standard deviations of its angles about those before: that move, and that do not
-_HOLE_PX = 50  # largest hole of a silhouette that is filled, square px
-
-
-@dataclass(frozen=True, kw_only=True)
-class FollowedFrame:
-    """A frame in which a hand was followed."""
-
-    views: tuple[View, ...]
-    time_s: float
-    pose: Float[Tensor, "36"]
-    """With the root's whole rotation vector, in the tracker's world."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,7 +96,8 @@ def recorded_shape(tracker: Tracker, state: TrackerState, frames: Iterable[Follo
     rule's overconfidence: the surface of the model, the network and a detector err alike in all of them.
     """
     assert state.shape is not None
-    fit = _Fit(tracker=tracker, state=state)
+    contours = contour_settings(tracker, tracker.parts.rule.overconfidence)
+    fit = FrameFit(tracker=tracker, state=state, schedule=_SCHEDULE, contours=contours)
     seen = [one for one in map(fit.seen, frames) if one is not None]
     kinds = max((one.kinds for one in seen), key=len, default=())  # frames of which as much is known as of any
     seen = [one for one in seen if one.kinds == kinds]
@@ -168,85 +146,5 @@ def _angle_std(name: str, free_names: Sequence[str]) -> float:
     return _KEPT_RAD if name in free_names else _HELD_RAD
 
 
-@dataclass(frozen=True, kw_only=True)
-class _SeenFrame:
-    """What is known of the hand in one frame."""
-
-    pose: HandPose
-    observations: tuple[Observation, ...]
-
-    @property
-    def kinds(self) -> tuple[type, ...]:
-        """Kinds of observations, in their order."""
-        return tuple(type(one) for one in self.observations)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Fit:
-    """What the frames have in common."""
-
-    tracker: Tracker
-    state: TrackerState
-
-    def seen(self, frame: FollowedFrame) -> _SeenFrame | None:
-        """The observations of a frame; None where nothing of the hand's contour is seen."""
-        parts, shape = self.tracker.parts, self.state.shape
-        assert shape is not None
-        scene = self.tracker.scene(self.state, frame.views, frame.time_s)
-        pose = HandPose.of(frame.pose.to(self.tracker.device)).normalized()
-        outline = self._contour(scene, pose, shape)
-        if outline is None:
-            return None
-        found: list[Observation] = [outline]
-        if parts.has_learned_posture:
-            seen = seen_posture(scene, parts.cameras[0], parts.kinematics, pose, shape)
-            found += () if seen is None else learned_observations(seen, pose)
-        found += scene_keypoints(scene, parts.cameras, parts.kinematics, parts.keypoint_settings).observations
-        return _SeenFrame(pose=pose, observations=tuple(found))
-
-    def _contour(self, scene: Scene, pose: HandPose, shape: Tensor) -> ContourObservation | None:
-        """The contour of the silhouette that a hand touches, believed as far as the update rule's is."""
-        plane, kinematics, camera = scene.plane(0), self.tracker.parts.kinematics, self.tracker.parts.cameras[0]
-        if plane is None:
-            return None
-        s, settings = self.tracker.settings, self._believed
-        projector = HandProjector(kinematics, camera, shape)
-        mask = fill_holes(touching(clean(plane > 0.5), projector.silhouette(pose.dofs, pose.reference)), _HOLE_PX)
-        picture = picture_contours(mask, _SCHEDULE, settings, image=scene.views[0].image)
-        if picture.is_empty:
-            return None
-        table = sent_to(
-            outline_table(s.points_per_generator, s.points_per_arc, without=("palm_wrist",)), self.tracker.device
-        )
-        return ContourObservation(picture=picture, contours=PrimitiveContours(projector, table), settings=settings)
-
-    @property
-    def _believed(self) -> ContourSettings:
-        """The errors of a model's surface are the same in all pictures of a hand."""
-        update, factor = self.tracker.settings.update, self.tracker.parts.rule.overconfidence
-        s = (update if isinstance(update, ExtendedUpdateSettings) else ExtendedUpdateSettings()).contour
-        return replace(s, contour_weight=s.contour_weight / factor, coverage_weight=s.coverage_weight / factor)
-
-    def problem(self, frames: Sequence[_SeenFrame]) -> Problem:
-        """The poses of some frames as one problem, the shape known."""
-        kinematics, shape = self.tracker.parts.kinematics, self.state.shape
-        assert shape is not None
-        postures = PostureResiduals.of(
-            HandPrior(kinematics.skeleton, kinematics.shape_space).to(self.tracker.device).postures
-        )
-        return Problem(
-            space=self.tracker.parts.motion.space,
-            skeleton=kinematics.skeleton,
-            shape=shape,
-            observations=tuple(
-                FrameObservations(frames=kind) for kind in zip(*(one.observations for one in frames), strict=True)
-            ),
-            priors=(
-                ConstraintPrior(constraints=PoseConstraints(kinematics.skeleton), has_ties=False),
-                PosturePrior(postures=postures),
-            ),
-        )
-
-
-def _starts(frames: Sequence[_SeenFrame]) -> HandPose:
+def _starts(frames: Sequence[SeenFrame]) -> HandPose:
     return HandPose.stack([one.pose for one in frames])

@@ -180,6 +180,25 @@ class Tracker:
         return self._with_agreements(found, scene, shape)
 
     @torch.inference_mode()
+    @single_threaded()
+    def placed(self, state: TrackerState, pose: HandPose, scene: Scene) -> tuple[TrackerState, Estimate] | None:
+        """The state and the estimate with another hand in the place of the followed one, near a pose () with a zero
+        rotation vector, in the scene of the last step; None where the scene does not bear it out."""
+        if state.shape is None:
+            return None
+        seen = self._seen_posture(scene, pose, state.shape)
+        told = () if seen is None else learned_observations(seen, pose)
+        begun = self.parts.rule.begin(
+            pose, None, replace(scene, observations=(*scene.observations, *told)), state.shape
+        )
+        found = self._with_agreements(begun, scene, state.shape)
+        if found is None or not self.parts.health.is_found(found):
+            return None
+        search = _Search(best=found, proposed=Proposed(pose=pose), has_foreground=True, reason="")
+        state, estimate = self._adopted(state, search, None, scene)
+        return state, sent_to(replace(estimate, status="tracked"), HOST)
+
+    @torch.inference_mode()
     def at_rest(self, hand: FollowedHand) -> FollowedHand:
         """The same hand with rates of which nothing is known, from where it can be followed into either time."""
         prior = self.parts.motion.prior(hand)

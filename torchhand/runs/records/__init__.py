@@ -9,6 +9,7 @@ from torchhand.runs.records.joined import (
     joined_records,
 )
 from torchhand.runs.records.record import MEASURES, record_of, undetermined_fingers
+from torchhand.runs.records.widened import widened
 
 __all__ = [
     "EVIDENCE",
@@ -20,4 +21,5 @@ __all__ = [
     "joined_records",
     "record_of",
     "undetermined_fingers",
+    "widened",
 ]

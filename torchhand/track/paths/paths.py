@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-_MOTION = 100.0  # nats that a metre of motion costs from one frame to the next, in the mean over the keypoints
+MOTION_NATS = 100.0  # nats that a metre of motion costs from one frame to the next, in the mean over the keypoints
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ def path_weights(paths: Sequence[HandPath]) -> Float[Tensor, "frames paths"]:
     is_empty = ~has_hand.any(1, keepdim=True)
     local = torch.where(has_hand, evidence, torch.where(is_empty, 0.0, -math.inf))
     moved = (keypoints[1:, None] - keypoints[:-1, :, None]).norm(dim=-1).mean(-1)  # (frames - 1, from, to)
-    change = -_MOTION * moved.nan_to_num(0.0)
+    change = -MOTION_NATS * moved.nan_to_num(0.0)
     before, after = [local[:1]], [torch.zeros_like(local[:1])]
     for here, step in zip(local[1:].split(1), change, strict=True):
         before.append(here + (before[-1].mT + step).logsumexp(0, keepdim=True))

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -63,18 +64,25 @@ class TiltedHands:
         return Proposals(hands=tuple(Proposed(pose=found.pose[row]) for row in chosen), has_foreground=True)
 
     def _starts(self, best: Candidate, shape: Float[Tensor, "shape"]) -> HandPose:
-        """The followed hand tilted about the middle of its palm, with its own fingers and with those a network sees."""
+        """The followed hand, with its own fingers and with those a network sees."""
         own = best.pose.normalized()
         joints = [own.dofs[-len(JOINT_DOFS) :]]
         joints += [] if best.learned is None else [best.learned.joints]
-        ways = list(itertools.product(joints, _TILTS, _TILTS))
-        tilts = own.dofs.new_tensor([(across, up, 0.0) for _, across, up in ways])
-        dofs = torch.cat((own.dofs.new_zeros(len(ways), 6), torch.stack([bent for bent, _, _ in ways])), 1)
-        rotation = rotation_from_vector(tilts) @ own.rotation
-        middles = [self._palm(dofs, rotation, shape), self._palm(own.dofs[None], own.reference[None], shape)]
-        dofs[:, :3] = middles[1] - middles[0]
-        return HandPose(dofs=dofs, reference=rotation)
+        return tilted_hands(own, joints, self.kinematics, shape)
 
-    def _palm(self, dofs: Tensor, reference: Tensor, shape: Tensor) -> Float[Tensor, "hands 3"]:
-        keypoints = self.kinematics(dofs, shape, root_reference=reference).keypoints
-        return palm_middle(keypoints)
+
+def tilted_hands(
+    pose: HandPose, joints: Sequence[Float[Tensor, "30"]], kinematics: HandKinematics, shape: Float[Tensor, "shape"]
+) -> HandPose:
+    """A hand () with a zero rotation vector tilted by 30° and by nothing about either axis of the picture through the
+    middle of its palm, nine times with each of some postures; the camera is the world."""
+    ways = list(itertools.product(joints, _TILTS, _TILTS))
+    tilts = pose.dofs.new_tensor([(across, up, 0.0) for _, across, up in ways])
+    dofs = torch.cat((pose.dofs.new_zeros(len(ways), 6), torch.stack([bent for bent, _, _ in ways])), 1)
+    rotation = rotation_from_vector(tilts) @ pose.rotation
+    tilted, own = (
+        palm_middle(kinematics(one, shape, root_reference=turned).keypoints)
+        for one, turned in ((dofs, rotation), (pose.dofs[None], pose.reference[None]))
+    )
+    dofs[:, :3] = own - tilted
+    return HandPose(dofs=dofs, reference=rotation)

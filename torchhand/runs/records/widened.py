@@ -1,0 +1,99 @@
+"""What the pictures of a recording leave open, in the covariances and qualities of its records."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from torchhand.evaluate import fingertip_distances, fingertip_errors
+from torchhand.files import FrameRecord
+from torchhand.hand import HandPose
+from torchhand.track import Alternatives, HandPath, path_weights
+
+_RIGHT_M = 0.020  # distance within which a fingertip is right, as qualities have it
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Open:
+    """What one picture leaves open about the hand of a record."""
+
+    keypoints: Float[np.ndarray, "21 3 3"]
+    """Square metres: mean square of how far the alternatives lie from it."""
+    pose: Float[np.ndarray, "36"]
+    """The same of the pose, the root's rotation as a small turn in the world's axes."""
+    right: float
+    """Probability of the alternatives none of whose fingertips lies elsewhere in the picture."""
+    fingers: Float[np.ndarray, "5"]
+    """Probability of those in which each fingertip is where it is, once the hands are laid over one another."""
+
+
+def widened(records: Sequence[FrameRecord], alternatives: Mapping[int, Alternatives]) -> list[FrameRecord]:
+    """Records of one camera with the spread of the hands that explain the pictures about as well, the mixture's and not
+    the winner's; no quality is higher than the probability of those that agree.
+
+    alternatives: by the place of their record. Between two records that have some, what they leave open is interpolated
+    linearly; a hidden Markov model over these weighs them, as they move in relation to the records' hands
+    (`path_weights`).
+    """
+    looked = [row for row in sorted(alternatives) if np.isfinite(records[row].keypoints3d).all()]
+    if not looked:
+        return list(records)
+    found = [alternatives[row] for row in looked]
+    hands = [records[row] for row in looked]
+    weights = _weights(hands, found)
+    left = [_left_open(*one) for one in zip(hands, found, weights, strict=True)]
+
+    def between(name: str, row: int) -> np.ndarray:
+        place = float(np.interp(row, looked, range(len(looked))))
+        first, share = int(place), place % 1
+        last = min(first + 1, len(left) - 1)
+        return (1 - share) * np.asarray(getattr(left[first], name)) + share * np.asarray(getattr(left[last], name))
+
+    return [
+        _with(record, _Open(**{name: between(name, row) for name in _Open.__dataclass_fields__}))
+        if np.isfinite(record.keypoints3d).all()
+        else record
+        for row, record in enumerate(records)
+    ]
+
+
+def _weights(hands: Sequence[FrameRecord], found: Sequence[Alternatives]) -> list[Float[torch.Tensor, "k"]]:
+    """Probabilities of the alternatives of every picture, all pictures considered."""
+    most = max(len(one.correlated_cost) for one in found)
+    away = torch.full((len(found), most, 21, 3), torch.nan, dtype=torch.float64)
+    evidence = torch.zeros(len(found), most, dtype=torch.float64)
+    for row, (hand, one) in enumerate(zip(hands, found, strict=True)):
+        count = len(one.correlated_cost)
+        away[row, :count] = one.keypoints - torch.from_numpy(hand.keypoints3d)
+        evidence[row, :count] = -one.correlated_cost
+    weights = path_weights([HandPath(keypoints=away[:, i], evidence=evidence[:, i]) for i in range(most)])
+    return [weights[row, : len(one.correlated_cost)] for row, one in enumerate(found)]
+
+
+def _left_open(hand: FrameRecord, found: Alternatives, weights: Float[torch.Tensor, "k"]) -> _Open:
+    share, own, points = weights.numpy(), hand.keypoints3d[None], found.keypoints.numpy()
+    away = points - own
+    at = HandPose.of(torch.from_numpy(hand.pose))
+    missed = np.stack([at.step_to(found.pose[row]).numpy() for row in range(len(points))])
+    is_right = (fingertip_distances(points, own, is_one_camera=True) <= _RIGHT_M).all(-1)
+    return _Open(
+        keypoints=np.einsum("k,kji,kjl->jil", share, away, away),
+        pose=share @ missed**2,
+        right=float(share @ is_right),
+        fingers=share @ (fingertip_errors(points, own) <= _RIGHT_M),
+    )
+
+
+def _with(record: FrameRecord, left: _Open) -> FrameRecord:
+    fingers = record.finger_quality
+    quality = {"quality": min(record.measures["quality"], left.right)} if "quality" in record.measures else {}
+    is_free = record.pose_std > 0
+    return replace(
+        record,
+        pose_std=np.where(is_free, np.sqrt(record.pose_std**2 + left.pose), record.pose_std),
+        keypoints3d_cov=record.keypoints3d_cov + left.keypoints,
+        finger_quality=None if fingers is None else np.minimum(fingers, left.fingers),
+        measures={**record.measures, **quality},
+    )

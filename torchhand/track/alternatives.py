@@ -1,0 +1,117 @@
+"""Other hands that explain one camera's picture: how probable each is, by all that is known of it in nats.
+
+An outline that fits best is not the likeliest hand: where fingers bend, tilt and flexion change it alike, and what is
+known of postures, of the network's view and of edges that err together decides, or leaves it open.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchhand.fit import Observation, PosedHands, Solutions, solve
+from torchhand.fit.contour import SEARCH
+from torchhand.fit.keypoints import PostureKeypoints
+from torchhand.hand import JOINT_DOFS, HandPose
+from torchhand.numerics import single_threaded
+from torchhand.track.frame_fit import FrameFit, contour_settings
+from torchhand.track.knowledge import TrackerState
+from torchhand.track.proposals import TiltedHands, tilted_hands
+from torchhand.track.scene import Scene, learned_observations, seen_posture
+from torchhand.track.tracker import Tracker
+
+_SAME_M = 0.005  # mean distance of keypoints, up to which two registered hands are one
+_UNTOLD = 0.1  # share of pictures in which the network's hypotheses tell nothing of the direction
+
+
+@dataclass(frozen=True, kw_only=True)
+class Alternatives:
+    """Hands that differ and explain one picture, the likeliest first."""
+
+    pose: HandPose
+    """(k), in the world, with zero rotation vectors."""
+    keypoints: Float[Tensor, "k 21 3"]
+    """Metres."""
+    cost: Float[Tensor, "k"]
+    """Nats, every point of the contours by itself."""
+    correlated_cost: Float[Tensor, "k"]
+    """Nats, the errors of points of a contour being correlated (`UpdateRule.overconfidence`): what it leaves open."""
+    row: tuple[int, ...]
+    """Which of them each of the given hands becomes where it is registered as they are."""
+
+
+class TiltAlternatives:
+    """Registers a followed hand, tilted otherwise and as it is, on the picture, all at once."""
+
+    def __init__(self, tracker: Tracker, state: TrackerState) -> None:
+        """tracker: of one pinhole camera, one whose hands can be tilted (`can_tilt`). state: with the proportions and
+        the hand's colours."""
+        self._tracker, self._fit = (
+            tracker,
+            FrameFit(tracker=tracker, state=state, schedule=SEARCH, contours=contour_settings(tracker)),
+        )
+        self._shape = state.shape
+
+    @staticmethod
+    def can_tilt(tracker: Tracker) -> bool:
+        """Whether a tracker compares its hand with tilted ones."""
+        return any(isinstance(one, TiltedHands) for one in tracker.parts.sources)
+
+    @torch.inference_mode()
+    @single_threaded()
+    def __call__(self, scene: Scene, hands: Sequence[HandPose]) -> Alternatives | None:
+        """hands: poses () with zero rotation vectors, the followed one first. None where nothing of its contour is seen
+        and beside a detector, which tells of tilts."""
+        parts, followed, shape = self._tracker.parts, hands[0], self._shape
+        assert shape is not None
+        outline = self._fit.contour(scene, followed)
+        if outline is None or parts.keypoints(scene).observations:
+            return None
+        seen = seen_posture(scene, parts.cameras[0], parts.kinematics, followed, shape)
+        observations: list[Observation] = [outline]
+        joints = [followed.dofs[-len(JOINT_DOFS) :]]
+        if seen is not None:
+            told = learned_observations(seen, followed)
+            observations += [one for one in told if isinstance(one, PostureKeypoints)]
+            joints.append(seen.joints)
+        tilted = tilted_hands(followed, joints, parts.kinematics, shape)
+        starts = HandPose.stack([*hands, *(tilted[row] for row in range(len(tilted.dofs)))])
+        found = solve(self._fit.hypotheses(observations), starts, SEARCH)
+        found = replace(found, pose=found.pose.normalized())
+        if seen is not None:
+            agreement = torch.stack([seen.direction_agreement(one) for one in found.pose.rotation])
+            found = replace(found, cost=found.cost - (agreement.to(found.cost) + _UNTOLD).log())
+        alone = found.misfit - sum(self._nats(one, found.pose) for one in observations[1:])
+        return self._different(found, alone, len(hands))
+
+    def _nats(self, observation: Observation, poses: HandPose) -> Float[Tensor, "k"]:
+        """What an observation costs hands in which nothing is to be associated."""
+        assert self._shape is not None
+        hands = PosedHands(pose=poses, shape=self._shape)
+        return observation.associate(hands, SEARCH[-1]).equations(hands).cost
+
+    def _different(self, found: Solutions, contour: Float[Tensor, "k"], given: int) -> Alternatives | None:
+        """Those that differ, the cheapest first; None where one of the first few, which were given, is none. contour:
+        nats of the contours alone."""
+        shape, order = self._shape, found.cost.argsort().tolist()
+        assert shape is not None
+        if not bool(found.cost[:given].isfinite().all()):
+            return None
+        common = 1 - 1 / self._tracker.parts.rule.overconfidence
+        keypoints = self._tracker.kinematics(found.pose.dofs, shape, root_reference=found.pose.reference).keypoints
+        chosen: list[int] = []
+        place: dict[int, int] = {}
+        for row in order[: int(found.cost.isfinite().sum())]:
+            apart = (keypoints[chosen] - keypoints[row]).norm(dim=-1).mean(-1)
+            is_new = not bool((apart <= _SAME_M).any())
+            place[row] = len(chosen) if is_new else int(apart.argmin())
+            chosen += [row] if is_new else []
+        return Alternatives(
+            pose=found.pose[chosen],
+            keypoints=keypoints[chosen],
+            cost=found.cost[chosen],
+            correlated_cost=(found.cost - common * contour)[chosen],
+            row=tuple(place[row] for row in range(given)),
+        )
