@@ -46,7 +46,13 @@ def test_mistakes_are_one_line(study: Path, tmp_path: Path, capsys: pytest.Captu
     there = tmp_path / "there.parquet"
     there.write_bytes(b"mine")
     np.savez(tmp_path / "other.npz", frame=np.zeros(3))
+    with np.load(study / "hypotheses.npz") as stored:
+        arrays = dict(stored)
+    np.savez(tmp_path / "shorter.npz", **(arrays | {"frame": arrays["frame"][:3]}))
+    np.savez(tmp_path / "unnamed.npz", **(arrays | {"dof_names": arrays["dof_names"][:3]}))
     for words, message in (
+        ([str(tmp_path / "shorter.npz"), "--to", str(tmp_path / "a.parquet")], "is no study that can be read ("),
+        ([str(tmp_path / "unnamed.npz"), "--to", str(tmp_path / "a.parquet")], "is no study that can be read ("),
         ([str(study), "--to", str(tmp_path / "a.csv")], "--to: expected a name that ends in .parquet"),
         ([str(study), "--to", str(tmp_path / "no" / "a.parquet")], "--to: expected a file in an existing folder"),
         ([str(study), "--to", str(there)], "exists already; give another name, or --overwrite"),

@@ -37,8 +37,10 @@ def write_parquet(source: Path, target: Path) -> int:
         if missing:
             raise InputError(f"{source}: {_COMPLAINT} (no array {missing[0]!r})")
         told = {f"torchhand.{name}": str(stored[name]) for name in _TOLD}
-        columns = dict(_columns(stored))
-    table = arrow.table(columns).replace_schema_metadata(told)
+        try:
+            table = arrow.table(dict(_columns(stored))).replace_schema_metadata(told)
+        except ValueError as error:  # arrays that do not belong together
+            raise InputError(f"{source}: {_COMPLAINT} ({error})") from error
     with replacing(target) as temporary:
         parquet.write_table(table, temporary, row_group_size=_GROUP, compression="zstd")
     return table.num_rows
