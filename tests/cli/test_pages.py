@@ -8,6 +8,7 @@ from pathlib import Path
 
 from torchhand.cli.command import arguments_of
 from torchhand.cli.main import command_descriptions
+from torchhand.cli.studies import DESIGN, EXPORT, UEDA
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGES = {
@@ -32,9 +33,12 @@ def test_options_that_pages_name_exist() -> None:
     commands, checked = command_descriptions(), 0
     for line in lines:
         found = re.match(r"(?:bash )?torchhand (\w+)(.*)", line.partition("#")[0])
-        if found is None or found[1] not in commands or found[2].strip().startswith("ueda"):
+        if found is None or found[1] not in commands:
             continue
-        known = {"--help", "--quiet", "--verbose", "--print-config"} | options_of(found[1])
+        word = next(iter(found[2].split()), "")
+        is_of_study = found[1] == "study" and word in (UEDA, DESIGN, EXPORT)
+        known = {"--help", "--quiet", "--verbose", "--print-config"}
+        known |= options_of(f"studies.{word}" if is_of_study else found[1])
         wrong = set(re.findall(r"(?<=\s)--[a-z][\w-]*", found[2])) - known
         assert wrong == set(), line
         checked += 1

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from tyro.conf import Positional, UseAppendAction, arg
 
 from torchhand.cli.command import DONE, STOPPED_BY_USER, OnDevice, command, one_address, parse, threads
-from torchhand.cli.studies import DESIGN, UEDA, study_design, study_ueda
+from torchhand.cli.studies import DESIGN, EXPORT, UEDA, study_design, study_export, study_ueda
 from torchhand.cluster import Cluster
 from torchhand.devices import device_named
 from torchhand.errors import InputError
@@ -63,6 +63,7 @@ class Arguments(OnDevice):
         torchhand study out/sequence --out out/study --frames 0,20,40 --surface mesh
         torchhand study ueda --help     (another study: hands fitted into hulls, Ueda et al. 2003)
         torchhand study design --help   (studies of your own design: factors, cells, outcomes)
+        torchhand study export --help   (the starts of a finished study as a Parquet table)
     """
 
     input: Annotated[Positional[Path | None], arg(metavar="INPUT")] = None
@@ -141,6 +142,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return study_ueda(words[1:])
     if words[:1] == [DESIGN]:
         return study_design(words[1:])
+    if words[:1] == [EXPORT]:
+        return study_export(words[1:])
     arguments = parse(Arguments, argv, name="study", settings=_settings)
     settings = _settings(arguments)
     check_output_folder(arguments.out, resume=arguments.resume, overwrite=arguments.overwrite)

@@ -30,6 +30,7 @@ from torchhand.track.scene import (
     Candidate,
     ObservationsOf,
     Scene,
+    SceneKeypoints,
     View,
     WorkingViews,
     credible_posture,
@@ -230,7 +231,8 @@ class Tracker:
     def _followed(self, hand: FollowedHand, predicted: FollowedHand, scene: Scene, shape: Tensor) -> Candidate | None:
         """The prediction corrected by the scene, and by what the network sees where the hand is expected. Where fingers
         are bent otherwise, and no detector tells of them, also the prediction with these put there: whichever explains
-        the scene, the latter where both do."""
+        the scene, the latter where both do. Where a detector tells of them, and of other fingers than the hand then
+        has, also the hand in which the network's view of these does not count."""
         motion, rule = self.parts.motion, self.parts.rule
         pose = motion.pose(predicted).normalized()
         seen = self._seen_posture(scene, pose, shape)
@@ -238,11 +240,37 @@ class Tracker:
             return self._with_agreements(rule.follow(hand, predicted, scene, shape), scene, shape)
         told = replace(scene, observations=(*scene.observations, *learned_observations(seen, pose)))
         found = self._with_agreements(rule.follow(hand, predicted, told, shape), scene, shape, seen)
+        keypoints = self.parts.keypoints(scene)
+        if keypoints.observations:
+            return self._by_detector(hand, predicted, (found, seen, keypoints), scene, shape)
         put, is_put = credible_posture(seen, pose, motion.space.free_names)
-        if self.parts.keypoints(scene).observations or not bool(is_put.any()):
+        if not bool(is_put.any()):
             return found
         other = rule.follow(hand, motion.put(predicted, put, is_put), told, shape)
-        other = self._with_agreements(other, scene, shape, seen)
+        return self._likelier(found, self._with_agreements(other, scene, shape, seen))
+
+    def _by_detector(
+        self,
+        hand: FollowedHand,
+        predicted: FollowedHand,
+        by_both: tuple[Candidate | None, LearnedPosture, SceneKeypoints],
+        scene: Scene,
+        shape: Tensor,
+    ) -> Candidate | None:
+        """A hand corrected by the network and a detector, or that by the detector where it contradicts the former.
+
+        by_both: that hand, what the network sees, what the detector does.
+        """
+        found, seen, keypoints = by_both
+        if found is None or not bool((without := keypoints.contradicted(found.pose, shape)[1:]).any()):
+            return found
+        own = learned_observations(seen, self.parts.motion.pose(predicted).normalized(), without=without)
+        told = replace(scene, observations=(*scene.observations, *own))
+        other = self.parts.rule.follow(hand, predicted, told, shape)
+        return self._likelier(found, self._with_agreements(other, scene, shape, seen))
+
+    def _likelier(self, found: Candidate | None, other: Candidate | None) -> Candidate | None:
+        """The other hand, unless the first one explains the scene better."""
         if found is None or other is None:
             return found or other
         score = self.parts.health.score

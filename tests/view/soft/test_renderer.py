@@ -8,12 +8,14 @@ import torch
 from torch import Tensor
 
 from torchhand.files import load_hand_model
-from torchhand.geometry import Camera, rotation_from_vector
+from torchhand.geometry import Camera, assumed_camera, rotation_from_vector
 from torchhand.hand import Hand, posed_mesh
 from torchhand.view.raster import cast, silhouette
 from torchhand.view.soft import SoftRenderer, primitive_mesh
 
 FINER = 8  # samples along each side of a pixel, of what pictures are compared with
+Box = tuple[Tensor, Tensor]
+"""Corners and faces."""
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +31,14 @@ def hands(count: int, seed: int = 0) -> tuple[Tensor, Tensor]:
     middle = load_hand_model().kinematics(dtype=torch.float64)(poses).keypoints.mean(1)
     poses[:, :3] = torch.tensor((0.0, 0.0, 0.5), dtype=torch.float64) - middle
     return poses, shapes
+
+
+@pytest.fixture(scope="module")
+def box() -> Box:
+    """A cube of a metre."""
+    corners = torch.tensor([(x, y, z) for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)]).double()
+    faces = [(0, 1, 3), (0, 3, 2), (4, 7, 5), (4, 6, 7), (0, 5, 1), (0, 4, 5), (2, 3, 7), (2, 7, 6), (0, 2, 6)]
+    return corners, torch.tensor([*faces, (0, 6, 4), (1, 5, 7), (1, 7, 3)])
 
 
 def sampled(mask: Tensor) -> Tensor:
@@ -62,11 +72,9 @@ def test_primitives_have_the_silhouettes_that_rays_have(hand: Hand, scene: Any) 
     assert float((own - rays).abs().sum() / rays.sum()) < 0.01
 
 
-def test_a_square_covers_what_it_covers_and_moves_as_it_moves(scene: Any) -> None:
+def test_a_square_covers_what_it_covers_and_moves_as_it_moves(box: Box, scene: Any) -> None:
     """A box before an orthographic camera of one pixel a metre: pixels by hand."""
-    corner = torch.tensor([(x, y, z) for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)]).double()
-    faces = [(0, 1, 3), (0, 3, 2), (4, 7, 5), (4, 6, 7), (0, 5, 1), (0, 4, 5), (2, 3, 7), (2, 7, 6), (0, 2, 6)]
-    faces = torch.tensor([*faces, (0, 6, 4), (1, 5, 7), (1, 7, 3)])
+    corner, faces = box
     camera = replace(
         scene.camera("orthographic", width=6, height=5), intrinsics=torch.eye(3, dtype=torch.float64), width=6, height=5
     )
@@ -113,6 +121,75 @@ def test_derivatives_of_areas_are_those_of_finite_differences(hand: Hand, scene:
             area(poses, shapes, turn, torch.tensor(f).double(), scale=float(FINER)) for f in (1.002, 0.998)
         )
     torch.testing.assert_close(grads[3], ((wider - narrower) / 4e-3).sum(), rtol=0.01, atol=0)
+
+
+def place(count: int, seed: int) -> tuple[Tensor, Tensor, Camera]:
+    """Hands whose fingers cross in the picture, every other of which leaves it at the left or at the top."""
+    poses, shapes = hands(count, seed=seed)
+    poses[1::2, 0] -= 0.08
+    poses[1::4, 1] -= 0.06
+    return poses, shapes, assumed_camera(64, 64, horizontal_fov_deg=25.0)
+
+
+def test_derivatives_are_those_of_the_pictures_themselves(hand: Hand) -> None:
+    """Of weighted sums of pixels, over steps of a micrometre and a microradian: what is drawn has no jumps."""
+    poses, shapes, camera = place(8, seed=3)
+    renderer = SoftRenderer(hand.faces)
+    weights = torch.randn(64, 64, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    leaf = poses.clone().requires_grad_()
+    (grad,) = torch.autograd.grad((weights * renderer.silhouette(hand(leaf, shapes).vertices, camera)).sum(), leaf)
+    for column in (0, 1, 2, 3, 5, 8, 14, 20):
+        change = torch.zeros_like(poses)
+        change[:, column] = 1e-6
+        with torch.no_grad():
+            ends = [renderer.silhouette(hand(poses + by, shapes).vertices, camera) for by in (change, -change)]
+        slope = ((ends[0] - ends[1]) * weights).sum((1, 2)) / 2e-6
+        assert float((grad[:, column] - slope).norm() / slope.norm()) < 1e-3, column
+
+
+def test_a_pixel_is_covered_as_the_pixels_of_a_finer_picture_are(hand: Hand) -> None:
+    poses, shapes, camera = place(6, seed=4)
+    state = hand(poses, shapes)
+    for (vertices, faces), near in (((state.vertices, hand.faces), 1e-9), (primitive_mesh(state.primitives), 5e-3)):
+        renderer = SoftRenderer(faces)
+        with torch.no_grad():
+            own, finer = (renderer.silhouette(vertices, one) for one in (camera, camera.resized(float(FINER))))
+        mean = torch.nn.functional.avg_pool2d(finer[:, None], FINER)[:, 0]
+        torch.testing.assert_close(own, mean, atol=near, rtol=0)
+
+
+def test_single_precision_has_the_pictures_and_derivatives_of_double_precision(hand: Hand) -> None:
+    poses, shapes, camera = place(8, seed=5)
+    vertices, weights = hand(poses, shapes).vertices, torch.randn(64, 64, generator=torch.Generator().manual_seed(0))
+    found = []
+    for dtype in (torch.float32, torch.float64):
+        leaf = vertices.float().to(dtype).requires_grad_()
+        covered = SoftRenderer(hand.faces).silhouette(leaf, camera.to(dtype=dtype))
+        assert covered.dtype == dtype
+        (grad,) = torch.autograd.grad((weights.to(dtype) * covered).sum(), leaf)
+        found.append((covered.detach().double(), grad.double()))
+    torch.testing.assert_close(found[0][0], found[1][0], atol=2e-4, rtol=0)
+    assert float((found[0][1] - found[1][1]).norm() / found[1][1].norm()) < 1e-3
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.25, 1.0])
+def test_boxes_that_touch_or_overlap_cover_their_union(shift: float, box: Box, scene: Any) -> None:
+    """Two boxes of 2 by 1.25 m, one pixel a metre, with a side in common or an overlap; across the left border too."""
+    corners, faces = box
+    camera = replace(
+        scene.camera("orthographic", width=6, height=5), intrinsics=torch.eye(3, dtype=torch.float64), width=6, height=5
+    )
+    for left in (1.0, -2.5):
+        first = corners * torch.tensor((2.0, 1.25, 1.0)).double() + torch.tensor((left, 1.0, 2.0)).double()
+        other = first + torch.tensor((2.0 - shift, 0.5 if shift else 0.0, 0.0)).double()
+        renderer = SoftRenderer(torch.cat((faces, faces + len(corners))))
+        covered = renderer.silhouette(torch.cat((first, other)), camera)
+        finer = torch.zeros(5 * 8, 6 * 8, dtype=torch.bool)
+        y, x = torch.meshgrid(*((torch.arange(n * 8) + 0.5) / 8 - 0.5 for n in (5, 6)), indexing="ij")
+        for one in (first, other):
+            (low_x, low_y), (high_x, high_y) = one[:, :2].amin(0), one[:, :2].amax(0)
+            finer |= (x > low_x) & (x < high_x) & (y > low_y) & (y < high_y)
+        torch.testing.assert_close(covered, sampled(finer[None])[0])
 
 
 def test_depth_is_the_mean_of_what_rays_meet(hand: Hand, scene: Any) -> None:

@@ -32,7 +32,7 @@ from torchhand.hand import (
 )
 from torchhand.track.multiview.hulls import Hull, Hulls
 from torchhand.track.multiview.settings import RigSettings
-from torchhand.track.scene import Masks, SilhouetteComparison, mean_overlap
+from torchhand.track.scene import Masks, PlacedHand, SilhouetteComparison, mean_overlap
 
 _KNUCKLE = 9  # keypoint about which the hull is carved: the middle finger's
 _REFINING = (
@@ -71,9 +71,11 @@ class HullFit:
     """Whether the fit is good enough for a hand and not for something else."""
     overlaps: Float[Tensor, "views"]
     """Intersection over union in every view, NaN where one is missing."""
+    placed: PlacedHand | None = None
+    """The hand before the cameras; None where that was not computed."""
 
     @classmethod
-    def of(cls, found: Solutions, overlaps: Float[Tensor, "views"]) -> "HullFit":
+    def of(cls, found: Solutions, overlaps: Float[Tensor, "views"], placed: PlacedHand) -> "HullFit":
         """The fit of one hypothesis, without batch dimensions."""
         evidence = HullEvidence.of(found)
         return cls(
@@ -84,6 +86,7 @@ class HullFit:
             covered_fraction=float(evidence.covered),
             is_good=bool(evidence.is_good),
             overlaps=overlaps,
+            placed=placed,
         )
 
     def refitted(self, solution: SharedSolution, row: int, overlaps: Float[Tensor, "views"]) -> "HullFit":
@@ -98,6 +101,7 @@ class HullFit:
             covered_fraction=float(evidence.covered[row]),
             is_good=bool(evidence.is_good[row]),
             overlaps=overlaps,
+            placed=None,
         )
 
     @property
@@ -341,7 +345,9 @@ class FrameFitter:
         return best_of([self._compared(found.select(int(index)), shape, masks) for index in best])
 
     def _compared(self, found: Solutions, shape: Tensor, masks: Masks) -> HullFit:
-        return HullFit.of(found, self._fitters_for(shape).comparison.overlaps(found.pose, masks))
+        comparison = self._fitters_for(shape).comparison
+        placed = comparison.placed(found.pose)
+        return HullFit.of(found, comparison.overlaps(placed, masks), placed)
 
     def _fitters_for(self, shape: Tensor) -> _Fitters:
         """What depends on the proportions, kept while they stay the same."""

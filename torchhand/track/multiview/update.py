@@ -77,6 +77,7 @@ def _candidate(fit: HullFit, hand: FollowedHand, predicted: FollowedHand | None)
     return Candidate(
         hand=hand,
         pose=fit.pose,
+        placed=fit.placed,
         agreement=Agreement.of_overlaps(fit.overlaps),
         edges=fit.covered_fraction,
         inside=fit.inside_fraction,

@@ -115,16 +115,15 @@ class SilhouetteComparison:
         overlaps, unexplained, beyond = torch.tensor(found, dtype=torch.float64).T
         return Agreement(overlaps=overlaps, unexplained=unexplained, beyond=beyond)
 
-    def overlaps(self, pose: HandPose, masks: Masks) -> Float[Tensor, "views"]:
+    def overlaps(self, hand: HandPose | PlacedHand, masks: Masks) -> Float[Tensor, "views"]:
         """Intersection over union alone, with silhouettes of any size; NaN in views without one."""
+        placed = self.placed(hand) if isinstance(hand, HandPose) else hand
         cameras = [projector.camera for projector in self._projectors]
         small = [
             None if mask is None else reduced_mask(mask.to(self.shape.device), camera.height, camera.width)
             for camera, mask in zip(cameras, masks, strict=True)
         ]
-        found = [
-            math.nan if compared is None else compared.overlap for compared in self._compared(self.placed(pose), small)
-        ]
+        found = [math.nan if compared is None else compared.overlap for compared in self._compared(placed, small)]
         return torch.tensor(found, dtype=torch.float64)
 
     def _reduced(self, scene: Scene, view: int) -> Bool[Tensor, "height width"] | None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.devices import constant_tensor
@@ -19,6 +19,7 @@ _PALM = (0, 1, 5, 9, 13, 17)
 _DIGITS = tuple((first + 1, first + 2, first + 3) for first in _PALM[1:])
 """Keypoints beyond the palm, digit by digit."""
 _COMPARED = Stage(gross_m=0.01)
+_CREDIBLE = 2.2  # root mean square deviation of a part's three or four measurements: one in a thousand (χ²) by chance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,8 +67,13 @@ class SceneKeypoints:
         if self.postures:
             joints = pose.dofs[None, -len(JOINT_DOFS) :]
             digits = torch.stack([one.deviation(joints)[0] for one in self.postures])
-            found[1:] = torch.maximum(found[1:], digits.nan_to_num().amin(0))
+            nearest = digits.nan_to_num(nan=torch.inf).amin(0)  # of those that know of the digit
+            found[1:] = torch.maximum(found[1:], nearest.where(nearest.isfinite(), 0.0))
         return found
+
+    def contradicted(self, pose: HandPose, shape: Float[Tensor, "shape"]) -> Bool[Tensor, "6"]:
+        """Whether the palm and the five digits of a hand are not credibly the detector's."""
+        return self.deviation(pose, shape) > _CREDIBLE
 
     def agreement(
         self, pose: HandPose, shape: Float[Tensor, "shape"], frames: HandFrames | None = None
@@ -174,4 +180,5 @@ def detected_hand(
         found = place_hand(seen.pictures, seen.postures, kinematics, shape)
         return None if found is None or not bool(found.cost.isfinite()) else found.pose.normalized()
 
-    return scene.once(("detected", len(seen.postures), tuple(shape.tolist())), placed)
+    told = tuple(value for one in seen.postures for value in one.precision.flatten().tolist())
+    return scene.once(("detected", told, tuple(shape.tolist())), placed)

@@ -48,17 +48,23 @@ def _silhouette(scene: Scene, camera: Camera) -> Silhouette | None:
     return Silhouette(mask=mask, camera=camera, image=scene.views[0].image)
 
 
-def learned_observations(seen: LearnedPosture, pose: HandPose) -> tuple[PostureKeypoints, Observation]:
-    """The joint angles and the direction that were seen, as observations of the hand near a pose ()."""
+def learned_observations(
+    seen: LearnedPosture, pose: HandPose, *, without: Bool[Tensor, "5"] | None = None
+) -> tuple[PostureKeypoints, Observation]:
+    """The joint angles and the direction that were seen, as observations of the hand near a pose (). without: fingers
+    whose angles are not believed."""
     none, rotation = pose.dofs.new_zeros(len(DOFS) - len(JOINT_DOFS)), pose.rotation
     direction, precision = seen.direction_near(rotation)
     space, turns = _space(none.device)
     information = none.new_zeros(space.size, space.size)
     information[turns, turns] = precision.to(none)
+    believed = seen.variance.reciprocal()
+    if without is not None:
+        believed = believed.masked_fill(without.repeat_interleave(len(JOINT_DOFS) // len(FINGERS)), 0.0)
     return (
         PostureKeypoints(
             pose=HandPose(dofs=torch.cat((none, seen.joints))[None], reference=rotation[None]),
-            precision=seen.variance.reciprocal()[None],
+            precision=believed[None],
         ),
         GaussianPrior(
             pose=HandPose(dofs=pose.dofs.new_zeros(len(DOFS)), reference=direction),

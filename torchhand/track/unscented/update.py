@@ -28,7 +28,6 @@ from torchhand.track.unscented.settings import UnscentedUpdateSettings
 from torchhand.view import HandProjector, OutlineTable
 
 _STARTING_UPDATES = 4  # measurement updates on the picture in which a hand was found
-_CREDIBLE = 2.2  # root mean square deviation of a part's three or four measurements: one in a thousand (χ²) by chance
 _KEYPOINTS = Stage(gross_m=0.004)
 _OVERCONFIDENCE = 4.0
 """Contour points lie 3 mm apart, errors of the model's surface reach over more than a centimetre. Measured on the
@@ -128,7 +127,7 @@ class UnscentedUpdate:
             return hand
         s, count = self.settings, self.motion.space.size
         own = self.motion.pose(hand)
-        is_lost = with_further_postures(seen, scene).deviation(own, shape) > _CREDIBLE
+        is_lost = with_further_postures(seen, scene).contradicted(own, shape)
         if bool(is_lost.any()):
             detected = detected_hand(*where, shape)
             if detected is None:

@@ -6,7 +6,7 @@ across the boundary (Reynolds' transport theorem). On a straight edge v is linea
 a closed form. No edge is blurred for it, and no sample has to lie near one.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import torch
@@ -14,11 +14,11 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from torchhand.view.soft.coverage import coverage, lies_within
+from torchhand.view.soft.coverage import coverage, estimate, lies_within
 from torchhand.view.soft.edges import ContourEdges
 from torchhand.view.soft.pieces import Pieces, cut_at_columns, cut_at_crossings, cut_at_rows, joined, shown_pieces
 
-Kept = Literal["none", "outer", "all"]
+Kept = Literal["outer", "all"]
 """Pieces of edges that are wanted: with what no other part of the surface is beyond, or those within it too."""
 _FULL = 1 - 1e-6  # coverage above which only rounding is missing
 
@@ -41,23 +41,28 @@ class Boundary:
 def boundary(
     points_px: Float[Tensor, "points 2"], contour: ContourEdges, size: tuple[int, int, int], *, kept: Kept
 ) -> Boundary:
-    """The boundary of polygons in pictures. size: pictures, height, width. kept: which pieces are."""
-    first, last = (points_px.index_select(0, end) + 0.5 for end in contour.ends.unbind(1))
+    """The boundary of polygons in pictures. size: pictures, height, width. kept: which pieces are.
+
+    Found in double precision: whether an edge is before another one or behind decides about whole pixels.
+    """
+    first, last = (points_px.index_select(0, end).double() + 0.5 for end in contour.ends.unbind(1))
     rows = cut_at_rows(first, last, contour.picture, size)
     pieces = cut_at_columns(rows, first, last, size)
-    covered = coverage(pieces, first, last, contour.picture, size)
-    shown = pieces.select(pieces.edge[:0]) if kept == "none" else shown_pieces(pieces, size[2])
-    is_full = _surely_full(covered).reshape(-1).index_select(0, shown.row * size[2] + shown.column)
+    estimated = estimate(pieces, first, last, contour.picture, size)
+    shown = shown_pieces(pieces, size[2])
+    is_full = _surely_full(estimated).reshape(-1).index_select(0, shown.row * size[2] + shown.column)
     ajar = cut_at_crossings(shown.select((~is_full).nonzero()[:, 0]), first, last, size[2])
     is_outer = ~lies_within(ajar, rows, first, last)
+    outer, beside = ajar.select(is_outer.nonzero()[:, 0]), pieces.select((pieces.column < 0).nonzero()[:, 0])
+    covered = coverage(outer, beside, first, last, estimated)
     if kept == "all":
         within = shown.select(is_full.nonzero()[:, 0])
         shown, is_outer = joined(ajar, within), torch.cat((is_outer, torch.zeros_like(within.edge, dtype=torch.bool)))
     else:
-        shown, is_outer = ajar.select(is_outer.nonzero()[:, 0]), is_outer[is_outer]
+        shown, is_outer = outer, torch.ones_like(outer.edge, dtype=torch.bool)
     return Boundary(
-        coverage=covered,
-        pieces=shown,
+        coverage=covered.to(points_px),
+        pieces=replace(shown, start=shown.start.to(points_px), end=shown.end.to(points_px)),
         pixel=shown.row * size[2] + shown.column,
         ends=contour.ends.index_select(0, shown.edge),
         is_outer=is_outer,

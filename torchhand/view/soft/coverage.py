@@ -1,8 +1,9 @@
 """How much of every pixel closed polygons cover.
 
-Where polygons do not overlap, the area within a pixel is a sum over edges, each of which covers what lies to its right:
-a trapezoid of the pixel that it crosses, and all of the pixels beyond. Where they do overlap that sum counts areas
-twice; there the union is taken on `LINES` lines per row of pixels, and is exact on each line.
+The area within a pixel is a sum over edges, each of which covers what lies to its right: a trapezoid of the pixel that
+it crosses, and all of the pixels beyond. Of all edges, that sum counts areas twice where polygons overlap; of those
+that bound the union it is exact. Which ones do is asked only in pixels that an estimate does not call full with all of
+their neighbours: the sum of all edges or, where polygons overlap, their union on `LINES` lines per row of pixels.
 """
 
 import torch
@@ -14,22 +15,59 @@ from torchhand.view.soft.pieces import Pieces, cells
 LINES = 4
 """Lines per row of pixels on which overlapping polygons are united."""
 _FAR = 1e6  # px, beyond any picture
+_SAME = 1e-9  # px: edges that are no farther apart are one upon the other, in the order of their numbers
 _OVERLAPPING = 1e-4  # of a pixel's area: less is rounding
 
 
 def coverage(
+    outer: Pieces, beside: Pieces, first: Tensor, last: Tensor, estimated: Float[Tensor, "pictures height width"]
+) -> Float[Tensor, "pictures height width"]:
+    """Share of each pixel's area within the union of the polygons; continuous in their corners.
+
+    outer: pieces within the pictures that bound the union. beside: those to the left of the pictures. Every row is
+    summed up from the last pixel on without a piece, which is full or empty as `estimated` says, so that a piece that
+    is missed is missed there alone.
+    """
+    count, height, width = estimated.shape
+    filled = _filled_by(outer, first, last, (count, height, width))
+    is_cut = torch.zeros_like(estimated, dtype=torch.bool).reshape(-1)
+    is_cut[outer.row * width + outer.column] = True
+    is_cut = is_cut.reshape(estimated.shape)
+    is_known = ~is_cut & ((estimated < _OVERLAPPING) | (estimated > 1 - _OVERLAPPING))
+    column = torch.arange(1, width + 1, device=filled.device)
+    begin = torch.where(is_known, column, 0).cummax(-1).values
+    at_left = _covered_border(beside, first, last, count * height, height).reshape(count, height, 1)
+    lacking = torch.cat((at_left, estimated - filled), -1).gather(-1, begin)
+    return torch.where(is_cut, filled + lacking, estimated).clamp(0, 1)
+
+
+def _covered_border(beside: Pieces, first: Tensor, last: Tensor, rows: int, height: int) -> Float[Tensor, "rows"]:
+    """Share of the border at the left of each row that lies within the union of the polygons."""
+    low, high = (ends[:, 1].index_select(0, beside.edge) for ends in (first, last))
+    y = torch.cat([torch.lerp(low, high, at) for at in (beside.start, beside.end)]).double()
+    row = beside.row.repeat(2)
+    key, order = (2 * row + (y - row % height).clamp(0, 1)).sort()
+    # A polygon is to the right of an edge that goes down: it begins where that begins, and where one that goes up ends.
+    changes = torch.cat((torch.ones_like(beside.row), -torch.ones_like(beside.row)))
+    is_within = changes.index_select(0, order).cumsum(0) > 0
+    length = torch.where(is_within, key.roll(-1) - key, 0.0).to(first)
+    return first.new_zeros(rows).index_add_(0, row.index_select(0, order), length)
+
+
+def estimate(
     pieces: Pieces,
     first: Float[Tensor, "edges 2"],
     last: Float[Tensor, "edges 2"],
     picture: Int[Tensor, "edges"],
     size: tuple[int, int, int],
 ) -> Float[Tensor, "pictures height width"]:
-    """Share of each pixel's area within the union of the polygons. size: pictures, height, width."""
+    """Share of each pixel's area within the union, good to some hundredths where polygons overlap. size: pictures,
+    height, width."""
     union, overlap = united(first, last, picture, size)
-    return torch.where(overlap > _OVERLAPPING, union, summed(pieces, first, last, size)).clamp(0, 1)
+    return torch.where(overlap > _OVERLAPPING, union, _filled_by(pieces, first, last, size)).clamp(0, 1)
 
 
-def summed(
+def _filled_by(
     pieces: Pieces, first: Tensor, last: Tensor, size: tuple[int, int, int]
 ) -> Float[Tensor, "pictures height width"]:
     """Area of each pixel within the polygons; what lies in several of them is counted as often."""
@@ -91,7 +129,7 @@ def lies_within(asked: Pieces, rows: Pieces, first: Tensor, last: Tensor) -> Boo
     )
     line = asked.row * stride
     begin = torch.searchsorted(key, line)
-    end = torch.searchsorted(key, line + middle[:, 0], right=True)
+    end = torch.searchsorted(key, line + middle[:, 0] + _SAME, right=True)
     owner, candidate = cells((end - begin).clamp_min(0), begin)
     candidate = edge_of.index_select(0, candidate)
     # First by height alone: of the edges in a row of pixels, some end above or below the line.
@@ -101,7 +139,9 @@ def lies_within(asked: Pieces, rows: Pieces, first: Tensor, last: Tensor) -> Boo
     level = ((torch.minimum(ay, by) <= y) & (y < torch.maximum(ay, by)) & ~is_own).nonzero()[:, 0]
     owner, candidate, y = (part.index_select(0, level) for part in (owner, candidate, y))
     ax, ay, bx, by = torch.cat((first, last), 1).index_select(0, candidate).unbind(1)
-    is_left = torch.lerp(ax, bx, (y - ay) / (by - ay)) < middle[:, 0].index_select(0, owner)
+    gap = middle[:, 0].index_select(0, owner) - torch.lerp(ax, bx, (y - ay) / (by - ay))
+    is_earlier = candidate < asked.edge.index_select(0, owner)
+    is_left = torch.where(gap.abs() < _SAME, is_earlier, gap > 0)
     sign = torch.where(by > ay, 1, -1) * is_left
     dx, dy = (last - first).unbind(1)
     # Outside of an edge that goes up is to its right; a level one counts as seen from just below.

@@ -48,10 +48,10 @@ class SoftRenderer:
     ) -> Float[Tensor, "*batch height width"]:
         """Share of each pixel's area that shows the hand, 0 to 1. vertices_world: metres.
 
-        Exact where outlines do not overlap within a pixel, else good to some hundredths; its derivatives are exact.
-        Faces nearer to the camera than 1 mm, or behind it, are left out.
+        Exact but for rounding, and continuous in the vertices; so are its derivatives, but where a face turns away from
+        the camera. Faces nearer to the camera than 1 mm, or behind it, are left out.
         """
-        placed = self._placed(vertices_world, camera, kept="outer" if torch.is_grad_enabled() else "none")
+        placed = self._placed(vertices_world, camera, kept="outer")
         covered = _coverage(placed)
         return covered.reshape(*vertices_world.shape[:-2], *covered.shape[1:])
 
