@@ -22,7 +22,7 @@ from torchhand.track.proposals import TiltedHands, tilted_hands
 from torchhand.track.scene import Scene, learned_observations, seen_posture
 from torchhand.track.tracker import Tracker
 
-_SAME_M = 0.005  # mean distance of keypoints, up to which two registered hands are one
+SAME_M = 0.005  # mean distance of keypoints, up to which two registered hands are one
 _UNTOLD = 0.1  # share of pictures in which the network's hypotheses tell nothing of the direction
 
 
@@ -105,11 +105,11 @@ class TiltAlternatives:
         place: dict[int, int] = {}
         for row in order[: int(found.cost.isfinite().sum())]:
             apart = (keypoints[chosen] - keypoints[row]).norm(dim=-1).mean(-1)
-            is_new = not bool((apart <= _SAME_M).any())
+            is_new = not bool((apart <= SAME_M).any())
             place[row] = len(chosen) if is_new else int(apart.argmin())
             chosen += [row] if is_new else []
         return Alternatives(
-            pose=found.pose[chosen],
+            pose=found.pose[torch.tensor(chosen)],
             keypoints=keypoints[chosen],
             cost=found.cost[chosen],
             correlated_cost=(found.cost - common * contour)[chosen],

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchhand.fit.keypoints import PostureKeypoints
 from torchhand.hand import HandPose
 from torchhand.numerics import single_threaded
-from torchhand.track.alternatives import Alternatives, TiltAlternatives
+from torchhand.track.alternatives import SAME_M, Alternatives, TiltAlternatives
 from torchhand.track.belief import FollowedHand
 from torchhand.track.knowledge import Estimate, TrackerState
 from torchhand.track.paths import MOTION_NATS
@@ -117,13 +117,12 @@ class BackwardPass:
         assert estimate.keypoints is not None
         away = found.keypoints - estimate.keypoints.to(device)
         odds = self._odds_of(found, away)
-        best, followed = int(odds.argmax()), found.row[0]
-        if best != followed or float((away[best] - away[best].mean(0)).norm(dim=-1).mean()) > float(
-            os.environ.get("H16_NEAR", "1")
-        ):
+        best = int(odds.argmax())
+        if float((away[best] - away[best].mean(0)).norm(dim=-1).mean()) > SAME_M:
             placed = self._tracker.placed(self._state, found.pose[best], scene)
             if placed is not None:
                 self._state, other = placed
+                assert other.keypoints is not None
                 away = away - (other.keypoints - estimate.keypoints).to(device)
                 estimate = replace(other, time_s=time_s)
                 found = replace(found, row=(best, *found.row[1:]))

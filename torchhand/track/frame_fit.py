@@ -135,8 +135,10 @@ class FrameFit:
 
 
 def contour_settings(tracker: Tracker, overconfidence: float = 1.0) -> ContourSettings:
-    """How much contours count in a fit beside a tracker. overconfidence: by which all frames have errors in common, such
-    as those of the model's surface."""
+    """How much contours count in a fit beside a tracker.
+
+    overconfidence: by which all frames have errors in common, such as those of the model's surface.
+    """
     update = tracker.settings.update
     s = (update if isinstance(update, ExtendedUpdateSettings) else ExtendedUpdateSettings()).contour
     return replace(

@@ -28,6 +28,15 @@ class _Open:
     fingers: Float[np.ndarray, "5"]
     """Probability of those in which each fingertip is where it is, once the hands are laid over one another."""
 
+    def towards(self, other: "_Open", share: float) -> "_Open":
+        """What is left open between two pictures, a share of the way from this one to the other."""
+        return _Open(
+            keypoints=(1 - share) * self.keypoints + share * other.keypoints,
+            pose=(1 - share) * self.pose + share * other.pose,
+            right=(1 - share) * self.right + share * other.right,
+            fingers=(1 - share) * self.fingers + share * other.fingers,
+        )
+
 
 def widened(records: Sequence[FrameRecord], alternatives: Mapping[int, Alternatives]) -> list[FrameRecord]:
     """Records of one camera with the spread of the hands that explain the pictures about as well, the mixture's and not
@@ -45,16 +54,13 @@ def widened(records: Sequence[FrameRecord], alternatives: Mapping[int, Alternati
     weights = _weights(hands, found)
     left = [_left_open(*one) for one in zip(hands, found, weights, strict=True)]
 
-    def between(name: str, row: int) -> np.ndarray:
+    def at(row: int) -> _Open:
         place = float(np.interp(row, looked, range(len(looked))))
-        first, share = int(place), place % 1
-        last = min(first + 1, len(left) - 1)
-        return (1 - share) * np.asarray(getattr(left[first], name)) + share * np.asarray(getattr(left[last], name))
+        first = int(place)
+        return left[first].towards(left[min(first + 1, len(left) - 1)], place - first)
 
     return [
-        _with(record, _Open(**{name: between(name, row) for name in _Open.__dataclass_fields__}))
-        if np.isfinite(record.keypoints3d).all()
-        else record
+        _with(record, at(row)) if np.isfinite(record.keypoints3d).all() else record
         for row, record in enumerate(records)
     ]
 
