@@ -79,7 +79,8 @@ def _weights(hands: Sequence[FrameRecord], found: Sequence[Alternatives]) -> lis
 
 
 def _left_open(hand: FrameRecord, found: Alternatives, weights: Float[torch.Tensor, "k"]) -> _Open:
-    share, own, points = weights.numpy(), hand.keypoints3d[None], found.keypoints.numpy()
+    share, points = weights.numpy(), found.keypoints.numpy()
+    own = np.broadcast_to(hand.keypoints3d, points.shape)
     away = points - own
     at = HandPose.of(torch.from_numpy(hand.pose))
     missed = np.stack([at.step_to(found.pose[row]).numpy() for row in range(len(points))])
