@@ -9,13 +9,16 @@ motion (the most probable path of two: Viterbi 1967).
 import itertools
 import math
 from collections import deque
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.track.knowledge import Estimate, TrackerState
+from torchhand.track.multiview import HULL, Hull
 from torchhand.track.scene import PackedMask, Scene, View
 from torchhand.track.tracker import Tracker
 
@@ -39,6 +42,8 @@ class PastFrame:
     """Keypoints of the hand as it was found, metres; None where it was lost."""
     score: float
     """How much of the silhouettes the hand explained, 0 to 1; 0 where it was lost."""
+    hull: Hull | None = None
+    """Hull of the silhouettes about that hand, where one was carved: most of the time of another estimate."""
 
     @classmethod
     def of(cls, scene: Scene, keypoints: Float[Tensor, "21 3"] | None, score: float) -> "PastFrame":
@@ -46,18 +51,21 @@ class PastFrame:
         masks = [
             own if plane is None else plane > 0.5 for own, plane in zip(scene.masks, scene.probabilities, strict=True)
         ]
+        hull: Hull | None = scene.kept.get(HULL)
         return cls(
             time_s=scene.time_s,
             views=tuple(View(keypoints=view.keypoints) for view in scene.views),
             masks=tuple(None if mask is None else PackedMask.of(mask) for mask in masks),
             keypoints=keypoints,
             score=score,
+            hull=None if hull is None else hull.with_observations(()),
         )
 
     def scene(self, device: torch.device) -> Scene:
         """The scene in which a tracker follows a hand, on its device."""
         masks = tuple(None if mask is None else mask.mask().to(device) for mask in self.masks)
-        return Scene(views=self.views, masks=masks, probabilities=(None,) * len(masks), time_s=self.time_s)
+        kept: dict[Hashable, Any] = {} if self.hull is None else {HULL: self.hull}
+        return Scene(views=self.views, masks=masks, probabilities=(None,) * len(masks), time_s=self.time_s, kept=kept)
 
 
 class Smoother:

@@ -9,7 +9,7 @@ from torch.nn.functional import max_pool2d
 from torchhand.fit.hull import HullStartSettings
 from torchhand.hand import HandPose, posture
 from torchhand.track import DEFAULTS, Keyframe, PastFrame, Smoother, Tracker, TrackerState, View
-from torchhand.track.multiview import RigSettings
+from torchhand.track.multiview import HULL, RigSettings
 from torchhand.track.scene import Scene
 
 START = HullStartSettings(places=1, rolls=4, postures=("open",), coarse=6, fine=2, finger_rounds=0)
@@ -85,6 +85,18 @@ def _corrected(tracker, masks, seen, pose, window_s=WINDOW_S):
         smoother.remember(one)
     found = _found(tracker, masks, FRAMES - 1, pose)
     return smoother.corrections(*found), smoother, found
+
+
+def test_a_frame_is_estimated_again_in_the_hull_that_was_carved_for_it(tracker, poses, masks):
+    state, estimate = _found(tracker, masks, 2, poses[2])
+    past = PastFrame.of(tracker.scene(state, _views(masks[2]), 2 * STEP_S), estimate.keypoints, estimate.score)
+    scenes = [one.scene(tracker.device) for one in (past, replace(past, hull=None))]
+    assert past.hull is not None
+    assert scenes[0].kept[HULL] is past.hull
+    hand = tracker.at_rest(state.hand)
+    again, anew = (tracker.follow(state, hand, scene, STEP_S)[1].keypoints for scene in scenes)
+    assert scenes[0].kept[HULL] is past.hull
+    assert float((again - anew).norm(dim=-1).max()) < 2e-4
 
 
 def test_frames_with_a_lost_digit_are_corrected_and_those_before_stay(tracker, rig_hand, poses, masks):
