@@ -41,7 +41,7 @@ def path_weights(paths: Sequence[HandPath]) -> Float[Tensor, "frames paths"]:
     moved = (keypoints[1:, None] - keypoints[:-1, :, None]).norm(dim=-1).mean(-1)  # (frames - 1, from, to)
     change = -MOTION_NATS * moved.nan_to_num(0.0)
     before, after = [local[:1]], [torch.zeros_like(local[:1])]
-    for here, step in zip(local[1:].split(1), change, strict=True):
+    for here, step in zip(local[1:, None], change, strict=True):
         before.append(here + (before[-1].mT + step).logsumexp(0, keepdim=True))
     for later, step in zip(local[1:].flip(0).split(1), change.flip(0), strict=True):
         after.append((step + later + after[-1]).logsumexp(1)[None])
