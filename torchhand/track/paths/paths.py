@@ -43,7 +43,7 @@ def path_weights(paths: Sequence[HandPath]) -> Float[Tensor, "frames paths"]:
     before, after = [local[:1]], [torch.zeros_like(local[:1])]
     for here, step in zip(local[1:, None], change, strict=True):
         before.append(here + (before[-1].mT + step).logsumexp(0, keepdim=True))
-    for later, step in zip(local[1:].flip(0).split(1), change.flip(0), strict=True):
+    for later, step in zip(local[1:].flip(0)[:, None], change.flip(0), strict=True):
         after.append((step + later + after[-1]).logsumexp(1)[None])
     total = torch.cat(before) + torch.cat(after[::-1])
     return torch.where(has_hand, total.softmax(1), 0.0)
