@@ -46,6 +46,11 @@ class EdgeSettings:
         if self.choose not in ("strongest", "nearest"):
             raise ValueError(f"EdgeSettings.choose must be one of strongest, nearest, got {self.choose!r}")
 
+    @property
+    def reach_px(self) -> float:
+        """Distance from a predicted point within which pixels are read, px."""
+        return self.half_length_px + 3.0 * self.sigma_px + 2.0 * self.step_px
+
 
 @dataclass(frozen=True, kw_only=True)
 class EdgeSearch:

@@ -6,18 +6,26 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.devices import sent_to
 from torchhand.fit.contour import hand_length_px, is_in_picture, is_outer
 from torchhand.geometry import Camera
-from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, FINGERS, JOINT_DOFS, HandKinematics, HandPose, Primitives
+from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, FINGERS, JOINT_DOFS, HandKinematics, HandPose
 from torchhand.image import EdgeSettings, search_edges
 from torchhand.propose import LearnedPosture
-from torchhand.track.scene import Agreement, PlacedHand, Scene, SceneKeypoints, deviations_of_digits
+from torchhand.track.scene import (
+    Agreement,
+    AlikeViews,
+    Box,
+    PlacedHand,
+    Scene,
+    SceneKeypoints,
+    SeenHand,
+    deviations_of_digits,
+)
 from torchhand.view import HandProjector, OutlineTable, outline_table
-from torchhand.view.outlines import Generators
 
 EVIDENCE = (
     "spread",
@@ -107,26 +115,26 @@ class FingerEvidence:
         """Shares of each finger's contour in all views: outer found and missed, inner found and missed."""
         counts = told.tip_std.new_zeros(len(FINGERS), 4)
         total = 0.0
-        for view, projector in enumerate(self._projectors(told.shape)):
-            plane = scene.plane(view)
-            if plane is None:
+        projectors = self._projectors(told.shape)
+        placed = _placed(projectors, told) if told.placed is None else told.placed
+        visible = placed.visible(_table(counts.device))
+        for view, (projector, seen) in enumerate(zip(projectors, placed.views, strict=True)):
+            if not scene.is_known(view):
                 continue
-            counts += self._in_view(projector, told, _seen_by(projector, told, view), (plane, scene.grey(view)))
+            counts += self._in_view(told, scene, view, (projector, seen, visible[view]))
             total += 1.0
         return counts / (_points_of_fingers(counts.device) * max(1.0, total))[:, None]
 
     def _in_view(
-        self,
-        projector: HandProjector,
-        told: Told,
-        seen: tuple[Primitives, Generators],
-        pictures: tuple[Tensor, Tensor | None],
+        self, told: Told, scene: Scene, view: int, before: tuple[HandProjector, SeenHand, Bool[Tensor, "points"]]
     ) -> Float[Tensor, "5 4"]:
-        """Numbers of each finger's contour points in one view."""
+        """Numbers of each finger's contour points in one view.
+
+        before: the hand before the camera of that view, and which points the camera sees.
+        """
+        projector, seen, visible = before
         camera, pose = projector.camera, told.pose
-        primitives, generators = seen
-        plane, levels = pictures
-        contour = projector.contour_of(primitives, _table(pose.dofs.device), generators)
+        contour = projector.contour_of(seen.primitives, _table(pose.dofs.device), seen.generators, visible)
         shown = (contour.visible & is_in_picture(contour.points_px, camera)).nonzero().squeeze(-1)
         points, normals, finger = (
             values.index_select(0, shown)
@@ -134,13 +142,18 @@ class FingerEvidence:
         )
         in_cam = torch.cat((camera.cam_from_world(pose.dofs[:3]), pose.dofs[3:]))
         length_px = hand_length_px(camera, self.kinematics, in_cam, told.shape)
-        outer = is_outer(projector.silhouette_of(primitives, generators), points, normals, length_px)
+        outer = is_outer(projector.filled(seen.polygons), points, normals, length_px)
         found = torch.zeros_like(outer)
-        searches = ((outer, plane, _OUTER, _OUTER_REACH), (~outer, levels, _INNER, _INNER_REACH))
+        searches = ((outer, scene.plane_in, _OUTER, _OUTER_REACH), (~outer, scene.grey_in, _INNER, _INNER_REACH))
         for which, picture, how, reach in searches:
-            if picture is not None and bool(which.any()):
+            if bool(which.any()):
                 how = replace(how, half_length_px=max(_MIN_REACH_PX, reach * length_px))
-                found[which] = search_edges(picture, points[which], normals[which], how).found
+                own = points[which]
+                box = _box_around(own, camera, how.reach_px)
+                part = picture(view, box)
+                if part is not None:
+                    start = own.new_tensor((box[1].start, box[0].start))
+                    found[which] = search_edges(part, own - start, normals[which], how).found
         kind = 2 * (~outer).long() + (~found).long()
         return torch.bincount(4 * finger + kind, minlength=4 * len(FINGERS)).reshape(-1, 4).double()
 
@@ -150,12 +163,25 @@ class FingerEvidence:
         return self._made[1]
 
 
-def _seen_by(projector: HandProjector, told: Told, view: int) -> tuple[Primitives, Generators]:
-    """The hand's primitives as a camera has them, and their contour generators."""
-    if told.placed is not None:
-        return told.placed.views[view]
-    primitives = projector.primitives_cam(projector.frames(told.pose.dofs, told.pose.reference))
-    return primitives, projector.generators_of(primitives)
+def _placed(projectors: Sequence[HandProjector], told: Told) -> PlacedHand:
+    """The hand before the cameras, one by one."""
+    frames = projectors[0].frames(told.pose.dofs, told.pose.reference)
+    alike = []
+    for view, projector in enumerate(projectors):
+        own = projector.primitives_cam(frames)
+        row = replace(own, rotation=own.rotation[None], position=own.position[None])
+        alike.append(AlikeViews.of(row, (view,), is_orthographic=projector.is_orthographic))
+    return PlacedHand(frames=frames, alike=tuple(alike))
+
+
+def _box_around(points_px: Float[Tensor, "points 2"], camera: Camera, margin_px: float) -> Box:
+    """Rows and columns of a picture around some points in it."""
+    low, high = torch.stack((points_px.amin(0) - margin_px, points_px.amax(0) + margin_px)).tolist()
+    columns, rows = (
+        slice(max(0, math.floor(begin)), min(size, math.ceil(end) + 1))
+        for begin, end, size in zip(low, high, (camera.width, camera.height), strict=True)
+    )
+    return rows, columns
 
 
 def _difference(deviations: Sequence[Tensor], device: torch.device) -> Float[Tensor, "5"]:

@@ -1,6 +1,13 @@
 """One time: what the cameras give, how a hand agrees with it, and which of several hands explains it best."""
 
-from torchhand.track.scene.agreement import Agreement, PlacedHand, SilhouetteComparison, mean_overlap
+from torchhand.track.scene.agreement import (
+    Agreement,
+    AlikeViews,
+    PlacedHand,
+    SeenHand,
+    SilhouetteComparison,
+    mean_overlap,
+)
 from torchhand.track.scene.candidate import Candidate
 from torchhand.track.scene.health import MAX_BEYOND, MIN_KEYPOINTS, Health, HealthSettings
 from torchhand.track.scene.keypoints import (
@@ -26,14 +33,16 @@ from torchhand.track.scene.segmentation import (
 )
 from torchhand.track.scene.silhouettes import Images, LearnedSkin, Masks, PackedMask, ViewSilhouettes
 from torchhand.track.scene.update_rule import UpdateRule
-from torchhand.track.scene.views import HandKeypoints, ObservationsOf, Scene, View
+from torchhand.track.scene.views import Box, HandKeypoints, ObservationsOf, Scene, View
 from torchhand.track.scene.working_views import WorkingViews, is_same_view
 
 __all__ = [
     "MAX_BEYOND",
     "MIN_KEYPOINTS",
     "Agreement",
+    "AlikeViews",
     "Appearances",
+    "Box",
     "Candidate",
     "ColourSegmentation",
     "ColourUpdateSettings",
@@ -49,6 +58,7 @@ __all__ = [
     "RigSegmentation",
     "Scene",
     "SceneKeypoints",
+    "SeenHand",
     "Segmentation",
     "SilhouetteComparison",
     "UpdateRule",

@@ -24,8 +24,8 @@ from torchhand.image import (
 from torchhand.track.scene.forearm import forearm_mismatch
 from torchhand.track.scene.silhouettes import Masks
 from torchhand.track.scene.views import Scene
-from torchhand.view import HandProjector
-from torchhand.view.outlines import Generators, generators
+from torchhand.view import HandProjector, OutlineTable, visible_points
+from torchhand.view.outlines import Generators, Polygons, generators, outline_of
 
 _REACH = 1.3  # silhouettes are compared so far from the wrist, hand lengths
 _STEEP = 0.25  # a palm seen shorter than this, hand lengths, has no direction in the picture
@@ -74,13 +74,75 @@ class Agreement:
 
 
 @dataclass(frozen=True, kw_only=True)
+class AlikeViews:
+    """A hand before cameras of one kind, which are asked together."""
+
+    views: tuple[int, ...]
+    """Numbers of the cameras."""
+    is_orthographic: bool
+    primitives: Primitives
+    """The primitives in each camera's frame."""
+    generators: Generators
+    """Contour generators with normals."""
+
+    @classmethod
+    def of(cls, primitives: Primitives, views: Sequence[int], *, is_orthographic: bool) -> "AlikeViews":
+        """primitives: those in the cameras' frames, a row for each camera."""
+        found = generators(primitives, is_orthographic=is_orthographic, with_normals=True)
+        return cls(views=tuple(views), is_orthographic=is_orthographic, primitives=primitives, generators=found)
+
+    @cached_property
+    def polygons(self) -> Polygons:
+        """Polygons whose union is the silhouette."""
+        return Polygons.of(self.generators)
+
+    def visible(self, table: OutlineTable) -> Bool[Tensor, "views points"]:
+        """Which outline points of the table each camera sees."""
+        seen = outline_of(*self.generators, table, (len(self.views),))
+        return visible_points(self.primitives, seen, table, is_orthographic=self.is_orthographic)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeenHand:
+    """A hand before one camera."""
+
+    primitives: Primitives
+    """The primitives in the camera's frame."""
+    generators: Generators
+    """Contour generators with normals."""
+    polygons: Polygons
+    """Polygons whose union is the silhouette."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class PlacedHand:
     """A hand before cameras, whatever the size of their pictures."""
 
     frames: HandFrames
     """Bones and keypoints in the world."""
-    views: tuple[tuple[Primitives, Generators], ...]
-    """Of every camera: the primitives in its frame, and their contour generators with normals."""
+    alike: tuple[AlikeViews, ...]
+    """The hand before every camera, those of one kind together."""
+
+    @cached_property
+    def views(self) -> tuple[SeenHand, ...]:
+        """The hand before every camera, in their order."""
+        found: dict[int, SeenHand] = {}
+        for together in self.alike:
+            cones, arcs = together.generators
+            for place, view in enumerate(together.views):
+                found[view] = SeenHand(
+                    primitives=together.primitives.select(place),
+                    generators=(cones.of_hand(place), arcs.of_hand(place)),
+                    polygons=together.polygons.of_hand(place),
+                )
+        return tuple(found[view] for view in range(len(found)))
+
+    def visible(self, table: OutlineTable) -> list[Bool[Tensor, "points"]]:
+        """Which outline points of the table each camera sees."""
+        found = {
+            view: row for own in self.alike for view, row in zip(own.views, own.visible(table).unbind(), strict=True)
+        }
+        return [found[view] for view in range(len(found))]
 
 
 class SilhouetteComparison:
@@ -139,14 +201,12 @@ class SilhouetteComparison:
         placed = place_primitives(frames, first.sizes, is_left=first.kinematics.side == "left")
         rotation = self._rotation[:, None] @ placed.rotation
         position = placed.position @ self._rotation.mT + self._translation[:, None]
-        found: dict[int, tuple[Primitives, Generators]] = {}
+        alike = []
         for views in self._alike:
             seen = Primitives(sizes=placed.sizes, rotation=rotation[views], position=position[views])
             is_orthographic = self._projectors[views[0]].is_orthographic
-            cones, arcs = generators(seen, is_orthographic=is_orthographic, with_normals=True)
-            for place, view in enumerate(views):
-                found[view] = (seen.select(place), (cones.of_hand(place), arcs.of_hand(place)))
-        return PlacedHand(frames=frames, views=tuple(found[view] for view in range(len(self._projectors))))
+            alike.append(AlikeViews.of(seen, views, is_orthographic=is_orthographic))
+        return PlacedHand(frames=frames, alike=tuple(alike))
 
     def _compared(self, placed: PlacedHand, silhouettes: Masks) -> Iterator["_Compared | None"]:
         for projector, seen, silhouette in zip(self._projectors, placed.views, silhouettes, strict=True):
@@ -155,11 +215,11 @@ class SilhouetteComparison:
     def _in_view(
         self,
         projector: HandProjector,
-        seen: tuple[Primitives, Generators],
+        seen: SeenHand,
         keypoints: Tensor,
         silhouette: Bool[Tensor, "height width"],
     ) -> "_Compared":
-        camera, model = projector.camera, projector.silhouette_of(*seen)
+        camera, model = projector.camera, projector.filled(seen.polygons)
         in_cam = camera.cam_from_world(keypoints[[0, 9]])
         focal = 0.5 * float(camera.intrinsics[0, 0] + camera.intrinsics[1, 1])
         depth = max(float(in_cam[0, 2]), 1e-3) if camera.kind == "pinhole" else 1.0

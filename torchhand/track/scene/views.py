@@ -14,6 +14,11 @@ from torchhand.precision import require_exact
 
 T = TypeVar("T")
 
+Box = tuple[slice, slice]
+"""Rows and columns of a picture, with a start and a stop within it."""
+
+_BLUR_PX = 5  # a plane made of a mask is smoothed over so many pixels at most
+
 
 @dataclass(frozen=True, kw_only=True)
 class HandKeypoints:
@@ -77,6 +82,10 @@ class Scene:
         """Whether no view shows anything."""
         return all(view.is_empty for view in self.views)
 
+    def is_known(self, view: int) -> bool:
+        """Whether anything is known of a view's silhouette."""
+        return self.probabilities[view] is not None or self.masks[view] is not None
+
     def plane(self, view: int) -> Float[Tensor, "height width"] | None:
         """A picture of one view in which the hand is bright, 0..1; None where nothing is known of it."""
         probability, mask = self.probabilities[view], self.masks[view]
@@ -88,6 +97,24 @@ class Scene:
         """Grey levels of one view's picture, 0..1; None where there is no picture."""
         image = self.views[view].image
         return None if image is None else self.once(("grey", view), lambda: grey(image))
+
+    def plane_in(self, view: int, box: Box) -> Float[Tensor, "rows columns"] | None:
+        """Part of `plane`; the rest of the picture is not worked out for it."""
+        probability, mask = self.probabilities[view], self.masks[view]
+        whole = self.kept.get(("plane", view), probability)
+        if whole is not None or mask is None:
+            return None if whole is None else whole[box]
+        (top, bottom), (left, right) = ((part.start, part.stop) for part in box)
+        above, before = min(top, _BLUR_PX), min(left, _BLUR_PX)
+        around = mask[top - above : bottom + _BLUR_PX, left - before : right + _BLUR_PX]
+        return mask_plane(around)[above : above + bottom - top, before : before + right - left]
+
+    def grey_in(self, view: int, box: Box) -> Float[Tensor, "rows columns"] | None:
+        """Part of `grey`; the rest of the picture is not worked out for it."""
+        image, whole = self.views[view].image, self.kept.get(("grey", view))
+        if whole is not None or image is None:
+            return None if whole is None else whole[box]
+        return grey(image[box])
 
     def without(self, view: int) -> "Scene":
         """The scene without one view."""

@@ -7,12 +7,13 @@ from torchhand.view.outlines.outline import (
     OutlineTable,
     lengths_along,
     outline,
+    outline_of,
     outline_points,
     outline_table,
     pixel_normals,
 )
 from torchhand.view.outlines.part_outlines import OutlineColumns, PartOutlines
-from torchhand.view.outlines.projector import Contour, Generators, HandProjector
+from torchhand.view.outlines.projector import Contour, Generators, HandProjector, Polygons
 from torchhand.view.outlines.visibility import visible_points
 
 __all__ = [
@@ -23,9 +24,11 @@ __all__ = [
     "OutlineColumns",
     "OutlineTable",
     "PartOutlines",
+    "Polygons",
     "generators",
     "lengths_along",
     "outline",
+    "outline_of",
     "outline_points",
     "outline_table",
     "pixel_normals",

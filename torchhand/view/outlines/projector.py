@@ -1,6 +1,7 @@
 """A hand before a camera: pose in, outline points, contours with visibility, and silhouettes in pixels out."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -43,6 +44,29 @@ class Contour:
     """Real, in front of the camera and not occluded by the hand itself."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Polygons:
+    """Convex polygons of hands before a camera, one to a primitive, whose union is the silhouette; the batch last."""
+
+    corners: Float[Tensor, "corners 3 n"]
+    """Corners in the camera frame, metres: four of each cone, then those of each ellipsoid."""
+    is_real: Bool[Tensor, "primitives n"]
+    """Whether the camera sees the primitive's outline."""
+
+    @classmethod
+    def of(cls, known: Generators) -> "Polygons":
+        """Polygons on generators, which stand for whole ellipsoids in place of the kept parts."""
+        with torch.no_grad():
+            cones, arcs = known[0], known[1].whole()
+            table = _polygon_table(cones.low.dtype, cones.low.device)
+            return cls(corners=sample_generators(cones, arcs, table), is_real=torch.cat((cones.is_real, arcs.is_real)))
+
+    def of_hand(self, index: int) -> "Polygons":
+        """The part of one hand of the batch, with n = 1."""
+        one = slice(index, index + 1)
+        return Polygons(corners=self.corners[..., one], is_real=self.is_real[:, one])
+
+
 class HandProjector:
     """Ties a kinematics module, a shape and a camera together. Cheap to make; holds no state but these."""
 
@@ -53,7 +77,6 @@ class HandProjector:
         self.camera = camera
         self.shape = kinematics.default_shape if shape is None else shape
         self.sizes: PrimitiveSizes = primitive_sizes(kinematics.shape_space, self.shape)
-        self._polygon_table = sent_to(_polygon_table(self.shape.dtype), self.shape.device)
         identity = torch.eye(3, dtype=camera.rotation.dtype, device=camera.rotation.device)
         self._camera_is_world = bool((camera.rotation == identity).all() and (camera.translation == 0).all())
 
@@ -152,11 +175,13 @@ class HandProjector:
     @own_precision
     def silhouette_of(self, primitives: Primitives, known: Generators | None = None) -> Bool[Tensor, "height width"]:
         """`silhouette` of one hand whose primitives in the camera frame are known."""
+        known = known or generators(primitives, is_orthographic=self.is_orthographic, with_normals=False)
+        return self.filled(Polygons.of(known))
+
+    def filled(self, polygons: "Polygons") -> Bool[Tensor, "height width"]:
+        """`silhouette` of one hand whose polygons in the camera frame are known."""
         with torch.no_grad():
-            cones, arcs = known or generators(primitives, is_orthographic=self.is_orthographic, with_normals=False)
-            arcs = arcs.whole()
-            points = sample_generators(cones, arcs, self._polygon_table)
-            is_real = torch.cat((cones.is_real, arcs.is_real)).squeeze(-1)
+            points, is_real = polygons.corners, polygons.is_real.squeeze(-1)
             pixels = self._pixels(points).squeeze(-1)
             is_ahead = (points[:, 2] > 0).squeeze(-1)
             pixels, is_real, is_ahead = (x.cpu().numpy() for x in (pixels, is_real, is_ahead))
@@ -189,14 +214,17 @@ def _inset(polygons: np.ndarray) -> np.ndarray:
     return polygons + _INSET_PX * inwards * normal / np.maximum(length, 1e-9)
 
 
-def _polygon_table(dtype: torch.dtype) -> OutlineTable:
+@lru_cache(maxsize=8)
+def _polygon_table(dtype: torch.dtype, device: torch.device) -> OutlineTable:
     """Corners of every primitive's outline in drawing order."""
-    arcs = outline_table(1, _ARC_CORNERS, dtype=dtype)
-    cones = torch.arange(len(CONE_NAMES))
-    return OutlineTable(
-        cone=cones.repeat_interleave(4),
-        cone_side=torch.tensor((0, 0, 1, 1)).repeat(len(cones)),
-        cone_fraction=torch.tensor((0.0, 1.0, 1.0, 0.0), dtype=dtype).repeat(len(cones)),
-        ellipsoid=arcs.ellipsoid,
-        ellipsoid_fraction=arcs.ellipsoid_fraction,
-    )
+    with torch.inference_mode(False):  # kept for callers in any mode
+        arcs = outline_table(1, _ARC_CORNERS, dtype=dtype)
+        cones = torch.arange(len(CONE_NAMES))
+        table = OutlineTable(
+            cone=cones.repeat_interleave(4),
+            cone_side=torch.tensor((0, 0, 1, 1)).repeat(len(cones)),
+            cone_fraction=torch.tensor((0.0, 1.0, 1.0, 0.0), dtype=dtype).repeat(len(cones)),
+            ellipsoid=arcs.ellipsoid,
+            ellipsoid_fraction=arcs.ellipsoid_fraction,
+        )
+        return sent_to(table, device)
