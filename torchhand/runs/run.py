@@ -3,7 +3,7 @@
 import json
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
@@ -36,6 +36,7 @@ from torchhand.runs.recordings import RecordedFrame, Recording
 from torchhand.runs.records import record_of
 from torchhand.track import (
     PastFrame,
+    ScenesAhead,
     SearchBeside,
     Smoother,
     Tracker,
@@ -73,13 +74,15 @@ class Run:
         metres: float = 1.0,
         keypoints: KeypointSource | None = None,
         beside: SearchBeside | None = None,
+        ahead: ScenesAhead | None = None,
     ) -> None:
         """provenance: of the proportions, for hand.json. state: with which to begin. metres: of the recording's
         unit. keypoints: what gives those of its frames. beside: what searches for the tracker where pictures do not
-        wait."""
+        wait. ahead: what makes the next frame's scene for it."""
         self.recording, self.tracker, self.metres = recording, tracker, metres
         self.keypoints = keypoints
         self._step = tracker.step if beside is None else beside.step
+        self.ahead = ahead
         self._followed_px: Float[Tensor, "views 21 2"] | None = None
         self.state, self._provenance = state, dict(provenance)
         self._smoother = Smoother(tracker, tracker.settings.smoothing_window_s)
@@ -101,11 +104,18 @@ class Run:
         """The tracker's hand, wherever that computes, for what is drawn and written."""
         return self.tracker.kinematics.on(HOST)
 
-    def step(self, frame: RecordedFrame) -> tuple[FrameRecord, list[FrameRecord]]:
-        """Track one frame; its record, and those of earlier ones that it corrects."""
+    def step(
+        self, frame: RecordedFrame, following: RecordedFrame | None = None
+    ) -> tuple[FrameRecord, list[FrameRecord]]:
+        """Track one frame; its record, and those of earlier ones that it corrects. following: the one after it, where
+        it is known."""
         started = time.perf_counter()
         frame = with_keypoints(frame, self.keypoints, self._followed_px)
-        state, estimate = self._step(self.state, frame.views, frame.time_s)
+        if self.ahead is None:
+            state, estimate = self._step(self.state, frame.views, frame.time_s)
+        else:
+            after = None if following is None else (following.views, following.time_s)
+            state, estimate = self.ahead.step(self.state, frame.views, frame.time_s, after)
         better = self._smoother.corrections(state, estimate)
         seconds = time.perf_counter() - started
         if self.tracker.settings.smoothing_window_s > 0:
@@ -232,6 +242,22 @@ def header_of(
     )
 
 
+def _with_following(
+    frames: Iterable[RecordedFrame], *, is_wanted: bool
+) -> Iterator[tuple[RecordedFrame, RecordedFrame | None]]:
+    """Every frame with the one after it, None at the end and where it is not wanted: then no frame waits for it."""
+    if not is_wanted:
+        yield from ((frame, None) for frame in frames)
+        return
+    before: RecordedFrame | None = None
+    for frame in frames:
+        if before is not None:
+            yield before, frame
+        before = frame
+    if before is not None:
+        yield before, None
+
+
 def track_frames(run: Run, writer: TrackWriter, done: int, first: int, say: Say, draw: Callable[..., None]) -> None:
     """Track what is left of a recording into its result folder. draw: called with every frame and its record."""
     counts = dict.fromkeys(STATUSES, 0)
@@ -245,9 +271,9 @@ def track_frames(run: Run, writer: TrackWriter, done: int, first: int, say: Say,
         recording.opened(done) as frames,
         progress(recording.name, left, say) as bar,
     ):
-        for frame in frames:
+        for frame, following in _with_following(frames, is_wanted=run.ahead is not None):
             had_shape = run.shape is not None
-            record, corrected = run.step(frame)
+            record, corrected = run.step(frame, following)
             if not had_shape and run.shape is not None:
                 run.save_hand(writer.folder, frame=frame.index)
             for earlier in corrected:

@@ -4,7 +4,7 @@ import contextlib
 import logging
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -38,7 +38,7 @@ from torchhand.runs.request import MEDIAPIPE, Request, check_start_points, plate
 from torchhand.runs.run import CHECKPOINT_EVERY, Run, Say, header_of, track_frames
 from torchhand.runs.second_pass import smooth_frames
 from torchhand.runs.watchers import opened_watchers, projector_of
-from torchhand.track import Keyframe, Tracker, TrackerState, opened_tracker
+from torchhand.track import Keyframe, Tracker, TrackerState, opened_tracker, scenes_ahead
 from torchhand.track.multiview import HandInitialization, HandProposer, Initialization, initialize
 from torchhand.track.scene import ViewSilhouettes
 from torchhand.view import HandProjector
@@ -227,7 +227,8 @@ def _track_all(start: "_RigStart", keypoints: KeypointSource | None, writer: Tra
         run = Run(recording, start.tracker(metres), {}, metres=metres)
         run.go_on_from(saved)
         done = writer.resume_point.last_frame + 1 - request.start
-    _track_rest(run, keypoints, writer, done, request, say)
+    with scenes_ahead(start.make(run.metres), run.tracker) as run.ahead:
+        _track_rest(run, keypoints, writer, done, request, say)
     if not request.is_causal and not request.settings.smoothing_window_s:
         smooth_frames(run, writer, say)
     return run
@@ -277,8 +278,12 @@ class _RigStart:
 
     def tracker(self, metres: float) -> Tracker:
         """metres: of one unit of the cameras' translations."""
+        return self.make(metres)()
+
+    def make(self, metres: float) -> Callable[[], Tracker]:
+        """What makes that tracker, here or in another process."""
         cameras = Rig(self.recording.cameras).scaled(metres)
-        return Tracker(self.hand, cameras, self.settings, shape=self.known, plates=self.plates)
+        return partial(Tracker, self.hand, cameras, self.settings, shape=self.known, plates=self.plates)
 
     def at_once(self) -> Run:
         """A run that knows nothing: the hand is found, and its proportions are fitted, while the cameras go on."""

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from types import ModuleType
 from typing import Any
 
+from torchhand.track.ahead import ScenesAhead, scenes_ahead
 from torchhand.track.alternatives import Alternatives
 from torchhand.track.backward import BackwardPass
 from torchhand.track.beside import SearchBeside, opened_tracker
@@ -42,6 +43,7 @@ __all__ = [
     "PastFrame",
     "PosedHand",
     "RecordedShape",
+    "ScenesAhead",
     "SearchBeside",
     "Smoother",
     "Tracker",
@@ -56,6 +58,7 @@ __all__ = [
     "reshaped_poses",
     "restored_state",
     "saved_state",
+    "scenes_ahead",
     "spread_frames",
 ]
 

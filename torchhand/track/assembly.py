@@ -63,6 +63,8 @@ class Assembly:
     keypoint_settings: KeypointSettings
     has_learned_posture: bool = False
     """Whether a network tells the posture of the followed hand."""
+    fitter: FrameFitter | None = None
+    """What fits hands into hulls, where the update rule does so; None elsewhere."""
     accumulated_shape: AccumulatedShape | None = None
     """How proportions are fitted while a hand is followed; None where they are known, or those of the first hand."""
 
@@ -228,5 +230,6 @@ def _of_a_rig(
         health=health,
         takes_proposals=takes_proposals,
         keypoint_settings=s.keypoints,
+        fitter=fits if takes_proposals else None,
         accumulated_shape=AccumulatedShape(fitter=fits) if shape is None and rig.shape_frames else None,
     )

@@ -49,7 +49,7 @@ class SearchBeside:
         self._sent_s, self._rest_until_s = 0.0, 0.0
 
     def __enter__(self) -> "SearchBeside":
-        with _without_main():
+        with without_main():
             self._process.start()
         self._theirs.close()
         self._sender.start()
@@ -134,7 +134,7 @@ class SearchBeside:
 
 
 @contextlib.contextmanager
-def _without_main() -> Iterator[None]:
+def without_main() -> Iterator[None]:
     """Processes that begin here do not run the program's own script first, as others do: it tracks, too."""
     main = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")

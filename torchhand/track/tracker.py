@@ -4,8 +4,9 @@ A tracker is a value: `step` takes a state and the views of one time and returns
 """
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Hashable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -23,11 +24,13 @@ from torchhand.propose import LearnedPosture
 from torchhand.track.assembly import Assembly, assembled
 from torchhand.track.belief import FollowedHand, posed_belief, scale_covariance, unknown_scale_std
 from torchhand.track.knowledge import REFIT_EVERY, Estimate, TrackerState
+from torchhand.track.multiview import EXPECTED_HULL, Hull, expected_hull
 from torchhand.track.proposals import OCCASIONS, Occasion, Proposals, ProposalSource, Proposed
 from torchhand.track.quality import FingerEvidence, Told, qualities
 from torchhand.track.scene import (
     Appearances,
     Candidate,
+    Masks,
     ObservationsOf,
     Scene,
     SceneKeypoints,
@@ -59,6 +62,43 @@ class _Search:
     reason: str
     is_doubted: bool = False
     """Whether other hands were to be looked for, and were not."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Prediction:
+    """What is expected at a time."""
+
+    before: FollowedHand | None
+    """The hand at the time before, from which it is predicted."""
+    shape: Float[Tensor, "shape"] | None
+    time_s: float
+    hand: FollowedHand | None
+    place: Float[Tensor, "3"] | None
+    """Place about which a hull of the hand is carved; None where no hull is used."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Foreseen:
+    """What is known of a time before the hand of the time before it is found."""
+
+    appearance: Appearances
+    """Appearance of the hand, view by view."""
+    masks: Masks
+    """Silhouettes of all views."""
+    hull: Hull | None = None
+    """The hull about where the hand was expected; None where none was carved."""
+
+    def scene(self, views: Sequence[View], time_s: float, expected: Float[Tensor, "3"] | None) -> Scene:
+        """The scene of these views, as the cameras that are used see them."""
+        kept: dict[Hashable, Any] = {} if self.hull is None else {EXPECTED_HULL: self.hull}
+        return Scene(
+            views=tuple(views),
+            masks=tuple(self.masks),
+            probabilities=(None,) * len(views),
+            time_s=time_s,
+            expected=expected,
+            kept=kept,
+        )
 
 
 class Tracker:
@@ -100,6 +140,7 @@ class Tracker:
         self.kinematics = self.parts.kinematics
         self._evidence = FingerEvidence(self.kinematics, self.parts.cameras)
         self._last: tuple[Appearances, Scene] | None = None
+        self._last_prediction: _Prediction | None = None
         self._scale_std = 0.0
         if len(self.cameras) == 1:
             space = self.kinematics.shape_space
@@ -118,13 +159,15 @@ class Tracker:
         *,
         occasions: Collection[Occasion] = OCCASIONS,
         other: TrackerState | None = None,
+        foreseen: Foreseen | None = None,
     ) -> tuple[TrackerState, Estimate]:
         """The next state and the estimate of this time.
 
         state: that of the frame before, None at first. views: one per camera; an empty one where its picture is
         missing. time_s: of the frame, after that of the one before. occasions: those of the sources of other hands that
         may be asked; where one of another occasion should be, the estimate tells (`is_doubted`). other: what another
-        tracker knew at an earlier time, whose hand is compared with this one's as proposed hands are.
+        tracker knew at an earlier time, whose hand is compared with this one's as proposed hands are. foreseen: what
+        `foresee` makes of these views, where that is known.
 
         A hand that the views do not bear out is looked for otherwise at once, one in doubt when a search is due; a hand
         found again after a lost frame is `recovered`. Raises ValueError for views that are not the cameras' in number
@@ -132,14 +175,18 @@ class Tracker:
         """
         state = self._started(state)
         self._check(views, state, time_s)
-        dt_s = self.settings.nominal_dt_s if state.time_s is None else time_s - state.time_s
-        state = replace(state, time_s=time_s)
-        predicted = None if state.hand is None else self.parts.motion.predicted(state.hand, dt_s)
+        prediction, expected_before = self._prediction(state, time_s), state.expected
+        predicted = prediction.hand
+        state = replace(state, time_s=time_s, expected=prediction.place)
         if all(view.is_empty for view in views):
             return self._unseen(state, predicted)
         views = self._worked_on(views)
-        looks = state.appearance or self.parts.segmentation.initial_appearances(views)
-        scene = self._observed(self.parts.segmentation.scene(views, looks, time_s))
+        if foreseen is None:
+            looks = state.appearance or self.parts.segmentation.initial_appearances(views)
+            scene = replace(self.parts.segmentation.scene(views, looks, time_s), expected=expected_before)
+        else:
+            looks, scene = foreseen.appearance, foreseen.scene(views, time_s, expected_before)
+        scene = self._observed(scene)
         self._last = (looks, scene)
         scene = replace(scene, guesses=tuple(one.pose for one in state.keyframes if one.is_of(time_s)))
         state = replace(
@@ -220,6 +267,43 @@ class Tracker:
             if looks is state.appearance and scene.time_s == time_s and all(map(is_same_view, scene.views, own)):
                 return scene
         return self._observed(self.parts.segmentation.scene(own, state.appearance, time_s))
+
+    @torch.inference_mode()
+    @single_threaded()
+    def expected(self, state: TrackerState, time_s: float) -> Float[Tensor, "3"] | None:
+        """Where the hull of the frame after the one at a time will be carved, from what is known before that one; world
+        frame, metres. None where no hand is followed, or no hull is used."""
+        return self._prediction(state, time_s).place
+
+    @torch.inference_mode()
+    @single_threaded()
+    def foresee(
+        self, appearance: Appearances, views: Sequence[View], time_s: float, expected: Float[Tensor, "3"]
+    ) -> Foreseen:
+        """What `step` sees in the views of one time, as far as it depends on no other; of several cameras.
+
+        appearance, expected: of the state after the time before (`TrackerState.expected`).
+        """
+        own, segmentation = self._worked_on(views), self.parts.segmentation
+        looks = appearance or segmentation.initial_appearances(own)
+        scene = replace(segmentation.scene(own, looks, time_s), expected=expected)
+        hull = None if self.parts.fitter is None else expected_hull(self.parts.fitter, scene)
+        return Foreseen(appearance=looks, masks=scene.masks, hull=hull)
+
+    def _prediction(self, state: TrackerState, time_s: float) -> _Prediction:
+        """What is expected at a time, worked out once."""
+        hand, shape, last = state.hand, state.shape, self._last_prediction
+        if last is not None and last.before is hand and last.shape is shape and last.time_s == time_s:
+            return last
+        predicted = place = None
+        if hand is not None:
+            dt_s = self.settings.nominal_dt_s if state.time_s is None else time_s - state.time_s
+            predicted = self.parts.motion.predicted(hand, dt_s)
+            if self.parts.fitter is not None and shape is not None:
+                place = self.parts.fitter.place_of(self.parts.motion.pose(predicted).normalized(), shape)
+        found = _Prediction(before=hand, shape=shape, time_s=time_s, hand=predicted, place=place)
+        self._last_prediction = found
+        return found
 
     def _observed(self, scene: Scene) -> Scene:
         """The scene with further observations, among which are detected keypoints where the update rule does not look

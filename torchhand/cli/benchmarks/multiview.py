@@ -1,6 +1,7 @@
 """Measures of `torchhand benchmark` on tracking by several cameras: frames per second, memory."""
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -13,7 +14,7 @@ from torchhand.geometry import Camera, rotation_from_vector
 from torchhand.hand import Hand, HandPose
 from torchhand.runs import settings_of
 from torchhand.simulate import Staging, named_rig, scripted_motion, stage_camera
-from torchhand.track import Keyframe, Tracker, TrackerState, View
+from torchhand.track import Keyframe, ScenesAhead, Tracker, TrackerState, View, scenes_ahead
 from torchhand.view import mesh_silhouette
 
 RIG, SIZE_PX, MOTION = "frame4", (640, 480), "free"
@@ -55,23 +56,34 @@ def _simulated(frames: int) -> _Recording:
 
 
 def track_views(name: str, repeats: int | None, *, must: float, aim: float) -> Figure:
-    """Frames per second from pictures to pose: silhouettes, octree, fit and judgement; the start is made."""
+    """Frames per second from pictures to pose: silhouettes, octree, fit and judgement; the start is made. As in a
+    recording, the next frame's silhouettes and octree are made in another process where there is a second core."""
     recording = _simulated(FRAMES)
     shape = recording.hand.shape
-    tracker = Tracker(recording.hand, recording.cameras, settings_of("hull_lm"), shape=shape)
-    views = [[View(image=image) for image in images] for images in recording.frames]
+    make = partial(Tracker, recording.hand, recording.cameras, settings_of("hull_lm"), shape=shape)
+    tracker = make()
+    frames = [
+        ([View(image=image) for image in images], index / FRAMES_PER_SECOND)
+        for index, images in enumerate(recording.frames)
+    ]
     known = TrackerState(shape=shape, keyframes=(Keyframe(time_s=0.0, pose=recording.start),))
-    start, _ = tracker.step(known, views[0], 0.0)
+    start, _ = tracker.step(known, *frames[0])
 
-    def run() -> list[str]:
+    def run(ahead: ScenesAhead | None) -> list[str]:
         state, statuses = start, []
-        for index, seen in enumerate(views[1:], 1):
-            state, estimate = tracker.step(state, seen, index / FRAMES_PER_SECOND)
+        for frame, following in zip(frames[1:], (*frames[2:], None), strict=True):
+            if ahead is None:
+                state, estimate = tracker.step(state, *frame)
+            else:
+                state, estimate = ahead.step(state, *frame, following)
             statuses.append(estimate.status)
         return statuses
 
-    details = {"rig": RIG, "motion": MOTION}
-    return speed_figure(name, run, repeats or ROUNDS, must=must, aim=aim, details=details)
+    with scenes_ahead(make, tracker) as ahead:
+        if ahead is not None:
+            ahead.wait()
+        details = {"rig": RIG, "motion": MOTION, "processes": 1 if ahead is None else 2}
+        return speed_figure(name, partial(run, ahead), repeats or ROUNDS, must=must, aim=aim, details=details)
 
 
 def track_views_memory(name: str, repeats: int | None) -> Figure:

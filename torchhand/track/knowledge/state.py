@@ -48,6 +48,9 @@ class TrackerState:
     """The hand that is followed; None while there is none."""
     shape: Float[Tensor, "shape"] | None = None
     """The proportions; None until they are known."""
+    expected: Float[Tensor, "3"] | None = None
+    """Where the followed hand was expected at that time, world frame, metres: about there the hull of the next frame is
+    carved. None where no hand was followed, or no hull is used."""
     appearance: Appearances = ()
     """Appearance of the hand, view by view; empty until it is known."""
     posture: Float[Tensor, "36"] | None = None

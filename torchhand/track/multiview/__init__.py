@@ -7,9 +7,10 @@ from torchhand.track.multiview.hulls import Hull
 from torchhand.track.multiview.initialization import Initialization, initialize
 from torchhand.track.multiview.proposer import HandProposer
 from torchhand.track.multiview.settings import HullOctreeSettings, RigSettings
-from torchhand.track.multiview.update import HULL, HullUpdate, hull_about, hull_anywhere
+from torchhand.track.multiview.update import EXPECTED_HULL, HULL, HullUpdate, expected_hull, hull_about, hull_anywhere
 
 __all__ = [
+    "EXPECTED_HULL",
     "HULL",
     "AccumulatedShape",
     "FrameFitter",
@@ -23,6 +24,7 @@ __all__ = [
     "RigSettings",
     "best_of",
     "evenly_spaced_frames",
+    "expected_hull",
     "hull_about",
     "hull_anywhere",
     "initialize",

@@ -41,13 +41,18 @@ class Hull:
 
     def serves(self, place: Float[Tensor, "3"]) -> bool:
         """Whether a hand at a place would be in what is known of the hull."""
-        return self.about is None or bool((place - self.about).norm() <= _SERVES)
+        return self.about is None or is_served(self.about, place)
 
     def with_observations(self, observations: tuple[Observation, ...]) -> "Hull":
         """The same with what else is known of the hand at that time."""
         if self.target is None:
             return self
         return replace(self, target=replace(self.target, observations=observations))
+
+
+def is_served(about: Float[Tensor, "3"], place: Float[Tensor, "3"]) -> bool:
+    """Whether a hand at a place would be in what is known of a hull about another one."""
+    return bool((place - about).norm() <= _SERVES)
 
 
 @dataclass(frozen=True, kw_only=True)

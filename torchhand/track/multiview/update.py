@@ -9,11 +9,13 @@ from torch import Tensor
 from torchhand.hand import HandPose
 from torchhand.track.belief import FollowedHand, HandMotion
 from torchhand.track.multiview.fitting import FrameFitter, HullFit
-from torchhand.track.multiview.hulls import Hull
+from torchhand.track.multiview.hulls import Hull, is_served
 from torchhand.track.scene import Agreement, Candidate, Health, Scene
 
 HULL = "hull"
 """Under which a scene keeps the hull about its hand."""
+EXPECTED_HULL = "expected hull"
+"""Under which a scene keeps the hull about where its hand was expected before, where that was carved early."""
 
 
 class HullUpdate:
@@ -88,14 +90,26 @@ def _candidate(fit: HullFit, hand: FollowedHand, predicted: FollowedHand | None)
 
 
 def hull_about(fitter: FrameFitter, scene: Scene, pose: HandPose, shape: Float[Tensor, "shape"]) -> Hull:
-    """The hull about a hand; the one last asked for serves all that are near."""
+    """The hull about a hand; the one last asked for serves all that are near, as does the one about the place where the
+    hand was expected before."""
     pose = pose.normalized()
+    place = fitter.place_of(pose, shape)
     kept: Hull | None = scene.kept.get(HULL)
-    if kept is not None and kept.serves(fitter.place_of(pose, shape)):
+    if kept is not None and kept.serves(place):
         return kept
-    made = fitter.hull_about(pose, shape, scene.masks).with_observations(scene.observations)
-    scene.kept[HULL] = made
+    if kept is None and scene.expected is not None and is_served(scene.expected, place):
+        made = expected_hull(fitter, scene)
+    else:
+        made = fitter.hulls.near(scene.masks, place)
+    scene.kept[HULL] = made = made.with_observations(scene.observations)
     return made
+
+
+def expected_hull(fitter: FrameFitter, scene: Scene) -> Hull:
+    """The hull about where the hand was expected before."""
+    place = scene.expected
+    assert place is not None
+    return scene.once(EXPECTED_HULL, lambda: fitter.hulls.near(scene.masks, place))
 
 
 def hull_anywhere(fitter: FrameFitter, scene: Scene, shape: Float[Tensor, "shape"]) -> Hull:

@@ -71,6 +71,9 @@ class Scene:
     probabilities: tuple[Float[Tensor, "_height _width"] | None, ...]
     """Probability that a pixel shows the hand, where colours tell it; None elsewhere."""
     time_s: float
+    expected: Float[Tensor, "3"] | None = None
+    """Where the hand was expected at the time before: the place about which a hull is carved where that is near
+    enough, for it is known early. World frame, metres; None where no hand was followed."""
     guesses: tuple[HandPose, ...] = ()
     """Hands that were found at this very time before tracking began: further starts of an update."""
     observations: tuple[Observation, ...] = ()
@@ -124,6 +127,7 @@ class Scene:
             masks=tuple(None if index == view else own for index, own in enumerate(self.masks)),
             probabilities=tuple(None if index == view else own for index, own in enumerate(self.probabilities)),
             time_s=self.time_s,
+            expected=self.expected,
             guesses=self.guesses,
             observations=self.observations,
         )
