@@ -155,11 +155,11 @@ def test_stopped_run_goes_on_to_the_same_end(
     monkeypatch.setattr("torchhand.runs.tracking.CHECKPOINT_EVERY", 2)
     step, seen = Run.step, []
 
-    def stopping(self, frame):
+    def stopping(self, frame, following):
         seen.append(frame.index)
         if len(seen) == 4:
             raise KeyboardInterrupt
-        return step(self, frame)
+        return step(self, frame, following)
 
     monkeypatch.setattr(Run, "step", stopping)
     out = tmp_path / "out"
@@ -180,16 +180,16 @@ def test_frames_that_were_lost_are_filled_in_once_the_hand_is_found(
     step, run_step = Tracker.step, Run.step
     stops_at: list[int] = []
 
-    def losing(self, state, views, time_s):
+    def losing(self, state, views, time_s, **named):
         if round(30 * time_s) in (1, 2):
             gone = replace(state, hand=None, time_s=time_s)
             return gone, Estimate(status="lost", time_s=time_s, reason="occluded")
-        return step(self, state, views, time_s)
+        return step(self, state, views, time_s, **named)
 
-    def stopping(self, frame):
+    def stopping(self, frame, following):
         if frame.index in stops_at:
             raise KeyboardInterrupt
-        return run_step(self, frame)
+        return run_step(self, frame, following)
 
     monkeypatch.setattr(Tracker, "step", losing)
     monkeypatch.setattr(Run, "step", stopping)

@@ -14,7 +14,8 @@ from torchhand.devices import constant_tensor, is_host
 from torchhand.fit import Equations, Explained, PosedHands, Stage
 from torchhand.fit.hull.skin import PosedBones, SkinPoints, bones_of
 from torchhand.geometry import tapered_capsule_touch
-from torchhand.hand import CONE_BONES, PenetrationSettings, digit_pairs, primitive_sizes
+from torchhand.hand import CONE_BONES, DOFS, PenetrationSettings, digit_pairs, primitive_sizes
+from torchhand.volume import places_of
 
 _ROOT = 6
 _GROSS = 3.0  # depths in units of the softness beyond which more counts for less (Cauchy): digits must get past others
@@ -45,7 +46,9 @@ class PenetrationPrior:
         start, end, radii = _capsules(skin, hands, bones)
         _, first, second, slack = digit_pairs(self.settings, start.device)
         if is_host(start.device):  # few pairs are near each other, and fewer in one another
-            near = _near(start, end, radii, first, second)
+            near = places_of(_may_meet(start, end, radii, first, second, slack))
+            if not len(near):
+                return _nothing(start)
             first, second, slack = first[near], second[near], slack[near]
         s, t = tapered_capsule_touch(
             start[:, first], end[:, first], radii[first], start[:, second], end[:, second], radii[second]
@@ -58,7 +61,9 @@ class PenetrationPrior:
         excess = (reach - distance - slack.to(reach)).clamp_min(0)
         direction = apart / distance[..., None]
         if is_host(start.device):
-            met = (excess != 0).any(0)
+            met = places_of((excess != 0).any(0))
+            if not len(met):
+                return _nothing(start)
             first, second, excess = first[met], second[met], excess[:, met]
             here, there, direction = here[:, met], there[:, met], direction[:, met]
         own = constant_tensor(CONE_BONES[1:], torch.long, start.device)
@@ -88,17 +93,32 @@ def _capsules(skin: SkinPoints, hands: PosedHands, bones: PosedBones) -> tuple[T
     return start, end, torch.stack((radius, radius * sizes.cone_end_scale[1:]), -1)
 
 
-def _near(
+def _nothing(start: Float[Tensor, "hands segments 3"]) -> Equations:
+    """Equations where no digit is in another."""
+    hands, angles = len(start), len(DOFS) - _ROOT
+    return Equations(
+        cost=start.new_zeros(hands),
+        gradient=start.new_zeros(hands, angles),
+        matrix=start.new_zeros(hands, angles, angles),
+        first_dof=_ROOT,
+    )
+
+
+def _may_meet(
     start: Float[Tensor, "hands segments 3"],
     end: Float[Tensor, "hands segments 3"],
     radii: Float[Tensor, "segments 2"],
     first: Int[Tensor, "pairs"],
     second: Int[Tensor, "pairs"],
+    slack: Float[Tensor, "pairs"],
 ) -> Bool[Tensor, "pairs"]:
-    """Which pairs of segments have balls around them that meet, in any of the hands or one that is no hand."""
-    middle, reach = 0.5 * (start + end), 0.5 * (end - start).norm(dim=-1) + radii.amax(-1)
-    apart = (middle[:, first] - middle[:, second]).norm(dim=-1)
-    return ~(apart > reach[:, first] + reach[:, second]).all(0)
+    """Which pairs of segments may be in each other by more than the slack, in any of the hands or one that is no hand:
+    all but those that a plane across the line between their middles parts."""
+    middle, half, radius = 0.5 * (start + end), 0.5 * (end - start), radii.amax(-1)
+    between = middle[:, second] - middle[:, first]
+    distance = between.norm(dim=-1)
+    along = ((half[:, first] * between).sum(-1).abs() + (half[:, second] * between).sum(-1).abs()) / distance
+    return ~(distance - along > radius[first] + radius[second] - slack.to(radius)).all(0)
 
 
 def _turned(
