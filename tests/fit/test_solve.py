@@ -190,6 +190,24 @@ def test_more_rounds_never_make_it_worse(points: Points, generator: torch.Genera
         assert bool((after <= before * (1 + 1e-12)).all())
 
 
+def test_single_steps_go_on_until_the_next_one_promises_nothing(points: Points, generator: torch.Generator) -> None:
+    """Each hypothesis takes as many as it needs, and ends where many more steps would end to a share of the cost."""
+    near, far = hands(generator, spread=0.05), hands(generator, spread=0.6)
+    starts = HandPose.stack([replace(near, reference=far.reference), far])
+
+    def solved(rounds: int) -> Solutions:
+        stage = Stage(gross_m=0.05, rounds=rounds, iterations=1, method="gauss_newton")
+        return solve(problem(points, starts), starts, (stage,))
+
+    few, some, many = (solved(rounds) for rounds in (1, 12, 24))
+    assert few.iterations.tolist() == [1, 1]
+    assert (some.iterations < 12).all()
+    assert torch.equal(some.iterations, many.iterations)
+    assert torch.equal(some.pose.dofs, many.pose.dofs)
+    assert (some.status == SolveStatus.CONVERGED.value).all()
+    assert (some.cost < 0.5 * few.cost).all()
+
+
 @dataclass(frozen=True, kw_only=True)
 class Runaway:
     """Draws the hand along x to a place that is farther away the nearer the hand comes: every step is a loss."""

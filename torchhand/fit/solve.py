@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import is_host
 from torchhand.fit.observation import Explained
 from torchhand.fit.problem import Linearization, Problem
 from torchhand.fit.schedule import Schedule, Stage
@@ -179,19 +180,27 @@ def _solved(problem: Problem, start: HandPose, schedule: Schedule) -> Solutions:
     iterations = torch.zeros(len(start), dtype=torch.long, device=values.device)
     status = torch.zeros_like(iterations)
     kept: _Evaluated | None = None
+    is_evaluated = False  # where the hands are now
     for stage in schedule:
-        for _ in range(stage.rounds):
+        has_arrived = torch.zeros_like(status, dtype=torch.bool)
+        for number in range(stage.rounds):
             here = problem.associated(values, reference, stage)
             first = here.here()
             if stage is schedule[-1]:
                 own = _Evaluated.of(here, first)
                 kept = own if kept is None else kept.or_better(own)
             found = _minimised(here, first, stage)
+            if number > 0 and stage.method == "gauss_newton":
+                found, has_arrived = _unless_arrived(found, here, has_arrived)
             status, iterations = found.status, iterations + found.iterations
+            is_evaluated = stage is schedule[-1] and is_host(values.device) and bool(has_arrived.all())
+            if is_evaluated:
+                break
             values, reference = problem.rebased(found.values, reference)
-    last = problem.associated(values, reference, schedule[-1])
     assert kept is not None
-    kept = kept.or_better(_Evaluated.of(last, last.here()))
+    if not is_evaluated:
+        last = problem.associated(values, reference, schedule[-1])
+        kept = kept.or_better(_Evaluated.of(last, last.here()))
     failed = ~kept.cost.isfinite()
     pose = problem.pose_of(kept.values, kept.reference).normalized()
     return Solutions(
@@ -243,6 +252,21 @@ def _one_step(here: Linearization, first: NormalEquations) -> LeastSquares:
         gradient=first.gradient,
         on_bound=(values <= lower) | (values >= upper),
     )
+
+
+def _unless_arrived(
+    found: LeastSquares, here: Linearization, has_arrived: Bool[Tensor, "k"]
+) -> tuple[LeastSquares, Bool[Tensor, "k"]]:
+    """A further step of the hypotheses that had not arrived before it, and which have arrived by now: where it promises
+    no noticeable decrease, or cannot be taken, a hypothesis stays for good."""
+    has_arrived = has_arrived | (found.status != Status.STALLED.value)
+    stays = replace(
+        found,
+        values=torch.where(has_arrived[:, None], here.values, found.values),
+        iterations=torch.where(has_arrived, 0, found.iterations),
+        status=torch.where(has_arrived & (found.status == Status.STALLED.value), Status.CONVERGED.value, found.status),
+    )
+    return stays, has_arrived
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -150,7 +150,7 @@ def test_single_steps_from_a_prediction(rig: Any) -> None:
     std = torch.full((SPACE.size,), math.radians(6), dtype=torch.float64)
     std[:3] = 0.006
     found = fit(target, start, GaussianPrior.of_std(start, std, SPACE))
-    assert int(found.iterations) == sum(stage.rounds for stage in TRACKING)
+    assert len(TRACKING) <= int(found.iterations) <= sum(stage.rounds for stage in TRACKING)
     assert found.status in (SolveStatus.CONVERGED, SolveStatus.STALLED)
     assert rig.error_mm(found.pose, pose, shape) < 1.5 < rig.error_mm(start, pose, shape)
     batch, alone = fit(target, HandPose.stack([start, start])), fit(target, start)

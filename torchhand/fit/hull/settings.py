@@ -14,10 +14,11 @@ SEARCH: Schedule = (
     Stage(gross_m=0.002, rounds=2, iterations=3),
 )
 """For starts that may be 30 mm and 30° off."""
-TRACKING: Schedule = tuple(
-    Stage(gross_m=gross_m, rounds=1, iterations=1, method="gauss_newton") for gross_m in (0.006, 0.002)
+TRACKING: Schedule = (
+    Stage(gross_m=0.006, rounds=1, iterations=1, method="gauss_newton"),
+    Stage(gross_m=0.002, rounds=5, iterations=1, method="gauss_newton"),
 )
-"""For starts near the pose, such as a prediction."""
+"""For starts near the pose, such as a prediction: most hands have arrived after one step of the last stage."""
 
 TorqueSteps = Literal["largest", "proportional", "equal"]
 
