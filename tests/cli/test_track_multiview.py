@@ -20,7 +20,7 @@ from torchhand.geometry import rotation_from_vector
 from torchhand.hand import Hand, posture
 from torchhand.runs import Run
 from torchhand.simulate import named_rig
-from torchhand.track import Estimate, Tracker
+from torchhand.track import Estimate, ScenesAhead, Tracker
 from torchhand.track.multiview import Initialization, initialize
 from torchhand.track.scene import ViewSilhouettes
 from torchhand.view import mesh_silhouette
@@ -147,6 +147,27 @@ def test_skin_in_place_of_masks_and_videos_in_place_of_pictures(recording: Path,
     assert track.status.tolist() == ["tracked"] * 3
     truth = np.load(recording / "truth.npz")["keypoints3d"][:3]
     assert np.linalg.norm(track.keypoints3d - truth, axis=-1).mean() < 0.006
+
+
+def test_a_second_process_changes_nothing(
+    result: Path, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Scenes made ahead (`ScenesAhead`), which short recordings do without."""
+    monkeypatch.setattr("torchhand.track.ahead._MIN_FRAMES", 0)
+    step, ordered = ScenesAhead.step, []
+
+    def waiting(self, state, views, time_s, following=None):
+        self.wait()
+        ordered.append(None if following is None else round(30 * following[1]))
+        return step(self, state, views, time_s, following)
+
+    monkeypatch.setattr(ScenesAhead, "step", waiting)
+    out = tmp_path / "out"
+    assert run(recording, out, "--no-overlay", "--no-report") == 0
+    assert ordered == [*range(1, FRAMES), None]
+    whole, ahead = load_track(result), load_track(out)
+    np.testing.assert_array_equal(whole.pose, ahead.pose)
+    np.testing.assert_array_equal(whole.keypoints3d_cov, ahead.keypoints3d_cov)
 
 
 def test_stopped_run_goes_on_to_the_same_end(

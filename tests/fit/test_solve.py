@@ -196,7 +196,7 @@ def test_single_steps_go_on_until_the_next_one_promises_nothing(points: Points, 
     starts = HandPose.stack([replace(near, reference=far.reference), far])
 
     def solved(rounds: int) -> Solutions:
-        stage = Stage(gross_m=0.05, rounds=rounds, iterations=1, method="gauss_newton")
+        stage = Stage(gross_m=0.05, rounds=rounds, iterations=1, method="gauss_newton", until_arrived=True)
         return solve(problem(points, starts), starts, (stage,))
 
     few, some, many = (solved(rounds) for rounds in (1, 12, 24))

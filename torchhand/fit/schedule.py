@@ -16,14 +16,16 @@ class Stage:
     gross_m: float = 0.010
     """Distance beyond which a residual counts as gross, metres; above 0."""
     rounds: int = 2
-    """Associations of data with the posed hand; 1 or more. By gauss_newton at most so many: a hand whose next step
-    promises no noticeable decrease of the cost has arrived, and stays."""
+    """Associations of data with the posed hand; 1 or more."""
     iterations: int = 3
     """Most steps of the optimiser after each association; 1 or more."""
     method: Literal["levenberg_marquardt", "gauss_newton", "gradient_descent"] = "levenberg_marquardt"
     """Levenberg-Marquardt takes steps only if they lower the cost; gauss_newton takes one damped step after each
-    association without asking, which is twice as fast and enough near the pose, and further ones only while they
-    promise a noticeable decrease; gradient_descent is for comparison and takes ten times the iterations."""
+    association without asking, which is twice as fast and enough near the pose; gradient_descent is for comparison and
+    takes ten times the iterations."""
+    until_arrived: bool = False
+    """Whether the rounds of gauss_newton are the most that are taken: a hand whose next step promises no noticeable
+    decrease of the cost has arrived, and stays."""
     pitch_px: int = 1
     """Pixels of the picture per pixel of a distance map; 1 or more."""
     thinning: int = 1

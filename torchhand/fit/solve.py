@@ -190,7 +190,7 @@ def _solved(problem: Problem, start: HandPose, schedule: Schedule) -> Solutions:
                 own = _Evaluated.of(here, first)
                 kept = own if kept is None else kept.or_better(own)
             found = _minimised(here, first, stage)
-            if number > 0 and stage.method == "gauss_newton":
+            if number > 0 and stage.until_arrived and stage.method == "gauss_newton":
                 found, has_arrived = _unless_arrived(found, here, has_arrived)
             status, iterations = found.status, iterations + found.iterations
             is_evaluated = stage is schedule[-1] and is_host(values.device) and bool(has_arrived.all())

@@ -227,7 +227,8 @@ def _track_all(start: "_RigStart", keypoints: KeypointSource | None, writer: Tra
         run = Run(recording, start.tracker(metres), {}, metres=metres)
         run.go_on_from(saved)
         done = writer.resume_point.last_frame + 1 - request.start
-    with scenes_ahead(start.make(run.metres), run.tracker) as run.ahead:
+    left = None if recording.count is None else recording.count - done
+    with scenes_ahead(start.make(run.metres), run.tracker, left) as run.ahead:
         _track_rest(run, keypoints, writer, done, request, say)
     if not request.is_causal and not request.settings.smoothing_window_s:
         smooth_frames(run, writer, say)

@@ -27,6 +27,8 @@ from torchhand.track.tracker import Foreseen, Tracker
 
 _log = logging.getLogger(__name__)
 
+_MIN_FRAMES = 100  # in the seconds that the other process takes to begin, some 60 are done without it
+
 Frame = tuple[Sequence[View], float]
 """The views of one time, and that time in seconds."""
 
@@ -220,6 +222,11 @@ def serve(connection: Connection, make: bytes) -> None:
         connection.send_bytes(packed(RuntimeError(traceback.format_exc())))
 
 
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def _made(tracker: Tracker, order: _Order, memory: SharedMemory) -> _Delivery:
     parts = [[None if one is None else one.in_memory(memory) for one in pair] for pair in order.pictures]
     views = [View(image=image, mask=mask) for image, mask in parts]
@@ -229,13 +236,16 @@ def _made(tracker: Tracker, order: _Order, memory: SharedMemory) -> _Delivery:
 
 
 @contextlib.contextmanager
-def scenes_ahead(make: Callable[[], Tracker], tracker: Tracker) -> Iterator[ScenesAhead | None]:
-    """`ScenesAhead` of a tracker; None where there is no second core, or the tracker is of another kind.
+def scenes_ahead(
+    make: Callable[[], Tracker], tracker: Tracker, frames: int | None = None
+) -> Iterator[ScenesAhead | None]:
+    """`ScenesAhead` of a tracker; None where there is no second core, where the tracker is of another kind, and for few
+    frames.
 
-    make: makes such a tracker; picklable.
+    make: makes such a tracker; picklable. frames: how many come, None where nobody knows.
     """
-    is_possible = (os.cpu_count() or 1) > 1 and tracker.parts.fitter is not None and is_host(tracker.device)
-    if not is_possible:
+    is_long = frames is None or frames >= _MIN_FRAMES
+    if not is_long or _cores() < 2 or tracker.parts.fitter is None or not is_host(tracker.device):
         yield None
         return
     with ScenesAhead(make, tracker) as ahead:

@@ -16,7 +16,7 @@ SEARCH: Schedule = (
 """For starts that may be 30 mm and 30° off."""
 TRACKING: Schedule = (
     Stage(gross_m=0.006, rounds=1, iterations=1, method="gauss_newton"),
-    Stage(gross_m=0.002, rounds=5, iterations=1, method="gauss_newton"),
+    Stage(gross_m=0.002, rounds=5, iterations=1, method="gauss_newton", until_arrived=True),
 )
 """For starts near the pose, such as a prediction: most hands have arrived after one step of the last stage."""
 
