@@ -66,11 +66,11 @@ def test_frames_are_passed_in_steps(ends: tuple[Connection, Connection]) -> None
     inbox = Inbox(there)
     picture = torch.full((3, 4, 3), 7, dtype=torch.uint8)
     here.send_bytes(packed(Search(number=1, frame=seen(picture, 0.0), state=None)))
-    assert inbox.next_search() is not None
+    assert inbox.next_request() is not None
     for index in range(1, 8):
         here.send_bytes(packed(seen(picture, index / 10)))
     here.close()
-    assert inbox.next_search() is None  # all has been read
+    assert inbox.next_request() is None  # all has been read
     taken, time_s, is_newest = [], 0.0, False
     while not is_newest:
         later = inbox.later_frame(time_s, 0.25)
@@ -93,7 +93,7 @@ def test_frames_that_wait_do_not_fill_the_memory(
     for index in range(50):
         here.send_bytes(packed(seen(torch.zeros(3, 4, 3, dtype=torch.uint8), index / 10)))
     here.close()
-    assert inbox.next_search() is None
+    assert inbox.next_request() is None
     times_s, is_newest = [0.0], False
     while not is_newest:
         later = inbox.later_frame(times_s[-1], 0.01)
