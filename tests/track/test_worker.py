@@ -55,6 +55,20 @@ def test_a_hand_that_is_found_is_followed_to_the_newest_picture(film: Any) -> No
     torch.testing.assert_close(found.shape, expected.shape, rtol=0, atol=0)
 
 
+def test_the_way_begins_with_the_very_next_pictures(film: Any) -> None:
+    """Of a hand that was just found nobody knows how it moves."""
+    frames = [seen(film.images[0], 0.03 * index) for index in range(6)]
+    later, steps_s = iter([(frame, frame is frames[-1]) for frame in frames[1:]]), list[float]()
+
+    def next_frame(_: float, step_s: float) -> tuple[SeenFrame, bool]:
+        steps_s.append(step_s)
+        return next(later)
+
+    Searcher(tracker_of(film), next_frame)(Search(number=1, frame=frames[0], state=None))
+    assert steps_s[:3] == [0.0] * 3
+    assert min(steps_s[3:]) >= 0.1
+
+
 def test_where_no_hand_is_nothing_is_answered(film: Any) -> None:
     wall = torch.zeros_like(film.images[0]) + film.images[0][0, 0]
     search = Search(number=1, frame=seen(wall, 0.0), state=None)

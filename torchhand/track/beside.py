@@ -21,6 +21,7 @@ from torchhand.track.worker import FOLLOWING, serve
 _log = logging.getLogger(__name__)
 
 _SENT_EVERY_S = 0.09  # from one picture that is sent for a search that goes on to the next: hardly less than its steps
+_ALL_SENT_S = 0.15  # after the searched frame in which every picture is sent: in these the hand's motion becomes known
 
 
 class SearchBeside:
@@ -125,9 +126,11 @@ class SearchBeside:
         self, before: TrackerState | None, after: TrackerState, views: Sequence[View], estimate: Estimate
     ) -> None:
         """A frame that was tracked: for the search that goes on, or for what is due."""
-        if isinstance(self._asked, Search) and estimate.time_s >= self._sent_s + _SENT_EVERY_S:
-            self._messages.put(SeenFrame.of(views, estimate.time_s))
-            self._sent_s = estimate.time_s
+        if isinstance(self._asked, Search):
+            is_near = estimate.time_s <= self._asked.frame.time_s + _ALL_SENT_S
+            if is_near or estimate.time_s >= self._sent_s + _SENT_EVERY_S:
+                self._messages.put(SeenFrame.of(views, estimate.time_s))
+                self._sent_s = estimate.time_s
         if self._asked is not None or not self.is_ready:
             return
         is_resting = estimate.pose is not None and time.monotonic() < self._rest_until_s
