@@ -79,10 +79,10 @@ class _NoProcess:
     def __init__(self) -> None:
         self.here, self.there = multiprocessing.Pipe()
 
-    def Pipe(self) -> tuple[Any, Any]:  # noqa: N802
+    def Pipe(self) -> tuple[Any, Any]:
         return self.here, SimpleNamespace(close=lambda: None)
 
-    def Process(self, **_: Any) -> Any:  # noqa: N802
+    def Process(self, **_: Any) -> Any:
         return SimpleNamespace(start=lambda: None, kill=lambda: None, join=lambda: None)
 
 
