@@ -2,11 +2,13 @@
 
 import multiprocessing
 import os
+import pickle
 import subprocess
 import sys
 import time
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,6 +17,7 @@ import torch
 from tests.steps import FRAME_S, right_hand
 from torchhand.runs import settings_of
 from torchhand.track import OCCASIONS, Estimate, SearchBeside, Tracker, TrackerState, View
+from torchhand.track.messages import READY, Search, packed
 
 QUICK = ("always", "detected")
 PATIENCE_S = 120.0  # for another process on a machine with other work
@@ -68,6 +71,36 @@ def test_a_hand_is_found_while_steps_go_on(film: Any) -> None:
         _, forgotten = beside.step(None, [View(image=film.images[0])], 0.0)
         assert forgotten.status == "no_hand"
         assert _until_tracked(beside, film)[-1].status == "tracked"  # and is found anew
+
+
+class _NoProcess:
+    """In the place of `multiprocessing`'s context: the other process is the test itself."""
+
+    def __init__(self) -> None:
+        self.here, self.there = multiprocessing.Pipe()
+
+    def Pipe(self) -> tuple[Any, Any]:
+        return self.here, SimpleNamespace(close=lambda: None)
+
+    def Process(self, **_: Any) -> Any:
+        return SimpleNamespace(start=lambda: None, kill=lambda: None, join=lambda: None)
+
+
+def test_all_pictures_near_a_search_are_sent_then_some(film: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    context = _NoProcess()
+    monkeypatch.setattr("torchhand.track.beside.get_context", lambda _: context)
+    make = partial(Tracker, right_hand(), film.camera, settings_of("contour_planar"))
+    with SearchBeside(make) as beside:
+        context.there.send_bytes(packed(READY))
+        state = None
+        for index in range(12):
+            state, _ = beside.step(state, [View(image=film.images[0])], index * FRAME_S)
+        messages = []
+        while context.there.poll(1.0):
+            messages.append(pickle.loads(context.there.recv_bytes()))
+    assert isinstance(messages[0], Search)
+    sent = [round(message.time_s / FRAME_S) for message in messages[1:]]
+    assert sent == [1, 2, 3, 4, 7, 10]
 
 
 SCRIPT = """

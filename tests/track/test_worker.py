@@ -55,6 +55,20 @@ def test_a_hand_that_is_found_is_followed_to_the_newest_picture(film: Any) -> No
     torch.testing.assert_close(found.shape, expected.shape, rtol=0, atol=0)
 
 
+def test_the_way_begins_with_the_very_next_pictures(film: Any) -> None:
+    """Of a hand that was just found nobody knows how it moves."""
+    frames = [seen(film.images[0], 0.03 * index) for index in range(6)]
+    later, steps_s = iter([(frame, frame is frames[-1]) for frame in frames[1:]]), list[float]()
+
+    def next_frame(_: float, step_s: float) -> tuple[SeenFrame, bool]:
+        steps_s.append(step_s)
+        return next(later)
+
+    Searcher(tracker_of(film), next_frame)(Search(number=1, frame=frames[0], state=None))
+    assert steps_s[:3] == [0.0] * 3
+    assert min(steps_s[3:]) >= 0.1
+
+
 def test_where_no_hand_is_nothing_is_answered(film: Any) -> None:
     wall = torch.zeros_like(film.images[0]) + film.images[0][0, 0]
     search = Search(number=1, frame=seen(wall, 0.0), state=None)
@@ -66,11 +80,11 @@ def test_frames_are_passed_in_steps(ends: tuple[Connection, Connection]) -> None
     inbox = Inbox(there)
     picture = torch.full((3, 4, 3), 7, dtype=torch.uint8)
     here.send_bytes(packed(Search(number=1, frame=seen(picture, 0.0), state=None)))
-    assert inbox.next_search() is not None
+    assert inbox.next_request() is not None
     for index in range(1, 8):
         here.send_bytes(packed(seen(picture, index / 10)))
     here.close()
-    assert inbox.next_search() is None  # all has been read
+    assert inbox.next_request() is None  # all has been read
     taken, time_s, is_newest = [], 0.0, False
     while not is_newest:
         later = inbox.later_frame(time_s, 0.25)
@@ -93,7 +107,7 @@ def test_frames_that_wait_do_not_fill_the_memory(
     for index in range(50):
         here.send_bytes(packed(seen(torch.zeros(3, 4, 3, dtype=torch.uint8), index / 10)))
     here.close()
-    assert inbox.next_search() is None
+    assert inbox.next_request() is None
     times_s, is_newest = [0.0], False
     while not is_newest:
         later = inbox.later_frame(times_s[-1], 0.01)

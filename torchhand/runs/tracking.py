@@ -213,10 +213,10 @@ def _track_all(start: "_RigStart", keypoints: KeypointSource | None, writer: Tra
     if writer.note is not None:
         say(writer.note)
     if isinstance(recording, LiveRecording):
-        run = start.at_once()
-        with contextlib.suppress(KeyboardInterrupt):
-            _track_rest(run, keypoints, writer, 0, request, say)
-        run.save_hand(writer.folder)  # fitted while the hand was followed
+        with start.at_once() as run:
+            with contextlib.suppress(KeyboardInterrupt):
+                _track_rest(run, keypoints, writer, 0, request, say)
+            run.save_hand(writer.folder)  # fitted while the hand was followed
         return run
     if writer.resume_point is None:
         run, done = start.begun(recording, say), 0
@@ -286,10 +286,12 @@ class _RigStart:
         cameras = Rig(self.recording.cameras).scaled(metres)
         return partial(Tracker, self.hand, cameras, self.settings, shape=self.known, plates=self.plates)
 
-    def at_once(self) -> Run:
-        """A run that knows nothing: the hand is found, and its proportions are fitted, while the cameras go on."""
+    @contextlib.contextmanager
+    def at_once(self) -> Iterator[Run]:
+        """A run that knows nothing: another process finds the hand and fits its proportions while the cameras go on."""
         method = "visual hulls of frames that were followed" if self.known is None else "given"
-        return Run(self.recording, self.tracker(1.0), {"method": method, "unit_m": 1.0})
+        with opened_tracker(self.make(1.0), waits=False) as (tracker, beside):
+            yield Run(self.recording, tracker, {"method": method, "unit_m": 1.0}, beside=beside)
 
     def begun(self, recording: RigRecording, say: Say) -> Run:
         """A run that knows the hand's colours, its proportions and its pose in some frames.

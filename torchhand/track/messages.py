@@ -49,15 +49,28 @@ class Search:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answer:
-    """How a search ended."""
+class Reshape:
+    """Frames of a hand that several cameras follow, to which its proportions are to be fitted."""
 
     number: int
-    """Number of the search."""
+    state: Mapping[str, Any]
+    """What the tracker knew after the last of them (`saved_state`)."""
+
+
+Request = Search | Reshape
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """How a request ended."""
+
+    number: int
+    """Number of the request."""
     seconds: float
-    """Time that was searched, without that of the way to the newest picture."""
+    """Time that it took, without that of the way to the newest picture."""
     state: Mapping[str, Any] | None
-    """What is known of a hand that explains more, at the last frame there was; None where none does."""
+    """Of a search, what is known of a hand that explains more, at the last frame there was; None where none does. Else
+    the state with its new proportions."""
 
 
 def packed(message: Any) -> bytes:

@@ -165,9 +165,10 @@ class Tracker:
 
         state: that of the frame before, None at first. views: one per camera; an empty one where its picture is
         missing. time_s: of the frame, after that of the one before. occasions: those of the sources of other hands that
-        may be asked; where one of another occasion should be, the estimate tells (`is_doubted`). other: what another
-        tracker knew at an earlier time, whose hand is compared with this one's as proposed hands are. foreseen: what
-        `foresee` makes of these views, where that is known.
+        may be asked; where one of another occasion should be, the estimate tells (`is_doubted`), and where a search may
+        not be, proportions of several cameras are not fitted (`reshaped`). other: what another tracker knew at an
+        earlier time, whose hand is compared with this one's as proposed hands are. foreseen: what `foresee` makes of
+        these views, where that is known.
 
         A hand that the views do not bear out is looked for otherwise at once, one in doubt when a search is due; a hand
         found again after a lost frame is `recovered`. Raises ValueError for views that are not the cameras' in number
@@ -203,8 +204,22 @@ class Tracker:
         search = _Search(best=followed, proposed=None, has_foreground=followed is not None, reason="")
         search = search if other is None else self._with_other(search, other, facing, scene, state)
         state, search = self._searched(state, search, facing, scene, occasions)
-        state, estimate = self._adopted(state, search, predicted, scene)
+        state, estimate = self._adopted(state, search, predicted, scene, fits_shape="search" in occasions)
         return state, sent_to(replace(estimate, is_doubted=search.is_doubted), HOST)
+
+    def is_reshape_due(self, state: TrackerState) -> bool:
+        """Whether the frames that a state keeps are enough to fit the proportions anew."""
+        accumulated = self.parts.accumulated_shape
+        return accumulated is not None and accumulated.is_due(state)
+
+    @without_autocast
+    @torch.inference_mode()
+    @single_threaded()
+    def reshaped(self, state: TrackerState) -> TrackerState:
+        """The state with proportions that are fitted to the frames it keeps; takes seconds. The same where it keeps
+        none."""
+        accumulated = self.parts.accumulated_shape
+        return state if accumulated is None else accumulated.fitted(state)
 
     @torch.inference_mode()
     @single_threaded()
@@ -576,7 +591,13 @@ class Tracker:
     # ------------------------------------------------------------------ what follows
 
     def _adopted(
-        self, state: TrackerState, search: _Search, predicted: FollowedHand | None, scene: Scene
+        self,
+        state: TrackerState,
+        search: _Search,
+        predicted: FollowedHand | None,
+        scene: Scene,
+        *,
+        fits_shape: bool = True,
     ) -> tuple[TrackerState, Estimate]:
         health, best, is_new = self.parts.health, search.best, search.proposed is not None
         is_bad = best is None or (not health.is_found(best) if is_new else health.is_failing(best))
@@ -586,7 +607,7 @@ class Tracker:
         state = self._remembered(state, search.proposed, best, scene, is_new=is_new)
         estimate = self._estimate("recovered" if was_lost else "tracked", best, state, scene)
         if self.parts.accumulated_shape is not None:
-            state = self.parts.accumulated_shape(state, best, scene)
+            state = self.parts.accumulated_shape(state, best, scene, fits=fits_shape)
         return state, replace(estimate, is_new=is_new)
 
     def _remembered(

@@ -1,4 +1,4 @@
-"""The process that searches: one search after the other, each followed to the newest picture."""
+"""The process that searches: one request after the other, a hand that is found followed to the newest picture."""
 
 import math
 import os
@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection
 import torch
 
 from torchhand.track.knowledge import TrackerState, restored_state, saved_state
-from torchhand.track.messages import READY, Answer, Search, SeenFrame, packed
+from torchhand.track.messages import READY, Answer, Request, Reshape, Search, SeenFrame, packed
 from torchhand.track.proposals import OCCASIONS, Occasion
 from torchhand.track.tracker import Tracker
 
@@ -26,6 +26,9 @@ _WIDE: tuple[Occasion, ...] = (*FOLLOWING, "search")  # what takes more than a s
 _STEP_S = 0.1
 """From one picture to the next on the way to the newest: a hand that moves at half a metre a second, as people's do who
 show something, goes half its breadth in it."""
+_SHORT_STEPS = 3
+"""Steps to the very next picture before those: of a hand that was just found no motion is known. Found in every twelfth
+frame of `open_hand_wave` and followed for 0.8 s, 10 hands of 12 are kept with them, 3 without."""
 _CATCHING_UP = 2.0  # how much faster pictures are passed than they come
 _NICENESS = 5  # where there are too few cores, pictures go first
 _KEPT_BYTES = 2**28  # of pictures that wait until a search has ended
@@ -36,16 +39,16 @@ class Inbox:
 
     def __init__(self, connection: Connection) -> None:
         self._connection, self._changed = connection, threading.Condition()
-        self._search: Search | None = None
+        self._request: Request | None = None
         self._later: deque[SeenFrame] = deque()
         self._is_closed = False
         threading.Thread(target=self._read, name="messages", daemon=True).start()
 
-    def next_search(self) -> Search | None:
-        """The next search, once there is one; None where nobody is left to ask for any."""
+    def next_request(self) -> Request | None:
+        """The next request, once there is one; None where nobody is left to make any."""
         with self._changed:
-            self._changed.wait_for(lambda: self._search is not None or self._is_closed)
-            found, self._search = self._search, None
+            self._changed.wait_for(lambda: self._request is not None or self._is_closed)
+            found, self._request = self._request, None
             return found
 
     def later_frame(self, time_s: float, step_s: float) -> tuple[SeenFrame, bool] | None:
@@ -66,10 +69,10 @@ class Inbox:
                 self._is_closed = True
                 self._changed.notify_all()
 
-    def _take(self, message: Search | SeenFrame) -> None:
+    def _take(self, message: Request | SeenFrame) -> None:
         with self._changed:
-            if isinstance(message, Search):
-                self._search = message
+            if not isinstance(message, SeenFrame):
+                self._request = message
                 self._later.clear()
                 self._changed.notify_all()
                 return
@@ -85,7 +88,16 @@ class Searcher:
         """later_frame: the frame to follow to from a time, about a step later (`Inbox.later_frame`)."""
         self._tracker, self._later_frame = tracker, later_frame
 
-    def __call__(self, search: Search) -> Answer:
+    def __call__(self, request: Request) -> Answer:
+        """What comes of a request."""
+        return self._reshaped(request) if isinstance(request, Reshape) else self._searched(request)
+
+    def _reshaped(self, request: Reshape) -> Answer:
+        begun_s = time.monotonic()
+        state = self._tracker.reshaped(restored_state(request.state, self._tracker.device))
+        return Answer(number=request.number, seconds=time.monotonic() - begun_s, state=saved_state(state))
+
+    def _searched(self, search: Search) -> Answer:
         begun_s, frame = time.monotonic(), search.frame
         before = None if search.state is None else restored_state(search.state, self._tracker.device)
         has_started = before is not None and before.has_started
@@ -101,14 +113,15 @@ class Searcher:
     def _followed(self, state: TrackerState, *, is_detected: bool) -> TrackerState:
         """The state at the newest frame, or where the hand is given up on the way. is_detected: whether a detector
         tells of the hand, so that it needs no way."""
-        step_s, is_newest = math.inf if is_detected else _STEP_S, False
+        step_s, is_newest, steps = math.inf if is_detected else 0.0, False, 0
         assert state.time_s is not None
         while not is_newest and (later := self._later_frame(state.time_s, step_s)) is not None:
-            (frame, is_newest), begun_s = later, time.monotonic()
+            (frame, is_newest), begun_s, steps = later, time.monotonic(), steps + 1
             state, _ = self._tracker.step(state, frame.views, frame.time_s, occasions=FOLLOWING)
             if state.hand is None:
                 break
-            step_s = max(_STEP_S, _CATCHING_UP * (time.monotonic() - begun_s))
+            if steps >= _SHORT_STEPS:
+                step_s = max(_STEP_S, _CATCHING_UP * (time.monotonic() - begun_s))
             assert state.time_s is not None
         return state
 
@@ -127,8 +140,8 @@ def serve(connection: Connection, make: bytes) -> None:
         inbox = Inbox(connection)
         connection.send_bytes(packed(READY))
         searcher = Searcher(tracker, inbox.later_frame)
-        while (search := inbox.next_search()) is not None:
-            connection.send_bytes(packed(searcher(search)))
+        while (request := inbox.next_request()) is not None:
+            connection.send_bytes(packed(searcher(request)))
     except (BrokenPipeError, EOFError):
         return
     except Exception:

@@ -130,6 +130,10 @@ def test_webxr_joints_move_as_a_tracked_hand_has_them(clip: MotionClip, tmp_path
     assert names[0] == "wrist"
     assert {"thumb-phalanx-proximal", "index-finger-phalanx-intermediate", "pinky-finger-tip"} <= set(names)
     assert not any("children" in glb.json["nodes"][joint] for joint in skin["joints"])
+    (root,) = glb.json["scenes"][0]["nodes"]  # in which three.js's XRHandMeshModel looks for the mesh and its joints
+    inside = glb.json["nodes"][root]["children"]
+    assert {"mesh" in glb.json["nodes"][one] for one in inside} == {True, False}
+    assert set(skin["joints"]) < set(inside)
     joints, vertices = openxr_joints(upright.frames), texture_atlas(clip.model, clip.side).vertex.numpy()
     ours = upright.vertices().numpy()
     for t in range(len(clip)):

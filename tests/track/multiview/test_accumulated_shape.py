@@ -1,6 +1,7 @@
 """Proportions that a tracker finds while it follows a hand of which it knows none."""
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
@@ -69,6 +70,23 @@ def test_saved_and_restored_it_goes_on_the_same(run, rig_hand, rig, scenes):
     state, _ = tracker.step(saved_and_restored(run[3][0]), scenes[4], 4 * FRAME_S)
     assert state.shape is not None
     assert torch.equal(state.shape, run[4][0].shape)
+
+
+def test_a_step_that_must_be_quick_keeps_frames_for_a_fit_that_is_the_same(run, rig_hand, rig, scenes):
+    tracker = Tracker(rig_hand, rig, SETTINGS)
+    step = partial(tracker.step, occasions=("always", "detected", "declining", "degraded"))
+    quick, _ = step(run[3][0], scenes[4], 4 * FRAME_S)
+    further, _ = step(quick, scenes[0], 5 * FRAME_S)
+    kept = [[] if one.shape_frames is None else one.shape_frames for one in (run[3][0], quick, further)]
+    assert [len(frames) for frames in kept] == [2, 3, 3]  # no more than are wanted
+    assert quick.shape is not None
+    assert torch.equal(quick.shape, run[3][0].shape)
+    assert tracker.is_reshape_due(quick)
+    fitted = tracker.reshaped(quick)
+    assert fitted.shape_frames is None
+    assert not tracker.is_reshape_due(fitted)
+    assert fitted.shape is not None
+    assert torch.equal(fitted.shape, run[4][0].shape)
 
 
 def test_known_proportions_stay(rig_hand, rig, large):

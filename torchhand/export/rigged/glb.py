@@ -42,15 +42,16 @@ def write_glb(
     roots = [joint for joint, parent in enumerate(rig.parents) if parent < 0]
     mesh_node = len(nodes)
     nodes.append({"name": clip.name, "mesh": 0, "skin": 0})
-    if len(roots) > 1:  # a skin's joints need a root in common
-        nodes.append({"name": "hand", "children": roots})
-        roots = [len(nodes) - 1]
+    stands = [*roots, mesh_node]
+    if len(roots) > 1:  # a skin's joints need a root in common, in which three.js's XRHandMeshModel looks for the mesh
+        nodes.append({"name": "hand", "children": stands})
+        stands = roots = [len(nodes) - 1]
     binds = glb.add(rig.inverse_binds())
     joints = list(range(len(rig.names)))
     glb.content |= {
         "asset": {"version": "2.0", "generator": f"torchhand {__version__}"},
         "scene": 0,
-        "scenes": [{"name": clip.name, "nodes": [*roots, mesh_node]}],
+        "scenes": [{"name": clip.name, "nodes": stands}],
         "nodes": nodes,
         "materials": [
             {

@@ -36,7 +36,7 @@ def message_of(record: FrameRecord, *, side: str) -> dict[str, Any]:
         "keypoints_std": _listed(np.sqrt(variance)) if has_hand else None,
         "keypoints_px": None if record.keypoints2d is None or not has_hand else _listed(record.keypoints2d),
         "quality": _known(record.measures.get("quality", math.nan)),
-        "finger_quality": None if record.finger_quality is None else _listed(record.finger_quality),
+        "finger_quality": _listed(record.finger_quality) if has_hand and record.finger_quality is not None else None,
         "seconds": round(record.seconds, _DIGITS),
     }
 

@@ -59,6 +59,8 @@ class TrackerState:
     """Hands that were found before tracking began."""
     shape_frames: tuple[ShapeFrame, ...] | None = None
     """Frames so far to which the proportions are fitted while several cameras follow a hand; None where these stand."""
+    shape_fitted_to: int = 0
+    """How many of these frames the proportions are fitted to already."""
     usual_score: float = 0.0
     """How much of the pictures the frames before were explained, 0 to 1; 0 before there is one."""
     best_score: float = 0.0

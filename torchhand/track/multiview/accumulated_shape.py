@@ -22,19 +22,35 @@ class AccumulatedShape:
 
     fitter: FrameFitter
 
-    def __call__(self, state: TrackerState, found: Candidate, scene: Scene) -> TrackerState:
-        """The state after a frame in which a hand was followed or found."""
-        frames, wanted = state.shape_frames, self.fitter.settings.shape_frames
+    def __call__(self, state: TrackerState, found: Candidate, scene: Scene, *, fits: bool = True) -> TrackerState:
+        """The state after a frame in which a hand was followed or found.
+
+        fits: whether it may take as long as a fit, some seconds; else the frames alone are kept (`is_due`)."""
+        frames = state.shape_frames
         if frames is None or state.shape is None or not self._is_news(frames, found):
             return state
-        frames = (*frames, self._frame(found, scene))
-        is_last = len(frames) >= wanted
-        if not is_last and len(frames) not in SHAPE_AT:
-            return replace(state, shape_frames=frames)
+        state = replace(state, shape_frames=(*frames, self._frame(found, scene)))
+        return self.fitted(state) if fits and self.is_due(state) else state
+
+    def is_due(self, state: TrackerState) -> bool:
+        """Whether there are so many frames that the proportions are to be fitted anew."""
+        before, count = state.shape_fitted_to, len(state.shape_frames or ())
+        return any(before < wanted <= count for wanted in (*SHAPE_AT, self.fitter.settings.shape_frames))
+
+    def fitted(self, state: TrackerState) -> TrackerState:
+        """The state with proportions that are fitted to all of its frames."""
+        frames = state.shape_frames
+        if not frames or state.shape is None:
+            return state
+        is_last = len(frames) >= self.fitter.settings.shape_frames
         shape, frames = self._fitted(frames, state.shape, is_rough=not is_last)
-        return replace(state, shape=shape, shape_frames=None if is_last else frames)
+        return replace(
+            state, shape=shape, shape_frames=None if is_last else frames, shape_fitted_to=0 if is_last else len(frames)
+        )
 
     def _is_news(self, frames: tuple[ShapeFrame, ...], found: Candidate) -> bool:
+        if len(frames) >= self.fitter.settings.shape_frames:
+            return False
         if not found.is_sound or found.overlap < self.fitter.settings.found_overlap:
             return False
         return all(_distance(frame.pose, found.pose.normalized()) > _APART for frame in frames)
