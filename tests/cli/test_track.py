@@ -2,7 +2,6 @@
 
 import _thread
 import errno
-import itertools
 import json
 import shutil
 import sys
@@ -19,6 +18,7 @@ import torch
 import yaml
 
 import torchhand
+from tests.live_pictures import delivered_as_tracked
 from tests.report.reading import video_of
 from torchhand.cli.command import threads
 from torchhand.cli.track import main
@@ -486,14 +486,7 @@ class _Webcam(FrameSource):
         self.frames, self.lines, self.is_stopped = frames, lines, is_stopped
 
     def __iter__(self) -> Iterator[Frame]:
-        with open_source(self.frames, max_frames=1) as source:
-            [first] = source
-        for index in itertools.count():
-            yield replace(first, index=index, time_s=index / 30)
-            while not self.lines.exists() or self.lines.read_bytes().count(b"\n") <= index:
-                time.sleep(0.01)
-            if self.lines.read_bytes().count(b'"tracked"') >= 3:
-                break
+        yield from delivered_as_tracked(self.frames, self.lines)
         if self.is_stopped:
             _thread.interrupt_main()
             time.sleep(1)

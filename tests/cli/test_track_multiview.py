@@ -1,10 +1,8 @@
 """`torchhand track_multiview`: what a run leaves, going on after a stop, bad views and wrong input."""
 
 import io
-import itertools
 import json
 import shutil
-import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,13 +14,13 @@ import pytest
 import torch
 import yaml
 
+from tests.live_pictures import delivered_as_tracked
 from torchhand.cli.track_multiview import main
 from torchhand.files import (
     Frame,
     FrameSource,
     load_hand_model,
     load_track,
-    open_source,
     read_picture,
     save_cameras,
     save_hand,
@@ -373,22 +371,14 @@ def test_older_result_is_kept(result: Path, recording: Path, capsys) -> None:
 
 
 class _Camera(FrameSource):
-    """Delivers its first picture again whenever the one before is tracked, until a hand was tracked in three: which it
-    takes another process to find."""
+    """Delivers its first picture until a hand was tracked (`delivered_as_tracked`)."""
 
     def __init__(self, pictures: Path, lines: Path) -> None:
         self.name, self.fps, self.count, (self.width, self.height) = pictures.name, 30.0, None, SIZE
         self.pictures, self.lines = pictures, lines
 
     def __iter__(self) -> Iterator[Frame]:
-        with open_source(self.pictures, max_frames=1) as source:
-            [first] = source
-        for index in itertools.count():
-            yield replace(first, index=index, time_s=index / 30)
-            while not self.lines.exists() or self.lines.read_bytes().count(b"\n") <= index:
-                time.sleep(0.01)
-            if self.lines.read_bytes().count(b'"tracked"') >= 3:
-                return
+        return delivered_as_tracked(self.pictures, self.lines)
 
     def close(self) -> None:
         pass

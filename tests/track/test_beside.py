@@ -88,7 +88,7 @@ class _NoProcess:
 
 def test_all_pictures_near_a_search_are_sent_then_some(film: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     context = _NoProcess()
-    monkeypatch.setattr("torchhand.track.beside.get_context", lambda _: context)
+    monkeypatch.setattr("torchhand.track.messages.get_context", lambda _: context)
     make = partial(Tracker, right_hand(), film.camera, settings_of("contour_planar"))
     with SearchBeside(make) as beside:
         context.there.send_bytes(packed(READY))

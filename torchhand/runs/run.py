@@ -74,15 +74,14 @@ class Run:
         metres: float = 1.0,
         keypoints: KeypointSource | None = None,
         beside: SearchBeside | None = None,
-        ahead: ScenesAhead | None = None,
     ) -> None:
         """provenance: of the proportions, for hand.json. state: with which to begin. metres: of the recording's
         unit. keypoints: what gives those of its frames. beside: what searches for the tracker where pictures do not
-        wait. ahead: what makes the next frame's scene for it."""
+        wait."""
         self.recording, self.tracker, self.metres = recording, tracker, metres
         self.keypoints = keypoints
         self._step = tracker.step if beside is None else beside.step
-        self.ahead = ahead
+        self.ahead: ScenesAhead | None = None  # what makes the next frame's scene, while there is such a process
         self._followed_px: Float[Tensor, "views 21 2"] | None = None
         self.state, self._provenance = state, dict(provenance)
         self._smoother = Smoother(tracker, tracker.settings.smoothing_window_s)

@@ -4,11 +4,8 @@ import contextlib
 import logging
 import os
 import pickle
-import signal
-import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
 from types import TracebackType
@@ -18,9 +15,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.devices import is_host
-from torchhand.track.beside import without_main
 from torchhand.track.knowledge import Estimate, TrackerState
-from torchhand.track.messages import READY, packed
+from torchhand.track.messages import READY, OtherProcess, packed, served
 from torchhand.track.multiview import Hull
 from torchhand.track.scene import Appearances, PackedMask, View
 from torchhand.track.tracker import Foreseen, Tracker
@@ -84,25 +80,20 @@ class ScenesAhead:
     def __init__(self, make: Callable[[], Tracker], tracker: Tracker) -> None:
         """make: makes a tracker like `tracker` in the other process; picklable, such as a `functools.partial`."""
         self._tracker = tracker
-        context = get_context("spawn")
-        self._connection, self._theirs = context.Pipe()
-        self._process = context.Process(target=serve, args=(self._theirs, packed(make)), name="scenes", daemon=True)
+        self._process = OtherProcess(serve, make, "makes scenes")
         self._memory: SharedMemory | None = None
         self._is_ready = False
         self._ordered: Frame | None = None
 
     def __enter__(self) -> "ScenesAhead":
-        with without_main():
-            self._process.start()
-        self._theirs.close()
+        self._process.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._process.kill()  # it has nothing to keep
-        self._process.join()
-        self._connection.close()
+        self._process.kill()
+        self._process.connection.close()
         if self._memory is not None:
             self._memory.close()
             self._memory.unlink()
@@ -110,7 +101,7 @@ class ScenesAhead:
     def wait(self) -> None:
         """Until the other process has begun; without it, the first frames are done here alone."""
         if not self._is_ready:
-            self._is_ready = self._received() == READY
+            self._is_ready = self._process.received() == READY
 
     def step(
         self, state: TrackerState | None, views: Sequence[View], time_s: float, following: Frame | None = None
@@ -141,12 +132,12 @@ class ScenesAhead:
             time_s=next_s,
             expected=expected,
         )
-        self._connection.send_bytes(packed(order))
+        self._process.connection.send_bytes(packed(order))
         self._ordered = following
 
     def _has_begun(self) -> bool:
-        if not self._is_ready and self._connection.poll():
-            self._is_ready = self._received() == READY
+        if not self._is_ready and self._process.connection.poll():
+            self._is_ready = self._process.received() == READY
         return self._is_ready
 
     def _delivered(self, frame: Frame) -> Foreseen | None:
@@ -154,23 +145,13 @@ class ScenesAhead:
         if self._ordered is None:
             return None
         (views, time_s), self._ordered = self._ordered, None
-        found = self._received()
+        found = self._process.received()
         assert isinstance(found, _Delivery)
         is_same = time_s == frame[1] and len(views) == len(frame[0])
         if not is_same or not all(map(_shows_the_same, views, frame[0])):
             return None
         masks = tuple(None if mask is None else mask.mask() for mask in found.masks)
         return Foreseen(appearance=found.appearance, masks=masks, hull=found.hull)
-
-    def _received(self) -> object:
-        try:
-            message = pickle.loads(self._connection.recv_bytes())
-        except (EOFError, OSError) as error:
-            self._process.join()
-            raise RuntimeError(f"the process that makes scenes ended (exit code {self._process.exitcode})") from error
-        if isinstance(message, Exception):
-            raise message
-        return message
 
     def _shared(self, views: Sequence[View]) -> tuple[tuple[_Picture | None, _Picture | None], ...] | None:
         """The views' pictures, copied to the shared memory; None where there is none or they lie on a device."""
@@ -201,25 +182,17 @@ def _shows_the_same(one: View, other: View) -> bool:
 
 
 def serve(connection: Connection, make: bytes) -> None:
-    """Make scenes until nobody is at the other end. make: a pickled function that makes the tracker.
+    """Make scenes until nobody is at the other end (`served`). make: a pickled function that makes the tracker."""
 
-    Answers with an error in place of a scene where one occurs, and ends.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the tracker's to see
-    torch.set_num_threads(1)
-    memory: SharedMemory | None = None
-    try:
-        tracker = pickle.loads(make)()
-        connection.send_bytes(packed(READY))
+    def work(tracker: Tracker) -> None:
+        memory: SharedMemory | None = None
         while True:
             order = pickle.loads(connection.recv_bytes())
             if memory is None or memory.name != order.memory:
                 memory = SharedMemory(name=order.memory)
             connection.send_bytes(packed(_made(tracker, order, memory)))
-    except (BrokenPipeError, EOFError, ConnectionResetError):
-        return
-    except Exception:
-        connection.send_bytes(packed(RuntimeError(traceback.format_exc())))
+
+    served(connection, make, work)
 
 
 def _cores() -> int:

@@ -2,18 +2,15 @@
 
 import contextlib
 import logging
-import pickle
 import queue
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from multiprocessing import get_context
-from types import ModuleType, TracebackType
+from types import TracebackType
 
 from torchhand.track.knowledge import Estimate, TrackerState, restored_state, saved_state
-from torchhand.track.messages import Answer, Request, Reshape, Search, SeenFrame, packed
+from torchhand.track.messages import READY, Answer, OtherProcess, Request, Reshape, Search, SeenFrame, packed
 from torchhand.track.scene import View
 from torchhand.track.tracker import Tracker
 from torchhand.track.worker import FOLLOWING, serve
@@ -42,10 +39,7 @@ class SearchBeside:
     def __init__(self, make: Callable[[], Tracker]) -> None:
         """make: makes the tracker, here and in the other process; picklable, such as a `functools.partial`."""
         self.tracker = make()
-        context = get_context("spawn")
-        self._connection, theirs = context.Pipe()
-        self._process = context.Process(target=serve, args=(theirs, packed(make)), name="search", daemon=True)
-        self._theirs = theirs
+        self._process = OtherProcess(serve, make, "searches")
         self._messages: queue.Queue[Request | SeenFrame | None] = queue.Queue()
         self._sender = threading.Thread(target=self._send, name="searches", daemon=True)
         self._number, self._is_ready = 0, False
@@ -54,9 +48,7 @@ class SearchBeside:
         self._sent_s, self._rest_until_s = 0.0, 0.0
 
     def __enter__(self) -> "SearchBeside":
-        with without_main():
-            self._process.start()
-        self._theirs.close()
+        self._process.start()
         self._sender.start()
         return self
 
@@ -64,10 +56,9 @@ class SearchBeside:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._messages.put(None)
-        self._process.kill()  # it has nothing to keep
-        self._process.join()
+        self._process.kill()
         self._sender.join()
-        self._connection.close()
+        self._process.connection.close()
 
     @property
     def is_ready(self) -> bool:
@@ -92,11 +83,12 @@ class SearchBeside:
         """The state with the proportions that were fitted meanwhile; and what was known of a hand that the last search
         has found, at one of the last frames, None where there is nothing new."""
         found = None
-        while self._connection.poll():
-            answer = self._received()
-            if answer is None:
+        while self._process.connection.poll():
+            answer = self._process.received()
+            if answer == READY:
                 self._is_ready = True
                 continue
+            assert isinstance(answer, Answer)
             asked, self._asked = self._asked, None
             known = None
             if answer.state is not None and answer.number == self._number:  # else it was forgotten meanwhile
@@ -110,17 +102,6 @@ class SearchBeside:
             self._rest_until_s = time.monotonic() + answer.seconds
             found = found if known is None else known
         return state, found
-
-    def _received(self) -> Answer | None:
-        """The next message, None where it says that requests may be made."""
-        try:
-            message = pickle.loads(self._connection.recv_bytes())
-        except (EOFError, OSError) as error:
-            self._process.join()
-            raise RuntimeError(f"the process that searches ended (exit code {self._process.exitcode})") from error
-        if isinstance(message, Exception):
-            raise message
-        return message if isinstance(message, Answer) else None
 
     def _offer(
         self, before: TrackerState | None, after: TrackerState, views: Sequence[View], estimate: Estimate
@@ -149,7 +130,7 @@ class SearchBeside:
     def _send(self) -> None:
         with contextlib.suppress(OSError):  # nobody is there any more: who reads answers says so
             while (message := self._messages.get()) is not None:
-                self._connection.send_bytes(packed(message))
+                self._process.connection.send_bytes(packed(message))
 
 
 def _reshaped(state: TrackerState, fitted: TrackerState, asked: Reshape) -> TrackerState:
@@ -159,17 +140,6 @@ def _reshaped(state: TrackerState, fitted: TrackerState, asked: Reshape) -> Trac
     if fitted.shape_frames is not None and state.shape_frames is not None:
         frames = (*fitted.shape_frames, *state.shape_frames[sent:])
     return replace(state, shape=fitted.shape, shape_frames=frames, shape_fitted_to=fitted.shape_fitted_to)
-
-
-@contextlib.contextmanager
-def without_main() -> Iterator[None]:
-    """Processes that begin here do not run the program's own script first, as others do: it tracks, too."""
-    main = sys.modules["__main__"]
-    sys.modules["__main__"] = ModuleType("__main__")
-    try:
-        yield
-    finally:
-        sys.modules["__main__"] = main
 
 
 @contextlib.contextmanager

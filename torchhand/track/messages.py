@@ -1,9 +1,16 @@
-"""What a tracker and the process that searches for it tell each other."""
+"""Processes that work for a tracker, each with a tracker of its own, and what they tell each other."""
 
+import contextlib
 import io
 import pickle
-from collections.abc import Mapping, Sequence
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from types import ModuleType
 from typing import Any
 
 import torch
@@ -13,7 +20,7 @@ from torchhand.devices import HOST, is_host, sent_to
 from torchhand.track.scene import View
 
 READY = "ready"
-"""Says that searches may begin."""
+"""Says that a process has its tracker: work may be asked for."""
 
 
 _AS_ARRAYS = (torch.uint8, torch.bool, torch.int16, torch.int32, torch.int64, torch.float32, torch.float64)
@@ -87,3 +94,68 @@ class _Pickler(pickle.Pickler):
         """How an object is made again."""
         is_array = type(obj) is Tensor and is_host(obj.device) and not obj.requires_grad and obj.dtype in _AS_ARRAYS
         return (torch.from_numpy, (obj.numpy(),)) if is_array else NotImplemented
+
+
+class OtherProcess:
+    """A process that works for a tracker, and the connection to it."""
+
+    def __init__(self, serve: Callable[[Connection, bytes], None], make: Callable[[], Any], does: str) -> None:
+        """serve: what it runs (`served`). make: makes its tracker; picklable. does: what it does, for errors."""
+        context = get_context("spawn")
+        self.connection, self._theirs = context.Pipe()
+        self._process = context.Process(target=serve, args=(self._theirs, packed(make)), name=does, daemon=True)
+        self._does = does
+
+    def start(self) -> None:
+        """Let it begin."""
+        with _without_main():
+            self._process.start()
+        self._theirs.close()
+
+    def kill(self) -> None:
+        """End it at once: it has nothing to keep."""
+        self._process.kill()
+        self._process.join()
+
+    def received(self) -> Any:
+        """The next message, once there is one.
+
+        Raises RuntimeError where the process has failed.
+        """
+        try:
+            message = pickle.loads(self.connection.recv_bytes())
+        except (EOFError, OSError) as error:
+            self._process.join()
+            raise RuntimeError(f"the process that {self._does} ended (exit code {self._process.exitcode})") from error
+        if isinstance(message, Exception):
+            raise message
+        return message
+
+
+def served(connection: Connection, make: bytes, work: Callable[[Any], None]) -> None:
+    """What another process does until nobody is at the other end.
+
+    make: a pickled function that makes its tracker. work: what is done with it, until it returns. Answers with the text
+    of an error in place of a result where one occurs, and ends.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the tracker's to see
+    torch.set_num_threads(1)
+    try:
+        tracker = pickle.loads(make)()
+        connection.send_bytes(packed(READY))
+        work(tracker)
+    except (BrokenPipeError, ConnectionResetError, EOFError):
+        return
+    except Exception:
+        connection.send_bytes(packed(RuntimeError(traceback.format_exc())))
+
+
+@contextlib.contextmanager
+def _without_main() -> Iterator[None]:
+    """Processes that begin here do not run the program's own script first, as others do: it tracks, too."""
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main

@@ -3,18 +3,14 @@
 import math
 import os
 import pickle
-import signal
 import threading
 import time
-import traceback
 from collections import deque
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 
-import torch
-
 from torchhand.track.knowledge import TrackerState, restored_state, saved_state
-from torchhand.track.messages import READY, Answer, Request, Reshape, Search, SeenFrame, packed
+from torchhand.track.messages import Answer, Request, Reshape, Search, SeenFrame, packed, served
 from torchhand.track.proposals import OCCASIONS, Occasion
 from torchhand.track.tracker import Tracker
 
@@ -127,22 +123,14 @@ class Searcher:
 
 
 def serve(connection: Connection, make: bytes) -> None:
-    """Search until nobody is at the other end. make: a pickled function that makes the tracker.
-
-    Answers with the text of an error in place of an `Answer` where one occurs, and ends.
-    """
+    """Search until nobody is at the other end (`served`). make: a pickled function that makes the tracker."""
     if hasattr(os, "nice"):
         os.nice(_NICENESS)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the tracker's to see
-    torch.set_num_threads(1)
-    try:
-        tracker = pickle.loads(make)()
+
+    def work(tracker: Tracker) -> None:
         inbox = Inbox(connection)
-        connection.send_bytes(packed(READY))
         searcher = Searcher(tracker, inbox.later_frame)
         while (request := inbox.next_request()) is not None:
             connection.send_bytes(packed(searcher(request)))
-    except (BrokenPipeError, EOFError):
-        return
-    except Exception:
-        connection.send_bytes(packed(RuntimeError(traceback.format_exc())))
+
+    served(connection, make, work)
