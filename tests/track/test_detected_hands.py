@@ -11,7 +11,17 @@ from tests.steps import FRAME_S, right_hand
 from tests.studio import StagedHand
 from torchhand.fit.keypoints import place_hand
 from torchhand.hand import DOFS, posture
-from torchhand.track import DEFAULTS, Estimate, HandKeypoints, Tracker, TrackerSettings, View
+from torchhand.image import dilate, disc_kernel
+from torchhand.track import (
+    DEFAULTS,
+    Estimate,
+    HandKeypoints,
+    Tracker,
+    TrackerSettings,
+    View,
+    restored_state,
+    saved_state,
+)
 
 CONTOUR = replace(DEFAULTS["contour"], pose_space="dof26")
 DISTANCE = replace(DEFAULTS["distance"], pose_space="dof26")
@@ -137,3 +147,34 @@ def test_a_hand_is_placed_anew_only_where_its_points_say_so(studio: Any, monkeyp
     assert not placings
     tracker.step(state, (View(image=fist.picture(seed=1), keypoints=_detected(fist)),), 2 * FRAME_S)
     assert placings
+
+
+def _grey(placed: StagedHand) -> Tensor:
+    """A picture whose wall has patches as bright and as dark as both halves of the hand."""
+    mask = placed.mask
+    y, x = torch.meshgrid(torch.arange(mask.shape[0]), torch.arange(mask.shape[1]), indexing="ij")
+    patches = torch.where((x // 9 + y // 9) % 2 == 0, 70, 180)
+    halo = dilate(mask, disc_kernel(3))
+    middle = float(placed.keypoints_px[9, 0])
+    level = torch.where(mask, torch.where(x < middle, 70, 180), torch.where(halo, 125, patches))
+    return level.to(torch.uint8)[..., None].expand(-1, -1, 3).contiguous()
+
+
+@BY_NAME
+def test_a_hand_that_colours_do_not_tell_is_followed_where_its_points_are(
+    studio: Any, settings: TrackerSettings
+) -> None:
+    """Through a checkpoint as well; without points nothing is found."""
+    placed = [studio.placed(size=0.8, at=(0.01 * i, 0.0)) for i in range(3)]
+    views = [View(image=_grey(one), keypoints=_detected(one, seed=i)) for i, one in enumerate(placed)]
+    tracker = Tracker(right_hand(), placed[0].camera, settings, shape=placed[0].shape)
+    state, estimate = tracker.step(None, views[:1], 0.0)
+    state = restored_state(saved_state(state))
+    for frame, (view, one) in enumerate(zip(views[1:], placed[1:], strict=True), 1):
+        state, estimate = tracker.step(state, (view,), frame * FRAME_S)
+        assert estimate.status == "tracked"
+        assert estimate.overlap is not None
+        assert estimate.overlap > 0.75
+        assert estimate.keypoints_px is not None
+        assert float((estimate.keypoints_px[0] - one.keypoints_px).norm(dim=-1).mean()) < 4.0
+    assert _steps(tracker, [replace(views[0], keypoints=None)])[0].status == "no_hand"

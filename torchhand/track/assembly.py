@@ -162,7 +162,7 @@ def _of_one_camera(
     sources: tuple[ProposalSource, ...] = (
         KeypointHand(kinematics=kinematics, cameras=(here,), settings=s.keypoints),
         search,
-        KeypointStart(fitter=fitter, settings=s.keypoints),
+        KeypointStart(fitter=fitter, settings=s.keypoints, min_overlap=s.health.found_overlap),
     )
     if s.learned_proposals and here.kind == "pinhole":
         sources += _by_network(own, fitter, plate, can_start=start_points is None)

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 
-from torchhand.fit import learn_appearance
+from torchhand.fit import Appearance, learn_appearance
 from torchhand.fit.detect.edge_fit import Fit
 from torchhand.fit.detect.start import (
     ContourFitter,
@@ -71,6 +71,7 @@ def test_an_open_hand_of_another_person_is_found(side: str, view: Any, backgroun
     assert start.quality <= start.overlap
     # the side is right: a hand turned over would have its palm's normal reversed
     assert float((start.fit.root_reference @ placed.root_reference.T).trace()) > 2.7
+    assert isinstance(start.appearance, Appearance)
     assert float(start.appearance.probability(placed.picture(scene))[placed.mask].mean()) > 0.9
 
 

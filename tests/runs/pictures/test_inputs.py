@@ -70,23 +70,33 @@ def test_keypoints_are_matched_by_name_and_tell_the_side(tmp_path: Path) -> None
     names, labels = np.array(["a.png", "b.png", "c.png"]), np.array(["Left", "Right", ""])
     file = PictureKeypointsFile(keypoints(tmp_path / "mp.npz", image=names, label=labels), side=None, count=5)
     found = file.hand(4, "b.png", IMAGE)
-    assert found is not None
-    hand, side = found
-    assert side == "left"  # MediaPipe's name of a hand in a picture that is no mirror image
-    assert hand.points_px[0].tolist() == [42.0, 43.0]
-    assert hand.score == pytest.approx(0.8)
-    assert (first := file.hand(0, "a.png", IMAGE)) is not None
-    assert first[1] == "right"
-    assert file.hand(0, "missing.png", IMAGE) is None
+    assert found.keypoints is not None
+    assert found.side == "left"  # MediaPipe's name of a hand in a picture that is no mirror image
+    assert found.keypoints.points_px[0].tolist() == [42.0, 43.0]
+    assert found.keypoints.score == pytest.approx(0.8)
+    assert file.hand(0, "a.png", IMAGE).side == "right"
     only = PictureKeypointsFile(tmp_path / "mp.npz", side="right", count=5)
-    assert only.hand(1, "b.png", IMAGE) is None
+    assert only.hand(1, "b.png", IMAGE).keypoints is None
+
+
+@pytest.mark.parametrize("side", [None, "right", "left"])
+def test_a_file_is_silent_where_it_tells_of_no_hand_in_a_picture(tmp_path: Path, side: Side | None) -> None:
+    names, labels = np.array(["a.png", "b.png", "c.png"]), np.array(["Left", "Right", ""])
+    path = keypoints(tmp_path / "mp.npz", image=names, label=labels)
+    with np.load(path) as stored:
+        told = dict(stored)
+    told["points_px"][2] = np.nan
+    np.savez(path, **told)
+    file = PictureKeypointsFile(path, side=side, count=5)
+    silent = {name: file.hand(0, name, IMAGE).is_silent for name in ("a.png", "b.png", "c.png", "missing.png")}
+    assert silent == {"a.png": False, "b.png": False, "c.png": True, "missing.png": False}
 
 
 def test_keypoints_without_names_are_in_the_pictures_order(tmp_path: Path) -> None:
     path = keypoints(tmp_path / "mp.npz")
     found = PictureKeypointsFile(path, side=None, count=3).hand(2, "any.png", IMAGE)
-    assert found is not None
-    assert found[1] is None
+    assert found.keypoints is not None
+    assert found.side is None
     with pytest.raises(InputError, match="one row for each of 2 pictures"):
         PictureKeypointsFile(path, side=None, count=2)
 
@@ -125,9 +135,31 @@ def test_a_detector_sees_every_picture_by_itself() -> None:
         detector = PictureDetector(side=own, hand_model=None, landmarker=landmarker)
         for level in (10, 20):
             found = detector.hand(0, "a.png", IMAGE + level)
-            assert found is not None
-            assert (found[1], float(found[0].points_px[3, 0])) == (side, level + further)
+            assert found.keypoints is not None
+            assert (found.side, float(found.keypoints.points_px[3, 0])) == (side, level + further)
     assert landmarker.opened == 6
+
+
+def test_a_detector_is_silent_where_it_finds_no_hand_of_either_side() -> None:
+    class Seen:
+        name = "seen"
+        hands: Sequence[HandDetection] = ()
+
+        def open(self, hands: int) -> "Seen":
+            return self
+
+        def detect(self, image: Tensor) -> Sequence[HandDetection]:
+            return self.hands
+
+        def close(self) -> None: ...
+
+    seen = Seen()
+    detector = PictureDetector(side="right", hand_model=None, landmarker=seen)
+    assert detector.hand(0, "a.png", IMAGE).is_silent
+    seen.hands = (_detected(1.0, "left", 0.9),)
+    found = detector.hand(0, "a.png", IMAGE)
+    assert found.keypoints is None
+    assert not found.is_silent
 
 
 def test_silhouettes_are_found_by_name(tmp_path: Path) -> None:

@@ -57,6 +57,7 @@ def test_better_evidence_than_a_right_hand_s_counts_as_this_and_what_is_open_doe
     assert counted(told, usual).tolist() == [1.0, -1.0, 3.0]
     model = LogisticModel(bias=0.5, weights=torch.tensor((1.0, 10.0, 2.0), dtype=torch.float64))
     assert HandOdds(model=model, usual=usual)(told) == 0.5 + 1 - 10 + 6
+    assert HandOdds(model=model, usual=usual).most == 0.5 + 1 + 20 + 6
 
 
 def test_the_model_of_the_package_asks_for_what_speaks_for_a_hand_and_tells_how_it_was_made() -> None:

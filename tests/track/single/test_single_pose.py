@@ -16,6 +16,7 @@ from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandPose, named_pose_space, posture
 from torchhand.track import HandKeypoints, View
 from torchhand.track.single import SinglePoseFitter, SinglePoseSettings
+from torchhand.track.single.evidence import SILENCE, hand_odds
 from torchhand.track.single.registration import PictureProblem, mixture
 
 FLEXIONS = [i for i, n in enumerate(DOFS) if n.endswith(("mcp_fe", "pip_fe")) and not n.startswith("thumb")]
@@ -185,6 +186,22 @@ def test_what_looks_like_something_else_is_refused_unless_a_detector_tells_of_it
     assert alone(seen, placed.camera, shape=placed.shape).estimate.status == "tracked"
     with pytest.raises(ValueError, match="alone_odds: expected a number below infinity"):
         SinglePoseSettings(alone_odds=float("inf"))
+
+
+def test_a_detector_that_finds_no_hand_speaks_against_one() -> None:
+    placed, by_default = staged("open"), fitter_alone()
+    view = View(image=placed.picture())
+    silent = replace(view, is_detector_silent=True)
+    assert by_default(view, placed.camera, shape=placed.shape).estimate.status == "tracked"
+    refused = by_default(silent, placed.camera, shape=placed.shape).estimate
+    assert refused.status == "no_hand"
+    assert refused.reason.startswith("the detector finds no hand")
+    masked = replace(silent, mask=placed.mask)
+    assert by_default(masked, placed.camera, shape=placed.shape).estimate.status == "tracked"
+    for above, status in ((-0.1, "tracked"), (0.1, "no_hand")):
+        settings = SinglePoseSettings(alone_odds=hand_odds().most + SILENCE + above)
+        alone = SinglePoseFitter(Studio().kinematics(), settings, sources=(aligned,))
+        assert alone(silent, placed.camera, shape=placed.shape).estimate.status == status
 
 
 def test_the_network_s_view_corrects_a_detector_that_tells_a_fist_half_open() -> None:

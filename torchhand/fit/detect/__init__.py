@@ -3,6 +3,7 @@
 from torchhand.fit.detect.alignment import Alignment, align_posture
 from torchhand.fit.detect.edge_fit import Fit, FitSettings
 from torchhand.fit.detect.facing import facing_rotation, turned_in_picture
+from torchhand.fit.detect.keypoint_cut import CutAtKeypoints
 from torchhand.fit.detect.start import (
     ContourFitter,
     NoStart,
@@ -11,6 +12,7 @@ from torchhand.fit.detect.start import (
     find_hand,
     fit_overlap,
     segment_hand,
+    start_at_keypoints,
     start_at_points,
     start_at_pose,
 )
@@ -18,6 +20,7 @@ from torchhand.fit.detect.start import (
 __all__ = [
     "Alignment",
     "ContourFitter",
+    "CutAtKeypoints",
     "Fit",
     "FitSettings",
     "NoStart",
@@ -28,6 +31,7 @@ __all__ = [
     "find_hand",
     "fit_overlap",
     "segment_hand",
+    "start_at_keypoints",
     "start_at_points",
     "start_at_pose",
     "turned_in_picture",

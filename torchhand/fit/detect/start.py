@@ -12,6 +12,7 @@ from torchhand.fit import Appearance, disc, learn_appearance, mask_plane
 from torchhand.fit.contour import hand_length_px, is_in_picture
 from torchhand.fit.detect.alignment import Alignment, align_points, align_posture
 from torchhand.fit.detect.edge_fit import Fit, FitSettings, fit_contour
+from torchhand.fit.detect.keypoint_cut import CutAtKeypoints, cut_at_keypoints
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandKinematics, HandPose
 from torchhand.image import (
@@ -74,7 +75,7 @@ class Start:
     """A hand found in a picture."""
 
     fit: Fit
-    appearance: Appearance
+    appearance: Appearance | CutAtKeypoints
     overlap: float
     """Intersection over union of the fitted hand and the picture's, forearm cut at the wrist."""
 
@@ -187,6 +188,23 @@ def start_at_pose(image: UInt8[Tensor, "height width 3"], pose: HandPose, fitter
         placed = fitter.fitted(mask, placed)
         start = Start(fit=placed, appearance=appearance, overlap=fitter.overlap(mask, placed))
     return start or NoStart(reason="the placed hand lies outside the picture", has_foreground=False)
+
+
+@on_host
+def start_at_keypoints(
+    image: UInt8[Tensor, "height width 3"], points_px: Float[Tensor, "21 2"], pose: HandPose, fitter: ContourFitter
+) -> Start | NoStart:
+    """Starts from a hand that is placed already, in the camera's frame, where a detector's keypoints are.
+
+    The silhouette is what a graph cut takes for the hand at these (`CutAtKeypoints`), whatever its colours are. A small
+    overlap is the caller's to judge.
+    """
+    mask = cut_at_keypoints(image, points_px)
+    if mask is None or not bool(mask.any()):
+        return NoStart(reason="the detected keypoints do not tell a silhouette", has_foreground=False)
+    at = pose.normalized()
+    placed = fitter.fitted(mask, Fit.of_start(at.dofs, at.reference, fitter.shape))
+    return Start(fit=placed, appearance=CutAtKeypoints(), overlap=fitter.overlap(mask, placed))
 
 
 def _spread(alignment: Alignment, factor: float) -> Alignment:

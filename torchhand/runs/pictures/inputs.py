@@ -113,6 +113,10 @@ class _OfSide:
     frames: dict[str, int] | None
     """Numbers of the frames by the pictures' names."""
 
+    def holds(self, number: int, name: str) -> bool:
+        """Whether the detector looked at a picture."""
+        return bool((self.found.frame == number).any()) if self.frames is None else name in self.frames
+
     def hand(self, number: int, name: str, width: int, height: int) -> HandDetection | None:
         """The hand of a picture of that size, px; None where there is none."""
         frame = number if self.frames is None else self.frames.get(name)
@@ -123,15 +127,24 @@ class _OfSide:
         return None if seen is None or in_picture is None else replace(in_picture, space=seen.space)
 
 
+@dataclass(frozen=True, kw_only=True)
+class PictureHand:
+    """What a detector found in a picture."""
+
+    keypoints: HandKeypoints | None = None
+    """Of a hand of the wanted side; None where there is none."""
+    side: Side | None = None
+    """Which hand they are of, where that is told."""
+    is_silent: bool = False
+    """Whether no hand was found, of either side."""
+
+
 @runtime_checkable
 class PictureKeypoints(Protocol):
     """Detected keypoints of single pictures, and which hand they are of."""
 
-    def hand(
-        self, number: int, name: str, image: UInt8[Tensor, "height width 3"]
-    ) -> tuple[HandKeypoints, Side | None] | None:
-        """The hand of a picture (its number and its file's name) and its side where that is told; None where none was
-        found."""
+    def hand(self, number: int, name: str, image: UInt8[Tensor, "height width 3"]) -> PictureHand:
+        """What is found in a picture: its number, and its file's name."""
         ...
 
 
@@ -148,9 +161,7 @@ class PictureDetector:
         self.name = self._landmarker.name
         """Program, version and model: the same name gives the same numbers."""
 
-    def hand(
-        self, number: int, name: str, image: UInt8[Tensor, "height width 3"]
-    ) -> tuple[HandKeypoints, Side | None] | None:
+    def hand(self, number: int, name: str, image: UInt8[Tensor, "height width 3"]) -> PictureHand:
         landmarks = self._landmarker.open(_HANDS)  # anew: what it finds depends on the pictures before
         hands = landmarks.detect(image)
         landmarks.close()
@@ -158,8 +169,8 @@ class PictureDetector:
             chosen = chosen_hand(hands, self._side)
         else:
             chosen = max(hands, key=lambda hand: hand.score, default=None)
-        keypoints = hand_keypoints(chosen)
-        return None if chosen is None or keypoints is None else (keypoints, chosen.label)
+        side = None if chosen is None else chosen.label
+        return PictureHand(keypoints=hand_keypoints(chosen), side=side, is_silent=not hands)
 
 
 class PictureKeypointsFile:
@@ -172,12 +183,13 @@ class PictureKeypointsFile:
         pictures and not of their names.
         """
         self._of_sides: dict[Side, _OfSide] = {}
+        self._wanted = _SIDES if side is None else (side,)
         problem: InputError | None = None
-        for own in _SIDES if side is None else (side,):
+        for own in _SIDES:
             try:
                 found = read_detections(path, side=own)
             except InputError as error:
-                problem = error
+                problem = error if own in self._wanted else problem
                 continue
             if found.picture is None:
                 raise InputError(f"{path}: expected points in the picture, got points in space alone")
@@ -185,16 +197,16 @@ class PictureKeypointsFile:
             rows = _rows_of_names(path, names, len(found), count)
             frames = None if rows is None else {name: int(found.frame[row]) for name, row in rows.items()}
             self._of_sides[own] = _OfSide(found=found, frames=frames)
-        if problem is not None and not self._of_sides:
+        if problem is not None and not any(own in self._of_sides for own in self._wanted):
             raise problem
 
-    def hand(
-        self, number: int, name: str, image: UInt8[Tensor, "height width 3"]
-    ) -> tuple[HandKeypoints, Side | None] | None:
+    def hand(self, number: int, name: str, image: UInt8[Tensor, "height width 3"]) -> PictureHand:
         height, width = int(image.shape[0]), int(image.shape[1])
-        for own in self._of_sides.values():
+        is_silent = any(own.holds(number, name) for own in self._of_sides.values())
+        for side, own in self._of_sides.items():
             seen = own.hand(number, name, width, height)
             keypoints = hand_keypoints(seen)
-            if seen is not None and keypoints is not None:
-                return keypoints, seen.label
-        return None
+            is_silent &= keypoints is None
+            if seen is not None and keypoints is not None and side in self._wanted:
+                return PictureHand(keypoints=keypoints, side=seen.label)
+        return PictureHand(is_silent=is_silent)

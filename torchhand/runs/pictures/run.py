@@ -32,6 +32,7 @@ from torchhand.runs.pictures.bounded import BoundedView
 from torchhand.runs.pictures.inputs import (
     CameraOf,
     PictureDetector,
+    PictureHand,
     PictureKeypoints,
     PictureKeypointsFile,
     cameras_of,
@@ -96,10 +97,10 @@ class _Pictures:
         height, width = int(image.shape[0]), int(image.shape[1])
         mask = mask_of(path, request.masks, (height, width))
         side: Side = request.side or "right"
-        found = None if self.keypoints is None else self.keypoints.hand(number, path.name, image)
-        if found is not None and request.side is None:
-            side = found[1] or side
-        view = View(image=image, mask=mask, keypoints=None if found is None else found[0])
+        found = PictureHand() if self.keypoints is None else self.keypoints.hand(number, path.name, image)
+        if found.keypoints is not None and request.side is None:
+            side = found.side or side
+        view = View(image=image, mask=mask, keypoints=found.keypoints, is_detector_silent=found.is_silent)
         return view, self.camera(number, width, height), side
 
 

@@ -8,6 +8,7 @@ import torch
 
 from torchhand.devices import HOST, sent_to
 from torchhand.fit import Appearance
+from torchhand.fit.detect import CutAtKeypoints
 from torchhand.hand import HandPose
 from torchhand.image import ColourModel, SkinModel
 from torchhand.numerics import Gaussian
@@ -28,6 +29,7 @@ _RECORDS = {
         Appearance,
         ColourModel,
         LearnedSkin,
+        CutAtKeypoints,
         SkinModel,
     )
 }

@@ -4,7 +4,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from torchhand.fit.detect import ContourFitter, NoStart, start_at_pose
+from torch import Tensor
+
+from torchhand.fit.detect import ContourFitter, NoStart, Start, start_at_keypoints, start_at_pose
 from torchhand.fit.keypoints import KeypointSettings
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandKinematics, HandPose
@@ -44,11 +46,13 @@ class KeypointHand:
 @dataclass(frozen=True, kw_only=True)
 class KeypointStart:
     """One camera: the first hand, where the points are, with its colours, and its proportions where these are not
-    known."""
+    known. A hand that its colours do not tell from its surroundings is found at the points in every picture."""
 
     fitter: ContourFitter
     """How that hand is fitted."""
     settings: KeypointSettings
+    min_overlap: float
+    """Smallest intersection over union with what has its colours, with which these are believed; 0 to 1."""
 
     @property
     def occasion(self) -> Occasion:
@@ -63,12 +67,22 @@ class KeypointStart:
         pose = detected_hand(scene, (own.camera,), own.kinematics, self.settings, own.shape)
         if pose is None:
             return Proposals()
-        start = start_at_pose(image, pose, fitter_of(pose, own))
+        start = self._start(image, scene, pose)
         if isinstance(start, NoStart):
             return Proposals(reason=start.reason, has_foreground=start.has_foreground)
         fitted = HandPose.of(start.fit.pose, start.fit.root_reference)
         proposed = Proposed(pose=fitted, shape=start.fit.shape, appearance=start.appearance)
         return Proposals(hands=(proposed,), has_foreground=True)
+
+    def _start(self, image: Tensor, scene: Scene, pose: HandPose) -> Start | NoStart:
+        own, keypoints = fitter_of(pose, self.fitter), scene.views[0].keypoints
+        by_colours = start_at_pose(image, pose, own)
+        overlap = 0.0 if isinstance(by_colours, NoStart) else by_colours.overlap
+        if keypoints is None or overlap >= self.min_overlap:
+            return by_colours
+        by_points = start_at_keypoints(image, keypoints.points_px, pose, own)
+        is_better = isinstance(by_points, Start) and by_points.overlap > overlap
+        return by_points if is_better else by_colours
 
 
 def fitter_of(pose: HandPose, fitter: ContourFitter) -> ContourFitter:

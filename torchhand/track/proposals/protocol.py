@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.fit import Appearance
+from torchhand.fit.detect import CutAtKeypoints
 from torchhand.hand import HandPose
 from torchhand.track.knowledge import TrackerState
 from torchhand.track.scene import Candidate, Scene
@@ -23,7 +24,7 @@ class Proposed:
     """The proposal as its update rule evaluates it, where the proposal has done so already."""
     shape: Float[Tensor, "shape"] | None = None
     """Proportions that were fitted together with the pose; None where the known ones were used."""
-    appearance: Appearance | None = None
+    appearance: Appearance | CutAtKeypoints | None = None
     """Appearance of the hand, where that was learned with it."""
 
 

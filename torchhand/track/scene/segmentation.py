@@ -10,13 +10,14 @@ from torch import Tensor
 from torchhand.errors import require
 from torchhand.fit import Appearance, relearned
 from torchhand.fit.contour import hand_length_px
+from torchhand.fit.detect import CutAtKeypoints
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics, HandPose
 from torchhand.track.scene.silhouettes import LearnedSkin, ViewSilhouettes
 from torchhand.track.scene.views import Scene, View
 from torchhand.view import HandProjector
 
-Appearances = tuple[Appearance | LearnedSkin | None, ...]
+Appearances = tuple[Appearance | CutAtKeypoints | LearnedSkin | None, ...]
 """Appearance of the hand, view by view; None where nothing is known."""
 
 _MARGIN = 0.015  # along the outline, colours are nobody's, hand lengths
@@ -71,9 +72,11 @@ class ColourSegmentation:
         """The views as a scene. Without appearances nothing is told of the silhouette: the search for a hand makes its
         own."""
         [view] = views
-        probability = None
-        if appearances and isinstance(appearances[0], Appearance) and view.image is not None:
-            probability = appearances[0].probability(view.image)
+        probability, known = None, appearances[0] if appearances else None
+        if isinstance(known, Appearance) and view.image is not None:
+            probability = known.probability(view.image)
+        elif isinstance(known, CutAtKeypoints) and view.image is not None and view.keypoints is not None:
+            probability = known.probability(view.image, view.keypoints.points_px)
         return Scene(views=(view,), masks=(view.mask,), probabilities=(probability,), time_s=time_s)
 
     def learned(

@@ -47,6 +47,8 @@ class View:
     """The hand's silhouette where it is given, in place of one by colour."""
     keypoints: HandKeypoints | None = None
     """Keypoints of the hand where a detector found it."""
+    is_detector_silent: bool = False
+    """Whether a detector looked for hands in the picture and found none, of either side."""
 
     @property
     def is_empty(self) -> bool:

@@ -51,6 +51,7 @@ class WorkingViews:
             image=None if image is None else image.to(device),
             mask=None if mask is None else mask.to(device),
             keypoints=keypoints,
+            is_detector_silent=view.is_detector_silent,
         )
         self._last[index] = (used, view, own)
         return own

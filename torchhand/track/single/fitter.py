@@ -31,7 +31,7 @@ from torchhand.track.scene import (
     scene_keypoints,
     seen_posture,
 )
-from torchhand.track.single.evidence import evidence_for, hand_odds, supported
+from torchhand.track.single.evidence import SILENCE, evidence_for, hand_odds, supported
 from torchhand.track.single.registration import PictureProblem, Registered
 from torchhand.track.single.settings import SinglePoseSettings
 from torchhand.track.single.silhouette import cut_at, oval_overlap, silhouette_at, silhouettes_by_skin
@@ -126,6 +126,8 @@ class SinglePoseFitter:
     def _found(self, view: View, camera: Camera, shape: Float[Tensor, "shape"] | None) -> SinglePose:
         work = _Work.of(view, camera, self.settings.max_side_px)
         known = self.kinematics.default_shape if shape is None else shape.double()
+        if work.speaks_against and hand_odds().most < self._needed_odds(work):
+            return _refused("the detector finds no hand, which nothing else in a picture outweighs", known)
         best = self._with_keypoints(work, known, shape is not None)
         if best is None or best.objection:
             best = self._better(best, self._alone(work, known, shape is not None))
@@ -158,13 +160,18 @@ class SinglePoseFitter:
         found = self._hypotheses(work, shape, is_shape_known)
         if not found:
             return None
-        best = max(found, key=lambda one: one.odds)
-        if best.judged.objection or best.odds >= self.settings.alone_odds:
+        best, needed = max(found, key=lambda one: one.odds), self._needed_odds(work)
+        if best.judged.objection or best.odds >= needed:
             return best.judged
-        told = f"log odds {best.odds:.1f}, {self.settings.alone_odds:g} or more expected"
+        told = f"log odds {best.odds:.1f}, {needed:.3g} or more expected"
+        told += ", as the detector finds no hand" if work.speaks_against else ""
         return replace(
             best.judged, objection=f"what has its colours is more likely something else than a hand ({told})"
         )
+
+    def _needed_odds(self, work: "_Work") -> float:
+        """Logarithm of the odds with which a hand is believed that no detected keypoints tell of."""
+        return self.settings.alone_odds - (SILENCE if work.speaks_against else 0.0)
 
     def _hypotheses(self, work: "_Work", shape: Tensor, is_shape_known: bool) -> list[HandHypothesis]:
         """A hand on every silhouette, and those on the silhouettes that the likeliest of them gives."""
@@ -173,7 +180,7 @@ class SinglePoseFitter:
         first = [one for one in found if one is not None]
         told = [self._weighed(work, one, [other for other in first if other is not one]) for one in first]
         best = max(told, key=lambda one: one.odds, default=None)
-        if best is None or work.mask is not None or best.odds < self.settings.alone_odds - _HOPELESS:
+        if best is None or work.mask is not None or best.odds < self._needed_odds(work) - _HOPELESS:
             return told
         others = [one for one in first if one is not best.judged]
         again = self._recut(work, best.judged, shape, is_shape_known)
@@ -334,6 +341,12 @@ class _Work:
     image: Tensor | None
     mask: Tensor | None
     keypoints: HandKeypoints | None
+    is_detector_silent: bool
+
+    @property
+    def speaks_against(self) -> bool:
+        """Whether a detector finds no hand in a picture of which nobody else has found one."""
+        return self.is_detector_silent and self.mask is None
 
     @cached_property
     def plain(self) -> Scene:
@@ -361,7 +374,13 @@ class _Work:
             mask = None if mask is None else _shrunk(255 * mask.to(torch.uint8), size) > 127
             keypoints = _scaled(keypoints, scale)
         seen = sent_to(View(image=image, mask=mask, keypoints=keypoints), device)
-        return cls(camera=here, image=seen.image, mask=seen.mask, keypoints=seen.keypoints)
+        return cls(
+            camera=here,
+            image=seen.image,
+            mask=seen.mask,
+            keypoints=seen.keypoints,
+            is_detector_silent=view.is_detector_silent,
+        )
 
     def scene(self, mask: Tensor | None) -> Scene:
         return Scene(

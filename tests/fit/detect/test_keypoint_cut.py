@@ -1,0 +1,42 @@
+"""Silhouettes at a detector's keypoints."""
+
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from torchhand.fit.detect.keypoint_cut import CutAtKeypoints, cut_at_keypoints
+from torchhand.image import intersection_over_union
+
+
+def _before_more_skin(placed: Any) -> Tensor:
+    """The hand before a wall of its own colours, a little darker about its outline."""
+    image = placed.picture(seed=1).float()
+    colour = image[placed.mask].mean(0)
+    image[~placed.mask] = 0.8 * colour
+    return image.to(torch.uint8)
+
+
+@pytest.mark.parametrize("scale", [1, 3])
+def test_the_hand_is_cut_out_of_a_wall_of_its_colours(scale: int, studio: Any) -> None:
+    """Without its forearm, in pictures of any size."""
+    placed = studio.placed(size=0.7, camera=studio.camera(scale * 200, scale * 160))
+    cut = cut_at_keypoints(_before_more_skin(placed), placed.keypoints_px)
+    assert cut is not None
+    near = torch.zeros_like(cut)
+    top, bottom = (round(float(one)) for one in placed.keypoints_px[:, 1].aminmax())
+    near[max(0, top - 5) : bottom + 5] = True
+    assert float(intersection_over_union(cut, placed.mask, near, empty=0.0)) > 0.8
+    told = CutAtKeypoints().probability(_before_more_skin(placed), placed.keypoints_px)
+    assert told is not None
+    assert torch.equal(told > 0.5, cut)
+
+
+def test_keypoints_that_are_missing_or_elsewhere_tell_no_silhouette(studio: Any) -> None:
+    placed = studio.placed()
+    image, missing = placed.picture(), placed.keypoints_px.clone()
+    missing[4] = torch.nan
+    for points in (missing, placed.keypoints_px + 5000.0):
+        assert cut_at_keypoints(image, points) is None
+        assert CutAtKeypoints().probability(image, points) is None
