@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from torchhand.errors import InputError
-from torchhand.files.pictures import webcam
+from torchhand.files.pictures import container, webcam
 from torchhand.files.pictures.frame_source import FrameRange
 from torchhand.files.pictures.frames import open_source, sequences_of
 
@@ -107,6 +107,34 @@ def test_a_video_is_read_from_its_address(make_video):
 class _QuietHandler(http.server.SimpleHTTPRequestHandler):
     def log_message(self, format: str, *args: object) -> None:
         pass
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.ts"])
+def test_a_server_that_tells_no_length_gives_every_frame(make_clip, picture, name: str):
+    options = {"bf": "3", "movflags": "+faststart"} if name == "a.mp4" else {"bf": "3"}
+    data = make_clip(name, [picture(i) for i in range(20)], options=options).read_bytes()
+
+    class Handler(_QuietHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.end_headers()
+            self.wfile.write(data)
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        with open_source(f"http://127.0.0.1:{server.server_port}/{name}") as source:
+            frames = list(source)  # the decoder holds back the last ones until it is told that no more come
+        server.shutdown()
+    assert [frame.index for frame in frames] == list(range(20))
+    assert name == "a.ts" or source.ended_early is None  # all that its container counts; a stream counts none
+
+
+def test_an_address_that_says_nothing_is_told_so(monkeypatch):
+    monkeypatch.setattr(container, "_PATIENCE_S", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"http://127.0.0.1:{silent.getsockname()[1]}/a.ts"
+        with pytest.raises(InputError, match=r"/a.ts: cannot be read \(nothing came for 0.5 s\)$"):
+            open_source(address)
 
 
 def test_a_video_comes_through_a_pipe_where_it_can_be_read_in_order(monkeypatch, make_video, make_clip):

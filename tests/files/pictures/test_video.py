@@ -164,6 +164,20 @@ def test_a_variable_rate_keeps_its_times(make_clip, picture):
         assert [frame.time_s for frame in source] == [frame.time_s for frame in frames[4:]]
 
 
+def test_a_variable_rate_is_no_lack_of_frames_but_a_file_that_is_cut_off_is(make_clip):
+    times_s = [0.04 * i + (0.4 if i >= 10 else 0.0) + 0.01 * (i % 2) for i in range(20)]  # 1.2 s, a pause in them
+    noise = np.random.default_rng(0).integers(0, 256, (20, 48, 64, 3), dtype=np.uint8)  # more bytes than any header
+    path = make_clip("clip.mkv", list(noise), codec="mjpeg", pix_fmt="yuvj420p", times_s=times_s)
+    with open_source(path) as source:
+        assert len(list(source)) == 20
+    assert source.ended_early is None
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with open_source(path) as source:
+        frames = list(source)
+    told = f"1.21 s, {len(frames)} frames could be read, the last at {frames[-1].time_s:.2f} s"
+    assert source.ended_early == f"{path}: the container promises {told}"
+
+
 @pytest.mark.parametrize(
     ("pts", "expected"),
     [

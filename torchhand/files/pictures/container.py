@@ -113,10 +113,18 @@ def _check_file(path: Path) -> None:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
 
 
+def reason_of(error: Exception) -> str:
+    """What FFmpeg says of a failure, in words for a user."""
+    from av.error import ExitError
+
+    if isinstance(error, ExitError):  # FFmpeg was told to give up: "Immediate exit requested"
+        return f"nothing came for {_PATIENCE_S:g} s"
+    return getattr(error, "strerror", None) or str(error)
+
+
 def _reason(place: Path | str, error: Exception) -> str:
-    told = getattr(error, "strerror", None) or str(error)
     if isinstance(place, Path):
         return "is no video that can be opened (cut off, corrupt or of an unknown format)"
     if place == STANDARD_INPUT:
         return UNORDERED
-    return f"cannot be read ({told})"
+    return f"cannot be read ({reason_of(error)})"

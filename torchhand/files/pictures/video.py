@@ -14,12 +14,12 @@ from jaxtyping import UInt8
 from torch import Tensor
 
 from torchhand.errors import InputError
-from torchhand.files.pictures.container import STANDARD_INPUT, UNORDERED, open_container, shown_address
+from torchhand.files.pictures.container import STANDARD_INPUT, UNORDERED, open_container, reason_of, shown_address
 from torchhand.files.pictures.frame_source import ASSUMED_FPS, Frame, FrameRange, FrameSource, check_size
 from torchhand.files.pictures.limits import size_problem
 
 if TYPE_CHECKING:
-    from av import VideoFrame, VideoStream
+    from av import Packet, VideoFrame, VideoStream
     from av.container import InputContainer
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
@@ -28,6 +28,8 @@ _PATIENCE = 300
 """Undecodable frames at the start after which a video holds none at all."""
 _LARGEST_FPS = 1000.0
 _LARGEST_COUNT = 10**8
+_SLACK_S = 0.25
+"""By which the pictures may end before the container does: its sound goes on for a few packets."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,18 @@ class _Decoded:
     """None where it could not be decoded."""
     pts: int | None
     """Presentation time in units of the stream; None where the container tells none."""
+
+
+@dataclass(frozen=True)
+class _Promise:
+    """How long a video is by its container's own account."""
+
+    count: int | None
+    """Number of frames; None where nothing is told."""
+    is_counted: bool = False
+    """Whether the container counts its frames; else the number is that of its duration at the mean rate."""
+    duration_s: float | None = None
+    """From the first frame to the end, where the frames are not counted."""
 
 
 class VideoSource(FrameSource):
@@ -56,8 +70,8 @@ class VideoSource(FrameSource):
         self._container, self._stream = open_container(place)
         self.fps, unit_s = _rate_and_unit(self._stream)
         self._clock = _Clock(unit_s, 1 / self.fps)
-        self._promised = _promised(self._container, self._stream, self.fps)
-        self.count = frames.within(self._promised)
+        self._promise = _promised(self._container, self._stream, self.fps)
+        self.count = frames.within(self._promise.count)
         self._network_problem: str | None = None
         self._decoded = self._in_order()
         # Everything up to the first good frame is read here, for its size, and handed out later.
@@ -84,6 +98,7 @@ class VideoSource(FrameSource):
         wanted, index = self._frames, 0
         if wanted.within(None) == 0:
             return
+        last_s = 0.0
         lost: list[tuple[int, float]] = []  # those at the very end are where the video breaks off
         for one in self._all():
             time_s = self._clock(one.pts)
@@ -95,6 +110,7 @@ class VideoSource(FrameSource):
                         problem = f"{self._what}: frame {number} is corrupt"
                         yield Frame(index=number, time_s=lost_s, image=None, problem=problem)
                 lost.clear()
+                last_s = time_s
                 if wanted.holds(index):
                     image = _upright_rgb(one.frame)
                     check_size(f"{self._what}, frame {index}", image, width=self.width, height=self.height)
@@ -102,19 +118,29 @@ class VideoSource(FrameSource):
             index += 1
             if wanted.end is not None and index >= wanted.end and not lost:
                 return
-        self._report_end(index - len(lost))
+        self._report_end(index - len(lost), last_s)
 
     def close(self) -> None:
         self._container.close()
 
-    def _report_end(self, total: int) -> None:
-        """Called with the number of frames that the video turned out to hold."""
+    def _report_end(self, total: int, last_s: float) -> None:
+        """Called with the number of frames that the video turned out to hold, and the time of the last of them."""
         if total <= self._frames.start:
             raise InputError(f"{self._what}: start {self._frames.start} lies after the last frame ({total - 1})")
-        if self._network_problem is not None:
+        promise = self._promise
+        if promise.is_counted and promise.count is not None:
+            if total < promise.count:
+                why = f" ({self._network_problem})" if self._network_problem else ""
+                self.ended_early = (
+                    f"{self._what}: the container promises {promise.count} frames, {total} could be read{why}"
+                )
+        elif self._network_problem is not None:
             self.ended_early = f"{self._what}: ended after {total} frames ({self._network_problem})"
-        elif self._promised is not None and total < self._promised:
-            self.ended_early = f"{self._what}: the container promises {self._promised} frames, {total} could be read"
+        elif promise.duration_s is not None and last_s + self._clock.longest_s + _SLACK_S < promise.duration_s:
+            self.ended_early = (
+                f"{self._what}: the container promises {promise.duration_s:.2f} s, "
+                f"{total} frames could be read, the last at {last_s:.2f} s"
+            )
 
     def _all(self) -> Iterator[_Decoded]:
         while self._peeked:
@@ -126,19 +152,11 @@ class VideoSource(FrameSource):
         from av.error import FFmpegError
 
         failed: list[int | None] = []
-        packets = self._container.demux(self._stream)
-        while True:
+        for packet in self._packets():
             try:
-                packet = next(packets, None)
-            except FFmpegError as error:  # what follows is not there, or cannot be told from other things
-                self._network_problem = error.strerror if error.errno and error.errno > 0 else None
-                packet = None
-            if packet is None:
-                break
-            try:
-                frames = packet.decode()
+                frames = packet.decode() if packet is not None else self._stream.codec_context.decode(None)
             except FFmpegError:
-                failed.append(packet.pts)
+                failed.append(packet.pts if packet is not None else None)
                 continue
             for frame in frames:
                 pts = frame.pts
@@ -147,6 +165,16 @@ class VideoSource(FrameSource):
                 yield from (_Decoded(None, one) for one in before)
                 yield _Decoded(frame, pts)
         yield from (_Decoded(None, one) for one in failed)
+
+    def _packets(self) -> Iterator["Packet | None"]:
+        """Packets as they come. None where they break off: the decoder is to give what it still holds."""
+        from av.error import FFmpegError
+
+        try:
+            yield from self._container.demux(self._stream)
+        except FFmpegError as error:  # what follows is not there, or cannot be told from other things
+            self._network_problem = reason_of(error) if error.errno and error.errno > 0 else None
+            yield None
 
 
 class _Clock:
@@ -157,6 +185,8 @@ class _Clock:
         self._unit_s, self._step_s = unit_s, step_s
         self._first: int | None = None
         self._count, self._last_s = 0, -1.0
+        self.longest_s = step_s
+        """Longest time between two frames so far."""
 
     def __call__(self, pts: int | None) -> float:
         """Of the next frame."""
@@ -165,6 +195,8 @@ class _Clock:
             time_s = 0.0
         elif time_s is None or time_s <= self._last_s:
             time_s = self._last_s + self._step_s
+        if self._count > 0:
+            self.longest_s = max(self.longest_s, time_s - self._last_s)
         self._count, self._last_s = self._count + 1, time_s
         return time_s
 
@@ -203,14 +235,18 @@ def _rate_and_unit(stream: "VideoStream") -> tuple[float, float]:
     return (rate, float(stream.time_base or 0)) if is_credible else (ASSUMED_FPS, 0.0)
 
 
-def _promised(container: "InputContainer", stream: "VideoStream", fps: float) -> int | None:
-    """Frames by the container's own account; by its duration where it does not count them."""
-    count = stream.frames
-    if count <= 0 and stream.duration and stream.time_base:
-        count = round(stream.duration * float(stream.time_base) * fps)
-    elif count <= 0 and container.duration:
-        count = round(container.duration / 1e6 * fps)
-    return count if 0 < count < _LARGEST_COUNT else None
+def _promised(container: "InputContainer", stream: "VideoStream", fps: float) -> _Promise:
+    if 0 < stream.frames < _LARGEST_COUNT:
+        return _Promise(stream.frames, is_counted=True)
+    duration_s = 0.0
+    if stream.duration and stream.time_base:
+        duration_s = float(stream.duration * stream.time_base)
+    elif container.duration:
+        duration_s = container.duration / 1e6
+        if stream.start_time is not None and stream.time_base and container.start_time is not None:
+            duration_s -= max(0.0, float(stream.start_time * stream.time_base) - container.start_time / 1e6)
+    count = round(duration_s * fps)
+    return _Promise(count, is_counted=False, duration_s=duration_s) if 0 < count < _LARGEST_COUNT else _Promise(None)
 
 
 def _quarter_turns(frame: "VideoFrame") -> int:
