@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from torchhand.export.clip import MotionClip
 from torchhand.export.conventions.mano import clip_of_mano, write_mano
 from torchhand.export.conventions.xr_recording import clip_of_xr_recording, webxr_name
 from torchhand.files import save_hand
-from torchhand.geometry import quaternion_of_rotation
+from torchhand.geometry import quaternion_of_rotation, rotation_from_vector
 from torchhand.hand import DOFS
 from torchhand.hand.conventions import OPENXR_JOINTS, openxr_joints
 
@@ -112,6 +113,53 @@ def test_recordings_that_lack_something_are_refused(clip: MotionClip, tmp_path: 
     path.write_text(json.dumps([{"joints": {}}]))
     with pytest.raises(InputError, match="expected the joints of one hand, left or right, got neither"):
         clip_of_xr_recording(path, clip.model)
+
+
+def _actions(clip: MotionClip) -> dict[str, Any]:
+    """As IWER's recorder writes it: joints in the frame of a target ray, another hand and an input without one."""
+    frames = clip.with_up("y").frames
+    joints = openxr_joints(frames)
+    ray_turn = rotation_from_vector(torch.tensor([0.4, -0.8, 0.3], dtype=torch.float64))
+    ray = torch.tensor([0.1, 1.2, -0.4], dtype=torch.float64)
+    places = (joints.position - ray) @ ray_turn
+    turns = quaternion_of_rotation(ray_turn.mT @ joints.rotation)
+    eight = torch.cat((places, turns, torch.full_like(places[..., :1], 0.01)), -1)[:, 1:].flatten(1).tolist()
+    pose, nothing = [*ray.tolist(), *quaternion_of_rotation(ray_turn).tolist()], [0.0] * 6 + [1.0]
+    names = [webxr_name(name) for name in OPENXR_JOINTS[1:]]
+    other = "left" if clip.side == "right" else "right"
+    schema = [
+        [0, {"handedness": other, "hasHand": False, "hasGrip": True, "hasGamepad": True}],
+        [1, {"handedness": clip.side, "hasHand": True, "hasGrip": True, "hasGamepad": True, "jointSequence": names}],
+        [2, {"handedness": other, "hasHand": True, "hasGrip": False, "hasGamepad": False, "jointSequence": names}],
+    ]
+    rows: list[list[Any]] = [
+        [521.0 + 40 * t, *nothing, [0, *nothing, nothing, [[1, 1, 0.3]]], [1, *pose, nothing, one, [[0, 0, 0]]]]
+        for t, one in enumerate(eight)
+    ]
+    rows[-1].append([2, *nothing, [0.0, 0, 0, 0, 0, 0, 1, 0.01] * len(names)])  # seen in one frame
+    return {"schema": schema, "frames": [*rows, [1000.0, *nothing]]}
+
+
+def test_recordings_of_an_emulator_of_webxr(clip: MotionClip, tmp_path: Path) -> None:
+    path = tmp_path / "recording.json"
+    content = _actions(clip)
+    path.write_text(json.dumps(content))
+    found = load_clip(path, side=clip.side)
+    _, fit = clip_of_xr_recording(path, clip.model, clip.shape, side=clip.side)
+    assert float(fit.residual.max()) < 1e-6
+    assert found.seconds.tolist() == pytest.approx([0.04 * t for t in range(len(clip))])
+    wrists = clip.with_up("y").frames.keypoints[:, 0]
+    assert float((found.frames.keypoints[:, 0] - wrists).norm(dim=-1).max()) < 1e-9
+    with pytest.raises(InputError, match="expected the joints of one hand, left or right, got both"):
+        load_clip(path)
+    content["frames"][2][9][9].pop()
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"frames\[2\], input 1: joints: expected a list of 200, got 199"):
+        load_clip(path, side=clip.side)
+    content["frames"] = [[521.0, 0.0, 0.0]]
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"frames\[0\]: expected a time, the viewer's pose and inputs, got \[521"):
+        load_clip(path, side=clip.side)
 
 
 def test_mano_about_a_mean_posture_and_of_components(clip: MotionClip, tmp_path: Path) -> None:

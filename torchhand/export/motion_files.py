@@ -14,6 +14,7 @@ from torchhand.export.conventions import (
     clip_of_mano,
     clip_of_openxr,
     clip_of_xr_recording,
+    is_action_recording,
     is_mano_file,
     is_openxr_file,
     read_bap,
@@ -71,6 +72,8 @@ def _is_recording(path: Path) -> bool:
         content = read_json(path)
     except InputError:
         return False
+    if is_action_recording(content):
+        return True
     frames = content.get("frames") if isinstance(content, dict) else content
     first = next((one for one in frames if isinstance(one, dict)), None) if isinstance(frames, list) else None
     return first is not None and "hand_world_landmarks" not in first

@@ -1,5 +1,6 @@
 """Motions in the conventions of others: BVH, MPEG-4 body animation parameters, MANO, OpenXR."""
 
+from torchhand.export.conventions.action_recording import is_action_recording
 from torchhand.export.conventions.bap import BapMotion, BapVersion, clip_of_bap, read_bap, write_bap
 from torchhand.export.conventions.bvh import held_path, write_bvh
 from torchhand.export.conventions.bvh_names import BvhNames, bvh_names
@@ -20,6 +21,7 @@ __all__ = [
     "clip_of_openxr",
     "clip_of_xr_recording",
     "held_path",
+    "is_action_recording",
     "is_mano_file",
     "is_openxr_file",
     "read_bap",

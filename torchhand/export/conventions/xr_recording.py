@@ -5,6 +5,7 @@ A recording is a list of frames, or an object with such a list under `frames`. A
 proximal, OpenXR's index_proximal or XR_HAND_JOINT_INDEX_PROXIMAL_EXT) or a list in the order of XrHandJointEXT, with or
 without the palm. A joint has `position` and `orientation` (or `rotation`, `quaternion`), lists or objects of x, y, z
 (, w). Times stand under `time`, `time_s`, `t` or `timestamp` (milliseconds where they grow by more than one a frame).
+The flat lists of IWER's recorder are unpacked into such frames.
 """
 
 import math
@@ -17,6 +18,7 @@ from torch import Tensor
 
 from torchhand.errors import InputError
 from torchhand.export.clip import MotionClip
+from torchhand.export.conventions.action_recording import frames_of_actions, is_action_recording
 from torchhand.files.disk import read_json, read_numbers, short
 from torchhand.geometry import rotation_of_quaternion
 from torchhand.hand import HandModel, Side
@@ -51,6 +53,8 @@ def clip_of_xr_recording(
     path = Path(path)
     content = read_json(path)
     frames = content.get("frames") if isinstance(content, dict) else content
+    if is_action_recording(content):
+        frames = frames_of_actions(path, content)
     if not isinstance(frames, list) or not frames:
         raise InputError(f"{path}: expected a recording of hand joints: a list of frames, got {short(content)}")
     own = side or _told_side(content) or _only_side(path, frames)
