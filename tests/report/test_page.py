@@ -80,6 +80,14 @@ def test_words_of_a_result(page: Path) -> None:
     assert largest > 80
 
 
+def test_two_results_of_a_rigid_hand(result: Path, tmp_path: Path) -> None:
+    """Every joint angle is held: none can be compared, which is no lack of frames with a hand."""
+    loaded = load_result(result)
+    rigid = replace(loaded, track=replace(loaded.track, pose_std=np.zeros_like(loaded.track.pose_std)))
+    write_report(tmp_path / "both.html", [rigid, rigid])
+    assert "No joint angle was free in both results: none is compared." in words_of(tmp_path / "both.html")
+
+
 def test_two_results(result: Path, other: Path, tmp_path: Path) -> None:
     write_report(tmp_path / "both.html", [load_result(other), load_result(result)])
     words = words_of(tmp_path / "both.html")

@@ -77,7 +77,8 @@ def test_a_browser_gets_the_pose_as_a_file(page: HandPage) -> None:
     sent: list[tuple[str, bytes]] = []
 
     class Client:
-        def send_file_download(self, name: str, content: bytes) -> None:
+        def send_file_download(self, name: str, content: bytes, *, save_immediately: bool = False) -> None:
+            assert save_immediately
             sent.append((name, content))
 
     class Event:

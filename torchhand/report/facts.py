@@ -100,6 +100,8 @@ def comparison(results: Sequence[Result]) -> str:
         return ""
     both = _compared(results)
     if both is None:
+        if not free_angles(results[0]) & free_angles(results[1]):
+            return "<p>No joint angle was free in both results: none is compared.</p>"
         return "<p>The two results have no frame in which both have a hand: nothing is compared.</p>"
     whole = both.whole
     return (

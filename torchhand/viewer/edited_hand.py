@@ -10,12 +10,16 @@ from jaxtyping import Float, Float64
 from torch import Tensor
 
 from torchhand import __version__
+from torchhand.geometry import rotation_from_vector, vector_from_rotation
 from torchhand.hand import DOFS, JOINT_DOFS, KEYPOINTS, HandModel, HandState, Side, penetration, posture
 from torchhand.hand.limits import TIES
 from torchhand.signs import load_signs, standing_pose
 
 _ROOT = len(DOFS) - len(JOINT_DOFS)
 _TOLD_DEG = 1.0  # by which an angle that another leads is off
+_ROUNDED_RAD = math.radians(1e-3)  # by which the file of signs may be beyond a limit
+# Of the viewer before the palm: x right, y down, z forward, in the hand's frame (x out of the back, y to the fingers).
+_STAGE_FROM_VIEWER = ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0))
 POSE_FORMAT = "torchhand pose 1"
 
 
@@ -75,9 +79,14 @@ class EditedHand:
         self._take_joints(posture(name, dtype=torch.float64))
 
     def take_sign(self, sign: str) -> None:
-        """A sign of the manual alphabet, as a hand of the default proportions makes it, facing as it is to be read."""
-        pose = standing_pose(sign, load_signs()[sign], self.model, side=self.side)
-        self.pose = torch.cat((self.pose[:3], pose[3:_ROOT], pose[_ROOT:])).double()
+        """A sign of the manual alphabet, as a hand of the default proportions makes it, facing as it is to be read by
+        who looks at the palm of a hand that is not turned, fingers up."""
+        pose = standing_pose(sign, load_signs()[sign], self.model, side=self.side).double()
+        allowed = self._prior.constraints.project(pose)
+        if float((allowed - pose).abs().max()) <= _ROUNDED_RAD:
+            pose = allowed
+        stage_from_hand = pose.new_tensor(_STAGE_FROM_VIEWER) @ rotation_from_vector(pose[3:_ROOT])
+        self.pose = torch.cat((self.pose[:3], vector_from_rotation(stage_from_hand), pose[_ROOT:]))
 
     def draw(self, *, with_shape: bool) -> None:
         """A posture drawn from the prior, and with it the proportions of somebody."""

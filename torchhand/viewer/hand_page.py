@@ -131,7 +131,9 @@ class HandPage:
 
     def _send(self, event: Any, file: str, text: str) -> None:
         receiver = event.client or self.server
-        receiver.send_file_download(file, text.encode())
+        receiver.send_file_download(
+            file, text.encode(), save_immediately=True
+        )  # else a link is shown that is easily missed
 
     def _change(self, take: Any, choice: Any) -> None:
         """What a list does: its entry is taken, and it goes back to none."""
