@@ -150,6 +150,17 @@ def test_a_stream_that_was_cut_gives_its_whole_packets(tmp_path: Path) -> None:
         clip_of_stream(path, MODEL)
 
 
+def test_every_flipped_bit_of_the_motion_is_told(tmp_path: Path) -> None:
+    """Of a length too, which may swallow the packets that follow: the end of the stream is still there."""
+    data, figures = encode_clip(_clip(20), StreamSettings(packet_poses=10))
+    path = tmp_path / "a.thp"
+    for place in range(figures.header_bytes, len(data) - 5):  # the last five bytes are the end
+        for bit in range(8):
+            path.write_bytes(data[:place] + bytes([data[place] ^ (1 << bit)]) + data[place + 1 :])
+            with pytest.raises(InputError, match="is damaged"):
+                clip_of_stream(path, MODEL)
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [

@@ -40,9 +40,17 @@ def packed_header(header: dict[str, Any]) -> bytes:
     return MAGIC + VERSION + _HEAD.pack(len(packed), zlib.crc32(packed)) + packed
 
 
+def _checksum(packet: Packet) -> int:
+    return zlib.crc32(bytes([packet.count]) + packet.content) & 0xFFFF
+
+
 def packed_packet(packet: Packet) -> bytes:
     """The bytes of a packet."""
     return _PACKET.pack(packet.count, len(packet.content), _checksum(packet)) + packet.content
+
+
+END = packed_packet(Packet(0, b""))
+"""The packet that ends a stream."""
 
 
 class StreamBuffer:
@@ -104,10 +112,6 @@ class StreamBuffer:
         self._packets += 1
         self.has_ended = count == 0
         return self.packet() if self.has_ended else found
-
-
-def _checksum(packet: Packet) -> int:
-    return zlib.crc32(bytes([packet.count]) + packet.content) & 0xFFFF
 
 
 def read_header(path: Path, packed: bytes) -> dict[str, Any]:

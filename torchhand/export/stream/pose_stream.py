@@ -19,7 +19,7 @@ from torch import Tensor
 from torchhand.errors import InputError
 from torchhand.export.clip import MotionClip
 from torchhand.export.stream.channels import StreamSettings, partners, unwrapped
-from torchhand.export.stream.container import HELD, StreamBuffer
+from torchhand.export.stream.container import END, HELD, StreamBuffer
 from torchhand.export.stream.writer import PoseStreamWriter, StreamHead
 from torchhand.files.disk import replacing
 from torchhand.hand import DOFS, JOINT_DOFS, HandModel
@@ -163,6 +163,8 @@ def clip_of_stream(path: str | Path, model: HandModel) -> MotionClip:
     reader = PoseStreamReader(model, path)
     poses, held = reader.feed(data)
     header = reader.header
+    if header is not None and not reader.has_ended and data.endswith(END):  # a damaged length has swallowed the rest
+        raise InputError(f"{path}: is damaged: after {len(poses)} poses a packet is longer than the rest of the stream")
     if header is None or not len(poses):
         raise InputError(f"{path}: is cut short: expected a header and a packet of poses, got {len(data)} bytes")
     note = f"the stream has no end yet: the {len(poses)} poses that are whole were read"

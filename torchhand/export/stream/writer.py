@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchhand.export.clip import Up
 from torchhand.export.stream.channels import StreamSettings, partners, unwrapped
-from torchhand.export.stream.container import HELD, Packet, packed_header, packed_packet
+from torchhand.export.stream.container import END, HELD, Packet, packed_header, packed_packet
 from torchhand.hand import DOFS, HandModel, Side
 from torchhand.numerics.coding import RowEncoder, followed
 
@@ -92,7 +92,7 @@ class PoseStreamWriter:
     def end(self) -> bytes:
         """What is left, and the end of the stream."""
         rest = self._packet(len(self._waiting)) if len(self._waiting) else b""
-        return rest + packed_packet(Packet(0, b""))
+        return rest + END
 
     def _packet(self, count: int) -> bytes:
         block, self._waiting = self._waiting[:count], self._waiting[count:]
