@@ -18,28 +18,40 @@ _YIELDING = [
     if dof.endswith(("_mcp_aa", "_mcp_tw")) or dof in ("thumb_cmc_fe", "thumb_cmc_aa", "thumb_mcp_fe", "thumb_ip_fe")
 ]
 """What gives way first: sideways and twist at the knuckles, and the thumb."""
+_AT_PALM = " – palm"
 _FROM = 0.2e-3
 """Overlap that is left as it is, metres."""
 _DEPTH, _CLEARANCE, _TURN, _ROOM = 0.15e-3, 0.1e-3, math.radians(4.0), math.radians(0.5)
 _STEP = 1e-6  # radians
-_ROUNDS = (_YIELDING, _YIELDING, list(range(len(JOINT_DOFS))))
+_LAST = [i for i, dof in enumerate(JOINT_DOFS) if dof == "thumb_cmc_fe" or not dof.endswith("_cmc_fe")]
+"""All but the CMC joints of the fingers: the palm is one part, which does not bend with them."""
+_ROUNDS = (_YIELDING, _YIELDING, _LAST)
 _SETTINGS = LevenbergMarquardtSettings(iterations=12, cost_tolerance=1e-3)
 
 
 class Clearance:
     """Overlap of the parts of right hands of one shape; left hands are the same mirrored."""
 
-    def __init__(self, kinematics: HandKinematics, shape: Float[Tensor, "shape"] | None = None) -> None:
-        """kinematics: of the right hand, float64."""
+    def __init__(
+        self, kinematics: HandKinematics, shape: Float[Tensor, "shape"] | None = None, *, palm_gap: float = 0.0
+    ) -> None:
+        """kinematics: of the right hand, float64. palm_gap: room between a finger and the palm that counts as none,
+        metres: for skins that stand out from the primitives of the palm.
+        """
         self._kinematics = kinematics
         self._shape = kinematics.default_shape.double() if shape is None else shape.double()
         self._sizes: PrimitiveSizes = primitive_sizes(kinematics.shape_space, self._shape)
+        self._palm_gap = palm_gap
         self._constraints = PoseConstraints(kinematics.skeleton, ConstraintSettings(bands="none"))
 
     def depths(self, joints: Float[Tensor, "*batch 30"]) -> Float[Tensor, "*batch pairs"]:
-        """How deep each pair of parts is in each other, metres: no slack for soft skin; minus the gap where apart."""
+        """How deep each pair of parts is in each other, metres: no slack for soft skin; minus the gap where apart,
+        which is shorter by `palm_gap` at the palm.
+        """
         pose = torch.cat((joints.new_zeros(*joints.shape[:-1], _ROOT), joints), -1)
-        return penetration(place_primitives(self._kinematics(pose, self._shape), self._sizes)).depth
+        found = penetration(place_primitives(self._kinematics(pose, self._shape), self._sizes))
+        gaps = [self._palm_gap if name.endswith(_AT_PALM) else 0.0 for name in found.names]
+        return found.depth + found.depth.new_tensor(gaps)
 
     def worst(self, joints: Float[Tensor, "*batch 30"]) -> Float[Tensor, "*batch"]:
         """The deepest overlap of any two parts, metres; below 0 the smallest gap."""
@@ -50,7 +62,7 @@ class Clearance:
         are.
 
         Least squares over the angles that give way, for each posture on its own; further rounds, the last one over all
-        angles, where one is not enough.
+        angles but those within the palm, where one is not enough.
         """
         for columns in _ROUNDS:
             overlapping = (self.worst(joints) > _FROM).nonzero()[:, 0]

@@ -1,5 +1,6 @@
 """URDF and MJCF: kinematics in pytorch-kinematics and MuJoCo, limits, masses, inertias, closed meshes."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -236,21 +237,44 @@ def test_keyframes_part_digits_that_are_in_each_other(still: MotionClip, tmp_pat
     for finger, aside in (("index", -0.15), ("middle", 0.0), ("ring", -0.12)):
         poses[:, DOFS.index(f"{finger}_mcp_aa")] = aside
     crossed = replace(still, poses=poses)
-
-    def deepest(settings: MjcfSettings) -> tuple[float, float]:
-        _, moved = write_mjcf(crossed, tmp_path / "hand.xml", settings)
-        robot = mujoco.MjModel.from_xml_path(str(tmp_path / "hand.xml"))
-        data = mujoco.MjData(robot)
-        mujoco.mj_resetDataKeyframe(robot, data, 0)
-        mujoco.mj_forward(robot, data)
-        return min((float(contact.dist) for contact in data.contact), default=0.0), moved
-
-    as_tracked, unmoved = deepest(AS_TRACKED)
-    parted, moved = deepest(MjcfSettings())
+    as_tracked, unmoved = _deepest(crossed, AS_TRACKED, tmp_path, mujoco)
+    parted, moved = _deepest(crossed, MjcfSettings(), tmp_path, mujoco)
     assert as_tracked < -4e-3
     assert parted > -2e-3
     assert unmoved == 0
     assert 0 < moved < 0.5
+
+
+def test_keyframes_of_fists_part_the_fingers_from_the_palm(
+    still: MotionClip, tmp_path: Path, mujoco: ModuleType
+) -> None:
+    """A fist as it was tracked. The metacarpals' meshes stand out from the palm's primitive, and bend; it does not."""
+    angles = {
+        "thumb": {"cmc_fe": 30, "mcp_fe": 8, "mcp_aa": -15, "ip_fe": 32},
+        "index": {"mcp_fe": 59, "mcp_aa": 21, "pip_fe": 110, "dip_fe": 41},
+        "middle": {"mcp_fe": 67, "pip_fe": 101, "dip_fe": 89},
+        "ring": {"mcp_fe": 100, "mcp_aa": 10, "pip_fe": 102, "dip_fe": 57},
+        "little": {"mcp_fe": 100, "mcp_aa": 2, "pip_fe": 98, "dip_fe": 77},
+    }
+    poses = torch.zeros(1, 36, dtype=torch.float64)
+    for finger, joints in angles.items():
+        for joint, degrees in joints.items():
+            poses[:, DOFS.index(f"{finger}_{joint}")] = math.radians(degrees)
+    fist = replace(still, poses=poses, shape=still.model.shape_space.default.double())
+    as_tracked, _ = _deepest(fist, AS_TRACKED, tmp_path, mujoco)
+    parted, _ = _deepest(fist, MjcfSettings(), tmp_path, mujoco)
+    assert as_tracked < -5e-3
+    assert parted > -2e-3
+
+
+def _deepest(clip: MotionClip, settings: MjcfSettings, folder: Path, mujoco: ModuleType) -> tuple[float, float]:
+    """Distance of the contact that is deepest in the first keyframe, and by how much joints were moved."""
+    _, moved = write_mjcf(clip, folder / "hand.xml", settings)
+    robot = mujoco.MjModel.from_xml_path(str(folder / "hand.xml"))
+    data = mujoco.MjData(robot)
+    mujoco.mj_resetDataKeyframe(robot, data, 0)
+    mujoco.mj_forward(robot, data)
+    return min((float(contact.dist) for contact in data.contact), default=0.0), moved
 
 
 def test_mujoco_reads_the_urdf(clip: MotionClip, tmp_path: Path, mujoco: ModuleType) -> None:

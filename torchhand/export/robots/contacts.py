@@ -10,6 +10,9 @@ from torch import Tensor
 from torchhand.export.clip import MotionClip
 from torchhand.hand import BONES, CONE_BONES, CONE_NAMES, DOFS, FINGERS, JOINT_DOFS, PARENTS, Clearance, primitive_sizes
 
+_PALM_GAP = 4e-3
+"""Metres by which the metacarpals' meshes (MuJoCo takes their convex hulls) stand out from the palm's primitive."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Capsule:
@@ -50,5 +53,5 @@ def jointed_bones() -> list[tuple[str, str]]:
 def apart(clip: MotionClip) -> Float64[Tensor, "frames 36"]:
     """The clip's poses with their joint angles changed as little as it takes for no two digits to be in each other."""
     joints = clip.poses[:, -len(JOINT_DOFS) :]
-    clearance = Clearance(clip.model.kinematics("right", dtype=torch.float64), clip.shape)
+    clearance = Clearance(clip.model.kinematics("right", dtype=torch.float64), clip.shape, palm_gap=_PALM_GAP)
     return torch.cat((clip.poses[:, : len(DOFS) - len(JOINT_DOFS)], clearance.separated(joints)), -1)
