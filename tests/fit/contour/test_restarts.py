@@ -7,10 +7,11 @@ from typing import Any
 import pytest
 import torch
 
+import torchhand.fit.contour.restarts
 from tests.fit.contour.test_fit import SPACE, Case
-from torchhand.fit import GaussianPrior, PosturePrior, PostureResiduals, Problem, Solutions, solve
+from torchhand.fit import GaussianPrior, PosturePrior, PostureResiduals, Problem, Schedule, Solutions, solve
 from torchhand.fit.contour import Restarts, RestartSettings, picture_contours, solve_with_restarts
-from torchhand.fit.contour.settings import SEARCH, WIDE_SEARCH
+from torchhand.fit.contour.settings import SEARCH, THIN_SEARCH, WIDE_SEARCH
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import HandPose
 
@@ -67,6 +68,26 @@ def test_fingers_come_off_other_fingers(
     assert float(case.errors(found.pose)[1][better].mean()) < 0.5 * float(wrong)
     torch.testing.assert_close(found.cost[2], plain.cost[2])  # explained: not started again
     assert int(found.iterations[2]) == int(plain.iterations[2]) < int(found.iterations[0])
+
+
+def test_restarts_go_through_every_finer_stage(
+    case: Case, problem: Problem, starts: HandPose, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the last of their own stages, not from far off into the finest; the last stage in any case."""
+    widths: list[tuple[float, ...]] = []
+
+    def spied(problem: Problem, begun: HandPose, schedule: Schedule, **options: Any) -> Solutions:
+        widths.append(tuple(stage.gross_m for stage in schedule))
+        return solve(problem, begun, schedule, **options)
+
+    monkeypatch.setattr(torchhand.fit.contour.restarts, "solve", spied)
+    solve_with_restarts(problem, starts, THIN_SEARCH, restarts(case))
+    wide = tuple(stage.gross_m for stage in WIDE_SEARCH)
+    assert widths[1:] == [wide, tuple(stage.gross_m for stage in THIN_SEARCH if stage.gross_m < wide[-1])]
+    assert len(set(widths[2])) > 1
+    widths.clear()
+    solve_with_restarts(problem, starts, WIDE_SEARCH[:2], restarts(case, min_fraction=1.0))
+    assert widths[2] == wide[1:2]
 
 
 def test_none_where_none_are_wanted(case: Case, problem: Problem, starts: HandPose) -> None:

@@ -60,7 +60,7 @@ class ContourObservation:
             match,
             self._weights(visible, boundary, gross_px, length_px),
             gross_px=gross_px,
-            valley_gross_px=s.valley_gross_m * px_per_m,
+            valley_gross_px=min(s.valley_gross_m, stage.gross_m) * px_per_m,
             unmatched_px=length_px,
         )
         return ContourFactor(

@@ -32,7 +32,7 @@ class RestartSettings:
     """Turn about the line of sight through the wrist, to either side; 0 to 90, 0 for none. Stretched fingers are some
     12 degrees apart."""
     schedule: Schedule = WIDE_SEARCH
-    """Stages of restarts, before the finest stages of the first solution's; at least one."""
+    """Stages of restarts, before those of the first solution's that are finer than the last of them; at least one."""
     postures: int = 2
     """Number of likely postures that the fingers are put into; 0 to 100."""
     spread_deg: float = 10.0
@@ -74,8 +74,9 @@ def solve_with_restarts(
 ) -> Solutions:
     """`solve`; hands that explain too little of the picture's contour are then solved from other starts as well.
 
-    Restarts go through stages of their own; the cheapest one of each hypothesis goes through the schedule's finest
-    stages, and is the result where it is cheaper than what was found before. One hypothesis never touches another.
+    Restarts go through stages of their own; the cheapest one of each hypothesis goes through those of the schedule that
+    are finer (or its last), and is the result where it is cheaper than what was found before. One hypothesis never
+    touches another.
     """
     found = solve(problem, starts, schedule, at_once=at_once)
     if not found.explained:
@@ -90,8 +91,8 @@ def solve_with_restarts(
         tried = solve(problem.rows(poor.repeat(kinds)), begun.reshape(-1), stages, at_once=at_once)
         cheapest = tried.cost.unflatten(0, (kinds, -1)).argmin(0)
         best = tried.rows(cheapest * len(poor) + torch.arange(len(poor), device=poor.device))
-        finest = tuple(stage for stage in schedule if stage.gross_m == schedule[-1].gross_m)
-        refined = solve(problem.rows(poor), best.pose, finest, at_once=at_once)
+        finer = tuple(stage for stage in schedule if stage.gross_m < stages[-1].gross_m) or schedule[-1:]
+        refined = solve(problem.rows(poor), best.pose, finer, at_once=at_once)
         spent = tried.iterations.unflatten(0, (kinds, -1)).sum(0) + refined.iterations
         found = replace(found, iterations=found.iterations.index_add(0, poor, spent)).or_cheaper(poor, refined)
     return found.reshape(batch)

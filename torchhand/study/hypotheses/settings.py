@@ -16,6 +16,10 @@ STUDY_SPACES = tuple(name for name, (free, _) in POSE_SPACES.items() if any(not 
 _GAP_M = 0.0005
 """Beyond one pixel, how broad a gap between two fingers is at least: masks of simulated pictures are exact, and show
 narrower ones than those of skin colour, on whose contour a finger beside another would have no place."""
+_EXACT_PX = 1.0
+"""Standard deviation of the contours of exact masks: what their pixels and the model's points leave."""
+_BOUNDARY_POINTS = 512
+"""Points of the picture's contour: every 3 px or so, at which a fingertip that shows by a few pixels has some."""
 _MAX_STARTS, _MAX_AT_ONCE = 10_000_000, 4096
 
 
@@ -53,7 +57,11 @@ class HypothesisStudySettings:
     """Registration from coarse to fine; at least one stage."""
     restarts: RestartSettings = field(default_factory=RestartSettings)
     """Hands that explain too little of the contour are registered from beside themselves as well."""
-    contour: ContourSettings = field(default_factory=lambda: ContourSettings(by_length=True, probe_distance_m=_GAP_M))
+    contour: ContourSettings = field(
+        default_factory=lambda: ContourSettings(
+            by_length=True, probe_distance_m=_GAP_M, contour_std_px=_EXACT_PX, boundary_points=_BOUNDARY_POINTS
+        )
+    )
     """Weights and tolerances of the contours in a picture."""
 
     def __post_init__(self) -> None:
