@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from torchhand.errors import InputError
 from torchhand.study.designed import Study, run_study
@@ -77,3 +78,15 @@ def test_without_matplotlib_one_line_says_what_to_install(tmp_path: Path, monkey
     with pytest.raises(InputError, match=r"needs matplotlib: pip install 'torchhand\[study\]'"):
         run_study(STUDY, tmp_path / "study")
     assert not (tmp_path / "study").exists()
+
+
+@pytest.mark.parametrize("observation", ["points", "all"])
+def test_starts_are_registered_on_a_device(observation: str, device: torch.device) -> None:
+    """The same pictures and starts as on the processor, and the same hands."""
+    study = Study(factors={"observation": [observation]}, fixed={"hypotheses": 2, "cameras": 2}, trials=1, pictures=1)
+    batch = StudyBatch(index=0, case=0, first=0, count=2)
+    here, there = CellRegistration(study)(batch), CellRegistration(study, device)(batch)
+    np.testing.assert_array_equal(there.perturbation, here.perturbation)
+    np.testing.assert_allclose(there.start_angle_deg, here.start_angle_deg, atol=1e-9)
+    np.testing.assert_allclose(there.angle_deg, here.angle_deg, atol=0.05)
+    np.testing.assert_array_equal(there.status, here.status)

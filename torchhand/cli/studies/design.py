@@ -11,6 +11,7 @@ from tyro.conf import Positional, arg
 
 from torchhand.cli.command import DONE, STOPPED_BY_USER, one_address, parse, threads
 from torchhand.cluster import Cluster
+from torchhand.devices import device_named
 from torchhand.errors import InputError
 from torchhand.files import check_output_folder, configs_dir
 from torchhand.runs import resume_option
@@ -46,6 +47,8 @@ class Arguments:
     """Simulated hands, in place of those of the file."""
     seed: Annotated[int | None, arg(metavar="N")] = None
     """Seed of everything that is random, in place of that of the file."""
+    device: str = "cpu"
+    """Device of the registrations: cpu, or cuda. Hands, pictures and starts are the same on any."""
     threads: int = 1
     """Batches that are worked on side by side, on a core each. The results do not depend on it."""
     ray: Annotated[tuple[str, ...] | None, arg(metavar="[ADDRESS]")] = None
@@ -64,6 +67,7 @@ def study_design(argv: Sequence[str]) -> int:
     """Run the study, or go on with it. Raises InputError as commands do."""
     arguments = parse(Arguments, argv, name=f"study {DESIGN}")
     check_output_folder(arguments.out, resume=arguments.resume, overwrite=arguments.overwrite)
+    device_named(arguments.device)
     path = _file_of(arguments.study)
     changed = {
         name: value for name in ("trials", "pictures", "seed") if (value := getattr(arguments, name)) is not None
@@ -75,7 +79,12 @@ def study_design(argv: Sequence[str]) -> int:
     try:
         with threads(arguments.threads), threads(1), _workers(arguments) as workers:
             found = run_study(
-                study, arguments.out, workers=workers, resume=arguments.resume, overwrite=arguments.overwrite
+                study,
+                arguments.out,
+                workers=workers,
+                device=arguments.device,
+                resume=arguments.resume,
+                overwrite=arguments.overwrite,
             )
     except KeyboardInterrupt:
         option = resume_option(arguments.overwrite)

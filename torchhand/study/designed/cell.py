@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.devices import HOST, read_back, sent_to
 from torchhand.evaluate import PoseErrors, pose_errors
 from torchhand.files import load_hand_model
 from torchhand.fit import (
@@ -56,12 +57,16 @@ def planned(study: Study) -> list[StudyBatch]:
 
 
 class CellRegistration:
-    """Registers batches of a study; what it keeps from one to the next changes no number."""
+    """Registers batches of a study, on the device it is given; what it keeps from one to the next changes no number.
 
-    def __init__(self, study: Study) -> None:
-        self.study, self._model = study, load_hand_model()
+    Hands, pictures and starts are drawn by the processor, the same for any device.
+    """
+
+    def __init__(self, study: Study, device: torch.device | str = HOST) -> None:
+        self.study, self.device = study, torch.device(device)
+        self._prior = load_hand_model().prior(dtype=torch.float64)
+        self._model = load_hand_model().to(device=self.device)
         self._kinematics = self._model.kinematics(SIDE, dtype=torch.float64)
-        self._prior = self._model.prior(dtype=torch.float64)
         self._postures = PostureResiduals.of(self._model.prior().postures)
         self._constraints = PoseConstraints(self._model.skeleton)
         self._rendered = lru_cache(maxsize=_KEPT)(self._render)
@@ -80,18 +85,20 @@ class CellRegistration:
         look = (getattr(trial, name) for name in _LOOK)
         hand = seen_hand(self._rendered(number, *look), trial, generator)
         space = named_pose_space(self.study.space).about(hand.pose.dofs)
-        change = trial.scale * trial.perturbation.draw(space, batch.count, generator)
+        change = (trial.scale * trial.perturbation.draw(space, batch.count, generator)).to(self.device)
+        std = (trial.scale * trial.perturbation.std(space)).clamp_min(1e-4).to(self.device)
+        hand, space = sent_to(hand, self.device), sent_to(space, self.device)
         change = change.clamp(*free_bounds(space, self._model.skeleton))
         starts = HandPose.of(space.dof(change), hand.pose.reference)
-        found = self._registered(hand, trial, space, starts)
+        found = self._registered(hand, trial, space, starts, std)
         return self._recorded(batch, seed, hand, space, change, found)
 
-    def _registered(self, hand: SeenHand, trial: Trial, space: PoseSpace, starts: HandPose) -> Solutions:
+    def _registered(
+        self, hand: SeenHand, trial: Trial, space: PoseSpace, starts: HandPose, std: Float[Tensor, "free"]
+    ) -> Solutions:
+        """std: of the starts."""
         shape = self._kinematics.default_shape
-        belief = None
-        if self.study.has_start_prior:
-            std = (trial.scale * trial.perturbation.std(space)).clamp_min(1e-4)
-            belief = GaussianPrior.of_std(starts, std, space)
+        belief = GaussianPrior.of_std(starts, std, space) if self.study.has_start_prior else None
         observations = [one for i, view in enumerate(hand.views) for one in self._observations(view, i, trial)]
         problem = Problem(
             space=space,
@@ -107,7 +114,8 @@ class CellRegistration:
         if trial.observation in _CONTOURS:
             settings = _CONTOURS[trial.observation]
             projector = HandProjector(self._kinematics, camera, self._kinematics.default_shape)
-            contours = PrimitiveContours(projector, outline_table(12, 8, without=("palm_wrist",)))
+            table = sent_to(outline_table(12, 8, without=("palm_wrist",)), self.device)
+            contours = PrimitiveContours(projector, table)
             picture = picture_contours(view.mask, SEARCH, settings, image=view.image)
             found.append(ContourObservation(picture=picture, contours=contours, settings=settings, view=index))
         if trial.observation in ("points", "all"):
@@ -137,25 +145,25 @@ class CellRegistration:
 
         def known(values: Tensor) -> np.ndarray:
             shaped = failed.reshape(-1, *(1,) * (values.ndim - 1))
-            return torch.where(shaped, torch.nan, values).numpy()
+            return read_back(torch.where(shaped, torch.nan, values))
 
         return Hypotheses(
             frame=np.full(batch.count, hand.number),
             batch=np.full(batch.count, batch.index),
             seed=np.full(batch.count, seed),
             level=np.ones(batch.count, dtype=np.int64),
-            perturbation=change.numpy(),
-            start_angle_deg=begun.angle_deg.numpy(),
-            start_keypoint_mm=begun.keypoint_mm.numpy(),
-            start_rotation_deg=begun.rotation_deg.numpy(),
+            perturbation=read_back(change),
+            start_angle_deg=read_back(begun.angle_deg),
+            start_keypoint_mm=read_back(begun.keypoint_mm),
+            start_rotation_deg=read_back(begun.rotation_deg),
             angle_deg=known(ended.angle_deg),
             keypoint_mm=known(ended.keypoint_mm),
             rotation_deg=known(ended.rotation_deg),
             contour_px=known(distance),
-            cost=torch.where(failed, torch.inf, found.cost).numpy(),
-            misfit=torch.where(failed, torch.inf, found.misfit).numpy(),
-            status=found.status.numpy(),
-            iterations=found.iterations.numpy(),
+            cost=read_back(torch.where(failed, torch.inf, found.cost)),
+            misfit=read_back(torch.where(failed, torch.inf, found.misfit)),
+            status=read_back(found.status),
+            iterations=read_back(found.iterations),
             pose=known(found.pose.vector),
         )
 

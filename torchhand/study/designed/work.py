@@ -48,21 +48,23 @@ def run_study(
     out: Path,
     *,
     workers: int | Cluster = 1,
+    device: str = "cpu",
     resume: bool = False,
     overwrite: bool = False,
 ) -> DesignedResults:
     """Run a study, or go on with it, and write study.csv, study.png and hypotheses.npz into a folder.
 
-    The same study gives the same files, stopped and resumed or not, whatever the workers. Raises InputError where the
+    The same study gives the same files on one device, stopped and resumed or not, whatever the workers. device: of the
+    registrations. Raises InputError where the
     folder cannot be used, holds another study than the one to resume, or matplotlib is missing.
     """
     require_matplotlib()
-    folder = StudyFolder(out, _header(study), resume=resume, overwrite=overwrite)
+    folder = StudyFolder(out, _header(study, device), resume=resume, overwrite=overwrite)
     if folder.finished is not None:
         found = folder.finished
         return DesignedResults(study=study, rows=cell_rows(study, found), hypotheses=found, seconds=0.0)
 
-    found, seconds = run_batches(planned(study), _Making(study=study), folder, workers)
+    found, seconds = run_batches(planned(study), _Making(study=study, device=device), folder, workers)
     rows = cell_rows(study, found)
     further = {
         "cell": found.batch // study.pictures,
@@ -84,15 +86,16 @@ class _Making:
     """Makes what registers batches; a worker of a cluster gets it."""
 
     study: Study
+    device: str
 
     def __call__(self, threads: int = 1) -> CellRegistration:
-        return CellRegistration(self.study)
+        return CellRegistration(self.study, self.device)
 
 
-def _header(study: Study) -> Mapping[str, Any]:
+def _header(study: Study, device: str) -> Mapping[str, Any]:
     """What must be equal in a study that is to be resumed."""
     versions = {"torchhand": torchhand.__version__, "torch": str(torch.__version__)}
-    return {**versions, "kind": "designed", "study": study.described()}
+    return {**versions, "kind": "designed", "device": device, "study": study.described()}
 
 
 def _written(study: Study) -> dict[str, Any]:
