@@ -8,7 +8,7 @@ from torchhand.geometry import Rig
 from torchhand.hand import HandPose
 from torchhand.track.multiview.fitting import FrameFitter
 from torchhand.track.multiview.hand_initialization import evenly_spaced_frames, initialize_hand
-from torchhand.track.multiview.initialization import climbed
+from torchhand.track.multiview.initialization import best_unit, climbed
 from torchhand.track.multiview.proposer import HandProposer
 from torchhand.track.multiview.scale import resized_pose, resized_shape, rough_units, size_factor
 from torchhand.track.multiview.settings import RigSettings
@@ -75,6 +75,20 @@ def test_nothing_is_proposed_where_keypoints_tell_the_hand(rig_hand, rig, pose_a
     assert float((points - truth).norm(dim=-1).mean()) < 0.004
 
 
+def test_first_hand_is_told_before_proportions_are_fitted_to_it(rig_hand, rig, pose_at, masks_of, monkeypatch):
+    fitter, pose, order = FrameFitter(rig_hand, rig, SETTINGS), pose_at(), list[str]()
+    known, fit_shape = HandPose(dofs=pose[0], reference=pose[1]).normalized().reshape(1), FrameFitter.fit_shape
+
+    def fitted(*arguments, **options):
+        order.append("proportions")
+        return fit_shape(*arguments, **options)
+
+    monkeypatch.setattr(FrameFitter, "fit_shape", fitted)
+    told = {"detect": lambda scene, shape: known, "done": lambda is_found: order.append(f"hand: {is_found}")}
+    initialize_hand(fitter, [(0, _scene(masks_of(pose)))], _proposer(fitter), **told)
+    assert order == ["hand: True", "proportions", "proportions"]
+
+
 @pytest.mark.parametrize("highest", range(6))
 def test_best_unit_is_found_from_the_middle_on(highest):
     units, asked = (0.6, 0.72, 0.86, 1.0, 1.17, 1.35), []
@@ -85,6 +99,23 @@ def test_best_unit_is_found_from_the_middle_on(highest):
 
     assert climbed(units, value) == units[highest]
     assert len(asked) == len(set(asked)) <= abs(highest - 3) + 3
+
+
+def test_unit_is_that_of_the_frame_that_shows_the_hand():
+    """A frame without a hand is explained by any size as badly, by chance best by a wrong one."""
+    units, asked = (0.6, 0.72, 0.86, 1.0, 1.17, 1.35), []
+
+    def agreement(unit, frame):
+        asked.append((unit, frame))
+        return 0.9 - abs(unit - 1.17) if frame == 1 else 0.75 - abs(unit - 0.86)
+
+    def agreement_of_any(unit):
+        return max(agreement(unit, frame) for frame in (0, 1, 2))
+
+    assert best_unit(units, (0, 1, 2), agreement) == climbed(units, agreement_of_any) == 1.17
+    asked.clear()
+    best_unit(units, (0, 1, 2), agreement)
+    assert len(asked) == len(set(asked)) <= 3 + 3  # all frames in the middle unit, then one
 
 
 def test_no_hand_is_found_where_there_is_none(rig_hand, rig, pose_at, masks_of):

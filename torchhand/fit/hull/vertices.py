@@ -3,10 +3,12 @@
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchhand.devices import read_back
 from torchhand.fit.hull.settings import HullSettings
 from torchhand.fit.hull.skin import SkinPoints, WeightedVertices
 from torchhand.hand import Hand
@@ -63,13 +65,18 @@ def _farthest(hand: Hand, count: int) -> tuple[Int[Tensor, "points"], Float[Tens
     of_face = torch.linalg.cross(b - a, c - a).norm(dim=-1) / 6
     area = torch.zeros(len(vertices), dtype=vertices.dtype, device=device)
     area = area.index_add(0, hand.faces.flatten(), of_face.repeat_interleave(3))
-    chosen = [int(area.argmax())]
-    nearest = (vertices - vertices[chosen[0]]).norm(dim=-1)
-    owner = torch.zeros(len(vertices), dtype=torch.long, device=device)
-    for index in range(1, min(count, len(vertices))):
-        chosen.append(int(nearest.argmax()))
-        distance = (vertices - vertices[chosen[-1]]).norm(dim=-1)
-        owner = torch.where(distance < nearest, index, owner)
-        nearest = torch.minimum(nearest, distance)
-    fraction = torch.zeros(len(chosen), dtype=vertices.dtype, device=device).index_add(0, owner, area)
+    # Host arrays of one coordinate each: some hundred steps of a few short operations.
+    x, y, z = np.ascontiguousarray(read_back(vertices).T)
+    first = int(area.argmax())
+    chosen, owner = [first], np.zeros(len(x), dtype=np.int64)
+    nearest = np.full_like(x, np.inf)
+    for index in range(min(count, len(x))):
+        if index:
+            chosen.append(int(nearest.argmax()))
+        last = chosen[-1]
+        distance = np.sqrt((x - x[last]) ** 2 + (y - y[last]) ** 2 + (z - z[last]) ** 2)
+        owner[distance < nearest] = index
+        nearest = np.minimum(nearest, distance)
+    fraction = torch.zeros(len(chosen), dtype=vertices.dtype, device=device)
+    fraction = fraction.index_add(0, torch.from_numpy(owner).to(device), area)
     return torch.tensor(chosen, device=device), fraction / area.sum()

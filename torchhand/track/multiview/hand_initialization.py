@@ -80,7 +80,8 @@ def initialize_hand(
     decided that together: those of a hand held the wrong way round would make all others alike.
 
     detect: hands that are known so well that nothing else is proposed where they explain enough. shape: known
-    proportions, which are then only used. done: called after every frame, told whether the hand was found.
+    proportions, which are then only used. done: called after every frame, told whether the hand was found, before
+    proportions are fitted to it.
 
     Without any frame in which a hand is found the proportions are the generic hand's, or those given.
     """
@@ -99,10 +100,10 @@ def initialize_hand(
                 sizes = [size]
                 break
         seen.append(frame)
+        done(frame.fit is not None)
         if shape is None and is_told and frame.fit is not None and len(_fits_of(seen)) in SHAPE_AT:
             seen, solution = _with_shape(fitter, seen, sizes[0], is_rough=True)
             sizes = [solution.shape]
-        done(frame.fit is not None)
     if not _fits_of(seen):
         return HandInitialization(shape=sizes[0], shape_std=None, poses={}, shape_frames=())
     if not is_told:

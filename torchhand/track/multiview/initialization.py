@@ -105,11 +105,11 @@ def _with_unit(
     fitters = {unit: FrameFitter(hand, Rig(cameras).scaled(unit), rough) for unit in units}
     proposers = {unit: replace(proposer, cameras=fitter.cameras) for unit, fitter in fitters.items()}
     shown = dict(seen)
-
-    def agreement(unit: float) -> float:
-        return max(_agreement(fitters[unit], shown[index], proposers[unit]) for index, _ in decisive)
-
-    nominal = climbed(units, agreement)
+    nominal = best_unit(
+        units,
+        [index for index, _ in decisive],
+        lambda unit, index: _agreement(fitters[unit], shown[index], proposers[unit]),
+    )
     fitter = FrameFitter(hand, Rig(cameras).scaled(nominal), settings)
     propose = proposers[nominal]
     found = initialize_hand(fitter, seen, propose, detect=propose.detected, done=done)
@@ -120,6 +120,17 @@ def _with_unit(
     poses = {index: resized_pose(pose, factor) for index, pose in found.poses.items()}
     own = resized_shape(found.shape, factor, space) if shape is None else shape
     return Initialization(hand=replace(found, shape=own, poses=poses), skins=skins, metres=factor * nominal)
+
+
+def best_unit(units: Sequence[float], frames: Sequence[int], agreement: Callable[[float, int], float]) -> float:
+    """The unit in which a hand explains a frame best: the frame that it explains best in the middle one.
+
+    In a frame that hardly shows the hand every unit is a bad guess, and none is the better for having been tried there.
+    """
+    middle = units[len(units) // 2]
+    told = {index: agreement(middle, index) for index in frames}
+    frame = max(told, key=told.__getitem__)
+    return climbed(units, lambda unit: told[frame] if unit == middle else agreement(unit, frame))
 
 
 def climbed(ordered: Sequence[float], value: Callable[[float], float]) -> float:
