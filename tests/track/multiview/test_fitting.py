@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from torchhand.fit.hull import HullStartSettings
+from torchhand.fit.hull import SEARCH, HullFitter, HullStartSettings
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import HandPose
 from torchhand.track.multiview.fitting import FrameFitter, HullFit, best_of
@@ -48,6 +48,26 @@ def test_digit_is_found_though_the_hand_is_some_way_off(fitter, rig_hand, pose_a
         hull = fitter.hull_about(before, shape, masks)
         found = fitter.vary_fingers(hull, before, [], shape, masks)
     assert _error_mm(rig_hand, found, (pose, reference)) < 4.0
+
+
+def test_large_steps_are_taken_only_where_small_ones_are_not_enough(fitter, rig_hand, pose_at, masks_of, monkeypatch):
+    pose, reference = pose_at("point")
+    masks, shape = masks_of((pose, reference)), rig_hand.kinematics.default_shape
+    start = HandPose(dofs=pose + torch.eye(36, dtype=torch.float64)[0] * 0.004, reference=reference)
+    call, schedules = HullFitter.__call__, []
+
+    def noted(self, *arguments):
+        schedules.append(self.schedule)
+        return call(self, *arguments)
+
+    monkeypatch.setattr(HullFitter, "__call__", noted)
+    with torch.inference_mode():
+        hull = fitter.hull_about(start, shape, masks)
+        near = fitter.refine(hull, start, shape, masks, is_enough=lambda fit: fit.score > 0.9)
+        assert SEARCH not in schedules
+        assert _error_mm(rig_hand, near, (pose, reference)) < 4.0
+        fitter.refine(hull, start, shape, masks, is_enough=lambda fit: fit.score > 1.0)
+    assert schedules.count(SEARCH) == 1
 
 
 def _before_arm(pose, rig_hand, rig, masks_of, views: int) -> tuple[list[torch.Tensor | None], torch.Tensor]:

@@ -11,6 +11,8 @@ from torchhand.geometry import rotation_from_vector
 from torchhand.hand import HandPose, posture
 from torchhand.track import DEFAULTS, Keyframe, Tracker, TrackerState, View
 from torchhand.track.multiview import FrameFitter, RigSettings
+from torchhand.track.proposals.hull import Refit
+from torchhand.track.scene import Agreement
 
 START = HullStartSettings(places=1, rolls=4, postures=("open",), coarse=6, fine=2, finger_rounds=0)
 SELDOM = replace(DEFAULTS["hull"], rig=RigSettings(start=START))
@@ -214,6 +216,28 @@ def test_other_hands_are_tried_seldom_for_one_that_stays_degraded(rig_hand, rig,
     assert counts[0] >= 3  # all at once when it has become so
     assert max(counts[1:]) <= 2  # one source after the other; what is seen is fitted as detected, then as proposed
     assert 2 <= sum(count > 0 for count in counts[1:]) <= 4
+
+
+@pytest.mark.parametrize("score", [0.5, 0.99])
+def test_refit_takes_large_steps_where_small_ones_explain_no_more(
+    score, tracker, rig_hand, poses, masks_of, monkeypatch
+):
+    told, masks = [], masks_of(poses[0])
+    refit = next(source for source in tracker.parts.sources if isinstance(source, Refit))
+    state, exact = _state(tracker, poses[0]), HandPose(dofs=poses[0][0], reference=poses[0][1]).normalized()
+    scene = tracker.scene(state, _views(masks), 0.0)
+    best = tracker.candidate(exact, scene, state.shape)
+    best = replace(best, agreement=Agreement.of_overlaps(torch.full((4,), 0.7)), edges=0.7)
+
+    def refine(fitter, hull, start, shape, masks, *, is_enough):
+        fit = fitter.fit_from(hull, [start], shape, masks)
+        told.append(is_enough(replace(fit, overlaps=torch.full((4,), score), covered_fraction=score)))
+        return fit
+
+    monkeypatch.setattr(FrameFitter, "refine", refine)
+    with torch.inference_mode():
+        refit(scene, state, best)
+    assert told == [score > 0.7]
 
 
 def test_other_hands_are_tried_seldom_while_the_hand_stays_lost(rig_hand, rig, poses, masks_of, monkeypatch):

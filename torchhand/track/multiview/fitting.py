@@ -1,6 +1,6 @@
 """Hands fitted to the silhouettes of one frame: from a prediction, from hands of other frames, or without a guess."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -40,6 +40,11 @@ _REFINING = (
     Stage(gross_m=0.005, rounds=2, iterations=2),
     Stage(gross_m=0.002, rounds=1, iterations=3),
 )
+_TRYING = (
+    Stage(gross_m=0.006, rounds=1, iterations=1, method="gauss_newton"),
+    Stage(gross_m=0.002, rounds=1, iterations=1, method="gauss_newton"),
+)
+"""For hands of which the cheapest are refined: a step each, whether they have arrived or not."""
 _TURNS_DEG = (
     *((0.0, angle, 0.0) for angle in (-90.0, -60.0, -30.0, 30.0, 60.0, 90.0)),
     *((angle, 0.0, 0.0) for angle in (-30.0, 30.0)),
@@ -206,12 +211,25 @@ class FrameFitter:
             return None
         return self._best(self._fitters_for(shape).searching, hull, HandPose.stack(starts), shape, masks)
 
-    def refine(self, hull: Hull, start: HandPose, shape: Float[Tensor, "shape"], masks: Masks) -> HullFit | None:
+    def refine(
+        self,
+        hull: Hull,
+        start: HandPose,
+        shape: Float[Tensor, "shape"],
+        masks: Masks,
+        *,
+        is_enough: Callable[[HullFit], bool] = lambda fit: False,
+    ) -> HullFit | None:
         """The hand fitted from one that is nearly right: the better of small steps, after which digits stay where they
-        are, and large ones."""
+        are, and large ones, which take most of the time.
+
+        is_enough: whether what small steps led to needs no large ones.
+        """
         fitters, starts = self._fitters_for(shape), HandPose.stack([start])
-        fits = [self._best(own, hull, starts, shape, masks) for own in (fitters.refining, fitters.searching)]
-        return best_of(fits)
+        near = self._best(fitters.refining, hull, starts, shape, masks)
+        if near is not None and is_enough(near):
+            return near
+        return best_of([near, self._best(fitters.searching, hull, starts, shape, masks)])
 
     def fit_in_place(
         self, hull: Hull, pose: HandPose, others: Sequence[HandPose], shape: Float[Tensor, "shape"], masks: Masks
@@ -360,7 +378,9 @@ class FrameFitter:
             comparison = SilhouetteComparison(self.hand.kinematics, self.cameras, shape, side_px=s.check_side_px)
             self._fitters = _Fitters(
                 tracking=tracking,
-                trying=replace(tracking, settings=replace(tracking.settings, vertices=s.start.vertices)),
+                trying=replace(
+                    tracking, settings=replace(tracking.settings, vertices=s.start.vertices), schedule=_TRYING
+                ),
                 refining=replace(tracking, schedule=_REFINING),
                 searching=searching,
                 comparison=comparison,

@@ -84,7 +84,8 @@ class KeyframeHere:
 
 @dataclass(frozen=True, kw_only=True)
 class Refit:
-    """The followed hand itself, fitted with larger steps: a finger that stayed behind may still be drawn in."""
+    """The followed hand itself, fitted without a prediction, and with larger steps where that explains no more: a
+    finger that stayed behind may still be drawn in."""
 
     shared: HullProposals
 
@@ -94,7 +95,12 @@ class Refit:
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """Proposals of at most one hand."""
-        return self.shared.about(best, scene, state, self.shared.fitter.refine)
+
+        def is_enough(fit: HullFit) -> bool:
+            candidate = self.shared.update.candidate(fit)
+            return candidate is not None and self.shared.health.better(best, candidate, None) is candidate
+
+        return self.shared.about(best, scene, state, partial(self.shared.fitter.refine, is_enough=is_enough))
 
 
 @dataclass(frozen=True, kw_only=True)
