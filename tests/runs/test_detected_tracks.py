@@ -115,6 +115,24 @@ def test_hands_of_the_other_side_alone_are_told() -> None:
     assert own.notes() == []
 
 
+def test_a_detector_is_silent_where_it_finds_no_hand_and_has_seen_none_of_the_other_side() -> None:
+    class Nothing(Counting):
+        def open(self, hands: int) -> Landmarks:
+            class Seen:
+                def detect(self, image: Tensor) -> Sequence[HandDetection]:
+                    return ()
+
+                def close(self) -> None: ...
+
+            return Seen()
+
+    frames = _frames(2, missing=1, brightness=255)
+    for landmarker, told in ((Nothing(), [True, False]), (Counting(), [False, False])):
+        tracks = DetectedTracks([HandDetector(landmarker=landmarker)])
+        views = [with_keypoints(frame, tracks, None).views[0] for frame in frames]
+        assert [view.is_detector_silent for view in views] == told
+
+
 @pytest.mark.parametrize("texts", [["mediapipe", "one.npz"], ["one.npz", "mediapipe"]])
 def test_the_detector_is_for_all_cameras_or_none(texts: list[str]) -> None:
     with pytest.raises(InputError, match=r"expected mediapipe alone \(for all cameras\) or files"):

@@ -9,8 +9,9 @@ import torch
 
 from torchhand.files import save_cameras, write_video
 from torchhand.geometry import assumed_camera
-from torchhand.runs.keypoint_tracks import KeypointTracks
-from torchhand.runs.recordings import RigRecording
+from torchhand.runs.keypoint_tracks import KeypointTracks, with_keypoints
+from torchhand.runs.recordings import RecordedFrame, RigRecording
+from torchhand.track import View
 
 WIDTH, HEIGHT = 40, 30
 
@@ -42,3 +43,20 @@ def test_frames_of_several_cameras_have_the_times_and_the_keypoints_of_their_pic
             assert slow is not None
             assert float(slow.points_px[0, 0]) == frame.index
             assert abs(float(fast.points_px[0, 0]) / 25 - frame.time_s) <= 0.02 + 1e-9
+
+
+@pytest.mark.parametrize(("label", "is_silent"), [("Left", True), ("Right", False)])  # names of MediaPipe
+def test_a_file_without_a_hand_in_a_frame_is_silent_unless_it_knows_other_hands(
+    label: str, is_silent: bool, tmp_path: Path
+) -> None:
+    points = np.ones((3, 21, 2))
+    points[1] = np.nan
+    np.savez(tmp_path / "points.npz", points_px=points, label=np.array(["Left", "", label]), score=np.ones(3))
+    keypoints = KeypointTracks([tmp_path / "points.npz"], [assumed_camera(WIDTH, HEIGHT)])
+    image = torch.zeros(HEIGHT, WIDTH, 3, dtype=torch.uint8)
+    told = []
+    for index, view in enumerate((View(image=image), View(image=image), View())):
+        frame = RecordedFrame(index=index, time_s=index / 30, views=(view,), problems=(None,))
+        told.append(with_keypoints(frame, keypoints, None).views[0].is_detector_silent)
+    assert told == [False, is_silent, False]
+    assert not with_keypoints(frame, None, None).views[0].is_detector_silent

@@ -178,3 +178,17 @@ def test_a_hand_that_colours_do_not_tell_is_followed_where_its_points_are(
         assert estimate.keypoints_px is not None
         assert float((estimate.keypoints_px[0] - one.keypoints_px).norm(dim=-1).mean()) < 4.0
     assert _steps(tracker, [replace(views[0], keypoints=None)])[0].status == "no_hand"
+
+
+@BY_NAME
+def test_no_hand_is_looked_for_where_a_detector_finds_none(studio: Any, settings: TrackerSettings) -> None:
+    """One that is followed is followed on, and one whose place is given is believed."""
+    placed = studio.placed(size=0.8)
+    silent = View(image=placed.picture(seed=1), is_detector_silent=True)
+    tracker = Tracker(right_hand(), placed.camera, settings, shape=placed.shape)
+    found = _steps(tracker, [silent, replace(silent, is_detector_silent=False), silent, silent])
+    assert [one.status for one in found] == ["no_hand", "tracked", "tracked", "tracked"]
+    assert found[0].reason.startswith("the detector finds no hand")
+    wrist, tip = (tuple(point) for point in placed.keypoints_px[[0, 12]].tolist())
+    told = Tracker(right_hand(), placed.camera, settings, shape=placed.shape, start_points=(*wrist, *tip))
+    assert _steps(told, [silent])[0].status == "tracked"

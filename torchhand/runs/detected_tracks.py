@@ -42,6 +42,10 @@ class DetectedTracks:
             self._has_found |= hand is not None
         return found
 
+    def sees_other_hands(self) -> list[bool]:
+        """Whether a detector has seen pictures with hands of the other side alone."""
+        return [detector.other_hands > 0 for detector in self._detectors]
+
     def rewind(self) -> None:
         """From now on what was found is told again. Raises ValueError where nothing was kept."""
         if self._log is None:

@@ -27,6 +27,10 @@ class KeypointSource(Protocol):
         """The hand of every view. followed_px: keypoints of the hand as last tracked; None before there is one."""
         ...
 
+    def sees_other_hands(self) -> Sequence[bool]:
+        """Of every view, whether hands of the other side were seen, which may be this one under the wrong name."""
+        ...
+
     def rewind(self) -> None:
         """Get ready to give the same hands again, in any order of the frames."""
         ...
@@ -35,14 +39,18 @@ class KeypointSource(Protocol):
 def with_keypoints(
     frame: RecordedFrame, source: KeypointSource | None, followed_px: Float[Tensor, "views 21 2"] | None
 ) -> RecordedFrame:
-    """The frame with the keypoints of its views; a view whose picture is missing has none."""
+    """The frame with the keypoints of its views, or the detector's silence; a view whose picture is missing has
+    neither."""
     if source is None:
         return frame
     hands = source.hands(frame, followed_px)
-    views = tuple(
-        view if view.is_empty else replace(view, keypoints=seen) for view, seen in zip(frame.views, hands, strict=True)
-    )
-    return replace(frame, views=views)
+    views = [
+        view
+        if view.is_empty
+        else replace(view, keypoints=seen, is_detector_silent=seen is None and not sees_other_hands)
+        for view, seen, sees_other_hands in zip(frame.views, hands, source.sees_other_hands(), strict=True)
+    ]
+    return replace(frame, views=tuple(views))
 
 
 class KeypointTracks:
@@ -67,6 +75,10 @@ class KeypointTracks:
         """What was found in a frame, view by view; None where nothing was."""
         return [view.hand(frame.number(place)) for place, view in enumerate(self._views)]
 
+    def sees_other_hands(self) -> list[bool]:
+        """Whether a camera's file holds hands of the other side."""
+        return [view.has_other_hands for view in self._views]
+
     def rewind(self) -> None:
         """Files can be read in any order."""
 
@@ -79,6 +91,7 @@ class _View:
         if self._found.picture is None:
             raise InputError(f"{path}: expected points in the picture, got points in space alone")
         self._pixels = self._found.in_pixels(camera.width, camera.height)
+        self.has_other_hands = any(label not in (side, None) for label in self._found.label)
 
     def hand(self, number: int | None) -> HandKeypoints | None:
         if number is None:

@@ -51,6 +51,9 @@ _TOLD = 0.01  # score that a hand may have less which the network bears out
 _VAIN_REFIT_EVERY = 40  # the same where they keep bringing nothing better
 
 
+_SILENCE = "the detector finds no hand; without --keypoints one is looked for by its colours"
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Search:
     """The best hand of a scene, and how it was come by."""
@@ -136,7 +139,7 @@ class Tracker:
         plates, start_points = working.plates(plates), working.points(start_points)
         self.parts: Assembly = assembled(hand, working.cameras, self.settings, known, start_points, plates)
         self.known_shape = known
-        self._observations = observations
+        self._observations, self._has_start_points = observations, start_points is not None
         self.kinematics = self.parts.kinematics
         self._evidence = FingerEvidence(self.kinematics, self.parts.cameras)
         self._last: tuple[Appearances, Scene] | None = None
@@ -449,8 +452,12 @@ class Tracker:
         """The hand so far, or another one where that is in doubt and the other explains enough more.
 
         facing: world_from_hand as expected. A source is not asked again about a hand that it was asked about already.
+        Where none is followed and a detector finds none, none is looked for: something else would be taken for it.
         """
         health = self.parts.health
+        is_told = self._has_start_points and not state.has_started
+        if state.hand is None and search.best is None and not is_told and _is_silent(scene):
+            return state, replace(search, reason=_SILENCE)
         asked: dict[type, Candidate | None] = {}
         tried = self._tried(search.best, state)
         for source in self.parts.sources:
@@ -719,3 +726,8 @@ class Tracker:
     def pose_of(self, state: TrackerState) -> HandPose | None:
         """Where a state's hand is believed to be; None while there is none."""
         return None if state.hand is None else self.parts.motion.pose(state.hand)
+
+
+def _is_silent(scene: Scene) -> bool:
+    """Whether detectors looked at all pictures there are, and found no hand."""
+    return all(view.is_empty or view.is_detector_silent for view in scene.views)
