@@ -87,7 +87,7 @@ class Arguments(OnDevice):
     iterations: Annotated[int | None, arg(metavar="N")] = None
     """Most iterations of a start, over all stages from coarse to fine; 20 if not given."""
     batch: Annotated[int | None, arg(metavar="N")] = None
-    """Starts that are worked on together; 256 if not given."""
+    """Starts that are worked on together; 512 if not given."""
     surface: SurfaceName | None = None
     """Surface whose contours are registered (and drawn, of simulated pictures); primitives if not given."""
     method: Literal["levenberg_marquardt", "gauss_newton", "gradient_descent"] | None = None

@@ -1,7 +1,7 @@
 """One estimation problem: poses of a hand in a pose space that explain observations under priors."""
 
 from collections.abc import Hashable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -138,6 +138,7 @@ class Linearization:
     values: Float[Tensor, "k free"]
     """Free parameters of the hands."""
     factors: tuple[Factor, ...]
+    _last_rows: list[Any] = field(default_factory=list, repr=False, compare=False)
 
     def here(self) -> NormalEquations:
         """Normal equations in the free parameters, at the hands that data were associated with."""
@@ -153,12 +154,20 @@ class Linearization:
 
     def equations(self, values: Float[Tensor, "n free"], rows: Int[Tensor, "n"]) -> NormalEquations:
         """Normal equations in the free parameters, at other values of the given rows."""
-        is_all = len(rows) == len(self.hands)
-        reference = self.hands.pose.reference if is_all else self.hands.pose.reference[rows]
+        reference, factors = self._of_rows(rows)
         dofs, moving = self.problem.dofs_of(values)
         hands = replace(self.hands, pose=HandPose(dofs=dofs, reference=reference), kept={})
-        factors = self.factors if is_all else tuple(factor.rows(rows) for factor in self.factors)
         return self._in_free(self.sum(factors, hands), moving)
+
+    def _of_rows(self, rows: Int[Tensor, "n"]) -> tuple[Float[Tensor, "n 3 3"], tuple[Factor, ...]]:
+        """References and factors of the given rows; those of the last rows are kept, as an optimiser asks for the same
+        ones step after step."""
+        if len(rows) == len(self.hands):
+            return self.hands.pose.reference, self.factors
+        last = self._last_rows
+        if not last or last[0] is not rows:
+            last[:] = rows, (self.hands.pose.reference[rows], tuple(factor.rows(rows) for factor in self.factors))
+        return last[1]
 
     def explained(self) -> tuple[Explained, ...]:
         """What is explained by the hands that data were associated with, observation by observation and view by

@@ -33,6 +33,7 @@ from torchhand.study.hypotheses.settings import HypothesisStudySettings
 from torchhand.view import Contours, HandProjector, MeshContours, PrimitiveContours, outline_table
 
 _ROOT = 6
+_AT_ONCE = 256  # starts that are solved together, and stay near the processor; restarts are those of a whole batch
 _REFINEMENT_SIZE = 0.3  # of the largest perturbation: starts among which a reference is looked for
 
 
@@ -207,7 +208,7 @@ class CaseStudy:
         )
         s = self.settings
         restarts = Restarts(settings=s.restarts, camera=self.contours.camera, postures=self._postures)
-        found = solve_with_restarts(problem, starts, s.schedule, restarts, at_once=s.batch)
+        found = solve_with_restarts(problem, starts, s.schedule, restarts, at_once=min(s.batch, _AT_ONCE))
         return replace(found, pose=found.pose.to(self.case.pose.dofs))
 
 

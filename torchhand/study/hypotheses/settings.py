@@ -29,7 +29,7 @@ class HypothesisStudySettings:
 
     starts: int = 10_000
     """Starts of all pictures together, shared out evenly; 1 to 10,000,000."""
-    batch: int = 256
+    batch: int = 512
     """Starts that are registered together: bounds the memory. Other batches draw other starts. 1 to 4096."""
     perturbation: PerturbationSettings = field(default_factory=PerturbationSettings)
     precision: Literal["single", "double"] = "single"
