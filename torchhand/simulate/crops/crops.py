@@ -65,7 +65,7 @@ class CropMaker:
     def batches(self, people: int, generator: torch.Generator) -> Iterator[Crops]:
         """Crops of so many hands at a time without end, `settings.views` of each hand one after the other.
 
-        The same seed gives the same batches. Sixteen crops at a time are made fastest.
+        The same seed gives the same batches.
         """
         pose, shape = self._prior.sample(0, generator)
         while True:

@@ -21,7 +21,7 @@ from torchhand.simulate.crops.stream import seeded
 
 _JPEG = (cv2.IMWRITE_JPEG_QUALITY, 92)
 _PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
-_AT_ONCE = 64  # crops
+_AT_ONCE = 128  # crops
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +55,7 @@ def write_shard(shard: Shard) -> Path:
             max(1, _AT_ONCE // shard.settings.views), seeded(shard.seed, shard.index)
         )
         done = 0
-        with explained_errors(shard.path), replacing(shard.path) as part, tarfile.open(part, "w") as archive:
+        with explained_errors(shard.path), replacing(shard.path) as part, tarfile.open(part, "w", format=tarfile.USTAR_FORMAT) as archive:
             while done < shard.crops:
                 crops = next(batches).rows(slice(shard.crops - done))
                 for name, content in _members(crops, shard, done):
