@@ -13,8 +13,9 @@ from typing import Annotated
 from tqdm import tqdm
 from tyro.conf import OmitArgPrefixes, arg
 
-from torchhand.cli.command import DONE, command, parse
+from torchhand.cli.command import DONE, OnDevice, command, parse
 from torchhand.cluster import keep_freed_memory
+from torchhand.devices import device_named
 from torchhand.errors import InputError
 from torchhand.files.disk import explained_errors, write_text
 from torchhand.simulate.crops import CropSettings, Shard, about, write_shard
@@ -24,13 +25,14 @@ _MAX_WORKERS = 256
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(OnDevice):
     """Labelled crops of random hands by the thousand, as WebDataset shards: pictures, masks, keypoints and poses.
 
     People and postures of the prior, each before several cameras, with skin tones, light, backgrounds, forearms,
     sleeves, things in front, blur and noise. DIR gets crops-000000.tar and so on, plain tar files with KEY.jpg,
     KEY.mask.png and KEY.json for each crop, and about.json with names and units. The same arguments give the same
-    bytes, with any number of workers. `torchhand.simulate.CropStream` gives the same crops to a DataLoader.
+    bytes, with any number of workers, and on any device the same hands before the same things.
+    `torchhand.simulate.CropStream` gives the same crops to a DataLoader.
 
     Example:
         torchhand simulate_crops --out out/crops --count 20000
@@ -64,6 +66,7 @@ class Arguments:
 def main(argv: Sequence[str] | None = None) -> int:
     """Make the shards."""
     arguments = parse(Arguments, argv, name="simulate_crops")
+    device = device_named(arguments.device)
     _check_folder(arguments.out)
     shards = [
         Shard(
@@ -72,6 +75,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             crops=min(arguments.shard, arguments.count - first),
             seed=arguments.seed,
             settings=arguments.settings,
+            device=device,
         )
         for index, first in enumerate(range(0, arguments.count, arguments.shard))
     ]

@@ -6,6 +6,7 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
+from torchhand.devices import sent_to
 from torchhand.files import load_hand_model
 from torchhand.geometry import assumed_camera
 from torchhand.hand import posture
@@ -69,6 +70,21 @@ def test_occluders_hide_parts_of_the_mask_and_forearms_do_not_count() -> None:
     assert float(arm.sum((1, 2)).double().median()) > 100
     assert not (crops.mask & (crops.depth == 0)).any()
     assert torch.equal(free.mask, free.depth > 0)
+
+
+def test_a_device_makes_the_crops_of_the_processor(device: torch.device) -> None:
+    """Labels to rounding; pictures but for the pixels along outlines, which rounding gives to one side or the other."""
+    settings = CropSettings(side_px=64, views=2)
+    own = made(settings)
+    generator = torch.Generator().manual_seed(0)
+    there = next(CropMaker(load_hand_model(), settings, generator, device).batches(6, generator))
+    assert {tensor.device.type for tensor in there.tensors().values()} == {device.type}
+    crops = sent_to(there, torch.device("cpu"))
+    for name in ("keypoints", "keypoints_px", "intrinsics", "pose", "shape"):
+        torch.testing.assert_close(getattr(crops, name), getattr(own, name), atol=1e-3, rtol=1e-4)
+    assert torch.equal(crops.is_left, own.is_left)
+    assert float((crops.mask == own.mask).double().mean()) > 0.999
+    assert float(((crops.image.int() - own.image.int()).abs() <= 2).double().mean()) > 0.99
 
 
 def test_hands_can_be_held_upright() -> None:

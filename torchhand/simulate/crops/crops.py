@@ -3,14 +3,15 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
-import cv2
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
+from torchhand.devices import HOST, sent_to
 from torchhand.geometry import vector_from_rotation
 from torchhand.hand import HandModel
 from torchhand.simulate.crops.drawing import drawn_hands
+from torchhand.simulate.crops.draws import Draws
 from torchhand.simulate.crops.hands import CropHands, crop_hands
 from torchhand.simulate.crops.settings import CropSettings
 from torchhand.simulate.crops.surroundings import Backgrounds, Sensor, occluded
@@ -53,14 +54,21 @@ class Crops:
 
 
 class CropMaker:
-    """Makes batches of crops; computes with float32 on the CPU."""
+    """Makes batches of crops; computes with float32."""
 
-    def __init__(self, model: HandModel, settings: CropSettings, generator: torch.Generator) -> None:
-        """generator: draws the pictures that backgrounds are cut from."""
-        self.settings = settings
-        self._hand, self._prior = model.hand(), model.prior()
-        self._backgrounds = Backgrounds.made(settings.side_px, generator)
-        self._sensor = Sensor.made(generator)
+    def __init__(
+        self,
+        model: HandModel,
+        settings: CropSettings,
+        generator: torch.Generator,
+        device: torch.device = HOST,
+    ) -> None:
+        """generator: of the processor; draws the pictures that backgrounds are cut from. device: that crops are made
+        on, and stay on: the same hands before the same things on any, pictures within a few grey levels."""
+        self.settings, self._device = settings, device
+        self._hand, self._prior = model.hand().to(device), model.prior()
+        self._backgrounds = sent_to(Backgrounds.made(settings.side_px, generator), device)
+        self._sensor = sent_to(Sensor.made(generator), device)
 
     def batches(self, people: int, generator: torch.Generator) -> Iterator[Crops]:
         """Crops of so many hands at a time without end, `settings.views` of each hand one after the other.
@@ -72,26 +80,26 @@ class CropMaker:
             if len(pose) < people:  # many are drawn together, which is faster
                 more = self._prior.sample(max(people, _DRAWN_AT_ONCE), generator)
                 pose, shape = (torch.cat(pair) for pair in zip((pose, shape), more, strict=True))
-            yield self._crops((pose[:people], shape[:people]), generator)
+            yield self._crops((pose[:people], shape[:people]), Draws(generator=generator, device=self._device))
             pose, shape = pose[people:], shape[people:]
 
     @torch.no_grad()
-    def _crops(self, people: tuple[Tensor, Tensor], generator: torch.Generator) -> Crops:
-        settings = self.settings
-        hands = crop_hands(self._hand, people, settings, generator)
-        drawn = drawn_hands(hands, settings, generator)
-        picture = drawn.before(self._backgrounds.cut(len(hands.person), settings.side_px, generator))
-        picture, hidden = occluded(picture, settings, generator)
-        image = self._sensor.developed(picture, settings, generator)
+    def _crops(self, people: tuple[Tensor, Tensor], draws: Draws) -> Crops:
+        settings, (pose, shape) = self.settings, people
+        hands = crop_hands(self._hand, (pose.to(draws.device), shape.to(draws.device)), settings, draws)
+        drawn = drawn_hands(hands, settings, draws)
+        picture = drawn.before(self._backgrounds.cut(len(hands.person), settings.side_px, draws))
+        picture, hidden = occluded(picture, settings, draws)
+        image = self._sensor.developed(picture, settings, draws)
         return _labelled(hands, image, drawn.is_hand & ~hidden, drawn.depth)
 
 
 def _labelled(hands: CropHands, image: Tensor, mask: Tensor, depth: Tensor) -> Crops:
     """The crops, those of left hands mirrored: in the picture, and in their labels."""
     left, side = hands.is_left, image.shape[1]
-    for index in left.nonzero()[:, 0].tolist():
-        for pixels in (image[index], mask.view(torch.uint8)[index], depth[index]):
-            cv2.flip(pixels.numpy(), 1, dst=pixels.numpy())
+    mirrored = left.nonzero()[:, 0]
+    for pixels in (image, mask, depth):
+        pixels[mirrored] = pixels[mirrored].flip(2)
     sign = torch.where(left, -1.0, 1.0)
     one = torch.ones_like(sign)
     keypoints = hands.keypoints * torch.stack((sign, one, one), -1)[:, None]
@@ -101,7 +109,7 @@ def _labelled(hands: CropHands, image: Tensor, mask: Tensor, depth: Tensor) -> C
     centre = torch.where(
         left[:, None], torch.stack((side - 1 - hands.centre[:, 0], hands.centre[:, 1]), -1), hands.centre
     )
-    intrinsics = torch.zeros(len(left), 3, 3)
+    intrinsics = torch.zeros(len(left), 3, 3, device=left.device)
     intrinsics[:, 0, 0] = intrinsics[:, 1, 1] = hands.focal
     intrinsics[:, :2, 2], intrinsics[:, 2, 2] = centre, 1
     # The wrist is the hand frame's origin.

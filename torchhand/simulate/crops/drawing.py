@@ -6,7 +6,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import constant_tensor
 from torchhand.geometry import assumed_camera
+from torchhand.simulate.crops.draws import Draws
 from torchhand.simulate.crops.hands import HAND, CropHands, last_labels
 from torchhand.simulate.crops.settings import CropSettings
 from torchhand.simulate.scene import SKIN_TONES
@@ -34,22 +36,22 @@ class DrawnHands:
         return pictures
 
 
-def drawn_hands(hands: CropHands, settings: CropSettings, generator: torch.Generator) -> DrawnHands:
+def drawn_hands(hands: CropHands, settings: CropSettings, draws: Draws) -> DrawnHands:
     """Every crop's hand, seen along the rays through the middles of the pixels."""
     count, side = len(hands.points), settings.side_px
     points = _before_one_camera(hands, side)
-    skin, last = last_labels(count, settings, generator)
-    camera = assumed_camera(side, side, dtype=points.dtype)
-    intrinsics = torch.tensor(((_FOCAL * side, 0.0, 0.0), (0.0, _FOCAL * side, 0.0), (0.0, 0.0, 1.0)))
-    camera = replace(camera, intrinsics=intrinsics.to(points))
+    skin, last = last_labels(count, settings, draws)
+    camera = assumed_camera(side, side, dtype=points.dtype).to(device=points.device)
+    intrinsics = draws.constant(_FOCAL * side, _FOCAL * side, 1.0).diag()
+    camera = replace(camera, intrinsics=intrinsics)
     face, depth = rasterize_many(_without_arms(points, hands, last), hands.faces, camera, is_closed=True)
     is_seen = face >= 0
     pixel = is_seen.view(-1).nonzero()[:, 0]
     seen = face.view(-1).index_select(0, pixel)
     crop = torch.repeat_interleave(is_seen.flatten(1).sum(1))
-    brightness = _light(hands, generator).view(-1).index_select(0, crop * len(hands.faces) + seen)
+    brightness = _light(hands, draws).view(-1).index_select(0, crop * len(hands.faces) + seen)
     is_covered = hands.labels.index_select(0, seen) > skin.index_select(0, crop)
-    own = torch.cat(_colours(hands, generator)).index_select(0, crop + count * is_covered)
+    own = torch.cat(_colours(hands, draws)).index_select(0, crop + count * is_covered)
     return DrawnHands(
         is_hand=is_seen & (face < hands.hand_faces),
         depth=depth.masked_fill_(~is_seen, 0.0),
@@ -73,25 +75,25 @@ def _without_arms(points: Tensor, hands: CropHands, last: Int[Tensor, "crops"]) 
     return torch.cat((points[:, :first], arms), 1)
 
 
-def _light(hands: CropHands, generator: torch.Generator) -> Float[Tensor, "crops faces"]:
+def _light(hands: CropHands, draws: Draws) -> Float[Tensor, "crops faces"]:
     """Brightness of every face: ambient and diffuse light, with normals that are means over neighbours."""
     count, views = len(hands.points), len(hands.points) // len(hands.normals)
-    towards = torch.randn(count, 3, generator=generator) * torch.tensor((0.8, 0.8, 0.3))
-    towards = torch.nn.functional.normalize(towards + torch.tensor((0.0, -0.4, -1.0)), dim=-1)
+    towards = draws.normal(count, 3) * draws.constant(0.8, 0.8, 0.3)
+    towards = torch.nn.functional.normalize(towards + draws.constant(0.0, -0.4, -1.0), dim=-1)
     in_hand = (towards[:, None] @ hands.rotation).unflatten(0, (-1, views))[:, :, 0]
     diffuse = (in_hand @ hands.normals.mT).flatten(0, 1).clamp_min_(0)
-    ambient = 0.25 + 0.5 * torch.rand(count, 1, generator=generator)
-    strength = 0.6 + 0.6 * torch.rand(count, 1, generator=generator)
+    ambient = 0.25 + 0.5 * draws.uniform(count, 1)
+    strength = 0.6 + 0.6 * draws.uniform(count, 1)
     return diffuse.mul_(strength * (1 - ambient)).add_(strength * ambient)
 
 
-def _colours(hands: CropHands, generator: torch.Generator) -> tuple[Float[Tensor, "crops 3"], Float[Tensor, "crops 3"]]:
+def _colours(hands: CropHands, draws: Draws) -> tuple[Float[Tensor, "crops 3"], Float[Tensor, "crops 3"]]:
     """RGB of each crop's skin, between two of the tones and the same in all views of a hand, and of its sleeve."""
-    tones = 255 * torch.tensor(list(SKIN_TONES.values()))
-    people = int(hands.person[-1]) + 1
-    which = torch.rand(people, generator=generator) * (len(tones) - 1)
+    tones = 255 * constant_tensor(tuple(map(tuple, SKIN_TONES.values())), torch.float32, draws.device)
+    people = len(hands.normals)
+    which = draws.uniform(people) * (len(tones) - 1)
     below = which.long().clamp_max(len(tones) - 2)
     skin = torch.lerp(tones[below], tones[below + 1], (which - below)[:, None])
-    skin = skin * (1 + 0.06 * torch.randn(people, 3, generator=generator))
-    sleeve = 255 * torch.rand(people, 3, generator=generator)
+    skin = skin * (1 + 0.06 * draws.normal(people, 3))
+    sleeve = 255 * draws.uniform(people, 3)
     return skin[hands.person], sleeve[hands.person]

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchhand.geometry import rotation_from_vector, rotation_of_quaternion
 from torchhand.hand import Hand
+from torchhand.simulate.crops.draws import Draws
 from torchhand.simulate.crops.forearms import FIRST_OF_FOREARM, LAST_OF_FOREARM, forearm_meshes
 from torchhand.simulate.crops.settings import CropSettings
 
@@ -51,21 +52,21 @@ def crop_hands(
     hand: Hand,
     people: tuple[Float[Tensor, "people 36"], Float[Tensor, "people shape"]],
     settings: CropSettings,
-    generator: torch.Generator,
+    draws: Draws,
 ) -> CropHands:
     """Hands in postures of theirs, each before `settings.views` cameras."""
-    poses, shapes = people
+    (poses, shapes), device = people, draws.device
     with torch.no_grad():
         state = hand(poses, shapes)
     breadth = hand.shape_space.metric(shapes)["wrist_breadth"]
-    arms, arm_faces, arm_labels = forearm_meshes(breadth, generator)
-    person = torch.arange(len(poses)).repeat_interleave(settings.views)
+    arms, arm_faces, arm_labels = forearm_meshes(breadth, draws.generator)
+    person = torch.arange(len(poses), device=device).repeat_interleave(settings.views)
     count = len(person)
-    turn = rotation_of_quaternion(torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=-1))
+    turn = rotation_of_quaternion(torch.nn.functional.normalize(draws.normal(count, 4), dim=-1))
     if settings.roll_deg is not None:
-        turn = _rolled(turn, settings.roll_deg, generator)
-    low, high = (math.log(end) for end in settings.distance)
-    distance = torch.exp(low + (high - low) * torch.rand(count, generator=generator))
+        turn = _rolled(turn, settings.roll_deg, draws)
+    nearest, farthest = settings.distance
+    distance = torch.exp(draws.between((math.log(nearest), math.log(farthest)), count))
     ahead = torch.stack((0 * distance, 0 * distance, distance), -1)
     place = ahead - (turn @ state.keypoints.mean(1)[person][..., None]).squeeze(-1)
     vertices, faces = (
@@ -76,15 +77,15 @@ def crop_hands(
     plane = points[:, : state.vertices.shape[1]]
     plane = plane[..., :2] / plane[..., 2:]
     least, most = plane.amin(1), plane.amax(1)
-    share = settings.fill[0] + (settings.fill[1] - settings.fill[0]) * torch.rand(count, generator=generator)
+    share = draws.between(settings.fill, count)
     focal = settings.side_px * share / (most - least).amax(-1)
-    shift = settings.side_px * _SHIFT * (2 * torch.rand(count, 2, generator=generator) - 1)
+    shift = settings.side_px * _SHIFT * (2 * draws.uniform(count, 2) - 1)
     centre = 0.5 * (settings.side_px - 1) + shift - focal[:, None] * 0.5 * (least + most)
     return CropHands(
         points=points,
         faces=faces,
         normals=_smooth_normals(vertices, faces),
-        labels=torch.cat((torch.full((len(state.faces),), HAND), arm_labels)),
+        labels=torch.cat((torch.full_like(state.faces[:, 0], HAND), arm_labels)),
         hand_faces=len(state.faces),
         keypoints=state.keypoints[person] @ turn.mT + place[:, None],
         rotation=turn,
@@ -93,18 +94,16 @@ def crop_hands(
         arm=state.vertices.shape[1],
         focal=focal,
         centre=centre,
-        is_left=(torch.rand(len(poses), generator=generator) < settings.left)[person],
+        is_left=(draws.uniform(len(poses)) < settings.left)[person],
         person=person,
     )
 
 
-def last_labels(
-    count: int, settings: CropSettings, generator: torch.Generator
-) -> tuple[Int[Tensor, "crops"], Int[Tensor, "crops"]]:
+def last_labels(count: int, settings: CropSettings, draws: Draws) -> tuple[Int[Tensor, "crops"], Int[Tensor, "crops"]]:
     """Last label that is skin, and last one that is there at all, of each crop."""
-    has_arm = torch.rand(count, generator=generator) < settings.forearm
-    has_sleeve = torch.rand(count, generator=generator) < settings.sleeve
-    begin = torch.randint(FIRST_OF_FOREARM, LAST_OF_FOREARM // 2, (count,), generator=generator)
+    has_arm = draws.uniform(count) < settings.forearm
+    has_sleeve = draws.uniform(count) < settings.sleeve
+    begin = draws.whole(FIRST_OF_FOREARM, LAST_OF_FOREARM // 2, count)
     skin = torch.where(has_arm, torch.where(has_sleeve, begin, LAST_OF_FOREARM), HAND)
     return skin, torch.where(has_arm, LAST_OF_FOREARM, HAND)
 
@@ -122,9 +121,9 @@ def _smooth_normals(
     return a.add_(b).add_(c).div_(3).movedim(0, 1)
 
 
-def _rolled(turn: Float[Tensor, "crops 3 3"], std_deg: float, generator: torch.Generator) -> Float[Tensor, "crops 3 3"]:
+def _rolled(turn: Float[Tensor, "crops 3 3"], std_deg: float, draws: Draws) -> Float[Tensor, "crops 3 3"]:
     """Turned about the line of sight until the fingers (y of the hand) point upwards, and then by a random angle."""
     upwards = torch.atan2(-turn[:, 0, 1], -turn[:, 1, 1])  # from the way the fingers point to -y of the picture
-    angle = upwards + math.radians(std_deg) * torch.randn(len(turn), generator=generator)
+    angle = upwards + math.radians(std_deg) * draws.normal(len(turn))
     about = torch.stack((0 * angle, 0 * angle, angle), -1)
     return rotation_from_vector(about) @ turn

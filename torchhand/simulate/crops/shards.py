@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import torch
 
+from torchhand.devices import HOST, sent_to
 from torchhand.files import load_hand_model
 from torchhand.files.disk import explained_errors, replacing
 from torchhand.hand import DOFS
@@ -26,7 +27,8 @@ _AT_ONCE = 128  # crops
 
 @dataclass(frozen=True, kw_only=True)
 class Shard:
-    """One file of a data set; its bytes depend on this record alone."""
+    """One file of a data set; its bytes depend on this record alone, and for another device
+    than the processor on what that computes."""
 
     folder: Path
     index: int
@@ -34,6 +36,8 @@ class Shard:
     """Number of crops, a multiple of the views."""
     seed: int
     settings: CropSettings
+    device: torch.device = HOST
+    """That crops are made on."""
 
     @property
     def path(self) -> Path:
@@ -51,13 +55,17 @@ def write_shard(shard: Shard) -> Path:
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        batches = _maker(shard.settings, shard.seed).batches(
+        batches = _maker(shard.settings, shard.seed, shard.device).batches(
             max(1, _AT_ONCE // shard.settings.views), seeded(shard.seed, shard.index)
         )
         done = 0
-        with explained_errors(shard.path), replacing(shard.path) as part, tarfile.open(part, "w", format=tarfile.USTAR_FORMAT) as archive:
+        with (
+            explained_errors(shard.path),
+            replacing(shard.path) as part,
+            tarfile.open(part, "w", format=tarfile.USTAR_FORMAT) as archive,
+        ):
             while done < shard.crops:
-                crops = next(batches).rows(slice(shard.crops - done))
+                crops = sent_to(next(batches).rows(slice(shard.crops - done)), HOST)
                 for name, content in _members(crops, shard, done):
                     entry = tarfile.TarInfo(name)
                     entry.size = len(content)
@@ -69,9 +77,9 @@ def write_shard(shard: Shard) -> Path:
 
 
 @lru_cache(maxsize=1)
-def _maker(settings: CropSettings, seed: int) -> CropMaker:
+def _maker(settings: CropSettings, seed: int, device: torch.device) -> CropMaker:
     """The same for all shards of a data set."""
-    return CropMaker(load_hand_model(), settings, seeded(seed))
+    return CropMaker(load_hand_model(), settings, seeded(seed), device)
 
 
 def about(settings: CropSettings) -> dict[str, object]:

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import IterableDataset, get_worker_info
 
+from torchhand.devices import HOST
 from torchhand.hand import HandModel
 from torchhand.simulate.crops.crops import CropMaker
 from torchhand.simulate.crops.settings import CropSettings
@@ -21,20 +22,28 @@ class CropStream(IterableDataset[dict[str, Tensor]]):
     """
 
     def __init__(
-        self, model: HandModel, settings: CropSettings | None = None, *, batch: int = 64, seed: int = 0
+        self,
+        model: HandModel,
+        settings: CropSettings | None = None,
+        *,
+        batch: int = 64,
+        seed: int = 0,
+        device: torch.device = HOST,
     ) -> None:
-        """batch: crops at a time, a multiple of the views. Raises ValueError for another number."""
+        """batch: crops at a time, a multiple of the views. Raises ValueError for another number. device: that crops are
+        made on; of an accelerator in the process itself (`num_workers=0`)."""
         self.settings = settings or CropSettings()
         if batch < 1 or batch % self.settings.views:
             raise ValueError(f"batch: expected a multiple of the {self.settings.views} views, got {batch}")
         self._model, self._batch, self._seed, self._epoch = model, batch, seed, 0
+        self._device = device
 
     def __iter__(self) -> Iterator[dict[str, Tensor]]:
         info = get_worker_info()
         worker, epoch = (0, self._epoch) if info is None else (info.id + 1, info.seed - info.id)
         self._epoch += 1
         generator = seeded(self._seed, worker, epoch)
-        maker = CropMaker(self._model, self.settings, generator)
+        maker = CropMaker(self._model, self.settings, generator, self._device)
         for crops in maker.batches(self._batch // self.settings.views, generator):
             yield crops.tensors()
 
