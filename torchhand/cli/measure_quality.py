@@ -10,7 +10,8 @@ from tqdm import tqdm
 from tyro.conf import arg
 
 import torchhand
-from torchhand.cli.command import DONE, command, parse, threads
+from torchhand.cli.command import DONE, OnDevice, command, parse, threads
+from torchhand.devices import device_named
 from torchhand.errors import InputError
 from torchhand.files.disk import write_text
 from torchhand.runs import settings_of
@@ -25,7 +26,7 @@ _CONFIGS = {"contour": "contour_full", "distance": "distance_full"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(OnDevice):
     """Measure what tells right fingers from wrong ones on simulated hands; write the models of `finger_quality`.
 
     Trackers follow simulated hands from starts beside the truth, half of them with a detector's points, and single
@@ -51,14 +52,15 @@ class Arguments:
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure every method; the models of each are written when it is done."""
     arguments = parse(Arguments, argv, name="measure_quality")
+    device = device_named(arguments.device)
     table: dict[str, Any] = json.loads(arguments.out.read_text(encoding="utf-8")) if arguments.out.is_file() else {}
     for method in arguments.methods:
         with threads(1):
             if method == "single":
-                fitter = single_pose_fitter("right", SinglePoseSettings())
+                fitter = single_pose_fitter("right", SinglePoseSettings(), device)
                 found = collect_single(fitter, arguments.sequences, arguments.seed)
             else:
-                found = collect(settings_of(_CONFIGS[method]), arguments.sequences, arguments.seed)
+                found = collect(settings_of(_CONFIGS[method]), arguments.sequences, arguments.seed, device)
             found = tqdm(found, desc=method, total=arguments.sequences, unit="sequence", disable=None)
             samples = [one for some in found for one in some]
         try:

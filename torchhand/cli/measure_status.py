@@ -10,7 +10,8 @@ from tqdm import tqdm
 from tyro.conf import arg
 
 import torchhand
-from torchhand.cli.command import DONE, command, parse, threads
+from torchhand.cli.command import DONE, OnDevice, command, parse, threads
+from torchhand.devices import device_named
 from torchhand.errors import InputError
 from torchhand.files import read_picture
 from torchhand.files.disk import write_text
@@ -36,7 +37,7 @@ _EVIDENCE = Path(single.__file__).with_name("evidence.json")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(OnDevice):
     """Measure how well a tracker tells its hand from another one or none; write the table of likelihood ratios.
 
     Simulated pictures show a hand, or things of its colours instead; the tracker's update rule starts beside the truth,
@@ -99,7 +100,8 @@ def _rates(arguments: Arguments, out: Path) -> int:
     with threads(1):
         for name in arguments.configs:
             settings = settings_of(name)
-            samples = list(tqdm(collect(settings, arguments.pictures, arguments.seed), desc=name, disable=None))
+            found = collect(settings, arguments.pictures, arguments.seed, device_named(arguments.device))
+            samples = list(tqdm(found, desc=name, disable=None))
             try:
                 table[name] = derived_table(samples, Health(settings=settings.health))
             except ValueError as error:
@@ -114,8 +116,9 @@ def _rates(arguments: Arguments, out: Path) -> int:
 
 def _empty(arguments: Arguments) -> dict[str, Any]:
     """How many hands are reported where there is none."""
-    fitter = single_pose_fitter("right", SinglePoseSettings())
-    finders: dict[str, Finder] = {name: first_frame(settings_of(name)) for name in arguments.configs}
+    device = device_named(arguments.device)
+    fitter = single_pose_fitter("right", SinglePoseSettings(), device)
+    finders: dict[str, Finder] = {name: first_frame(settings_of(name), device) for name in arguments.configs}
     finders["fit_pose"] = lambda view, camera: fitter(view, camera).estimate
     photographs = [] if arguments.without is None else pictures_in(arguments.without)[: arguments.empty]
     count, found = len(photographs) or arguments.empty, {}
@@ -148,7 +151,7 @@ def _evidence(arguments: Arguments, photographs: Path, without: Path) -> int:
             raise InputError(f"--photographs: expected {mask.name} beside {path.name}, the mask of its skin")
         pictures.append((path, mask))
     pictures += [(path, None) for path in pictures_in(without)[:: arguments.every]]
-    fitter = single_pose_fitter("right", SinglePoseSettings())
+    fitter = single_pose_fitter("right", SinglePoseSettings(), device_named(arguments.device))
     with threads(1):
         seen = list(tqdm(weighed_pictures(fitter, pictures), total=len(pictures), unit="picture", disable=None))
     try:

@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from torchhand.devices import HOST
 from torchhand.runs import settings_of
 from torchhand.study.quality import FingerSample, calibrated, collect, figures
 from torchhand.study.quality.calibration import fitted, held_out
@@ -62,3 +63,11 @@ def test_collected_samples_are_of_tracked_hands() -> None:
     assert len(first) > 3
     assert all(torch.equal(one.evidence, other.evidence) for one, other in zip(first, again, strict=True))
     assert all(0 < float(one.error_m.max()) < 0.3 for one in first)
+
+
+@pytest.mark.slow
+def test_a_device_gives_the_samples_of_the_processor(device: torch.device) -> None:
+    own, there = (next(iter(collect(settings_of("contour_full"), 1, 0, where))) for where in (HOST, device))
+    assert len(own) == len(there)
+    for one, other in zip(own, there, strict=True):
+        torch.testing.assert_close(one.error_m, other.error_m, atol=1e-4, rtol=1e-2)

@@ -34,6 +34,14 @@ def test_the_same_seed_gives_the_same_candidates(samples: list[Sample]) -> None:
         assert torch.equal(one.candidate.pose.dofs, other.candidate.pose.dofs)
 
 
+def test_a_device_gives_the_candidates_of_the_processor(samples: list[Sample], device: torch.device) -> None:
+    found = list(collect(PLANAR, 1, seed=1, device=device))
+    assert found
+    for one, other in zip(found, samples, strict=False):
+        assert one.kind == other.kind
+        torch.testing.assert_close(one.candidate.pose.dofs, other.candidate.pose.dofs, atol=1e-4, rtol=1e-3)
+
+
 def test_stricter_rates_have_stricter_thresholds(table: dict[str, Any]) -> None:
     for kind, sign in (("found", -1), ("failing", 1)):
         nats = [sign * table[kind][rate]["nats"] for rate in sorted(table[kind], key=float)]

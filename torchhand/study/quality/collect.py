@@ -8,10 +8,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.devices import HOST, sent_to
 from torchhand.evaluate import fingertip_distances, fingertip_errors
 from torchhand.files import load_hand_model
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand import FINGERS, HandPose
+from torchhand.hand import FINGERS, HandKinematics, HandPose
 from torchhand.study import seed_of
 from torchhand.study.quality.sequences import FPS, SimulatedSequence, drawn_posture, sequence
 from torchhand.track import Estimate, Tracker, TrackerSettings, TrackerState
@@ -40,15 +41,19 @@ class FingerSample:
     """Number of the sequence."""
 
 
-def collect(settings: TrackerSettings, count: int, seed: int) -> Iterator[list[FingerSample]]:
+def collect(
+    settings: TrackerSettings, count: int, seed: int, device: torch.device = HOST
+) -> Iterator[list[FingerSample]]:
     """The estimates of each of `count` sequences, every other one with the points of a detector.
 
     Trackers start beside the truth: some degrees off, with some fingers in another posture, or turned over; what they
     make of that is theirs. Only following is measured, without searches. The same seed gives the same samples.
+    device: of the tracker.
     """
     health = replace(settings.health, search_every=_NEVER, search_at_most_every=_NEVER, searches_when_failing=False)
     settings = replace(settings, learned_proposals=False, health=health)
-    hand = load_hand_model().hand(side="right", dtype=torch.float64)
+    kinematics = load_hand_model().kinematics("right", dtype=torch.float64)
+    hand = load_hand_model().to(device=device).hand(side="right", dtype=torch.float64)
     for index in range(count):
         generator = torch.Generator().manual_seed(seed_of(seed, "quality", index))
         own = sequence(generator, FRAMES, has_detector=index % 2 == 1)
@@ -56,7 +61,7 @@ def collect(settings: TrackerSettings, count: int, seed: int) -> Iterator[list[F
             yield []
             continue
         tracker = Tracker(hand, own.camera, settings, shape=own.shape)
-        start = _beside(own, tracker, generator)
+        start = _beside(own, kinematics, generator)
         yield [_sample(estimate, keypoints, index) for estimate, keypoints in _tracked(own, tracker, start)]
 
 
@@ -76,8 +81,9 @@ def _tracked(
     own: SimulatedSequence, tracker: Tracker, start: HandPose
 ) -> Iterator[tuple[Estimate, Float[Tensor, "21 3"]]]:
     """The estimates of all pictures after the first, until the hand is lost."""
-    empty = TrackerState(shape=own.shape, appearance=(own.appearance,), posture=start.dofs, has_started=True)
-    found = tracker.candidate(start, tracker.scene(empty, [own.frames[0].view], 0.0), own.shape)
+    begun = TrackerState(shape=own.shape, appearance=(own.appearance,), posture=start.dofs, has_started=True)
+    empty, start, shape = sent_to((begun, start, own.shape), tracker.device)
+    found = tracker.candidate(start, tracker.scene(empty, [own.frames[0].view], 0.0), shape)
     if found is None:
         return
     state = replace(empty, hand=found.hand, time_s=0.0)
@@ -88,15 +94,15 @@ def _tracked(
         yield estimate, frame.keypoints
 
 
-def _beside(own: SimulatedSequence, tracker: Tracker, generator: torch.Generator) -> HandPose:
+def _beside(own: SimulatedSequence, kinematics: HandKinematics, generator: torch.Generator) -> HandPose:
     """A start beside the truth."""
-    other = drawn_posture(tracker.kinematics, generator)
+    other = drawn_posture(kinematics, generator)
     takes = torch.rand(len(FINGERS), generator=generator) < _OTHERWISE
     share = torch.where(takes, torch.rand(len(FINGERS), generator=generator), 0.0).repeat_interleave(_PER_FINGER)
     dofs = own.start.dofs.clone()
     dofs[_ROOT:] = torch.lerp(dofs[_ROOT:], other, share.to(dofs))
     dofs[_ROOT:] += math.radians(_ANGLE_STD_DEG) * torch.randn(30, generator=generator, dtype=torch.float64)
-    dofs[_ROOT:] = tracker.kinematics.skeleton.within_limits(dofs[_ROOT:])
+    dofs[_ROOT:] = kinematics.skeleton.within_limits(dofs[_ROOT:])
     dofs[:3] += _ROOT_STD_M * torch.randn(3, generator=generator, dtype=torch.float64)
     turn = math.radians(_ROOT_STD_DEG) * torch.randn(3, generator=generator, dtype=torch.float64)
     rotation = rotation_from_vector(turn) @ own.start.rotation

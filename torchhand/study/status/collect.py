@@ -8,6 +8,7 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor
 
+from torchhand.devices import HOST, sent_to
 from torchhand.files import load_hand_model
 from torchhand.fit.detect import align_posture
 from torchhand.geometry import rotation_from_vector
@@ -36,14 +37,15 @@ class Sample:
     candidate: Candidate
 
 
-def collect(settings: TrackerSettings, count: int, seed: int) -> Iterator[Sample]:
+def collect(settings: TrackerSettings, count: int, seed: int, device: torch.device = HOST) -> Iterator[Sample]:
     """Candidates of a tracker's update rule on `count` simulated pictures, up to one of each kind from each.
 
     The right hand starts some degrees and millimetres beside the truth; the wrong ones in another posture, turned, or
     half beside it at another size; where there is none, as a search lays a posture over what has the hand's colours.
     What an update leaves between right and wrong counts as neither. The same seed gives the same candidates.
+    device: of the updates; candidates come back to the processor.
     """
-    hand = load_hand_model().hand(side="right", dtype=torch.float64)
+    hand = load_hand_model().to(device=device).hand(side="right", dtype=torch.float64)
     for index in range(count):
         generator = torch.Generator().manual_seed(seed_of(seed, "status", index))
         own = picture(generator)
@@ -52,13 +54,19 @@ def collect(settings: TrackerSettings, count: int, seed: int) -> Iterator[Sample
         tracker = Tracker(hand, own.camera, settings, shape=own.believed_shape)
         scene = own.scene(own.image)
         for start in (_near(own, generator), _elsewhere(own, generator)):
-            found = tracker.candidate(start, scene, own.believed_shape)
+            found = _candidate(tracker, start, scene, own)
             kind = None if found is None else _kind(own, found)
             if found is not None and kind is not None:
                 yield Sample(kind=kind, candidate=found)
         found = _without(own, tracker, generator)
         if found is not None:
             yield Sample(kind="none", candidate=found)
+
+
+def _candidate(tracker: Tracker, start: HandPose, scene: Scene, own: Picture) -> Candidate | None:
+    """What the update makes of a start, on the tracker's device."""
+    given = sent_to((start, scene, own.believed_shape), tracker.device)
+    return sent_to(tracker.candidate(*given), HOST)
 
 
 def _kind(own: Picture, found: Candidate) -> Kind | None:
@@ -121,7 +129,7 @@ def _without(own: Picture, tracker: Tracker, generator: torch.Generator) -> Cand
         size = torch.tensor((own.camera.width, own.camera.height))
         if float(((points >= 0) & (points < size)).all(-1).double().mean()) < _INSIDE:
             continue
-        found = tracker.candidate(start, scene, own.believed_shape)
+        found = _candidate(tracker, start, scene, own)
         if found is not None and (best is None or health.score(found) > health.score(best)):
             best = found
     return best

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import UInt8
 from torch import Tensor
 
+from torchhand.devices import HOST
 from torchhand.files import load_hand_model
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.simulate import NO_HAND, NoHandKind, picture_without_hand
@@ -31,9 +32,9 @@ class EmptyPicture:
     """Whether a hand was."""
 
 
-def first_frame(settings: TrackerSettings) -> Finder:
+def first_frame(settings: TrackerSettings, device: torch.device = HOST) -> Finder:
     """A tracker's first frame, right hands."""
-    hand = load_hand_model().hand(side="right", dtype=torch.float64)
+    hand = load_hand_model().to(device=device).hand(side="right", dtype=torch.float64)
 
     def found(view: View, camera: Camera) -> Estimate:
         return Tracker(hand, camera, settings).step(None, [view], 0.0)[1]

@@ -51,7 +51,7 @@ def weighed_pictures(
         found, seen_by = fitter.hypotheses(View(image=image), camera)
         overlap = torch.full((len(found),), torch.nan, dtype=torch.float64)
         if mask_path is not None:
-            mask = reduced_mask(read_picture(mask_path).amax(-1) > 127, seen_by.height, seen_by.width)
+            mask = reduced_mask(read_picture(mask_path).amax(-1) > 127, seen_by.height, seen_by.width).to(fitter.device)
             for row, one in enumerate(found):
                 compare = SilhouetteComparison(fitter.kinematics, (seen_by,), one.hand.shape, side_px=_CHECK_SIDE_PX)
                 overlap[row] = compare.overlaps(one.hand.pose, (mask,))[0]
