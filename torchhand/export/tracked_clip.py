@@ -28,7 +28,7 @@ def load_clip(
     gaps: Gaps = "hold",
     fps: float | None = None,
     hand: str | Path | None = None,
-    up: Up = "-y",
+    up: Up | None = None,
     side: Side | None = None,
     model: HandModel | None = None,
 ) -> MotionClip:
@@ -41,7 +41,7 @@ def load_clip(
     fps: a rate to play the frames at; where it is not given, the track's own times and rate, else the rate that is
         assumed of pictures.
     hand: another file than the hand.json beside the track.
-    up: which axis of the track's frame points up.
+    up: which axis points up in the frame of the poses; where it is not given, what the file says, else -y of tracks.
     side: of the hand, where a file of another program does not tell it.
 
     Raises InputError naming the file and what is wrong with it; a track without a single estimate is refused.
@@ -54,7 +54,8 @@ def load_clip(
         if hand is not None and path.suffix == ".thp":
             raise InputError(f"{path}: expected a track with another hand file, got a pose stream, which has its own")
         shape = None if hand is None else _hand_of(expanded(hand), model)[1]
-        clip = load_motion(path, model, shape, side=side, up=up)
+        clip = load_motion(path, model, shape, side=side)
+        clip = clip if up is None else replace(clip, up=up)
         return clip if fps is None else replace(clip, fps=fps, time_s=())
     if path.is_file() and path.suffix == ".json":
         if hand is not None:
@@ -70,7 +71,7 @@ def load_clip(
     track = load_track(path)
     side, shape = _hand_of(folder / HAND_NAME if hand is None else expanded(hand), model)
     clip = clip_of_track(track, model, shape, side, gaps=gaps, fps=fps, where=str(path))
-    return replace(clip, name=_plain(folder.resolve().name), up=up)
+    return replace(clip, name=_plain(folder.resolve().name), up=up or clip.up)
 
 
 def clip_of_track(
