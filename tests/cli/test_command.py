@@ -11,7 +11,7 @@ from typing import Literal
 
 import pytest
 import torch
-from tyro.conf import Positional
+from tyro.conf import OmitArgPrefixes, Positional
 
 from torchhand.cli.command import command, has_settings, parse, threads
 from torchhand.cli.main import command_descriptions
@@ -40,6 +40,16 @@ class Arguments:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Inner:
+    depth: int = 1
+    """How deep."""
+
+    def __post_init__(self) -> None:
+        if self.depth < 1:
+            raise ValueError(f"--depth: expected 1 or more, got {self.depth}")
+
+
+@dataclass(frozen=True, kw_only=True)
 class Choices:
     """What it does."""
 
@@ -51,6 +61,8 @@ class Choices:
     """How many."""
     share: float = 0.5
     """How much."""
+    inner: OmitArgPrefixes[Inner] = Inner()
+    """More."""
 
 
 @command
@@ -72,6 +84,7 @@ def test_success_is_zero(capsys: pytest.CaptureFixture[str]) -> None:
         ("--frames 1.5", "--frames: expected a whole number, got '1.5'"),
         ("--share half", "--share: expected a number, got 'half'"),
         ("--side", "--side: expected a value, got none"),
+        ("--depth 0", "--depth: expected 1 or more, got 0"),
     ],
 )
 def test_mistakes_say_what_was_expected_and_what_was_given(words: str, message: str) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from torchhand.cli.command import arguments_of
 from torchhand.cli.main import command_descriptions
 from torchhand.cli.studies import DESIGN, EXPORT, UEDA
-from torchhand.files.results.track_record import OF_PICTURES, RESERVED_NAMES
+from torchhand.files import Track
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGES = {
@@ -28,7 +28,7 @@ def test_every_field_of_a_track_is_told() -> None:
     told = {
         name for row in re.findall(r"^\| (`.*?) \|", table, flags=re.MULTILINE) for name in re.findall("`(\\w+)`", row)
     }
-    assert {*RESERVED_NAMES} - {*OF_PICTURES} <= told
+    assert {field.name for field in dataclasses.fields(Track)} - {"measures", "image"} <= told
 
 
 def test_options_that_pages_name_exist() -> None:

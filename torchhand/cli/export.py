@@ -69,7 +69,7 @@ class Arguments:
     hand: Annotated[Path | None, arg(metavar="FILE")] = None
     """Another hand.json than the one beside the track."""
     side: Side | None = None
-    """Side of the hand, where a motion of another program does not tell it."""
+    """Side of the hand, where a motion of another program does not tell it; what tells the other one is refused."""
     up: Up | None = None
     """Axis that points up in IN: -y of one camera's track, that of the rig's world for several. Else -y of tracks and
     .joints.csv, y of BVH, BAP and OpenXR, and what MANO's file or the stream says."""

@@ -24,6 +24,8 @@ HELP_TEXT_INDENT = " " * 9  # in tyro's messages; names stand 4 columns further 
 UNWANTED = ("For full helptext", "Argument helptext")
 _WRONG_CHOICE = re.compile(r"invalid choice (.*) for argument '([^']*)'\. Expected one of \((.*)\)")
 _MISSING_VALUE = re.compile(r"Missing value for argument '([^']*)'\. Expected 1 values")
+_OF_A_RECORD = re.compile(r"^Error parsing [\w.]+: (?=--)")
+"""Before what a record's own check says."""
 _WRONG_NUMBERS = {
     "a whole number": re.compile(r"Error parsing ([^:]*): .*invalid literal for int\(\) with base 10: ('.*')"),
     "a number": re.compile(r"Error parsing ([^:]*): .*could not convert string to float: ('.*')"),
@@ -175,4 +177,4 @@ def _plainly(sentence: str) -> str:
     for kind, wrong in _WRONG_NUMBERS.items():
         if found := wrong.fullmatch(sentence):
             return f"{found[1]}: expected {kind}, got {found[2]}"
-    return sentence
+    return _OF_A_RECORD.sub("", sentence)
