@@ -7,10 +7,11 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import pytest
 import torch
-from tyro.conf import Positional
+from tyro.conf import OmitArgPrefixes, Positional
 
 from torchhand.cli.command import command, has_settings, parse, threads
 from torchhand.cli.main import command_descriptions
@@ -38,6 +39,32 @@ class Arguments:
             raise ValueError(f"fraction: expected 0 to 1, got {self.fraction}")
 
 
+@dataclass(frozen=True, kw_only=True)
+class Inner:
+    depth: int = 1
+    """How deep."""
+
+    def __post_init__(self) -> None:
+        if self.depth < 1:
+            raise ValueError(f"--depth: expected 1 or more, got {self.depth}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choices:
+    """What it does."""
+
+    side: Literal["right", "left"] | None = None
+    """Which."""
+    axes: Literal["x", "z", "y"] = "x"
+    """Along which."""
+    frames: int | None = None
+    """How many."""
+    share: float = 0.5
+    """How much."""
+    inner: OmitArgPrefixes[Inner] = Inner()
+    """More."""
+
+
 @command
 def thing(argv: Sequence[str] | None = None) -> int:
     print(parse(Arguments, argv, name="thing").number)
@@ -47,6 +74,23 @@ def thing(argv: Sequence[str] | None = None) -> int:
 def test_success_is_zero(capsys: pytest.CaptureFixture[str]) -> None:
     assert thing(["3"]) == 0
     assert capsys.readouterr() == ("3\n", "")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--side both", "--side: expected left or right, got 'both'"),
+        ("--axes w", "--axes: expected one of x, y, z, got 'w'"),
+        ("--frames 1.5", "--frames: expected a whole number, got '1.5'"),
+        ("--share half", "--share: expected a number, got 'half'"),
+        ("--side", "--side: expected a value, got none"),
+        ("--depth 0", "--depth: expected 1 or more, got 0"),
+    ],
+)
+def test_mistakes_say_what_was_expected_and_what_was_given(words: str, message: str) -> None:
+    with pytest.raises(InputError) as told:
+        parse(Choices, words.split(), name="thing")
+    assert str(told.value) == f"{message} (see torchhand thing --help)"
 
 
 def test_help_shows_the_example(capsys: pytest.CaptureFixture[str]) -> None:
@@ -62,7 +106,7 @@ def test_help_shows_the_example(capsys: pytest.CaptureFixture[str]) -> None:
     [
         ([], ["Missing", "INT"]),
         (["3", "--frction", "1"], ["Unrecognized options: --frction", "--fraction"]),
-        (["three"], ["three", "int"]),
+        (["three"], ["three", "expected a whole number, got 'three'"]),
         (["3", "--fraction", "2"], ["fraction: expected 0 to 1, got 2.0"]),
     ],
 )

@@ -140,7 +140,7 @@ def test_the_same_order_gives_the_same_bytes_and_an_interrupted_one_too(
         (["--resume", "--overwrite"], "expected at most one of --resume and --overwrite, got both"),
         (["--evaluate", "{tmp}/gone"], "gone: expected a folder with truth.npz; there is none"),
         (["--threads", "0"], "--threads: expected 1 to 1024, got 0"),
-        (["--side", "both"], "invalid choice 'both'"),
+        (["--side", "both"], "--side: expected left or right, got 'both'"),
         (["--unknown", "1"], "--unknown"),
     ],
 )

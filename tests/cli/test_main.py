@@ -12,7 +12,7 @@ import pytest
 
 import torchhand
 from torchhand.cli.command import arguments_of
-from torchhand.cli.main import command_descriptions, main
+from torchhand.cli.main import SHELLS, command_descriptions, main
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -163,6 +163,14 @@ def completion(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return script
 
 
+@pytest.mark.parametrize("shell", SHELLS)
+def test_every_shell_that_is_named_gets_a_script(shell: str) -> None:
+    words = [sys.executable, "-m", "torchhand", "--completion", shell]
+    done = subprocess.run(words, cwd=REPOSITORY, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "keep-checkpoint" in done.stdout
+
+
 def test_another_shell_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--completion", "cmd"]) == 2
-    assert capsys.readouterr().err == "torchhand: error: --completion: expected one of bash, zsh, fish, tcsh\n"
+    assert capsys.readouterr().err == "torchhand: error: --completion: expected one of bash, zsh, fish\n"

@@ -9,6 +9,7 @@ from pathlib import Path
 from torchhand.cli.command import arguments_of
 from torchhand.cli.main import command_descriptions
 from torchhand.cli.studies import DESIGN, EXPORT, UEDA
+from torchhand.files import Track
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGES = {
@@ -20,6 +21,14 @@ PAGES = {
 def test_every_command_is_told() -> None:
     rows = re.findall(r"^\| `(\w+)", PAGES["docs/commands.md"], flags=re.MULTILINE)
     assert set(command_descriptions()) <= set(rows)
+
+
+def test_every_field_of_a_track_is_told() -> None:
+    table = PAGES["docs/formats.md"].partition("## track.npz")[2].partition("`poses.npz` of")[0]
+    told = {
+        name for row in re.findall(r"^\| (`.*?) \|", table, flags=re.MULTILINE) for name in re.findall("`(\\w+)`", row)
+    }
+    assert {field.name for field in dataclasses.fields(Track)} - {"measures", "image"} <= told
 
 
 def test_options_that_pages_name_exist() -> None:

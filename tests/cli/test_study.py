@@ -399,7 +399,7 @@ def test_an_older_version_s_settings_go_with_it(done: Path, tmp_path: Path, run:
         (("--iterations", "3"), "--iterations: expected 4 or more, one for each round of the schedule, got 3"),
         (("--batch", "5000"), "command line: batch: expected 1 to 4096, got 5000"),
         (("--space", "planar"), "space: expected one of planar_abduction, dof26, dof27, dof28, dof31, dof36"),
-        (("--surface", "clay"), "invalid choice 'clay'"),
+        (("--surface", "clay"), "--surface: expected mesh or primitives, got 'clay'"),
         (("--success-deg", "0"), "success_deg: expected above 0 and finite, got 0.0"),
         (("--frames", "some"), "--frames: expected numbers such as 0 or 0,10,20-29, or all; got 'some'"),
         (("--frames", "all"), "--frames: expected numbers for simulated pictures, which have no end; got all"),

@@ -4,6 +4,7 @@ import json
 import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -149,3 +150,19 @@ def test_any_folder_name_makes_files_that_can_be_read(
     assert len(clip_of_bap(tmp_path / "hand.bap", clip.model)) == 2
     assert len(clip_of_openxr(tmp_path / "hand.openxr.json", clip.model)[0]) == 2
     assert len(trimesh.load_scene(tmp_path / "hand.glb").geometry) == 1
+
+
+@pytest.mark.parametrize(("name", "file"), list(ONE_NAME_EACH.items()))
+def test_axes_are_taken_or_refused(clips: dict[str, MotionClip], tmp_path: Path, name: str, file: str) -> None:
+    """Another frame gives another file; formats that place no hand refuse it, and write nothing."""
+    clip = clips["right"].only(3)
+    if name in ("urdf", "angles"):
+        with pytest.raises(InputError, match=rf"axes: expected none for {name} \(.+\), got z-up"):
+            write(replace(clip, axes="z-up"), tmp_path / file)
+        assert not any(tmp_path.iterdir())
+        return
+    texts = []
+    for axes in ("camera", "z-up"):
+        write(replace(clip, axes=axes), tmp_path / file)
+        texts.append((tmp_path / file).read_bytes())
+    assert texts[0] != texts[1]

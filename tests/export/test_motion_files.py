@@ -53,6 +53,18 @@ def test_what_is_written_is_read_back(within: MotionClip, tmp_path: Path, name: 
     assert found.held == (3,)
 
 
+@pytest.mark.parametrize("name", ["hand.bvh", "hand.bap", "hand.openxr.json", "hand.joints.csv"])
+def test_files_that_do_not_tell_their_axes_are_read_in_those_that_are_said(
+    within: MotionClip, tmp_path: Path, name: str
+) -> None:
+    space = within.model.shape_space
+    save_hand(tmp_path / "own.json", space.names, within.shape.tolist(), within.side, {}, units=space.units)
+    write(replace(within, axes="z-up"), tmp_path / name)
+    found = load_clip(tmp_path / name, hand=tmp_path / "own.json", up="z")
+    ours, theirs = (one.with_up("y").frames.keypoints for one in (within, found))
+    assert float((ours - theirs).norm(dim=-1).max()) < 1.5e-3
+
+
 def _recording(clip: MotionClip, form: str) -> object:
     """As other programs write it."""
     joints = openxr_joints(clip.with_up("y").frames)

@@ -186,6 +186,8 @@ def test_other_files_and_other_hands_are_refused(make_result: Callable[..., Path
         load_clip(tmp_path / "song.mp3")
     with pytest.raises(InputError, match="expected a left hand as in the hand file, got a right one"):
         load_clip(make_result(hand_side="left"))
+    with pytest.raises(InputError, match="side: expected a left hand, got a right one"):
+        load_clip(make_result(name="right"), side="left")
     with pytest.raises(InputError, match="dof_names: expected the 36"):
         load_clip(make_result(name="other", dof_names=DOFS[::-1]))
     with pytest.raises(InputError, match="expected numbers within 1000000"):

@@ -92,6 +92,12 @@ def test_limits_and_equation_2_hold() -> None:
     assert float(violation.worst.max()) < 1e-4  # rounding of the file
 
 
+def test_equation_3_holds_but_where_fingers_are_held_down_or_bend_far_alone() -> None:
+    constraints = PoseConstraints(MODEL.skeleton, ConstraintSettings(bands="paper"))
+    violation = constraints.violation(torch.stack([_posed(sign) for sign in SIGNS]))
+    assert {sign for sign, worst in zip(SIGNS, violation.worst.tolist(), strict=True) if worst > 1e-4} == set("HRUV237")
+
+
 def test_nothing_overlaps() -> None:
     deepest = Clearance(KINEMATICS).worst(torch.stack([SOLVED[sign] for sign in SIGNS]))
     assert float(deepest.max()) < 0.2e-3

@@ -9,7 +9,18 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.errors import InputError
-from torchhand.export import MAX_GAP_S, Axes, ExportOptions, FormatName, MotionClip, check_max_gap, format_of, load_clip
+from torchhand.export import (
+    MAX_GAP_S,
+    Axes,
+    ExportOptions,
+    FormatName,
+    MotionClip,
+    Up,
+    check_max_gap,
+    format_of,
+    load_clip,
+    write,
+)
 from torchhand.files.disk import expanded
 from torchhand.files.results import (
     CHECKPOINT_NAME,
@@ -58,12 +69,14 @@ class Arguments:
     hand: Annotated[Path | None, arg(metavar="FILE")] = None
     """Another hand.json than the one beside the track."""
     side: Side | None = None
-    """Side of the hand, where a motion of another program does not tell it."""
-    up: Literal["y", "-y", "z", "-z"] = "-y"
-    """Axis of the track's frame that points up: -y for one camera, that of the rig's world for several."""
+    """Side of the hand, where a motion of another program does not tell it; what tells the other one is refused."""
+    up: Up | None = None
+    """Axis that points up in IN: -y of one camera's track, that of the rig's world for several. Else -y of tracks and
+    .joints.csv, y of BVH, BAP and OpenXR, and what MANO's file or the stream says."""
     axes: Axes | None = None
     """Frame of what is written: camera (that of the track), y-up, z-up, wrist (the hand's own: x out of its back, y to
-    the fingers, the wrist at the origin) or mano (the wrist's with MANO's axes); else each format's usual one."""
+    the fingers, the wrist at the origin) or mano (the wrist's with MANO's axes); else each format's usual one. A URDF
+    and angles.csv have none."""
     max_gap_s: float = MAX_GAP_S
     """bvh, bap, thp, which know one rate: a time without frames that is longer becomes so many seconds long, and a note
     tells it; the other formats keep the times."""
@@ -102,7 +115,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             clip = _only(arguments, clip)
         files = kind.files(clip, target)
         _check_free(arguments, files)
-        notes = kind.write(clip, target, arguments.options)
+        notes = write(clip, target, kind.name, arguments.options)
     print(_summary(clip, kind.name, files))
     for note in (*clip.notes, *notes):
         print(f"note: {note}")

@@ -82,8 +82,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         has_overlays=arguments.overlays,
         device=device_named(arguments.device),
     )
-    if arguments.camera is None:
-        _say("no --camera given: a field of view is assumed, so distances are metric only up to that assumption")
     with threads(arguments.threads), pixel_limit(arguments.max_megapixels):
         try:
             poses = fit_pictures(request, arguments.out, _say)

@@ -27,10 +27,10 @@ commands:
 {commands}
 
 `torchhand COMMAND --help` explains one command, with an example. `torchhand --completion SHELL` prints what completes
-commands and options in bash, zsh, fish or tcsh."""
+commands and options in bash, zsh or fish."""
 
 COMPLETION = "--completion"
-SHELLS = ("bash", "zsh", "fish", "tcsh")
+SHELLS = ("bash", "zsh", "fish")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

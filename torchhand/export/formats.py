@@ -117,6 +117,8 @@ class Format:
     """Writes the file and returns notes for the user: what the format could not hold."""
     files: Callable[[MotionClip, Path], list[Path]] = field(default=lambda clip, path: [path])
     """Names of the files that are written."""
+    without_axes: str = ""
+    """Why no frame can be asked of the format; empty where one can."""
 
 
 def _glb(clip: MotionClip, path: Path, options: ExportOptions) -> list[str]:
@@ -240,6 +242,7 @@ FORMATS: tuple[Format, ...] = (
         suffixes=(".urdf",),
         write=_urdf,
         files=lambda clip, path: [path, srdf_path(path), meshes_folder(path)],
+        without_axes="its base link has the axes of the hand",
     ),
     Format(
         name="mjcf",
@@ -258,7 +261,7 @@ FORMATS: tuple[Format, ...] = (
     ),
     Format(name="joints", suffixes=(JOINTS_SUFFIX,), write=_joints),
     Format(name="teleoperation", suffixes=(".teleop.jsonl",), write=_teleoperation),
-    Format(name="angles", suffixes=(ANGLE_SUFFIX,), write=_angles),
+    Format(name="angles", suffixes=(ANGLE_SUFFIX,), write=_angles, without_axes="it holds joint angles alone"),
     Format(name="bap", suffixes=(".bap",), write=_bap),
     Format(name="x3d", suffixes=(".x3d",), write=_x3d),
     Format(name="stream", suffixes=(".thp",), write=_stream),
@@ -293,10 +296,14 @@ def write(
 ) -> list[str]:
     """Write a clip in any format; returns notes for the user: what the format could not hold.
 
-    Raises InputError for a file name that fits no format, and where the disk refuses.
+    Raises InputError for a file name that fits no format, for axes that the format cannot have, and where the disk
+    refuses.
     """
     path = Path(path)
-    return format_of(path, format).write(clip, path, options or ExportOptions())
+    chosen = format_of(path, format)
+    if clip.axes is not None and chosen.without_axes:
+        raise InputError(f"{path}: axes: expected none for {chosen.name} ({chosen.without_axes}), got {clip.axes}")
+    return chosen.write(clip, path, options or ExportOptions())
 
 
 def _own_suffix(entry: Format, ending: str) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 
 from torchhand.errors import InputError
-from torchhand.export.clip import MotionClip, Up
+from torchhand.export.clip import MotionClip
 from torchhand.export.conventions import (
     clip_of_bap,
     clip_of_bvh,
@@ -39,13 +39,11 @@ def is_motion_file(path: Path) -> bool:
     return name.endswith(".json") and _is_recording(path)
 
 
-def load_motion(
-    path: Path, model: HandModel, shape: torch.Tensor | None, *, side: Side | None = None, up: Up = "-y"
-) -> MotionClip:
+def load_motion(path: Path, model: HandModel, shape: torch.Tensor | None, *, side: Side | None = None) -> MotionClip:
     """The clip of a file: BVH, BAP, MANO's rotations, joints of OpenXR or WebXR, joint angles, or a pose stream.
 
-    shape: proportions of the hand; the default ones where it is None. side: where the file does not tell it. up: of
-    files that do not tell it. What our joints cannot do of a motion is told in the clip's notes.
+    shape: proportions of the hand; the default ones where it is None. side: where the file does not tell it. What our
+    joints cannot do of a motion is told in the clip's notes.
 
     Raises InputError naming the file and what is wrong with it.
     """
@@ -53,7 +51,7 @@ def load_motion(
     if name.endswith(".thp"):
         return clip_of_stream(path, model)
     if name.endswith(JOINTS_SUFFIX):
-        return clip_of_joints(path, model, shape, up=up)
+        return clip_of_joints(path, model, shape)
     if name.endswith(".bap"):
         numbering = "draft" if read_bap(path).declared == "draft" else "final"
         return clip_of_bap(path, model, shape, numbering=numbering, side=side)

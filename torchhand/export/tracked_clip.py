@@ -28,7 +28,7 @@ def load_clip(
     gaps: Gaps = "hold",
     fps: float | None = None,
     hand: str | Path | None = None,
-    up: Up = "-y",
+    up: Up | None = None,
     side: Side | None = None,
     model: HandModel | None = None,
 ) -> MotionClip:
@@ -41,8 +41,8 @@ def load_clip(
     fps: a rate to play the frames at; where it is not given, the track's own times and rate, else the rate that is
         assumed of pictures.
     hand: another file than the hand.json beside the track.
-    up: which axis of the track's frame points up.
-    side: of the hand, where a file of another program does not tell it.
+    up: which axis points up in the frame of the poses; where it is not given, what the file says, else -y of tracks.
+    side: of the hand, where a file of another program does not tell it; a file that tells the other one is refused.
 
     Raises InputError naming the file and what is wrong with it; a track without a single estimate is refused.
     """
@@ -50,17 +50,35 @@ def load_clip(
     model = model or load_hand_model()
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
+    clip = _loaded(path, model, gaps=gaps, fps=fps, hand=hand, up=up, side=side)
+    if side is not None and clip.side != side:
+        raise InputError(f"{path}: side: expected a {side} hand, got a {clip.side} one")
+    return clip
+
+
+def _loaded(
+    path: Path,
+    model: HandModel,
+    *,
+    gaps: Gaps,
+    fps: float | None,
+    hand: str | Path | None,
+    up: Up | None,
+    side: Side | None,
+) -> MotionClip:
+    """As `load_clip`; the side that the file tells, whichever is asked for."""
     if path.is_file() and is_motion_file(path):
         if hand is not None and path.suffix == ".thp":
             raise InputError(f"{path}: expected a track with another hand file, got a pose stream, which has its own")
         shape = None if hand is None else _hand_of(expanded(hand), model)[1]
-        clip = load_motion(path, model, shape, side=side, up=up)
+        clip = load_motion(path, model, shape, side=side)
+        clip = clip if up is None else replace(clip, up=up)
         return clip if fps is None else replace(clip, fps=fps, time_s=())
     if path.is_file() and path.suffix == ".json":
         if hand is not None:
             raise InputError(f"{path}: expected a track with another hand file, got a hand file itself")
-        side, shape = _hand_of(path, model)
-        return rest_clip(model, side, shape, name=_plain(path.stem), fps=fps or ASSUMED_FPS)
+        own, shape = _hand_of(path, model)
+        return rest_clip(model, own, shape, name=_plain(path.stem), fps=fps or ASSUMED_FPS)
     if path.is_file() and path.suffix not in (".npz", ".jsonl"):
         raise InputError(
             f"{path}: expected a result folder, track.npz, track.jsonl, hand.json or a motion"
@@ -68,9 +86,9 @@ def load_clip(
         )
     folder = path if path.is_dir() else path.parent
     track = load_track(path)
-    side, shape = _hand_of(folder / HAND_NAME if hand is None else expanded(hand), model)
-    clip = clip_of_track(track, model, shape, side, gaps=gaps, fps=fps, where=str(path))
-    return replace(clip, name=_plain(folder.resolve().name), up=up)
+    own, shape = _hand_of(folder / HAND_NAME if hand is None else expanded(hand), model)
+    clip = clip_of_track(track, model, shape, own, gaps=gaps, fps=fps, where=str(path))
+    return replace(clip, name=_plain(folder.resolve().name), up=up or clip.up)
 
 
 def clip_of_track(

@@ -21,7 +21,7 @@ from torchhand.hand import (
     place_primitives,
     primitive_sizes,
 )
-from torchhand.hand.limits import ABDUCTIONS, FLEXIONS
+from torchhand.hand.limits import ABDUCTIONS, FLEXIONS, NEIGHBOUR_BANDS_DEG
 from torchhand.numerics import LevenbergMarquardtSettings, levenberg_marquardt
 from torchhand.signs.places import thumb_asides, thumb_insides, tips_on_thumb
 from torchhand.signs.skin_points import POINT_NAMES, skin_points
@@ -43,7 +43,7 @@ _CLEARANCE = 0.1e-3  # parts that are nearer than this repel each other, metres
 _CROSSING = 10e-3  # metres that the middle finger's tip lies beyond the index's where they are crossed
 _MIDWAY = 1.5e-3  # ... the thumb's tip is off the middle between the planes of two fingers, metres ...
 _ASIDE, _INSIDE = 4e-3, 8e-3  # metres that it is within these planes, and within the bend of the finger above it
-_ROOM = math.radians(0.5)  # ... radians beyond equation (2) ...
+_ROOM = math.radians(0.5)  # ... radians beyond equation (2), or by which the index bends alone beyond equation (3) ...
 # ... and degrees off the table: joints of fingers, of fingers and thumbs that a contact may move, sideways at the
 # knuckles, about the bone, of the palm.
 _TIGHT_DEG, _FREE_DEG, _THUMB_DEG, _SPREAD_DEG, _TWIST_DEG, _PALM_DEG = 3.0, 18.0, 22.0, 7.0, 10.0, 5.0
@@ -53,6 +53,7 @@ _TUCKED_DEG = {
     **{f"{finger}_{joint}_fe": 60.0 for finger in ("index", "middle") for joint in ("mcp", "pip")},
 }
 _NOTHING = 1e-12
+_INDEX_ALONE = math.radians(NEIGHBOUR_BANDS_DEG["paper"][0][1] - 0.05)  # with room for what the file rounds
 _STEP = 1e-6  # radians
 _SETTINGS = LevenbergMarquardtSettings(iterations=60, cost_tolerance=1e-6)
 
@@ -227,6 +228,7 @@ class _Problem:
         distance = (between.square().sum(-1) + _NOTHING).sqrt()
         low, high = self.constraints.abduction_limits(joints[..., list(FLEXIONS)])
         aside = joints[..., list(ABDUCTIONS)]
+        index, middle = (joints[..., place] for place in FLEXIONS[:2])
         index_tip, middle_tip = (points[..., POINT_NAMES.index(f"{finger}_tip"), 2] for finger in ("index", "middle"))
         return torch.cat(
             (
@@ -236,6 +238,7 @@ class _Problem:
                 (overlap.depth + _CLEARANCE).clamp_min(0) / _DEPTH,
                 touches * overlap.depth / _TOUCH,
                 ((low - aside).clamp_min(0) + (aside - high).clamp_min(0)) / _ROOM,
+                (index - middle - _INDEX_ALONE).clamp_min(0)[..., None] / _ROOM,
                 crossed * (index_tip - middle_tip + _CROSSING)[..., None].clamp_min(0) / _CONTACT,
                 self._thumb_residuals(primitives),
             ),

@@ -232,6 +232,19 @@ def test_servos_hold_a_hand_against_gravity(still: MotionClip, tmp_path: Path, m
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "free.xml")).nu == 30
 
 
+def test_gravity_points_down_in_any_axes(still: MotionClip, tmp_path: Path, mujoco: ModuleType) -> None:
+    """The camera's y points down; frames that turn with the hand have no down."""
+    settings = MjcfSettings(has_gravity=True)
+    for axes, down in ((None, (0, 0, -1)), ("z-up", (0, 0, -1)), ("y-up", (0, -1, 0)), ("camera", (0, 1, 0))):
+        write_mjcf(replace(still, axes=axes), tmp_path / "hand.xml", settings)
+        gravity = mujoco.MjModel.from_xml_path(str(tmp_path / "hand.xml")).opt.gravity
+        assert np.abs(gravity - 9.81 * np.array(down)).max() < 1e-9, axes
+    for axes in ("wrist", "mano"):
+        with pytest.raises(InputError, match=f"gravity: expected axes camera, y-up or z-up, got {axes}"):
+            write_mjcf(replace(still, axes=axes), tmp_path / "other.xml", settings)
+    assert not list(tmp_path.glob("other*"))
+
+
 def test_keyframes_part_digits_that_are_in_each_other(still: MotionClip, tmp_path: Path, mujoco: ModuleType) -> None:
     poses = torch.zeros(1, 36, dtype=torch.float64)
     for finger, aside in (("index", -0.15), ("middle", 0.0), ("ring", -0.12)):

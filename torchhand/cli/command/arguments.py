@@ -3,6 +3,7 @@
 import contextlib
 import inspect
 import io
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, make_dataclass
@@ -21,6 +22,14 @@ MAX_THREADS = 1024
 
 HELP_TEXT_INDENT = " " * 9  # in tyro's messages; names stand 4 columns further left
 UNWANTED = ("For full helptext", "Argument helptext")
+_WRONG_CHOICE = re.compile(r"invalid choice (.*) for argument '([^']*)'\. Expected one of \((.*)\)")
+_MISSING_VALUE = re.compile(r"Missing value for argument '([^']*)'\. Expected 1 values")
+_OF_A_RECORD = re.compile(r"^Error parsing [\w.]+: (?=--)")
+"""Before what a record's own check says."""
+_WRONG_NUMBERS = {
+    "a whole number": re.compile(r"Error parsing ([^:]*): .*invalid literal for int\(\) with base 10: ('.*')"),
+    "a number": re.compile(r"Error parsing ([^:]*): .*could not convert string to float: ('.*')"),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,4 +162,19 @@ def _text_of_box(text: str) -> str:
         elif not framed.startswith(HELP_TEXT_INDENT):
             paragraphs[-1].append(inside)
     sentences = [" ".join(paragraph).strip(" .") for paragraph in paragraphs]
-    return "; ".join(sentence for sentence in sentences if sentence and not sentence.startswith(UNWANTED))
+    return "; ".join(_plainly(sentence) for sentence in sentences if sentence and not sentence.startswith(UNWANTED))
+
+
+def _plainly(sentence: str) -> str:
+    """One of tyro's sentences in the form of our own: the option, what was expected, what was given."""
+    if found := _WRONG_CHOICE.fullmatch(sentence):
+        got, name, listed = found.groups()
+        allowed = sorted(set(re.findall("'([^']*)'", listed)) - {"None"})
+        choices = " or ".join(allowed) if len(allowed) < 3 else f"one of {', '.join(allowed)}"
+        return f"{name}: expected {choices}, got {got}"
+    if found := _MISSING_VALUE.fullmatch(sentence):
+        return f"{found[1]}: expected a value, got none"
+    for kind, wrong in _WRONG_NUMBERS.items():
+        if found := wrong.fullmatch(sentence):
+            return f"{found[1]}: expected {kind}, got {found[2]}"
+    return _OF_A_RECORD.sub("", sentence)

@@ -42,7 +42,7 @@ def write_bap(
     name = "_".join(clip.name.split()) or "hand"
     lines = [
         f"{_NUMBERING_COMMENT} {numbering}",
-        f"{_SIDE_COMMENT} {clip.side}; 1e-5 rad and mm; HumanoidRoot is the hand frame in a world with y up",
+        f"{_SIDE_COMMENT} {clip.side}; 1e-5 rad and mm; HumanoidRoot is the hand frame, axes {clip.axes or 'y-up'}",
         *_held_comments(upright),
         f"{version} {name} {clip.fps:.9g} {len(upright)}",
     ]

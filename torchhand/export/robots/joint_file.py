@@ -13,7 +13,7 @@ from jaxtyping import Float64
 from torch import Tensor
 
 from torchhand.errors import InputError
-from torchhand.export.clip import MotionClip, Up
+from torchhand.export.clip import MotionClip
 from torchhand.files.disk import finite, read_lines_of, short, whole, write_text
 from torchhand.geometry import (
     continuous,
@@ -41,9 +41,7 @@ def write_joints(clip: MotionClip, path: str | Path) -> None:
     write_text(Path(path), "\n".join(lines) + "\n")
 
 
-def clip_of_joints(
-    path: str | Path, model: HandModel, shape: Float64[Tensor, "shape"] | None = None, *, up: Up = "-y"
-) -> MotionClip:
+def clip_of_joints(path: str | Path, model: HandModel, shape: Float64[Tensor, "shape"] | None = None) -> MotionClip:
     """The motion of a file. Raises InputError naming the line, what was expected and what was got."""
     path = Path(path)
     rows = list(csv.reader(read_lines_of(path, "a table of joint angles")))
@@ -81,5 +79,4 @@ def clip_of_joints(
         frame=tuple(numbers),
         held=tuple(held),
         name=path.name.removesuffix(JOINTS_SUFFIX) or "hand",
-        up=up,
     )

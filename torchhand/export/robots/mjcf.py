@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchhand.errors import InputError
 from torchhand.export.clip import MotionClip
 from torchhand.export.robots.contacts import Capsule, apart, phalanx_capsules, touching_neighbours
 from torchhand.export.robots.link_solids import LinkSolid, link_solids
@@ -29,6 +30,7 @@ _DAMPING, _ARMATURE = "0.01", "0.0001"  # N m s/rad and kg m²: finger joints co
 _FULL_FORCE_AT = 0.5  # radians off its target at which an actuator gives all its force
 _COLOUR = "0.80 0.58 0.47 1"
 _DIGITS = 12
+_STANDARD_GRAVITY = 9.81  # m/s²
 _COUPLED = {f"{finger}_dip_fe": f"{finger}_pip_fe" for finger in FINGERS[1:]}
 _COUPLING = 2 / 3
 """Flexion of the last joint over that of the middle one (Ouhaddi and Horain 1998, eq. 1)."""
@@ -68,7 +70,8 @@ def mjcf_text(clip: MotionClip, solids: tuple[LinkSolid, ...], meshes: str, sett
     root = ElementTree.Element("mujoco", {"model": clip.name})
     compiler = {"angle": "radian", "autolimits": "true", "meshdir": meshes, "inertiafromgeom": "false"}
     ElementTree.SubElement(root, "compiler", compiler)
-    ElementTree.SubElement(root, "option", {"integrator": "implicitfast"})
+    gravity = {"gravity": _numbers(_gravity(upright))} if settings.has_gravity else {}
+    ElementTree.SubElement(root, "option", {"integrator": "implicitfast"} | gravity)
     default = ElementTree.SubElement(root, "default")
     ElementTree.SubElement(default, "joint", {"type": "hinge", "damping": _DAMPING, "armature": _ARMATURE})
     ElementTree.SubElement(default, "geom", {"rgba": _COLOUR})
@@ -91,6 +94,15 @@ def mjcf_text(clip: MotionClip, solids: tuple[LinkSolid, ...], meshes: str, sett
     _keyframes(ElementTree.SubElement(root, "keyframe"), upright, order, driven, has_target=settings.has_gravity)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _gravity(clip: MotionClip) -> np.ndarray:
+    """Acceleration towards the side of the clip's frame that is down, m/s². Raises InputError in a frame that turns."""
+    if clip.axes in ("wrist", "mano"):
+        raise InputError(f"gravity: expected axes camera, y-up or z-up, got {clip.axes}, which turn with the hand")
+    down = np.zeros(3)
+    down["xyz".index(clip.up[-1])] = _STANDARD_GRAVITY if clip.up.startswith("-") else -_STANDARD_GRAVITY
+    return down
 
 
 def _equalities(parent: ElementTree.Element, settings: MjcfSettings) -> None:

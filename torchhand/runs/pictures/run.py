@@ -40,6 +40,7 @@ from torchhand.runs.pictures.inputs import (
     pictures_in,
 )
 from torchhand.runs.pictures.sources import pose_sources
+from torchhand.runs.recordings import ASSUMED_CAMERA
 from torchhand.track import Estimate, View
 from torchhand.track.single import SinglePose, SinglePoseFitter, SinglePoseSettings
 from torchhand.view import HandProjector
@@ -121,6 +122,8 @@ def fit_pictures(request: PicturesRequest, out_dir: Path, say: Say) -> Track:
         pictures.view(0)  # its mistakes are the user's
     model = load_hand_model()
     header = _header(request, pictures.keypoints)
+    if request.camera is None:
+        say(ASSUMED_CAMERA)
     with (
         PosesWriter(
             out_dir, header, model.shape_space.names, resume=request.resume, overwrite=request.overwrite

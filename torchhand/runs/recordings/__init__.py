@@ -2,6 +2,7 @@
 
 from torchhand.runs.recordings.live import LiveCamera, LiveRecording
 from torchhand.runs.recordings.recording import (
+    ASSUMED_CAMERA,
     OneCameraRecording,
     RecordedFrame,
     Recording,
@@ -11,6 +12,7 @@ from torchhand.runs.recordings.recording import (
 )
 
 __all__ = [
+    "ASSUMED_CAMERA",
     "LiveCamera",
     "LiveRecording",
     "OneCameraRecording",
