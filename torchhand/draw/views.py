@@ -31,6 +31,8 @@ class ViewsOverlay:
         self._cameras = [camera.resized(scale) for camera in cameras]
         self._projectors = [HandProjector(kinematics, camera, shape) for camera in self._cameras]
         self._tile = (max(1, round(widest * scale)), max(1, round(highest * scale)))
+        width, height = self.size
+        self._empty = np.full((height, width, 3), _DARK, dtype=np.uint8)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -58,8 +60,7 @@ class ViewsOverlay:
         """
         if status not in STATUS_COLOURS:
             raise ValueError(f"status: expected one of {', '.join(STATUS_COLOURS)}, got {status!r}")
-        width, height = self.size
-        canvas = np.full((height, width, 3), _DARK, dtype=np.uint8)
+        canvas = self._empty.copy()
         identity = torch.eye(3, dtype=torch.float64)
         for view, (camera, projector) in enumerate(zip(self._cameras, self._projectors, strict=True)):
             left, top = view % self.columns * self._tile[0], view // self.columns * self._tile[1]

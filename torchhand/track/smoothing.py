@@ -20,7 +20,7 @@ from torch import Tensor
 from torchhand.track.knowledge import Estimate, TrackerState
 from torchhand.track.multiview import HULL, Hull
 from torchhand.track.scene import PackedMask, Scene, View
-from torchhand.track.tracker import Tracker
+from torchhand.track.tracker import FollowedInto, Tracker
 
 _MOTION = 3.0  # score that a metre of motion is worth, in the mean over the keypoints
 _HOPELESS = 0.1  # gain less than with fewer frames, from which on no more are estimated again
@@ -92,6 +92,7 @@ class Smoother:
         hand, now, time_s = self._tracker.at_rest(state.hand), estimate.keypoints, estimate.time_s
         before: list[PastFrame] = []
         after: list[Estimate] = []
+        all_followed: list[FollowedInto] = []
         gains = [0.0]
         for past in reversed(self._past):
             is_out = past.time_s < estimate.time_s - self._window_s - _CLOCK_S
@@ -99,20 +100,21 @@ class Smoother:
             if is_out or is_in_vain:
                 break
             followed = self._tracker.follow(state, hand, past.scene(self._tracker.device), time_s - past.time_s)
-            if followed is None or _distance(followed[1].keypoints, past.keypoints) < _SAME:
+            if followed is None or _distance(followed.estimate.keypoints, past.keypoints) < _SAME:
                 break
-            hand, found = followed
+            hand, found = followed.hand, followed.estimate
             time_s = past.time_s
             if past.keypoints is None and not self._tracker.is_sure(found):
                 break
             before.append(past)
             after.append(found)
+            all_followed.append(followed)
             gains.append(self._gain(before, after, now))
         changed = max(range(len(gains)), key=gains.__getitem__)
         for place, found in enumerate(after[:changed]):
             corrected = replace(before[place], keypoints=found.keypoints, score=found.score)
             self._past[len(self._past) - 1 - place] = corrected
-        return after[:changed]
+        return [self._tracker.told(state, followed) for followed in all_followed[:changed]]
 
     def _is_news(self, estimate: Estimate) -> bool:
         if estimate.is_new:

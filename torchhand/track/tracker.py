@@ -104,6 +104,20 @@ class Foreseen:
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class FollowedInto:
+    """A hand that was followed into another scene."""
+
+    candidate: Candidate
+    scene: Scene
+    estimate: Estimate
+    """Estimate without the evidence of its fingers, which takes as long as all the rest of it (`Tracker.told`)."""
+
+    @property
+    def hand(self) -> FollowedHand:
+        return self.candidate.hand
+
+
 class Tracker:
     """Follows one hand of a known side. Poses are in the world of the cameras, which is the camera's frame of one
     camera.
@@ -226,9 +240,7 @@ class Tracker:
 
     @torch.inference_mode()
     @single_threaded()
-    def follow(
-        self, state: TrackerState, hand: FollowedHand, scene: Scene, dt_s: float
-    ) -> tuple[FollowedHand, Estimate] | None:
+    def follow(self, state: TrackerState, hand: FollowedHand, scene: Scene, dt_s: float) -> FollowedInto | None:
         """A hand in another scene, with nothing else looked for; None where it does not fit there."""
         if state.shape is None:
             return None
@@ -236,7 +248,14 @@ class Tracker:
         found = self.parts.rule.follow(hand, predicted, scene, state.shape)
         if found is None or self.parts.health.is_failing(found):
             return None
-        return found.hand, sent_to(self._estimate("tracked", found, state, scene), HOST)
+        estimate, _ = self._posed("tracked", found, state, scene)
+        return FollowedInto(candidate=found, scene=scene, estimate=sent_to(estimate, HOST))
+
+    @torch.inference_mode()
+    @single_threaded()
+    def told(self, state: TrackerState, followed: FollowedInto) -> Estimate:
+        """The whole estimate of a hand that was followed into another scene."""
+        return sent_to(self._estimate("tracked", followed.candidate, state, followed.scene), HOST)
 
     @torch.inference_mode()
     @single_threaded()
@@ -675,17 +694,14 @@ class Tracker:
         return Estimate(status=status, time_s=state.time_s, reason=reason)
 
     def _estimate(self, status: FrameStatus, found: Candidate, state: TrackerState, scene: Scene) -> Estimate:
+        """The estimate with the evidence of its fingers."""
         assert state.shape is not None
-        factor = self.parts.rule.overconfidence
-        posed = posed_belief(
-            found.hand, self.parts.motion, self.kinematics, state.shape, overconfidence=factor, frames=found.frames
-        )
-        inside = found.inside
+        estimate, tip_std = self._posed(status, found, state, scene)
         told = Told(
             pose=found.pose,
             placed=found.placed,
             shape=state.shape,
-            tip_std=posed.tip_std,
+            tip_std=tip_std,
             agreement=found.agreement,
             keypoints=self.parts.keypoints(scene),
             learned=found.learned,
@@ -693,7 +709,18 @@ class Tracker:
         )
         evidence = self._evidence(told, self._segmented(scene, state))
         quality, fingers = qualities(evidence, "contour" if self.settings.method == "contour" else "distance")
-        return Estimate(
+        return replace(estimate, quality=quality, finger_quality=fingers, evidence=evidence)
+
+    def _posed(
+        self, status: FrameStatus, found: Candidate, state: TrackerState, scene: Scene
+    ) -> tuple[Estimate, Float[Tensor, "5"]]:
+        """The estimate without that evidence, and the standard deviations of the fingertips about the wrist."""
+        assert state.shape is not None
+        factor = self.parts.rule.overconfidence
+        posed = posed_belief(
+            found.hand, self.parts.motion, self.kinematics, state.shape, overconfidence=factor, frames=found.frames
+        )
+        estimate = Estimate(
             status=status,
             time_s=scene.time_s,
             pose=posed.pose,
@@ -705,14 +732,12 @@ class Tracker:
             overlap=found.overlap,
             unexplained=found.agreement.most_unexplained,
             edges=found.edges,
-            inside=inside,
+            inside=found.inside,
             nis=found.nis,
-            quality=quality,
-            finger_quality=fingers,
-            evidence=evidence,
             score=self.parts.health.score(found),
             views=found.agreement.views,
         )
+        return estimate, posed.tip_std
 
     @property
     def own_cameras(self) -> tuple[Camera, ...]:

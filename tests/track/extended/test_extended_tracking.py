@@ -153,7 +153,7 @@ def test_a_followed_hand_is_told_in_another_scene_too(film: Any, followed: Any) 
     scene = tracker.scene(state, (View(image=film.images[-2]),), estimates[-2].time_s)
     back = tracker.follow(state, tracker.at_rest(state.hand), scene, -FRAME_S)
     assert back is not None
-    off = (points_px([back[1]])[0] - points_px(estimates)[-2]).norm(dim=-1)
+    off = (points_px([back.estimate])[0] - points_px(estimates)[-2]).norm(dim=-1)
     assert float(off.mean()) < 1.5
 
 

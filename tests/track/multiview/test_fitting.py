@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from torchhand.fit.hull import SEARCH, HullFitter, HullStartSettings
+from torchhand.fit.hull import SEARCH, HullFitter, HullStartSettings, finger_proposals
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import HandPose
 from torchhand.track.multiview.fitting import FrameFitter, HullFit, best_of
@@ -68,6 +68,29 @@ def test_large_steps_are_taken_only_where_small_ones_are_not_enough(fitter, rig_
         assert _error_mm(rig_hand, near, (pose, reference)) < 4.0
         fitter.refine(hull, start, shape, masks, is_enough=lambda fit: fit.score > 1.0)
     assert schedules.count(SEARCH) == 1
+
+
+def test_other_fingers_are_compared_after_two_steps(fitter, rig_hand, pose_at, masks_of, monkeypatch):
+    """Two steps tell which digit is where the silhouettes show it: the cheapest hands alone are fitted to the end."""
+    (pose, reference), shape = pose_at("point"), rig_hand.kinematics.default_shape
+    masks = masks_of((pose, reference))
+    before = HandPose(dofs=torch.cat((pose[:6], pose_at("fist")[0][6:])), reference=reference)
+    call, steps_of_all, refined = HullFitter.__call__, [], []
+
+    def noted(self, target, starts, *priors):
+        found = call(self, target, starts, *priors)
+        if len(starts) >= len(finger_proposals(before)):
+            steps_of_all.append(int(found.iterations.max()))
+        else:
+            refined.append(len(starts))
+        return found
+
+    monkeypatch.setattr(HullFitter, "__call__", noted)
+    with torch.inference_mode():
+        found = fitter.vary_fingers(fitter.hull_about(before, shape, masks), before, [], shape, masks)
+    assert max(steps_of_all) == 2
+    assert max(refined) <= 0.5 * len(finger_proposals(before))
+    assert _error_mm(rig_hand, found, (pose, reference)) < 4.0
 
 
 def _before_arm(pose, rig_hand, rig, masks_of, views: int) -> tuple[list[torch.Tensor | None], torch.Tensor]:

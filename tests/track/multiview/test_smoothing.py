@@ -94,7 +94,7 @@ def test_a_frame_is_estimated_again_in_the_hull_that_was_carved_for_it(tracker, 
     assert past.hull is not None
     assert scenes[0].kept[HULL] is past.hull
     hand = tracker.at_rest(state.hand)
-    again, anew = (tracker.follow(state, hand, scene, STEP_S)[1].keypoints for scene in scenes)
+    again, anew = (tracker.follow(state, hand, scene, STEP_S).estimate.keypoints for scene in scenes)
     assert scenes[0].kept[HULL] is past.hull
     assert float((again - anew).norm(dim=-1).max()) < 2e-4
 
@@ -107,6 +107,7 @@ def test_frames_with_a_lost_digit_are_corrected_and_those_before_stay(tracker, r
         assert float((new.keypoints - _points(rig_hand, poses[frame])).norm(dim=-1).mean()) < 0.004
         assert new.status == "tracked"
         assert new.score > seen[frame].score
+        assert new.evidence is not None  # of the fingers: told of the frames that are corrected alone
         assert bool((torch.linalg.eigvalsh(new.keypoints_cov) > 0).all())
     assert smoother.corrections(*found) == []  # what was corrected is remembered so
 
