@@ -129,7 +129,10 @@ def test_pictures_noise_and_video_as_ordered(tmp_path: Path) -> None:
         (["--frames", "0"], "--frames: expected 1 to 100000, got 0"),
         (["--fps", "0"], "--fps: expected 0.1 to 1000"),
         (["--pace", "nan"], "--pace: expected 0 to 20"),
-        (["--motion", "dance"], "got 'dance'"),
+        (
+            ["--motion", "dance"],
+            "--motion: expected one of abduction, flexion, free, greet, leave, planar, planar_point, wave, got 'dance'",
+        ),
         (["--surface", "clay"], "--surface: expected mesh or primitives, got 'clay'"),
         (["--noise", "-1"], "noise: expected 0 to 100, got -1"),
         (["--shutter", "2"], "shutter: expected 0 to 1, got 2"),

@@ -97,10 +97,11 @@ def _rates(arguments: Arguments, out: Path) -> int:
         f"--pictures {arguments.pictures} --seed {arguments.seed}",
         "version": torchhand.__version__,
     }
+    device = device_named(arguments.device)
     with threads(1):
         for name in arguments.configs:
             settings = settings_of(name)
-            found = collect(settings, arguments.pictures, arguments.seed, device_named(arguments.device))
+            found = collect(settings, arguments.pictures, arguments.seed, device)
             samples = list(tqdm(found, desc=name, disable=None))
             try:
                 table[name] = derived_table(samples, Health(settings=settings.health))

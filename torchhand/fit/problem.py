@@ -138,7 +138,7 @@ class Linearization:
     values: Float[Tensor, "k free"]
     """Free parameters of the hands."""
     factors: tuple[Factor, ...]
-    _last_rows: list[Any] = field(default_factory=list, repr=False, compare=False)
+    _last_rows: list[Any] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def here(self) -> NormalEquations:
         """Normal equations in the free parameters, at the hands that data were associated with."""

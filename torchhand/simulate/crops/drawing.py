@@ -15,6 +15,7 @@ from torchhand.simulate.scene import SKIN_TONES
 from torchhand.view import rasterize_many
 
 _FOCAL = 1.0  # of the camera that all crops share, over the crop's side
+_LIGHT_FROM, _LIGHT_SPREAD = (0.0, -0.4, -1.0), (0.8, 0.8, 0.3)  # camera frame: towards the light, and how that varies
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +43,7 @@ def drawn_hands(hands: CropHands, settings: CropSettings, draws: Draws) -> Drawn
     points = _before_one_camera(hands, side)
     skin, last = last_labels(count, settings, draws)
     camera = assumed_camera(side, side, dtype=points.dtype).to(device=points.device)
-    intrinsics = draws.constant(_FOCAL * side, _FOCAL * side, 1.0).diag()
+    intrinsics = constant_tensor((_FOCAL * side, _FOCAL * side, 1.0), points.dtype, points.device).diag()
     camera = replace(camera, intrinsics=intrinsics)
     face, depth = rasterize_many(_without_arms(points, hands, last), hands.faces, camera, is_closed=True)
     is_seen = face >= 0
@@ -78,8 +79,8 @@ def _without_arms(points: Tensor, hands: CropHands, last: Int[Tensor, "crops"]) 
 def _light(hands: CropHands, draws: Draws) -> Float[Tensor, "crops faces"]:
     """Brightness of every face: ambient and diffuse light, with normals that are means over neighbours."""
     count, views = len(hands.points), len(hands.points) // len(hands.normals)
-    towards = draws.normal(count, 3) * draws.constant(0.8, 0.8, 0.3)
-    towards = torch.nn.functional.normalize(towards + draws.constant(0.0, -0.4, -1.0), dim=-1)
+    towards = draws.normal(count, 3) * constant_tensor(_LIGHT_SPREAD, torch.float32, draws.device)
+    towards = torch.nn.functional.normalize(towards + constant_tensor(_LIGHT_FROM, torch.float32, draws.device), dim=-1)
     in_hand = (towards[:, None] @ hands.rotation).unflatten(0, (-1, views))[:, :, 0]
     diffuse = (in_hand @ hands.normals.mT).flatten(0, 1).clamp_min_(0)
     ambient = 0.25 + 0.5 * draws.uniform(count, 1)

@@ -37,7 +37,3 @@ class Draws:
         """Numbers between two."""
         low, high = ends
         return low + (high - low) * self.uniform(*size)
-
-    def constant(self, *numbers: float) -> Float[Tensor, "numbers"]:
-        """Given numbers, on the device."""
-        return torch.tensor(numbers, device=self.device)

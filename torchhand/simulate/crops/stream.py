@@ -31,7 +31,7 @@ class CropStream(IterableDataset[dict[str, Tensor]]):
         device: torch.device = HOST,
     ) -> None:
         """batch: crops at a time, a multiple of the views. Raises ValueError for another number. device: that crops are
-        made on; of an accelerator in the process itself (`num_workers=0`)."""
+        made on; an accelerator is for `num_workers=0`, as workers cannot hand over what lies on it."""
         self.settings = settings or CropSettings()
         if batch < 1 or batch % self.settings.views:
             raise ValueError(f"batch: expected a multiple of the {self.settings.views} views, got {batch}")
