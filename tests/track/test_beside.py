@@ -138,8 +138,8 @@ def test_a_script_needs_no_guard(tmp_path: Path) -> None:
 
 
 def _until_tracked(beside: SearchBeside, film: Any) -> list[Estimate]:
-    """The same picture again and again, a frame apart however long a step takes: to a tracker, pictures that are seconds
-    apart may show a hand that is elsewhere."""
+    """The same picture again and again, a frame apart however long a step takes: to a tracker, pictures that are
+    seconds apart may show a hand that is elsewhere."""
     state: TrackerState | None = None
     estimates: list[Estimate] = []
     begun_s = time.monotonic()
