@@ -69,6 +69,24 @@ def test_the_way_begins_with_the_very_next_pictures(film: Any) -> None:
     assert min(steps_s[3:]) >= 0.1
 
 
+@pytest.mark.parametrize("step_s", [0.4, 0.8, 1.6])
+def test_a_still_hand_is_kept_on_a_slow_machine(film: Any, step_s: float) -> None:
+    """Whose steps to the newest picture are long: what is known of the hand's motion is worth little there."""
+    times_s = [0.0, *(index / 30 for index in (1, 2, 3)), *(0.1 + step_s * index for index in (1, 2, 3, 4))]
+    frames = [seen(film.images[0], time_s) for time_s in times_s]
+    later = iter([(frame, frame is frames[-1]) for frame in frames[1:]])
+    answer = Searcher(tracker_of(film), lambda _, __: next(later))(Search(number=1, frame=frames[0], state=None))
+    assert answer.state is not None
+    found, end_s = restored_state(answer.state), times_s[-1] + step_s
+    tracker = tracker_of(film)
+    _, expected = tracker.step(None, frames[0].views, 0.0)
+    _, kept = tracker.step(found, frames[0].views, end_s, occasions=worker.FOLLOWING)
+    assert found.time_s == times_s[-1]
+    assert kept.keypoints is not None
+    assert expected.keypoints is not None
+    assert float((kept.keypoints - expected.keypoints).norm(dim=-1).max()) < 0.015
+
+
 def test_where_no_hand_is_nothing_is_answered(film: Any) -> None:
     wall = torch.zeros_like(film.images[0]) + film.images[0][0, 0]
     search = Search(number=1, frame=seen(wall, 0.0), state=None)

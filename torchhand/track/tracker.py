@@ -49,7 +49,9 @@ _SURE_EDGES = 0.85  # share of the edges that a whole hand explains at least
 _DIRECTION_KEPT = 0.8  # share of the direction's agreement that outlasts a frame
 _TOLD = 0.01  # score that a hand may have less which the network bears out
 _VAIN_REFIT_EVERY = 40  # the same where they keep bringing nothing better
-
+_FORESEEABLE_S = 0.1
+"""Time over which a hand's motion foretells where it is. After longer ones the motion model is so unsure that edges
+near its contour tell little: from 0.2 s on `contour_planar` loses even a hand that keeps still."""
 
 _SILENCE = "the detector finds no hand; without --keypoints one is looked for by its colours"
 
@@ -350,6 +352,18 @@ class Tracker:
         return replace(scene, observations=(*further, *keypoints))
 
     def _followed(self, hand: FollowedHand, predicted: FollowedHand, scene: Scene, shape: Tensor) -> Candidate | None:
+        """The prediction corrected by the scene (`_corrected`). Where the hand was seen long ago, and the scene does
+        not bear that out, also the hand as if it had stayed where it was: whichever explains the scene better."""
+        found = self._corrected(hand, predicted, scene, shape)
+        if predicted.dt_s <= _FORESEEABLE_S or not self.parts.health.is_failing(found):
+            return found
+        resting = self.parts.motion.predicted(self.at_rest(hand), self.settings.nominal_dt_s)
+        other = self._corrected(hand, replace(resting, dt_s=predicted.dt_s), scene, shape)
+        if found is None or other is None:
+            return found or other
+        return max(found, other, key=self.parts.health.score)
+
+    def _corrected(self, hand: FollowedHand, predicted: FollowedHand, scene: Scene, shape: Tensor) -> Candidate | None:
         """The prediction corrected by the scene, and by what the network sees where the hand is expected. Where fingers
         are bent otherwise, and no detector tells of them, also the prediction with these put there: whichever explains
         the scene, the latter where both do. Where a detector tells of them, and of other fingers than the hand then
