@@ -353,11 +353,13 @@ class Tracker:
 
     def _followed(self, hand: FollowedHand, predicted: FollowedHand, scene: Scene, shape: Tensor) -> Candidate | None:
         """The prediction corrected by the scene (`_corrected`). Where the hand was seen long ago, and the scene does
-        not bear that out, also the hand as if it had stayed where it was: whichever explains the scene better."""
+        not bear that out, also the hand as if it were found where it was: whichever explains the scene better."""
         found = self._corrected(hand, predicted, scene, shape)
         if predicted.dt_s <= _FORESEEABLE_S or not self.parts.health.is_failing(found):
             return found
-        resting = self.parts.motion.predicted(self.at_rest(hand), self.settings.nominal_dt_s)
+        motion = self.parts.motion
+        begun = replace(hand, belief=motion.at_rest(motion.prior(hand).mean, None))
+        resting = motion.predicted(begun, self.settings.nominal_dt_s)
         other = self._corrected(hand, replace(resting, dt_s=predicted.dt_s), scene, shape)
         if found is None or other is None:
             return found or other
