@@ -383,7 +383,7 @@ def _save(
         "pose": fit.pose.numpy(),
         "pose_std": fit.pose_std.numpy(),
         "keypoints3d": fit.keypoints.numpy(),
-        "keypoints3d_cov": fit.keypoints_covariance.numpy(),
+        "keypoints3d_cov": fit.joints_covariance(cameras[0] if len(cameras) == 1 else None).numpy(),
         "residual": fit.residual.numpy(),
         "shape": fit.shape.numpy(),
         "shape_std": fit.shape_std.numpy(),

@@ -2,6 +2,7 @@
 
 from torchhand.hand.clearance import Clearance
 from torchhand.hand.hand import Hand, HandState
+from torchhand.hand.joint_centres import centre_covariance
 from torchhand.hand.kinematics import (
     BONES,
     DOFS,
@@ -116,6 +117,7 @@ __all__ = [
     "Skeleton",
     "Violation",
     "bone_offsets",
+    "centre_covariance",
     "digit_pairs",
     "keypoint_jacobian",
     "moving_parameters",

@@ -8,10 +8,10 @@ from torch import Tensor
 
 from tests.studio import Studio
 from torchhand.files import load_hand_model
-from torchhand.fit import PosedHands, Stage
+from torchhand.fit import PopulationPrior, PosedHands, SharedUnknowns, Stage
 from torchhand.fit.keypoints.relative import RelativeKeypoints
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand import DOFS, HandPose, posture
+from torchhand.hand import DOFS, Anthropometry, HandPose, posture
 
 DOUBLE = torch.float64
 KINEMATICS = load_hand_model().kinematics("right", dtype=DOUBLE)
@@ -107,3 +107,27 @@ def test_points_of_one_frame_are_compared_with_any_number_of_hypotheses() -> Non
         torch.testing.assert_close(getattr(found, name), getattr(expected, name), rtol=1e-12, atol=1e-12)
     some = one.associate(hands, STAGE).rows(torch.tensor([2]))
     torch.testing.assert_close(some.equations(_hands(poses[2:])).cost, expected.cost[2:], rtol=1e-12, atol=0)
+
+
+def test_a_larger_hand_is_no_information() -> None:
+    """What the best size makes good does not count in the second derivative either: longer, broader hands cost
+    nothing."""
+    poses, space = _poses(2), KINEMATICS.shape_space
+    nothing = torch.zeros(0, dtype=DOUBLE)
+    unknowns = SharedUnknowns(
+        columns=tuple(space.names.index(name) for name in ("hand_length", "hand_breadth")),
+        prior=PopulationPrior(population=Anthropometry(space)),
+        lower=space.lower,
+        upper=space.upper,
+        extra=nothing,
+        extra_std=nothing,
+    )
+    hands = replace(_hands(poses), unknowns=unknowns)
+    observed = _observed(KINEMATICS(_poses(2, seed=1), KINEMATICS.default_shape).keypoints)
+    found = observed.associate(hands, STAGE).equations(hands)
+    assert found.shared_matrix is not None
+    grown = unknowns.vector(KINEMATICS.default_shape)
+    of_size = (grown @ found.shared_matrix @ grown).abs()
+    assert float(of_size.max()) < 1e-9 * float(
+        (grown.square() @ found.shared_matrix.diagonal(dim1=-2, dim2=-1).T).min()
+    )

@@ -1,15 +1,17 @@
 """Hands fitted to what detectors saw: points in pictures with covariances and in space, of one camera or several."""
 
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from torchhand.files import load_hand_model
+from torchhand.files import load_cameras, load_hand_model
 from torchhand.fit.keypoints import KeypointFitSettings, SeenKeypoints, fit_keypoints
 from torchhand.geometry import Camera, assumed_camera, rotation_from_vector
-from torchhand.hand import DOFS, HandKinematics, posture
+from torchhand.hand import DOFS, HandKinematics, centre_covariance, posture
 from torchhand.hand.limits import clamp_to_limits
 
 DOUBLE = torch.float64
@@ -144,3 +146,52 @@ def test_error_messages(kinematics: HandKinematics) -> None:
         fit_keypoints(kinematics, [seen, replace(seen, points_px=points[:1])])
     with pytest.raises(ValueError, match="confidence: expected 0 or more, got -1"):
         SeenKeypoints(camera=camera, points_px=points, confidence=-torch.ones(2, 21, dtype=DOUBLE))
+
+
+@pytest.mark.parametrize("is_recording", [False, True])
+def test_one_camera_leaves_the_size_as_open_as_people_are(kinematics: HandKinematics, is_recording: bool) -> None:
+    """Whatever points in space and neighbouring frames say; leaps are judged by the frames around them."""
+    poses, _ = _truth(kinematics, 1)
+    poses = poses.repeat(24, 1)
+    poses[:, :3] += 0.002 * torch.arange(24, dtype=DOUBLE)[:, None] * torch.tensor((1.0, 0.5, 0.3), dtype=DOUBLE)
+    poses[12, DOFS.index("index_pip_fe")] += 1.2  # a leap
+    points = kinematics(poses, kinematics.default_shape).keypoints
+    seen = _seen(points, _cameras(1)[0], torch.Generator().manual_seed(4), 1.0, 0.005)
+    fit = fit_keypoints(kinematics, seen, fit_shape=True, settings=KeypointFitSettings(is_recording=is_recording))
+    space = kinematics.shape_space
+    length = space.names.index("hand_length")
+    assert 0.8 * float(space.std[length]) < float(fit.shape_std[length]) < 1.05 * float(space.std[length])
+    depth_std = fit.keypoints_covariance[:, :, 2, 2].sqrt().mean() / fit.keypoints[..., 2].mean()
+    assert 0.7 < float(depth_std) / float(fit.shape_std[length] / fit.shape[length]) < 1.2
+
+
+def test_joints_are_told_with_what_no_point_tells(kinematics: HandKinematics) -> None:
+    """Where makers put them; and before one camera, wherever it is, errors of size along the line of sight."""
+    _, points = _truth(kinematics, 3)
+    generator, cameras = torch.Generator().manual_seed(5), _cameras(2)
+    seen = [_seen(points, camera, generator, 2.0, 0.01) for camera in cameras]
+    both = fit_keypoints(kinematics, seen)
+    centres = (both.joints_covariance() - both.keypoints_covariance)[0]
+    torch.testing.assert_close(centres, centre_covariance(), rtol=0, atol=1e-15)
+    one, camera = fit_keypoints(kinematics, seen[1]), cameras[1]
+    of_size = (one.joints_covariance(camera) - one.joints_covariance())[0, 9]
+    away = one.keypoints[0, 9] + camera.rotation.T @ camera.translation
+    torch.testing.assert_close(of_size, torch.outer(away, away) * (of_size.trace() / away.square().sum()))
+    assert float(of_size.trace().sqrt() / away.norm()) == pytest.approx(0.04)
+
+
+def test_what_is_told_of_joints_is_honest(data_dir: Path, kinematics: HandKinematics) -> None:
+    """Of another maker's hand that a detector saw from four sides at the same times: most joints lie in their region,
+    and no camera is late."""
+    folder = data_dir / "synthetic" / "mv_motion"
+    truth = torch.from_numpy(np.load(folder / "truth.npz")["keypoints3d"])
+    seen = []
+    for view, camera in enumerate(load_cameras(folder / "cameras.json")):
+        found = np.load(folder / f"mediapipe_view_{view}.npz")
+        px, own = (torch.from_numpy(found[name]).double() for name in ("points_px", "world"))
+        seen.append(SeenKeypoints(camera=camera, points_px=px, points=own))
+    fit = fit_keypoints(kinematics, seen, fit_shape=True, settings=KeypointFitSettings(is_recording=True))
+    assert max(map(abs, fit.lags)) < 0.2
+    missed = (fit.keypoints - truth)[..., None]
+    nees = (missed.mT @ torch.linalg.solve(fit.joints_covariance(), missed)).squeeze()
+    assert 0.8 < float((nees < 7.815).double().mean()) <= 1  # 95 % of a chi-squared distribution of three

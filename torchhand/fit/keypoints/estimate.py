@@ -91,6 +91,13 @@ class Measured:
             return ()
         return tuple(one.lag for one in self.observed if one.lag is not None)
 
+    @property
+    def synchronous(self) -> "Measured":
+        """With cameras that are known not to be late."""
+        if isinstance(self.observed, WorldKeypoints):
+            return self
+        return replace(self, observed=tuple(replace(one, lag=None) for one in self.observed))
+
     def at(self, extra: Float[Tensor, "extra"]) -> "Measured":
         """With other lags."""
         if isinstance(self.observed, WorldKeypoints):
@@ -244,7 +251,10 @@ class KeypointEstimator:
             dofs=torch.where(is_open[:, None], prior.pose.dofs, own.dofs),
             reference=torch.where(is_open[:, None, None], prior.pose.reference, own.reference),
         )
-        prior = replace(prior, pose=begin, information=prior.information * is_open[:, None, None])
+        information = prior.information * is_open[:, None, None]
+        if self.measured.triangulated is None:  # before one camera places go with the hand's size, which is open still
+            information = _without_place(information)
+        prior = replace(prior, pose=begin, information=information)
         return replace(self, measured=replace(self.measured, expected=prior))
 
     def _searched(self, observed: tuple[PictureKeypoints, ...], shape: Tensor, detector: Detector) -> HandPose:
@@ -283,6 +293,17 @@ class KeypointEstimator:
         return replace(self.measured, observed=tuple(pictures)).observations(detector)
 
     def _whole(self, pose: HandPose, shape: Tensor, detector: Detector, stage: Stage = _FINE) -> KeypointEstimate:
+        """All frames with what they share, from one pose each. Lags of cameras that are not known yet are looked for
+        from the start and from the best that synchronous cameras explain: costs have a minimum near most whole frames,
+        for between frames errors average out."""
+        found = self._together(pose, shape, detector, stage)
+        if not self.measured.lags or stage is _NEAR:
+            return found
+        first = replace(self, measured=self.measured.synchronous)._together(pose, shape, detector, stage)
+        other = self._together(first.solution.pose, first.solution.shape, first.detector, stage)
+        return min(found, other, key=lambda one: one.solution.cost)
+
+    def _together(self, pose: HandPose, shape: Tensor, detector: Detector, stage: Stage) -> KeypointEstimate:
         """All frames with what they share, from one pose each."""
         problem = replace(self._problem(shape, detector), shared=self._unknowns(detector))
         known = limit_information(self._kinematics.skeleton).to(shape)
@@ -362,6 +383,15 @@ def _solved(problem: Problem, starts: HandPose) -> Solutions:
     count, each = starts.batch_shape
     rows = torch.arange(count, device=starts.dofs.device).repeat_interleave(each)
     return solve(problem.rows(rows), starts, (_ROUGH,), at_once=_AT_ONCE)
+
+
+def _without_place(information: Float[Tensor, "frames free free"]) -> Float[Tensor, "frames free free"]:
+    """The information of all but the root's place, of which nothing is known any more."""
+    place, rest = information[:, :3, :3], information[:, 3:, :3]
+    is_told = information.diagonal(dim1=-2, dim2=-1)[:, :3, None] > 0
+    taken = torch.linalg.solve(torch.where(is_told, place, torch.eye(3).to(place)), rest.mT)
+    left = information[:, 3:, 3:] - rest @ taken
+    return torch.nn.functional.pad(left, (3, 0, 3, 0))
 
 
 def _best(found: Solutions, count: int) -> HandPose:

@@ -27,6 +27,7 @@ from torchhand.hand import (
     HandPose,
     PoseJacobian,
     PoseSpace,
+    centre_covariance,
     moving_parameters,
     named_pose_space,
 )
@@ -36,6 +37,9 @@ from torchhand.precision import require_exact, without_autocast
 _AT_ONCE = 1024  # frames whose derivatives are held at a time
 
 _MIN_RECORDED = 10  # frames that tell how a hand moves
+_SIZE_STD = 0.04
+"""Error of the size of what a detector sees in a picture, as a share: root mean square, over seven recordings of
+another maker's hand, of the spread of MediaPipe's points over that of the joints, less 1 (0.91 to 1.00)."""
 _OF_FRAMES = ("pose", "pose_std", "pose_covariance", "keypoints", "keypoints_covariance", "residual")
 
 FIT_STATUSES = ("fitted", "too few points", "failed", "filled")
@@ -59,7 +63,7 @@ class KeypointFit:
     keypoints: Float[Tensor, "*frames 21 3"]
     """Our keypoints of the fitted hand, metres in the world."""
     keypoints_covariance: Float[Tensor, "*frames 21 3 3"]
-    """m², from that of the pose."""
+    """m², from that of the pose, which takes the points' errors for independent; see `joints_covariance`."""
     residual: Float[Tensor, "*frames 21"]
     """Distance of each measured point from the fitted hand: metres, or px (the mean over several cameras). NaN for
     missing points."""
@@ -79,6 +83,21 @@ class KeypointFit:
     @property
     def is_fitted(self) -> Tensor:
         return self.status == 0
+
+    def joints_covariance(self, camera: Camera | None = None) -> Float[Tensor, "*frames 21 3 3"]:
+        """Covariance of the joints themselves, m²: that of the keypoints, how far makers of hands and of detectors
+        differ about where joints are, and before one camera the distance that comes of an error of size.
+
+        camera: the camera of a fit to the points in its pictures alone, one or a batch with one per frame; None for
+        several cameras, and for points in space.
+        """
+        covariance = self.keypoints_covariance + centre_covariance().to(self.keypoints_covariance)
+        if camera is None or camera.kind != "pinhole":
+            return covariance
+        rotation, translation = camera.rotation.to(covariance), camera.translation.to(covariance)
+        centre = -(rotation.mT @ translation[..., None])[..., 0]
+        away = self.keypoints - centre[..., None, :]
+        return covariance + _SIZE_STD**2 * (away[..., :, None] * away[..., None, :])
 
     def to(self, device: torch.device) -> "KeypointFit":
         """The same fit on another device."""

@@ -99,15 +99,22 @@ class RelativeKeypointFactor:
         """Normal equations in the DOFs, and in the shared unknowns where there are some.
 
         The scale is the best one at every hand, so that the cost's derivative in it is zero: the gradient at a fixed
-        scale is that of the cost (Golub and Pereyra 1973).
+        scale is that of the cost (Golub and Pereyra 1973). What a scale would make good is no information, and is taken
+        from the derivatives (Kaufman 1975).
         """
         keypoints = self._about_mean(self.detector.keypoints(self.kinematics, hands)[..., None])[..., 0]
         size = keypoints.square().sum((-2, -1)).clamp_min(torch.finfo(keypoints.dtype).tiny)
         scale = ((keypoints * self.points).sum((-2, -1)) / size)[:, None, None]
-        rows = scale[..., None] * self._about_mean(self.detector.pose_jacobian(self.kinematics, hands))
-        shared = None
+        along = keypoints / size.sqrt()[:, None, None]
+
+        def scaled(jacobian: Float[Tensor, "k 21 3 c"]) -> Float[Tensor, "k 21 3 c"]:
+            away = self._about_mean(jacobian)
+            grown = (along[..., None] * away).sum((1, 2), keepdim=True)
+            return scale[..., None] * (away - along[..., None] * grown)
+
+        rows, shared = scaled(self.detector.pose_jacobian(self.kinematics, hands)), None
         if hands.unknowns is not None:
-            shared = scale[..., None] * self._about_mean(self.detector.shared_jacobian(self.kinematics, hands))
+            shared = scaled(self.detector.shared_jacobian(self.kinematics, hands))
         return equations_of_points(scale * keypoints - self.points, self.weight[..., 0], None, rows, shared)
 
     def rows(self, rows: Int[Tensor, "n"]) -> "RelativeKeypointFactor":

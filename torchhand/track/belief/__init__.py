@@ -2,7 +2,6 @@
 
 from torchhand.track.belief.estimate import (
     PosedBelief,
-    centre_std,
     posed_belief,
     posed_gaussian,
     scale_covariance,
@@ -20,7 +19,6 @@ __all__ = [
     "PosedBelief",
     "PostureMeasurements",
     "PosturePriorSettings",
-    "centre_std",
     "posed_belief",
     "posed_gaussian",
     "posture_prior",

@@ -11,7 +11,6 @@ from torchhand.geometry import Camera
 from torchhand.hand import (
     DOFS,
     JOINT_DOFS,
-    KEYPOINTS,
     TIPS,
     HandFrames,
     HandKinematics,
@@ -19,17 +18,11 @@ from torchhand.hand import (
     PoseJacobian,
     PoseSpace,
     ShapeSpace,
+    centre_covariance,
 )
 from torchhand.hand.limits import clamp_to_limits
 from torchhand.track.belief.motion import HandMotion
 from torchhand.track.belief.state import FollowedHand
-
-_CENTRE_STD_M = {"wrist": 0.008, "thumb_cmc": 0.0105, "tip": 0.0045}
-_OTHER_CENTRE_STD_M = 0.004
-"""Two hand models place their joint centres some millimetres apart under the same skin. Root mean square distances
-along an axis between ours and another maker's, the surface being known to a millimetre: `torchhand track_multiview` on
-`mv_static`, then `torchhand evaluate`, which prints them joint by joint. Joints that happen to agree better there are
-not believed to do so in every model."""
 
 _ROOT = len(DOFS) - len(JOINT_DOFS)
 
@@ -93,21 +86,9 @@ def posed_gaussian(
         pose_std=(basis @ covariance @ basis.T).diagonal().clamp_min(0).sqrt(),
         root_rotation=limited.rotation,
         keypoints=bones.keypoints,
-        keypoints_cov=jacobian @ covariance @ jacobian.mT + _centre_covariance().to(dofs),
+        keypoints_cov=jacobian @ covariance @ jacobian.mT + centre_covariance().to(dofs),
         tip_std=((bent @ covariance) * bent).sum((-2, -1)).clamp_min(0).sqrt(),
     )
-
-
-def centre_std() -> Float[Tensor, "21"]:
-    """Metres along each axis that another model's joint centres differ by."""
-    std = [_CENTRE_STD_M.get(name, _CENTRE_STD_M.get(name.split("_")[-1], _OTHER_CENTRE_STD_M)) for name in KEYPOINTS]
-    return torch.tensor(std, dtype=torch.float64)
-
-
-@lru_cache(maxsize=1)
-def _centre_covariance() -> Float[Tensor, "21 3 3"]:
-    """Square metres: of the same."""
-    return centre_std().square()[:, None, None] * torch.eye(3, dtype=torch.float64)
 
 
 @lru_cache(maxsize=8)
