@@ -12,6 +12,7 @@ from torchhand.evaluate.angles import flexion_deg
 from torchhand.evaluate.evaluation import evaluate
 from torchhand.evaluate.truth import Truth, load_truth
 from torchhand.files import Track
+from torchhand.hand import DOFS
 
 FRAMES = 6
 
@@ -66,6 +67,19 @@ def test_the_truth_itself_has_no_error() -> None:
     assert figures["speed"] == {"median_ms_per_frame": 10.0, "largest_ms_per_frame": 500.0}
     assert figures["uncertainty"]["mean_per_dof"] == 0.0
     assert "silhouette" not in figures
+
+
+@pytest.mark.parametrize(("std_deg", "share"), [(2.0, 1.0), (0.5, 0.0)])
+def test_flexions_are_judged_by_their_own_standard_deviations(std_deg: float, share: float) -> None:
+    """Errors of a degree that take turns, in joints whose offsets are 5 degrees."""
+    known = truth()
+    true_deg = flexion_deg(known.keypoints3d)
+    told = true_deg - 5.0 - np.array([1.0, -1.0] * (FRAMES // 2))[:, None, None]
+    track = replace(perfect(list(range(FRAMES))), pose_std=np.full((FRAMES, 36), np.radians(std_deg)), dof_names=DOFS)
+    figures = evaluate(track, replace(known, flexion_deg=told))["flexion_uncertainty"]
+    assert figures["fraction_in_95_percent_band"] == share
+    assert figures["mean_per_dof"] == pytest.approx(std_deg**-2)
+    assert "flexion_uncertainty" not in evaluate(perfect([0, 1, 2]), known)  # whose DOFs have other names
 
 
 def test_a_finger_that_spreads_too_far_is_seen_in_its_proximal_phalanx() -> None:

@@ -178,6 +178,11 @@ def table(figures: dict[str, Any]) -> str:
         (low, high), (true_low, true_high) = angles["range"], angles["true_range"]
         text = f"{low:.0f}° to {high:.0f}° (truth {true_low:.0f}° to {true_high:.0f}°)"
         lines.append(("flexion of a finger over MCP, PIP and DIP", text))
+    if "flexion_uncertainty" in figures:
+        honesty = figures["flexion_uncertainty"]
+        share, squared = honesty["fraction_in_95_percent_band"], honesty["mean_per_dof"]
+        text = f"{share:.0%} (95 % or more: not too sure); squared errors {squared:.2f} of what was expected"
+        lines.append(("flexions of fingers inside their 95 % band", text))
     if "detector" in figures:
         alone = figures["detector"]
         angles, (low, high) = alone["flexion_deg"], alone["flexion_deg"]["range"]

@@ -3,8 +3,13 @@
 import numpy as np
 from jaxtyping import Float
 
+from torchhand.hand import FINGERS
+
 FINGER_CHAINS = np.array([[0, *range(first, first + 4)] for first in (1, 5, 9, 13, 17)])
 """Keypoints from the wrist to the tip of thumb, index, middle, ring and little finger."""
+
+FLEXIONS_OF_FINGERS = [[f"{finger}_{joint}_fe" for joint in ("mcp", "pip", "dip")] for finger in FINGERS[1:]]
+"""The DOFs that bend the same joints of index, middle, ring and little finger."""
 
 
 def flexion_deg(keypoints: Float[np.ndarray, "*batch 21 d"]) -> Float[np.ndarray, "*batch 5 3"]:

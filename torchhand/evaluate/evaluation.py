@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from torchhand.errors import InputError
 from torchhand.evaluate.angles import (
+    FLEXIONS_OF_FINGERS,
     flexion_deg,
     proximal_turns_deg,
     proximal_turns_in_space_deg,
@@ -83,6 +84,9 @@ def evaluate(
         true_flexion = flexion_deg(truth.keypoints3d)
     if true_flexion is not None:
         figures["flexion_deg"] = _flexion(track.keypoints3d, true_flexion[rows])
+        honesty = _flexion_uncertainty(track, true_flexion[rows])
+        if honesty is not None:
+            figures["flexion_uncertainty"] = honesty
     if detections is not None and truth.keypoints3d is not None and true_flexion is not None:
         figures["detector"] = _detector(track, detections, truth.keypoints3d[rows], true_flexion[rows])
     if truth.mask_files and predicted_mask is not None:
@@ -269,6 +273,21 @@ def _flexion(points: Float[np.ndarray, "frames 21 3"], true_deg: Float[np.ndarra
         "range": _closing(own_deg),
         "true_range": _closing(true_deg),
     }
+
+
+def _flexion_uncertainty(track: Track, true_deg: Float[np.ndarray, "frames 5 3"]) -> Figures | None:
+    """How honest the standard deviations of the fingers' flexions are, each joint's offset removed; None where none is
+    told. Without the thumb, whose angles are about axes of their own."""
+    names = [name for finger in FLEXIONS_OF_FINGERS for name in finger]
+    if not set(names) <= set(track.dof_names):
+        return None
+    errors = without_offset(flexion_deg(track.keypoints3d) - true_deg)[:, 1:].reshape(len(track), -1, 1)
+    std = np.degrees(track.pose_std[:, [track.dof_names.index(name) for name in names]])
+    variance = np.square(std)[..., None, None]
+    honesty, (inside, weight) = consistency(errors, variance), fraction_in_band(errors, variance)
+    if honesty is None:
+        return None
+    return {"mean_per_dof": honesty.mean_per_dof, "fraction_in_95_percent_band": float(inside.sum() / weight.sum())}
 
 
 def _closing(flexion: Float[np.ndarray, "frames 5 3"]) -> list[float]:
