@@ -73,6 +73,7 @@ def test_the_truth_itself_has_no_error() -> None:
 def test_flexions_are_judged_by_their_own_standard_deviations(std_deg: float, share: float) -> None:
     """Errors of a degree that take turns, in joints whose offsets are 5 degrees."""
     known = truth()
+    assert known.keypoints3d is not None
     true_deg = flexion_deg(known.keypoints3d)
     told = true_deg - 5.0 - np.array([1.0, -1.0] * (FRAMES // 2))[:, None, None]
     track = replace(perfect(list(range(FRAMES))), pose_std=np.full((FRAMES, 36), np.radians(std_deg)), dof_names=DOFS)
