@@ -544,7 +544,7 @@ def test_a_recording_is_played_live_to_other_programs(
     assert "saved in" in outcome.err
     stream = clip_of_stream(grown, load_hand_model())
     assert stream.notes == ()  # it was ended
-    first = track.status.tolist().index("tracked")
+    first = int(np.isfinite(track.pose).all(-1).argmax())
     assert len(stream) == 1 + round(stream.fps * (messages[-1]["time_s"] - messages[first]["time_s"]))
     assert float((stream.poses[0] - torch.from_numpy(track.pose[first]))[6:].abs().max()) < np.radians(2)
     _assert_refused(run(clip.frames, "--out", out, "--stream", grown, *clip.options), "--stream", "is there already")

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchhand.files import load_hand_model
 from torchhand.fit import Appearance, learn_appearance
 from torchhand.geometry import Camera, assumed_camera, rotation_from_vector
-from torchhand.hand import DOFS, JOINT_DOFS, POSTURES, HandKinematics, HandPose, posture
+from torchhand.hand import DOFS, JOINT_DOFS, POSTURES, HandKinematics, HandPose, centre_covariance, posture
 from torchhand.image import dilate, disc_kernel, intersection_over_union, touching
 from torchhand.numerics import ease
 from torchhand.signs import load_signs
@@ -26,7 +26,6 @@ from torchhand.simulate import (
     sample_shape,
 )
 from torchhand.track import HandKeypoints, View
-from torchhand.track.belief import centre_std
 
 WIDTH, HEIGHT = 320, 240
 FPS = 30.0
@@ -98,7 +97,8 @@ def sequence(generator: torch.Generator, frames: int, *, has_detector: bool) -> 
     seen: list[HandKeypoints | None] = [None] * frames
     if has_detector:
         seen = list(_detections(kinematics, motion, camera, shape, generator))
-    offset = torch.randn(21, 3, generator=generator, dtype=torch.float64) * centre_std()[:, None]
+    std = centre_covariance().diagonal(dim1=-2, dim2=-1).sqrt()
+    offset = std * torch.randn(21, 3, generator=generator, dtype=torch.float64)
     return SimulatedSequence(
         camera=camera,
         shape=believed,
