@@ -3,22 +3,23 @@
 import json
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Annotated
 
+import torch
 from tqdm import tqdm
 from tyro.conf import OmitArgPrefixes, arg
 
 from torchhand.cli.command import DONE, OnDevice, command, parse
-from torchhand.cluster import keep_freed_memory
+from torchhand.cluster import Copies, can_copy_process, keep_freed_memory
 from torchhand.devices import device_named
 from torchhand.errors import InputError
 from torchhand.files.disk import explained_errors, write_text
-from torchhand.simulate.crops import CropSettings, Shard, about, write_shard
+from torchhand.simulate.crops import CropSettings, Shard, about, prepare_shards, write_shard
 
 ABOUT_NAME = "about.json"
 _MAX_WORKERS = 256
@@ -83,7 +84,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     write_text(arguments.out / ABOUT_NAME, json.dumps(facts, indent=2) + "\n")
     start = time.perf_counter()
     with tqdm(total=arguments.count, unit="crop", disable=not sys.stderr.isatty()) as bar:
-        for shard, _ in zip(shards, _written(shards, arguments.workers), strict=True):
+        for shard in _written(shards, arguments.workers, device):
             bar.update(shard.crops)
     rate = arguments.count / (time.perf_counter() - start)
     print(f"saved {arguments.count} crops in {len(shards)} shards in {arguments.out}, {rate:.0f} a second")
@@ -98,12 +99,18 @@ def _check_folder(path: Path) -> None:
         raise InputError(f"{path}: --out: expected a new folder or an empty one; it holds {content[0]}")
 
 
-def _written(shards: list[Shard], workers: int) -> Iterable[Path]:
-    """The shards' files, in their order, as they are done."""
-    if workers == 1 or len(shards) == 1:
-        keep_freed_memory()
-        yield from map(write_shard, shards)
-        return
+def _written(shards: list[Shard], workers: int, device: torch.device) -> Iterator[Shard]:
+    """The shards as their files are done, in any order."""
     count = min(workers, len(shards))
-    with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=keep_freed_memory) as pool:
-        yield from pool.map(write_shard, shards)
+    if count > 1 and can_copy_process(device):
+        prepare_shards(shards[0])
+        yield from (shard for shard, _ in Copies(count).done(lambda: write_shard, shards))
+    elif count > 1:
+        with ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=keep_freed_memory) as pool:
+            for shard, _ in zip(shards, pool.map(write_shard, shards), strict=True):
+                yield shard
+    else:
+        keep_freed_memory()
+        for shard in shards:
+            write_shard(shard)
+            yield shard

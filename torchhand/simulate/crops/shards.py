@@ -1,5 +1,6 @@
 """Crops in WebDataset's form: plain tar files whose members belong together by their names."""
 
+import contextlib
 import io
 import json
 import tarfile
@@ -52,28 +53,42 @@ def write_shard(shard: Shard) -> Path:
     KEY.json  keypoints (21, 3) metres and keypoints_px (21, 2), intrinsics (3, 3), pose (36,), shape (52,), side, hand:
         crops of one hand at one time, by several cameras, share its number.
     """
+    with (
+        _one_thread(),
+        explained_errors(shard.path),
+        replacing(shard.path) as part,
+        tarfile.open(part, "w", format=tarfile.USTAR_FORMAT) as archive,
+    ):
+        batches, done = _batches(shard, max(1, _AT_ONCE // shard.settings.views)), 0
+        while done < shard.crops:
+            crops = sent_to(next(batches).rows(slice(shard.crops - done)), HOST)
+            for name, content in _members(crops, shard, done):
+                entry = tarfile.TarInfo(name)
+                entry.size = len(content)
+                archive.addfile(entry, io.BytesIO(content))
+            done += len(crops)
+    return shard.path
+
+
+def prepare_shards(shard: Shard) -> None:
+    """What all shards of a data set share is made before one is written, for this process and later copies of it."""
+    with _one_thread():
+        next(_batches(shard, 1))
+
+
+@contextlib.contextmanager
+def _one_thread() -> Iterator[None]:
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        batches = _maker(shard.settings, shard.seed, shard.device).batches(
-            max(1, _AT_ONCE // shard.settings.views), seeded(shard.seed, shard.index)
-        )
-        done = 0
-        with (
-            explained_errors(shard.path),
-            replacing(shard.path) as part,
-            tarfile.open(part, "w", format=tarfile.USTAR_FORMAT) as archive,
-        ):
-            while done < shard.crops:
-                crops = sent_to(next(batches).rows(slice(shard.crops - done)), HOST)
-                for name, content in _members(crops, shard, done):
-                    entry = tarfile.TarInfo(name)
-                    entry.size = len(content)
-                    archive.addfile(entry, io.BytesIO(content))
-                done += len(crops)
+        yield
     finally:
         torch.set_num_threads(threads)
-    return shard.path
+
+
+def _batches(shard: Shard, people: int) -> Iterator[Crops]:
+    maker = _maker(shard.settings, shard.seed, shard.device)
+    return maker.batches(people, seeded(shard.seed, shard.index))
 
 
 @lru_cache(maxsize=1)

@@ -64,7 +64,7 @@ def run_study(
         found = folder.finished
         return DesignedResults(study=study, rows=cell_rows(study, found), hypotheses=found, seconds=0.0)
 
-    found, seconds = run_batches(planned(study), _Making(study=study, device=device), folder, workers)
+    found, seconds = run_batches(planned(study), _Making(study=study, device=device), folder, workers, device)
     rows = cell_rows(study, found)
     further = {
         "cell": found.batch // study.pictures,

@@ -8,7 +8,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 import torch
 from tqdm import tqdm
 
-from torchhand.cluster import Cluster, keep_freed_memory
+from torchhand.cluster import Cluster, Copies, can_copy_process, keep_freed_memory
 from torchhand.study.hypotheses.case_study import StudyBatch
 from torchhand.study.hypotheses.folder import StudyFolder
 from torchhand.study.hypotheses.record import Hypotheses
@@ -21,11 +21,13 @@ def run_batches(
     make_worker: Callable[..., Worker],
     folder: StudyFolder,
     workers: int | Cluster,
+    device: torch.device | str = "cpu",
 ) -> tuple[Hypotheses, float]:
     """All hypotheses in the plan's order, also those that the folder has; and seconds per start, 0 if none was left.
 
-    make_worker: makes what registers batches; it is given the number of threads that share it. workers: threads, or a
-    cluster, whose processes make one each.
+    make_worker: makes what registers batches; it is given the number of threads that share it. workers: how many work
+    side by side on this machine, or a cluster. Copies of this process where it can be copied, as well as a cluster's,
+    make one each; else threads share one. device: that batches are registered on.
     """
     left = [batch for batch in plan if batch.index not in folder.batches]
     starts = sum(batch.count for batch in plan)
@@ -33,7 +35,7 @@ def run_batches(
     begun = time.perf_counter()
     is_hidden = not sys.stderr.isatty()
     with tqdm(total=starts, initial=before, desc="study", unit="start", disable=is_hidden, leave=False) as bar:
-        for batch, found in _worked(left, make_worker, workers):
+        for batch, found in _worked(left, make_worker, workers, torch.device(device)):
             folder.batches.save(batch.index, found)
             bar.update(len(found))
     seconds = (time.perf_counter() - begun) / (starts - before) if left else 0.0
@@ -41,11 +43,14 @@ def run_batches(
 
 
 def _worked(
-    plan: Sequence[StudyBatch], make_worker: Callable[..., Worker], workers: int | Cluster
+    plan: Sequence[StudyBatch], make_worker: Callable[..., Worker], workers: int | Cluster, device: torch.device
 ) -> Iterator[tuple[StudyBatch, Hypotheses]]:
     """Batches as they are done. torch computes each with one thread, so that its company changes no number."""
     if isinstance(workers, Cluster):
         yield from workers.done(make_worker, plan)
+        return
+    if workers > 1 and can_copy_process(device):
+        yield from Copies(workers).done(make_worker, plan)
         return
     keep_freed_memory()
     side_by_side, work = workers, make_worker(workers)

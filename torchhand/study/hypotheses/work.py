@@ -82,9 +82,10 @@ class Work:
     def run(self, folder: StudyFolder, workers: int | Cluster) -> tuple[Hypotheses, float]:
         """All hypotheses in order, also those that the folder has; and seconds per start, 0 if none was left.
 
-        workers: threads, or a cluster.
+        workers: how many on this machine, or a cluster.
         """
-        return run_batches(plan_batches(self.settings, len(self.cases)), self.worker, folder, workers)
+        plan = plan_batches(self.settings, len(self.cases))
+        return run_batches(plan, self.worker, folder, workers, self.device)
 
     def worker(self, pictures: int = 1) -> Callable[[StudyBatch], Hypotheses]:
         """What registers batches. It keeps what those of one picture share, for so many pictures."""

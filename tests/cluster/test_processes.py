@@ -1,0 +1,105 @@
+"""Work over copies of this process: all of it is done, what is raised there is raised here, and none outlives it."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from torchhand.cluster import Copies, can_copy_process
+from torchhand.errors import InputError
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="other systems do not copy processes")
+
+
+def test_items_come_with_their_results_from_other_processes() -> None:
+    """Pictures, worked on by OpenCV in many threads here and in one there, and by torch with one."""
+    picture = np.arange(480 * 640, dtype=np.uint8).reshape(480, 640)
+    expected = cv2.GaussianBlur(picture, (31, 31), 5)
+
+    def make() -> Callable[[int], tuple[int, int, np.ndarray]]:
+        return lambda item: (os.getpid(), torch.get_num_threads(), cv2.GaussianBlur(picture, (31, 31), 5) + item)
+
+    done = dict(Copies(2).done(make, range(12)))
+    assert sorted(done) == list(range(12))
+    assert os.getpid() not in {process for process, _, _ in done.values()}
+    assert {threads for _, threads, _ in done.values()} == {1}
+    for item, (_, _, blurred) in done.items():
+        np.testing.assert_array_equal(blurred, expected + item)
+    assert cv2.getNumThreads() == cv2.getNumberOfCPUs()
+
+
+def test_nothing_to_do_needs_no_process() -> None:
+    assert not list(Copies(2).done(lambda: pytest.fail, []))
+
+
+def test_what_work_raises_is_raised_here() -> None:
+    def work(item: int) -> int:
+        if item == 3:
+            raise InputError("three is not allowed")
+        return item
+
+    with pytest.raises(InputError, match=r"^three is not allowed$"):
+        list(Copies(2).done(lambda: work, range(5)))
+
+
+def test_a_lost_process_is_told_in_one_line() -> None:
+    def work(item: int) -> int:
+        if item == 3:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return item
+
+    with pytest.raises(InputError, match=r"^a process at work was ended from outside"):
+        list(Copies(2).done(lambda: work, range(5)))
+
+
+_ORPHANS = """
+import os, sys, time
+from pathlib import Path
+from torchhand.cluster import Copies
+def work(item):
+    (Path(sys.argv[1]) / str(os.getpid())).touch()
+    time.sleep(600)
+list(Copies(2).done(lambda: work, range(2)))
+"""
+
+
+def test_copies_end_with_the_process_that_made_them(tmp_path: Path) -> None:
+    """Killed, it can tell them nothing."""
+    process = subprocess.Popen([sys.executable, "-c", _ORPHANS, str(tmp_path)])
+    try:
+        copies = _waited_for(lambda: [int(file.name) for file in tmp_path.iterdir()], 2)
+    finally:
+        process.kill()
+    process.wait()
+    _waited_for(lambda: [copy for copy in copies if not _is_alive(copy)], 2)
+
+
+def _waited_for(found: Callable[[], list[int]], count: int, most_s: float = 60.0) -> list[int]:
+    end = time.monotonic() + most_s
+    while len(here := found()) < count:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    return here
+
+
+def _is_alive(process: int) -> bool:
+    """Not gone, and not a dead one that nobody has asked about yet."""
+    try:
+        status = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return status != "Z"
+
+
+def test_accelerators_work_in_this_process() -> None:
+    assert can_copy_process(torch.device("cpu"))
+    assert not can_copy_process(torch.device("meta"))
+    assert not can_copy_process(torch.device("cuda"))

@@ -1,0 +1,105 @@
+"""Work over processes of this machine that begin as copies of this one: what it has loaded and made, they have."""
+
+import contextlib
+import ctypes
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
+from typing import Any, TypeVar
+
+import cv2
+import torch
+
+from torchhand.cluster.memory import keep_freed_memory
+from torchhand.devices import is_host
+from torchhand.errors import InputError
+
+_PARENT_DEATH_SIGNAL = 1
+"""PR_SET_PDEATHSIG of prctl(2)."""
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def can_copy_process(device: torch.device) -> bool:
+    """Whether work on the device can go to copies of this process: on Linux, which makes them, and where this process
+    has nothing on an accelerator, which copies could not use."""
+    return sys.platform == "linux" and is_host(device) and not torch.cuda.is_initialized()
+
+
+class Copies:
+    """Copies of this process that work side by side, each with one of torch's threads and one of OpenCV's, so that the
+    results do not depend on their number. They end with this process, however that ends."""
+
+    def __init__(self, processes: int) -> None:
+        self.processors = processes
+
+    def done(
+        self, make_work: Callable[[], Callable[[Item], Result]], items: Sequence[Item]
+    ) -> Iterator[tuple[Item, Result]]:
+        """Items with their results as they are done, in no order.
+
+        make_work: makes, once in each process, the function that is called with its items; neither is pickled, items
+        and results are. What that raises is raised here. Raises InputError where a process is lost.
+        """
+        count = min(self.processors, len(items))
+        if not count:
+            return
+        pool = ProcessPoolExecutor(
+            count, mp_context=get_context("fork"), initializer=_begin, initargs=(make_work, os.getpid())
+        )
+        waiting, running = iter(items), dict[Future[Any], Item]()
+        try:
+            with _without_threads_of_opencv():  # the first item makes all processes
+                first = next(waiting)
+                running[pool.submit(_run, first)] = first
+            while True:
+                for item in waiting:
+                    running[pool.submit(_run, item)] = item
+                    if len(running) >= 2 * count:
+                        break
+                if not running:
+                    return
+                for finished in wait(running, return_when=FIRST_COMPLETED).done:
+                    yield running.pop(finished), finished.result()
+        except BrokenProcessPool as error:
+            raise InputError("a process at work was ended from outside; for want of memory, fewer of them") from error
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+@contextlib.contextmanager
+def _without_threads_of_opencv() -> Iterator[None]:
+    """A copy would wait for ever for those that its original has."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)
+
+
+_work: Callable[[Any], Any] | None = None
+"""What this process, being a copy, does."""
+
+
+def _begin(make_work: Callable[[], Callable[[Any], Any]], parent: int) -> None:
+    """In a copy, once."""
+    global _work
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, signal.SIGKILL)
+    if os.getppid() != parent:  # it was gone before
+        os._exit(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a whole group of processes: the first of them ends the others
+    torch.set_num_threads(1)
+    keep_freed_memory()
+    _work = make_work()
+
+
+def _run(item: Any) -> Any:
+    assert _work is not None
+    return _work(item)
