@@ -1,5 +1,6 @@
 """Distance transforms against brute force and scipy; the differentiable one against finite differences."""
 
+import cv2
 import numpy as np
 import pytest
 import scipy.ndimage
@@ -35,6 +36,21 @@ def test_agrees_with_scipy_on_a_large_picture(generator: torch.Generator) -> Non
     expected = torch.from_numpy(exact.astype(np.float32))
     torch.testing.assert_close(distance_map(mask), expected, atol=1e-3, rtol=0)
     torch.testing.assert_close(distance_map_torch(mask), expected, atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize("threads", [2, 3])
+def test_opencv_gives_the_same_bits_with_any_number_of_threads(threads: int, generator: torch.Generator) -> None:
+    mask = torch.rand(100, 90, generator=generator) < 0.002
+    before, maps = cv2.getNumThreads(), []
+    try:
+        for count in (1, threads):
+            cv2.setNumThreads(count)
+            maps.append(distance_map(mask))
+    finally:
+        cv2.setNumThreads(before)
+    assert torch.equal(*maps)
+    squares = maps[0].double().square()
+    assert torch.equal(maps[0], squares.round().sqrt().float())
 
 
 @pytest.mark.parametrize("batch", [(), (1,), (2, 3)])
