@@ -2,7 +2,7 @@
 
 from torchhand.hand.clearance import Clearance
 from torchhand.hand.hand import Hand, HandState
-from torchhand.hand.joint_centres import centre_covariance
+from torchhand.hand.joint_centres import centre_covariance, scale_covariance
 from torchhand.hand.kinematics import (
     BONES,
     DOFS,
@@ -131,5 +131,6 @@ __all__ = [
     "posture_component",
     "primitive_sizes",
     "rebased",
+    "scale_covariance",
     "skin_jacobian",
 ]

@@ -1,4 +1,5 @@
-"""How far makers of hands differ about where joints are under the same skin."""
+"""How far joints are from where they are taken to be, for reasons that no pose tells: makers of hands differ about
+where joints are under the same skin, and one camera sees no size."""
 
 from functools import lru_cache
 
@@ -21,3 +22,11 @@ def centre_covariance() -> Float[Tensor, "21 3 3"]:
     """Covariance of what another maker's keypoints differ from ours by, m²; float64."""
     std = [_STD_M.get(name, _STD_M.get(name.split("_")[-1], _OTHER_STD_M)) for name in KEYPOINTS]
     return torch.tensor(std, dtype=torch.float64).square()[:, None, None] * torch.eye(3, dtype=torch.float64)
+
+
+def scale_covariance(from_camera: Float[Tensor, "*batch 21 3"], scale_std: float) -> Float[Tensor, "*batch 21 3 3"]:
+    """What an unknown hand length adds before one camera, m²: size and distance in common.
+
+    from_camera: keypoints less the camera's centre, metres. scale_std: relative standard deviation of the length.
+    """
+    return scale_std**2 * (from_camera[..., :, None] * from_camera[..., None, :])

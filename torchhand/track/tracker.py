@@ -16,13 +16,13 @@ from torchhand.devices import HOST, sent_to
 from torchhand.files import FrameStatus
 from torchhand.fit.detect import StartPoints
 from torchhand.geometry import Camera
-from torchhand.hand import Hand, HandPose
+from torchhand.hand import Hand, HandPose, scale_covariance
 from torchhand.image import BackgroundPlate
 from torchhand.numerics import single_threaded
 from torchhand.precision import without_autocast
 from torchhand.propose import LearnedPosture
 from torchhand.track.assembly import Assembly, assembled
-from torchhand.track.belief import FollowedHand, posed_belief, scale_covariance, unknown_scale_std
+from torchhand.track.belief import FollowedHand, posed_belief, unknown_scale_std
 from torchhand.track.knowledge import REFIT_EVERY, Estimate, TrackerState
 from torchhand.track.multiview import EXPECTED_HULL, Hull, expected_hull
 from torchhand.track.proposals import OCCASIONS, Occasion, Proposals, ProposalSource, Proposed

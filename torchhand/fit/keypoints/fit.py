@@ -30,6 +30,7 @@ from torchhand.hand import (
     centre_covariance,
     moving_parameters,
     named_pose_space,
+    scale_covariance,
 )
 from torchhand.numerics import RobustLoss
 from torchhand.precision import require_exact, without_autocast
@@ -94,10 +95,9 @@ class KeypointFit:
         covariance = self.keypoints_covariance + centre_covariance().to(self.keypoints_covariance)
         if camera is None or camera.kind != "pinhole":
             return covariance
-        rotation, translation = camera.rotation.to(covariance), camera.translation.to(covariance)
-        centre = -(rotation.mT @ translation[..., None])[..., 0]
-        away = self.keypoints - centre[..., None, :]
-        return covariance + _SIZE_STD**2 * (away[..., :, None] * away[..., None, :])
+        camera = camera.to(dtype=covariance.dtype, device=covariance.device)
+        from_camera = camera.cam_from_world(self.keypoints) @ camera.rotation
+        return covariance + scale_covariance(from_camera, _SIZE_STD)
 
     def to(self, device: torch.device) -> "KeypointFit":
         """The same fit on another device."""

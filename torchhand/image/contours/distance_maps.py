@@ -23,7 +23,7 @@ def distance_map(
 ) -> Float[Tensor, "*batch height width"]:
     """Euclidean distance in px of every pixel's centre from that of the nearest marked pixel; infinite if none is.
 
-    exact  of a Bool mask: float32, right to rounding. OpenCV on a CPU, the same to the last bit with any number of its threads,
+    exact  of a Bool mask: float32, right to rounding. OpenCV on a CPU, the same bits with any number of its threads;
         two exact passes in torch on other devices.
     kornia  of a Float mask, 1 where marked: differentiable in the mask. It is no Euclidean distance: it is exact along
         rows and columns, a diagonal comes out up to 29 % short, and it is good to kernel_size / 2 px only (kernel_size

@@ -4,7 +4,6 @@ from torchhand.track.belief.estimate import (
     PosedBelief,
     posed_belief,
     posed_gaussian,
-    scale_covariance,
     unknown_scale_std,
 )
 from torchhand.track.belief.motion import HandMotion
@@ -22,6 +21,5 @@ __all__ = [
     "posed_belief",
     "posed_gaussian",
     "posture_prior",
-    "scale_covariance",
     "unknown_scale_std",
 ]

@@ -104,8 +104,3 @@ def unknown_scale_std(space: ShapeSpace, camera: Camera, *, is_shape_known: bool
         return 0.0
     index = space.names.index("hand_length")
     return float(space.std[index] / space.default[index])
-
-
-def scale_covariance(keypoints: Float[Tensor, "21 3"], scale_std: float) -> Float[Tensor, "21 3 3"]:
-    """What an unknown hand length adds before one camera, which is the world: size and distance in common."""
-    return scale_std**2 * (keypoints[:, :, None] * keypoints[:, None, :])

@@ -12,10 +12,10 @@ from torch import Tensor
 from torchhand.devices import HOST, sent_to
 from torchhand.fit.keypoints import PostureKeypoints, RelativeKeypoints, starts_in_picture
 from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics, HandPose
+from torchhand.hand import HandKinematics, HandPose, scale_covariance
 from torchhand.image import GREY, is_grey
 from torchhand.numerics import single_threaded
-from torchhand.track.belief import posed_gaussian, scale_covariance, unknown_scale_std
+from torchhand.track.belief import posed_gaussian, unknown_scale_std
 from torchhand.track.knowledge import Estimate
 from torchhand.track.quality import FingerEvidence, Told, qualities
 from torchhand.track.scene import (
