@@ -83,6 +83,15 @@ def test_flexions_are_judged_by_their_own_standard_deviations(std_deg: float, sh
     assert "flexion_uncertainty" not in evaluate(perfect([0, 1, 2]), known)  # whose DOFs have other names
 
 
+def test_a_result_without_frames_yet_is_evaluated() -> None:
+    """As that of a run that was killed before its first frame was done."""
+    none = perfect([])
+    none = replace(none, seconds=np.zeros(0), dof_names=DOFS, keypoints3d_cov=np.zeros((0, 21, 3, 3)))
+    figures = evaluate(none, truth())
+    assert "flexion_uncertainty" not in figures
+    assert figures["tracking"]["frames_of_truth"] == FRAMES
+
+
 def test_a_finger_that_spreads_too_far_is_seen_in_its_proximal_phalanx() -> None:
     track = perfect([0, 1, 2])
     assert track.keypoints2d is not None

@@ -281,7 +281,7 @@ def _flexion_uncertainty(track: Track, true_deg: Float[np.ndarray, "frames 5 3"]
     names = [name for finger in FLEXIONS_OF_FINGERS for name in finger]
     if not set(names) <= set(track.dof_names):
         return None
-    errors = without_offset(flexion_deg(track.keypoints3d) - true_deg)[:, 1:].reshape(len(track), -1, 1)
+    errors = without_offset(flexion_deg(track.keypoints3d) - true_deg)[:, 1:].reshape(len(track), len(names), 1)
     std = np.degrees(track.pose_std[:, [track.dof_names.index(name) for name in names]])
     variance = np.square(std)[..., None, None]
     honesty, (inside, weight) = consistency(errors, variance), fraction_in_band(errors, variance)
