@@ -38,14 +38,14 @@ def perfect(rows: list[int]) -> Track:
     assert known.keypoints3d is not None
     assert known.keypoints2d is not None
     return Track(
-        frame=np.array(rows),
+        frame=np.array(rows, dtype=np.int64),
         status=np.array(["tracked"] * len(rows), dtype="<U16"),
         pose=np.zeros((len(rows), 36)),
         pose_std=np.ones((len(rows), 36)),
         keypoints3d=known.keypoints3d[rows],
         keypoints2d=known.keypoints2d[rows],
         keypoints3d_cov=np.tile(1e-6 * np.eye(3), (len(rows), 21, 1, 1)),
-        seconds=np.array([0.5] + [0.010] * (len(rows) - 1)),
+        seconds=np.array([0.5, *[0.010] * (len(rows) - 1)])[: len(rows)],
         dof_names=tuple(f"dof{number}" for number in range(36)),
         units="",
         convention="",
@@ -85,9 +85,7 @@ def test_flexions_are_judged_by_their_own_standard_deviations(std_deg: float, sh
 
 def test_a_result_without_frames_yet_is_evaluated() -> None:
     """As that of a run that was killed before its first frame was done."""
-    none = perfect([])
-    none = replace(none, seconds=np.zeros(0), dof_names=DOFS, keypoints3d_cov=np.zeros((0, 21, 3, 3)))
-    figures = evaluate(none, truth())
+    figures = evaluate(replace(perfect([]), dof_names=DOFS), truth())
     assert "flexion_uncertainty" not in figures
     assert figures["tracking"]["frames_of_truth"] == FRAMES
 

@@ -93,6 +93,16 @@ def test_where_no_hand_is_nothing_is_answered(film: Any) -> None:
     assert Searcher(tracker_of(film), lambda _, __: None)(search).state is None
 
 
+def test_a_hand_that_is_lost_on_the_way_is_none(film: Any) -> None:
+    """A first one that was never told of would be called recovered when it is found again."""
+    wall = torch.zeros_like(film.images[0]) + film.images[0][0, 0]
+    later = iter([(seen(wall, 0.1 * index), index == 30) for index in range(1, 31)])
+    search = Search(number=1, frame=seen(film.images[0], 0.0), state=None)
+    answer = Searcher(tracker_of(film), lambda _, __: next(later))(search)
+    assert len(list(later)) < 30, "it was found"
+    assert answer.state is None
+
+
 def test_frames_are_passed_in_steps(ends: tuple[Connection, Connection]) -> None:
     here, there = ends
     inbox = Inbox(there)

@@ -106,8 +106,8 @@ class Searcher:
         found = self._followed(state, is_detected=is_detected) if estimate.is_new else None
         return Answer(number=search.number, seconds=seconds, state=None if found is None else saved_state(found))
 
-    def _followed(self, state: TrackerState, *, is_detected: bool) -> TrackerState:
-        """The state at the newest frame, or where the hand is given up on the way. is_detected: whether a detector
+    def _followed(self, state: TrackerState, *, is_detected: bool) -> TrackerState | None:
+        """The state at the newest frame; None where the hand is given up on the way. is_detected: whether a detector
         tells of the hand, so that it needs no way."""
         step_s, is_newest, steps = math.inf if is_detected else 0.0, False, 0
         assert state.time_s is not None
@@ -115,7 +115,7 @@ class Searcher:
             (frame, is_newest), begun_s, steps = later, time.monotonic(), steps + 1
             state, _ = self._tracker.step(state, frame.views, frame.time_s, occasions=FOLLOWING)
             if state.hand is None:
-                break
+                return None
             if steps >= _SHORT_STEPS:
                 step_s = max(_STEP_S, _CATCHING_UP * (time.monotonic() - begun_s))
             assert state.time_s is not None
