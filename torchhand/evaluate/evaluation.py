@@ -33,7 +33,7 @@ from torchhand.evaluate.tracked_silhouettes import MaskOfFrame
 from torchhand.evaluate.truth import Truth, load_mask
 from torchhand.files import Detections, Track
 from torchhand.files.results import DETERMINED
-from torchhand.hand import FINGERS, KEYPOINTS, TIPS
+from torchhand.hand import FINGERS, KEYPOINTS, TIPS, bone_directions
 from torchhand.image import hand_region, intersection_over_union
 
 MIDDLE_MCP = 9
@@ -100,7 +100,7 @@ def evaluate(
         missed = track.keypoints3d - truth.keypoints3d[rows]
         honesty = consistency(missed, track.keypoints3d_cov)
         if honesty is not None:
-            figures["uncertainty"] = {**asdict(honesty), "by_joint": _by_joint(missed, track.keypoints3d_cov)}
+            figures["uncertainty"] = {**asdict(honesty), "by_joint": _by_joint(missed, track)}
     ms = 1e3 * track.seconds
     figures["speed"] = {"median_ms_per_frame": median_finite(ms), "largest_ms_per_frame": max_finite(ms)}
     return figures
@@ -177,17 +177,20 @@ def _told_apart(quality: np.ndarray, is_wrong: np.ndarray, is_known: np.ndarray)
     }
 
 
-def _by_joint(
-    missed: Float[np.ndarray, "frames 21 3"], covariance: Float[np.ndarray, "frames 21 3 3"]
-) -> dict[str, Figures]:
+def _by_joint(missed: Float[np.ndarray, "frames 21 3"], track: Track) -> dict[str, Figures]:
     """What is known of every joint by itself: share of its frames inside its 95 % region, and its root mean square
-    error along an axis."""
-    inside, weight = fraction_in_band(missed, covariance)
+    error along an axis, along its bone, and along an axis across that."""
+    inside, weight = fraction_in_band(missed, track.keypoints3d_cov)
     counted = weight.sum(0)
+    axis = bone_directions(torch.from_numpy(track.keypoints3d)).numpy()
+    along = (missed * axis).sum(-1, keepdims=True)
+    across = np.linalg.norm(missed - along * axis, axis=-1) / math.sqrt(2)
     return {
         name: {
             "fraction_in_95_percent_band": float(inside[:, i].sum() / counted[i]) if counted[i] else math.nan,
             "rms_along_an_axis_mm": MM_PER_M * rms_finite(missed[:, i]),
+            "rms_along_its_bone_mm": MM_PER_M * rms_finite(along[:, i]),
+            "rms_across_its_bone_mm": MM_PER_M * rms_finite(across[:, i]),
         }
         for i, name in enumerate(KEYPOINTS)
     }

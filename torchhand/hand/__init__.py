@@ -2,7 +2,7 @@
 
 from torchhand.hand.clearance import Clearance
 from torchhand.hand.hand import Hand, HandState
-from torchhand.hand.joint_centres import centre_covariance, scale_covariance
+from torchhand.hand.joint_centres import bone_directions, centre_covariance, centre_spread, scale_covariance
 from torchhand.hand.kinematics import (
     BONES,
     DOFS,
@@ -116,8 +116,10 @@ __all__ = [
     "Side",
     "Skeleton",
     "Violation",
+    "bone_directions",
     "bone_offsets",
     "centre_covariance",
+    "centre_spread",
     "digit_pairs",
     "keypoint_jacobian",
     "moving_parameters",

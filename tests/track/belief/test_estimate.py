@@ -8,14 +8,9 @@ from torch import Tensor
 
 from torchhand.files import load_hand_model
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand import DOFS, HandKinematics, Side, named_pose_space
+from torchhand.hand import DOFS, HandKinematics, Side, centre_covariance, named_pose_space
 from torchhand.numerics import Gaussian, MotionModel
 from torchhand.track.belief import FollowedHand, HandMotion, NoiseSettings, PosedBelief, posed_belief
-
-CENTRE_STD_M = torch.tensor(
-    [0.008, 0.0105, 0.004, 0.004, 0.0045, *([0.004, 0.004, 0.004, 0.0045] * 4)], dtype=torch.float64
-)
-"""What another maker's joint centres differ by."""
 
 
 def randn(*shape: int, seed: int) -> Tensor:
@@ -61,7 +56,7 @@ def test_covariances_are_those_of_the_derivative_by_automatic_differentiation(si
 
     jacobian = torch.func.jacrev(keypoints)(free)
     covariance = state.belief.covariance[: space.size, : space.size]
-    centres = CENTRE_STD_M.square()[:, None, None] * torch.eye(3, dtype=torch.float64)
+    centres = centre_covariance(got.keypoints)
     expected = jacobian @ covariance @ jacobian.mT + centres
     torch.testing.assert_close(got.keypoints_cov, expected, rtol=1e-11, atol=1e-16)
     torch.testing.assert_close(got.keypoints, keypoints(free), rtol=0, atol=1e-15)
@@ -73,7 +68,7 @@ def test_an_overconfident_belief_is_spread_and_joint_centres_stay() -> None:
     state = hand_of(motion)
     one = posed(kinematics, motion, state)
     other = posed_belief(state, motion, kinematics, kinematics.default_shape, overconfidence=4.0)
-    centres = CENTRE_STD_M.square()[:, None, None] * torch.eye(3, dtype=torch.float64)
+    centres = centre_covariance(one.keypoints)
     torch.testing.assert_close(other.pose_std, 2 * one.pose_std)
     torch.testing.assert_close(other.keypoints_cov - centres, 4 * (one.keypoints_cov - centres))
     torch.testing.assert_close(other.pose, one.pose, rtol=0, atol=0)

@@ -92,7 +92,7 @@ class KeypointFit:
         camera: the camera of a fit to the points in its pictures alone, one or a batch with one per frame; None for
         several cameras, and for points in space.
         """
-        covariance = self.keypoints_covariance + centre_covariance().to(self.keypoints_covariance)
+        covariance = self.keypoints_covariance + centre_covariance(self.keypoints)
         if camera is None or camera.kind != "pinhole":
             return covariance
         camera = camera.to(dtype=covariance.dtype, device=covariance.device)

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchhand.files import load_hand_model
 from torchhand.fit import Appearance, learn_appearance
 from torchhand.geometry import Camera, assumed_camera, rotation_from_vector
-from torchhand.hand import DOFS, JOINT_DOFS, POSTURES, HandKinematics, HandPose, centre_covariance, posture
+from torchhand.hand import DOFS, JOINT_DOFS, POSTURES, HandKinematics, HandPose, centre_spread, posture
 from torchhand.image import dilate, disc_kernel, intersection_over_union, touching
 from torchhand.numerics import ease
 from torchhand.signs import load_signs
@@ -97,18 +97,22 @@ def sequence(generator: torch.Generator, frames: int, *, has_detector: bool) -> 
     seen: list[HandKeypoints | None] = [None] * frames
     if has_detector:
         seen = list(_detections(kinematics, motion, camera, shape, generator))
-    std = centre_covariance().diagonal(dim1=-2, dim2=-1).sqrt()
-    offset = std * torch.randn(21, 3, generator=generator, dtype=torch.float64)
+    drawn = torch.randn(21, 3, 1, generator=generator, dtype=torch.float64)
     return SimulatedSequence(
         camera=camera,
         shape=believed,
         start=HandPose.of(motion.poses[0], motion.root_reference),
         appearance=appearance,
         frames=tuple(
-            SimulatedFrame(view=View(image=one.image, keypoints=points), keypoints=one.keypoints_cam + offset)
+            SimulatedFrame(view=View(image=one.image, keypoints=points), keypoints=_by_another_maker(one, drawn))
             for one, points in zip(rendered, seen, strict=True)
         ),
     )
+
+
+def _by_another_maker(one: RenderedFrame, drawn: Float[Tensor, "21 3 1"]) -> Float[Tensor, "21 3"]:
+    """Keypoints where another hand model has them, as far along its bones and across them in every frame."""
+    return one.keypoints_cam + (centre_spread(one.keypoints_cam) @ drawn)[..., 0]
 
 
 def _appearance(first: RenderedFrame) -> Appearance | None:

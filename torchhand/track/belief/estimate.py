@@ -86,7 +86,7 @@ def posed_gaussian(
         pose_std=(basis @ covariance @ basis.T).diagonal().clamp_min(0).sqrt(),
         root_rotation=limited.rotation,
         keypoints=bones.keypoints,
-        keypoints_cov=jacobian @ covariance @ jacobian.mT + centre_covariance().to(dofs),
+        keypoints_cov=jacobian @ covariance @ jacobian.mT + centre_covariance(bones.keypoints),
         tip_std=((bent @ covariance) * bent).sum((-2, -1)).clamp_min(0).sqrt(),
     )
 
