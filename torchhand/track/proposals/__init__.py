@@ -5,7 +5,7 @@ from torchhand.track.proposals.keypoints import KeypointHand, KeypointStart
 from torchhand.track.proposals.learned import LearnedHands
 from torchhand.track.proposals.posture_search import PostureSearch
 from torchhand.track.proposals.protocol import OCCASIONS, Occasion, Proposals, ProposalSource, Proposed
-from torchhand.track.proposals.tilted import TiltedHands, tilted_hands
+from torchhand.track.proposals.tilted import TiltedHands, straightened_hands, tilted_hands
 
 __all__ = [
     "OCCASIONS",
@@ -19,5 +19,6 @@ __all__ = [
     "Proposed",
     "TiltedHands",
     "hull_sources",
+    "straightened_hands",
     "tilted_hands",
 ]

@@ -1,4 +1,5 @@
-"""One camera: the followed hand tilted otherwise, its fingers as they are or as a network sees them."""
+"""One camera: the followed hand tilted otherwise, its fingers as they are or as a network sees them; or with fingers
+straightened."""
 
 import itertools
 import math
@@ -12,7 +13,7 @@ from torch import Tensor
 
 from torchhand.fit.proposals import ProposalRegistration
 from torchhand.geometry import Camera, rotation_from_vector
-from torchhand.hand import JOINT_DOFS, HandKinematics, HandPose
+from torchhand.hand import DOFS, FINGERS, JOINT_DOFS, HandKinematics, HandPose
 from torchhand.propose import Silhouette, palm_middle
 from torchhand.track.knowledge import TrackerState
 from torchhand.track.proposals.protocol import Occasion, Proposals, Proposed
@@ -20,6 +21,11 @@ from torchhand.track.scene import Candidate, Scene
 
 _TILTS = (-math.radians(30.0), 0.0, math.radians(30.0))
 """About either axis of the picture, and none: as far off as the network's view of a direction is."""
+_BENT = math.radians(30.0)  # flexions of a finger together, from which on it can be straightened
+_FLEXIONS = [
+    [i for i, name in enumerate(DOFS) if name.startswith(finger) and name.endswith("_fe") and "cmc" not in name]
+    for finger in FINGERS
+]
 _COUNT = 4  # registered hands that the followed one is compared with
 _SAME_M = 0.005  # mean distance of keypoints, up to which two registered hands are one
 
@@ -69,6 +75,17 @@ class TiltedHands:
         joints = [own.dofs[-len(JOINT_DOFS) :]]
         joints += [] if best.learned is None else [best.learned.joints]
         return tilted_hands(own, joints, self.kinematics, shape)
+
+
+def straightened_hands(pose: HandPose) -> list[HandPose]:
+    """A hand () with each of its bent fingers straightened, one at a time."""
+    found = []
+    for rows in _FLEXIONS:
+        if float(pose.dofs[rows].sum()) > _BENT:
+            dofs = pose.dofs.clone()
+            dofs[rows] = 0.0
+            found.append(HandPose(dofs=dofs, reference=pose.reference))
+    return found
 
 
 def tilted_hands(
