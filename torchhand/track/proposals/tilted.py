@@ -1,5 +1,5 @@
-"""One camera: the followed hand tilted otherwise, its fingers as they are or as a network sees them; or with fingers
-straightened."""
+"""One camera: the followed hand tilted otherwise, its fingers as they are or as a network sees them; or with one finger
+at a time otherwise."""
 
 import itertools
 import math
@@ -22,6 +22,7 @@ from torchhand.track.scene import Candidate, Scene
 _TILTS = (-math.radians(30.0), 0.0, math.radians(30.0))
 """About either axis of the picture, and none: as far off as the network's view of a direction is."""
 _BENT = math.radians(30.0)  # flexions of a finger together, from which on it can be straightened
+_FOLDED = tuple(math.radians(angle) for angle in (70.0, 85.0, 50.0))
 _FLEXIONS = [
     [i for i, name in enumerate(DOFS) if name.startswith(finger) and name.endswith("_fe") and "cmc" not in name]
     for finger in FINGERS
@@ -77,14 +78,19 @@ class TiltedHands:
         return tilted_hands(own, joints, self.kinematics, shape)
 
 
-def straightened_hands(pose: HandPose) -> list[HandPose]:
-    """A hand () with each of its bent fingers straightened, one at a time."""
+def finger_alternatives(pose: HandPose) -> list[HandPose]:
+    """A hand () with one finger otherwise at a time: a bent one straight, a straight one, but the thumb, folded into
+    the palm."""
     found = []
     for rows in _FLEXIONS:
-        if float(pose.dofs[rows].sum()) > _BENT:
-            dofs = pose.dofs.clone()
+        dofs = pose.dofs.clone()
+        if float(dofs[rows].sum()) > _BENT:
             dofs[rows] = 0.0
-            found.append(HandPose(dofs=dofs, reference=pose.reference))
+        elif len(rows) == len(_FOLDED):
+            dofs[rows] = dofs.new_tensor(_FOLDED)
+        else:
+            continue
+        found.append(HandPose(dofs=dofs, reference=pose.reference))
     return found
 
 
