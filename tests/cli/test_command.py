@@ -61,6 +61,10 @@ class Choices:
     """How many."""
     share: float = 0.5
     """How much."""
+    between: tuple[int, int] | None = None
+    """First and last."""
+    size: tuple[float, float] = (1.0, 2.0)
+    """Two sides."""
     inner: OmitArgPrefixes[Inner] = Inner()
     """More."""
 
@@ -83,6 +87,9 @@ def test_success_is_zero(capsys: pytest.CaptureFixture[str]) -> None:
         ("--axes w", "--axes: expected one of x, y, z, got 'w'"),
         ("--frames 1.5", "--frames: expected a whole number, got '1.5'"),
         ("--share half", "--share: expected a number, got 'half'"),
+        ("--between 1 b", "--between: expected 2 whole numbers, got '1 b'"),
+        ("--size big 2", "--size: expected 2 numbers, got 'big 2'"),
+        ("--size 1", "--size: expected 2 values, got fewer"),
         ("--side", "--side: expected a value, got none"),
         ("--depth 0", "--depth: expected 1 or more, got 0"),
     ],

@@ -23,7 +23,10 @@ MAX_THREADS = 1024
 HELP_TEXT_INDENT = " " * 9  # in tyro's messages; names stand 4 columns further left
 UNWANTED = ("For full helptext", "Argument helptext")
 _WRONG_CHOICE = re.compile(r"invalid choice (.*) for argument '([^']*)'\. Expected one of \((.*)\)")
-_MISSING_VALUE = re.compile(r"Missing value for argument '([^']*)'\. Expected 1 values")
+_MISSING_VALUE = re.compile(r"Missing value for argument '([^']*)'\. Expected (\d+) values")
+_WRONG_SEVERAL = re.compile(
+    r"Error parsing ([^:]*): .*Could not parse arguments (\[.*?\]) into tuple type (?:typing\.T|t)uple\[(.*)\].*"
+)
 _OF_A_RECORD = re.compile(r"^Error parsing [\w.]+: (?=--)")
 """Before what a record's own check says."""
 _WRONG_NUMBERS = {
@@ -173,7 +176,13 @@ def _plainly(sentence: str) -> str:
         choices = " or ".join(allowed) if len(allowed) < 3 else f"one of {', '.join(allowed)}"
         return f"{name}: expected {choices}, got {got}"
     if found := _MISSING_VALUE.fullmatch(sentence):
-        return f"{found[1]}: expected a value, got none"
+        name, count = found.groups()
+        return f"{name}: expected {'a value, got none' if count == '1' else f'{count} values, got fewer'}"
+    if found := _WRONG_SEVERAL.fullmatch(sentence):
+        name, listed, kinds = found.groups()
+        numbers = "whole numbers" if kinds.startswith("int") else "numbers"
+        given = " ".join(re.findall("'([^']*)'", listed))
+        return f"{name}: expected {kinds.count(',') + 1} {numbers}, got '{given}'"
     for kind, wrong in _WRONG_NUMBERS.items():
         if found := wrong.fullmatch(sentence):
             return f"{found[1]}: expected {kind}, got {found[2]}"
