@@ -10,11 +10,10 @@ from torch import Tensor
 
 from tests.steps import right_hand, run
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand import DOFS, FINGERS, HandPose, posture
+from torchhand.hand import HandPose, posture
 from torchhand.runs import settings_of
 from torchhand.track import BackwardPass, Tracker, TrackerState, View
 from torchhand.track.alternatives import TiltAlternatives
-from torchhand.track.proposals import finger_alternatives
 from torchhand.track.scene import HandKeypoints
 
 
@@ -59,37 +58,6 @@ def test_the_likeliest_of_the_alternatives_to_a_tilted_hand_is_the_true_one(half
     assert float(found.cost[found.row[1]]) < float(found.cost[found.row[0]]) + 1e-9
     # Errors of neighbouring edges are one error: the contour tells them apart less.
     assert float(found.correlated_cost.max() - found.correlated_cost.min()) < float(found.cost[-1] - found.cost[0])
-
-
-def test_fingers_that_are_followed_bent_are_found_straight(studio: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From contours alone, in one look: no tilt and no small step opens a fist."""
-    placed = studio.placed(size=0.6, view="back", camera=studio.camera(320, 240))
-    tracker = Tracker(right_hand(), placed.camera, settings_of("contour_full"), shape=placed.shape)
-    picture = placed.picture(seed=0)
-    state, _ = run(tracker, [picture])
-    true = HandPose(dofs=placed.pose, reference=placed.root_reference).normalized()
-    bent = [i for i, name in enumerate(DOFS) if name.endswith("_fe") and not name.startswith(("root", "thumb"))]
-    dofs = true.dofs.clone()
-    dofs[bent] = posture("fist", dtype=torch.float64)[bent]
-    monkeypatch.setattr("torchhand.track.alternatives.seen_posture", lambda *_: None)
-    scene = tracker.scene(state, [View(image=picture)], 1.0)
-    found = TiltAlternatives(tracker, state)(scene, [replace(true, dofs=dofs)])
-    assert found is not None
-    assert float(dofs[bent].sum()) > 12.0
-    assert abs(float(found.pose.dofs[0, bent].sum())) < 0.5
-
-
-def test_one_finger_at_a_time_is_otherwise() -> None:
-    """Bent ones straight, and straight ones in the palm."""
-    dofs, fist = (posture(name, dtype=torch.float64) for name in ("open", "fist"))
-    rows = [[i for i, name in enumerate(DOFS) if name.startswith(finger)] for finger in FINGERS]
-    dofs[rows[4]] = fist[rows[4]]
-    found = finger_alternatives(HandPose(dofs=dofs, reference=torch.eye(3, dtype=torch.float64)))
-    assert len(found) == 4  # the thumb is straight, and stays
-    for one, own in zip(found, rows[1:], strict=True):
-        changed = (one.dofs != dofs).nonzero()[:, 0].tolist()
-        assert set(changed) <= set(own)
-        assert float(one.dofs[changed].sum()) == 0.0 if own is rows[4] else float(one.dofs[changed].sum()) > 3.0
 
 
 def test_there_are_none_beside_a_detector(half_closed: Any) -> None:

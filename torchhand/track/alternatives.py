@@ -18,7 +18,7 @@ from torchhand.hand import JOINT_DOFS, HandPose
 from torchhand.numerics import single_threaded
 from torchhand.track.frame_fit import FrameFit, contour_settings
 from torchhand.track.knowledge import TrackerState
-from torchhand.track.proposals import TiltedHands, finger_alternatives, tilted_hands
+from torchhand.track.proposals import TiltedHands, tilted_hands
 from torchhand.track.scene import Scene, learned_observations, seen_posture
 from torchhand.track.tracker import Tracker
 
@@ -43,8 +43,7 @@ class Alternatives:
 
 
 class TiltAlternatives:
-    """Registers a followed hand as it is, tilted otherwise and with one finger at a time otherwise, on the
-    picture, all at once."""
+    """Registers a followed hand, tilted otherwise and as it is, on the picture, all at once."""
 
     def __init__(self, tracker: Tracker, state: TrackerState) -> None:
         """tracker: of one pinhole camera, one whose hands can be tilted (`can_tilt`). state: with the proportions and
@@ -78,8 +77,7 @@ class TiltAlternatives:
             observations += [one for one in told if isinstance(one, PostureKeypoints)]
             joints.append(seen.joints)
         tilted = tilted_hands(followed, joints, parts.kinematics, shape)
-        others = (*(tilted[row] for row in range(len(tilted.dofs))), *finger_alternatives(followed))
-        starts = HandPose.stack([*hands, *others])
+        starts = HandPose.stack([*hands, *(tilted[row] for row in range(len(tilted.dofs)))])
         found = solve(self._fit.hypotheses(observations), starts, SEARCH)
         found = replace(found, pose=found.pose.normalized())
         if seen is not None:

@@ -1,5 +1,4 @@
-"""One camera: the followed hand tilted otherwise, its fingers as they are or as a network sees them; or with one finger
-at a time otherwise."""
+"""One camera: the followed hand tilted otherwise, its fingers as they are or as a network sees them."""
 
 import itertools
 import math
@@ -13,7 +12,7 @@ from torch import Tensor
 
 from torchhand.fit.proposals import ProposalRegistration
 from torchhand.geometry import Camera, rotation_from_vector
-from torchhand.hand import DOFS, FINGERS, JOINT_DOFS, HandKinematics, HandPose
+from torchhand.hand import JOINT_DOFS, HandKinematics, HandPose
 from torchhand.propose import Silhouette, palm_middle
 from torchhand.track.knowledge import TrackerState
 from torchhand.track.proposals.protocol import Occasion, Proposals, Proposed
@@ -21,12 +20,6 @@ from torchhand.track.scene import Candidate, Scene
 
 _TILTS = (-math.radians(30.0), 0.0, math.radians(30.0))
 """About either axis of the picture, and none: as far off as the network's view of a direction is."""
-_BENT = math.radians(30.0)  # flexions of a finger together, from which on it can be straightened
-_FOLDED = tuple(math.radians(angle) for angle in (70.0, 85.0, 50.0))
-_FLEXIONS = [
-    [i for i, name in enumerate(DOFS) if name.startswith(finger) and name.endswith("_fe") and "cmc" not in name]
-    for finger in FINGERS
-]
 _COUNT = 4  # registered hands that the followed one is compared with
 _SAME_M = 0.005  # mean distance of keypoints, up to which two registered hands are one
 
@@ -76,22 +69,6 @@ class TiltedHands:
         joints = [own.dofs[-len(JOINT_DOFS) :]]
         joints += [] if best.learned is None else [best.learned.joints]
         return tilted_hands(own, joints, self.kinematics, shape)
-
-
-def finger_alternatives(pose: HandPose) -> list[HandPose]:
-    """A hand () with one finger otherwise at a time: a bent one straight, a straight one, but the thumb, folded into
-    the palm."""
-    found = []
-    for rows in _FLEXIONS:
-        dofs = pose.dofs.clone()
-        if float(dofs[rows].sum()) > _BENT:
-            dofs[rows] = 0.0
-        elif len(rows) == len(_FOLDED):
-            dofs[rows] = dofs.new_tensor(_FOLDED)
-        else:
-            continue
-        found.append(HandPose(dofs=dofs, reference=pose.reference))
-    return found
 
 
 def tilted_hands(
