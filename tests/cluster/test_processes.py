@@ -50,6 +50,24 @@ def test_what_work_raises_is_raised_here() -> None:
         list(Copies(2).done(lambda: work, range(5)))
 
 
+def test_what_making_the_work_raises_is_raised_here() -> None:
+    def make() -> Callable[[int], int]:
+        raise InputError("nothing to work with")
+
+    with pytest.raises(InputError, match=r"^nothing to work with$"):
+        list(Copies(2).done(make, range(5)))
+
+
+def test_work_is_made_once_in_each_process() -> None:
+    made: list[int] = []
+
+    def make() -> Callable[[int], int]:
+        made.append(1)
+        return lambda _: len(made)
+
+    assert {count for _, count in Copies(2).done(make, range(10))} == {1}
+
+
 def test_a_lost_process_is_told_in_one_line() -> None:
     def work(item: int) -> int:
         if item == 3:

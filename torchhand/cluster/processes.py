@@ -2,6 +2,7 @@
 
 import contextlib
 import ctypes
+import functools
 import os
 import signal
 import sys
@@ -83,13 +84,13 @@ def _without_threads_of_opencv() -> Iterator[None]:
         cv2.setNumThreads(threads)
 
 
-_work: Callable[[Any], Any] | None = None
-"""What this process, being a copy, does."""
+_make: Callable[[], Callable[[Any], Any]] | None = None
+"""What makes that which this process, being a copy, does."""
 
 
 def _begin(make_work: Callable[[], Callable[[Any], Any]], parent: int) -> None:
     """In a copy, once."""
-    global _work
+    global _make
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, signal.SIGKILL)
     if os.getppid() != parent:  # it was gone before
@@ -97,9 +98,9 @@ def _begin(make_work: Callable[[], Callable[[Any], Any]], parent: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a whole group of processes: the first of them ends the others
     torch.set_num_threads(1)
     keep_freed_memory()
-    _work = make_work()
+    _make = functools.cache(make_work)
 
 
 def _run(item: Any) -> Any:
-    assert _work is not None
-    return _work(item)
+    assert _make is not None
+    return _make()(item)
