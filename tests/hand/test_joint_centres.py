@@ -7,6 +7,9 @@ from torchhand.hand import KEYPOINTS, bone_directions, centre_covariance, centre
 
 BASE, KNUCKLE, TIP, BEFORE = (KEYPOINTS.index(name) for name in ("thumb_cmc", "thumb_mcp", "index_tip", "index_dip"))
 
+ALONG_M = (0.011, 0.021, 0.005, 0.005, 0.0075, *(0.004, 0.004, 0.004, 0.0075) * 4)
+ACROSS_M = 0.004
+
 
 def _keypoints() -> torch.Tensor:
     kinematics = load_hand_model().kinematics(dtype=torch.float64)
@@ -21,6 +24,12 @@ def test_the_base_of_the_thumb_is_unknown_along_its_metacarpal() -> None:
     assert abs(float(bone @ covariance @ bone) ** 0.5 - 0.021) < 1e-9
     values = torch.linalg.eigvalsh(covariance).sqrt()
     torch.testing.assert_close(values[:2], values.new_full((2,), 0.004))
+
+
+def test_every_joint_is_known_as_well_as_makers_agree() -> None:
+    values = torch.linalg.eigvalsh(centre_covariance(_keypoints())[0]).sqrt()
+    expected = torch.stack((*[torch.full((21,), ACROSS_M)] * 2, torch.tensor(ALONG_M)), -1)
+    torch.testing.assert_close(values, expected.to(values), rtol=1e-6, atol=0)
 
 
 def test_a_tip_is_unknown_along_the_last_bone() -> None:

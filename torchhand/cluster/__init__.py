@@ -1,7 +1,7 @@
 """Work over the processes of this machine, or of many by Ray (extra `cluster`), and the memory of a process at work."""
 
 from torchhand.cluster.memory import keep_freed_memory
-from torchhand.cluster.processes import Copies, can_copy_process
+from torchhand.cluster.processes import Copies, can_copy_process, done_by
 from torchhand.cluster.spread import Cluster
 
-__all__ = ["Cluster", "Copies", "can_copy_process", "keep_freed_memory"]
+__all__ = ["Cluster", "Copies", "can_copy_process", "done_by", "keep_freed_memory"]

@@ -7,7 +7,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 from typing import Any, TypeVar
@@ -37,7 +37,7 @@ class Copies:
     results do not depend on their number. They end with this process, however that ends."""
 
     def __init__(self, processes: int) -> None:
-        self.processors = processes
+        self._processes = processes
 
     def done(
         self, make_work: Callable[[], Callable[[Item], Result]], items: Sequence[Item]
@@ -45,32 +45,40 @@ class Copies:
         """Items with their results as they are done, in no order.
 
         make_work: makes, once in each process, the function that is called with its items; neither is pickled, items
-        and results are. What that raises is raised here. Raises InputError where a process is lost.
+        and results are. What they raise is raised here. Raises InputError where a process is lost.
         """
-        count = min(self.processors, len(items))
+        count = min(self._processes, len(items))
         if not count:
             return
         pool = ProcessPoolExecutor(
             count, mp_context=get_context("fork"), initializer=_begin, initargs=(make_work, os.getpid())
         )
-        waiting, running = iter(items), dict[Future[Any], Item]()
         try:
-            with _without_threads_of_opencv():  # the first item makes all processes
-                first = next(waiting)
-                running[pool.submit(_run, first)] = first
-            while True:
-                for item in waiting:
-                    running[pool.submit(_run, item)] = item
-                    if len(running) >= 2 * count:
-                        break
-                if not running:
-                    return
-                for finished in wait(running, return_when=FIRST_COMPLETED).done:
-                    yield running.pop(finished), finished.result()
+            with _without_threads_of_opencv():  # this makes all processes
+                pool.submit(os.getpid)
+            yield from done_by(pool, _run, items, at_once=2 * count)
         except BrokenProcessPool as error:
-            raise InputError("a process at work was ended from outside; for want of memory, fewer of them") from error
+            raise InputError(
+                "a process at work was ended from outside, perhaps for want of memory: ask for fewer of them"
+            ) from error
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+def done_by(
+    pool: Executor, work: Callable[[Item], Result], items: Sequence[Item], *, at_once: int
+) -> Iterator[tuple[Item, Result]]:
+    """Items with their results as a pool's workers are done with them, in no order; so many are out at a time."""
+    waiting, running = iter(items), dict[Future[Result], Item]()
+    while True:
+        for item in waiting:
+            running[pool.submit(work, item)] = item
+            if len(running) >= at_once:
+                break
+        if not running:
+            return
+        for finished in wait(running, return_when=FIRST_COMPLETED).done:
+            yield running.pop(finished), finished.result()
 
 
 @contextlib.contextmanager

@@ -16,6 +16,7 @@ bone, and along an axis across it, where the surface is known to a millimetre: `
 `mv_static`, `mv_motion` and `mv_index10`, then `torchhand evaluate`, whose file has them joint by joint. Joints that
 happen to agree better there are not believed to do so in every model."""
 
+_OF_KEYPOINTS_M = tuple(_ALONG_M.get(name, _ALONG_M.get(name.split("_")[-1], _OTHER_M)) for name in KEYPOINTS)
 _WRIST, _TOWARDS = KEYPOINTS.index("wrist"), KEYPOINTS.index("middle_mcp")
 _BEGINS = tuple(index - 1 if index in TIPS else index for index in range(len(KEYPOINTS)))
 _ENDS = tuple(_TOWARDS if begin == _WRIST else begin + 1 for begin in _BEGINS)
@@ -31,10 +32,10 @@ def bone_directions(keypoints: Float[Tensor, "*batch 21 3"]) -> Float[Tensor, "*
 def centre_spread(keypoints: Float[Tensor, "*batch 21 3"]) -> Float[Tensor, "*batch 21 3 3"]:
     """Symmetric root of `centre_covariance`, metres: times numbers of unit variance, what another maker's keypoints of
     a hand may differ from ours by."""
-    along_m = tuple(_ALONG_M.get(name, _ALONG_M.get(name.split("_")[-1], _OTHER_M)) for name in KEYPOINTS)
-    along = constant_tensor(along_m, keypoints.dtype, keypoints.device)[:, None, None]
+    along = constant_tensor(_OF_KEYPOINTS_M, keypoints.dtype, keypoints.device)[:, None, None]
+    across = _OTHER_M * torch.eye(3, dtype=keypoints.dtype, device=keypoints.device)
     axis = bone_directions(keypoints)[..., None]
-    return (along - _OTHER_M) * (axis @ axis.mT) + _OTHER_M * torch.eye(3).to(keypoints)
+    return (along - _OTHER_M) * (axis @ axis.mT) + across
 
 
 def centre_covariance(keypoints: Float[Tensor, "*batch 21 3"]) -> Float[Tensor, "*batch 21 3 3"]:

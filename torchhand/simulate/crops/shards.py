@@ -1,6 +1,5 @@
 """Crops in WebDataset's form: plain tar files whose members belong together by their names."""
 
-import contextlib
 import io
 import json
 import tarfile
@@ -17,6 +16,7 @@ from torchhand.devices import HOST, sent_to
 from torchhand.files import load_hand_model
 from torchhand.files.disk import explained_errors, replacing
 from torchhand.hand import DOFS
+from torchhand.numerics import single_threaded
 from torchhand.simulate.crops.crops import CropMaker, Crops
 from torchhand.simulate.crops.settings import CropSettings
 from torchhand.simulate.crops.stream import seeded
@@ -54,7 +54,7 @@ def write_shard(shard: Shard) -> Path:
         crops of one hand at one time, by several cameras, share its number.
     """
     with (
-        _one_thread(),
+        single_threaded(),
         explained_errors(shard.path),
         replacing(shard.path) as part,
         tarfile.open(part, "w", format=tarfile.USTAR_FORMAT) as archive,
@@ -71,19 +71,9 @@ def write_shard(shard: Shard) -> Path:
 
 
 def prepare_shards(shard: Shard) -> None:
-    """What all shards of a data set share is made before one is written, for this process and later copies of it."""
-    with _one_thread():
+    """Make what all shards of a data set share before any is written, for this process and later copies of it."""
+    with single_threaded():
         next(_batches(shard, 1))
-
-
-@contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def _batches(shard: Shard, people: int) -> Iterator[Crops]:

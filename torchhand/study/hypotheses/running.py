@@ -3,12 +3,12 @@
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 
 import torch
 from tqdm import tqdm
 
-from torchhand.cluster import Cluster, Copies, can_copy_process, keep_freed_memory
+from torchhand.cluster import Cluster, Copies, can_copy_process, done_by, keep_freed_memory
 from torchhand.study.hypotheses.case_study import StudyBatch
 from torchhand.study.hypotheses.folder import StudyFolder
 from torchhand.study.hypotheses.record import Hypotheses
@@ -21,7 +21,7 @@ def run_batches(
     make_worker: Callable[..., Worker],
     folder: StudyFolder,
     workers: int | Cluster,
-    device: torch.device | str = "cpu",
+    device: str,
 ) -> tuple[Hypotheses, float]:
     """All hypotheses in the plan's order, also those that the folder has; and seconds per start, 0 if none was left.
 
@@ -57,15 +57,5 @@ def _worked(
     if side_by_side == 1:
         yield from ((batch, work(batch)) for batch in plan)
         return
-    waiting = iter(plan)
-    running: dict[Future[Hypotheses], StudyBatch] = {}
     with ThreadPoolExecutor(side_by_side, initializer=torch.set_num_threads, initargs=(1,)) as pool:
-        while True:
-            for batch in waiting:
-                running[pool.submit(work, batch)] = batch
-                if len(running) == side_by_side:
-                    break
-            if not running:
-                return
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                yield running.pop(future), future.result()
+        yield from done_by(pool, work, plan, at_once=side_by_side)
