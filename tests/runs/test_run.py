@@ -118,10 +118,10 @@ def planar(kinematics: HandKinematics, camera: Camera) -> Scene:
 def tracked_planar(planar: Scene, begin: Any) -> list[tuple[FrameRecord, TrackerState]]:
     run, tracked = begin(), []
     for frame in planar.frames:
-        record, corrected = run.step(frame)
-        assert corrected == []
+        found = run.step(frame)
+        assert found.corrected == []
         assert run.state is not None
-        tracked.append((record, run.state))
+        tracked.append((found.record(), run.state))
     return tracked
 
 
@@ -141,7 +141,7 @@ def test_planar_motion_is_followed_to_a_fraction_of_a_pixel(planar: Scene, track
 def test_two_trackers_in_two_threads_find_what_each_finds_alone(planar: Scene, tracked_planar: Any, begin: Any) -> None:
     def poses(run: Run) -> np.ndarray:
         torch.set_num_threads(1)  # a thread's own number, as in the run before
-        return np.stack([run.step(frame)[0].pose for frame in planar.frames[:6]])
+        return np.stack([run.step(frame).record().pose for frame in planar.frames[:6]])
 
     with ThreadPoolExecutor(2) as pool:
         found = list(pool.map(poses, [begin(), begin()]))
@@ -167,7 +167,7 @@ def test_a_run_that_goes_on_from_a_saved_state_gives_the_same_numbers(
 ) -> None:
     run = begin(saved_and_restored(tracked_planar[9][1]))
     for frame, (expected, _) in zip(planar.frames[10:16], tracked_planar[10:16], strict=True):
-        record, _ = run.step(frame)
+        record = run.step(frame).record()
         assert replace(record, seconds=0.0).as_json() == replace(expected, seconds=0.0).as_json()
 
 
@@ -175,7 +175,7 @@ def test_a_hand_that_leaves_is_lost_and_recovered_when_it_is_back(
     kinematics: HandKinematics, camera: Camera, begin: Any
 ) -> None:
     scene, run = _scene("leave", 60, kinematics, camera), begin()
-    records = [run.step(frame)[0] for frame in scene.frames]
+    records = [run.step(frame).record() for frame in scene.frames]
     status = [record.status for record in records]
     gone = np.flatnonzero(scene.fraction_in_view == 0)
     first, last = int(gone[0]), int(gone[-1])
@@ -203,7 +203,7 @@ def test_without_a_hand_there_is_none(background: str, begin: Any) -> None:
     run = begin()
     for index in range(2):
         noisy = behind + 3.0 * torch.randn(HEIGHT, WIDTH, 3, generator=generator)
-        record, _ = run.step(_frame(index, noisy.round().clamp(0, 255).to(torch.uint8)))
+        record = run.step(_frame(index, noisy.round().clamp(0, 255).to(torch.uint8))).record()
         assert record.status == "no_hand"
         assert record.reason
         _assert_empty(record)
@@ -213,7 +213,7 @@ def test_a_frame_that_cannot_be_read_is_no_hand_and_the_track_goes_on(planar: Sc
     frames, run = list(planar.frames[:6]), begin()
     for index in (0, 3):
         frames[index] = _frame(index, None, f"{index}.png: is a truncated JPEG file")
-    records = [run.step(frame)[0] for frame in frames]
+    records = [run.step(frame).record() for frame in frames]
     assert [record.status for record in records] == ["no_hand", "tracked", "tracked", "no_hand", "tracked", "tracked"]
     assert "3.png: is a truncated JPEG file" in records[3].reason
     _assert_empty(records[3])

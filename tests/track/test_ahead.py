@@ -1,13 +1,16 @@
-"""Scenes that are made in another process while a tracker is busy: the same results, whatever comes in between."""
+"""Scenes that are made, and fingers that are judged, in another process while a tracker is busy: the same results,
+whatever comes in between."""
 
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 
 import pytest
 import torch
-from torch import Tensor
 
+from torchhand.cluster import can_copy_process
+from torchhand.devices import HOST
 from torchhand.files import load_hand_model
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import HandPose
@@ -52,60 +55,96 @@ def case() -> Case:
 
 
 @pytest.fixture(scope="module")
-def alone(case: Case) -> list[Tensor]:
-    """Poses by the tracker without another process."""
+def alone(case: Case) -> list[Estimate]:
+    """Estimates by the tracker without another process."""
     tracker, state, found = case.make(), case.start, []
     for frame in case.frames:
         state, estimate = tracker.step(state, *frame)
-        found.append(_pose(estimate))
+        found.append(estimate)
     return found
 
 
-@pytest.fixture(scope="module")
-def ahead(case: Case) -> Iterator[ScenesAhead]:
-    with ScenesAhead(case.make, case.make()) as ahead:
-        ahead.wait()
-        yield ahead
+@pytest.fixture(scope="module", params=[True, False], ids=["a copy", "a new process"])
+def ahead(case: Case, request: pytest.FixtureRequest) -> Iterator[ScenesAhead]:
+    with pytest.MonkeyPatch.context() as patch:
+        if not request.param:
+            patch.setattr("torchhand.track.ahead.can_copy_process", lambda device: False)
+        elif not can_copy_process(HOST):
+            pytest.skip("processes cannot be copied here")
+        with ScenesAhead(case.make, case.make()) as ahead:
+            ahead.wait()
+            yield ahead
 
 
-def _pose(estimate: Estimate) -> Tensor:
-    assert estimate.pose is not None, estimate.reason
-    return estimate.pose
+def _assert_same(found: Estimate, expected: Estimate) -> None:
+    for name in ("pose", "keypoints", "keypoints_cov", "finger_quality", "evidence"):
+        own, other = getattr(found, name), getattr(expected, name)
+        assert own is not None, (name, found.reason)
+        assert torch.equal(own, other), name
+    assert found.quality == expected.quality
 
 
+@pytest.mark.parametrize("is_free", [True, False], ids=["judged there", "judged here"])
 def test_results_are_those_of_the_tracker_alone_bit_for_bit(
-    case: Case, alone: list[Tensor], ahead: ScenesAhead, monkeypatch: pytest.MonkeyPatch
+    case: Case, alone: list[Estimate], ahead: ScenesAhead, monkeypatch: pytest.MonkeyPatch, *, is_free: bool
 ) -> None:
-    used = _count_foreseen(ahead, monkeypatch)
-    state = case.start
+    used, judged = _count_foreseen(ahead, monkeypatch), []
+    free = ahead._is_free
+
+    def waiting() -> bool:
+        while is_free and not free():
+            time.sleep(0.001)
+        judged.append(is_free)
+        return is_free
+
+    monkeypatch.setattr(ahead, "_is_free", waiting)
+    state, last = case.start, None
     for place, (frame, following) in enumerate(zip(case.frames, (*case.frames[1:], None), strict=True)):
-        state, estimate = ahead.step(state, *frame, following)
-        assert torch.equal(_pose(estimate), alone[place]), place
+        state, estimate, whole = ahead.step(state, *frame, following)
+        assert (estimate.evidence is None) == (is_free and used[-1])
+        if last is not None:
+            _assert_same(last(), alone[place - 1])
+        last = whole
+    assert last is not None
+    _assert_same(last(), alone[-1])
     assert sum(used) == FRAMES - 2, "from the third frame on, for no hand was followed before the first"
+    assert len(judged) == FRAMES - 2
+
+
+def test_estimates_that_are_asked_for_late_are_the_same(case: Case, alone: list[Estimate], ahead: ScenesAhead) -> None:
+    """Pictures of fingers that are not judged yet are not written over."""
+    state, all_whole = case.start, []
+    for frame, following in zip(case.frames, (*case.frames[1:], None), strict=True):
+        state, _, whole = ahead.step(state, *frame, following)
+        all_whole.append(whole)
+        while not ahead._is_free() and not ahead._unjudged:
+            time.sleep(0.001)
+    for whole, expected in reversed(list(zip(all_whole, alone, strict=True))):
+        _assert_same(whole(), expected)
 
 
 def test_what_was_made_for_another_frame_is_not_used(
-    case: Case, alone: list[Tensor], ahead: ScenesAhead, monkeypatch: pytest.MonkeyPatch
+    case: Case, alone: list[Estimate], ahead: ScenesAhead, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     used = _count_foreseen(ahead, monkeypatch)
     state = case.start
     for place, frame in enumerate(case.frames):
         wrong = case.frames[0][0], frame[1] + 1 / FPS  # the pictures of another time
-        state, estimate = ahead.step(state, *frame, wrong)
-        assert torch.equal(_pose(estimate), alone[place]), place
+        state, _, whole = ahead.step(state, *frame, wrong)
+        _assert_same(whole(), alone[place])
     assert sum(used) == 0
 
 
 def test_a_frame_without_pictures_is_not_ordered(case: Case, ahead: ScenesAhead) -> None:
     state, empty = case.start, [View() for _ in case.frames[0][0]]
     for frame in case.frames[:2]:
-        state, _ = ahead.step(state, *frame, None)
-    state, _ = ahead.step(state, *case.frames[2], (empty, 3 / FPS))
-    _, estimate = ahead.step(state, empty, 3 / FPS)
+        state, _, _ = ahead.step(state, *frame, None)
+    state, _, _ = ahead.step(state, *case.frames[2], (empty, 3 / FPS))
+    _, estimate, _ = ahead.step(state, empty, 3 / FPS)
     assert estimate.status == "no_hand"
 
 
-def test_an_error_over_there_is_told(case: Case, alone: list[Tensor]) -> None:
+def test_an_error_over_there_is_told(case: Case) -> None:
     with ScenesAhead(partial(Tracker, case.make.args[0], ()), case.make()) as broken:
         with pytest.raises(ValueError, match="at least one"):
             case.make.func(case.make.args[0], ())

@@ -248,7 +248,7 @@ _MEASURES: dict[Name, Callable[[str, int | None], Figure]] = {
         name: partial(tracking, case=case, must=25.0 / case.passes, aim=60.0 / case.passes)
         for name, case in TRACKED.items()
     },
-    "track_views_640x480": partial(track_views, must=15.0, aim=30.0),
+    "track_views_640x480": partial(track_views, must=30.0, aim=45.0),
     "track_memory": track_memory,
     "track_views_memory": track_views_memory,
     "fit_hand_bones": fit_hand_bones,

@@ -54,7 +54,7 @@ class Copies:
             count, mp_context=get_context("fork"), initializer=_begin, initargs=(make_work, os.getpid())
         )
         try:
-            with _without_threads_of_opencv():  # this makes all processes
+            with without_threads_of_opencv():  # this makes all processes
                 pool.submit(os.getpid)
             yield from done_by(pool, _run, items, at_once=2 * count)
         except BrokenProcessPool as error:
@@ -82,8 +82,9 @@ def done_by(
 
 
 @contextlib.contextmanager
-def _without_threads_of_opencv() -> Iterator[None]:
-    """A copy would wait for ever for those that its original has."""
+def without_threads_of_opencv() -> Iterator[None]:
+    """OpenCV with one thread inside the block, in which copies are made: these would wait for ever for the threads that
+    their original has."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
@@ -96,9 +97,11 @@ _make: Callable[[], Callable[[Any], Any]] | None = None
 """What makes that which this process, being a copy, does."""
 
 
-def _begin(make_work: Callable[[], Callable[[Any], Any]], parent: int) -> None:
-    """In a copy, once."""
-    global _make
+def begin_as_copy(parent: int) -> None:
+    """What a copy of a process does first: it ends with that one, leaves Ctrl-C to it, and computes on one thread.
+
+    parent: number of the process that it is a copy of.
+    """
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, signal.SIGKILL)
     if os.getppid() != parent:  # it was gone before
@@ -106,6 +109,12 @@ def _begin(make_work: Callable[[], Callable[[Any], Any]], parent: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a whole group of processes: the first of them ends the others
     torch.set_num_threads(1)
     keep_freed_memory()
+
+
+def _begin(make_work: Callable[[], Callable[[Any], Any]], parent: int) -> None:
+    """In a copy, once."""
+    global _make
+    begin_as_copy(parent)
     _make = functools.cache(make_work)
 
 

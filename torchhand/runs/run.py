@@ -4,8 +4,8 @@ import json
 import logging
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
-from functools import cached_property
+from dataclasses import asdict, dataclass
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ from torchhand.runs.progress import progress
 from torchhand.runs.recordings import RecordedFrame, Recording
 from torchhand.runs.records import record_of
 from torchhand.track import (
+    Estimate,
     PastFrame,
     ScenesAhead,
     SearchBeside,
@@ -59,6 +60,19 @@ _log = logging.getLogger(__name__)
 
 Say = Callable[[str], None]
 """Tells the user something on one line."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackedFrame:
+    """A frame that was tracked."""
+
+    record: Callable[[], FrameRecord]
+    """Makes its record. Where another process works for the tracker, to be called after the next step, for else it
+    waits for that one."""
+    checkpoint: Callable[[], dict[str, Any]]
+    """Makes the state after the frame, from which `Run.go_on_from` continues exactly."""
+    corrected: list[FrameRecord]
+    """Records of earlier frames that it corrects."""
 
 
 class Run:
@@ -103,18 +117,16 @@ class Run:
         """The tracker's hand, wherever that computes, for what is drawn and written."""
         return self.tracker.kinematics.on(HOST)
 
-    def step(
-        self, frame: RecordedFrame, following: RecordedFrame | None = None
-    ) -> tuple[FrameRecord, list[FrameRecord]]:
-        """Track one frame; its record, and those of earlier ones that it corrects. following: the one after it, where
-        it is known."""
+    def step(self, frame: RecordedFrame, following: RecordedFrame | None = None) -> TrackedFrame:
+        """Track one frame. following: the one after it, where it is known."""
         started = time.perf_counter()
         frame = with_keypoints(frame, self.keypoints, self._followed_px)
         if self.ahead is None:
             state, estimate = self._step(self.state, frame.views, frame.time_s)
+            whole = partial(_itself, estimate)
         else:
             after = None if following is None else (following.views, following.time_s)
-            state, estimate = self.ahead.step(self.state, frame.views, frame.time_s, after)
+            state, estimate, whole = self.ahead.step(self.state, frame.views, frame.time_s, after)
         better = self._smoother.corrections(state, estimate)
         seconds = time.perf_counter() - started
         if self.tracker.settings.smoothing_window_s > 0:
@@ -124,12 +136,22 @@ class Run:
         self.state = state
         if estimate.keypoints_px is not None:
             self._followed_px = estimate.keypoints_px
-        problems = "; ".join(problem for problem in frame.problems if problem is not None)
         corrected = []
         for earlier in better:
             index, spent = self._past[earlier.time_s]
             corrected.append(record_of(index, earlier, self._names, seconds=spent))
-        return record_of(frame.index, estimate, self._names, seconds=seconds, problems=problems), corrected
+        return TrackedFrame(
+            record=partial(self._record, frame, whole, seconds),
+            checkpoint=partial(self._checkpoint, state, self._followed_px),
+            corrected=corrected,
+        )
+
+    def _record(self, frame: RecordedFrame, whole: Callable[[], Estimate], seconds: float) -> FrameRecord:
+        started = time.perf_counter()
+        estimate = whole()
+        seconds += time.perf_counter() - started
+        problems = "; ".join(problem for problem in frame.problems if problem is not None)
+        return record_of(frame.index, estimate, self._names, seconds=seconds, problems=problems)
 
     def recall(self, track: Track, done: int, first: int) -> None:
         """Remember the last frames before those that are to be tracked, as they stand in an interrupted run.
@@ -158,14 +180,12 @@ class Run:
         """Forget the hand, its colours and its proportions; it is found anew in the frames that come."""
         self.state, self._followed_px = None, None
 
-    def checkpoint(self) -> dict[str, Any]:
-        """State from which `go_on_from` continues exactly."""
-        assert self.state is not None
+    def _checkpoint(self, state: TrackerState, followed_px: Float[Tensor, "views 21 2"] | None) -> dict[str, Any]:
         return {
-            "state": saved_state(self.state),
+            "state": saved_state(state),
             "provenance": json.dumps(self._provenance),
             "metres": self.metres,
-            "followed_px": self._followed_px,
+            "followed_px": followed_px,
         }
 
     def go_on_from(self, saved: Mapping[str, Any]) -> None:
@@ -241,6 +261,10 @@ def header_of(
     )
 
 
+def _itself(estimate: Estimate) -> Estimate:
+    return estimate
+
+
 def _with_following(
     frames: Iterable[RecordedFrame], *, is_wanted: bool
 ) -> Iterator[tuple[RecordedFrame, RecordedFrame | None]]:
@@ -257,6 +281,35 @@ def _with_following(
         yield before, None
 
 
+def _tracked(
+    run: Run, frames: Iterable[RecordedFrame], writer: TrackWriter
+) -> Iterator[tuple[RecordedFrame, TrackedFrame]]:
+    """Frames as they are tracked, what they correct of earlier ones being written; where another process works for the
+    tracker, each after the next one is, and the last also where the user ends it all."""
+    waiting: tuple[RecordedFrame, TrackedFrame] | None = None
+    try:
+        for frame, following in _with_following(frames, is_wanted=run.ahead is not None):
+            had_shape = run.shape is not None
+            tracked = run.step(frame, following)
+            if not had_shape and run.shape is not None:
+                run.save_hand(writer.folder, frame=frame.index)
+            if waiting is not None:
+                ready, waiting = waiting, None
+                yield ready
+            for earlier in tracked.corrected:
+                writer.correct(earlier)
+            if run.ahead is None:
+                yield frame, tracked
+            else:
+                waiting = frame, tracked
+    except KeyboardInterrupt:
+        if waiting is not None:
+            yield waiting
+        raise
+    if waiting is not None:
+        yield waiting
+
+
 def track_frames(run: Run, writer: TrackWriter, done: int, first: int, say: Say, draw: Callable[..., None]) -> None:
     """Track what is left of a recording into its result folder. draw: called with every frame and its record."""
     counts = dict.fromkeys(STATUSES, 0)
@@ -270,14 +323,9 @@ def track_frames(run: Run, writer: TrackWriter, done: int, first: int, say: Say,
         recording.opened(done) as frames,
         progress(recording.name, left, say) as bar,
     ):
-        for frame, following in _with_following(frames, is_wanted=run.ahead is not None):
-            had_shape = run.shape is not None
-            record, corrected = run.step(frame, following)
-            if not had_shape and run.shape is not None:
-                run.save_hand(writer.folder, frame=frame.index)
-            for earlier in corrected:
-                writer.correct(earlier)
-            writer.append(record, run.checkpoint)
+        for frame, tracked in _tracked(run, frames, writer):
+            record = tracked.record()
+            writer.append(record, tracked.checkpoint)
             draw(frame, record)
             for problem in frame.problems:
                 unread += problem is not None

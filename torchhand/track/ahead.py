@@ -1,9 +1,10 @@
-"""A tracker of recorded views whose next silhouettes and hull are made in another process meanwhile."""
+"""A tracker of recorded views that another process works for: it makes the silhouettes and the hull of the next frame,
+and gathers what the views of the last one bear out of the fingers."""
 
 import contextlib
-import logging
 import os
 import pickle
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -14,16 +15,20 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.cluster import can_copy_process
 from torchhand.devices import is_host
+from torchhand.hand import HandPose
 from torchhand.track.knowledge import Estimate, TrackerState
 from torchhand.track.messages import READY, OtherProcess, packed, served
 from torchhand.track.multiview import Hull
-from torchhand.track.scene import Appearances, PackedMask, View
+from torchhand.track.quality import Told
+from torchhand.track.scene import Appearances, PackedMask, PlacedHand, View
 from torchhand.track.tracker import Foreseen, Tracker
 
-_log = logging.getLogger(__name__)
-
-_MIN_FRAMES = 100  # in the seconds that the other process takes to begin, some 60 are done without it
+_MIN_FRAMES = 100  # in the seconds that a new process takes to begin, some 60 are done without it
+_MIN_FRAMES_OF_COPY = 5
+_BYTES_PER_PX = 4  # of a picture and of a mask
+_IN_MEMORY = 3  # frames whose pictures both processes see: the last, whose fingers are judged, this one and the next
 
 Frame = tuple[Sequence[View], float]
 """The views of one time, and that time in seconds."""
@@ -48,7 +53,7 @@ class _Picture:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Order:
+class _SceneOrder:
     """A scene that is to be made."""
 
     memory: str
@@ -61,7 +66,17 @@ class _Order:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Delivery:
+class _FingersOrder:
+    """A hand whose fingers are to be judged by the views of a frame whose scene was made."""
+
+    time_s: float
+    pose: HandPose
+    placed: PlacedHand
+    shape: Float[Tensor, "shape"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _MadeScene:
     """What was made of an order."""
 
     appearance: Appearances
@@ -69,21 +84,35 @@ class _Delivery:
     hull: Hull | None
 
 
-class ScenesAhead:
-    """Steps of a tracker that know the frame after theirs: its scene is made in another process meanwhile.
+@dataclass(frozen=True, kw_only=True)
+class _Fingers:
+    """What the views of a frame bear out of a hand's fingers."""
 
-    That is what does not depend on the hand that is still to be found: the silhouettes, and the hull about the place
-    where the hand was expected (`TrackerState.expected`). The tracker alone would make the very same: results are the
-    same, bit for bit, whether the other process is there, late or not yet begun. A context manager.
+    time_s: float
+    borne_out: Float[Tensor, "5 4"]
+
+
+class ScenesAhead:
+    """Steps of a tracker that know the frame after theirs: its scene is made in another process meanwhile, and the
+    evidence for the fingers of the frame before.
+
+    The scene is what does not depend on the hand that is still to be found: the silhouettes, and the hull about the
+    place where the hand was expected (`TrackerState.expected`). The evidence is what no later step depends on. The
+    tracker alone would make the very same: results are the same, bit for bit, whether the other process is there, late
+    or not yet begun. A context manager.
     """
 
     def __init__(self, make: Callable[[], Tracker], tracker: Tracker) -> None:
         """make: makes a tracker like `tracker` in the other process; picklable, such as a `functools.partial`."""
         self._tracker = tracker
-        self._process = OtherProcess(serve, make, "makes scenes")
+        self._process = OtherProcess(serve, make, "makes scenes", is_copy=can_copy_process(tracker.device))
         self._memory: SharedMemory | None = None
+        self._place = 0
         self._is_ready = False
         self._ordered: Frame | None = None
+        self._made: deque[_MadeScene] = deque()
+        self._unjudged = 0
+        self._fingers: dict[float, Tensor] = {}
 
     def __enter__(self) -> "ScenesAhead":
         self._process.start()
@@ -105,16 +134,53 @@ class ScenesAhead:
 
     def step(
         self, state: TrackerState | None, views: Sequence[View], time_s: float, following: Frame | None = None
-    ) -> tuple[TrackerState, Estimate]:
-        """`Tracker.step`. following: the frame that comes next, None where nothing is known of it; its keypoints may
-        still be missing.
+    ) -> tuple[TrackerState, Estimate, Callable[[], Estimate]]:
+        """`Tracker.step`, with an estimate that may lack the evidence of its fingers, and what gives the whole one.
 
+        following: the frame that comes next, None where nothing is known of it; its keypoints may still be missing.
+        What gives the whole estimate waits for the other process: it is to be called after the next step.
         Raises RuntimeError where the other process has failed.
         """
         foreseen = self._delivered((views, time_s))
         if following is not None and state is not None:
             self._order(state, time_s, following)
-        return self._tracker.step(state, views, time_s, foreseen=foreseen)
+        sent: list[Told] = []
+
+        def judges(told: Told) -> bool:
+            """Whether the other process is free to gather it; where it is at work yet, the next step would wait."""
+            if foreseen is None or told.placed is None or not self._is_free():
+                return False
+            order = _FingersOrder(time_s=time_s, pose=told.pose, placed=told.placed, shape=told.shape)
+            self._process.connection.send_bytes(packed(order))
+            self._unjudged += 1
+            sent.append(told)
+            return True
+
+        state, estimate = self._tracker.step(state, views, time_s, foreseen=foreseen, judges=judges)
+        if not sent:
+            return state, estimate, lambda: estimate
+        return state, estimate, lambda: self._tracker.with_qualities(estimate, sent[0], self._judged(time_s))
+
+    def _is_free(self) -> bool:
+        """Whether the other process has made all that was ordered."""
+        while self._process.connection.poll():
+            self._receive()
+        return not self._unjudged and (self._ordered is None or bool(self._made))
+
+    def _judged(self, time_s: float) -> Float[Tensor, "5 4"]:
+        """What the views bear out of the fingers of a hand that was to be judged."""
+        while time_s not in self._fingers:
+            self._receive()
+        return self._fingers.pop(time_s)
+
+    def _receive(self) -> None:
+        message = self._process.received()
+        if isinstance(message, _Fingers):
+            self._fingers[message.time_s] = message.borne_out
+            self._unjudged -= 1
+        else:
+            assert isinstance(message, _MadeScene)
+            self._made.append(message)
 
     def _order(self, state: TrackerState, time_s: float, following: Frame) -> None:
         """Have the scene of the next frame made, where the other process is there and a hand is followed."""
@@ -125,7 +191,7 @@ class ScenesAhead:
         pictures = self._shared(views)
         if pictures is None or self._memory is None:
             return
-        order = _Order(
+        order = _SceneOrder(
             memory=self._memory.name,
             pictures=pictures,
             appearance=state.appearance,
@@ -145,8 +211,9 @@ class ScenesAhead:
         if self._ordered is None:
             return None
         (views, time_s), self._ordered = self._ordered, None
-        found = self._process.received()
-        assert isinstance(found, _Delivery)
+        while not self._made:
+            self._receive()
+        found = self._made.popleft()
         is_same = time_s == frame[1] and len(views) == len(frame[0])
         if not is_same or not all(map(_shows_the_same, views, frame[0])):
             return None
@@ -154,18 +221,19 @@ class ScenesAhead:
         return Foreseen(appearance=found.appearance, masks=masks, hull=found.hull)
 
     def _shared(self, views: Sequence[View]) -> tuple[tuple[_Picture | None, _Picture | None], ...] | None:
-        """The views' pictures, copied to the shared memory; None where there is none or they lie on a device."""
+        """The views' pictures, copied to the shared memory; None where there is none, they lie on a device or are not
+        of the cameras' size."""
         given = [(view.image, view.mask) for view in views]
         known = [one for pair in given for one in pair if one is not None]
-        if not known or not all(is_host(one.device) for one in known):
+        room = sum(_BYTES_PER_PX * camera.width * camera.height for camera in self._tracker.cameras)
+        is_at_home = all(is_host(one.device) for one in known)
+        if not known or not is_at_home or sum(one.numel() for one in known) > room:
             return None
-        size = sum(one.numel() for one in known)
-        if self._memory is None or self._memory.size < size:
-            if self._memory is not None:
-                self._memory.close()
-                self._memory.unlink()
-            self._memory = SharedMemory(create=True, size=size)
-        start, found = 0, []
+        if self._memory is None:
+            self._memory = SharedMemory(create=True, size=_IN_MEMORY * room)
+        # Orders are answered in turn: what this writes over belongs to a frame whose fingers were judged before.
+        self._place = (self._place + 1) % _IN_MEMORY
+        start, found = self._place * room, []
         for pair in given:
             places: list[_Picture | None] = [None, None]
             for index, one in enumerate(pair):
@@ -182,30 +250,40 @@ def _shows_the_same(one: View, other: View) -> bool:
 
 
 def serve(connection: Connection, make: bytes) -> None:
-    """Make scenes until nobody is at the other end (`served`). make: a pickled function that makes the tracker."""
+    """Make scenes and judge fingers until nobody is at the other end (`served`). make: a pickled function that makes
+    the tracker."""
 
     def work(tracker: Tracker) -> None:
         memory: SharedMemory | None = None
+        last: deque[tuple[float, Foreseen]] = deque(maxlen=_IN_MEMORY - 1)
         while True:
             order = pickle.loads(connection.recv_bytes())
-            if memory is None or memory.name != order.memory:
-                memory = SharedMemory(name=order.memory)
-            connection.send_bytes(packed(_made(tracker, order, memory)))
+            if isinstance(order, _FingersOrder):
+                connection.send_bytes(packed(_judged(tracker, order, dict(last)[order.time_s])))
+                continue
+            memory = memory or SharedMemory(name=order.memory)
+            made = _made(tracker, order, memory)
+            last.append((order.time_s, made))
+            masks = tuple(None if mask is None else PackedMask.of(mask) for mask in made.masks)
+            connection.send_bytes(packed(_MadeScene(appearance=made.appearance, masks=masks, hull=made.hull)))
 
     served(connection, make, work)
+
+
+def _made(tracker: Tracker, order: _SceneOrder, memory: SharedMemory) -> Foreseen:
+    parts = [[None if one is None else one.in_memory(memory) for one in pair] for pair in order.pictures]
+    views = [View(image=image, mask=mask) for image, mask in parts]
+    return tracker.foresee(order.appearance, views, order.time_s, order.expected)
+
+
+def _judged(tracker: Tracker, order: _FingersOrder, foreseen: Foreseen) -> _Fingers:
+    found = tracker.borne_out(order.pose, order.placed, order.shape, foreseen, order.time_s)
+    return _Fingers(time_s=order.time_s, borne_out=found)
 
 
 def _cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _made(tracker: Tracker, order: _Order, memory: SharedMemory) -> _Delivery:
-    parts = [[None if one is None else one.in_memory(memory) for one in pair] for pair in order.pictures]
-    views = [View(image=image, mask=mask) for image, mask in parts]
-    found = tracker.foresee(order.appearance, views, order.time_s, order.expected)
-    packed_masks = tuple(None if mask is None else PackedMask.of(mask) for mask in found.masks)
-    return _Delivery(appearance=found.appearance, masks=packed_masks, hull=found.hull)
 
 
 @contextlib.contextmanager
@@ -217,7 +295,8 @@ def scenes_ahead(
 
     make: makes such a tracker; picklable. frames: how many come, None where nobody knows.
     """
-    is_long = frames is None or frames >= _MIN_FRAMES
+    fewest = _MIN_FRAMES_OF_COPY if can_copy_process(tracker.device) else _MIN_FRAMES
+    is_long = frames is None or frames >= fewest
     if not is_long or _cores() < 2 or tracker.parts.fitter is None or not is_host(tracker.device):
         yield None
         return

@@ -2,13 +2,14 @@
 
 import contextlib
 import io
+import os
 import pickle
 import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection
 from types import ModuleType
 from typing import Any
@@ -16,6 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchhand.cluster import begin_as_copy, without_threads_of_opencv
 from torchhand.devices import HOST, is_host, sent_to
 from torchhand.track.scene import View
 
@@ -99,16 +101,26 @@ class _Pickler(pickle.Pickler):
 class OtherProcess:
     """A process that works for a tracker, and the connection to it."""
 
-    def __init__(self, serve: Callable[[Connection, bytes], None], make: Callable[[], Any], does: str) -> None:
-        """serve: what it runs (`served`). make: makes its tracker; picklable. does: what it does, for errors."""
-        context = get_context("spawn")
+    def __init__(
+        self, serve: Callable[[Connection, bytes], None], make: Callable[[], Any], does: str, *, is_copy: bool = False
+    ) -> None:
+        """serve: what it runs (`served`). make: makes its tracker; picklable. does: what it does, for errors.
+
+        is_copy: whether it begins as a copy of this one, which takes no time, in place of a new one, which takes
+        seconds; where `can_copy_process` says so, and no other threads are at work.
+        """
+        context = get_context("fork") if is_copy else get_context("spawn")
         self.connection, self._theirs = context.Pipe()
-        self._process = context.Process(target=serve, args=(self._theirs, packed(make)), name=does, daemon=True)
-        self._does = does
+        given = (self._theirs, packed(make))
+        target, args = (_in_copy, (self.connection, os.getpid(), serve, *given)) if is_copy else (serve, given)
+        self._process = context.Process(target=target, args=args, name=does, daemon=True)
+        self._does, self._is_copy = does, is_copy
 
     def start(self) -> None:
         """Let it begin."""
-        with _without_main():
+        if self._is_copy:
+            resource_tracker.ensure_running()  # of shared memory: else a copy begins one of its own
+        with without_threads_of_opencv() if self._is_copy else _without_main():
             self._process.start()
         self._theirs.close()
 
@@ -130,6 +142,18 @@ class OtherProcess:
         if isinstance(message, Exception):
             raise message
         return message
+
+
+def _in_copy(
+    other_end: Connection,
+    parent: int,
+    serve: Callable[[Connection, bytes], None],
+    connection: Connection,
+    make: bytes,
+) -> None:
+    begin_as_copy(parent)
+    other_end.close()
+    serve(connection, make)
 
 
 def served(connection: Connection, make: bytes, work: Callable[[Any], None]) -> None:

@@ -4,7 +4,7 @@ A tracker is a value: `step` takes a state and the views of one time and returns
 """
 
 import math
-from collections.abc import Collection, Hashable, Sequence
+from collections.abc import Callable, Collection, Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -32,6 +32,7 @@ from torchhand.track.scene import (
     Candidate,
     Masks,
     ObservationsOf,
+    PlacedHand,
     Scene,
     SceneKeypoints,
     View,
@@ -92,6 +93,8 @@ class Foreseen:
     """Silhouettes of all views."""
     hull: Hull | None = None
     """The hull about where the hand was expected; None where none was carved."""
+    views: tuple[View, ...] = ()
+    """The views as the tracker works on them, where the same process has made that."""
 
     def scene(self, views: Sequence[View], time_s: float, expected: Float[Tensor, "3"] | None) -> Scene:
         """The scene of these views, as the cameras that are used see them."""
@@ -114,6 +117,8 @@ class FollowedInto:
     scene: Scene
     estimate: Estimate
     """Estimate without the evidence of its fingers, which takes as long as all the rest of it (`Tracker.told`)."""
+    told: Told
+    """What that evidence is gathered from."""
 
     @property
     def hand(self) -> FollowedHand:
@@ -179,6 +184,7 @@ class Tracker:
         occasions: Collection[Occasion] = OCCASIONS,
         other: TrackerState | None = None,
         foreseen: Foreseen | None = None,
+        judges: Callable[[Told], bool] | None = None,
     ) -> tuple[TrackerState, Estimate]:
         """The next state and the estimate of this time.
 
@@ -187,7 +193,9 @@ class Tracker:
         may be asked; where one of another occasion should be, the estimate tells (`is_doubted`), and where a search may
         not be, proportions of several cameras are not fitted (`reshaped`). other: what another tracker knew at an
         earlier time, whose hand is compared with this one's as proposed hands are. foreseen: what `foresee` makes of
-        these views, where that is known.
+        these views, where that is known. judges: asked, with what is known of an estimated hand, whether somebody else
+        gathers the evidence of its fingers: then the estimate comes without that and without qualities
+        (`with_qualities`).
 
         A hand that the views do not bear out is looked for otherwise at once, one in doubt when a search is due; a hand
         found again after a lost frame is `recovered`. Raises ValueError for views that are not the cameras' in number
@@ -223,7 +231,9 @@ class Tracker:
         search = _Search(best=followed, proposed=None, has_foreground=followed is not None, reason="")
         search = search if other is None else self._with_other(search, other, facing, scene, state)
         state, search = self._searched(state, search, facing, scene, occasions)
-        state, estimate = self._adopted(state, search, predicted, scene, fits_shape="search" in occasions)
+        state, estimate = self._adopted(
+            state, search, predicted, scene, fits_shape="search" in occasions, judges=judges
+        )
         return state, sent_to(replace(estimate, is_doubted=search.is_doubted), HOST)
 
     def is_reshape_due(self, state: TrackerState) -> bool:
@@ -250,14 +260,14 @@ class Tracker:
         found = self.parts.rule.follow(hand, predicted, scene, state.shape)
         if found is None or self.parts.health.is_failing(found):
             return None
-        estimate, _ = self._posed("tracked", found, state, scene)
-        return FollowedInto(candidate=found, scene=scene, estimate=sent_to(estimate, HOST))
+        estimate, told = self._posed("tracked", found, state, scene)
+        return FollowedInto(candidate=found, scene=scene, estimate=sent_to(estimate, HOST), told=told)
 
     @torch.inference_mode()
     @single_threaded()
     def told(self, state: TrackerState, followed: FollowedInto) -> Estimate:
         """The whole estimate of a hand that was followed into another scene."""
-        return sent_to(self._estimate("tracked", followed.candidate, state, followed.scene), HOST)
+        return sent_to(self._with_evidence(followed.estimate, followed.told, followed.scene, state), HOST)
 
     @torch.inference_mode()
     @single_threaded()
@@ -327,7 +337,24 @@ class Tracker:
         looks = appearance or segmentation.initial_appearances(own)
         scene = replace(segmentation.scene(own, looks, time_s), expected=expected)
         hull = None if self.parts.fitter is None else expected_hull(self.parts.fitter, scene)
-        return Foreseen(appearance=looks, masks=scene.masks, hull=hull)
+        return Foreseen(appearance=looks, masks=scene.masks, hull=hull, views=scene.views)
+
+    @torch.inference_mode()
+    @single_threaded()
+    def borne_out(
+        self, pose: HandPose, placed: PlacedHand, shape: Float[Tensor, "shape"], foreseen: Foreseen, time_s: float
+    ) -> Float[Tensor, "5 4"]:
+        """What the views of one time bear out of a hand's fingers: the part of the evidence that takes time, and that
+        needs nothing else than what `foresee` of this tracker has made of them."""
+        scene = foreseen.scene(foreseen.views, time_s, None)
+        return self._evidence.borne_out(pose, placed, shape, scene)
+
+    @torch.inference_mode()
+    @single_threaded()
+    def with_qualities(self, estimate: Estimate, told: Told, borne_out: Float[Tensor, "5 4"]) -> Estimate:
+        """The whole estimate of a step whose evidence somebody else has gathered, once it is known what the views bear
+        out of its fingers (`borne_out`)."""
+        return sent_to(self._with_qualities(estimate, self._evidence.of(told, borne_out)), HOST)
 
     def _prediction(self, state: TrackerState, time_s: float) -> _Prediction:
         """What is expected at a time, worked out once."""
@@ -421,7 +448,7 @@ class Tracker:
 
     def _segmented(self, scene: Scene, state: TrackerState) -> Scene:
         """The scene with the silhouette by the colours that the first hand has brought only now."""
-        if scene.plane(0) is not None or len(self.cameras) > 1:
+        if len(self.cameras) > 1 or scene.plane(0) is not None:
             return scene
         return self.parts.segmentation.scene(scene.views, state.appearance, scene.time_s)
 
@@ -640,6 +667,7 @@ class Tracker:
         scene: Scene,
         *,
         fits_shape: bool = True,
+        judges: Callable[[Told], bool] | None = None,
     ) -> tuple[TrackerState, Estimate]:
         health, best, is_new = self.parts.health, search.best, search.proposed is not None
         is_bad = best is None or (not health.is_found(best) if is_new else health.is_failing(best))
@@ -647,7 +675,9 @@ class Tracker:
             return self._without(state, search, predicted)
         was_lost = state.has_started and predicted is None
         state = self._remembered(state, search.proposed, best, scene, is_new=is_new)
-        estimate = self._estimate("recovered" if was_lost else "tracked", best, state, scene)
+        estimate, told = self._posed("recovered" if was_lost else "tracked", best, state, scene)
+        if judges is None or not judges(told):
+            estimate = self._with_evidence(estimate, told, scene, state)
         if self.parts.accumulated_shape is not None:
             state = self.parts.accumulated_shape(state, best, scene, fits=fits_shape)
         return state, replace(estimate, is_new=is_new)
@@ -709,28 +739,15 @@ class Tracker:
         assert state.time_s is not None
         return Estimate(status=status, time_s=state.time_s, reason=reason)
 
-    def _estimate(self, status: FrameStatus, found: Candidate, state: TrackerState, scene: Scene) -> Estimate:
-        """The estimate with the evidence of its fingers."""
-        assert state.shape is not None
-        estimate, tip_std = self._posed(status, found, state, scene)
-        told = Told(
-            pose=found.pose,
-            placed=found.placed,
-            shape=state.shape,
-            tip_std=tip_std,
-            agreement=found.agreement,
-            keypoints=self.parts.keypoints(scene),
-            learned=found.learned,
-            direction=found.direction,
-        )
-        evidence = self._evidence(told, self._segmented(scene, state))
+    def _with_evidence(self, estimate: Estimate, told: Told, scene: Scene, state: TrackerState) -> Estimate:
+        return self._with_qualities(estimate, self._evidence(told, self._segmented(scene, state)))
+
+    def _with_qualities(self, estimate: Estimate, evidence: Float[Tensor, "5 evidence"]) -> Estimate:
         quality, fingers = qualities(evidence, "contour" if self.settings.method == "contour" else "distance")
         return replace(estimate, quality=quality, finger_quality=fingers, evidence=evidence)
 
-    def _posed(
-        self, status: FrameStatus, found: Candidate, state: TrackerState, scene: Scene
-    ) -> tuple[Estimate, Float[Tensor, "5"]]:
-        """The estimate without that evidence, and the standard deviations of the fingertips about the wrist."""
+    def _posed(self, status: FrameStatus, found: Candidate, state: TrackerState, scene: Scene) -> tuple[Estimate, Told]:
+        """The estimate without the evidence of its fingers, and what else is known of it."""
         assert state.shape is not None
         factor = self.parts.rule.overconfidence
         posed = posed_belief(
@@ -753,7 +770,17 @@ class Tracker:
             score=self.parts.health.score(found),
             views=found.agreement.views,
         )
-        return estimate, posed.tip_std
+        told = Told(
+            pose=found.pose,
+            placed=found.placed,
+            shape=state.shape,
+            tip_std=posed.tip_std,
+            agreement=found.agreement,
+            keypoints=self.parts.keypoints(scene),
+            learned=found.learned,
+            direction=found.direction,
+        )
+        return estimate, told
 
     @property
     def own_cameras(self) -> tuple[Camera, ...]:

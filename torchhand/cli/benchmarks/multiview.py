@@ -1,5 +1,6 @@
 """Measures of `torchhand benchmark` on tracking by several cameras: frames per second, memory."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,7 +15,7 @@ from torchhand.geometry import Camera, rotation_from_vector
 from torchhand.hand import Hand, HandPose
 from torchhand.runs import settings_of
 from torchhand.simulate import Staging, named_rig, scripted_motion, stage_camera
-from torchhand.track import Keyframe, ScenesAhead, Tracker, TrackerState, View, scenes_ahead
+from torchhand.track import Estimate, Keyframe, ScenesAhead, Tracker, TrackerState, View, scenes_ahead
 from torchhand.view import mesh_silhouette
 
 RIG, SIZE_PX, MOTION = "frame4", (640, 480), "free"
@@ -57,7 +58,8 @@ def _simulated(frames: int) -> _Recording:
 
 def track_views(name: str, repeats: int | None, *, must: float, aim: float) -> Figure:
     """Frames per second from pictures to pose: silhouettes, octree, fit and judgement; the start is made. As in a
-    recording, the next frame's silhouettes and octree are made in another process where there is a second core."""
+    recording, another process makes the next frame's silhouettes and octree and judges the last one's fingers, where
+    there is a second core."""
     recording = _simulated(FRAMES)
     shape = recording.hand.shape
     make = partial(Tracker, recording.hand, recording.cameras, settings_of("hull_lm"), shape=shape)
@@ -71,13 +73,18 @@ def track_views(name: str, repeats: int | None, *, must: float, aim: float) -> F
 
     def run(ahead: ScenesAhead | None) -> list[str]:
         state, statuses = start, []
-        for frame, following in zip(frames[1:], (*frames[2:], None), strict=True):
-            if ahead is None:
+        if ahead is None:
+            for frame in frames[1:]:
                 state, estimate = tracker.step(state, *frame)
-            else:
-                state, estimate = ahead.step(state, *frame, following)
-            statuses.append(estimate.status)
-        return statuses
+                statuses.append(estimate.status)
+            return statuses
+        last: Callable[[], Estimate] | None = None
+        for frame, following in zip(frames[1:], (*frames[2:], None), strict=True):
+            state, _, whole = ahead.step(state, *frame, following)
+            if last is not None:
+                statuses.append(last().status)
+            last = whole
+        return statuses if last is None else [*statuses, last().status]
 
     with scenes_ahead(make, tracker) as ahead:
         if ahead is not None:

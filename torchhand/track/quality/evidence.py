@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchhand.devices import sent_to
+from torchhand.devices import are_equal, sent_to
 from torchhand.fit.contour import hand_length_px, is_in_picture, is_outer
 from torchhand.geometry import Camera
 from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, FINGERS, JOINT_DOFS, HandKinematics, HandPose
@@ -95,13 +95,18 @@ class FingerEvidence:
 
     def __call__(self, told: Told, scene: Scene) -> Float[Tensor, "5 evidence"]:
         """A row for each finger, thumb to little, in the columns of EVIDENCE."""
+        placed = _placed(self._projectors(told.shape), told) if told.placed is None else told.placed
+        return self.of(told, self.borne_out(told.pose, placed, told.shape, scene))
+
+    def of(self, told: Told, borne_out: Float[Tensor, "5 4"]) -> Float[Tensor, "5 evidence"]:
+        """The same, where it is known what the views bear out (`borne_out`)."""
         joints, device = told.pose.dofs[None, -len(JOINT_DOFS) :], told.tip_std.device
         in_pictures = [deviations_of_digits(one) for one in told.keypoints.deviations(told.pose, told.shape)]
         postures = [one.deviation(joints)[0] for one in told.keypoints.postures]
         unexplained = math.log1p(told.agreement.most_unexplained / _SPECK)
         columns = [
             (told.tip_std.clamp_min(1e-4) / _SPREAD_M).log(),
-            *self._borne_out(told, scene).unbind(-1),
+            *borne_out.unbind(-1),
             _difference(in_pictures, device),
             torch.full((len(FINGERS),), float(not in_pictures), device=device),
             _difference(postures, device),
@@ -111,29 +116,32 @@ class FingerEvidence:
         ]
         return torch.stack([column.to(told.tip_std) for column in columns], -1)
 
-    def _borne_out(self, told: Told, scene: Scene) -> Float[Tensor, "5 4"]:
-        """Shares of each finger's contour in all views: outer found and missed, inner found and missed."""
-        counts = told.tip_std.new_zeros(len(FINGERS), 4)
+    def borne_out(
+        self, pose: HandPose, placed: PlacedHand, shape: Float[Tensor, "shape"], scene: Scene
+    ) -> Float[Tensor, "5 4"]:
+        """Shares of each finger's contour in all views: outer found and missed, inner found and missed.
+
+        pose, placed: the hand (), and the same before the cameras.
+        """
+        counts = pose.dofs.new_zeros(len(FINGERS), 4)
         total = 0.0
-        projectors = self._projectors(told.shape)
-        placed = _placed(projectors, told) if told.placed is None else told.placed
         visible = placed.visible(_table(counts.device))
-        for view, (projector, seen) in enumerate(zip(projectors, placed.views, strict=True)):
+        for view, (projector, seen) in enumerate(zip(self._projectors(shape), placed.views, strict=True)):
             if not scene.is_known(view):
                 continue
-            counts += self._in_view(told, scene, view, (projector, seen, visible[view]))
+            counts += self._in_view(pose, scene, view, (projector, seen, visible[view]))
             total += 1.0
         return counts / (_points_of_fingers(counts.device) * max(1.0, total))[:, None]
 
     def _in_view(
-        self, told: Told, scene: Scene, view: int, before: tuple[HandProjector, SeenHand, Bool[Tensor, "points"]]
+        self, pose: HandPose, scene: Scene, view: int, before: tuple[HandProjector, SeenHand, Bool[Tensor, "points"]]
     ) -> Float[Tensor, "5 4"]:
         """Numbers of each finger's contour points in one view.
 
         before: the hand before the camera of that view, and which points the camera sees.
         """
         projector, seen, visible = before
-        camera, pose = projector.camera, told.pose
+        camera = projector.camera
         contour = projector.contour_of(seen.primitives, _table(pose.dofs.device), seen.generators, visible)
         shown = (contour.visible & is_in_picture(contour.points_px, camera)).nonzero().squeeze(-1)
         points, normals, finger = (
@@ -141,7 +149,7 @@ class FingerEvidence:
             for values in (contour.points_px, contour.normals, _finger_of_point(pose.dofs.device))
         )
         in_cam = torch.cat((camera.cam_from_world(pose.dofs[:3]), pose.dofs[3:]))
-        length_px = hand_length_px(camera, self.kinematics, in_cam, told.shape)
+        length_px = hand_length_px(camera, self.kinematics, in_cam, projector.shape)
         outer = is_outer(projector.filled(seen.polygons), points, normals, length_px)
         found = torch.zeros_like(outer)
         searches = ((outer, scene.plane_in, _OUTER, _OUTER_REACH), (~outer, scene.grey_in, _INNER, _INNER_REACH))
@@ -158,9 +166,11 @@ class FingerEvidence:
         return torch.bincount(4 * finger + kind, minlength=4 * len(FINGERS)).reshape(-1, 4).double()
 
     def _projectors(self, shape: Tensor) -> list[HandProjector]:
-        if self._made is None or self._made[0] is not shape:
-            self._made = (shape, [HandProjector(self.kinematics, camera, shape) for camera in self.cameras])
-        return self._made[1]
+        made = self._made
+        if made is None or not (shape is made[0] or are_equal(shape, made[0])):
+            made = (shape, [HandProjector(self.kinematics, camera, shape) for camera in self.cameras])
+            self._made = made
+        return made[1]
 
 
 def _placed(projectors: Sequence[HandProjector], told: Told) -> PlacedHand:
