@@ -162,10 +162,10 @@ def test_skin_in_place_of_masks_and_videos_in_place_of_pictures(recording: Path,
 def test_a_second_process_changes_nothing(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Scenes made ahead (`ScenesAhead`), which needs a second core."""
     with monkeypatch.context() as patch:
-        patch.setattr("torchhand.track.ahead._cores", lambda: 1)
+        patch.setattr("torchhand.track.ahead.usable_cores", lambda: 1)
         patch.setattr(ScenesAhead, "step", lambda *_: pytest.fail("another process"))
         assert run(recording, tmp_path / "alone", "--no-overlay", "--no-report") == 0
-    monkeypatch.setattr("torchhand.track.ahead._cores", lambda: 2)
+    monkeypatch.setattr("torchhand.track.ahead.usable_cores", lambda: 2)
     monkeypatch.setattr("torchhand.track.ahead._MIN_FRAMES", 0)
     step, ordered = ScenesAhead.step, []
 

@@ -6,6 +6,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
+from multiprocessing import active_children
 from pathlib import Path
 
 import cv2
@@ -13,8 +15,10 @@ import numpy as np
 import pytest
 import torch
 
-from torchhand.cluster import Copies, can_copy_process
+from torchhand.cluster import Copies, can_copy_process, side_by_side
+from torchhand.devices import HOST
 from torchhand.errors import InputError
+from torchhand.numerics import single_threaded
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="other systems do not copy processes")
 
@@ -76,6 +80,42 @@ def test_a_lost_process_is_told_in_one_line() -> None:
 
     with pytest.raises(InputError, match=r"^a process at work was ended from outside"):
         list(Copies(2).done(lambda: work, range(5)))
+
+
+def test_who_goes_on_no_further_does_not_wait_for_what_is_at_work() -> None:
+    """As after Ctrl-C, which copies leave to their original."""
+
+    def work(item: int) -> int:
+        time.sleep(600 * item)
+        return os.getpid()
+
+    def interrupted() -> None:
+        for _ in Copies(2).done(lambda: work, range(2)):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert not active_children()
+
+
+def test_jobs_side_by_side_give_what_they_give_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    generator = torch.Generator().manual_seed(0)
+    values = torch.randn(3, 200, 200, dtype=torch.float64, generator=generator)
+
+    def job(place: int) -> tuple[int, torch.Tensor]:
+        with torch.inference_mode():
+            return os.getpid(), values[place] @ values[place]
+
+    jobs = [partial(job, place) for place in range(3)]
+    found = {}
+    for cores in (1, 2):
+        monkeypatch.setattr("torchhand.cluster.processes.usable_cores", lambda cores=cores: cores)
+        with single_threaded():
+            found[cores] = side_by_side(jobs, HOST)
+    assert {process for process, _ in found[1]} == {os.getpid()}
+    assert os.getpid() not in {process for process, _ in found[2]}
+    for (_, here), (_, there) in zip(found[1], found[2], strict=True):
+        assert torch.equal(here, there)
 
 
 _ORPHANS = """

@@ -4,12 +4,13 @@ import contextlib
 import ctypes
 import functools
 import os
+import pickle
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from typing import Any, TypeVar
 
 import cv2
@@ -45,24 +46,53 @@ class Copies:
         """Items with their results as they are done, in no order.
 
         make_work: makes, once in each process, the function that is called with its items; neither is pickled, items
-        and results are. What they raise is raised here. Raises InputError where a process is lost.
+        and results are. What they raise is raised here. Raises InputError where a process is lost. Where the caller
+        goes on no further, as after Ctrl-C, what is at work is ended.
         """
         count = min(self._processes, len(items))
         if not count:
             return
+        others = set(active_children())
         pool = ProcessPoolExecutor(
             count, mp_context=get_context("fork"), initializer=_begin, initargs=(make_work, os.getpid())
         )
+        is_done = False
         try:
             with without_threads_of_opencv():  # this makes all processes
                 pool.submit(os.getpid)
             yield from done_by(pool, _run, items, at_once=2 * count)
+            is_done = True
         except BrokenProcessPool as error:
             raise InputError(
                 "a process at work was ended from outside, perhaps for want of memory: ask for fewer of them"
             ) from error
         finally:
+            for process in set() if is_done else set(active_children()) - others:
+                process.kill()
             pool.shutdown(cancel_futures=True)
+
+
+def side_by_side(jobs: Sequence[Callable[[], Result]], device: torch.device) -> list[Result]:
+    """The results of some jobs, in their order: side by side in copies of this process where these can be made and
+    there are cores for them, else here, one after the other, to the same bits.
+
+    Jobs change nothing here, and compute on one thread of torch's as the copies do; what they raise is raised here.
+    device: that they compute on.
+    """
+    count = min(usable_cores(), len(jobs))
+    if count < 2 or not can_copy_process(device):
+        return [job() for job in jobs]
+
+    def work(place: int) -> bytes:
+        return pickle.dumps(jobs[place](), pickle.HIGHEST_PROTOCOL)  # tensors by their values, for this process ends
+
+    found = dict(Copies(count).done(lambda: work, range(len(jobs))))
+    return [pickle.loads(found[place]) for place in range(len(jobs))]
+
+
+def usable_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def done_by(

@@ -2,7 +2,6 @@
 and gathers what the views of the last one bear out of the fingers."""
 
 import contextlib
-import os
 import pickle
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -15,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.cluster import can_copy_process
+from torchhand.cluster import can_copy_process, usable_cores
 from torchhand.devices import is_host
 from torchhand.hand import HandPose
 from torchhand.track.knowledge import Estimate, TrackerState
@@ -281,11 +280,6 @@ def _judged(tracker: Tracker, order: _FingersOrder, foreseen: Foreseen) -> _Fing
     return _Fingers(time_s=order.time_s, borne_out=found)
 
 
-def _cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 @contextlib.contextmanager
 def scenes_ahead(
     make: Callable[[], Tracker], tracker: Tracker, frames: int | None = None
@@ -297,7 +291,7 @@ def scenes_ahead(
     """
     fewest = _MIN_FRAMES_OF_COPY if can_copy_process(tracker.device) else _MIN_FRAMES
     is_long = frames is None or frames >= fewest
-    if not is_long or _cores() < 2 or tracker.parts.fitter is None or not is_host(tracker.device):
+    if not is_long or usable_cores() < 2 or tracker.parts.fitter is None or not is_host(tracker.device):
         yield None
         return
     with ScenesAhead(make, tracker) as ahead:

@@ -6,6 +6,7 @@ import torch
 from torchhand.fit.hull import HullShapeSettings, HullStartSettings
 from torchhand.geometry import Rig
 from torchhand.hand import HandPose
+from torchhand.numerics import single_threaded
 from torchhand.track.multiview.fitting import FrameFitter
 from torchhand.track.multiview.hand_initialization import evenly_spaced_frames, initialize_hand
 from torchhand.track.multiview.initialization import best_unit, climbed
@@ -60,6 +61,23 @@ def test_hand_is_found_in_the_frames_that_show_it(has_network, rig_hand, rig, po
         assert float((points - truth).norm(dim=-1).mean()) < 0.008
 
 
+def test_hands_do_not_depend_on_the_number_of_cores(rig_hand, rig, pose_at, masks_of, monkeypatch):
+    """Frames after the first hand are searched side by side where there are cores."""
+    frames = [(place, _scene(masks_of(pose_at(turn=0.15 * place)))) for place in range(3)]
+    found = []
+    for cores in (1, 2):
+        monkeypatch.setattr("torchhand.cluster.processes.usable_cores", lambda cores=cores: cores)
+        fitter = FrameFitter(rig_hand, rig, SETTINGS)
+        proposer = _proposer(fitter)
+        with torch.inference_mode(), single_threaded():
+            found.append(initialize_hand(fitter, iter(frames), proposer, shape=rig_hand.kinematics.default_shape))
+    assert set(found[0].poses) == set(found[1].poses) == {0, 1, 2}
+    for place in range(3):
+        for name in ("dofs", "reference"):
+            own, other = (getattr(one.poses[place], name) for one in found)
+            assert torch.equal(own, other), (place, name)
+
+
 def test_nothing_is_proposed_where_keypoints_tell_the_hand(rig_hand, rig, pose_at, masks_of):
     fitter, pose = FrameFitter(rig_hand, rig, SETTINGS), pose_at()
     known = HandPose(dofs=pose[0], reference=pose[1]).normalized().reshape(1)
@@ -93,11 +111,11 @@ def test_first_hand_is_told_before_proportions_are_fitted_to_it(rig_hand, rig, p
 def test_best_unit_is_found_from_the_middle_on(highest):
     units, asked = (0.6, 0.72, 0.86, 1.0, 1.17, 1.35), []
 
-    def value(unit):
-        asked.append(unit)
-        return 1.0 - abs(units.index(unit) - highest)
+    def values_of(some):
+        asked.extend(some)
+        return [1.0 - abs(units.index(unit) - highest) for unit in some]
 
-    assert climbed(units, value) == units[highest]
+    assert climbed(units, values_of, {1.0: values_of([1.0])[0]}) == units[highest]
     assert len(asked) == len(set(asked)) <= abs(highest - 3) + 3
 
 
@@ -106,16 +124,16 @@ def test_unit_is_that_of_the_frame_that_shows_the_hand():
     units, asked = (0.6, 0.72, 0.86, 1.0, 1.17, 1.35), []
 
     def agreement(unit, frame):
-        asked.append((unit, frame))
         return 0.9 - abs(unit - 1.17) if frame == 1 else 0.75 - abs(unit - 0.86)
 
-    def agreement_of_any(unit):
-        return max(agreement(unit, frame) for frame in (0, 1, 2))
+    def agreements(pairs):
+        asked.extend(pairs)
+        return [agreement(unit, frame) for unit, frame in pairs]
 
-    assert best_unit(units, (0, 1, 2), agreement) == climbed(units, agreement_of_any) == 1.17
-    asked.clear()
-    best_unit(units, (0, 1, 2), agreement)
+    assert best_unit(units, (0, 1, 2), agreements) == 1.17
     assert len(asked) == len(set(asked)) <= 3 + 3  # all frames in the middle unit, then one
+    assert asked[:3] == [(1.0, 0), (1.0, 1), (1.0, 2)]
+    assert asked[3:5] == [(0.86, 1), (1.17, 1)]
 
 
 def test_no_hand_is_found_where_there_is_none(rig_hand, rig, pose_at, masks_of):

@@ -2,11 +2,14 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.cluster import side_by_side
 from torchhand.fit import SharedSolution
 from torchhand.hand import HandPose
 from torchhand.track.multiview.continuity import viterbi_path
@@ -23,6 +26,7 @@ SHAPE_AT = (1, 3, 6)
 """Hands that were found, with which the proportions are fitted before the last time."""
 _SCORE_PER_NAT = 1e-3  # score that a nat of a fit's cost is worth between fits that explain a frame alike
 _FACING_VIEWS = 3  # views that tell by themselves how a hand faces
+_AT_ONCE = 2  # frames that are searched at a time after the first hand; more would know less of one another
 _MAX_POSES = 8  # poses of other frames that are tried as starts
 _MAX_OTHERS = 5  # of these, best first, where all frames decide together how the hand faces
 
@@ -72,10 +76,10 @@ def initialize_hand(
     shape: Float[Tensor, "shape"] | None = None,
     done: Callable[[bool], object] = lambda is_found: None,
 ) -> HandInitialization:
-    """Find the hand in the frames one after the other, and fit its proportions to those in which it was found well.
+    """Find the hand in the frames, a few at a time, and fit its proportions to those in which it was found well.
 
-    Each frame is searched from what is proposed for it and from the hands of other frames. The proportions are fitted
-    ever more finely as hands accumulate, all of them with their poses as one problem: the next frame is searched with
+    Each frame is searched from what is proposed for it and from the hands of frames before. The proportions are fitted
+    ever more finely as hands accumulate, all of them with their poses as one problem: the next frames are searched with
     what the ones before have told. Where the views do not tell palm from back, proportions wait until all frames have
     decided that together: those of a hand held the wrong way round would make all others alike.
 
@@ -89,19 +93,17 @@ def initialize_hand(
     is_told = len(fitter.cameras) >= _FACING_VIEWS
     seen: list[_Frame] = []
     solution: SharedSolution | None = None
-    for index, scene in frames:
-        frame = _Frame(index=index, masks=scene.masks, hull=fitter.hull_anywhere(shape, scene.masks))
-        for size in sizes:
-            fit = _told(fitter, frame, size, detect(scene, size))
-            if fit is None:
-                fit = _found(fitter, frame, size, propose(scene, size), _fits_of(seen))
-            frame = replace(frame, fit=fit)
-            if frame.fit is not None:
-                sizes = [size]
-                break
-        seen.append(frame)
-        done(frame.fit is not None)
-        if shape is None and is_told and frame.fit is not None and len(_fits_of(seen)) in SHAPE_AT:
+    left = iter(frames)
+    while group := list(islice(left, _together(len(_fits_of(seen)), is_told=is_told))):
+        found = side_by_side(
+            [partial(_searched, fitter, frame, sizes, (propose, detect), _fits_of(seen), shape) for frame in group],
+            fitter.hand.shape.device,
+        )
+        for frame, size in found:
+            sizes = sizes if size is None else [sizes[size]]
+            seen.append(frame)
+            done(frame.fit is not None)
+        if shape is None and is_told and any(frame.fit for frame, _ in found) and len(_fits_of(seen)) in SHAPE_AT:
             seen, solution = _with_shape(fitter, seen, sizes[0], is_rough=True)
             sizes = [solution.shape]
     if not _fits_of(seen):
@@ -118,6 +120,37 @@ def initialize_hand(
         poses={frame.index: frame.fit.pose for frame in _within(seen, _MAX_DROP_AS_FOUND) if frame.fit is not None},
         shape_frames=used,
     )
+
+
+def _together(found: int, *, is_told: bool) -> int:
+    """Number of frames that are searched at a time where so many hands are found: one for the first hand, then no more
+    than are missing for the next fit of the proportions. Two views alone tell a hand hardly without those before."""
+    if not is_told:
+        return 1
+    return next((min(_AT_ONCE, wanted - found) for wanted in SHAPE_AT if wanted > found), _AT_ONCE)
+
+
+def _searched(
+    fitter: FrameFitter,
+    frame: tuple[int, Scene],
+    sizes: Sequence[Tensor],
+    proposers: tuple[Proposer, Proposer],
+    fits: Sequence[HullFit],
+    shape: Tensor | None,
+) -> tuple[_Frame, int | None]:
+    """A frame with the hand in it, and the place of its size.
+
+    proposers: what proposes hands, and what detects them. fits: of other frames. shape: known proportions.
+    """
+    (index, scene), (propose, detect) = frame, proposers
+    empty = _Frame(index=index, masks=scene.masks, hull=fitter.hull_anywhere(shape, scene.masks))
+    for place, size in enumerate(sizes):
+        fit = _told(fitter, empty, size, detect(scene, size))
+        if fit is None:
+            fit = _found(fitter, empty, size, propose(scene, size), fits)
+        if fit is not None:
+            return replace(empty, fit=fit), place
+    return empty, None
 
 
 def _told(fitter: FrameFitter, frame: _Frame, shape: Tensor, detected: HandPose | None) -> HullFit | None:

@@ -1,15 +1,18 @@
 """The start on a recording: skin colours of every view, the rig's unit where it is unknown, poses and proportions."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain, islice
 
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.cluster import side_by_side
 from torchhand.devices import sent_to
 from torchhand.geometry import Camera, Rig
 from torchhand.hand import Hand
+from torchhand.numerics import single_threaded
 from torchhand.track.multiview.fitting import FrameFitter, best_of
 from torchhand.track.multiview.hand_initialization import HandInitialization, initialize_hand
 from torchhand.track.multiview.proposer import HandProposer
@@ -33,6 +36,7 @@ class Initialization:
     """Metres of one unit of the rig, where it was to be fitted and a hand was found."""
 
 
+@single_threaded()
 def initialize(
     hand: Hand,
     silhouettes: ViewSilhouettes,
@@ -105,11 +109,12 @@ def _with_unit(
     fitters = {unit: FrameFitter(hand, Rig(cameras).scaled(unit), rough) for unit in units}
     proposers = {unit: replace(proposer, cameras=fitter.cameras) for unit, fitter in fitters.items()}
     shown = dict(seen)
-    nominal = best_unit(
-        units,
-        [index for index, _ in decisive],
-        lambda unit, index: _agreement(fitters[unit], shown[index], proposers[unit]),
-    )
+
+    def agreements(asked: Sequence[tuple[float, int]]) -> list[float]:
+        jobs = [partial(_agreement, fitters[unit], shown[index], proposers[unit]) for unit, index in asked]
+        return side_by_side(jobs, hand.shape.device)
+
+    nominal = best_unit(units, [index for index, _ in decisive], agreements)
     fitter = FrameFitter(hand, Rig(cameras).scaled(nominal), settings)
     propose = proposers[nominal]
     found = initialize_hand(fitter, seen, propose, detect=propose.detected, done=done)
@@ -122,32 +127,39 @@ def _with_unit(
     return Initialization(hand=replace(found, shape=own, poses=poses), skins=skins, metres=factor * nominal)
 
 
-def best_unit(units: Sequence[float], frames: Sequence[int], agreement: Callable[[float, int], float]) -> float:
+def best_unit(
+    units: Sequence[float],
+    frames: Sequence[int],
+    agreements: Callable[[Sequence[tuple[float, int]]], Sequence[float]],
+) -> float:
     """The unit in which a hand explains a frame best: the frame that it explains best in the middle one.
 
     In a frame that hardly shows the hand every unit is a bad guess, and none is the better for having been tried there.
+    agreements: how well a hand explains frames in some units, all that is asked for at once.
     """
     middle = units[len(units) // 2]
-    told = {index: agreement(middle, index) for index in frames}
+    told = dict(zip(frames, agreements([(middle, index) for index in frames]), strict=True))
     frame = max(told, key=told.__getitem__)
-    return climbed(units, lambda unit: told[frame] if unit == middle else agreement(unit, frame))
+    known = {middle: told[frame]}
+    return climbed(units, lambda asked: agreements([(unit, frame) for unit in asked]), known)
 
 
-def climbed(ordered: Sequence[float], value: Callable[[float], float]) -> float:
-    """Where a function of one hill is highest, from the middle on: beyond a fall it is not asked."""
-    values: dict[int, float] = {}
+def climbed(
+    ordered: Sequence[float], values_of: Callable[[Sequence[float]], Sequence[float]], known: Mapping[float, float]
+) -> float:
+    """Where a function of one hill is highest, from the middle on: beyond a fall it is not asked.
 
-    def at(place: int) -> float:
-        if not 0 <= place < len(ordered):
-            return -1.0
-        if place not in values:
-            values[place] = value(ordered[place])
-        return values[place]
-
-    best = len(ordered) // 2
-    while (above := max((best - 1, best + 1), key=at)) != best and at(above) > at(best):
-        best = above
-    return ordered[best]
+    known: values that need not be asked for; that of the middle is.
+    """
+    values, best = dict(known), len(ordered) // 2
+    while True:
+        around = [ordered[place] for place in (best - 1, best + 1) if 0 <= place < len(ordered)]
+        asked = [one for one in around if one not in values]
+        values |= dict(zip(asked, values_of(asked) if asked else (), strict=True))
+        above = max(around, key=values.__getitem__, default=ordered[best])
+        if not values[above] > values[ordered[best]]:
+            return ordered[best]
+        best = ordered.index(above)
 
 
 def _agreement(fitter: FrameFitter, scene: Scene, propose: HandProposer) -> float:
