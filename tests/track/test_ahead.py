@@ -1,7 +1,6 @@
 """Scenes that are made, and fingers that are judged, in another process while a tracker is busy: the same results,
 whatever comes in between."""
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -18,6 +17,7 @@ from torchhand.runs import settings_of
 from torchhand.simulate import Staging, named_rig, scripted_motion, stage_camera
 from torchhand.track import Estimate, Keyframe, ScenesAhead, Tracker, TrackerState, View
 from torchhand.track.ahead import Frame
+from torchhand.track.tracker import Foreseen
 from torchhand.view import mesh_silhouette
 
 FRAMES, FPS = 5, 30.0
@@ -84,41 +84,46 @@ def _assert_same(found: Estimate, expected: Estimate) -> None:
     assert found.quality == expected.quality
 
 
-@pytest.mark.parametrize("is_free", [True, False], ids=["judged there", "judged here"])
+@pytest.mark.parametrize("is_behind", [True, False], ids=["judged here", "judged there"])
 def test_results_are_those_of_the_tracker_alone_bit_for_bit(
-    case: Case, alone: list[Estimate], ahead: ScenesAhead, monkeypatch: pytest.MonkeyPatch, *, is_free: bool
+    case: Case, alone: list[Estimate], ahead: ScenesAhead, monkeypatch: pytest.MonkeyPatch, *, is_behind: bool
 ) -> None:
-    used, judged = _count_foreseen(ahead, monkeypatch), []
-    free = ahead._is_free
+    used, delivered = _count_foreseen(ahead, monkeypatch), ahead._delivered
 
-    def waiting() -> bool:
-        while is_free and not free():
-            time.sleep(0.001)
-        judged.append(is_free)
-        return is_free
+    def with_load(frame: Frame) -> Foreseen | None:
+        found = delivered(frame)
+        monkeypatch.setattr(ahead, "_is_behind", is_behind)
+        return found
 
-    monkeypatch.setattr(ahead, "_is_free", waiting)
+    monkeypatch.setattr(ahead, "_delivered", with_load)
     state, last = case.start, None
     for place, (frame, following) in enumerate(zip(case.frames, (*case.frames[1:], None), strict=True)):
         state, estimate, whole = ahead.step(state, *frame, following)
-        assert (estimate.evidence is None) == (is_free and used[-1])
+        assert (estimate.evidence is None) == (used[-1] and not is_behind)
         if last is not None:
             _assert_same(last(), alone[place - 1])
         last = whole
     assert last is not None
     _assert_same(last(), alone[-1])
     assert sum(used) == FRAMES - 2, "from the third frame on, for no hand was followed before the first"
-    assert len(judged) == FRAMES - 2
 
 
-def test_estimates_that_are_asked_for_late_are_the_same(case: Case, alone: list[Estimate], ahead: ScenesAhead) -> None:
+def test_estimates_that_are_asked_for_late_are_the_same(
+    case: Case, alone: list[Estimate], ahead: ScenesAhead, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Pictures of fingers that are not judged yet are not written over."""
+    delivered = ahead._delivered
+
+    def in_time(frame: Frame) -> Foreseen | None:
+        found = delivered(frame)
+        monkeypatch.setattr(ahead, "_is_behind", False)
+        return found
+
+    monkeypatch.setattr(ahead, "_delivered", in_time)
     state, all_whole = case.start, []
     for frame, following in zip(case.frames, (*case.frames[1:], None), strict=True):
         state, _, whole = ahead.step(state, *frame, following)
         all_whole.append(whole)
-        while not ahead._is_free() and not ahead._unjudged:
-            time.sleep(0.001)
     for whole, expected in reversed(list(zip(all_whole, alone, strict=True))):
         _assert_same(whole(), expected)
 

@@ -110,7 +110,7 @@ class ScenesAhead:
         self._is_ready = False
         self._ordered: Frame | None = None
         self._made: deque[_MadeScene] = deque()
-        self._unjudged = 0
+        self._is_behind = False
         self._fingers: dict[float, Tensor] = {}
 
     def __enter__(self) -> "ScenesAhead":
@@ -146,12 +146,11 @@ class ScenesAhead:
         sent: list[Told] = []
 
         def judges(told: Told) -> bool:
-            """Whether the other process is free to gather it; where it is at work yet, the next step would wait."""
-            if foreseen is None or told.placed is None or not self._is_free():
+            """Whether the other process gathers it; not where this one had to wait for it, which has less to do."""
+            if foreseen is None or told.placed is None or self._is_behind:
                 return False
             order = _FingersOrder(time_s=time_s, pose=told.pose, placed=told.placed, shape=told.shape)
             self._process.connection.send_bytes(packed(order))
-            self._unjudged += 1
             sent.append(told)
             return True
 
@@ -159,12 +158,6 @@ class ScenesAhead:
         if not sent:
             return state, estimate, lambda: estimate
         return state, estimate, lambda: self._tracker.with_qualities(estimate, sent[0], self._judged(time_s))
-
-    def _is_free(self) -> bool:
-        """Whether the other process has made all that was ordered."""
-        while self._process.connection.poll():
-            self._receive()
-        return not self._unjudged and (self._ordered is None or bool(self._made))
 
     def _judged(self, time_s: float) -> Float[Tensor, "5 4"]:
         """What the views bear out of the fingers of a hand that was to be judged."""
@@ -176,7 +169,6 @@ class ScenesAhead:
         message = self._process.received()
         if isinstance(message, _Fingers):
             self._fingers[message.time_s] = message.borne_out
-            self._unjudged -= 1
         else:
             assert isinstance(message, _MadeScene)
             self._made.append(message)
@@ -210,6 +202,9 @@ class ScenesAhead:
         if self._ordered is None:
             return None
         (views, time_s), self._ordered = self._ordered, None
+        while self._process.connection.poll():
+            self._receive()
+        self._is_behind = not self._made
         while not self._made:
             self._receive()
         found = self._made.popleft()
@@ -230,7 +225,8 @@ class ScenesAhead:
             return None
         if self._memory is None:
             self._memory = SharedMemory(create=True, size=_IN_MEMORY * room)
-        # Orders are answered in turn: what this writes over belongs to a frame whose fingers were judged before.
+        # Orders are answered in turn: the scene of the frame before this one was made after the fingers were judged of
+        # that whose pictures this writes over.
         self._place = (self._place + 1) % _IN_MEMORY
         start, found = self._place * room, []
         for pair in given:

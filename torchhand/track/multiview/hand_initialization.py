@@ -103,7 +103,12 @@ def initialize_hand(
             sizes = sizes if size is None else [sizes[size]]
             seen.append(frame)
             done(frame.fit is not None)
-        if shape is None and is_told and any(frame.fit for frame, _ in found) and len(_fits_of(seen)) in SHAPE_AT:
+        if (
+            shape is None
+            and is_told
+            and any(frame.fit is not None for frame, _ in found)
+            and len(_fits_of(seen)) in SHAPE_AT
+        ):
             seen, solution = _with_shape(fitter, seen, sizes[0], is_rough=True)
             sizes = [solution.shape]
     if not _fits_of(seen):
