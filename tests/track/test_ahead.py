@@ -10,6 +10,7 @@ import torch
 
 from torchhand.cluster import can_copy_process
 from torchhand.devices import HOST
+from torchhand.errors import InputError
 from torchhand.files import load_hand_model
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import HandPose
@@ -155,6 +156,22 @@ def test_an_error_over_there_is_told(case: Case) -> None:
             case.make.func(case.make.args[0], ())
         with pytest.raises(RuntimeError, match="cameras: expected at least one"):
             broken.wait()
+
+
+def test_a_process_that_was_ended_from_outside_is_told_in_one_line(case: Case) -> None:
+    def tracked(ahead: ScenesAhead, state: TrackerState, first: int) -> TrackerState:
+        for place in (first, first + 1):
+            state, _, _ = ahead.step(state, *case.frames[place], case.frames[place + 1])
+        return state
+
+    with ScenesAhead(case.make, case.make()) as ahead:
+        ahead.wait()
+        state = tracked(ahead, case.start, 0)
+        ahead._process.kill()
+        with pytest.raises(
+            InputError, match=r"^the process that makes scenes was ended from outside, .* \(signal 9\)$"
+        ):
+            tracked(ahead, state, 2)
 
 
 def _count_foreseen(ahead: ScenesAhead, monkeypatch: pytest.MonkeyPatch) -> list[bool]:

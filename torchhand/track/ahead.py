@@ -138,7 +138,7 @@ class ScenesAhead:
 
         following: the frame that comes next, None where nothing is known of it; its keypoints may still be missing.
         What gives the whole estimate waits for the other process: it is to be called after the next step.
-        Raises RuntimeError where the other process has failed.
+        Raises RuntimeError where the other process has failed, InputError where it was ended from outside.
         """
         foreseen = self._delivered((views, time_s))
         if following is not None and state is not None:
@@ -150,7 +150,7 @@ class ScenesAhead:
             if foreseen is None or told.placed is None or self._is_behind:
                 return False
             order = _FingersOrder(time_s=time_s, pose=told.pose, placed=told.placed, shape=told.shape)
-            self._process.connection.send_bytes(packed(order))
+            self._process.send(order)
             sent.append(told)
             return True
 
@@ -189,7 +189,7 @@ class ScenesAhead:
             time_s=next_s,
             expected=expected,
         )
-        self._process.connection.send_bytes(packed(order))
+        self._process.send(order)
         self._ordered = following
 
     def _has_begun(self) -> bool:

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from torchhand.cluster import begin_as_copy, without_threads_of_opencv
 from torchhand.devices import HOST, is_host, sent_to
+from torchhand.errors import InputError
 from torchhand.track.scene import View
 
 READY = "ready"
@@ -129,16 +130,28 @@ class OtherProcess:
         self._process.kill()
         self._process.join()
 
+    def send(self, message: Any) -> None:
+        """Tell it something. Raises as `received`."""
+        try:
+            self.connection.send_bytes(packed(message))
+        except OSError:
+            while True:  # up to what it said last, or that it is gone
+                self.received()
+
     def received(self) -> Any:
         """The next message, once there is one.
 
-        Raises RuntimeError where the process has failed.
+        Raises RuntimeError where the process has failed, and InputError where it was ended from outside.
         """
         try:
             message = pickle.loads(self.connection.recv_bytes())
         except (EOFError, OSError) as error:
             self._process.join()
-            raise RuntimeError(f"the process that {self._does} ended (exit code {self._process.exitcode})") from error
+            code = self._process.exitcode or 0
+            if code < 0:
+                told = f"the process that {self._does} was ended from outside, perhaps for want of memory"
+                raise InputError(f"{told} (signal {-code})") from error
+            raise RuntimeError(f"the process that {self._does} ended (exit code {code})") from error
         if isinstance(message, Exception):
             raise message
         return message
