@@ -59,21 +59,21 @@ def _deepest(w: Tensor, u: Tensor, v: Tensor, rise_u: Tensor, rise_v: Tensor) ->
     uu, vv = (u * u).sum(-1).clamp_min(_TINY), (v * v).sum(-1).clamp_min(_TINY)
     zero = torch.zeros_like(ww + uu + vv)
     one = zero + 1
-    candidates = [
-        _between(ww, uu, vv, wu, wv, uv, rise_u, rise_v),
-        (zero, _on_edge(ww, wv, vv, rise_v)),
-        (one, _on_edge(ww + 2 * wu + uu, wv + uv, vv, rise_v)),
-        (_on_edge(ww, -wu, uu, rise_u), zero),
-        (_on_edge(ww - 2 * wv + vv, uv - wu, uu, rise_u), one),
+    # The four edges of the square, s = 0 and 1, then t = 0 and 1, worked out together; the middle goes first.
+    edges = [
+        (ww, wv, vv, rise_v),
+        (ww + 2 * wu + uu, wv + uv, vv, rise_v),
+        (ww, -wu, uu, rise_u),
+        (ww - 2 * wv + vv, uv - wu, uu, rise_u),
     ]
-    best_value, best_s, best_t = zero - torch.inf, zero, zero
-    for s, t in candidates:
-        square = ww + s * (s * uu + 2 * wu) + t * (t * vv - 2 * wv) - 2 * s * t * uv
-        value = rise_u * s + rise_v * t - square.clamp_min(0).sqrt()
-        is_better = value > best_value
-        best_value = torch.where(is_better, value, best_value)
-        best_s, best_t = torch.where(is_better, s, best_s), torch.where(is_better, t, best_t)
-    return best_s, best_t
+    along = _on_edge(*(torch.stack([x.expand_as(zero) for x in own]) for own in zip(*edges, strict=True)))
+    middle = _between(ww, uu, vv, wu, wv, uv, rise_u, rise_v)
+    s = torch.stack((middle[0].expand_as(zero), zero, one, along[2], along[3]))
+    t = torch.stack((middle[1].expand_as(zero), along[0], along[1], zero, one))
+    square = ww + s * (s * uu + 2 * wu) + t * (t * vv - 2 * wv) - 2 * s * t * uv
+    value = rise_u * s + rise_v * t - square.clamp_min(0).sqrt()
+    best = value.nan_to_num(nan=-torch.inf, neginf=-torch.inf).argmax(0, keepdim=True)
+    return s.gather(0, best)[0], t.gather(0, best)[0]
 
 
 def _on_edge(square: Tensor, dot: Tensor, length2: Tensor, rise: Tensor) -> Tensor:

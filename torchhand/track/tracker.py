@@ -6,6 +6,7 @@ A tracker is a value: `step` takes a state and the views of one time and returns
 import math
 from collections.abc import Callable, Collection, Hashable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -782,14 +783,15 @@ class Tracker:
         )
         return estimate, told
 
-    @property
+    @cached_property
     def own_cameras(self) -> tuple[Camera, ...]:
         """The cameras in the tracker's world, as they take pictures; float64."""
         pairs = zip(self.cameras, self.parts.cameras, strict=True)
-        return tuple(
-            replace(own.to(dtype=torch.float64), rotation=used.rotation, translation=used.translation)
-            for own, used in pairs
-        )
+        with torch.inference_mode(False):  # kept for callers in any mode
+            return tuple(
+                replace(own.to(dtype=torch.float64), rotation=used.rotation, translation=used.translation)
+                for own, used in pairs
+            )
 
     def pose_of(self, state: TrackerState) -> HandPose | None:
         """Where a state's hand is believed to be; None while there is none."""
