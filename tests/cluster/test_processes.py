@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable
 from functools import partial
-from multiprocessing import active_children
+from multiprocessing import active_children, get_context
 from pathlib import Path
 
 import cv2
@@ -96,6 +96,19 @@ def test_who_goes_on_no_further_does_not_wait_for_what_is_at_work() -> None:
     with pytest.raises(KeyboardInterrupt):
         interrupted()
     assert not active_children()
+
+
+def test_what_the_caller_begins_meanwhile_is_not_ended() -> None:
+    other = get_context("fork").Process(target=time.sleep, args=(600,), daemon=True)
+    results = Copies(2).done(lambda: abs, [1, 2])
+    next(results)
+    other.start()
+    results.close()  # pyright: ignore[reportAttributeAccessIssue]
+    try:
+        assert active_children() == [other]
+    finally:
+        other.kill()
+        other.join()
 
 
 def test_jobs_side_by_side_give_what_they_give_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:

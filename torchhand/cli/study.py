@@ -2,7 +2,6 @@
 
 import contextlib
 import math
-import os
 import re
 import sys
 from collections.abc import Sequence
@@ -15,7 +14,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from torchhand.cli.command import DONE, STOPPED_BY_USER, OnDevice, command, one_address, parse, threads
 from torchhand.cli.studies import DESIGN, EXPORT, UEDA, study_design, study_export, study_ueda
-from torchhand.cluster import Cluster
+from torchhand.cluster import Cluster, usable_cores
 from torchhand.devices import device_named
 from torchhand.errors import InputError
 from torchhand.files import check_output_folder, load_hand_model, load_settings
@@ -149,7 +148,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     check_output_folder(arguments.out, resume=arguments.resume, overwrite=arguments.overwrite)
     side_by_side = arguments.threads
     if side_by_side is None:
-        side_by_side = min(_MAX_SIDE_BY_SIDE, os.cpu_count() or 1)
+        side_by_side = min(_MAX_SIDE_BY_SIDE, usable_cores())
     with (
         threads(side_by_side),  # for its check alone: each of them computes with one
         threads(1),

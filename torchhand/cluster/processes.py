@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import active_children, get_context
+from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
 import cv2
@@ -56,10 +57,11 @@ class Copies:
         pool = ProcessPoolExecutor(
             count, mp_context=get_context("fork"), initializer=_begin, initargs=(make_work, os.getpid())
         )
-        is_done = False
+        is_done, own = False, set[BaseProcess]()
         try:
             with without_threads_of_opencv():  # this makes all processes
                 pool.submit(os.getpid)
+            own = set(active_children()) - others
             yield from done_by(pool, _run, items, at_once=2 * count)
             is_done = True
         except BrokenProcessPool as error:
@@ -67,7 +69,7 @@ class Copies:
                 "a process at work was ended from outside, perhaps for want of memory: ask for fewer of them"
             ) from error
         finally:
-            for process in set() if is_done else set(active_children()) - others:
+            for process in set() if is_done else own:
                 process.kill()
             pool.shutdown(cancel_futures=True)
 

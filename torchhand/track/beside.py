@@ -68,7 +68,7 @@ class SearchBeside:
     def step(self, state: TrackerState | None, views: Sequence[View], time_s: float) -> tuple[TrackerState, Estimate]:
         """`Tracker.step` without searches and fits; state None forgets what goes on there as well.
 
-        Raises RuntimeError where the other process has failed.
+        Raises RuntimeError where the other process has failed, InputError where it was ended from outside.
         """
         if state is None:
             self._number += 1

@@ -118,8 +118,8 @@ class FollowedInto:
     scene: Scene
     estimate: Estimate
     """Estimate without the evidence of its fingers, which takes as long as all the rest of it (`Tracker.told`)."""
-    told: Told
-    """What that evidence is gathered from."""
+    tip_std: Float[Tensor, "5"]
+    """Standard deviation of every fingertip about the wrist, metres."""
 
     @property
     def hand(self) -> FollowedHand:
@@ -261,14 +261,15 @@ class Tracker:
         found = self.parts.rule.follow(hand, predicted, scene, state.shape)
         if found is None or self.parts.health.is_failing(found):
             return None
-        estimate, told = self._posed("tracked", found, state, scene)
-        return FollowedInto(candidate=found, scene=scene, estimate=sent_to(estimate, HOST), told=told)
+        estimate, tip_std = self._posed("tracked", found, state, scene)
+        return FollowedInto(candidate=found, scene=scene, estimate=sent_to(estimate, HOST), tip_std=tip_std)
 
     @torch.inference_mode()
     @single_threaded()
     def told(self, state: TrackerState, followed: FollowedInto) -> Estimate:
         """The whole estimate of a hand that was followed into another scene."""
-        return sent_to(self._with_evidence(followed.estimate, followed.told, followed.scene, state), HOST)
+        told = self._told(followed.candidate, state, followed.scene, followed.tip_std)
+        return sent_to(self._with_evidence(followed.estimate, told, followed.scene, state), HOST)
 
     @torch.inference_mode()
     @single_threaded()
@@ -676,7 +677,8 @@ class Tracker:
             return self._without(state, search, predicted)
         was_lost = state.has_started and predicted is None
         state = self._remembered(state, search.proposed, best, scene, is_new=is_new)
-        estimate, told = self._posed("recovered" if was_lost else "tracked", best, state, scene)
+        estimate, tip_std = self._posed("recovered" if was_lost else "tracked", best, state, scene)
+        told = self._told(best, state, scene, tip_std)
         if judges is None or not judges(told):
             estimate = self._with_evidence(estimate, told, scene, state)
         if self.parts.accumulated_shape is not None:
@@ -747,8 +749,24 @@ class Tracker:
         quality, fingers = qualities(evidence, "contour" if self.settings.method == "contour" else "distance")
         return replace(estimate, quality=quality, finger_quality=fingers, evidence=evidence)
 
-    def _posed(self, status: FrameStatus, found: Candidate, state: TrackerState, scene: Scene) -> tuple[Estimate, Told]:
-        """The estimate without the evidence of its fingers, and what else is known of it."""
+    def _told(self, found: Candidate, state: TrackerState, scene: Scene, tip_std: Float[Tensor, "5"]) -> Told:
+        """What the evidence of a hand's fingers is gathered from."""
+        assert state.shape is not None
+        return Told(
+            pose=found.pose,
+            placed=found.placed,
+            shape=state.shape,
+            tip_std=tip_std,
+            agreement=found.agreement,
+            keypoints=self.parts.keypoints(scene),
+            learned=found.learned,
+            direction=found.direction,
+        )
+
+    def _posed(
+        self, status: FrameStatus, found: Candidate, state: TrackerState, scene: Scene
+    ) -> tuple[Estimate, Float[Tensor, "5"]]:
+        """The estimate without that evidence, and the standard deviations of the fingertips about the wrist."""
         assert state.shape is not None
         factor = self.parts.rule.overconfidence
         posed = posed_belief(
@@ -771,17 +789,7 @@ class Tracker:
             score=self.parts.health.score(found),
             views=found.agreement.views,
         )
-        told = Told(
-            pose=found.pose,
-            placed=found.placed,
-            shape=state.shape,
-            tip_std=posed.tip_std,
-            agreement=found.agreement,
-            keypoints=self.parts.keypoints(scene),
-            learned=found.learned,
-            direction=found.direction,
-        )
-        return estimate, told
+        return estimate, posed.tip_std
 
     @cached_property
     def own_cameras(self) -> tuple[Camera, ...]:

@@ -1,6 +1,5 @@
 """Measures of `torchhand benchmark` on tracking by several cameras: frames per second, memory."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,7 +14,7 @@ from torchhand.geometry import Camera, rotation_from_vector
 from torchhand.hand import Hand, HandPose
 from torchhand.runs import settings_of
 from torchhand.simulate import Staging, named_rig, scripted_motion, stage_camera
-from torchhand.track import Estimate, Keyframe, ScenesAhead, Tracker, TrackerState, View, scenes_ahead
+from torchhand.track import Keyframe, ScenesAhead, Tracker, TrackerState, View, scenes_ahead
 from torchhand.view import mesh_silhouette
 
 RIG, SIZE_PX, MOTION = "frame4", (640, 480), "free"
@@ -72,19 +71,16 @@ def track_views(name: str, repeats: int | None, *, must: float, aim: float) -> F
     start, _ = tracker.step(known, *frames[0])
 
     def run(ahead: ScenesAhead | None) -> list[str]:
-        state, statuses = start, []
+        state, statuses, all_whole = start, [], []
         if ahead is None:
             for frame in frames[1:]:
                 state, estimate = tracker.step(state, *frame)
                 statuses.append(estimate.status)
             return statuses
-        last: Callable[[], Estimate] | None = None
         for frame, following in zip(frames[1:], (*frames[2:], None), strict=True):
             state, _, whole = ahead.step(state, *frame, following)
-            if last is not None:
-                statuses.append(last().status)
-            last = whole
-        return statuses if last is None else [*statuses, last().status]
+            all_whole.append(whole)
+        return [whole().status for whole in all_whole]
 
     with scenes_ahead(make, tracker) as ahead:
         if ahead is not None:

@@ -99,16 +99,12 @@ def initialize_hand(
             [partial(_searched, fitter, frame, sizes, (propose, detect), _fits_of(seen), shape) for frame in group],
             fitter.hand.shape.device,
         )
-        for frame, size in found:
-            sizes = sizes if size is None else [sizes[size]]
+        for frame, _ in found:
             seen.append(frame)
             done(frame.fit is not None)
-        if (
-            shape is None
-            and is_told
-            and any(frame.fit is not None for frame, _ in found)
-            and len(_fits_of(seen)) in SHAPE_AT
-        ):
+        known = [place for _, place in found if place is not None]
+        sizes = [sizes[known[0]]] if known else sizes
+        if shape is None and is_told and known and len(_fits_of(seen)) in SHAPE_AT:
             seen, solution = _with_shape(fitter, seen, sizes[0], is_rough=True)
             sizes = [solution.shape]
     if not _fits_of(seen):
@@ -143,7 +139,7 @@ def _searched(
     fits: Sequence[HullFit],
     shape: Tensor | None,
 ) -> tuple[_Frame, int | None]:
-    """A frame with the hand in it, and the place of its size.
+    """A frame with the hand in it, and the place of its size; None where no hand is found.
 
     proposers: what proposes hands, and what detects them. fits: of other frames. shape: known proportions.
     """
