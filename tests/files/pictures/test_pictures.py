@@ -121,6 +121,19 @@ def test_the_orientation_tag_is_obeyed(tmp_path: Path, picture):
     assert image[4:28, :, 2].float().mean() > 180.0  # the blue left half has become the upper one
 
 
+@pytest.mark.parametrize("is_grey", [False, True])
+@pytest.mark.parametrize("is_progressive", [False, True])
+def test_jpeg_pixels_are_those_of_opencv(tmp_path: Path, is_grey: bool, is_progressive: bool):
+    noise = np.random.default_rng(1).integers(0, 255, (53, 67, 3)).astype(np.uint8)
+    image = noise[..., 0] if is_grey else cv2.GaussianBlur(noise, (5, 5), 0)
+    for sampling in (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444):
+        how = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, sampling, cv2.IMWRITE_JPEG_PROGRESSIVE, int(is_progressive)]
+        assert cv2.imwrite(str(tmp_path / "a.jpg"), image, how)
+        expected = cv2.imread(str(tmp_path / "a.jpg"))
+        assert expected is not None
+        assert torch.equal(read_picture(tmp_path / "a.jpg"), _rgb(expected))
+
+
 def _truncate(path: Path) -> None:
     path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
 

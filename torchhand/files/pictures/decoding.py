@@ -12,7 +12,7 @@ import numpy as np
 from torchhand.errors import InputError
 from torchhand.files.disk import quiet_opencv, read_plain_file
 from torchhand.files.pictures.headers import declared_size
-from torchhand.files.pictures.jpeg import whole_jpeg
+from torchhand.files.pictures.jpeg import checked_jpeg
 from torchhand.files.pictures.limits import size_problem
 from torchhand.files.pictures.png import whole_png
 
@@ -35,15 +35,19 @@ def read_raw(path: Path) -> tuple[np.ndarray | None, str]:
         return None, "is no picture that can be decoded (corrupt or of an unknown format)"
     if problem := size_problem(*size):
         return None, f"{problem} (--max-megapixels)"
-    whole: bytes | None = data
-    if data.startswith(b"\xff\xd8"):
-        whole, problem = whole_jpeg(data)
+    whole, raw = data, None
+    is_jpeg = data.startswith(b"\xff\xd8")
+    if is_jpeg:
+        checked = checked_jpeg(data)
+        whole, problem = checked.whole, checked.problem
+        raw = None if checked.rgb is None else checked.rgb[..., ::-1]
     elif data.startswith(b"\x89PNG"):
         whole, problem = whole_png(data)
     if whole is None:
         return None, problem
-    with quiet_opencv():
-        raw = _decoded(np.frombuffer(whole, np.uint8), is_jpeg=data.startswith(b"\xff\xd8"))
+    if raw is None:
+        with quiet_opencv():
+            raw = _decoded(np.frombuffer(whole, np.uint8), is_jpeg=is_jpeg)
     if raw is None:
         return None, "is no picture that can be decoded (corrupt or of an unknown format)"
     if sorted(raw.shape[:2]) != sorted(size):

@@ -1,16 +1,19 @@
-"""JPEG files by their markers: the declared frame, whether they end, and whether what is coded in them is whole.
+"""JPEG files by their markers: the declared frame, whether they end, whether what is coded in them is whole; and what
+is coded.
 
 libjpeg paints what is missing grey and only prints a warning, to the whole process's error stream. libjpeg-turbo's own
-interface (through kornia_rs) makes an error of the same warnings, for its caller alone.
+interface (through kornia_rs) makes an error of the same warnings, for its caller alone; its pixels are OpenCV's.
 """
 
 import re
 from dataclasses import dataclass
 
+import numpy as np
+from jaxtyping import UInt8
 from kornia_rs.io import decode_image_jpegturbo
 
 _MARKER = re.compile(rb"\xff[\x01-\xcf\xd8-\xfe]")  # 0xd0 to 0xd7 stand within coded data
-_END, _SCAN = 0xD9, 0xDA
+_END, _SCAN, _APP1 = 0xD9, 0xDA, 0xE1
 _WITHOUT_LENGTH = (0x01, 0xD8)
 _FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # the three are tables
 _PLAIN_FRAMES = (0xC0, 0xC1, 0xC2)  # Huffman-coded, sequential or progressive
@@ -46,29 +49,39 @@ def jpeg_frame(data: bytes) -> JpegFrame | None:
     return None
 
 
-def whole_jpeg(data: bytes) -> tuple[bytes | None, str]:
-    """The bytes to decode, without padding before the end; None and the reason where they are cut off or damaged."""
-    end, scans = None, 0
+@dataclass(frozen=True, kw_only=True)
+class CheckedJpeg:
+    """What a look at a whole JPEG file tells."""
+
+    whole: bytes | None
+    """The bytes to decode, without padding before the end; None where they are cut off or damaged."""
+    rgb: UInt8[np.ndarray, "height width 3"] | None = None
+    """The picture; None where another decoder has to make it: one that knows how the camera was held, or rare kinds."""
+    problem: str = ""
+
+
+def checked_jpeg(data: bytes) -> CheckedJpeg:
+    """Whether a JPEG file is whole, and its picture, where it is a plain one."""
+    end, scans, is_turned = None, 0, False
     for kind, at in _markers(data):
         scans += kind == _SCAN
+        is_turned |= kind == _APP1 and data[at + 2 : at + 6] == b"Exif"
         if kind == _END:
             end = at
             break
     if end is None:
-        return None, "is a truncated JPEG file"
+        return CheckedJpeg(whole=None, problem="is a truncated JPEG file")
     if scans > _MAX_SCANS:
-        return None, f"expected a JPEG of at most {_MAX_SCANS} scans, got more"
+        return CheckedJpeg(whole=None, problem=f"expected a JPEG of at most {_MAX_SCANS} scans, got more")
     frame = jpeg_frame(data)
     if frame is None or frame.kind not in _PLAIN_FRAMES or frame.bits != 8 or frame.components not in (1, 3):
-        return data, ""  # rare kinds, which this check cannot read
-    whole = data[:end]
-    if _is_sound(whole):
-        return whole, ""
-    for padding in range(1, _MAX_PADDING + 1):
-        shorter = whole[: -2 - padding] + whole[-2:]
-        if _is_sound(shorter):
-            return shorter, ""
-    return None, "is a corrupt picture (the coded data of the JPEG are damaged)"
+        return CheckedJpeg(whole=data)  # rare kinds, which this check cannot read
+    for padding in range(_MAX_PADDING + 1):
+        whole = data[: end - 2 - padding] + data[end - 2 : end]
+        decoded = _decoded(whole, is_grey=is_turned)
+        if decoded is not None:
+            return CheckedJpeg(whole=whole, rgb=None if is_turned else decoded)
+    return CheckedJpeg(whole=None, problem="is a corrupt picture (the coded data of the JPEG are damaged)")
 
 
 def _markers(data: bytes):
@@ -81,9 +94,9 @@ def _markers(data: bytes):
             at += int.from_bytes(data[at : at + 2], "big")
 
 
-def _is_sound(data: bytes) -> bool:
+def _decoded(data: bytes, *, is_grey: bool) -> UInt8[np.ndarray, "height width *channels"] | None:
+    """None where the coded data are not whole. Grey takes half the time, and every coefficient is read there too."""
     try:
-        decode_image_jpegturbo(data, "mono")  # brightness alone: every coefficient is read, half of them are not used
+        return decode_image_jpegturbo(data, "mono" if is_grey else "rgb")
     except Exception:  # of a class that kornia_rs does not promise
-        return False
-    return True
+        return None
