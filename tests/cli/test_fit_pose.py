@@ -99,6 +99,21 @@ def test_a_folder_is_fitted_judged_resumed_and_replaced(
     assert "cannot be resumed: side" in capsys.readouterr().err
 
 
+def test_pictures_side_by_side_give_the_bytes_of_one_after_the_other(
+    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for workers in ("1", "3"):
+        assert run(pictures, tmp_path / workers, "--workers", workers) == 0
+    alone, together = (dict(np.load(tmp_path / workers / "poses.npz")) for workers in ("1", "3"))
+    for name in alone.keys() - {"seconds"}:
+        np.testing.assert_array_equal(alone[name], together[name])
+    for picture in sorted((tmp_path / "1" / "overlays").iterdir()):
+        assert picture.read_bytes() == (tmp_path / "3" / "overlays" / picture.name).read_bytes()
+    capsys.readouterr()
+    assert run(pictures, tmp_path / "none", "--workers", "0") == 2
+    assert "--workers: expected 1 to 1024, got 0" in capsys.readouterr().err
+
+
 def test_a_run_that_is_to_replace_another_leaves_that_until_it_has_ended(
     pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -22,6 +22,8 @@ from tests.live_pictures import delivered_as_tracked
 from tests.report.reading import video_of
 from torchhand.cli.command import threads
 from torchhand.cli.track import main
+from torchhand.cluster import can_copy_process
+from torchhand.devices import HOST
 from torchhand.export import clip_of_stream
 from torchhand.files import (
     Frame,
@@ -250,8 +252,9 @@ def test_start_points(clip: Clip, run: Run, tmp_path: Path) -> None:
     np.testing.assert_allclose(track.keypoints2d[0, [0, 12]].ravel(), points, rtol=0, atol=3.0)
 
 
+@pytest.mark.parametrize("workers", [1, 2])
 def test_a_folder_of_videos_gives_one_result_each_and_one_bad_video_stops_no_other(
-    clip: Clip, run: Run, tmp_path: Path
+    workers: int, clip: Clip, run: Run, tmp_path: Path
 ) -> None:
     videos = tmp_path / "videos"
     videos.mkdir()
@@ -260,9 +263,11 @@ def test_a_folder_of_videos_gives_one_result_each_and_one_bad_video_stops_no_oth
             for picture in clip.pictures[:2]:
                 video.write(torch.from_numpy(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)))
     (videos / "b.mp4").write_bytes(b"no video")
-    outcome = run(videos, "--out", tmp_path / "out", "--config", "contour_planar", "--no-overlay", "--causal")
+    options = ("--config", "contour_planar", "--no-overlay", "--causal", "--workers", str(workers))
+    outcome = run(videos, "--out", tmp_path / "out", *options)
     assert outcome.code == 2
-    assert outcome.err.count("\n") == 2
+    are_copies = workers > 1 and can_copy_process(HOST)
+    assert outcome.err.count("\n") == 2 + are_copies
     assert outcome.err.count("a field of view is assumed") == 1
     assert "b.mp4: is no video that can be opened" in outcome.err
     assert outcome.out.count("\n") == 2

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from tqdm import tqdm
 from tyro.conf import Positional, arg
 
-from torchhand.cli.command import DONE, STOPPED_BY_USER, OnDevice, command, parse, threads
+from torchhand.cli.command import DONE, STOPPED_BY_USER, OnDevice, command, copies_for, parse, threads
 from torchhand.devices import device_named
 from torchhand.files import Track
 from torchhand.files.pictures import MAX_MEGAPIXELS, pixel_limit
@@ -59,6 +59,9 @@ class Arguments(OnDevice):
     """Draw overlays/."""
     threads: int = 1
     """Threads of the fit; its tensors are small, and more than one is slower."""
+    workers: Annotated[int | None, arg(metavar="N")] = None
+    """Pictures of a folder that are fitted side by side, in copies of this program (on Linux): as many as there are
+    cores if not given. The results are the same."""
     max_megapixels: float = MAX_MEGAPIXELS
     """Largest pictures that are read; what is larger by its header is refused before it is decoded."""
 
@@ -84,7 +87,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     with threads(arguments.threads), pixel_limit(arguments.max_megapixels):
         try:
-            poses = fit_pictures(request, arguments.out, _say)
+            poses = fit_pictures(
+                request,
+                arguments.out,
+                _say,
+                lambda count: copies_for(count, arguments.workers, request.device, threads=arguments.threads),
+            )
         except KeyboardInterrupt:
             _say(f"stopped by Ctrl-C; what is done stands in {arguments.out}: go on with --resume")
             return STOPPED_BY_USER

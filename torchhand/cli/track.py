@@ -9,8 +9,18 @@ from typing import Annotated, Literal
 from tqdm import tqdm
 from tyro.conf import Positional, UseAppendAction, arg
 
-from torchhand.cli.command import DONE, STOPPED_BY_USER, WRONG_INPUT, OnDevice, command, one_address, parse, threads
-from torchhand.cluster import Cluster
+from torchhand.cli.command import (
+    DONE,
+    STOPPED_BY_USER,
+    WRONG_INPUT,
+    OnDevice,
+    command,
+    copies_for,
+    one_address,
+    parse,
+    threads,
+)
+from torchhand.cluster import Cluster, Copies
 from torchhand.devices import device_named
 from torchhand.errors import DiskError, InputError
 from torchhand.export import MAX_GAP_S, check_max_gap
@@ -113,6 +123,9 @@ class Arguments(OnDevice):
     """Seed of everything that is random (the contour tracker draws nothing at random)."""
     threads: int = 1
     """Threads of one tracker; its tensors are small, and more than one is slower."""
+    workers: Annotated[int | None, arg(metavar="N")] = None
+    """Videos of a folder that are tracked side by side, in copies of this program (on Linux): as many as there are
+    cores if not given. The results are the same."""
     ray: Annotated[tuple[str, ...] | None, arg(metavar="[ADDRESS]")] = None
     """Track the videos of a folder side by side, in the processes of a Ray cluster (extra `cluster`): of the one at
     ADDRESS, such as auto or HOST:6379, where the paths must lead to the same files, or, without one, on all cores of
@@ -145,7 +158,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.ray is not None:
         if not has_videos:
             raise InputError(f"--ray: expected a folder of videos with it, got {arguments.input}")
-        return _track_on_cluster(arguments, request, videos)
+        with Cluster(one_address(arguments.ray)) as cluster:
+            return _track_side_by_side(cluster, arguments, request, videos)
+    copies = copies_for(len(videos), arguments.workers, request.device, threads=arguments.threads)
+    if copies is not None:
+        _say(f"{len(videos)} videos, {copies.processes} at a time, each told of when done (--workers 1: frames too)")
+        return _track_side_by_side(copies, arguments, request, videos)
     failed: list[str] = []
     said: set[str] = set()
 
@@ -176,21 +194,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     return WRONG_INPUT if failed else DONE
 
 
-def _track_on_cluster(arguments: Arguments, request: Request, videos: Sequence[Video]) -> int:
-    has_failed = False
+def _track_side_by_side(
+    workers: Cluster | Copies, arguments: Arguments, request: Request, videos: Sequence[Video]
+) -> int:
+    has_failed, said = False, set[str]()
     try:
-        with Cluster(one_address(arguments.ray)) as cluster:
-            hidden = not sys.stderr.isatty()
-            with tqdm(total=len(videos), desc="track", unit="video", disable=hidden, leave=False) as bar:
-                for video, report in track_videos(cluster, request, videos, arguments.max_megapixels):
-                    bar.update()
-                    for line in report.said:
-                        _say(f"{video.name}: {line.removeprefix(f'{video.name}: ')}")
-                    if report.error:
-                        _say(f"error: {report.error}")
-                        has_failed = True
-                    else:
-                        print(report.summary)
+        hidden = not sys.stderr.isatty()
+        with tqdm(total=len(videos), desc="track", unit="video", disable=hidden, leave=False) as bar:
+            for video, report in track_videos(workers, request, videos, arguments.max_megapixels):
+                bar.update()
+                for line in (line for line in report.said if line not in said):
+                    said.add(line)
+                    _say(f"{video.name}: {line.removeprefix(f'{video.name}: ')}")
+                if report.error:
+                    _say(f"error: {report.error}")
+                    has_failed = True
+                else:
+                    print(report.summary)
     except KeyboardInterrupt:
         _say(f"stopped by Ctrl-C; the same command with {resume_option(arguments.overwrite)} goes on")
         return STOPPED_BY_USER

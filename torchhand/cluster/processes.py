@@ -39,7 +39,7 @@ class Copies:
     results do not depend on their number. They end with this process, however that ends."""
 
     def __init__(self, processes: int) -> None:
-        self._processes = processes
+        self.processes = processes
 
     def done(
         self, make_work: Callable[[], Callable[[Item], Result]], items: Sequence[Item]
@@ -50,7 +50,7 @@ class Copies:
         and results are. What they raise is raised here. Raises InputError where a process is lost. Where the caller
         goes on no further, as after Ctrl-C, what is at work is ended.
         """
-        count = min(self._processes, len(items))
+        count = min(self.processes, len(items))
         if not count:
             return
         others = set(active_children())

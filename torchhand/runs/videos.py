@@ -1,11 +1,13 @@
-"""The videos of a folder, each tracked by itself: what is told of each, and many at once on a cluster."""
+"""The videos of a folder, each tracked by itself: what is told of each, and many at once, here or on a cluster."""
 
+import contextlib
 import functools
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from torchhand.cluster import Cluster
+from torchhand.cluster import Cluster, Copies
 from torchhand.errors import DiskError, InputError
 from torchhand.files import Track
 from torchhand.files.pictures import pixel_limit
@@ -35,13 +37,15 @@ class VideoReport:
 
 
 def track_videos(
-    cluster: Cluster, request: Request, videos: Sequence[Video], max_megapixels: float
+    workers: Cluster | Copies, request: Request, videos: Sequence[Video], max_megapixels: float
 ) -> Iterator[tuple[Video, VideoReport]]:
-    """Each video by one worker of the cluster, as they are done; what a lost worker had is gone on with by another.
+    """Each video by one worker of a cluster or one copy of this process, as they are done; what a lost worker of a
+    cluster had is gone on with by another.
 
-    A video that is wrong is told of in its report. Raises DiskError where the disk is full.
+    A video that is wrong is told of in its report. Raises DiskError where the disk is full, and InputError where a copy
+    is lost.
     """
-    return cluster.done(functools.partial(_worker, request, max_megapixels), videos)
+    return workers.done(functools.partial(_worker, request, max_megapixels), videos)
 
 
 def without_hand(name: str, track: Track) -> str | None:
@@ -56,7 +60,7 @@ def _worker(request: Request, max_megapixels: float) -> Callable[[Video], VideoR
     def work(video: Video) -> VideoReport:
         said: list[str] = []
         try:
-            with pixel_limit(max_megapixels), untold_progress():
+            with pixel_limit(max_megapixels), untold_progress(), _without_bars():
                 track, _ = track_sequence(video.source, video.out_dir, _continued(request, video), said.append)
         except DiskError:
             raise
@@ -67,6 +71,13 @@ def _worker(request: Request, max_megapixels: float) -> Callable[[Video], VideoR
         return VideoReport(said=tuple(said), summary=summary_of(video.name, track, video.out_dir))
 
     return work
+
+
+@contextlib.contextmanager
+def _without_bars() -> Iterator[None]:
+    """No progress bars within the block, which several videos would write over each other."""
+    with Path(os.devnull).open("w") as nowhere, contextlib.redirect_stderr(nowhere):
+        yield
 
 
 def _continued(request: Request, video: Video) -> Request:

@@ -1,6 +1,14 @@
 """What every command shares: reading its arguments, and turning the user's mistakes into one line and exit code 2."""
 
-from torchhand.cli.command.arguments import OnDevice, one_address, parse, print_help, threads, whole_record
+from torchhand.cli.command.arguments import (
+    OnDevice,
+    copies_for,
+    one_address,
+    parse,
+    print_help,
+    threads,
+    whole_record,
+)
 from torchhand.cli.command.guard import DONE, STOPPED_BY_USER, WRONG_INPUT, command, reader_went_away
 from torchhand.cli.command.records import arguments_of, has_settings
 
@@ -11,6 +19,7 @@ __all__ = [
     "OnDevice",
     "arguments_of",
     "command",
+    "copies_for",
     "has_settings",
     "one_address",
     "parse",

@@ -4,9 +4,9 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 import torchhand
+from torchhand.cluster import Copies
 from torchhand.devices import HOST
 from torchhand.draw import draw_overlay
 from torchhand.errors import InputError
@@ -112,9 +113,15 @@ def single_pose_fitter(side: Side, settings: SinglePoseSettings, device: torch.d
     return SinglePoseFitter(kinematics, settings, sources=pose_sources(kinematics))
 
 
-def fit_pictures(request: PicturesRequest, out_dir: Path, say: Say) -> Track:
+def fit_pictures(
+    request: PicturesRequest,
+    out_dir: Path,
+    say: Say,
+    copies_for: Callable[[int], Copies | None] = lambda count: None,
+) -> Track:
     """The hands of all pictures, written into a folder; those that are refused are told with the reason.
 
+    copies_for: copies of this process that so many pictures are shared among, None for none: the results are the same.
     Raises InputError for inputs that are wrong, among them a single picture that cannot be read.
     """
     pictures = _Pictures(request)
@@ -124,23 +131,38 @@ def fit_pictures(request: PicturesRequest, out_dir: Path, say: Say) -> Track:
     header = _header(request, pictures.keypoints)
     if request.camera is None:
         say(ASSUMED_CAMERA)
-    with (
-        PosesWriter(
-            out_dir, header, model.shape_space.names, resume=request.resume, overwrite=request.overwrite
-        ) as writer,
-        tqdm(total=len(pictures.paths), desc="pictures", unit="picture", disable=not sys.stderr.isatty()) as bar,
-    ):
-        for number, path in enumerate(pictures.paths):
-            if path.name not in writer.done:
-                record = _fitted(pictures, number, writer.overlays if request.has_overlays else None)
+    paths = pictures.paths
+    with PosesWriter(
+        out_dir, header, model.shape_space.names, resume=request.resume, overwrite=request.overwrite
+    ) as writer:
+        left = [number for number, path in enumerate(paths) if path.name not in writer.done]
+        fit = partial(_fitted, pictures, writer.overlays if request.has_overlays else None)
+        hidden, before = not sys.stderr.isatty(), len(paths) - len(left)
+        with tqdm(total=len(paths), initial=before, desc="pictures", unit="picture", disable=hidden) as bar:
+            for number, record in _in_order(left, fit, copies_for(len(left))):
                 writer.append(record)
                 if record.hand.status != "tracked":
-                    say(f"{path.name}: no hand: {record.hand.reason}")
-            bar.update()
+                    say(f"{paths[number].name}: no hand: {record.hand.reason}")
+                bar.update()
     return load_track(out_dir / POSES_NAME)
 
 
-def _fitted(pictures: _Pictures, number: int, overlays: Path | None) -> PictureRecord:
+def _in_order(
+    numbers: Sequence[int], fit: Callable[[int], PictureRecord], copies: Copies | None
+) -> Iterator[tuple[int, PictureRecord]]:
+    """Pictures with their records, in their order."""
+    if copies is None:
+        yield from ((number, fit(number)) for number in numbers)
+        return
+    records, done = dict[int, PictureRecord](), copies.done(lambda: fit, numbers)
+    for number in numbers:
+        while number not in records:
+            other, record = next(done)
+            records[other] = record
+        yield number, records.pop(number)
+
+
+def _fitted(pictures: _Pictures, overlays: Path | None, number: int) -> PictureRecord:
     """The record of one picture, and its overlay."""
     request, path, started = pictures.request, pictures.paths[number], time.perf_counter()
     try:
