@@ -7,8 +7,14 @@ import numpy as np
 import pytest
 import torch
 
-from torchhand.image.fingers import refinement
-from torchhand.image.fingers.refinement import RefinementSettings, edge_fraction, find_open_hand, refine_silhouette
+from torchhand.image.fingers import FingerSettings, find_fingers, refinement
+from torchhand.image.fingers.refinement import (
+    RefinementSettings,
+    edge_fraction,
+    find_open_hand,
+    odd_digits,
+    refine_silhouette,
+)
 
 SKIN = (205, 150, 125)
 SIDE = 300
@@ -95,6 +101,36 @@ def test_shadow_of_a_finger_is_an_odd_digit(generator: torch.Generator) -> None:
     found = find_open_hand(image)
     named = None if found.search is None or found.search.order is None else tuple(found.search.order.fingers)
     assert named is None or len(named) < 5 or "little" in found.odd_digits
+
+
+def test_a_hand_that_light_falls_off_over_has_no_odd_digit(generator: torch.Generator) -> None:
+    channels = cv2.cvtColor(scene((40, 60, 90), generator).numpy(), cv2.COLOR_RGB2YCrCb).astype(np.float64)
+    light = np.exp(
+        -np.maximum(np.arange(SIDE) - 150, 0) / 45
+    )  # from the palm's middle on
+    dimmed = (channels * np.stack((light, np.ones(SIDE), np.ones(SIDE)), -1)).round().astype(np.uint8)
+    image = torch.from_numpy(cv2.cvtColor(dimmed, cv2.COLOR_YCrCb2RGB))
+    search = find_fingers(hand_mask(), FingerSettings())
+    assert search.order is not None
+    assert len(search.order.fingers) == 5
+    x, y = put(ENDS[4])
+    assert dimmed[y, x, 0] < 0.5 * dimmed[165, 150, 0]  # of the little finger's tip, and of the palm's middle
+    assert odd_digits(image, search) == ()
+
+
+def test_pieces_of_skin_are_looked_at_where_other_guesses_lack_a_finger(
+    generator: torch.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    image, truth = scene((40, 60, 90), generator), hand_mask()
+    half = truth.clone()
+    half[:, : SIDE // 2] = False
+    monkeypatch.setattr(refinement, "_guesses", lambda image, side: [("half", half)])
+    monkeypatch.setattr(refinement, "refine_silhouette", lambda image, guess, settings: guess)
+    found = find_open_hand(image)
+    assert found.source.startswith("piece of skin")
+    assert overlap(found.mask, truth) > 0.9
+    monkeypatch.setattr(refinement, "_OPEN_MISFIT", 0.0)  # of another posture than an open hand's
+    assert find_open_hand(image).source == "half"
 
 
 def test_blank_wall_shows_no_five_fingers(generator: torch.Generator) -> None:

@@ -5,6 +5,7 @@ what is surely inside and surely outside a guess; several guesses by colour and 
 whose refined outline has an open hand's fingers and lies on edges is the hand.
 """
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -16,8 +17,9 @@ from torch import Tensor
 
 from torchhand.image.contours import depth_map, distance_map
 from torchhand.image.fingers.fingers import FingerSearch, FingerSettings, find_fingers
+from torchhand.image.fingers.order import DIGITS
 from torchhand.image.operations import dilate, intersection_over_union, square_kernel
-from torchhand.image.segmentation import bootstrap_skin, clean, fill_holes, largest_component
+from torchhand.image.segmentation import bootstrap_skin, clean, fill_holes, largest_component, skin_candidates
 
 _MIN_AREA_FRACTION, _MAX_AREA_FRACTION = 0.02, 0.75  # of the picture that a hand may cover
 _MAX_BORDER = 0.75  # of the picture's border that a hand may take up: more is what is behind it
@@ -26,8 +28,12 @@ _REFINED = 3  # guesses refined
 _WORKERS = 4  # threads that look at guesses
 _SAME = 0.97  # intersection over union of guesses of which one is refined for both
 _QUICK = FingerSettings(sizes=8, work_side_px=200)
-_LUMA_RANGE = (0.55, 1.6)  # of a digit over the palm: shadows are darker
-_MAX_CHROMA = 14.0  # distance of a digit's mean (Cr, Cb) from the palm's, 8-bit levels
+_LUMA_RANGE = (0.55, 1.6)  # of a digit over the palm beside it: shadows are darker
+_MAX_CHROMA = 14.0  # distance of a digit's mean (Cr, Cb) from that of the palm's middle, 8-bit levels
+_OPEN_MISFIT = 0.09
+"""Misfit of an open hand's digits: the worst of 15 photographs of open hands has 0.089, the best of eight of other
+signs in which five digits seem to stand out 0.094."""
+_INTO_PALM = 0.35  # of the way from a digit's base to the palm's centre: the palm beside it
 _MIN_GRADIENT = 0.03  # change of a channel (0..1) across the outline that counts as an edge
 
 
@@ -102,28 +108,38 @@ def find_open_hand(
 
     Guesses are what skin looks like in this picture (`bootstrap_skin`) and Otsu's halves of several channels. The most
     hand-like of them are refined, and of all the one with most fingers in an open hand's order, on edges, is taken.
+    Where that lacks a finger, or has one of another colour, an open hand among the pieces that may be skin is taken
+    (`skin_candidates`).
     """
     settings = settings or RefinementSettings()
     edges = _edges(image)
+    found = _best_of(image, edges, _guesses(image, settings.max_side_px), settings)
+    if found is None or not _is_whole(found):  # such as before a wall of skin's colour, or in a hard shadow
+        other = _best_of(image, edges, _skin_guesses(image, settings.max_side_px), settings)
+        found = other if other is not None and _is_surely_open(other) else found or other
+    if found is None:
+        nothing = torch.zeros(image.shape[:2], dtype=torch.bool, device=image.device)
+        return HandSilhouette(mask=nothing, source="none", search=None, edge_fraction=0.0)
+    return found
+
+
+def _best_of(
+    image: Tensor, edges: np.ndarray, guesses: Sequence[tuple[str, Tensor]], settings: RefinementSettings
+) -> HandSilhouette | None:
+    """The most hand-like of some guesses, by names, and of those that are refined."""
 
     def refined(guess: HandSilhouette) -> HandSilhouette | None:
         return _judged(image, edges, refine_silhouette(image, guess.mask, settings), f"{guess.source}, graph cut")
 
     with ThreadPoolExecutor(_WORKERS) as workers:  # nearly all the time is OpenCV's and NumPy's, which lets others run
-        found = workers.map(
-            lambda guess: _judged(image, edges, guess[1], guess[0]), _guesses(image, settings.max_side_px)
-        )
-        guesses = sorted((guess for guess in found if guess is not None), key=_merit, reverse=True)
+        judged = workers.map(lambda guess: _judged(image, edges, guess[1], guess[0]), guesses)
+        found = sorted((guess for guess in judged if guess is not None), key=_merit, reverse=True)
         tried: list[HandSilhouette] = []
-        for guess in guesses[:_REFINED]:
+        for guess in found[:_REFINED]:
             if _fingers(guess) >= _FAIR_FINGERS and not any(_alike(guess.mask, other.mask) for other in tried):
                 tried.append(guess)
         cuts = [cut for cut in workers.map(refined, tried) if cut is not None]
-    everything = guesses + cuts
-    if not everything:
-        nothing = torch.zeros(image.shape[:2], dtype=torch.bool, device=image.device)
-        return HandSilhouette(mask=nothing, source="none", search=None, edge_fraction=0.0)
-    return max(everything, key=_merit)
+    return max(found + cuts, key=_merit, default=None)
 
 
 def edge_fraction(image: UInt8[Tensor, "height width 3"], mask: Bool[Tensor, "height width"]) -> float:
@@ -186,6 +202,14 @@ def _guesses(image: Tensor, max_side_px: int) -> list[tuple[str, Tensor]]:
     return found
 
 
+def _skin_guesses(image: Tensor, max_side_px: int) -> list[tuple[str, Tensor]]:
+    """Names and masks: pieces that may be hand and bare forearm, most of them cut along edges."""
+    height, width = image.shape[:2]
+    pieces = [piece.numpy().astype(np.float32) for piece in skin_candidates(image, max_side_px=max_side_px)]
+    whole = [cv2.resize(piece, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5 for piece in pieces]
+    return [("piece of skin", torch.from_numpy(mask)) for mask in whole]
+
+
 def _judged(image: Tensor, edges: np.ndarray, mask: Tensor, source: str) -> HandSilhouette | None:
     piece = largest_component(clean(mask.cpu()))
     piece = fill_holes(piece, max_area=max(1, piece.numel() // 500))
@@ -204,7 +228,8 @@ def _judged(image: Tensor, edges: np.ndarray, mask: Tensor, source: str) -> Hand
 
 
 def odd_digits(image: UInt8[Tensor, "height width 3"], search: FingerSearch) -> tuple[str, ...]:
-    """Digits whose colour along their axis is not the palm's."""
+    """Digits whose colour along their axis is not the palm's: its hue in the middle of the palm, or its brightness
+    beside the digit, for the light on a palm varies."""
     if search.order is None:
         return ()
     pixels = cv2.cvtColor(image.cpu().contiguous().numpy(), cv2.COLOR_RGB2YCrCb).astype(np.float32)
@@ -213,7 +238,10 @@ def odd_digits(image: UInt8[Tensor, "height width 3"], search: FingerSearch) -> 
     for name, number in search.order.fingers.items():
         piece = search.pieces[number]
         digit = _mean_along(pixels, piece.base, piece.tip, 0.25 * piece.width)
-        is_lit = _LUMA_RANGE[0] < digit[0] / max(float(palm[0]), 1.0) < _LUMA_RANGE[1]
+        (x, y), (to_x, to_y) = piece.base, search.palm_centre
+        inward = (x + _INTO_PALM * (to_x - x), y + _INTO_PALM * (to_y - y))
+        beside = _mean_along(pixels, piece.base, inward, 0.25 * piece.width)
+        is_lit = _LUMA_RANGE[0] < digit[0] / max(float(beside[0]), 1.0) < _LUMA_RANGE[1]
         if not is_lit or float(np.hypot(*(digit - palm)[1:])) > _MAX_CHROMA:
             odd.append(name)
     return tuple(odd)
@@ -230,6 +258,17 @@ def _mean_along(pixels: np.ndarray, start: tuple[float, float], end: tuple[float
 def _alike(first: Tensor, second: Tensor) -> bool:
     """Whether a cut about one mask would end where one about the other does."""
     return float(intersection_over_union(first, second)) >= _SAME
+
+
+def _is_whole(found: HandSilhouette) -> bool:
+    """Whether all five digits stand out, in the palm's colour."""
+    return _fingers(found) == len(DIGITS) and not found.odd_digits
+
+
+def _is_surely_open(found: HandSilhouette) -> bool:
+    """Whether its digits lie as those of open hands do, and as digits that stand out of other postures do not."""
+    order = None if found.search is None else found.search.order
+    return _is_whole(found) and order is not None and order.misfit < _OPEN_MISFIT
 
 
 def _fingers(found: HandSilhouette) -> int:
