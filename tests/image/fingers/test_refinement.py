@@ -105,9 +105,7 @@ def test_shadow_of_a_finger_is_an_odd_digit(generator: torch.Generator) -> None:
 
 def test_a_hand_that_light_falls_off_over_has_no_odd_digit(generator: torch.Generator) -> None:
     channels = cv2.cvtColor(scene((40, 60, 90), generator).numpy(), cv2.COLOR_RGB2YCrCb).astype(np.float64)
-    light = np.exp(
-        -np.maximum(np.arange(SIDE) - 150, 0) / 45
-    )  # from the palm's middle on
+    light = np.exp(-np.maximum(np.arange(SIDE) - 150, 0) / 45)  # from the palm's middle on
     dimmed = (channels * np.stack((light, np.ones(SIDE), np.ones(SIDE)), -1)).round().astype(np.uint8)
     image = torch.from_numpy(cv2.cvtColor(dimmed, cv2.COLOR_YCrCb2RGB))
     search = find_fingers(hand_mask(), FingerSettings())
