@@ -1,5 +1,6 @@
 """The command for single pictures: results, refusals, resuming, replacing."""
 
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from tests.studio import StagedHand, Studio
 from torchhand import fit_pose
 from torchhand.cli.evaluate import main as evaluate
 from torchhand.cli.fit_pose import main
-from torchhand.files import load_track
+from torchhand.files import HandDetection, load_track
 from torchhand.hand import posture
 from torchhand.track import HandKeypoints
 
@@ -112,6 +113,34 @@ def test_pictures_side_by_side_give_the_bytes_of_one_after_the_other(
     capsys.readouterr()
     assert run(pictures, tmp_path / "none", "--workers", "0") == 2
     assert "--workers: expected 1 to 1024, got 0" in capsys.readouterr().err
+
+
+class _OfOneProcess:
+    """A detector that finds nothing, and that no copy of its process can run, as MediaPipe."""
+
+    name = "detector of one process"
+
+    def __init__(self, hand_model: Path | None) -> None:
+        self._process = os.getpid()
+
+    def open(self, hands: int) -> "_OfOneProcess":
+        return self
+
+    def detect(self, image: torch.Tensor) -> list[HandDetection]:
+        assert os.getpid() == self._process
+        return []
+
+    def close(self) -> None:
+        pass
+
+
+def test_every_copy_has_a_detector_of_its_own(pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torchhand.runs.pictures.inputs.MediaPipe", _OfOneProcess)
+    out = tmp_path / "out"
+    assert main([str(pictures), "--out", str(out), "--keypoints", "mediapipe", "--workers", "3"]) == 0
+    track = load_track(out)
+    assert track.status.tolist() == ["no_hand"] * 4
+    assert track.header["made_with"]["keypoints"] == _OfOneProcess.name
 
 
 def test_a_run_that_is_to_replace_another_leaves_that_until_it_has_ended(

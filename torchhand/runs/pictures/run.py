@@ -6,7 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -82,15 +82,34 @@ class _Pictures:
 
     def __init__(self, request: PicturesRequest) -> None:
         self.request, self.paths = request, pictures_in(request.source)
-        count = len(self.paths)
         self.camera: CameraOf = cameras_of(request.camera, [path.name for path in self.paths])
-        self.keypoints: PictureKeypoints | None = None
-        if request.has_detector:
-            self.keypoints = PictureDetector(side=request.side, hand_model=request.hand_model)
-        elif request.keypoints:
-            self.keypoints = PictureKeypointsFile(request.keypoints[0], side=request.side, count=count)
+        self._stored: PictureKeypoints | None = None
+        if request.keypoints and not request.has_detector:
+            count = len(self.paths)
+            self._stored = PictureKeypointsFile(request.keypoints[0], side=request.side, count=count)
         if request.masks is not None and not request.masks.is_dir():
             raise InputError(f"--masks: expected a folder of silhouettes, got {request.masks}")
+
+    @cached_property
+    def _detector(self) -> PictureDetector:
+        """Made where it is used: no copy of a process in which MediaPipe has run can run it."""
+        return PictureDetector(side=self.request.side, hand_model=self.request.hand_model)
+
+    @property
+    def keypoints(self) -> PictureKeypoints | None:
+        return self._detector if self.request.has_detector else self._stored
+
+    def detector_name(self, copies: Copies | None) -> str | None:
+        """The detector's program, version and model, told by a copy where there are to be some; None where none runs.
+
+        Raises InputError where MediaPipe is not installed or cannot read the model.
+        """
+        if not self.request.has_detector:
+            return None
+        if copies is None:
+            return self._detector.name
+        [(_, name)] = Copies(1).done(lambda: lambda number: self._detector.name, [0])
+        return name
 
     def view(self, number: int) -> tuple[View, Camera, Side]:
         """One picture with what is known of it. Raises InputError where it cannot be read."""
@@ -127,8 +146,8 @@ def fit_pictures(
     pictures = _Pictures(request)
     if not expanded(request.source).is_dir():
         pictures.view(0)  # its mistakes are the user's
-    model = load_hand_model()
-    header = _header(request, pictures.keypoints)
+    model, copies = load_hand_model(), copies_for(len(pictures.paths))
+    header = _header(request, pictures.detector_name(copies))
     if request.camera is None:
         say(ASSUMED_CAMERA)
     paths = pictures.paths
@@ -139,7 +158,7 @@ def fit_pictures(
         fit = partial(_fitted, pictures, writer.overlays if request.has_overlays else None)
         hidden, before = not sys.stderr.isatty(), len(paths) - len(left)
         with tqdm(total=len(paths), initial=before, desc="pictures", unit="picture", disable=hidden) as bar:
-            for number, record in _in_order(left, fit, copies_for(len(left))):
+            for number, record in _in_order(left, fit, copies):
                 writer.append(record)
                 if record.hand.status != "tracked":
                     say(f"{paths[number].name}: no hand: {record.hand.reason}")
@@ -226,7 +245,7 @@ def _save_overlay(
             raise InputError(f"{path}: cannot be written")
 
 
-def _header(request: PicturesRequest, keypoints: PictureKeypoints | None) -> TrackHeader:
+def _header(request: PicturesRequest, detector: str | None) -> TrackHeader:
     """What must be equal in a run that is to be resumed."""
 
     def identity(path: Path | None) -> dict[str, Any] | None:
@@ -236,7 +255,7 @@ def _header(request: PicturesRequest, keypoints: PictureKeypoints | None) -> Tra
         "torchhand": torchhand.__version__,
         "input": input_identity(expanded(request.source)),
         "settings": asdict(request.settings),
-        "keypoints": keypoints.name if isinstance(keypoints, PictureDetector) else [*map(identity, request.keypoints)],
+        "keypoints": [*map(identity, request.keypoints)] if detector is None else detector,
         "masks": identity(request.masks),
         "hand": None if request.hand is None else dict(request.hand.values),
     }
