@@ -1,6 +1,7 @@
 """Folders of pictures: depth, channels, orientation, damage."""
 
 import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -132,6 +133,41 @@ def test_jpeg_pixels_are_those_of_opencv(tmp_path: Path, is_grey: bool, is_progr
         expected = cv2.imread(str(tmp_path / "a.jpg"))
         assert expected is not None
         assert torch.equal(read_picture(tmp_path / "a.jpg"), _rgb(expected))
+
+
+@pytest.mark.parametrize("channels", ["grey", "colour", "alpha"])
+def test_png_pixels_are_those_of_opencv(tmp_path: Path, channels: str):
+    noise = np.random.default_rng(2).integers(0, 255, (53, 67, 3)).astype(np.uint8)
+    stored = {"grey": _grey(noise), "colour": noise, "alpha": _alpha(noise)}[channels]
+    for level in (0, 1, 9):
+        assert cv2.imwrite(str(tmp_path / "a.png"), stored, [cv2.IMWRITE_PNG_COMPRESSION, level])
+        expected = cv2.imread(str(tmp_path / "a.png"))
+        assert expected is not None
+        assert torch.equal(read_picture(tmp_path / "a.png"), _rgb(expected))
+
+
+def test_a_turned_or_transparent_png_is_decoded_as_before(tmp_path: Path, picture) -> None:
+    """Chunks that change what is shown: an orientation, and a colour that is transparent."""
+    path = tmp_path / "a.png"
+    assert cv2.imwrite(str(path), picture(0))
+    data = path.read_bytes()
+    tiff = b"MM\0*" + struct.pack(">IHHHIHHI", 8, 1, 0x0112, 3, 1, 6, 0, 0)
+    for kind, content in ((b"eXIf", tiff), (b"tRNS", struct.pack(">HHH", 1, 2, 3))):
+        chunk = struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+        path.write_bytes(data[:33] + chunk + data[33:])
+        expected = cv2.imread(str(path))
+        assert expected is not None
+        assert torch.equal(read_picture(path), _rgb(expected))
+
+
+def test_every_bit_of_a_png_is_checked(tmp_path: Path) -> None:
+    noise = np.random.default_rng(3).integers(0, 255, (16, 16)).astype(np.uint8)
+    assert cv2.imwrite(str(tmp_path / "a.png"), noise)
+    data = (tmp_path / "a.png").read_bytes()
+    for place in range(8, len(data), 7):
+        (tmp_path / "a.png").write_bytes(data[:place] + bytes((data[place] ^ 16,)) + data[place + 1 :])
+        with pytest.raises(InputError, match=r"a\.png: "):
+            read_picture(tmp_path / "a.png")
 
 
 def _truncate(path: Path) -> None:

@@ -11,10 +11,11 @@ import numpy as np
 
 from torchhand.errors import InputError
 from torchhand.files.disk import quiet_opencv, read_plain_file
+from torchhand.files.pictures.checked import CheckedPicture
 from torchhand.files.pictures.headers import declared_size
 from torchhand.files.pictures.jpeg import checked_jpeg
 from torchhand.files.pictures.limits import size_problem
-from torchhand.files.pictures.png import whole_png
+from torchhand.files.pictures.png import checked_png
 
 _LARGEST_BYTES = 1 << 30
 
@@ -22,7 +23,7 @@ _LARGEST_BYTES = 1 << 30
 def read_raw(path: Path) -> tuple[np.ndarray | None, str]:
     """The decoded picture (grey, BGR or BGRA, any depth) turned as its EXIF tag says, or None and the reason.
 
-    That of a JPEG is a view of RGB, as its decoder gives it: `rgb8` takes it back without a copy.
+    That of a plain JPEG or PNG is a view of RGB, as its decoder gives it: `rgb8` takes it back without a copy.
     """
     try:
         data = read_plain_file(path, largest=_LARGEST_BYTES)
@@ -35,19 +36,19 @@ def read_raw(path: Path) -> tuple[np.ndarray | None, str]:
         return None, "is no picture that can be decoded (corrupt or of an unknown format)"
     if problem := size_problem(*size):
         return None, f"{problem} (--max-megapixels)"
-    whole, raw = data, None
     is_jpeg = data.startswith(b"\xff\xd8")
+    checked = CheckedPicture(whole=data)
     if is_jpeg:
         checked = checked_jpeg(data)
-        whole, problem = checked.whole, checked.problem
-        raw = None if checked.rgb is None else checked.rgb[..., ::-1]
     elif data.startswith(b"\x89PNG"):
-        whole, problem = whole_png(data)
-    if whole is None:
-        return None, problem
-    if raw is None:
+        checked = checked_png(data)
+    if checked.whole is None:
+        return None, checked.problem
+    if checked.pixels is not None:
+        raw = checked.pixels if checked.pixels.ndim == 2 else checked.pixels[..., ::-1]
+    else:
         with quiet_opencv():
-            raw = _decoded(np.frombuffer(whole, np.uint8), is_jpeg=is_jpeg)
+            raw = _decoded(np.frombuffer(checked.whole, np.uint8), is_jpeg=is_jpeg)
     if raw is None:
         return None, "is no picture that can be decoded (corrupt or of an unknown format)"
     if sorted(raw.shape[:2]) != sorted(size):

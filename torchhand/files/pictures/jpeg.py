@@ -12,6 +12,8 @@ import numpy as np
 from jaxtyping import UInt8
 from kornia_rs.io import decode_image_jpegturbo
 
+from torchhand.files.pictures.checked import CheckedPicture
+
 _MARKER = re.compile(rb"\xff[\x01-\xcf\xd8-\xfe]")  # 0xd0 to 0xd7 stand within coded data
 _END, _SCAN, _APP1 = 0xD9, 0xDA, 0xE1
 _WITHOUT_LENGTH = (0x01, 0xD8)
@@ -49,19 +51,8 @@ def jpeg_frame(data: bytes) -> JpegFrame | None:
     return None
 
 
-@dataclass(frozen=True, kw_only=True)
-class CheckedJpeg:
-    """What a look at a whole JPEG file tells."""
-
-    whole: bytes | None
-    """The bytes to decode, without padding before the end; None where they are cut off or damaged."""
-    rgb: UInt8[np.ndarray, "height width 3"] | None = None
-    """The picture; None where another decoder has to make it: one that knows how the camera was held, or rare kinds."""
-    problem: str = ""
-
-
-def checked_jpeg(data: bytes) -> CheckedJpeg:
-    """Whether a JPEG file is whole, and its picture, where it is a plain one."""
+def checked_jpeg(data: bytes) -> CheckedPicture:
+    """Whether a JPEG file is whole, without padding before the end, and its picture, where it is a plain one."""
     end, scans, is_turned = None, 0, False
     for kind, at in _markers(data):
         scans += kind == _SCAN
@@ -70,18 +61,18 @@ def checked_jpeg(data: bytes) -> CheckedJpeg:
             end = at
             break
     if end is None:
-        return CheckedJpeg(whole=None, problem="is a truncated JPEG file")
+        return CheckedPicture(whole=None, problem="is a truncated JPEG file")
     if scans > _MAX_SCANS:
-        return CheckedJpeg(whole=None, problem=f"expected a JPEG of at most {_MAX_SCANS} scans, got more")
+        return CheckedPicture(whole=None, problem=f"expected a JPEG of at most {_MAX_SCANS} scans, got more")
     frame = jpeg_frame(data)
     if frame is None or frame.kind not in _PLAIN_FRAMES or frame.bits != 8 or frame.components not in (1, 3):
-        return CheckedJpeg(whole=data)  # rare kinds, which this check cannot read
+        return CheckedPicture(whole=data)  # rare kinds, which this check cannot read
     for padding in range(_MAX_PADDING + 1):
         whole = data[: end - 2 - padding] + data[end - 2 : end]
         decoded = _decoded(whole, is_grey=is_turned)
         if decoded is not None:
-            return CheckedJpeg(whole=whole, rgb=None if is_turned else decoded)
-    return CheckedJpeg(whole=None, problem="is a corrupt picture (the coded data of the JPEG are damaged)")
+            return CheckedPicture(whole=whole, pixels=None if is_turned else decoded)
+    return CheckedPicture(whole=None, problem="is a corrupt picture (the coded data of the JPEG are damaged)")
 
 
 def _markers(data: bytes):
