@@ -1,6 +1,7 @@
 """`torchhand build_hand`: the shipped folder is what it makes, a copy can be built, mistakes are told."""
 
 import shutil
+import zipfile
 from pathlib import Path
 
 import cv2
@@ -25,6 +26,12 @@ def folder(tmp_path: Path) -> Path:
     return copy
 
 
+def members(path: Path) -> dict[str, bytes]:
+    """What an npz holds; its own headers depend on the version of Python."""
+    with zipfile.ZipFile(path) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
 def test_it_builds_the_shipped_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = (folder / "mesh.npz").read_bytes()
     assert main(["--out", str(folder), "--keep-mesh"]) == 0
@@ -32,7 +39,7 @@ def test_it_builds_the_shipped_files(folder: Path, capsys: pytest.CaptureFixture
     built_hand, shipped_hand = (read_skeleton(place / "hand.urdf") for place in (folder, FOLDER))
     torch.testing.assert_close(built_hand.rest_offset, shipped_hand.rest_offset, atol=1e-7, rtol=0)
     torch.testing.assert_close(built_hand.axis, shipped_hand.axis, atol=1e-7, rtol=0)
-    assert (folder / "skeleton.npz").read_bytes() == (FOLDER / "skeleton.npz").read_bytes(), "run build_hand and commit"
+    assert members(folder / "skeleton.npz") == members(FOLDER / "skeleton.npz"), "run build_hand and commit"
     for name in PICTURES:
         built, shipped = (cv2.imread(str(place / name)) for place in (folder, FOLDER))
         assert built is not None

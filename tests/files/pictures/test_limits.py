@@ -13,7 +13,7 @@ import pytest
 
 from torchhand.errors import InputError
 from torchhand.files.pictures import file_identity, input_identity, open_source, pixel_limit, read_picture, sequences_of
-from torchhand.files.pictures.headers import declared_size
+from torchhand.files.pictures.formats import declared_size
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "png", "bmp", "tiff", "webp", "ppm"])

@@ -11,11 +11,8 @@ import numpy as np
 
 from torchhand.errors import InputError
 from torchhand.files.disk import quiet_opencv, read_plain_file
-from torchhand.files.pictures.checked import CheckedPicture
-from torchhand.files.pictures.headers import declared_size
-from torchhand.files.pictures.jpeg import checked_jpeg
+from torchhand.files.pictures.formats import CheckedPicture, checked_jpeg, checked_png, declared_size
 from torchhand.files.pictures.limits import size_problem
-from torchhand.files.pictures.png import checked_png
 
 _LARGEST_BYTES = 1 << 30
 

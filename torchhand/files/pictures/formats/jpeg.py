@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import UInt8
 from kornia_rs.io import decode_image_jpegturbo
 
-from torchhand.files.pictures.checked import CheckedPicture
+from torchhand.files.pictures.formats.checked import CheckedPicture
 
 _MARKER = re.compile(rb"\xff[\x01-\xcf\xd8-\xfe]")  # 0xd0 to 0xd7 stand within coded data
 _END, _SCAN, _APP1 = 0xD9, 0xDA, 0xE1

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 from kornia_rs.io import decode_image_png_u8
 
-from torchhand.files.pictures.checked import CheckedPicture
+from torchhand.files.pictures.formats.checked import CheckedPicture
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _KEPT = (b"IHDR", b"PLTE", b"tRNS", b"eXIf", b"IDAT", b"IEND")

@@ -3,7 +3,7 @@
 import re
 import struct
 
-from torchhand.files.pictures.jpeg import jpeg_frame
+from torchhand.files.pictures.formats.jpeg import jpeg_frame
 
 _LONGEST_NETPBM = 4096  # bytes of comments before the numbers
 
