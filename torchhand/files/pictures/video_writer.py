@@ -18,6 +18,8 @@ from torchhand.files.pictures.frame_source import ASSUMED_FPS
 
 _ENCODERS = ("libx264", "libopenh264")
 _SPEED, _QUALITY = {"libx264": {"preset": "superfast"}}, {"libx264": {"crf": "23"}}
+_THREADS = {"threads": "2", "thread_type": "frame"}
+"""A frame is encoded while the caller makes the next one; as many on every machine, so that the bits are the same."""
 _SMALLEST_SIDE = 16
 _MAX_DENOMINATOR = 1001  # of a frame rate: 30000/1001 and the like are exact
 _TICKS = 90_000  # a second, at least: a unit of time in which a constant rate is exact, and any other time nearly
@@ -50,7 +52,7 @@ class VideoWriter:
             self._container = av.open(file, "w", format="mp4", options={"movflags": "+faststart"})
         rate = Fraction(fps).limit_denominator(_MAX_DENOMINATOR)
         limits = {"maxrate": str(bits_per_second), "bufsize": str(bits_per_second)} if bits_per_second else {}
-        options = dict(_SPEED.get(encoder, {})) | (limits or _QUALITY.get(encoder, {}))
+        options = dict(_SPEED.get(encoder, {})) | (limits or _QUALITY.get(encoder, {})) | _THREADS
         stream = self._container.add_stream(encoder, rate=rate, options=options)
         assert isinstance(stream, av.VideoStream)
         self._rate, self._last = rate, -1
@@ -58,9 +60,6 @@ class VideoWriter:
         stream.codec_context.time_base = Fraction(1, self._ticks)
         stream.width, stream.height = self._even
         stream.pix_fmt = "yuv420p"
-        # One more, in which a frame is encoded while the caller makes the next; the bits are the same on every machine.
-        stream.codec_context.thread_count = 2
-        stream.codec_context.thread_type = "FRAME"
         if bits_per_second:
             stream.bit_rate = bits_per_second
         self._stream = stream
