@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from tqdm import tqdm
 from tyro.conf import Positional, arg
 
-from torchhand.cli.command import DONE, STOPPED_BY_USER, OnDevice, command, copies_for, parse, threads
+from torchhand.cli.command import DONE, STOPPED_BY_USER, OnDevice, command, parse, threads, workers_of
 from torchhand.devices import device_named
 from torchhand.files import Track
 from torchhand.files.pictures import MAX_MEGAPIXELS, pixel_limit
@@ -87,12 +87,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     with threads(arguments.threads), pixel_limit(arguments.max_megapixels):
         try:
-            poses = fit_pictures(
-                request,
-                arguments.out,
-                _say,
-                lambda count: copies_for(count, arguments.workers, request.device, threads=arguments.threads),
-            )
+            workers = workers_of(arguments.workers, arguments.threads)
+            poses = fit_pictures(request, arguments.out, _say, workers=workers)
         except KeyboardInterrupt:
             _say(f"stopped by Ctrl-C; what is done stands in {arguments.out}: go on with --resume")
             return STOPPED_BY_USER

@@ -15,12 +15,12 @@ from torchhand.cli.command import (
     WRONG_INPUT,
     OnDevice,
     command,
-    copies_for,
     one_address,
     parse,
     threads,
+    workers_of,
 )
-from torchhand.cluster import Cluster, Copies
+from torchhand.cluster import Cluster, Copies, copies_for
 from torchhand.devices import device_named
 from torchhand.errors import DiskError, InputError
 from torchhand.export import MAX_GAP_S, check_max_gap
@@ -160,7 +160,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise InputError(f"--ray: expected a folder of videos with it, got {arguments.input}")
         with Cluster(one_address(arguments.ray)) as cluster:
             return _track_side_by_side(cluster, arguments, request, videos)
-    copies = copies_for(len(videos), arguments.workers, request.device, threads=arguments.threads)
+    copies = copies_for(len(videos), workers_of(arguments.workers, arguments.threads), request.device)
     if copies is not None:
         _say(f"{len(videos)} videos, {copies.processes} at a time, each told of when done (--workers 1: frames too)")
         return _track_side_by_side(copies, arguments, request, videos)

@@ -74,6 +74,13 @@ class Copies:
             pool.shutdown(cancel_futures=True)
 
 
+def copies_for(count: int, workers: int, device: torch.device) -> Copies | None:
+    """Copies of this process for so many independent pieces of work, at most as many as workers; None where this one
+    does them all: where only one is wanted, or none can be made."""
+    processes = min(count, workers)
+    return Copies(processes) if processes > 1 and can_copy_process(device) else None
+
+
 def side_by_side(jobs: Sequence[Callable[[], Result]], device: torch.device) -> list[Result]:
     """The results of some jobs, in their order: side by side in copies of this process where these can be made and
     there are cores for them, else here, one after the other, to the same bits.
@@ -81,14 +88,14 @@ def side_by_side(jobs: Sequence[Callable[[], Result]], device: torch.device) -> 
     Jobs change nothing here, and compute on one thread of torch's as the copies do; what they raise is raised here.
     device: that they compute on.
     """
-    count = min(usable_cores(), len(jobs))
-    if count < 2 or not can_copy_process(device):
+    copies = copies_for(len(jobs), usable_cores(), device)
+    if copies is None:
         return [job() for job in jobs]
 
     def work(place: int) -> bytes:
         return pickle.dumps(jobs[place](), pickle.HIGHEST_PROTOCOL)  # tensors by their values, for this process ends
 
-    found = dict(Copies(count).done(lambda: work, range(len(jobs))))
+    found = dict(copies.done(lambda: work, range(len(jobs))))
     return [pickle.loads(found[place]) for place in range(len(jobs))]
 
 

@@ -129,6 +129,8 @@ def test_pieces_of_skin_are_looked_at_where_other_guesses_lack_a_finger(
     assert overlap(found.mask, truth) > 0.9
     monkeypatch.setattr(refinement, "_OPEN_MISFIT", 0.0)  # of another posture than an open hand's
     assert find_open_hand(image).source == "half"
+    monkeypatch.setattr(refinement, "_guesses", lambda image, side: [])
+    assert find_open_hand(image).source == "none"
 
 
 def test_blank_wall_shows_no_five_fingers(generator: torch.Generator) -> None:

@@ -28,7 +28,7 @@ from torchhand.image.operations.morphology import (
     opened,
     square_kernel,
 )
-from torchhand.image.operations.reduction import reduced, reduced_mask
+from torchhand.image.operations.reduction import enlarged_mask, reduced, reduced_mask
 from torchhand.image.segmentation import clean, components, fill_holes, largest_component, luminance, touching
 
 KERNELS = [disc_kernel(1), disc_kernel(4), square_kernel(1), square_kernel(3)]
@@ -210,6 +210,15 @@ def test_reduction_is_the_mean_over_areas_in_both_ways(size: tuple[int, int], ge
     assert float(reduced(plane, *size).mean()) == pytest.approx(float(plane.mean()), abs=5e-3)
     mask = gaussian_blur(plane, 2.0) > 0.5
     same(reduced_mask, mask, *size)
+
+
+def test_a_mask_is_enlarged_alike_by_both(monkeypatch: pytest.MonkeyPatch) -> None:
+    mask = torch.zeros(12, 9, dtype=torch.bool)
+    mask[3:8, 2:7] = True
+    found = enlarged_mask(mask, 48, 36)
+    assert int(found[12:32, 8:28].sum()) == int(found.sum()) == 20 * 20 - 4  # without its corners
+    monkeypatch.setattr("torchhand.image.operations.reduction.suits_opencv", lambda plane: False)
+    assert torch.equal(enlarged_mask(mask, 48, 36), found)
 
 
 def test_a_reduced_mask_is_set_where_half_of_it_is() -> None:

@@ -2,12 +2,12 @@
 
 from torchhand.cli.command.arguments import (
     OnDevice,
-    copies_for,
     one_address,
     parse,
     print_help,
     threads,
     whole_record,
+    workers_of,
 )
 from torchhand.cli.command.guard import DONE, STOPPED_BY_USER, WRONG_INPUT, command, reader_went_away
 from torchhand.cli.command.records import arguments_of, has_settings
@@ -19,7 +19,6 @@ __all__ = [
     "OnDevice",
     "arguments_of",
     "command",
-    "copies_for",
     "has_settings",
     "one_address",
     "parse",
@@ -27,4 +26,5 @@ __all__ = [
     "reader_went_away",
     "threads",
     "whole_record",
+    "workers_of",
 ]

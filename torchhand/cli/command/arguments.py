@@ -7,7 +7,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, make_dataclass
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import tyro
 from tyro.conf import FlagCreatePairsOff, arg
@@ -15,11 +15,6 @@ from tyro.conf import FlagCreatePairsOff, arg
 from torchhand.cli.command.guard import DONE, WRONG_INPUT
 from torchhand.cli.command.verbosity import tell
 from torchhand.errors import InputError
-
-if TYPE_CHECKING:  # what a command that needs none of it does not load
-    import torch
-
-    from torchhand.cluster import Copies
 
 Arguments = TypeVar("Arguments")
 
@@ -159,20 +154,18 @@ def threads(count: int) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def copies_for(count: int, workers: int | None, device: "torch.device", *, threads: int) -> "Copies | None":
-    """Copies of this process for so many independent inputs, for what a command calls --workers; None where one process
-    does them all: where only one is wanted, or several threads, which a copy has not, or none can be made.
+def workers_of(workers: int | None, threads: int) -> int:
+    """How many processes share independent inputs, for what a command calls --workers: where none is given, as many as
+    there are cores; one where a fit has several threads, which a copy has not.
 
-    workers: None for as many as there are cores.
     Raises:
         InputError: not a number of workers.
     """
-    from torchhand.cluster import Copies, can_copy_process, usable_cores
+    from torchhand.cluster import usable_cores
 
     if workers is not None and not 1 <= workers <= MAX_THREADS:
         raise InputError(f"--workers: expected 1 to {MAX_THREADS}, got {workers}")
-    processes = min(count, usable_cores() if workers is None else workers)
-    return Copies(processes) if processes > 1 and threads == 1 and can_copy_process(device) else None
+    return 1 if threads > 1 else usable_cores() if workers is None else workers
 
 
 def _text_of_box(text: str) -> str:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchhand.devices import on_host
 from torchhand.hand import KEYPOINTS
-from torchhand.image import graph_cut
+from torchhand.image import enlarged_mask, graph_cut
 
 _SIDE_PX = 200  # of the reduced part of the picture that is cut, at most
 _AROUND = 0.6  # that part reaches so far beyond the keypoints; this and the next eight: lengths of the palm
@@ -61,10 +61,9 @@ def cut_at_keypoints(
     if not inside.any():
         return None
     cut = graph_cut(torch.from_numpy(part), likely, inside=inside, outside=~reach)
-    whole = np.zeros((height, width), np.float32)
-    back = (int(right - left), int(bottom - top))
-    whole[top:bottom, left:right] = cv2.resize(cut.numpy().astype(np.float32), back, interpolation=cv2.INTER_LINEAR)
-    return torch.from_numpy(whole > 0.5)
+    whole = torch.zeros(height, width, dtype=torch.bool)
+    whole[top:bottom, left:right] = enlarged_mask(cut, int(bottom - top), int(right - left))
+    return whole
 
 
 def _palm_length(points: np.ndarray) -> float:

@@ -18,7 +18,7 @@ from torch import Tensor
 from torchhand.image.contours import depth_map, distance_map
 from torchhand.image.fingers.fingers import FingerSearch, FingerSettings, find_fingers
 from torchhand.image.fingers.order import DIGITS
-from torchhand.image.operations import dilate, intersection_over_union, square_kernel
+from torchhand.image.operations import dilate, enlarged_mask, intersection_over_union, square_kernel
 from torchhand.image.segmentation import bootstrap_skin, clean, fill_holes, largest_component, skin_candidates
 
 _MIN_AREA_FRACTION, _MAX_AREA_FRACTION = 0.02, 0.75  # of the picture that a hand may cover
@@ -97,8 +97,7 @@ def refine_silhouette(
     cut = _cut(np.ascontiguousarray(pixels[..., ::-1]), small, settings)
     if cut is None:
         return guess
-    whole = cv2.resize(cut.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
-    return torch.from_numpy(whole > 0.5).to(guess.device)
+    return enlarged_mask(torch.from_numpy(cut), height, width).to(guess.device)
 
 
 def find_open_hand(
@@ -116,7 +115,7 @@ def find_open_hand(
     found = _best_of(image, edges, _guesses(image, settings.max_side_px), settings)
     if found is None or not _is_whole(found):  # such as before a wall of skin's colour, or in a hard shadow
         other = _best_of(image, edges, _skin_guesses(image, settings.max_side_px), settings)
-        found = other if other is not None and _is_surely_open(other) else found or other
+        found = other if other is not None and _is_surely_open(other) else found
     if found is None:
         nothing = torch.zeros(image.shape[:2], dtype=torch.bool, device=image.device)
         return HandSilhouette(mask=nothing, source="none", search=None, edge_fraction=0.0)
@@ -205,9 +204,8 @@ def _guesses(image: Tensor, max_side_px: int) -> list[tuple[str, Tensor]]:
 def _skin_guesses(image: Tensor, max_side_px: int) -> list[tuple[str, Tensor]]:
     """Names and masks: pieces that may be hand and bare forearm, most of them cut along edges."""
     height, width = image.shape[:2]
-    pieces = [piece.numpy().astype(np.float32) for piece in skin_candidates(image, max_side_px=max_side_px)]
-    whole = [cv2.resize(piece, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5 for piece in pieces]
-    return [("piece of skin", torch.from_numpy(mask)) for mask in whole]
+    pieces = skin_candidates(image, max_side_px=max_side_px)
+    return [("piece of skin", enlarged_mask(piece, height, width)) for piece in pieces]
 
 
 def _judged(image: Tensor, edges: np.ndarray, mask: Tensor, source: str) -> HandSilhouette | None:

@@ -18,7 +18,7 @@ from torchhand.image.operations.morphology import (
 )
 from torchhand.image.operations.overlaps import hand_region, intersection_over_union
 from torchhand.image.operations.parts import WORKING_PIXELS, PicturePart
-from torchhand.image.operations.reduction import reduced, reduced_mask
+from torchhand.image.operations.reduction import enlarged_mask, reduced, reduced_mask
 
 __all__ = [
     "WORKING_PIXELS",
@@ -29,6 +29,7 @@ __all__ = [
     "count_pieces",
     "dilate",
     "disc_kernel",
+    "enlarged_mask",
     "erode",
     "gaussian_blur",
     "gradient",

@@ -1,4 +1,4 @@
-"""Pictures made smaller by the mean over the area that each new pixel covers."""
+"""Pictures made smaller by the mean over the area that each new pixel covers, and masks made larger again."""
 
 from functools import lru_cache
 
@@ -34,6 +34,17 @@ def reduced_mask(
         pixels = mask.contiguous().view(torch.uint8).numpy() * np.uint8(255)
         return torch.from_numpy(cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA) > 127)
     return reduced(mask.float(), height, width) > _HALF
+
+
+def enlarged_mask(
+    mask: Bool[Tensor, "height width"], height: int, width: int
+) -> Bool[Tensor, "enlarged_height enlarged_width"]:
+    """The mask at another size, such as that of the picture before it was reduced; a new pixel is set where, between
+    the old ones, it would be by more than half."""
+    if suits_opencv(mask):
+        plane = cv2.resize(mask.numpy().astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
+        return torch.from_numpy(plane > 0.5)
+    return torch.nn.functional.interpolate(mask[None, None].float(), (height, width), mode="bilinear")[0, 0] > 0.5
 
 
 def _check(plane: Tensor, height: int, width: int) -> None:

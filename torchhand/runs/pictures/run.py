@@ -18,7 +18,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 import torchhand
-from torchhand.cluster import Copies
+from torchhand.cluster import Copies, copies_for
 from torchhand.devices import HOST
 from torchhand.draw import draw_overlay
 from torchhand.errors import InputError
@@ -132,21 +132,16 @@ def single_pose_fitter(side: Side, settings: SinglePoseSettings, device: torch.d
     return SinglePoseFitter(kinematics, settings, sources=pose_sources(kinematics))
 
 
-def fit_pictures(
-    request: PicturesRequest,
-    out_dir: Path,
-    say: Say,
-    copies_for: Callable[[int], Copies | None] = lambda count: None,
-) -> Track:
+def fit_pictures(request: PicturesRequest, out_dir: Path, say: Say, *, workers: int = 1) -> Track:
     """The hands of all pictures, written into a folder; those that are refused are told with the reason.
 
-    copies_for: copies of this process that so many pictures are shared among, None for none: the results are the same.
+    workers: copies of this process that share the pictures, at most, where it can be copied; the results are the same.
     Raises InputError for inputs that are wrong, among them a single picture that cannot be read.
     """
     pictures = _Pictures(request)
     if not expanded(request.source).is_dir():
         pictures.view(0)  # its mistakes are the user's
-    model, copies = load_hand_model(), copies_for(len(pictures.paths))
+    model, copies = load_hand_model(), copies_for(len(pictures.paths), workers, request.device)
     header = _header(request, pictures.detector_name(copies))
     if request.camera is None:
         say(ASSUMED_CAMERA)

@@ -15,6 +15,7 @@ from torchhand.image import (
     clean,
     dilate,
     disc_kernel,
+    enlarged_mask,
     erode,
     fill_holes,
     graph_cut,
@@ -85,19 +86,14 @@ def cut_at(
     cut = touching(clean(cut), model)
     if not bool(cut.any()):
         return None
-    whole = cv2.resize(cut.numpy().astype(np.float32), (camera.width, camera.height), interpolation=cv2.INTER_LINEAR)
-    return torch.from_numpy(whole > 0.5)
+    return enlarged_mask(cut, camera.height, camera.width)
 
 
 @on_host
 def silhouettes_by_skin(image: UInt8[Tensor, "height width 3"]) -> list[Bool[Tensor, "height width"]]:
     """What may be hand and bare forearm where nothing is known of it: `skin_candidates` in the picture's size."""
     height, width = image.shape[:2]
-    found = []
-    for piece in skin_candidates(image):
-        small = piece.numpy().astype(np.float32)
-        found.append(torch.from_numpy(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR) > 0.5))
-    return found
+    return [enlarged_mask(piece, height, width) for piece in skin_candidates(image)]
 
 
 def oval_overlap(mask: Bool[Tensor, "height width"]) -> float:

@@ -53,10 +53,10 @@ def jpeg_frame(data: bytes) -> JpegFrame | None:
 
 def checked_jpeg(data: bytes) -> CheckedPicture:
     """Whether a JPEG file is whole, without padding before the end, and its picture, where it is a plain one."""
-    end, scans, is_turned = None, 0, False
+    end, scans, has_exif = None, 0, False
     for kind, at in _markers(data):
         scans += kind == _SCAN
-        is_turned |= kind == _APP1 and data[at + 2 : at + 6] == b"Exif"
+        has_exif |= kind == _APP1 and data[at + 2 : at + 6] == b"Exif"
         if kind == _END:
             end = at
             break
@@ -69,9 +69,9 @@ def checked_jpeg(data: bytes) -> CheckedPicture:
         return CheckedPicture(whole=data)  # rare kinds, which this check cannot read
     for padding in range(_MAX_PADDING + 1):
         whole = data[: end - 2 - padding] + data[end - 2 : end]
-        decoded = _decoded(whole, is_grey=is_turned)
+        decoded = _decoded(whole, is_grey=has_exif)
         if decoded is not None:
-            return CheckedPicture(whole=whole, pixels=None if is_turned else decoded)
+            return CheckedPicture(whole=whole, pixels=None if has_exif else decoded)
     return CheckedPicture(whole=None, problem="is a corrupt picture (the coded data of the JPEG are damaged)")
 
 
