@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchhand.fit import mask_plane
 from torchhand.fit.contour import hand_length_px, is_in_picture, is_outer
-from torchhand.fit.detect.edge_fit import Fit, FitSettings, fit_contour, pose_prior_std
+from torchhand.fit.detect.edge_fit import Fit, FitSettings, fit_contour, fit_contours, pose_prior_std
 from torchhand.geometry import assumed_camera, rotation_from_vector
 from torchhand.hand import DOFS, HandPose, posture
 from torchhand.simulate import sample_shape
@@ -141,6 +141,24 @@ def test_edges_that_are_none_leave_the_start(studio: Any) -> None:
     torch.testing.assert_close(fit.pose, placed.pose, rtol=0, atol=1e-9)
     torch.testing.assert_close(fit.shape, placed.shape, rtol=0, atol=1e-9)
     torch.testing.assert_close(fit.root_reference, placed.root_reference, rtol=0, atol=1e-9)
+
+
+def test_several_placements_at_once_end_where_each_ends_by_itself(studio: Any) -> None:
+    placed = studio.placed(camera=studio.camera(*WIDE))
+    generator, plane = torch.Generator().manual_seed(6), mask_plane(_exact_mask(placed))
+    starts = [HandPose.of(*_perturbed(placed, generator)) for _ in range(3)]
+    behind = HandPose(dofs=starts[0].dofs - 2.0 * (torch.arange(36) == 2), reference=starts[0].reference)
+    starts.insert(1, behind)
+    together = fit_contours(plane, placed.projector, studio.table, HandPose.stack(starts))
+    alone = [fit_contour(plane, placed.projector, studio.table, start, fit_shape=False) for start in starts]
+    assert [fit.found_fraction > 0.9 for fit in together] == [True, False, True, True]
+    for one, other in zip(together, alone, strict=True):
+        torch.testing.assert_close(one.pose, other.pose, rtol=0, atol=1e-7)
+        torch.testing.assert_close(one.root_reference, other.root_reference, rtol=0, atol=1e-7)
+        torch.testing.assert_close(one.pose_std, other.pose_std, rtol=1e-6, atol=1e-9)
+        assert one.found_fraction == pytest.approx(other.found_fraction, abs=1e-9)
+    empty = fit_contours(torch.zeros_like(plane), placed.projector, studio.table, HandPose.stack(starts))
+    assert [fit.found_fraction for fit in empty] == [0.0] * len(starts)
 
 
 def test_a_hand_behind_the_camera_is_no_error(studio: Any) -> None:

@@ -110,12 +110,12 @@ class Fit:
         )
 
     @classmethod
-    def of_solution(cls, found: SharedSolution, problem: Problem) -> "Fit":
-        """The one hand of a problem of one picture, with edges among its observations."""
-        pose, outline = found.pose[0], next(one for one in found.explained if one.name == EDGES)
+    def of_solution(cls, found: SharedSolution, problem: Problem, row: int = 0) -> "Fit":
+        """One of the hands of a problem about one picture, with edges among its observations."""
+        pose, outline = found.pose[row], next(one for one in found.explained if one.name == EDGES)
         basis, (lower, upper) = problem.space.basis, problem.bounds
-        values = problem.values_of(found.pose)[0]
-        std = found.covariance[0].diagonal().clamp_min(0).sqrt()
+        values = problem.values_of(found.pose)[row]
+        std = found.covariance[row].diagonal().clamp_min(0).sqrt()
         std = basis @ torch.where((values > lower) & (values < upper), std, 0.0)
         shape_std = found.shape_std
         if problem.shared is not None:
@@ -128,8 +128,8 @@ class Fit:
             shape=found.shape,
             pose_std=std,
             shape_std=shape_std,
-            residual_px=float(outline.distance),
-            found_fraction=float(outline.fraction),
+            residual_px=float(outline.distance[row]),
+            found_fraction=float(outline.fraction[row]),
         )
 
 
@@ -159,14 +159,38 @@ def fit_contour(
     depth. The camera's frame is the world; projector: with the shape to start from. Where the contour finds no edges,
     the start comes back with `found_fraction` 0.
     """
-    settings, start, kinematics = settings or FitSettings(), pose.normalized(), projector.kinematics
+    return _fitted(plane, projector, table, pose.reshape(1), settings or FitSettings(), fit_shape=fit_shape)[0]
+
+
+def fit_contours(
+    plane: Float[Tensor, "height width"],
+    projector: HandProjector,
+    table: OutlineTable,
+    poses: HandPose,
+    settings: FitSettings | None = None,
+) -> list[Fit]:
+    """`fit_contour` from several starts (k) at once, the shape known. The starts are placements of one posture: what is
+    held of the joints, and which fingers are bent, is as in the first of them."""
+    return _fitted(plane, projector, table, poses, settings or FitSettings(), fit_shape=False)
+
+
+def _fitted(
+    plane: Float[Tensor, "height width"],
+    projector: HandProjector,
+    table: OutlineTable,
+    poses: HandPose,
+    settings: FitSettings,
+    *,
+    fit_shape: bool,
+) -> list[Fit]:
+    start, kinematics = poses.normalized(), projector.kinematics
     shape, names = projector.shape, kinematics.shape_space.names
     edges = EdgeObservation(plane=plane, contours=PrimitiveContours(projector, table), std_px=settings.edge_std_px)
     if edges.is_empty:
-        return Fit.of_start(start.dofs, start.reference, shape)
-    pose_std = pose_prior_std(start.dofs, settings.bent_std_rad)
+        return [Fit.of_start(own, reference, shape) for own, reference in zip(start.dofs, start.reference, strict=True)]
+    pose_std = pose_prior_std(start.dofs[0], settings.bent_std_rad)
     space = pose_space("start", tuple(dof for dof, std in zip(DOFS, pose_std.tolist(), strict=True) if std > 0))
-    space = space.about(start.dofs)
+    space = space.about(start.dofs[0])
     problem = Problem(
         space=space,
         skeleton=kinematics.skeleton,
@@ -175,8 +199,8 @@ def fit_contour(
         priors=(GaussianPrior.of_std(start, pose_std[pose_std > 0], space),),
         shared=_shape_about(shape, kinematics) if fit_shape else None,
     )
-    found = solve_shared(problem, start.reshape(1), settings.schedule(float(shape[names.index("hand_length")])))
-    return Fit.of_solution(found, problem)
+    found = solve_shared(problem, start, settings.schedule(float(shape[names.index("hand_length")])))
+    return [Fit.of_solution(found, problem, row) for row in range(len(start))]
 
 
 def _shape_about(shape: Float[Tensor, "shape"], kinematics: HandKinematics) -> SharedUnknowns:

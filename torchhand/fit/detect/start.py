@@ -1,6 +1,6 @@
 """Finds a hand in a single picture and fits it: the start of a track, and its restart after a loss."""
 
-import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -11,7 +11,7 @@ from torchhand.devices import on_host
 from torchhand.fit import Appearance, disc, learn_appearance, mask_plane
 from torchhand.fit.contour import hand_length_px, is_in_picture
 from torchhand.fit.detect.alignment import Alignment, align_points, align_posture
-from torchhand.fit.detect.edge_fit import Fit, FitSettings, fit_contour
+from torchhand.fit.detect.edge_fit import Fit, FitSettings, fit_contour, fit_contours
 from torchhand.fit.detect.keypoint_cut import CutAtKeypoints, cut_at_keypoints
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandKinematics, HandPose
@@ -33,7 +33,7 @@ StartPoints = tuple[float, float, float, float]
 
 _WORST_COST = 0.42  # alignments above it are not worth fitting
 _TRIES = 4  # alignments fitted per picture
-_SPREADS = (1.0, 1.6, 0.4)  # factors on the abductions from which the fit starts, as long as none is good
+_SPREADS = (1.6, 0.4)  # factors on the abductions from which the fit starts too, as long as none is good
 _GOOD = 0.93  # overlap at which no other start is tried
 _NEAR = 0.65  # overlap below which other abductions are not tried: the hand has another posture or is elsewhere
 _MIN_FOUND = 0.8  # share of the fitted contour that must lie on edges
@@ -60,6 +60,17 @@ class ContourFitter:
         projector = HandProjector(self.kinematics, self.camera, start.shape)
         pose = HandPose.of(start.pose, start.root_reference)
         return fit_contour(mask_plane(mask), projector, self.table, pose, self.settings, fit_shape=self.fit_shape)
+
+    def fitted_each(self, mask: Bool[Tensor, "height width"], alignments: Sequence[Alignment]) -> Iterator[Fit]:
+        """The hand moved so from each of some placements of one posture: all at once where the shape is known, else
+        each when it is asked for."""
+        if self.fit_shape or not alignments:
+            starts = (Fit.of_start(one.pose, one.root_reference, self.shape) for one in alignments)
+            yield from (self.fitted(mask, start) for start in starts)
+            return
+        poses = HandPose.stack([HandPose.of(one.pose, one.root_reference) for one in alignments])
+        projector = HandProjector(self.kinematics, self.camera, self.shape)
+        yield from fit_contours(mask_plane(mask), projector, self.table, poses, self.settings)
 
     def overlap(self, mask: Bool[Tensor, "height width"], fit: Fit) -> float:
         """Intersection over union of a fitted hand and a mask, forearm cut at the wrist."""
@@ -133,16 +144,11 @@ def find_hand(
         return NoStart(reason=reason or "too little of the picture has the hand's colours", has_foreground=False)
     where = (fitter.camera, fitter.kinematics, fitter.shape)
     alignments = [a for a in align_posture(mask, *where, posture) if a.cost < _WORST_COST]
-    best: Start | None = None
-    best_facing = ""
-    for spread, alignment in itertools.product(_SPREADS, alignments[:_TRIES]):
-        if best is not None and best.overlap > _GOOD:
-            break
-        if spread != 1.0 and (best is None or best.overlap < _NEAR or alignment.facing != best_facing):
-            continue
-        start = _fitted(image, mask, _spread(alignment, spread), fitter, appearance)
-        if start is not None and (best is None or start.quality > best.quality):
-            best, best_facing = start, alignment.facing
+    best, facing = _best_start(image, mask, alignments[:_TRIES], fitter, appearance, None)
+    if best is not None and best.overlap >= _NEAR:
+        near = [one for one in alignments[:_TRIES] if one.facing == facing]
+        others = [_spread(one, factor) for factor in _SPREADS for one in near]
+        best, _ = _best_start(image, mask, others, fitter, appearance, best)
     if best is None or best.overlap < min_overlap or best.fit.found_fraction < _MIN_FOUND:
         got = (
             f"best overlap {best.overlap:.2f}, edges on {best.fit.found_fraction:.0%}" if best else "no placement fits"
@@ -213,12 +219,31 @@ def _spread(alignment: Alignment, factor: float) -> Alignment:
     return replace(alignment, pose=torch.where(is_spread, factor * alignment.pose, alignment.pose))
 
 
-def _fitted(
-    image: Tensor, mask: Tensor, alignment: Alignment, fitter: ContourFitter, appearance: Appearance | None
+def _best_start(
+    image: Tensor,
+    mask: Tensor,
+    alignments: Sequence[Alignment],
+    fitter: ContourFitter,
+    appearance: Appearance | None,
+    best: Start | None,
+) -> tuple[Start | None, str]:
+    """The best hand of those fitted from some alignments and of `best`, as soon as one is good; and which side of it
+    faces the camera, where it is one of the former."""
+    facing, fits = "", fitter.fitted_each(mask, alignments)
+    for alignment in alignments:
+        if best is not None and best.overlap > _GOOD:
+            break
+        start = _started(image, mask, next(fits), fitter, appearance)
+        if start is not None and (best is None or start.quality > best.quality):
+            best, facing = start, alignment.facing
+    return best, facing
+
+
+def _started(
+    image: Tensor, mask: Tensor, fit: Fit, fitter: ContourFitter, appearance: Appearance | None
 ) -> Start | None:
-    """The hand fitted from an alignment; None where much of it lies outside the picture, or teaches no colours."""
+    """A fitted hand as a start; None where much of it lies outside the picture, or teaches no colours."""
     camera = fitter.camera
-    fit = fitter.fitted(mask, Fit.of_start(alignment.pose, alignment.root_reference, fitter.shape))
     frames = fitter.kinematics(fit.pose, fit.shape, root_reference=fit.root_reference)
     if float(is_in_picture(camera.project(frames.keypoints), camera).double().mean()) < _MIN_INSIDE:
         return None
