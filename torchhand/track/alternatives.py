@@ -11,7 +11,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.fit import Observation, PosedHands, Solutions, Stage, solve
+from torchhand.fit import Observation, PosedHands, Solutions, solve
+from torchhand.fit.contour import QUICK_SEARCH
 from torchhand.fit.keypoints import PostureKeypoints
 from torchhand.hand import JOINT_DOFS, HandPose
 from torchhand.numerics import single_threaded
@@ -22,12 +23,6 @@ from torchhand.track.scene import Scene, learned_observations, seen_posture
 from torchhand.track.tracker import Tracker
 
 SAME_M = 0.005  # mean distance of keypoints, up to which two registered hands are one
-_SCHEDULE = (
-    Stage(gross_m=0.0187, rounds=1, iterations=5, pitch_px=4, thinning=2),
-    Stage(gross_m=0.00374, rounds=2, iterations=3, pitch_px=1),
-)
-"""Half the time of `torchhand.fit.contour.SEARCH`, which has a stage more in between and takes every point at once: the
-hands that it ends in are as good (six simulated recordings)."""
 _UNTOLD = 0.1  # share of pictures in which the network's hypotheses tell nothing of the direction
 
 
@@ -55,7 +50,7 @@ class TiltAlternatives:
         the hand's colours."""
         self._tracker, self._fit = (
             tracker,
-            FrameFit(tracker=tracker, state=state, schedule=_SCHEDULE, contours=contour_settings(tracker)),
+            FrameFit(tracker=tracker, state=state, schedule=QUICK_SEARCH, contours=contour_settings(tracker)),
         )
         self._shape = state.shape
 
@@ -71,8 +66,8 @@ class TiltAlternatives:
         and beside a detector, which tells of tilts."""
         parts, followed, shape = self._tracker.parts, hands[0], self._shape
         assert shape is not None
-        outline = self._fit.contour(scene, followed)
-        if outline is None or parts.keypoints(scene).observations:
+        outline = None if parts.keypoints(scene).observations else self._fit.contour(scene, followed)
+        if outline is None:
             return None
         seen = seen_posture(scene, parts.cameras[0], parts.kinematics, followed, shape)
         observations: list[Observation] = [outline]
@@ -83,7 +78,7 @@ class TiltAlternatives:
             joints.append(seen.joints)
         tilted = tilted_hands(followed, joints, parts.kinematics, shape)
         starts = HandPose.stack([*hands, *(tilted[row] for row in range(len(tilted.dofs)))])
-        found = solve(self._fit.hypotheses(observations), starts, _SCHEDULE)
+        found = solve(self._fit.hypotheses(observations), starts, QUICK_SEARCH)
         found = replace(found, pose=found.pose.normalized())
         if seen is not None:
             agreement = torch.stack([seen.direction_agreement(one) for one in found.pose.rotation])
@@ -95,7 +90,7 @@ class TiltAlternatives:
         """What an observation costs hands in which nothing is to be associated."""
         assert self._shape is not None
         hands = PosedHands(pose=poses, shape=self._shape)
-        return observation.associate(hands, _SCHEDULE[-1]).equations(hands).cost
+        return observation.associate(hands, QUICK_SEARCH[-1]).equations(hands).cost
 
     def _different(self, found: Solutions, contour: Float[Tensor, "k"], given: int) -> Alternatives | None:
         """Those that differ, the cheapest first; None where one of the first few, which were given, is none. contour:

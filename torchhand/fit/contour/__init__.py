@@ -6,12 +6,13 @@ from torchhand.fit.contour.observation import CONTOUR, ContourFactor, ContourObs
 from torchhand.fit.contour.picture import PictureContours, picture_contours
 from torchhand.fit.contour.points import hand_length_px, is_in_picture, is_outer, pixels_per_metre
 from torchhand.fit.contour.restarts import Restarts, RestartSettings, solve_with_restarts
-from torchhand.fit.contour.settings import SEARCH, THIN_SEARCH, TRACKING, WIDE_SEARCH, ContourSettings
+from torchhand.fit.contour.settings import QUICK_SEARCH, SEARCH, THIN_SEARCH, TRACKING, WIDE_SEARCH, ContourSettings
 
 __all__ = [
     "CONTOUR",
     "EDGES",
     "EDGE_REACH",
+    "QUICK_SEARCH",
     "SEARCH",
     "THIN_SEARCH",
     "TRACKING",

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.fit.contour import QUICK_SEARCH
 from torchhand.fit.proposals import ProposalRegistration
 from torchhand.geometry import Camera, rotation_from_vector
 from torchhand.hand import JOINT_DOFS, HandKinematics, HandPose
@@ -42,7 +43,7 @@ class TiltedHands:
 
     @cached_property
     def _registration(self) -> ProposalRegistration:
-        return ProposalRegistration(kinematics=self.kinematics)
+        return ProposalRegistration(kinematics=self.kinematics, schedule=QUICK_SEARCH)
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """The cheapest hands that differ; none without a followed hand or a silhouette, nor beside a detector."""
