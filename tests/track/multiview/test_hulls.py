@@ -1,3 +1,4 @@
+from dataclasses import replace
 from itertools import combinations
 
 import pytest
@@ -32,6 +33,22 @@ def test_hull_holds_the_hand_anywhere_and_near(rig, pose_at, masks_of, skin):
         assert hull.views == (0, 1, 2, 3)
         assert _inside_fraction(hull.target, skin) > 0.97
     assert _pitch(near) == pytest.approx(0.512 / 2**7)
+
+
+def test_a_hand_that_leaves_one_of_two_pictures_is_where_the_other_sees_it(rig, pose_at, masks_of, skin):
+    front, side = masks_of(pose_at())[:2]
+    middle = int(side.any(0).nonzero().double().mean())
+    cut = replace(rig[1], width=middle)
+    is_beyond = cut.project(skin)[:, 0] > middle + 2
+    assert 0.3 < float(is_beyond.double().mean()) < 0.7
+
+    def held(cameras, masks, **settings) -> float:
+        hull = Hulls(cameras, HullOctreeSettings(**settings)).near(masks, skin.mean(0))
+        return _inside_fraction(hull.target, skin[is_beyond])
+
+    assert held([rig[0], cut], [front, side[:, :middle]]) > 0.97
+    assert held([rig[0], cut], [front, side[:, :middle]], min_views=2) < 0.1
+    assert held(rig[:2], [front, side]) > 0.97
 
 
 def test_hull_away_from_the_hand_is_none(rig, pose_at, masks_of):

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.fit import Observation
+from torchhand.fit.contour import is_in_picture, pixels_per_metre
 from torchhand.fit.hull import HullTarget, target_of, with_rays
 from torchhand.geometry import Camera
 from torchhand.track.multiview.hand_end import HandEnd
@@ -116,14 +117,18 @@ class Hulls:
         return RootCube(centre=(x, y, z), side=min(self.root.side, float((high - low).max())))
 
     def near(self, masks: Masks, place: Float[Tensor, "3"]) -> Hull:
-        """The hull about a place, world frame, metres, where a hand is followed."""
+        """The hull about a place, world frame, metres, where a hand is followed.
+
+        A hand that leaves pictures is where the others see it: what lies beyond the border of a picture is the hull's
+        if fewer views see it than are needed elsewhere, as many as show all about the place; one at least.
+        """
         root, side = self.root, self.settings.tracked_side
         if side is None or side >= root.side or not bool(place.isfinite().all()):
             return self._hull(masks, root, self.settings.level)
         leaf = side / 2**self.settings.level
         x, y, z = (leaf * round(float(value) / leaf) for value in place)
         cube = RootCube(centre=(x, y, z), side=side)
-        return replace(self._hull(masks, cube, self.settings.level, reach=_REACH), about=place)
+        return replace(self._hull(masks, cube, self.settings.level, about=place), about=place)
 
     def _hull(
         self,
@@ -132,14 +137,14 @@ class Hulls:
         level: int,
         min_volume: float = _MIN_VOLUME,
         end: HandEnd | None = None,
-        reach: float | None = None,
+        about: Float[Tensor, "3"] | None = None,
     ) -> Hull:
-        """reach: metres from the cube's centre within which the hull is wanted."""
-        carved = self._carved(masks, root, level, min_volume)
+        """about: the place of a hand, about which alone the hull is wanted."""
+        carved = self._carved(masks, root, level, min_volume, about)
         if carved.octree is None:
             return Hull(target=None, views=carved.views, reason=carved.reason)
-        within = None if reach is None else (root.centre, reach)
-        exact_to = math.inf if reach is None else _EXACT_TO
+        within = None if about is None else (root.centre, _REACH)
+        exact_to = math.inf if about is None else _EXACT_TO
         target = target_of(hull_field(carved.octree, surface="middle", within=within, exact_to=exact_to))
         if end is not None:
             target = target.where(end)
@@ -150,7 +155,14 @@ class Hulls:
                 target = replace(target, rays=end.rays(target.rays, _RAYS))
         return Hull(target=target, views=carved.views)
 
-    def _carved(self, masks: Masks, root: RootCube, level: int, min_volume: float) -> "_Carved":
+    def _carved(
+        self,
+        masks: Masks,
+        root: RootCube,
+        level: int,
+        min_volume: float,
+        about: Float[Tensor, "3"] | None = None,
+    ) -> "_Carved":
         """An octree from all views or, where these do not meet, from all but the one without which most is left."""
         views = tuple(view for view, mask in enumerate(masks) if mask is not None and bool(mask.any()))
         if len(views) < self._min_views:
@@ -159,24 +171,35 @@ class Hulls:
                 f"a silhouette in {len(views)} of {len(masks)} views ({missing} missing), {self._min_views} are needed"
             )
             return _Carved(views=views, reason=reason)
-        octree = self._octree(masks, views, root, level)
+        octree = self._octree(masks, views, root, level, about)
         if float(octree.volume()) <= min_volume and len(views) > self._min_views:
             others = [tuple(v for v in views if v != left_out) for left_out in views]
-            trees = [self._octree(masks, some, root, level) for some in others]
+            trees = [self._octree(masks, some, root, level, about) for some in others]
             best = max(range(len(trees)), key=lambda i: float(trees[i].volume()))
             views, octree = others[best], trees[best]
         if float(octree.volume()) <= min_volume:
             return _Carved(views=views, reason="the silhouettes of the views do not meet")
         return _Carved(views=views, octree=octree)
 
-    def _octree(self, masks: Masks, views: Sequence[int], root: RootCube, level: int) -> Octree:
+    def _octree(
+        self,
+        masks: Masks,
+        views: Sequence[int],
+        root: RootCube,
+        level: int,
+        about: Float[Tensor, "3"] | None,
+    ) -> Octree:
         s, count = self.settings, len(views)
         tolerated = min(s.tolerated_views, count - 2) if count > 2 else 0
+        needed = min(s.min_views or max(2, math.ceil(0.75 * count)), count)
+        if about is not None and s.min_views is None:
+            whole = sum(_shows_all_about(self.cameras[view], about) for view in views)
+            needed = min(needed, max(1, whole))
         settings = CarvingSettings(
             level=level,
             margin_px=s.margin_px,
             tolerated_views=tolerated,
-            min_views=min(s.min_views or max(2, math.ceil(0.75 * count)), count),
+            min_views=needed,
         )
         return self._carver(tuple(views), root, settings).carve([masks[view] for view in views])
 
@@ -189,3 +212,10 @@ class Hulls:
         if root.side in (self.root.side, self.settings.tracked_side):
             self._carvers[key] = made
         return made
+
+
+def _shows_all_about(camera: Camera, place: Float[Tensor, "3"]) -> bool:
+    """Whether a hand about a place, world frame, is in the picture whatever its posture."""
+    around = pixels_per_metre(camera, place) * _REACH
+    corners = camera.project(place) + around * place.new_tensor([[-1.0, -1.0], [1.0, 1.0]])
+    return bool(is_in_picture(corners, camera).all())

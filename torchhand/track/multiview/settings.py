@@ -36,7 +36,8 @@ class HullOctreeSettings:
     tolerated_views: int = 0
     """Views that may be wrong at every place, as in `CarvingSettings`; 0 or more."""
     min_views: int | None = None
-    """Views in which the hand must appear; null: three quarters of those there are, at least two."""
+    """Views in which the hand must appear; null: three quarters of those there are, at least two. Of a followed hand
+    that leaves pictures, no more than show all about it."""
 
     def __post_init__(self) -> None:
         require(1 <= self.level <= 10, "rig.octree.level", "1 to 10", self.level)
