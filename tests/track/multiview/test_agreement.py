@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import torch
 
@@ -55,6 +56,17 @@ def test_missing_views_have_no_overlap(rig_hand, rig, pose_at, masks_of):
     assert bool(overlaps[0].isnan())
     assert mean_overlap(overlaps) == float(overlaps[1:].mean())
     assert mean_overlap(torch.full((2,), math.nan)) == 0.0
+
+
+def test_a_picture_of_several_that_hardly_shows_the_hand_is_not_compared(rig_hand, rig, pose_at, masks_of):
+    (pose, reference), masks = pose_at(), masks_of(pose_at())
+    points = rig[1].project(rig_hand.kinematics(pose, root_reference=reference).keypoints)[:, 0].sort().values
+    for shown, is_compared in ((3, False), (8, True)):
+        width = int(points[shown - 1]) + 1
+        cut, mask = replace(rig[1], width=width), masks[1][:, :width]
+        overlaps = comparison(rig_hand, [rig[0], cut])(pose, reference, [masks[0], mask])
+        assert overlaps.isfinite().tolist() == [True, is_compared]
+        assert bool(comparison(rig_hand, [cut])(pose, reference, [mask]).isfinite().all())
 
 
 def test_overlaps_are_those_of_the_whole_comparison(rig_hand, rig, pose_at, masks_of):

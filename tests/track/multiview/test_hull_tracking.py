@@ -252,3 +252,25 @@ def test_other_hands_are_tried_seldom_while_the_hand_stays_lost(rig_hand, rig, p
         counts.append(len(asked) - before)
     assert counts[0] >= 1
     assert sum(count > 0 for count in counts) <= 5
+
+
+def test_a_hand_that_leaves_one_of_two_pictures_is_followed_in_the_other(rig_hand, rig, pose_at, masks_of):
+    width = 130
+    front, side = rig[0], replace(rig[1], width=width)
+    places = [(0.0, 0.08, -0.06 + 0.012 * frame) for frame in range(14)]
+    course = [pose_at(turn=0.3, place=place) for place in places]
+    tracker = Tracker(rig_hand, [front, side], SELDOM)
+    state, shown, errors = _state(tracker, course[0]), [], []
+    for frame, pose in enumerate(course):
+        masks = masks_of(pose)
+        views = _views([masks[0], masks[1][:, :width]])
+        state, estimate = tracker.step(state, views, frame * FRAME_S)
+        points = side.project(rig_hand.kinematics(pose[0], root_reference=pose[1]).keypoints)
+        shown.append(float((points[:, 0] < width).double().mean()))
+        assert estimate.status == "tracked"
+        errors.append(_error_mm(rig_hand, estimate, pose))
+    assert shown[0] == 1.0
+    assert shown[-1] < 0.1
+    assert estimate.overlaps is not None
+    assert estimate.overlaps.isfinite().tolist() == [True, False]
+    assert max(errors) < 5.0

@@ -30,6 +30,7 @@ from torchhand.view.outlines import Generators, Polygons, generators, outline_of
 _REACH = 1.3  # silhouettes are compared so far from the wrist, hand lengths
 _STEEP = 0.25  # a palm seen shorter than this, hand lengths, has no direction in the picture
 _RING = 0.12  # there silhouettes are compared so far around the model, hand lengths
+_SHOWN = 0.25  # share of the keypoints in a picture of several, below which too little of the hand is there to compare
 _FINGER = 0.03  # radius of a disc that fits into every finger, hand lengths
 
 
@@ -38,12 +39,13 @@ class Agreement:
     """How a model's silhouettes and the pictures' compare."""
 
     overlaps: Float[Tensor, "views"]
-    """Intersection over union, forearm cut at the wrist; NaN in views without a silhouette."""
+    """Intersection over union, forearm cut at the wrist; NaN in views without a silhouette, and in those of several
+    whose pictures hardly show the hand."""
     unexplained: Float[Tensor, "views"]
     """Area of the picture's hand outside the model, in pieces as thick as a finger, in squares of the hand's length."""
     beyond: Float[Tensor, "views"]
     """How far the picture beyond the wrist differs from every forearm and from nothing, in squares of the hand's length
-    (`forearm_mismatch`); NaN in views without a silhouette."""
+    (`forearm_mismatch`); NaN as the overlaps are."""
 
     @classmethod
     def of_overlaps(cls, overlaps: Float[Tensor, "views"]) -> "Agreement":
@@ -165,6 +167,11 @@ class SilhouetteComparison:
         self._alike = [views for views in kinds if views]
         self._rotation = torch.stack([camera.rotation for camera in small])
         self._translation = torch.stack([camera.translation for camera in small])
+        self._focal = torch.stack([camera.intrinsics.diagonal()[:2] for camera in small]).to(self._rotation)[:, None]
+        self._centre = torch.stack([camera.intrinsics[:2, 2] for camera in small]).to(self._rotation)[:, None]
+        last = [(camera.width - 1.0, camera.height - 1.0) for camera in small]
+        self._last = torch.tensor(last, dtype=self._rotation.dtype, device=self._rotation.device)[:, None]
+        self._is_pinhole = torch.tensor([not one.is_orthographic for one in self._projectors], device=self._last.device)
 
     def __call__(self, hand: HandPose | PlacedHand, scene: Scene) -> Agreement:
         """Of a hand () in every view; what is apart from it does not count."""
@@ -209,8 +216,21 @@ class SilhouetteComparison:
         return PlacedHand(frames=frames, alike=tuple(alike))
 
     def _compared(self, placed: PlacedHand, silhouettes: Masks) -> Iterator["_Compared | None"]:
-        for projector, seen, silhouette in zip(self._projectors, placed.views, silhouettes, strict=True):
-            yield None if silhouette is None else self._in_view(projector, seen, placed.frames.keypoints, silhouette)
+        keypoints = placed.frames.keypoints
+        parts = (self._projectors, placed.views, silhouettes, self._are_shown(keypoints))
+        for projector, seen, silhouette, is_shown in zip(*parts, strict=True):
+            yield self._in_view(projector, seen, keypoints, silhouette) if silhouette is not None and is_shown else None
+
+    def _are_shown(self, keypoints: Float[Tensor, "21 3"]) -> list[bool]:
+        """Which pictures show enough of a hand to be compared with it; a single one always: how much of the hand it
+        shows is judged elsewhere."""
+        if len(self._projectors) == 1:
+            return [True]
+        in_cam = keypoints @ self._rotation.mT + self._translation[:, None]
+        depth = torch.where(self._is_pinhole[:, None, None], in_cam[..., 2:], 1.0)
+        pixels = in_cam[..., :2] / depth * self._focal + self._centre
+        is_in = ((pixels >= 0) & (pixels <= self._last) & (depth > 0)).all(-1)
+        return (is_in.to(pixels).mean(-1) >= _SHOWN).tolist()
 
     def _in_view(
         self,
