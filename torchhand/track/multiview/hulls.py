@@ -165,11 +165,10 @@ class Hulls:
     ) -> "_Carved":
         """An octree from all views or, where these do not meet, from all but the one without which most is left."""
         views = tuple(view for view, mask in enumerate(masks) if mask is not None and bool(mask.any()))
-        if len(views) < self._min_views:
+        least = self._min_views if about is None else max(1, min(self._min_views, _number_about(self.cameras, about)))
+        if len(views) < least:
             missing = sum(mask is None for mask in masks)
-            reason = (
-                f"a silhouette in {len(views)} of {len(masks)} views ({missing} missing), {self._min_views} are needed"
-            )
+            reason = f"a silhouette in {len(views)} of {len(masks)} views ({missing} missing), {least} are needed"
             return _Carved(views=views, reason=reason)
         octree = self._octree(masks, views, root, level, about)
         if float(octree.volume()) <= min_volume and len(views) > self._min_views:
@@ -193,8 +192,7 @@ class Hulls:
         tolerated = min(s.tolerated_views, count - 2) if count > 2 else 0
         needed = min(s.min_views or max(2, math.ceil(0.75 * count)), count)
         if about is not None and s.min_views is None:
-            whole = sum(_shows_all_about(self.cameras[view], about) for view in views)
-            needed = min(needed, max(1, whole))
+            needed = max(1, min(needed, _number_about([self.cameras[view] for view in views], about)))
         settings = CarvingSettings(
             level=level,
             margin_px=s.margin_px,
@@ -212,6 +210,11 @@ class Hulls:
         if root.side in (self.root.side, self.settings.tracked_side):
             self._carvers[key] = made
         return made
+
+
+def _number_about(cameras: Sequence[Camera], place: Float[Tensor, "3"]) -> int:
+    """In how many pictures a hand about a place, world frame, is as a whole, whatever its posture."""
+    return sum(_shows_all_about(camera, place) for camera in cameras)
 
 
 def _shows_all_about(camera: Camera, place: Float[Tensor, "3"]) -> bool:

@@ -89,7 +89,8 @@ class RigSettings:
     found_overlap: float = 0.70
     """Smallest overlap, mean over the views, with which a hand is taken as found; 0 to 1."""
     min_views: int = 2
-    """Views with a silhouette that a frame needs; 2 or more."""
+    """Views with a silhouette that a frame needs; 2 or more. Of a followed hand that leaves pictures, no more than show
+    all about it."""
     check_side_px: int = 160
     """Longer side of the reduced pictures in which silhouettes are compared; 64 or more."""
 
