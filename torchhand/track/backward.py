@@ -67,7 +67,7 @@ class BackwardPass:
         self._tracker, self._shape_before, self._last = tracker, state.shape, state.hand
         self._shape = state.shape if shape is None else shape
         mirrored = tuple(replace(one, time_s=-one.time_s) for one in state.keyframes)
-        self._state = replace(state, time_s=None, hand=None, keyframes=mirrored, shape=self._shape)
+        self._state = replace(state, time_s=None, hand=None, last_seen=None, keyframes=mirrored, shape=self._shape)
         self._tilts = TiltAlternatives(tracker, self._state) if TiltAlternatives.can_tilt(tracker) else None
         self._frames_to_look = 0
         self._odds: tuple[Tensor, Tensor] | None = None

@@ -24,7 +24,7 @@ from torchhand.precision import without_autocast
 from torchhand.propose import LearnedPosture
 from torchhand.track.assembly import Assembly, assembled
 from torchhand.track.belief import FollowedHand, posed_belief, unknown_scale_std
-from torchhand.track.knowledge import REFIT_EVERY, Estimate, TrackerState
+from torchhand.track.knowledge import REFIT_EVERY, Estimate, Keyframe, TrackerState
 from torchhand.track.multiview import EXPECTED_HULL, Hull, expected_hull
 from torchhand.track.proposals import OCCASIONS, Occasion, Proposals, ProposalSource, Proposed
 from torchhand.track.quality import FingerEvidence, Told, qualities
@@ -51,6 +51,9 @@ _SURE_EDGES = 0.85  # share of the edges that a whole hand explains at least
 _DIRECTION_KEPT = 0.8  # share of the direction's agreement that outlasts a frame
 _TOLD = 0.01  # score that a hand may have less which the network bears out
 _VAIN_REFIT_EVERY = 40  # the same where they keep bringing nothing better
+_FASTEST_M_PER_S, _JUMP_M = 5.0, 0.2
+"""How fast a hand moves at most, and how far off its place before a camera may be besides: what is found elsewhere once
+the hand is lost is another thing."""
 _FORESEEABLE_S = 0.1
 """Time over which a hand's motion foretells where it is. After longer ones the motion model is so unsure that edges
 near its contour tell little: from 0.2 s on `contour_planar` loses even a hand that keeps still."""
@@ -630,7 +633,9 @@ class Tracker:
         search = replace(search, has_foreground=has_foreground, reason=proposals.reason or search.reason)
         for proposed in proposals.hands:
             candidate = self._judged(proposed, scene, state)
-            if candidate is not None:
+            if candidate is not None and search.best is None and (away := _out_of_reach(candidate, state, scene)):
+                search = replace(search, reason=away)
+            elif candidate is not None:
                 search = self._better(search, proposed, candidate, facing)
                 has_found |= self.parts.health.is_found(candidate)
         return search, has_found
@@ -701,6 +706,7 @@ class Tracker:
         state = replace(
             state,
             hand=replace(best.hand, failures=0),
+            last_seen=Keyframe(time_s=scene.time_s, pose=best.pose),
             usual_score=usual,
             best_score=max(here, _BEST_KEPT * state.best_score + (1 - _BEST_KEPT) * here),
             has_started=True,
@@ -809,3 +815,14 @@ class Tracker:
 def _is_silent(scene: Scene) -> bool:
     """Whether detectors looked at all pictures there are, and found no hand."""
     return all(view.is_empty or view.is_detector_silent for view in scene.views)
+
+
+def _out_of_reach(candidate: Candidate, state: TrackerState, scene: Scene) -> str:
+    """Why a hand cannot be the one that was seen last, in the time since; empty where it may be."""
+    if state.last_seen is None:
+        return ""
+    passed_s = scene.time_s - state.last_seen.time_s
+    apart_m = float((candidate.pose.dofs[:3] - state.last_seen.pose.dofs[:3]).norm())
+    if apart_m <= _FASTEST_M_PER_S * passed_s + _JUMP_M:
+        return ""
+    return f"what looks like a hand is {apart_m:.1f} m from where it was {passed_s:.2f} s before"

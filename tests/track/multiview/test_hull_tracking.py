@@ -96,6 +96,20 @@ def test_frames_without_silhouettes_are_lost_and_the_hand_is_found_again(run, tr
     assert estimate.overlap > 0.85
 
 
+def test_a_lost_hand_is_not_found_where_it_cannot_be_yet(run, tracker, poses, masks_of):
+    before, _ = run[-1]
+    assert before.last_seen is not None
+    assert before.last_seen.time_s == before.time_s
+    pose = before.last_seen.pose
+    far = replace(before.last_seen, pose=replace(pose, dofs=pose.dofs + 1.0 * (torch.arange(36) == 0)))
+    lost, views = replace(before, hand=None, last_seen=far), _views(masks_of(poses[3]))
+    _, estimate = tracker.step(lost, views, before.time_s + FRAME_S)
+    assert estimate.status == "lost"
+    assert estimate.reason == "what looks like a hand is 1.0 m from where it was 0.03 s before"
+    _, estimate = tracker.step(lost, views, before.time_s + 0.5)
+    assert estimate.status == "recovered"
+
+
 def test_missing_view_is_done_without(run, tracker, rig_hand, poses, masks_of):
     state, _ = run[1]
     masks = masks_of(poses[2])

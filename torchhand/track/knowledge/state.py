@@ -55,6 +55,8 @@ class TrackerState:
     """Appearance of the hand, view by view; empty until it is known."""
     posture: Float[Tensor, "36"] | None = None
     """Posture of the first hand as it was fitted, for which a search looks."""
+    last_seen: Keyframe | None = None
+    """Where the hand was last borne out, and when; None before the first time."""
     keyframes: tuple[Keyframe, ...] = ()
     """Hands that were found before tracking began."""
     shape_frames: tuple[ShapeFrame, ...] | None = None
