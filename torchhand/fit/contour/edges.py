@@ -57,7 +57,7 @@ class EdgeObservation:
         Among rivals an edge deserves less trust."""
         surface = self.contours.thinned(stage.thinning)
         contours = contours_of(surface, hands.shape, hands)
-        px_per_m = pixels_per_metre(contours.camera, hands.pose.dofs[:, :3])
+        px_per_m = pixels_per_metre(contours.camera, hands.pose)
         reach_px = (EDGE_REACH * stage.gross_m * px_per_m).clamp_min(_MIN_REACH_PX)
         visible = contours.visible(hands.pose, probe_distance_px=1 + _PROBE_M * px_per_m)
         outer = visible.outer & (visible.outer.sum(-1, keepdim=True) >= _MIN_POINTS)

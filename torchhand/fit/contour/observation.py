@@ -47,7 +47,7 @@ class ContourObservation:
         """Visible points of the model, and which of them belong to which points of the picture's contour."""
         s, picture, surface = self.settings, self.picture, self.contours.thinned(stage.thinning)
         contours = contours_of(surface, hands.shape, hands)
-        px_per_m = pixels_per_metre(contours.camera, hands.pose.dofs[:, :3])
+        px_per_m = pixels_per_metre(contours.camera, hands.pose)
         length_px = px_per_m * hands.shape[contours.kinematics.shape_space.names.index("hand_length")]
         field, gross_px = picture.field(stage.pitch_px), stage.gross_m * px_per_m
         boundary = picture.boundary.thinned(stage.thinning)

@@ -4,18 +4,18 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics
+from torchhand.hand import HandKinematics, HandPose
 
 _MIN_DEPTH = 1e-3  # metres before the camera
 _BEYOND = 0.02  # how far beyond the contour the silhouette is looked at, share of the hand's length in the picture
 
 
-def pixels_per_metre(camera: Camera, places: Float[Tensor, "*places 3"]) -> Float[Tensor, "*places"]:
-    """Pixels of a metre held parallel to the picture at places in the world, such as wrists."""
-    focal = 0.5 * (camera.intrinsics[0, 0] + camera.intrinsics[1, 1]).to(places)
+def pixels_per_metre(camera: Camera, pose: HandPose) -> Float[Tensor, "*batch"]:
+    """Pixels of a metre held parallel to the picture at the wrist of each hand; the pose is in the world."""
+    focal = 0.5 * (camera.intrinsics[0, 0] + camera.intrinsics[1, 1]).to(pose.dofs)
     if camera.kind == "orthographic":
-        return focal.expand(places.shape[:-1])
-    return focal / camera.cam_from_world(places)[..., 2].clamp_min(_MIN_DEPTH)
+        return focal.expand(pose.batch_shape)
+    return focal / camera.cam_from_world(pose.dofs[..., :3])[..., 2].clamp_min(_MIN_DEPTH)
 
 
 def hand_length_px(

@@ -60,7 +60,7 @@ class SceneRegistration:
         contours = [one for one in found.explained if one.name == CONTOUR and bool(one.distance.isfinite().all())]
         cameras = [self.projectors[one.view or 0].camera for one in contours]
         pairs = zip(contours, cameras, strict=True)
-        metres = [float(one.distance) / float(pixels_per_metre(camera, found.pose.dofs[:3])) for one, camera in pairs]
+        metres = [float(one.distance) / float(pixels_per_metre(camera, found.pose)) for one, camera in pairs]
         return max(metres, default=math.inf) / self.settings.max_contour_distance_m
 
     def reinitialized(

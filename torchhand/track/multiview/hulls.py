@@ -9,7 +9,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.fit import Observation
-from torchhand.fit.contour import is_in_picture, pixels_per_metre
 from torchhand.fit.hull import HullTarget, target_of, with_rays
 from torchhand.geometry import Camera
 from torchhand.track.multiview.hand_end import HandEnd
@@ -165,7 +164,9 @@ class Hulls:
     ) -> "_Carved":
         """An octree from all views or, where these do not meet, from all but the one without which most is left."""
         views = tuple(view for view, mask in enumerate(masks) if mask is not None and bool(mask.any()))
-        least = self._min_views if about is None else max(1, min(self._min_views, _number_about(self.cameras, about)))
+        least = self._min_views
+        if len(views) < least and about is not None:
+            least = max(1, min(least, _number_about(self.cameras, about)))
         if len(views) < least:
             missing = sum(mask is None for mask in masks)
             reason = f"a silhouette in {len(views)} of {len(masks)} views ({missing} missing), {least} are needed"
@@ -219,6 +220,13 @@ def _number_about(cameras: Sequence[Camera], place: Float[Tensor, "3"]) -> int:
 
 def _shows_all_about(camera: Camera, place: Float[Tensor, "3"]) -> bool:
     """Whether a hand about a place, world frame, is in the picture whatever its posture."""
-    around = pixels_per_metre(camera, place) * _REACH
-    corners = camera.project(place) + around * place.new_tensor([[-1.0, -1.0], [1.0, 1.0]])
-    return bool(is_in_picture(corners, camera).all())
+    *at, depth = camera.cam_from_world(place).tolist()
+    depth = depth if camera.kind == "pinhole" else 1.0
+    if not depth > 0:
+        return False
+    (focal_x, _, centre_x), (_, focal_y, centre_y), _ = camera.intrinsics.tolist()
+    sides = ((at[0], focal_x, centre_x, camera.width), (at[1], focal_y, centre_y, camera.height))
+    return all(
+        focal * _REACH / depth <= focal * middle / depth + centre <= size - 1 - focal * _REACH / depth
+        for middle, focal, centre, size in sides
+    )
