@@ -108,7 +108,8 @@ class Estimate:
     keypoints_cov: Float[Tensor, "21 3 3"] | None = None
     """Square metres: the belief's covariance and what no filter can know."""
     overlaps: Float[Tensor, "views"] | None = None
-    """Intersection over union with every view's silhouette, forearm cut at the wrist; NaN in views that are missing."""
+    """Intersection over union with every view's silhouette, forearm cut at the wrist; NaN in views that are missing,
+    and in those of several whose pictures hardly show the hand."""
     overlap: float | None = None
     """Mean over the views."""
     unexplained: float | None = None
