@@ -18,7 +18,7 @@ from torchhand.track.frame_fit import FollowedFrame
 from torchhand.track.knowledge import Estimate, Keyframe, TrackerState, restored_state, saved_state
 from torchhand.track.paths import HandPath, PosedHand, combined_hand, path_weights
 from torchhand.track.proposals import OCCASIONS
-from torchhand.track.scene import HandKeypoints, View
+from torchhand.track.scene import ONE_PLACE_M, HandKeypoints, View
 from torchhand.track.settings import DEFAULTS, TrackerSettings
 from torchhand.track.shape import (
     RecordedShape,
@@ -33,6 +33,7 @@ from torchhand.track.tracker import Tracker
 __all__ = [
     "DEFAULTS",
     "OCCASIONS",
+    "ONE_PLACE_M",
     "Alternatives",
     "BackwardPass",
     "Estimate",

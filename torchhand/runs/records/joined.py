@@ -11,9 +11,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.files import FrameRecord, FrameStatus, Track
+from torchhand.fit.hull import palm_of
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics
-from torchhand.track import HandPath, PosedHand, combined_hand, path_weights
+from torchhand.track import ONE_PLACE_M, HandPath, PosedHand, combined_hand, path_weights
 
 EVIDENCE, EVIDENCE_BEFORE, IS_NEW, IS_SURE = "evidence", "evidence_before", "is_new", "is_sure"
 """Measures of the second pass alone: how far the views bear out its hand and that of the first pass, nats; whether the
@@ -85,16 +86,24 @@ class TwoPasses:
             if was[row] or not then[row] or not then[row + 1]:
                 continue
             if was[row + 1]:
-                is_same = bool(weights[row + 1, 1] > 0.5) or self._distance(row + 1) < _APART_M
+                is_same = bool(weights[row + 1, 1] > 0.5) or self._between_passes(row + 1) < _APART_M
                 least = score[row + 1] - _DROP if is_same else math.inf
             elif not fills[row + 1]:
                 least = math.inf
-            fills[row] = is_sure[row] and not is_new[row] and score[row] >= least
+            # A followed hand that is tilted anew, or gets other fingers, is the same one.
+            is_connected = not is_new[row] or self._to_next(row) < ONE_PLACE_M
+            fills[row] = is_sure[row] and is_connected and score[row] >= least
         return fills
 
-    def _distance(self, row: int) -> float:
+    def _between_passes(self, row: int) -> float:
+        """Metres between the hands of both passes in one frame, in the mean over the keypoints."""
         missed = self.forward.keypoints3d[row] - self.backward.keypoints3d[row]
         return float(np.linalg.norm(missed, axis=-1).mean())
+
+    def _to_next(self, row: int) -> float:
+        """Metres from the palm of the second pass in one frame to that in the frame after."""
+        here, after = palm_of(torch.from_numpy(self.backward.keypoints3d[row : row + 2]))
+        return float((after - here).norm())
 
 
 def joined_records(

@@ -9,7 +9,7 @@ from torchhand.track.scene.agreement import (
     mean_overlap,
 )
 from torchhand.track.scene.candidate import Candidate
-from torchhand.track.scene.health import MAX_BEYOND, MIN_KEYPOINTS, Health, HealthSettings
+from torchhand.track.scene.health import MAX_BEYOND, MIN_KEYPOINTS, ONE_PLACE_M, Health, HealthSettings
 from torchhand.track.scene.keypoints import (
     SceneKeypoints,
     detected_hand,
@@ -39,6 +39,7 @@ from torchhand.track.scene.working_views import WorkingViews, is_same_view
 __all__ = [
     "MAX_BEYOND",
     "MIN_KEYPOINTS",
+    "ONE_PLACE_M",
     "Agreement",
     "AlikeViews",
     "Appearances",

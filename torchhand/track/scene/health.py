@@ -17,13 +17,14 @@ from torchhand.track.scene.candidate import Candidate
 MAX_BEYOND = 0.08
 """Squares of the hand's length beyond the wrist that are no forearm. One in a hundred simulated right hands has more
 than 0.04 (status_rates.json), one in twenty photographs of hands with sleeves and bare forearms more than 0.074."""
+ONE_PLACE_M = 0.1
+"""Between the palms of two hands that are the same hand otherwise held, at most: half a hand's length."""
 _MIN_IN_VIEW = 0.35  # share of the contour's points inside the picture, below which there is too little to judge by
 _KEYPOINT_WEIGHT = 0.3  # share of the score that detected keypoints have, where there are any
 MIN_KEYPOINTS = 0.5  # agreement with detected keypoints, below which a detector found another hand
 _DIRECTION_WEIGHT = 0.3  # share of the score that the network's view of the direction has, where there is one
 _SURE_DIRECTION = 0.3  # agreement with that view which is as good as any: half of its hypotheses within its error
 _MIN_DIRECTION = 0.12  # agreement below which it is in doubt
-_ONE_PLACE_M = 0.1  # between the palms of two hands that are the same hand otherwise held: half a hand's length
 _RARE_SEARCH_EVERY = 60  # frames from one search that takes seconds to the next where they find nothing
 _RARE_ALTERNATIVES_EVERY = 8  # frames from one attempt that takes tenths of a second to the next where they are in vain
 _ALTERNATIVES_EVERY = 4  # the same after the first attempt
@@ -180,7 +181,7 @@ class Health:
         the direction decides between hands at one place; it says nothing of where the hand is."""
         if first is None or second is None:
             return first or second
-        is_elsewhere = float((first.palm - second.palm).norm()) > _ONE_PLACE_M
+        is_elsewhere = float((first.palm - second.palm).norm()) > ONE_PLACE_M
         if is_elsewhere:
             first_score, second_score = (self.score(replace(one, direction=None)) for one in (first, second))
         else:
