@@ -101,3 +101,15 @@ def test_the_mismatch_does_not_depend_on_the_pictures_size_and_turn(studio: Any)
         body = _below(hand, -0.02) & ~_below(hand, 0.55)  # as broad as the picture
         found.append(_candidate(hand, hand.mask | body).agreement.mean_beyond)
     assert max(found) - min(found) < 0.1 * max(found)
+
+
+def test_a_fist_laid_on_the_arm_at_the_pictures_border_is_none(studio: Any) -> None:
+    hand = studio.placed(camera=studio.camera(320, 480), posed="fist", size=0.4, at=(0.0, 0.48), angle_deg=180.0)
+    arm = _arm(hand)
+    further = torch.zeros_like(arm)
+    further[:240, 150:170] = True
+    assert bool(hand.mask[-1].any())
+    assert not bool(arm[0].any())
+    assert _is_found(_candidate(hand, hand.mask | arm & ~_below(hand, 0.6)))  # up to a sleeve
+    assert _is_found(_candidate(hand, hand.mask | arm | further))  # to the other border
+    assert not _is_found(_candidate(hand, hand.mask | arm))  # the hand is at the other end

@@ -8,6 +8,7 @@ from torchhand.track.scene.agreement import (
     SilhouetteComparison,
     mean_overlap,
 )
+from torchhand.track.scene.arm_end import END_REACH, lengths_to_end
 from torchhand.track.scene.candidate import Candidate
 from torchhand.track.scene.health import MAX_BEYOND, MIN_KEYPOINTS, ONE_PLACE_M, Health, HealthSettings
 from torchhand.track.scene.keypoints import (
@@ -37,6 +38,7 @@ from torchhand.track.scene.views import Box, HandKeypoints, ObservationsOf, Scen
 from torchhand.track.scene.working_views import WorkingViews, is_same_view
 
 __all__ = [
+    "END_REACH",
     "MAX_BEYOND",
     "MIN_KEYPOINTS",
     "ONE_PLACE_M",
@@ -71,6 +73,7 @@ __all__ = [
     "deviations_of_digits",
     "is_same_view",
     "learned_observations",
+    "lengths_to_end",
     "mean_overlap",
     "parts_of",
     "scene_keypoints",

@@ -21,6 +21,7 @@ from torchhand.image import (
     reduced_mask,
     touching,
 )
+from torchhand.track.scene.arm_end import is_on_arm
 from torchhand.track.scene.forearm import forearm_mismatch
 from torchhand.track.scene.silhouettes import Masks
 from torchhand.track.scene.views import Scene
@@ -45,7 +46,8 @@ class Agreement:
     """Area of the picture's hand outside the model, in pieces as thick as a finger, in squares of the hand's length."""
     beyond: Float[Tensor, "views"]
     """How far the picture beyond the wrist differs from every forearm and from nothing, in squares of the hand's length
-    (`forearm_mismatch`); NaN as the overlaps are."""
+    (`forearm_mismatch`), and of one view alone, where the hand is cut by the picture and the arm ends elsewhere in it,
+    from nothing; NaN as the overlaps are."""
 
     @classmethod
     def of_overlaps(cls, overlaps: Float[Tensor, "views"]) -> "Agreement":
@@ -256,6 +258,8 @@ class SilhouetteComparison:
             region=region,
             length_px=length_px,
             wrist=wrist,
+            palm=0.5 * (wrist + knuckle),
+            is_alone=len(self._projectors) == 1,
             towards_elbow=(wrist - knuckle) / (wrist - knuckle).norm() if has_direction else None,
         )
 
@@ -273,6 +277,10 @@ class _Compared:
     """The hand's length, held parallel to the picture."""
     wrist: Float[Tensor, "2"]
     """px"""
+    palm: Float[Tensor, "2"]
+    """px"""
+    is_alone: bool
+    """Whether there is no other view, which would tell the hand from the arm."""
     towards_elbow: Float[Tensor, "2"] | None
     """Unit, in the picture; None where the palm has no direction there."""
 
@@ -289,7 +297,9 @@ class _Compared:
     def beyond(self) -> float:
         if self.towards_elbow is None:
             return 0.0
-        return forearm_mismatch(self.picture, self.model, self.wrist, self.towards_elbow, self.length_px)
+        is_arm = self.is_alone and is_on_arm(self.picture, self.model, self.palm, self.length_px)
+        parts = (self.picture, self.model, self.wrist, self.towards_elbow, self.length_px)
+        return forearm_mismatch(*parts, may_be_there=not is_arm)
 
 
 def mean_overlap(overlaps: Float[Tensor, "views"]) -> float:

@@ -30,12 +30,14 @@ def forearm_mismatch(
     wrist_px: Float[Tensor, "2"],
     towards_elbow: Float[Tensor, "2"],
     length_px: float,
+    *,
+    may_be_there: bool = True,
 ) -> float:
     """Area by which the picture beyond the wrist differs from the forearm that fits best, squares of the hand's length.
 
     picture: silhouette of hand and arm. model: that of the posed hand; what it covers does not count, nor does what is
     outside the picture. towards_elbow: unit vector in the picture. length_px: the hand's length, held parallel to the
-    picture.
+    picture. may_be_there: whether a forearm can be; else whatever is there is none.
 
     A forearm is a bar that begins at the wrist, as broad as a wrist can be, gets broader towards the elbow and ends
     anywhere, for a sleeve may hide it: also at once. The palm of a larger hand, other fingers and a body are none.
@@ -51,6 +53,8 @@ def forearm_mismatch(
     seen = (counts & picture.cpu()[y, x]).to(forearms)
     if not bool(seen.any()):
         return 0.0
+    if not may_be_there:
+        return float(seen.sum()) * _STEP**2
     differing = seen.sum() + forearms @ (counts.to(forearms) - 2 * seen)  # a + b - 2 ab: the symmetric difference
     return float(differing.min()) * _STEP**2
 

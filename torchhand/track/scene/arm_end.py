@@ -1,0 +1,77 @@
+"""Where the silhouette of an arm ends: its hand is there, and not where it leaves the picture."""
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+END_REACH = 1.25
+"""Hand lengths from the farthest place of a silhouette that may be the hand's."""
+_SIDE_PX = 240  # longer side of the reduced silhouettes
+_KERNELS = tuple(cv2.getStructuringElement(kind, (3, 3)) for kind in (cv2.MORPH_CROSS, cv2.MORPH_RECT))
+
+
+def is_on_arm(
+    picture: Bool[Tensor, "height width"],
+    model: Bool[Tensor, "height width"],
+    palm_px: Float[Tensor, "2"],
+    length_px: float,
+) -> bool:
+    """Whether a model that is cut by the border of a picture lies on an arm whose hand is elsewhere.
+
+    So it is where the silhouette leaves the picture in one place alone, which is where the model is, and ends inside it
+    farther away than a hand is long. Where it leaves in several, the hand may be in any of them.
+
+    picture: silhouette of hand and arm. palm_px: the middle of the model's palm. length_px: the hand's length.
+    """
+    rim = _rim(picture)
+    if not bool((_rim(model) & rim).any()) or _pieces(rim) != 1:
+        return False
+    lengths = lengths_to_end(picture)
+    if lengths is None:
+        return False
+    scale = lengths.shape[1] / picture.shape[1]
+    x, y = (scale * palm_px.cpu()).round().long().tolist()
+    length = lengths[min(max(y, 0), lengths.shape[0] - 1), min(max(x, 0), lengths.shape[1] - 1)]
+    return float(length) > END_REACH * scale * length_px
+
+
+def _rim(mask: Bool[Tensor, "height width"]) -> Bool[Tensor, "rim"]:
+    """The pixels along a picture's border, clockwise."""
+    return torch.cat((mask[0], mask[1:, -1], mask[-1, :-1].flip(0), mask[1:-1, 0].flip(0)))
+
+
+def _pieces(ring: Bool[Tensor, "rim"]) -> int:
+    """Number of pieces that are set in a closed ring."""
+    return int((ring & ~ring.roll(1)).sum()) or int(ring.any())
+
+
+def lengths_to_end(mask: Bool[Tensor, "height width"]) -> Float[Tensor, "h w"] | None:
+    """Length in reduced pixels from each pixel of a silhouette to the one farthest from the picture's border, measured
+    through the silhouette from the border on; outside, that of the nearest pixel inside. None where the silhouette does
+    not touch the border."""
+    height, width = mask.shape
+    scale = min(1.0, _SIDE_PX / max(height, width))
+    size = (max(1, round(scale * width)), max(1, round(scale * height)))
+    pixels = mask.cpu().numpy().view(np.uint8)
+    filled = (cv2.resize(pixels * 255, size, interpolation=cv2.INTER_AREA) > 127).astype(np.uint8)
+    reached = filled.copy()
+    reached[1:-1, 1:-1] = 0
+    if not reached.any():
+        return None
+    lengths, step = np.zeros(filled.shape, np.float32), 0
+    while True:
+        step += 1
+        grown = cv2.bitwise_and(cv2.dilate(reached, _KERNELS[step % 2]), filled)
+        is_new = grown > reached
+        if not is_new.any():
+            break
+        lengths[is_new] = step
+        reached = grown
+    lengths = np.where(reached > 0, lengths.max() - lengths, 0.0).astype(np.float32)
+    _, labels = cv2.distanceTransformWithLabels(1 - filled, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
+    label = np.asarray(labels, np.int64)
+    of_label = np.zeros(int(label.max()) + 1, np.float32)
+    of_label[label[filled > 0]] = lengths[filled > 0]
+    return torch.from_numpy(of_label[label])
