@@ -29,6 +29,7 @@ from torchhand.image.fingers import (
     find_open_hand,
     mask_moments,
     refine_silhouette,
+    shows_open_hand,
 )
 from torchhand.image.operations import (
     WORKING_PIXELS,
@@ -153,6 +154,7 @@ __all__ = [
     "sample_bilinear",
     "search_edges",
     "segment",
+    "shows_open_hand",
     "skin_candidates",
     "skin_probability",
     "solidity",

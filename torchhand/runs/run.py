@@ -4,7 +4,7 @@ import json
 import logging
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,7 @@ from torchhand.track import (
     Tracker,
     TrackerSettings,
     TrackerState,
+    View,
     restored_state,
     saved_state,
 )
@@ -103,6 +104,8 @@ class Run:
         self._past: dict[float, tuple[int, float]] = {}
         """Of the last frames, by their times: index, and seconds of computing."""
         self._recorded_shape: Float[Tensor, "shape"] | None = None
+        self.begins_at = 0
+        """Number of the frame from which on a hand is looked for; into those before it is followed back later."""
 
     @property
     def shape(self) -> Float[Tensor, "shape"] | None:
@@ -121,7 +124,11 @@ class Run:
         """Track one frame. following: the one after it, where it is known."""
         started = time.perf_counter()
         frame = with_keypoints(frame, self.keypoints, self._followed_px)
-        if self.ahead is None:
+        if frame.index < self.begins_at:
+            state, nothing = self.tracker.step(self.state, [View()] * len(frame.views), frame.time_s)
+            estimate = replace(nothing, reason=f"a hand is looked for from frame {self.begins_at} on")
+            whole = partial(_itself, estimate)
+        elif self.ahead is None:
             state, estimate = self._step(self.state, frame.views, frame.time_s)
             whole = partial(_itself, estimate)
         else:

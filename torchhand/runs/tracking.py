@@ -32,6 +32,7 @@ from torchhand.runs.recordings import (
     OneCameraRecording,
     RecordedFrame,
     RigRecording,
+    first_open_hand,
     rig_plates,
 )
 from torchhand.runs.request import MEDIAPIPE, Request, check_start_points, plate_of
@@ -123,10 +124,24 @@ def _track_one(run: Run, recording: OneCamera, writer: TrackWriter, request: Req
     used = {"camera_is_assumed": recording.cameras[0].is_assumed}
     run.save_config(writer.folder, _asked(request) | used, recording.cameras)
     run.save_hand(writer.folder)
+    if _may_begin_later(run, request):
+        run.begins_at = first_open_hand(recording) or 0
+        if run.begins_at > request.start:
+            say(f"frame {run.begins_at} shows the hand open: it is followed from there, forwards and then back")
     _follow(run, recording, writer, done, request, say)
     if not request.is_causal:
         _log.debug("forward pass done")
         smooth_frames(run, writer, say)
+
+
+def _may_begin_later(run: Run, request: Request) -> bool:
+    """Whether a hand is better looked for where it is seen open: what a silhouette shows of other postures is often one
+    of its back where it is the palm's. Where nothing is followed back, a detector tells, or the user, it is not."""
+    s = request.settings
+    is_told = run.keypoints is not None or request.start_points is not None
+    is_silhouette = s.silhouette.method == "skin" and s.posture == "open" and run.tracker.parts.has_learned_posture
+    has_hand = run.state is not None and run.state.has_started
+    return is_silhouette and not (request.is_causal or is_told or has_hand)
 
 
 def _follow(run: Run, recording: OneCamera, writer: TrackWriter, done: int, request: Request, say: Say) -> None:

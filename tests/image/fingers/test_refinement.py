@@ -14,6 +14,7 @@ from torchhand.image.fingers.refinement import (
     find_open_hand,
     odd_digits,
     refine_silhouette,
+    shows_open_hand,
 )
 
 SKIN = (205, 150, 125)
@@ -76,6 +77,18 @@ def test_hand_before_plain_and_skin_coloured_walls(
     assert found.odd_digits == ()
     assert found.edge_fraction > 0.9
     assert overlap(found.mask, hand_mask()) > 0.93
+
+
+def test_an_open_hand_is_one_where_all_its_fingers_stand_out(generator: torch.Generator) -> None:
+    background = (40, 60, 90)
+    whole = scene(background, generator)
+    assert shows_open_hand(whole)
+    larger = cv2.resize(whole.numpy(), None, fx=4, fy=4, interpolation=cv2.INTER_CUBIC)
+    assert shows_open_hand(torch.from_numpy(larger))
+    folded = whole.numpy().copy()
+    cv2.line(folded, put((1.3 * BASES[2][0], 1.3 * BASES[2][1])), put(ENDS[2]), background, 17)
+    assert not shows_open_hand(torch.from_numpy(folded))
+    assert not shows_open_hand(torch.full_like(whole, 90))
 
 
 def test_guesses_alike_are_cut_once(generator: torch.Generator, monkeypatch: pytest.MonkeyPatch) -> None:

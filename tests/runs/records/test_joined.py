@@ -54,7 +54,7 @@ def _track(kinematics: HandKinematics, bend: float, lost: tuple[int, ...] = (), 
 
 def _second(kinematics: HandKinematics, bend: float, lost: tuple[int, ...] = (), evidence: float = 0.0) -> Track:
     return _track(
-        kinematics, bend, lost, score=0.9, evidence=evidence, evidence_before=0.0, is_new=0.0, is_sure=1.0, nis=0.3
+        kinematics, bend, lost, score=0.9, overlap=0.9, evidence=evidence, evidence_before=0.0, is_new=0.0, is_sure=1.0, nis=0.3
     )
 
 
@@ -117,7 +117,7 @@ def test_what_is_found_elsewhere_in_a_loss_fills_nothing(kinematics: HandKinemat
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("is_sure", 0.0), ("score", 0.5)],
+    [("is_sure", 0.0), ("overlap", 0.5)],
     ids=["explains too little", "worse than after the loss"],
 )
 def test_what_is_not_borne_out_fills_nothing(kinematics: HandKinematics, name: str, value: float) -> None:

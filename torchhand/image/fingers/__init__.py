@@ -3,7 +3,13 @@
 from torchhand.image.fingers.fingers import FingerSettings, find_fingers
 from torchhand.image.fingers.moments import MaskMoments, mask_moments
 from torchhand.image.fingers.order import DIGITS
-from torchhand.image.fingers.refinement import HandSilhouette, RefinementSettings, find_open_hand, refine_silhouette
+from torchhand.image.fingers.refinement import (
+    HandSilhouette,
+    RefinementSettings,
+    find_open_hand,
+    refine_silhouette,
+    shows_open_hand,
+)
 from torchhand.image.fingers.regions import HandRegions, NoRegions, divide_hand
 
 __all__ = [
@@ -19,4 +25,5 @@ __all__ = [
     "find_open_hand",
     "mask_moments",
     "refine_silhouette",
+    "shows_open_hand",
 ]

@@ -7,6 +7,7 @@ from torchhand.runs.recordings.recording import (
     RecordedFrame,
     Recording,
     RigRecording,
+    first_open_hand,
     reversed_frames,
     rig_plates,
 )
@@ -19,6 +20,7 @@ __all__ = [
     "RecordedFrame",
     "Recording",
     "RigRecording",
+    "first_open_hand",
     "reversed_frames",
     "rig_plates",
 ]

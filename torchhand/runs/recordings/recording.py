@@ -24,12 +24,14 @@ from torchhand.files.disk import expanded
 from torchhand.files.pictures import PICTURE_SUFFIXES, shown_address
 from torchhand.files.rigs import mask_paths
 from torchhand.geometry import Camera
-from torchhand.image import BackgroundPlate, learn_background
+from torchhand.image import BackgroundPlate, learn_background, shows_open_hand
 from torchhand.track import View
 from torchhand.track.multiview import evenly_spaced_frames
 
 ASSUMED_CAMERA = "no --camera given: a field of view is assumed, so distances are metric only up to that assumption"
 _MEMORY_BYTES = 2**28  # of the pictures that are held at once where a recording is read backwards
+_LOOKED_AHEAD_S = 5.0  # how far an open hand is looked for
+_LOOK_EVERY = 5  # frames from one look for it to the next
 _UNKNOWN_LENGTH = 300  # frames among which samples are taken where nobody knows how many there are
 
 
@@ -104,6 +106,21 @@ def reversed_frames(recording: Recording, count: int) -> Iterator[RecordedFrame]
             held = list(islice(frames, min(chunk, count - begin)))
         while held:
             yield held.pop()
+
+
+def first_open_hand(recording: Recording) -> int | None:
+    """Index of the first frame that surely shows an open hand, of those that are looked at in the first seconds of a
+    recording of one camera; None where none does."""
+    with recording.opened(0) as frames:
+        begin_s: float | None = None
+        for place, frame in enumerate(frames):
+            begin_s = frame.time_s if begin_s is None else begin_s
+            if frame.time_s > begin_s + _LOOKED_AHEAD_S:
+                return None
+            image = frame.views[0].image
+            if place % _LOOK_EVERY == 0 and image is not None and shows_open_hand(image):
+                return frame.index
+    return None
 
 
 class OneCameraRecording:
