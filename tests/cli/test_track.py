@@ -897,3 +897,53 @@ def test_a_cluster_wants_a_folder_of_videos(tmp_path: Path, capsys: pytest.Captu
     assert "--ray: expected a folder of videos with it, got" in capsys.readouterr().err
     assert main([str(tmp_path / "one.mp4"), "--out", str(tmp_path / "out"), "--ray", "one", "two"]) == 2
     assert "--ray: expected one address or none, got one two" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def opening(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with pictures of a hand that opens after its first frames, and its camera."""
+    folder = tmp_path_factory.mktemp("opening")
+    kinematics = load_hand_model().kinematics(dtype=torch.float64)
+    camera = replace(assumed_camera(320, 256, horizontal_fov_deg=48.0), is_assumed=False)
+    generator = torch.Generator().manual_seed(1)
+    still = scripted_motion("planar", 1, kinematics, camera, generator)
+    closed = still.poses[0].clone()
+    joints = [DOFS.index(f"{finger}_{joint}") for finger in ("index", "middle") for joint in ("mcp_fe", "pip_fe")]
+    closed[joints] = 1.4
+    share = torch.linspace(-0.4, 1.2, 17, dtype=torch.float64).clamp(0, 1)[:, None]
+    motion = replace(still, poses=(1 - share) * closed + share * still.poses)
+    with threads(1):
+        rendered = list(render_sequence(kinematics, motion, camera, SceneSettings(supersampling=2), generator))
+    save_cameras([camera], folder / "cameras.json")
+    _write_folder(folder / "frames", [cv2.cvtColor(one.image.numpy(), cv2.COLOR_RGB2BGR) for one in rendered])
+    return folder
+
+
+def test_a_recording_is_followed_from_the_frame_that_shows_the_hand_open(
+    opening: Path, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = ["--camera", opening / "cameras.json", "--no-overlay", "--no-report", "--set", "shape_frames=0"]
+    whole = run(opening / "frames", "--out", tmp_path / "whole", *options)
+    assert whole.code == 0
+    assert "frame 10 shows the hand open" in whole.err
+    forward, track = load_track(tmp_path / "whole" / "forward.jsonl"), load_track(tmp_path / "whole")
+    assert forward.status.tolist() == ["no_hand"] * 10 + ["tracked"] * 7
+    assert forward.reason is not None
+    assert forward.reason[0] == "a hand is looked for from frame 10 on"
+    assert track.status.tolist() == ["tracked"] * 17
+    bent = np.degrees(track.pose[:, [DOFS.index("middle_mcp_fe"), DOFS.index("middle_pip_fe")]].sum(1))
+    assert bent[0] > bent[-1] + 30
+    with monkeypatch.context() as patch:
+        _stop_after(patch, 6, KeyboardInterrupt())
+        assert run(opening / "frames", "--out", tmp_path / "stopped", *options).code == 130
+    assert run(opening / "frames", "--out", tmp_path / "stopped", "--resume", *options).code == 0
+    assert _lines_without_seconds(tmp_path / "stopped") == _lines_without_seconds(tmp_path / "whole")
+
+
+def test_what_may_not_look_ahead_begins_at_the_first_frame(opening: Path, run: Run, tmp_path: Path) -> None:
+    options = ["--camera", opening / "cameras.json", "--no-overlay", "--no-report", "--causal", "--max-frames", "1"]
+    outcome = run(opening / "frames", "--out", tmp_path / "out", *options)
+    assert "shows the hand open" not in outcome.err
+    track = load_track(tmp_path / "out")
+    assert track.reason is not None
+    assert "looked for from frame" not in track.reason[0]

@@ -27,9 +27,9 @@ from torchhand.image.fingers import (
     divide_hand,
     find_fingers,
     find_open_hand,
+    fingers_apart,
     mask_moments,
     refine_silhouette,
-    shows_open_hand,
 )
 from torchhand.image.operations import (
     WORKING_PIXELS,
@@ -128,6 +128,7 @@ __all__ = [
     "find_fingers",
     "find_open_hand",
     "find_valleys",
+    "fingers_apart",
     "foreground_probability",
     "gaussian_blur",
     "gradient",
@@ -154,7 +155,6 @@ __all__ = [
     "sample_bilinear",
     "search_edges",
     "segment",
-    "shows_open_hand",
     "skin_candidates",
     "skin_probability",
     "solidity",

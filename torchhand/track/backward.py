@@ -35,6 +35,7 @@ _OVERLAP_NATS = 80.0
 _SAME_M = 0.003  # mean distance of keypoints, up to which two hands are taken for one: no pass is better
 _NEAR_M = 0.01  # mean distance of keypoints, up to which a view of one hand shows another as well
 _LOOK_EVERY = 5  # frames from one look at other tilts to the next
+_SLID = 0.1  # overlap that a likelier hand must not lose where the tracker places it: it was another one then
 _HELD = 1e-6  # radians and metres by which a pose may differ from what a track can reach
 
 
@@ -120,7 +121,7 @@ class BackwardPass:
         best = int(odds.argmax())
         if float((away[best] - away[best].mean(0)).norm(dim=-1).mean()) > SAME_M:
             placed = self._tracker.placed(self._state, found.pose[best], scene)
-            if placed is not None:
+            if placed is not None and (placed[1].overlap or 0.0) > (estimate.overlap or 0.0) - _SLID:
                 self._state, other = placed
                 assert other.keypoints is not None
                 away = away - (other.keypoints - estimate.keypoints).to(device)

@@ -12,9 +12,9 @@ from torchhand.image.fingers.refinement import (
     RefinementSettings,
     edge_fraction,
     find_open_hand,
+    fingers_apart,
     odd_digits,
     refine_silhouette,
-    shows_open_hand,
 )
 
 SKIN = (205, 150, 125)
@@ -79,16 +79,20 @@ def test_hand_before_plain_and_skin_coloured_walls(
     assert overlap(found.mask, hand_mask()) > 0.93
 
 
-def test_an_open_hand_is_one_where_all_its_fingers_stand_out(generator: torch.Generator) -> None:
+def test_fingers_that_stand_out_are_counted(generator: torch.Generator) -> None:
     background = (40, 60, 90)
     whole = scene(background, generator)
-    assert shows_open_hand(whole)
+    assert fingers_apart(whole) == 5
     larger = cv2.resize(whole.numpy(), None, fx=4, fy=4, interpolation=cv2.INTER_CUBIC)
-    assert shows_open_hand(torch.from_numpy(larger))
+    assert fingers_apart(torch.from_numpy(larger)) == 5
     folded = whole.numpy().copy()
     cv2.line(folded, put((1.3 * BASES[2][0], 1.3 * BASES[2][1])), put(ENDS[2]), background, 17)
-    assert not shows_open_hand(torch.from_numpy(folded))
-    assert not shows_open_hand(torch.full_like(whole, 90))
+    assert fingers_apart(torch.from_numpy(folded)) == 4
+    folded[:] = background
+    cv2.circle(folded, put((0.0, 0.0)), 45, SKIN, -1)
+    cv2.line(folded, (150, 160), (150, 299), SKIN, 42)
+    assert fingers_apart(torch.from_numpy(folded)) == 0  # a fist
+    assert fingers_apart(torch.full_like(whole, 90)) is None
 
 
 def test_guesses_alike_are_cut_once(generator: torch.Generator, monkeypatch: pytest.MonkeyPatch) -> None:

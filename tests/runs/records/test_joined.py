@@ -53,9 +53,8 @@ def _track(kinematics: HandKinematics, bend: float, lost: tuple[int, ...] = (), 
 
 
 def _second(kinematics: HandKinematics, bend: float, lost: tuple[int, ...] = (), evidence: float = 0.0) -> Track:
-    return _track(
-        kinematics, bend, lost, score=0.9, overlap=0.9, evidence=evidence, evidence_before=0.0, is_new=0.0, is_sure=1.0, nis=0.3
-    )
+    told = {"score": 0.9, "overlap": 0.9, "evidence": evidence, "evidence_before": 0.0}
+    return _track(kinematics, bend, lost, **told, is_new=0.0, is_sure=1.0, nis=0.3)
 
 
 def _joined(kinematics: HandKinematics, forward: Track, backward: Track) -> list:
@@ -115,19 +114,34 @@ def test_what_is_found_elsewhere_in_a_loss_fills_nothing(kinematics: HandKinemat
     assert [record.status for record in records[2:7]] == ["tracked", "lost", "lost", "recovered", "tracked"]
 
 
-@pytest.mark.parametrize(
+NOT_BORNE_OUT = pytest.mark.parametrize(
     ("name", "value"),
     [("is_sure", 0.0), ("overlap", 0.5)],
     ids=["explains too little", "worse than after the loss"],
 )
-def test_what_is_not_borne_out_fills_nothing(kinematics: HandKinematics, name: str, value: float) -> None:
-    forward = _track(kinematics, 0.2, lost=(3, 4, 5), score=0.9, nis=0.1)
+
+
+@NOT_BORNE_OUT
+def test_what_is_not_borne_out_for_long_fills_nothing(kinematics: HandKinematics, name: str, value: float) -> None:
+    forward = _track(kinematics, 0.2, lost=(0, 1, 2, 3, 4, 5), score=0.9, nis=0.1)
     second = _second(kinematics, 0.2)
-    second.measures[name][4] = value  # so that the frame before is not connected either
+    second.measures[name][1:5] = value  # so that the frame before is not connected either
     records = _joined(kinematics, forward, second)
-    assert [record.status for record in records[2:7]] == ["tracked", "lost", "lost", "recovered", "tracked"]
+    assert [record.status for record in records] == ["lost"] * 5 + ["tracked"] * 3
     assert np.isnan(records[3].keypoints3d).all()
     assert records[3].reason == "gone"
+
+
+@NOT_BORNE_OUT
+def test_a_few_frames_in_which_a_hand_is_borne_out_less_are_bridged(
+    kinematics: HandKinematics, name: str, value: float
+) -> None:
+    forward = _track(kinematics, 0.2, lost=(0, 1, 2, 3, 4, 5), score=0.9, nis=0.1)
+    second = _second(kinematics, 0.2)
+    second.measures[name][2:5] = value
+    second.measures[name][0] = value
+    records = _joined(kinematics, forward, second)
+    assert [record.status for record in records] == ["lost"] + ["tracked"] * 7
 
 
 def test_a_hand_that_is_not_the_one_after_the_loss_fills_nothing(kinematics: HandKinematics) -> None:

@@ -7,8 +7,8 @@ from torchhand.image.fingers.refinement import (
     HandSilhouette,
     RefinementSettings,
     find_open_hand,
+    fingers_apart,
     refine_silhouette,
-    shows_open_hand,
 )
 from torchhand.image.fingers.regions import HandRegions, NoRegions, divide_hand
 
@@ -23,7 +23,7 @@ __all__ = [
     "divide_hand",
     "find_fingers",
     "find_open_hand",
+    "fingers_apart",
     "mask_moments",
     "refine_silhouette",
-    "shows_open_hand",
 ]

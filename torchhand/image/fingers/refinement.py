@@ -27,7 +27,7 @@ _FAIR_FINGERS = 3  # a guess that shows fewer is not refined
 _REFINED = 3  # guesses refined
 _WORKERS = 4  # threads that look at guesses
 _SAME = 0.97  # intersection over union of guesses of which one is refined for both
-_QUICK_SIDE_PX = 480  # longer side of the pictures that are only asked whether they show an open hand
+_QUICK_SIDE_PX = 480  # longer side of the pictures in which fingers are only counted
 _QUICK = FingerSettings(sizes=8, work_side_px=200)
 _LUMA_RANGE = (0.55, 1.6)  # of a digit over the palm beside it: shadows are darker
 _MAX_CHROMA = 14.0  # distance of a digit's mean (Cr, Cb) from that of the palm's middle, 8-bit levels
@@ -123,17 +123,20 @@ def find_open_hand(
     return found
 
 
-def shows_open_hand(image: UInt8[Tensor, "height width 3"]) -> bool:
-    """Whether what looks like skin in a picture surely is an open hand, by its digits, all of them apart.
+def fingers_apart(image: UInt8[Tensor, "height width 3"]) -> int | None:
+    """How many fingers stand out of what looks like skin in a picture; all five only where that surely is an open hand,
+    by how they lie. None where nothing is as large as a hand.
 
-    Quick, and sure where it says yes; `find_open_hand` finds many more.
+    Quick; where a hand is not told by the colour of skin alone, `find_open_hand` finds many more.
     """
     scale = min(1.0, _QUICK_SIDE_PX / max(image.shape[:2]))
-    size = (round(scale * image.shape[1]), round(scale * image.shape[0]))
+    size = (max(1, round(scale * image.shape[1])), max(1, round(scale * image.shape[0])))
     small = torch.from_numpy(cv2.resize(image.cpu().contiguous().numpy(), size, interpolation=cv2.INTER_AREA))
     skin = bootstrap_skin(small).mask
     found = _judged(small, _edges(small), skin, "skin") if bool(skin.any()) else None
-    return found is not None and _is_surely_open(found)
+    if found is None:
+        return None
+    return len(DIGITS) if _is_surely_open(found) else min(_fingers(found), len(DIGITS) - 1)
 
 
 def _best_of(

@@ -1,6 +1,7 @@
 """Recordings as a run reads them: the views of one camera or several, time after time, from anywhere on."""
 
 import contextlib
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -24,7 +25,8 @@ from torchhand.files.disk import expanded
 from torchhand.files.pictures import PICTURE_SUFFIXES, shown_address
 from torchhand.files.rigs import mask_paths
 from torchhand.geometry import Camera
-from torchhand.image import BackgroundPlate, learn_background, shows_open_hand
+from torchhand.hand import FINGERS
+from torchhand.image import BackgroundPlate, fingers_apart, learn_background
 from torchhand.track import View
 from torchhand.track.multiview import evenly_spaced_frames
 
@@ -110,16 +112,20 @@ def reversed_frames(recording: Recording, count: int) -> Iterator[RecordedFrame]
 
 def first_open_hand(recording: Recording) -> int | None:
     """Index of the first frame that surely shows an open hand, of those that are looked at in the first seconds of a
-    recording of one camera; None where none does."""
+    recording of one camera; None where none does, or where what is seen first is a closed hand."""
+    has_fingers, begin_s = False, math.nan
     with recording.opened(0) as frames:
-        begin_s: float | None = None
         for place, frame in enumerate(frames):
-            begin_s = frame.time_s if begin_s is None else begin_s
+            begin_s = frame.time_s if place == 0 else begin_s
             if frame.time_s > begin_s + _LOOKED_AHEAD_S:
-                return None
+                break
             image = frame.views[0].image
-            if place % _LOOK_EVERY == 0 and image is not None and shows_open_hand(image):
+            seen = None if place % _LOOK_EVERY or image is None else fingers_apart(image)
+            if seen == len(FINGERS):
                 return frame.index
+            if seen == 0 and not has_fingers:
+                break
+            has_fingers |= seen is not None
     return None
 
 

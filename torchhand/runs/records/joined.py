@@ -21,6 +21,7 @@ EVIDENCE, EVIDENCE_BEFORE, IS_NEW, IS_SURE = "evidence", "evidence_before", "is_
 hand was found otherwise than by following it; whether so much is explained that there is one."""
 
 _APART_M = 0.020  # mean distance of keypoints beyond which the hand that is followed back is not the one of the track
+_MAX_UNSURE = 3  # frames in a row in which that hand may be borne out less
 _DROP = 0.15  # overlap by which a hand that fills a loss may have less than where the loss ends
 
 
@@ -75,24 +76,32 @@ class TwoPasses:
         return weights
 
     def _fills(self, weights: Float[Tensor, "t 2"]) -> Bool[np.ndarray, " t"]:
-        """Frames that the first pass has lost, and in which the hand of the second one is borne out."""
+        """Frames that the first pass has lost, and in which the hand of the second one is borne out; or that lie, a few
+        in a row, between such frames."""
         was, then = self.has_hands
         overlap = self.backward.measures.get("overlap", np.full(len(was), np.nan))
         is_sure = self.backward.measures.get(IS_SURE, np.zeros(len(was))) > 0
         is_new = self.backward.measures.get(IS_NEW, np.ones(len(was))) > 0
         fills = np.zeros(len(was), dtype=bool)
-        least = math.inf
+        least, unsure = math.inf, list[int]()
         for row in range(len(was) - 2, -1, -1):
             if was[row] or not then[row] or not then[row + 1]:
+                unsure = []
                 continue
             if was[row + 1]:
                 is_same = bool(weights[row + 1, 1] > 0.5) or self._between_passes(row + 1) < _APART_M
                 least = overlap[row + 1] - _DROP if is_same else math.inf
-            elif not fills[row + 1]:
-                least = math.inf
             # A followed hand that is tilted anew, or gets other fingers, is the same one.
             is_connected = not is_new[row] or self._to_next(row) < ONE_PLACE_M
-            fills[row] = is_sure[row] and is_connected and overlap[row] >= least
+            if not is_connected or not (was[row + 1] or fills[row + 1] or unsure):
+                least, unsure = math.inf, []
+            elif is_sure[row] and overlap[row] >= least:
+                fills[[row, *unsure]] = True
+                unsure = []
+            elif len(unsure) < _MAX_UNSURE:
+                unsure.append(row)
+            else:
+                least, unsure = math.inf, []
         return fills
 
     def _between_passes(self, row: int) -> float:

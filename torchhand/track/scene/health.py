@@ -20,6 +20,7 @@ than 0.04 (status_rates.json), one in twenty photographs of hands with sleeves a
 ONE_PLACE_M = 0.1
 """Between the palms of two hands that are the same hand otherwise held, at most: half a hand's length."""
 _MIN_IN_VIEW = 0.35  # share of the contour's points inside the picture, below which there is too little to judge by
+_FACES_AWAY = 0.5  # of half a turn: a quarter turn about an axis in the palm
 _KEYPOINT_WEIGHT = 0.3  # share of the score that detected keypoints have, where there are any
 MIN_KEYPOINTS = 0.5  # agreement with detected keypoints, below which a detector found another hand
 _DIRECTION_WEIGHT = 0.3  # share of the score that the network's view of the direction has, where there is one
@@ -54,9 +55,10 @@ class HealthSettings:
     beyond which it is degraded too; 0 or more."""
     better_by: float = 0.02
     """By how much the score of an alternative must be higher to take over; 0 to 1."""
-    turned_by: float = 0.12
-    """By how much more it must be higher where it is turned by half a turn, which a hand seldom does from one picture
-    to the next; less for smaller turns; 0 to 1."""
+    turned_by: float = 0.25
+    """By how much more it must be higher where it is turned by half a turn, which no hand does from one picture to the
+    next; less for smaller turns; 0 to 1. It is nearly what the network's view of the direction can make: in an eighth
+    of a real hand's frames that bears out the other side, for as long as a posture lasts."""
     nearer_by: float = 0.1
     """By how much more it must be higher where it lies half a hand's length away or more from a followed hand, and
     nearer to the camera: a hand with its arm looks much like a hand that is nearer; 0 to 1."""
@@ -178,20 +180,22 @@ class Health:
     ) -> Candidate | None:
         """The second where it explains enough more than the first: the more, the farther it is turned away from
         `facing` (world_from_hand as expected), for a hand and its mirror image look nearly alike. The network's view of
-        the direction decides between hands at one place; it says nothing of where the hand is."""
+        the direction decides between hands at one place, but not for one that explains less of the pictures by itself
+        and faces away; it says nothing of where the hand is."""
         if first is None or second is None:
             return first or second
         is_elsewhere = float((first.palm - second.palm).norm()) > ONE_PLACE_M
-        if is_elsewhere:
-            first_score, second_score = (self.score(replace(one, direction=None)) for one in (first, second))
-        else:
-            first_score, second_score = self.score(first), self.score(second)
+        by_pictures = [self.score(replace(one, direction=None)) for one in (first, second)]
+        scores = by_pictures if is_elsewhere else [self.score(one) for one in (first, second)]
         margin = self.settings.better_by
         if facing is not None:
             margin += self.settings.nearer_by * (is_elsewhere and bool(second.palm[2] < first.palm[2]))
             traces = [float((facing * one.rotation).sum()) for one in (first, second)]
-            margin += self.settings.turned_by * max(0.0, traces[0] - traces[1]) / 4  # of half a turn: 4
-        return second if second_score > first_score + margin else first
+            turn = max(0.0, traces[0] - traces[1]) / 4  # 1: half a turn
+            margin += self.settings.turned_by * turn
+            if turn > _FACES_AWAY and by_pictures[1] < by_pictures[0]:
+                return first
+        return second if scores[1] > scores[0] + margin else first
 
     def usual(self, candidate: Candidate, before: float) -> float:
         """The usual score after one more frame."""
