@@ -49,6 +49,27 @@ def test_it_does_not_say_where_the_hand_is() -> None:
     assert HEALTH.better(turned, elsewhere, None) is turned
 
 
+def test_it_does_not_turn_a_followed_hand_over_by_itself() -> None:
+    """It sees an eighth of a real hand's frames from the other side, for as long as a posture lasts."""
+    facing, half = POSE.rotation, torch.diag(torch.tensor((-1.0, 1.0, -1.0), dtype=torch.float64))
+    turned = replace(POSE, reference=half)
+
+    def overlapping(overlap: float, **told: Any) -> Candidate:
+        return _seen(agreement=Agreement.of_overlaps(torch.tensor([overlap], dtype=torch.float64)), **told)
+
+    followed = overlapping(0.9, direction=0.0)
+    for overlap, is_taken in ((0.86, False), (0.9, False), (0.92, False), (0.96, True)):
+        other = overlapping(overlap, direction=0.9, pose=turned)
+        assert HEALTH.score(other) > HEALTH.score(followed) + 0.25
+        assert (HEALTH.better(followed, other, facing) is other) == is_taken
+        assert HEALTH.better(followed, other, None) is other  # none is followed yet
+        assert HEALTH.better(followed, replace(other, pose=POSE), facing) is not followed  # not turned
+    by_detector = overlapping(0.88, direction=0.9, keypoints=0.9, pose=turned)
+    assert HEALTH.better(replace(followed, keypoints=0.2), by_detector, facing) is by_detector
+    much_better = overlapping(0.96, direction=0.02, pose=turned)
+    assert HEALTH.better(overlapping(0.7, direction=0.9), much_better, facing) is not much_better
+
+
 def test_a_hand_seldom_leaps_unless_much_speaks_for_it() -> None:
     away = POSE.dofs.clone()
     away[2] = -0.2

@@ -55,10 +55,11 @@ class HealthSettings:
     beyond which it is degraded too; 0 or more."""
     better_by: float = 0.02
     """By how much the score of an alternative must be higher to take over; 0 to 1."""
-    turned_by: float = 0.25
-    """By how much more it must be higher where it is turned by half a turn, which no hand does from one picture to the
-    next; less for smaller turns; 0 to 1. It is nearly what the network's view of the direction can make: in an eighth
-    of a real hand's frames that bears out the other side, for as long as a posture lasts."""
+    turned_by: float = 0.12
+    """By how much more it must be higher where it is turned by half a turn, which a hand seldom does from one picture
+    to the next; less for smaller turns; 0 to 1. As much as the network's view of the direction can make, at least,
+    where that counts: in an eighth of a real hand's frames that bears out the other side, for as long as a posture
+    lasts, so that it does not suffice alone."""
     nearer_by: float = 0.1
     """By how much more it must be higher where it lies half a hand's length away or more from a followed hand, and
     nearer to the camera: a hand with its arm looks much like a hand that is nearer; 0 to 1."""
@@ -192,8 +193,8 @@ class Health:
             margin += self.settings.nearer_by * (is_elsewhere and bool(second.palm[2] < first.palm[2]))
             traces = [float((facing * one.rotation).sum()) for one in (first, second)]
             turn = max(0.0, traces[0] - traces[1]) / 4  # 1: half a turn
-            margin += self.settings.turned_by * turn
-            if turn > _FACES_AWAY and by_pictures[1] < by_pictures[0]:
+            margin += turn * max(self.settings.turned_by, _DIRECTION_WEIGHT * _is_by_network(second))
+            if turn > _FACES_AWAY and _is_by_network(second) and by_pictures[1] < by_pictures[0]:
                 return first
         return second if scores[1] > scores[0] + margin else first
 
@@ -203,3 +204,8 @@ class Health:
         if before <= 0:
             return here
         return before if keep == 1 else max(here, keep * before + (1 - keep) * here)
+
+
+def _is_by_network(candidate: Candidate) -> bool:
+    """Whether a network's view of the direction counts: where no detector tells of the hand."""
+    return candidate.keypoints is None and candidate.direction is not None
