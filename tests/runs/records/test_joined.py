@@ -144,6 +144,16 @@ def test_a_few_frames_in_which_a_hand_is_borne_out_less_are_bridged(
     assert [record.status for record in records] == ["lost"] + ["tracked"] * 7
 
 
+def test_a_blurred_frame_between_others_is_filled(kinematics: HandKinematics) -> None:
+    forward = _track(kinematics, 0.2, lost=(2, 4, 5, 6), score=0.9, nis=0.1)
+    second = _second(kinematics, 0.2)
+    second.measures["is_sure"][2] = 0.0
+    second.measures["is_sure"][4:7] = 0.0
+    second.measures["overlap"][5] = 0.5
+    records = _joined(kinematics, forward, second)
+    assert [record.status for record in records] == [*["tracked"] * 5, "lost", "recovered", "tracked"]
+
+
 def test_a_hand_that_is_not_the_one_after_the_loss_fills_nothing(kinematics: HandKinematics) -> None:
     forward = _track(kinematics, 0.2, lost=(3, 4), score=0.9, nis=0.1)
     second = _second(kinematics, 0.2, evidence=-50.0)

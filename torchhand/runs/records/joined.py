@@ -77,7 +77,7 @@ class TwoPasses:
 
     def _fills(self, weights: Float[Tensor, "t 2"]) -> Bool[np.ndarray, " t"]:
         """Frames that the first pass has lost, and in which the hand of the second one is borne out; or that lie, a few
-        in a row, between such frames."""
+        in a row, between such frames or, where they are explained as well, before one that has a hand."""
         was, then = self.has_hands
         overlap = self.backward.measures.get("overlap", np.full(len(was), np.nan))
         is_sure = self.backward.measures.get(IS_SURE, np.zeros(len(was))) > 0
@@ -86,6 +86,8 @@ class TwoPasses:
         least, unsure = math.inf, list[int]()
         for row in range(len(was) - 2, -1, -1):
             if was[row] or not then[row] or not then[row + 1]:
+                if was[row]:
+                    fills[unsure] = overlap[unsure] >= least
                 unsure = []
                 continue
             if was[row + 1]:

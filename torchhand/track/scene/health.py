@@ -20,6 +20,10 @@ than 0.04 (status_rates.json), one in twenty photographs of hands with sleeves a
 ONE_PLACE_M = 0.1
 """Between the palms of two hands that are the same hand otherwise held, at most: half a hand's length."""
 _MIN_IN_VIEW = 0.35  # share of the contour's points inside the picture, below which there is too little to judge by
+_TURNED_BY_NETWORK = 0.25
+"""By how much more the score of a hand turned by half a turn must be higher where the network's view of the direction
+counts, of which it can make 0.3: in an eighth of the frames of a real hand (`palm_gestures`) that hardly bears out the
+right side, for as long as a posture lasts. Alone it decides where it leaves next to nothing to the followed side."""
 _FACES_AWAY = 0.5  # of half a turn: a quarter turn about an axis in the palm
 _KEYPOINT_WEIGHT = 0.3  # share of the score that detected keypoints have, where there are any
 MIN_KEYPOINTS = 0.5  # agreement with detected keypoints, below which a detector found another hand
@@ -57,9 +61,7 @@ class HealthSettings:
     """By how much the score of an alternative must be higher to take over; 0 to 1."""
     turned_by: float = 0.12
     """By how much more it must be higher where it is turned by half a turn, which a hand seldom does from one picture
-    to the next; less for smaller turns; 0 to 1. As much as the network's view of the direction can make, at least,
-    where that counts: in an eighth of a real hand's frames that bears out the other side, for as long as a posture
-    lasts, so that it does not suffice alone."""
+    to the next; less for smaller turns; 0 to 1. Twice as much where the network's view of the direction counts."""
     nearer_by: float = 0.1
     """By how much more it must be higher where it lies half a hand's length away or more from a followed hand, and
     nearer to the camera: a hand with its arm looks much like a hand that is nearer; 0 to 1."""
@@ -193,7 +195,7 @@ class Health:
             margin += self.settings.nearer_by * (is_elsewhere and bool(second.palm[2] < first.palm[2]))
             traces = [float((facing * one.rotation).sum()) for one in (first, second)]
             turn = max(0.0, traces[0] - traces[1]) / 4  # 1: half a turn
-            margin += turn * max(self.settings.turned_by, _DIRECTION_WEIGHT * _is_by_network(second))
+            margin += turn * max(self.settings.turned_by, _TURNED_BY_NETWORK * _is_by_network(second))
             if turn > _FACES_AWAY and _is_by_network(second) and by_pictures[1] < by_pictures[0]:
                 return first
         return second if scores[1] > scores[0] + margin else first
