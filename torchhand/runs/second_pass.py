@@ -54,7 +54,7 @@ def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
     alternatives = _follow_back(run, writer, forward, shape, say)
     if shape is not before:
         forward = _reshaped(forward, run.tracker, before, shape)
-    passes = TwoPasses.of(forward, load_track(writer.folder / BACKWARD_NAME))
+    passes = TwoPasses.of(forward, load_track(writer.folder / BACKWARD_NAME), begins_at=run.begins_at)
     cameras = sent_to(run.tracker.own_cameras, HOST)
     camera = cameras[0] if len(cameras) == 1 else None
     joined = list(joined_records(passes, run.kinematics, shape.to(HOST), camera))

@@ -126,7 +126,7 @@ def _track_one(run: Run, recording: OneCamera, writer: TrackWriter, request: Req
     run.save_hand(writer.folder)
     if _may_begin_later(run, request):
         run.begins_at = first_open_hand(recording) or 0
-        if run.begins_at > request.start:
+        if run.begins_at > request.start + done:
             say(f"frame {run.begins_at} shows the hand open: it is followed from there, forwards and then back")
     _follow(run, recording, writer, done, request, say)
     if not request.is_causal:
@@ -140,8 +140,7 @@ def _may_begin_later(run: Run, request: Request) -> bool:
     s = request.settings
     is_told = run.keypoints is not None or request.start_points is not None
     is_silhouette = s.silhouette.method == "skin" and s.posture == "open" and run.tracker.parts.has_learned_posture
-    has_hand = run.state is not None and run.state.has_started
-    return is_silhouette and not (request.is_causal or is_told or has_hand)
+    return is_silhouette and not (request.is_causal or is_told)
 
 
 def _follow(run: Run, recording: OneCamera, writer: TrackWriter, done: int, request: Request, say: Say) -> None:

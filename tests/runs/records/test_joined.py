@@ -144,6 +144,16 @@ def test_a_few_frames_in_which_a_hand_is_borne_out_less_are_bridged(
     assert [record.status for record in records] == ["lost"] + ["tracked"] * 7
 
 
+def test_before_the_frame_from_which_on_a_hand_was_looked_for_the_overlap_decides(kinematics: HandKinematics) -> None:
+    forward = _track(kinematics, 0.2, lost=(0, 1, 2, 3, 4, 5), score=0.9, nis=0.1)
+    second = _second(kinematics, 0.2)
+    second.measures["is_sure"][:] = 0.0
+    second.measures["overlap"][0] = 0.5
+    passes = TwoPasses.of(forward, second, begins_at=int(forward.frame[6]))
+    records = list(joined_records(passes, kinematics, kinematics.default_shape, None))
+    assert [record.status for record in records] == ["lost"] + ["tracked"] * 7
+
+
 def test_a_blurred_frame_between_others_is_filled(kinematics: HandKinematics) -> None:
     forward = _track(kinematics, 0.2, lost=(2, 4, 5, 6), score=0.9, nis=0.1)
     second = _second(kinematics, 0.2)

@@ -32,9 +32,11 @@ class TwoPasses:
     forward: Track
     backward: Track
     """NaN where the second pass did not look or had no hand."""
+    begins_at: int = 0
+    """Number of the frame from which on the first pass looked for a hand: those before it say nothing against one."""
 
     @classmethod
-    def of(cls, forward: Track, backward: Track) -> "TwoPasses":
+    def of(cls, forward: Track, backward: Track, *, begins_at: int = 0) -> "TwoPasses":
         """backward: any of the frames, in their order."""
         rows = {int(frame): row for row, frame in enumerate(backward.frame)}
         places = [rows.get(int(frame), -1) for frame in forward.frame]
@@ -48,7 +50,7 @@ class TwoPasses:
         measures = {name: np.where(known, values[places], np.nan) for name, values in backward.measures.items()}
         unused: dict[str, Any] = {"keypoints2d": None, "reason": None}
         own = {"frame": forward.frame, "time_s": forward.time_s, "status": forward.status, "measures": measures}
-        return cls(forward=forward, backward=replace(backward, **own, **unused, **arrays))
+        return cls(forward=forward, backward=replace(backward, **own, **unused, **arrays), begins_at=begins_at)
 
     @property
     def has_hands(self) -> tuple[Bool[np.ndarray, " t"], Bool[np.ndarray, " t"]]:
@@ -81,6 +83,7 @@ class TwoPasses:
         was, then = self.has_hands
         overlap = self.backward.measures.get("overlap", np.full(len(was), np.nan))
         is_sure = self.backward.measures.get(IS_SURE, np.zeros(len(was))) > 0
+        is_sure |= self.forward.frame < self.begins_at
         is_new = self.backward.measures.get(IS_NEW, np.ones(len(was))) > 0
         fills = np.zeros(len(was), dtype=bool)
         least, unsure = math.inf, list[int]()
