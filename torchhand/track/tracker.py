@@ -72,6 +72,8 @@ class _Search:
     reason: str
     is_doubted: bool = False
     """Whether other hands were to be looked for, and were not."""
+    is_firm: bool = False
+    """Whether the side that a followed hand shows is known from its outline (`Health.better`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,7 +234,8 @@ class Tracker:
         if state.hand is not None and predicted is not None and state.shape is not None:
             followed = self._followed(state.hand, predicted, scene, state.shape)
         facing = None if predicted is None else predicted.reference
-        search = _Search(best=followed, proposed=None, has_foreground=followed is not None, reason="")
+        known = {"has_foreground": followed is not None, "is_firm": state.began_open}
+        search = _Search(best=followed, proposed=None, reason="", **known)
         search = search if other is None else self._with_other(search, other, facing, scene, state)
         state, search = self._searched(state, search, facing, scene, occasions)
         state, estimate = self._adopted(
@@ -648,7 +651,7 @@ class Tracker:
             search = replace(search, reason=f"no hand where the search began ({told})")
             if best is not None and not health.is_failing(best):
                 return search  # what is no hand takes no hand's place
-        if health.better(best, candidate, facing) is best:
+        if health.better(best, candidate, facing, is_firm=search.is_firm) is best:
             return search
         return replace(search, best=candidate, proposed=proposed)
 

@@ -61,13 +61,14 @@ def test_it_does_not_turn_a_followed_hand_over_by_itself() -> None:
     for overlap, is_taken in ((0.86, False), (0.9, False), (0.96, True)):
         other = overlapping(overlap, direction=0.9, pose=turned)
         assert HEALTH.score(other) > HEALTH.score(followed) + 0.2
-        assert (HEALTH.better(followed, other, facing) is other) == is_taken
-        assert HEALTH.better(followed, other, None) is other  # none is followed yet
-        assert HEALTH.better(followed, replace(other, pose=POSE), facing) is not followed  # not turned
+        assert (HEALTH.better(followed, other, facing, is_firm=True) is other) == is_taken
+        assert HEALTH.better(followed, other, facing) is other  # that side was only the network's word before, too
+        assert HEALTH.better(followed, other, None, is_firm=True) is other  # none is followed yet
+        assert HEALTH.better(followed, replace(other, pose=POSE), facing, is_firm=True) is not followed  # not turned
     by_detector = overlapping(0.88, direction=0.9, keypoints=0.9, pose=turned)
-    assert HEALTH.better(replace(followed, keypoints=0.2), by_detector, facing) is by_detector
+    assert HEALTH.better(replace(followed, keypoints=0.2), by_detector, facing, is_firm=True) is by_detector
     much_better = overlapping(0.96, direction=0.02, pose=turned)
-    assert HEALTH.better(overlapping(0.7, direction=0.9), much_better, facing) is not much_better
+    assert HEALTH.better(overlapping(0.7, direction=0.9), much_better, facing, is_firm=True) is not much_better
 
 
 def test_a_hand_seldom_leaps_unless_much_speaks_for_it() -> None:

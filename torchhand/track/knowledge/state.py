@@ -1,16 +1,19 @@
 """What a tracker knows between two frames, and what it says of one."""
 
+import math
 from dataclasses import dataclass
 
 from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.files import FrameStatus
-from torchhand.hand import HandPose
+from torchhand.hand import DOFS, FINGERS, HandPose
 from torchhand.track.belief import FollowedHand
 from torchhand.track.scene import Appearances, PackedMask
 
 _SAME_TIME_S = 1e-3
+_BENDING = [DOFS.index(f"{finger}_{joint}_fe") for finger in FINGERS[1:] for joint in ("mcp", "pip")]
+_OPEN_BELOW = math.radians(45.0)
 REFIT_EVERY = 10
 """Frames from one fit with larger steps of a hand that declines to the next at least."""
 
@@ -87,6 +90,11 @@ class TrackerState:
     """Good frames since colours were last learned."""
     has_started: bool = False
     """Whether a hand was ever found."""
+
+    @property
+    def began_open(self) -> bool:
+        """Whether the first hand had no finger bent much: which side it shows is then known from its outline."""
+        return self.posture is not None and bool((self.posture[_BENDING] < _OPEN_BELOW).all())
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,9 +21,10 @@ ONE_PLACE_M = 0.1
 """Between the palms of two hands that are the same hand otherwise held, at most: half a hand's length."""
 _MIN_IN_VIEW = 0.35  # share of the contour's points inside the picture, below which there is too little to judge by
 _TURNED_BY_NETWORK = 0.25
-"""By how much more the score of a hand turned by half a turn must be higher where the network's view of the direction
-counts, of which it can make 0.3: in an eighth of the frames of a real hand (`palm_gestures`) that hardly bears out the
-right side, for as long as a posture lasts. Alone it decides where it leaves next to nothing to the followed side."""
+"""By how much more the score of a hand turned by half a turn must be higher where the side that it shows is known from
+its outline, and the network's view of the direction counts, of which it can make 0.3: in an eighth of the frames of a
+real hand (`palm_gestures`) that hardly bears out the right side, for as long as a posture lasts. Alone it decides where
+it leaves next to nothing to the followed side."""
 _FACES_AWAY = 0.5  # of half a turn: a quarter turn about an axis in the palm
 _KEYPOINT_WEIGHT = 0.3  # share of the score that detected keypoints have, where there are any
 MIN_KEYPOINTS = 0.5  # agreement with detected keypoints, below which a detector found another hand
@@ -61,7 +62,7 @@ class HealthSettings:
     """By how much the score of an alternative must be higher to take over; 0 to 1."""
     turned_by: float = 0.12
     """By how much more it must be higher where it is turned by half a turn, which a hand seldom does from one picture
-    to the next; less for smaller turns; 0 to 1. Twice as much where the network's view of the direction counts."""
+    to the next; less for smaller turns; 0 to 1. Twice as much where only a network sees the hand, which began open."""
     nearer_by: float = 0.1
     """By how much more it must be higher where it lies half a hand's length away or more from a followed hand, and
     nearer to the camera: a hand with its arm looks much like a hand that is nearer; 0 to 1."""
@@ -179,12 +180,17 @@ class Health:
         return has_dropped or candidate.agreement.most_unexplained > s.max_unexplained
 
     def better(
-        self, first: Candidate | None, second: Candidate | None, facing: Float[Tensor, "3 3"] | None
+        self,
+        first: Candidate | None,
+        second: Candidate | None,
+        facing: Float[Tensor, "3 3"] | None,
+        *,
+        is_firm: bool = False,
     ) -> Candidate | None:
         """The second where it explains enough more than the first: the more, the farther it is turned away from
         `facing` (world_from_hand as expected), for a hand and its mirror image look nearly alike. The network's view of
-        the direction decides between hands at one place, but not for one that explains less of the pictures by itself
-        and faces away; it says nothing of where the hand is."""
+        the direction decides between hands at one place; it says nothing of where the hand is. is_firm: whether
+        `facing` is known otherwise than from that view, which then turns no hand over that explains more."""
         if first is None or second is None:
             return first or second
         is_elsewhere = float((first.palm - second.palm).norm()) > ONE_PLACE_M
@@ -195,8 +201,9 @@ class Health:
             margin += self.settings.nearer_by * (is_elsewhere and bool(second.palm[2] < first.palm[2]))
             traces = [float((facing * one.rotation).sum()) for one in (first, second)]
             turn = max(0.0, traces[0] - traces[1]) / 4  # 1: half a turn
-            margin += turn * max(self.settings.turned_by, _TURNED_BY_NETWORK * _is_by_network(second))
-            if turn > _FACES_AWAY and _is_by_network(second) and by_pictures[1] < by_pictures[0]:
+            is_by_network = is_firm and second.keypoints is None and second.direction is not None
+            margin += turn * max(self.settings.turned_by, _TURNED_BY_NETWORK * is_by_network)
+            if is_by_network and turn > _FACES_AWAY and by_pictures[1] < by_pictures[0]:
                 return first
         return second if scores[1] > scores[0] + margin else first
 
@@ -206,8 +213,3 @@ class Health:
         if before <= 0:
             return here
         return before if keep == 1 else max(here, keep * before + (1 - keep) * here)
-
-
-def _is_by_network(candidate: Candidate) -> bool:
-    """Whether a network's view of the direction counts: where no detector tells of the hand."""
-    return candidate.keypoints is None and candidate.direction is not None
