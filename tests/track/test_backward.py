@@ -12,6 +12,7 @@ from torchhand.hand import HandKinematics
 from torchhand.runs import settings_of
 from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
 from torchhand.track import BackwardPass, Estimate, Tracker, TrackerState, View
+from torchhand.track.backward import is_borne_out
 
 WIDTH, HEIGHT, FPS, FRAMES = 240, 192, 30.0, 12
 
@@ -133,3 +134,24 @@ def test_the_scene_of_a_step_is_made_once(
     assert other_plane is not None
     assert not torch.equal(other_plane, plane)
     assert tracker.scene(known, views[0], 1 + FRAMES / FPS).time_s == 1 + FRAMES / FPS
+
+
+@pytest.mark.parametrize(
+    ("turn", "overlap", "is_firm", "expected"),
+    [
+        (0.5, 0.85, True, True),
+        (0.5, 0.75, True, False),  # it slid away
+        (3.1, 0.92, True, False),
+        (3.1, 0.96, True, True),
+        (3.1, 0.92, False, True),
+    ],
+)
+def test_a_likelier_hand_keeps_its_overlap_and_gains_some_where_it_faces_away(
+    turn: float, overlap: float, is_firm: bool, expected: bool
+) -> None:
+    pose = torch.zeros(36, dtype=torch.float64)
+    other = pose.clone()
+    other[4] = turn
+    followed = Estimate(status="tracked", time_s=0.0, pose=pose, overlap=0.9)
+    likelier = replace(followed, pose=other, overlap=overlap)
+    assert is_borne_out(followed, likelier, is_firm=is_firm) is expected

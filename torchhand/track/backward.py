@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.fit.keypoints import PostureKeypoints
+from torchhand.geometry import cosine_between
 from torchhand.hand import HandPose
 from torchhand.numerics import single_threaded
 from torchhand.track.alternatives import SAME_M, Alternatives, TiltAlternatives
@@ -36,6 +37,7 @@ _SAME_M = 0.003  # mean distance of keypoints, up to which two hands are taken f
 _NEAR_M = 0.01  # mean distance of keypoints, up to which a view of one hand shows another as well
 _LOOK_EVERY = 5  # frames from one look at other tilts to the next
 _SLID = 0.1  # overlap that a likelier hand must not lose where the tracker places it: it was another one then
+_TURNED = 0.05  # overlap that one which faces away must gain
 _HELD = 1e-6  # radians and metres by which a pose may differ from what a track can reach
 
 
@@ -121,7 +123,7 @@ class BackwardPass:
         best = int(odds.argmax())
         if float((away[best] - away[best].mean(0)).norm(dim=-1).mean()) > SAME_M:
             placed = self._tracker.placed(self._state, found.pose[best], scene)
-            if placed is not None and (placed[1].overlap or 0.0) > (estimate.overlap or 0.0) - _SLID:
+            if placed is not None and is_borne_out(estimate, placed[1], is_firm=self._state.began_open):
                 self._state, other = placed
                 assert other.keypoints is not None
                 away = away - (other.keypoints - estimate.keypoints).to(device)
@@ -186,3 +188,14 @@ class BackwardPass:
             seen = seen_posture(scene, parts.cameras[0], parts.kinematics, pose, self._shape)
             told = () if seen is None else learned_observations(seen, pose)
             yield from (one for one in told if isinstance(one, PostureKeypoints))
+
+
+def is_borne_out(followed: Estimate, other: Estimate, *, is_firm: bool) -> bool:
+    """Whether a likelier hand takes the place of a followed one as the tracker places it: with less overlap it is
+    another hand then. One that faces away, such as that of the other pass may, must gain some where the side of the
+    followed one is firm (`Health.better`)."""
+    if followed.pose is None or other.pose is None:
+        return False
+    turned = cosine_between(HandPose.of(followed.pose).rotation, HandPose.of(other.pose).rotation)
+    least = _TURNED if is_firm and float(turned) < 0 else -_SLID
+    return (other.overlap or 0.0) > (followed.overlap or 0.0) + least
