@@ -947,3 +947,29 @@ def test_what_may_not_look_ahead_begins_at_the_first_frame(opening: Path, run: R
     track = load_track(tmp_path / "out")
     assert track.reason is not None
     assert "looked for from frame" not in track.reason[0]
+
+
+def test_what_cannot_be_looked_ahead_to_is_told_when_the_run_gets_there(
+    opening: Path, run: Run, tmp_path: Path
+) -> None:
+    frames = tmp_path / "frames"
+    shutil.copytree(opening / "frames", frames)
+    assert cv2.imwrite(str(frames / "2.png"), np.zeros((128, 160, 3), np.uint8))
+    options = ["--camera", opening / "cameras.json", "--no-overlay", "--no-report", "--set", "shape_frames=0"]
+    outcome = run(frames, "--out", tmp_path / "out", *options)
+    assert outcome.code == 2
+    assert "2.png" in outcome.err
+    assert load_track(tmp_path / "out").frame.tolist() == [0, 1]
+
+
+def test_a_run_that_ended_before_the_hand_was_open_goes_on_with_its_own(
+    opening: Path, run: Run, tmp_path: Path
+) -> None:
+    options = ["--camera", opening / "cameras.json", "--no-overlay", "--no-report", "--set", "shape_frames=0"]
+    options += ["--out", tmp_path / "out", "--keep-checkpoint"]
+    assert run(opening / "frames", *options, "--max-frames", "2").code == 0
+    before = load_track(tmp_path / "out").has_hand
+    outcome = run(opening / "frames", *options, "--resume", "--max-frames", "17")
+    assert outcome.code == 0
+    assert before.all()
+    assert load_track(tmp_path / "out" / "forward.jsonl").has_hand.all()

@@ -125,8 +125,11 @@ def _track_one(run: Run, recording: OneCamera, writer: TrackWriter, request: Req
     run.save_config(writer.folder, _asked(request) | used, recording.cameras)
     run.save_hand(writer.folder)
     if _may_begin_later(run, request):
-        run.begins_at = first_open_hand(recording) or 0
-        if run.begins_at > request.start + done:
+        begins_at, left = first_open_hand(recording) or 0, request.start + done
+        has_hand = run.state is not None and run.state.has_started
+        if not (has_hand and begins_at >= left):  # of a run that ended before that frame, and began without it
+            run.begins_at = begins_at
+        if run.begins_at > left:
             say(f"frame {run.begins_at} shows the hand open: it is followed from there, forwards and then back")
     _follow(run, recording, writer, done, request, say)
     if not request.is_causal:

@@ -234,8 +234,8 @@ class Tracker:
         if state.hand is not None and predicted is not None and state.shape is not None:
             followed = self._followed(state.hand, predicted, scene, state.shape)
         facing = None if predicted is None else predicted.reference
-        known = {"has_foreground": followed is not None, "is_firm": state.began_open}
-        search = _Search(best=followed, proposed=None, reason="", **known)
+        has_hand, is_firm = followed is not None, state.began_open
+        search = _Search(best=followed, proposed=None, has_foreground=has_hand, reason="", is_firm=is_firm)
         search = search if other is None else self._with_other(search, other, facing, scene, state)
         state, search = self._searched(state, search, facing, scene, occasions)
         state, estimate = self._adopted(

@@ -89,8 +89,7 @@ def refine_silhouette(
     """
     settings = settings or RefinementSettings()
     height, width = guess.shape
-    scale = min(1.0, settings.max_side_px / max(height, width))
-    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    size = _size_within(height, width, settings.max_side_px)
     small = cv2.resize(guess.cpu().numpy().astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) > 127
     if not small.any() or small.all():
         return guess
@@ -129,14 +128,19 @@ def fingers_apart(image: UInt8[Tensor, "height width 3"]) -> int | None:
 
     Quick; where a hand is not told by the colour of skin alone, `find_open_hand` finds many more.
     """
-    scale = min(1.0, _QUICK_SIDE_PX / max(image.shape[:2]))
-    size = (max(1, round(scale * image.shape[1])), max(1, round(scale * image.shape[0])))
+    size = _size_within(image.shape[0], image.shape[1], _QUICK_SIDE_PX)
     small = torch.from_numpy(cv2.resize(image.cpu().contiguous().numpy(), size, interpolation=cv2.INTER_AREA))
     skin = bootstrap_skin(small).mask
     found = _judged(small, _edges(small), skin, "skin") if bool(skin.any()) else None
     if found is None:
         return None
     return len(DIGITS) if _is_surely_open(found) else min(_fingers(found), len(DIGITS) - 1)
+
+
+def _size_within(height: int, width: int, max_side_px: int) -> tuple[int, int]:
+    """Width and height of a picture that is reduced to a longer side, as OpenCV takes them."""
+    scale = min(1.0, max_side_px / max(height, width))
+    return max(1, round(width * scale)), max(1, round(height * scale))
 
 
 def _best_of(

@@ -112,9 +112,10 @@ def reversed_frames(recording: Recording, count: int) -> Iterator[RecordedFrame]
 
 def first_open_hand(recording: Recording) -> int | None:
     """Index of the first frame that surely shows an open hand, of those that are looked at in the first seconds of a
-    recording of one camera; None where none does, or where what is seen first is a closed hand."""
+    recording of one camera; None where none does, where what is seen first is a closed hand, or where what comes before
+    cannot be tracked to there: the run tells of that when it gets there."""
     has_fingers, begin_s = False, math.nan
-    with recording.opened(0) as frames:
+    with contextlib.suppress(InputError), recording.opened(0) as frames:
         for place, frame in enumerate(frames):
             begin_s = frame.time_s if place == 0 else begin_s
             if frame.time_s > begin_s + _LOOKED_AHEAD_S:

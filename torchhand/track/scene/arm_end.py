@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.image import reduced_mask
+
 END_REACH = 1.25
 """Hand lengths from the farthest place of a silhouette that may be the hand's."""
 _SIDE_PX = 240  # longer side of the reduced silhouettes
@@ -53,9 +55,8 @@ def lengths_to_end(mask: Bool[Tensor, "height width"]) -> Float[Tensor, "h w"] |
     not touch the border."""
     height, width = mask.shape
     scale = min(1.0, _SIDE_PX / max(height, width))
-    size = (max(1, round(scale * width)), max(1, round(scale * height)))
-    pixels = mask.cpu().numpy().view(np.uint8)
-    filled = (cv2.resize(pixels * 255, size, interpolation=cv2.INTER_AREA) > 127).astype(np.uint8)
+    small = reduced_mask(mask.cpu(), max(1, round(scale * height)), max(1, round(scale * width)))
+    filled = small.numpy().astype(np.uint8)
     reached = filled.copy()
     reached[1:-1, 1:-1] = 0
     if not reached.any():
