@@ -69,3 +69,50 @@ def test_a_shape_per_hand(scene: Any, generator: torch.Generator) -> None:
         HandProjector(kinematics, camera, s).outline_px(p, reference, table) for s, p in zip(shapes, pose, strict=True)
     ]
     torch.testing.assert_close(together, torch.stack(alone), atol=1e-9, rtol=0)
+
+
+@pytest.mark.parametrize(("kind", "lens"), [("pinhole", 0), ("pinhole", 5), ("orthographic", 0)])
+def test_along_its_own_normals_a_hand_is_where_its_contour_is(
+    kind: str, lens: int, scene: Any, generator: torch.Generator
+) -> None:
+    projector = scene.projector(scene.camera(kind, lens=lens))
+    poses, reference = scene.pose(generator, 3)
+    hands = scene.primitives(projector, poses, reference)
+    own, table = replace(hands, rotation=hands.rotation[0], position=hands.position[0]), outline_table(3, 5)
+    contour = projector.contour_of(own, table)
+    seen = table.select(contour.visible)
+    points, normals = contour.points_px[contour.visible], contour.normals[contour.visible]
+    along = projector.along_normals_px(projector.generators_of(hands), seen, normals)
+    assert along.shape == (3, seen.size)
+    torch.testing.assert_close(along[0], (points * normals).sum(-1), atol=1e-8, rtol=0)
+
+
+@pytest.mark.parametrize("kind", ["pinhole", "orthographic"])
+def test_other_hands_are_compared_where_their_bones_are_farthest(
+    kind: str, scene: Any, generator: torch.Generator
+) -> None:
+    """By trying many points round each bone."""
+    projector = scene.projector(scene.camera(kind))
+    poses, reference = scene.pose(generator, 4)
+    table = outline_table(3, 5)
+    hands = scene.primitives(projector, poses, reference)
+    normals = torch.nn.functional.normalize(torch.randn(table.size, 2, generator=generator, dtype=torch.float64))
+    along = projector.along_normals_px(projector.generators_of(hands), table, normals)
+
+    angle = torch.linspace(0, 2 * torch.pi, 721, dtype=torch.float64)[:, None]
+    cones, sizes = len(table.cone), hands.sizes
+    start, length = sizes.cone_start[table.cone], sizes.cone_length[table.cone]
+    radii = start * (1 + table.cone_fraction * (sizes.cone_end_scale[table.cone] - 1))[:, None]
+    height = (length * table.cone_fraction).expand(len(angle), -1)
+    ring = torch.stack((angle.cos() * radii[:, 0], height, angle.sin() * radii[:, 1]), -1)
+    ring = torch.einsum("bpij,apj->bpai", hands.rotation[:, table.cone], ring) + hands.position[:, table.cone, None]
+    whole = projector.generators_of(hands)[1].curve.movedim(-1, 0)[:, table.ellipsoid]  # hands, points, component, part
+    circle = torch.cat((torch.ones_like(angle), angle.cos(), angle.sin()), -1)
+    tried = torch.cat((ring, torch.einsum("bpic,ac->bpai", whole, circle)), 1)
+    pixels = projector.camera.project(tried)
+    expected = (pixels * normals[:, None]).sum(-1).amax(-1)
+    torch.testing.assert_close(along, expected, atol=2e-3, rtol=0)
+
+    fixed = projector.outline_px(poses, reference, table)[:, cones:]
+    at_fixed_places = (fixed * normals[cones:]).sum(-1)
+    assert float((along[:, cones:] - at_fixed_places).max()) > 3.0  # so there is something to tell apart

@@ -27,12 +27,18 @@ class ConeGenerators:
     """Outward normals (15, 2, 3, n), the same all along a generator."""
     is_real: Tensor
     """Whether a cone has generators that the camera sees (15, n)."""
+    section: Tensor | None
+    """Ellipse across the lower end, in the parts of an arc (15, 3, 3, n), metres; where normals are asked for."""
+    growth: Tensor | None
+    """Change of the section from the lower to the upper end, in the same parts."""
 
     def of_hand(self, index: int) -> "ConeGenerators":
         """The part of one hand of the batch, with n = 1."""
         low, rise, is_real = (x[..., index : index + 1] for x in (self.low, self.rise, self.is_real))
-        normal = None if self.normal is None else self.normal[..., index : index + 1]
-        return ConeGenerators(low=low, rise=rise, normal=normal, is_real=is_real)
+        normal, section, growth = (
+            None if x is None else x[..., index : index + 1] for x in (self.normal, self.section, self.growth)
+        )
+        return ConeGenerators(low=low, rise=rise, normal=normal, is_real=is_real, section=section, growth=growth)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,11 +126,15 @@ def _cones(
     lateral = torch.addcmul(x_axis * scaled[:, :, 0], z_axis, scaled[:, :, 1])
     low = lateral + position[:, None]
     rise = torch.addcmul(y_axis * length[:, None, None], lateral, (scale - 1)[:, None, None])
-    normal = None
+    normal = section = growth = None
     if with_normals:
         steep = direction / start[:, None, :, None]
         normal = torch.addcmul(x_axis * steep[:, :, 0], z_axis, steep[:, :, 1]) + y_axis * slope[:, None, None]
-    return ConeGenerators(low=low, rise=rise, normal=normal, is_real=ratio.abs() < 1)
+        x_axis, y_axis, z_axis = columns[:, 0].unbind(1)
+        radii = torch.stack((x_axis * start[:, :1], z_axis * start[:, 1:]), 2)
+        section = torch.cat((position[:, :, None], radii), 2)
+        growth = torch.cat(((y_axis * length[:, None])[:, :, None], radii * (scale - 1)[:, None, None]), 2)
+    return ConeGenerators(low=low, rise=rise, normal=normal, is_real=ratio.abs() < 1, section=section, growth=growth)
 
 
 def _arcs(

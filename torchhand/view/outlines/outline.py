@@ -179,6 +179,44 @@ def sample_generators(cones: ConeGenerators, arcs: EllipsoidArcs, table: Outline
     return torch.cat((on_cones, _along(arcs.curve, arcs.half_angle, table)))
 
 
+def farthest_along(
+    cones: ConeGenerators,
+    arcs: EllipsoidArcs,
+    table: OutlineTable,
+    normals: Float[Tensor, "points 2"],
+    *,
+    is_orthographic: bool,
+) -> Tensor:
+    """The point of each table point's curve that lies farthest along a normal of the normalised plane: (points, 3, n).
+
+    The curve is the cone's section at the point's fraction, or the ellipsoid's outline. At the hand that the normals
+    belong to it is the table's own point. At others a fixed place on the curve moves round the bone as the bone turns,
+    the faster the more it points at the camera, although the outline hardly changes. Generators with normals.
+    """
+    assert cones.section is not None
+    assert cones.growth is not None
+    section, growth = (x.index_select(0, table.cone) for x in (cones.section, cones.growth))
+    sections = torch.addcmul(section, growth, table.cone_fraction.to(section.dtype)[:, None, None, None])
+    curve = torch.cat((sections, arcs.curve.index_select(0, table.ellipsoid)))
+    x, y, depth = curve.unbind(1)  # points, (centre, first, second), n
+    across = torch.addcmul(normals[:, :1, None] * x, normals[:, 1:, None], y)
+    centre, first, second = across.unbind(1)
+    if is_orthographic:
+        cosine, sine, rest = second, -first, torch.zeros_like(first)
+    else:
+        # Along the curve the derivative of across / depth is 0 where cos φ cosine + sin φ sine + rest is.
+        deep, deep_first, deep_second = depth.unbind(1)
+        cosine = second * deep - centre * deep_second
+        sine = centre * deep_first - first * deep
+        rest = second * deep_first - first * deep_second
+    size = torch.hypot(cosine, sine).clamp_min(torch.finfo(curve.dtype).tiny)
+    cosine, sine, ahead = cosine / size, sine / size, (-rest / size).clamp(-1, 1)
+    aside = (1 - ahead * ahead).sqrt()
+    middle, first, second = curve.unbind(2)
+    on_first, on_second = cosine * ahead - sine * aside, sine * ahead + cosine * aside
+    return torch.addcmul(torch.addcmul(middle, first, on_first[:, None]), second, on_second[:, None])
+
+
 def _along(curve: Tensor, half_angle: Tensor, table: OutlineTable) -> Tensor:
     """The table's points of arcs given by their centre and two radii: (points, 3, n)."""
     angle = half_angle.index_select(0, table.ellipsoid) * table.sweep.to(curve.dtype)

@@ -22,7 +22,14 @@ from torchhand.hand import (
 )
 from torchhand.precision import own_precision
 from torchhand.view.outlines.generators import ConeGenerators, EllipsoidArcs, generators
-from torchhand.view.outlines.outline import OutlineTable, outline_of, outline_table, pixel_normals, sample_generators
+from torchhand.view.outlines.outline import (
+    OutlineTable,
+    farthest_along,
+    outline_of,
+    outline_table,
+    pixel_normals,
+    sample_generators,
+)
 from torchhand.view.outlines.visibility import visible_points
 
 Generators = tuple[ConeGenerators, EllipsoidArcs]
@@ -134,8 +141,14 @@ class HandProjector:
     def along_normals_px(
         self, seen: Generators, table: OutlineTable, normals: Float[Tensor, "points 2"]
     ) -> Float[Tensor, "hands points"]:
-        """normal · pixel of the outline points of a batch of hands: what an edge search measures."""
-        x, y = self._pixels(sample_generators(*seen, table)).unbind(1)
+        """normal · pixel of the outlines of a batch of hands, the one that the normals belong to first: what an edge
+        search measures."""
+        cones, arcs = seen
+        own = sample_generators(cones.of_hand(0), arcs.of_hand(0), table)[..., 0]
+        slope = self.camera.pixel_jacobian(self.camera.plane_from_cam(own))
+        in_plane = (normals[:, None] @ slope.to(normals))[:, 0]
+        points = farthest_along(cones, arcs, table, in_plane, is_orthographic=self.is_orthographic)
+        x, y = self._pixels(points).unbind(1)
         return torch.addcmul(x * normals[:, :1], y, normals[:, 1:]).T
 
     @own_precision
