@@ -10,10 +10,11 @@ from torch import Tensor
 
 from tests.steps import right_hand, run
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand import HandPose, posture
+from torchhand.hand import JOINT_DOFS, HandPose, posture
 from torchhand.runs import settings_of
 from torchhand.track import Tracker, TrackerState, View
 from torchhand.track.proposals import TiltedHands
+from torchhand.track.proposals.tilted import bent_hands, outside
 from torchhand.track.scene import Candidate, Scene
 
 
@@ -59,6 +60,74 @@ def test_the_tilt_is_among_those_that_are_proposed(half_closed: Any) -> None:
     assert min(_turned_deg(one.pose.rotation, true.rotation) for one in proposals.hands) < 12
 
 
+def test_a_finger_outside_the_silhouette_is_proposed_bent(studio: Any) -> None:
+    """The index bends between two pictures: the straight one that was followed lies beside the hand."""
+    placed = studio.placed(size=0.7, view="palm", camera=studio.camera(320, 240))
+    opened, fist = (posture(name, dtype=torch.float64)[6:] for name in ("open", "fist"))
+    index = torch.tensor([name.startswith("index") for name in JOINT_DOFS])
+    straight, bent = placed.pose.clone(), placed.pose.clone()
+    straight[6:], bent[6:] = opened, torch.where(index, 0.7 * fist, opened)
+    placed = replace(placed, pose=straight)
+    tracker = Tracker(right_hand(), placed.camera, settings_of("contour_full"), shape=placed.shape)
+    state, _ = run(tracker, [placed.picture(seed=0)])
+    picture = replace(placed, pose=bent).picture(seed=1)
+    scene = tracker.scene(state, [View(image=picture)], 1.0)
+    followed = HandPose(dofs=straight, reference=placed.root_reference).normalized()
+    best = _followed(tracker, scene, followed, placed.shape)
+    plane = scene.plane(0)
+    assert plane is not None
+    keypoints = tracker.kinematics(straight, placed.shape, root_reference=placed.root_reference).keypoints
+    away = outside(placed.camera.project(keypoints), plane > 0.5)
+    assert away[1] > 0.5
+    assert away[[0, 2, 3, 4]].max() < 0.2
+    with torch.inference_mode():
+        proposals = _source(tracker)(scene, state, best)
+    bends = HandPose.stack([one.pose for one in proposals.hands]).dofs[:, 6:][:, index].sum(-1)
+    assert float((bends - bent[6:][index].sum()).abs().min()) < math.radians(60)
+    assert float(bends.min()) < math.radians(60)  # others are there as well
+
+
+def test_digits_are_bent_each_by_itself_and_all_together() -> None:
+    pose = HandPose(dofs=posture("open", dtype=torch.float64), reference=torch.eye(3, dtype=torch.float64))
+    fist = posture("fist", dtype=torch.float64)
+    assert bent_hands(pose, torch.zeros(5, dtype=torch.bool)) is None
+    bent = bent_hands(pose, torch.tensor((False, True, False, True, False)))
+    assert bent is not None
+    assert bent.dofs.shape == (6, 36)
+    assert bent.reference.shape == (6, 3, 3)
+    is_bent = (bent.dofs != pose.dofs)[:, 6:].unflatten(1, (5, 6)).any(-1)
+    alone, other, both = (
+        [False, True, False, False, False],
+        [False, False, False, True, False],
+        [False, True, False, True, False],
+    )
+    assert is_bent.tolist() == [alone, alone, other, other, both, both]
+    torch.testing.assert_close(bent.dofs[1, 12:18], fist[12:18])
+    torch.testing.assert_close(bent.dofs[0, 12:18], 0.5 * fist[12:18])
+
+
+def test_what_lies_outside_the_picture_is_not_outside_the_silhouette() -> None:
+    mask = torch.zeros(40, 60, dtype=torch.bool)
+    mask[10:20, 10:30] = True
+    points = torch.full((21, 2), 15.0)
+    points[5:9] = torch.tensor((-5.0, 15.0))  # the index beyond the border
+    points[9:13] = torch.tensor((50.0, 30.0))  # the middle finger beside the hand
+    points[13:17] = torch.nan
+    assert outside(points, mask).tolist() == [0.0, 0.0, 1.0, 0.0, 0.0]
+
+
+def test_what_the_network_said_before_counts_for_a_hand_and_for_its_alternatives(half_closed: Any) -> None:
+    tracker, state, scene, _, tilted = half_closed
+    followed = replace(_followed(tracker, scene, tilted, state.shape), direction=0.1)
+    kept = followed.remembering(0.3)
+    assert kept.direction == pytest.approx(0.8 * 0.3 + 0.2 * 0.1)
+    assert kept.hand.direction == kept.direction
+    assert followed.remembering(None).direction == 0.1
+    assert replace(followed, direction=None).remembering(0.3).direction is None
+    turns = [rotation_from_vector(torch.tensor((0.0, math.radians(deg), 0.0)).double()) for deg in (80.0, 100.0)]
+    assert [followed.is_turned_from(turn @ followed.rotation) for turn in turns] == [False, True]
+
+
 def test_nothing_is_proposed_beside_a_detector_or_without_a_hand(half_closed: Any) -> None:
     tracker, state, scene, _, tilted = half_closed
     source = _source(tracker)
@@ -92,3 +161,19 @@ def test_it_is_asked_seldom(half_closed: Any, studio: Any, monkeypatch: pytest.M
     for frame in range(1, 13):
         state, _ = tracker.step(replace(state, best_score=1.2), [View(image=image)], 0.04 * frame)
     assert 1 <= len(asked) <= 3
+
+
+def test_a_proposed_hand_shares_what_the_network_said_before(half_closed: Any) -> None:
+    """Of the followed one, which would else live on it."""
+    tracker, state, scene, _, _ = half_closed
+    image = scene.views[0].image
+    assert state.hand is not None
+    assert image is not None
+    found = []
+    for before in (None, 0.0):
+        own = replace(state, time_s=0.0, hand=replace(state.hand, direction=before))
+        after, estimate = tracker.step(own, [View(image=image)], 0.04)
+        assert estimate.is_new
+        found.append(after.hand.direction)
+    assert found[0] > 0
+    assert found[1] == pytest.approx(0.2 * found[0], rel=1e-6)

@@ -48,7 +48,6 @@ from torchhand.track.settings import TrackerSettings
 _BEST_KEPT = 0.99  # share of the best score that outlasts a frame
 _DECLINE = 0.03  # score less than at best, from which on a followed hand is fitted once more with larger steps
 _SURE_EDGES = 0.85  # share of the edges that a whole hand explains at least
-_DIRECTION_KEPT = 0.8  # share of the direction's agreement that outlasts a frame
 _TOLD = 0.01  # score that a hand may have less which the network bears out
 _VAIN_REFIT_EVERY = 40  # the same where they keep bringing nothing better
 _FASTEST_M_PER_S, _JUMP_M = 5.0, 0.2
@@ -498,11 +497,8 @@ class Tracker:
         seen = self._seen_posture(scene, found.pose.normalized(), shape) if seen is None else seen
         if seen is None:
             return replace(found, keypoints=keypoints)
-        direction, before = float(seen.direction_agreement(found.rotation)), found.hand.direction
-        if before is not None:
-            direction = _DIRECTION_KEPT * before + (1 - _DIRECTION_KEPT) * direction
-        hand = replace(found.hand, direction=direction)
-        return replace(found, keypoints=keypoints, direction=direction, learned=seen, hand=hand)
+        direction = float(seen.direction_agreement(found.rotation))
+        return replace(found, keypoints=keypoints, direction=direction, learned=seen).remembering(found.hand.direction)
 
     def _unseen(self, state: TrackerState, predicted: FollowedHand | None) -> tuple[TrackerState, Estimate]:
         """The step over a time of which nothing was seen: after `health.patience` in a row the track is given up."""
@@ -635,13 +631,22 @@ class Tracker:
         has_foreground = search.has_foreground or proposals.has_foreground
         search = replace(search, has_foreground=has_foreground, reason=proposals.reason or search.reason)
         for proposed in proposals.hands:
-            candidate = self._judged(proposed, scene, state)
+            candidate = self._alike(self._judged(proposed, scene, state), state.hand, facing)
             if candidate is not None and search.best is None and (away := _out_of_reach(candidate, state, scene)):
                 search = replace(search, reason=away)
             elif candidate is not None:
                 search = self._better(search, proposed, candidate, facing)
                 has_found |= self.parts.health.is_found(candidate)
         return search, has_found
+
+    def _alike(
+        self, proposed: Candidate | None, followed: FollowedHand | None, facing: Tensor | None
+    ) -> Candidate | None:
+        """A proposed hand with what the network said before of the followed one's direction, as long as it is not
+        turned away from it: that counts for both, or the followed one would live on it."""
+        if proposed is None or followed is None or facing is None or proposed.is_turned_from(facing):
+            return proposed
+        return proposed.remembering(followed.direction)
 
     def _better(self, search: _Search, proposed: Proposed, candidate: Candidate, facing: Tensor | None) -> _Search:
         """The better of the best hand so far and a proposed one, as the tracker's update rule sees that."""

@@ -1,4 +1,5 @@
-"""One camera: the followed hand tilted otherwise, its fingers as they are or as a network sees them."""
+"""One camera: the followed hand tilted otherwise, its fingers as they are or as a network sees them; and with fingers
+bent that stick out of the silhouette."""
 
 import itertools
 import math
@@ -7,13 +8,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.fit.contour import QUICK_SEARCH
 from torchhand.fit.proposals import ProposalRegistration
 from torchhand.geometry import Camera, rotation_from_vector
-from torchhand.hand import JOINT_DOFS, HandKinematics, HandPose
+from torchhand.hand import FINGERS, JOINT_DOFS, HandKinematics, HandPose, posture
 from torchhand.propose import Silhouette, palm_middle
 from torchhand.track.knowledge import TrackerState
 from torchhand.track.proposals.protocol import Occasion, Proposals, Proposed
@@ -22,6 +23,9 @@ from torchhand.track.scene import Candidate, Scene
 _TILTS = (-math.radians(30.0), 0.0, math.radians(30.0))
 """About either axis of the picture, and none: as far off as the network's view of a direction is."""
 _COUNT = 4  # registered hands that the followed one is compared with
+_BENDS = (0.5, 1.0)  # of a fist, of digits that are bent
+_AWAY = 0.4  # share of a digit beyond its first joint that lies outside the silhouette where it is elsewhere
+_BETWEEN = 4  # points that are looked at from one keypoint of a digit to the next
 _SAME_M = 0.005  # mean distance of keypoints, up to which two registered hands are one
 
 
@@ -30,7 +34,8 @@ class TiltedHands:
     """Other tilts of a hand that explains less than it did, all registered on the silhouette at once.
 
     Where fingers bend, tilt and flexion change an outline alike: a hand that is followed may slide into a tilt from
-    which no small step leads back. Turned over it explains outlines as well: that is a search's matter.
+    which no small step leads back. Nor does one from a finger that was straight and lies outside the silhouette: bent
+    a little it is as long. Turned over a hand explains outlines as well: that is a search's matter.
     """
 
     kinematics: HandKinematics
@@ -53,7 +58,7 @@ class TiltedHands:
         if plane is None or not bool((plane > 0.5).any()):
             return Proposals()
         seen = Silhouette(mask=plane > 0.5, camera=self.camera, image=scene.views[0].image)
-        found = self._registration(seen, self._starts(best, shape), shape)
+        found = self._registration(seen, self._starts(best, seen, shape), shape)
         order = found.cost.argsort()
         order = order[found.cost[order].isfinite()]
         keypoints = self.kinematics(found.pose.dofs, shape, root_reference=found.pose.reference).keypoints
@@ -64,12 +69,47 @@ class TiltedHands:
                 chosen.append(row)
         return Proposals(hands=tuple(Proposed(pose=found.pose[row]) for row in chosen), has_foreground=True)
 
-    def _starts(self, best: Candidate, shape: Float[Tensor, "shape"]) -> HandPose:
-        """The followed hand, with its own fingers and with those a network sees."""
+    def _starts(self, best: Candidate, seen: Silhouette, shape: Float[Tensor, "shape"]) -> HandPose:
+        """The followed hand tilted, with its own fingers and with those a network sees, and as it is with those digits
+        bent that lie outside the silhouette."""
         own = best.pose.normalized()
         joints = [own.dofs[-len(JOINT_DOFS) :]]
         joints += [] if best.learned is None else [best.learned.joints]
-        return tilted_hands(own, joints, self.kinematics, shape)
+        tilted = tilted_hands(own, joints, self.kinematics, shape)
+        keypoints = self.kinematics(own.dofs, shape, root_reference=own.reference).keypoints
+        away = outside(self.camera.project(keypoints.to(self.camera.intrinsics)), seen.mask) > _AWAY
+        bent = bent_hands(own, away)
+        return tilted if bent is None else HandPose.cat((tilted, bent))
+
+
+def outside(points_px: Float[Tensor, "21 2"], mask: Bool[Tensor, "height width"]) -> Float[Tensor, "5"]:
+    """Share of each digit beyond its first joint that lies outside a silhouette in its picture."""
+    chains = points_px[1:].unflatten(0, (len(FINGERS), -1))[:, 1:]
+    share = torch.arange(_BETWEEN, device=chains.device) / _BETWEEN
+    way = torch.lerp(chains[:, :-1, None], chains[:, 1:, None], share[:, None].to(chains))
+    places = torch.cat((way.flatten(1, 2), chains[:, -1:]), 1).nan_to_num(nan=-1.0).round().long()
+    x, y = places.unbind(-1)
+    height, width = mask.shape
+    is_in_picture = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    is_covered = mask[y.clamp(0, height - 1), x.clamp(0, width - 1)]
+    return (is_in_picture & ~is_covered).to(points_px).mean(-1)
+
+
+def bent_hands(pose: HandPose, digits: Bool[Tensor, "5"]) -> HandPose | None:
+    """A hand () with some of its digits bent half and wholly to a fist's: each by itself, and all together. None where
+    none is to be bent."""
+    chosen = digits.nonzero().squeeze(-1).tolist()
+    sets = [[one] for one in chosen] + ([chosen] if len(chosen) > 1 else [])
+    if not sets:
+        return None
+    fist, size = posture("fist", dtype=pose.dofs.dtype).to(pose.dofs.device), len(JOINT_DOFS) // len(FINGERS)
+    dofs = []
+    for some, bend in itertools.product(sets, _BENDS):
+        one = pose.dofs.clone()
+        joints, folded = (x[-len(JOINT_DOFS) :].unflatten(0, (len(FINGERS), size)) for x in (one, fist))
+        joints[some] = bend * folded[some]
+        dofs.append(one)
+    return HandPose(dofs=torch.stack(dofs), reference=pose.reference.expand(len(dofs), 3, 3))
 
 
 def tilted_hands(

@@ -1,6 +1,6 @@
 """A hand that may be the one in the pictures, and what speaks for it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from jaxtyping import Float
 from torch import Tensor
@@ -11,6 +11,7 @@ from torchhand.track.belief import FollowedHand
 from torchhand.track.scene.agreement import Agreement, PlacedHand
 
 _PALM_M = 0.05  # from the wrist to the middle of the palm
+_DIRECTION_KEPT = 0.8  # share of the direction's agreement that outlasts a frame
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,3 +63,17 @@ class Candidate:
     def rotation(self) -> Float[Tensor, "3 3"]:
         """world_from_hand"""
         return self.pose.rotation
+
+    def is_turned_from(self, facing: Float[Tensor, "3 3"]) -> bool:
+        """Whether the hand is turned by more than a quarter turn; facing: world_from_hand of another one."""
+        return float((facing * self.rotation).sum()) < 1.0
+
+    def remembering(self, direction: float | None) -> "Candidate":
+        """The hand with the network's agreement over the frames up to this one; as it is where there is none of this
+        frame. direction: that over the frames before; None where there were none."""
+        here = self.direction
+        if here is None:
+            return self
+        if direction is not None:
+            here = _DIRECTION_KEPT * direction + (1 - _DIRECTION_KEPT) * here
+        return replace(self, direction=here, hand=replace(self.hand, direction=here))
