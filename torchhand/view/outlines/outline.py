@@ -209,8 +209,8 @@ def farthest_along(
         cosine = second * deep - centre * deep_second
         sine = centre * deep_first - first * deep
         rest = second * deep_first - first * deep_second
-    size = torch.hypot(cosine, sine).clamp_min(torch.finfo(curve.dtype).tiny)
-    cosine, sine, ahead = cosine / size, sine / size, (-rest / size).clamp(-1, 1)
+    unit = torch.addcmul(cosine * cosine, sine, sine).clamp_min(torch.finfo(curve.dtype).tiny).rsqrt()
+    cosine, sine, ahead = cosine * unit, sine * unit, (-rest * unit).clamp(-1, 1)
     aside = (1 - ahead * ahead).sqrt()
     middle, first, second = curve.unbind(2)
     on_first, on_second = cosine * ahead - sine * aside, sine * ahead + cosine * aside
