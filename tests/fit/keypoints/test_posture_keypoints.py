@@ -10,7 +10,7 @@ from torch import Tensor
 from torchhand.files import load_hand_model
 from torchhand.fit import PosedHands, Stage
 from torchhand.fit.keypoints import KeypointSettings, PictureKeypoints, PostureKeypoints, place_hand
-from torchhand.fit.keypoints.posture import _STD
+from torchhand.fit.keypoints.posture import _LASTING, _STD
 from torchhand.geometry import Camera, assumed_camera, rotation_from_vector
 from torchhand.hand import FINGERS, JOINT_DOFS, HandKinematics, HandPose, Side, named_pose_space, posture
 from torchhand.hand.limits import clamp_to_limits
@@ -202,3 +202,28 @@ def test_the_spread_of_angles_is_that_of_known_hands(dof: str, errors: list[Tens
     """The table beside the code, within two fifths of the median over the recordings."""
     spreads = [float(one[:, JOINT_DOFS.index(dof)].square().mean().sqrt()) for one in errors]
     assert 0.6 < _STD[dof] / float(np.median(spreads)) < 1.67
+
+
+def test_errors_last_as_long_as_those_of_known_hands(errors: list[Tensor]) -> None:
+    """The table's correlation with the frame before; photographs, the first of these, have none that counts."""
+    for one in errors[1:]:
+        away = one - one.mean(0)
+        told = away[:, [JOINT_DOFS.index(name) for name in _STD]]
+        correlation = (told[1:] * told[:-1]).sum() / (0.5 * (told[1:].square() + told[:-1].square())).sum()
+        assert float(correlation) > _LASTING
+
+
+def test_a_filter_is_told_less_by_every_frame_than_one_picture_tells() -> None:
+    """Five readings whose errors are correlated by what the table says, as one: by drawing them."""
+    truth = _hand(3)
+    seen = _read(_points(truth))
+    factor = seen.associate(PosedHands(pose=truth, shape=SHAPE), FINE)
+    _, variance, is_known = factor.measurement()
+    ratio = (variance * seen.precision[0])[is_known]
+    generator = torch.Generator().manual_seed(0)
+    errors = [torch.randn(100_000, generator=generator)]
+    for _ in range(4):
+        fresh = torch.randn(100_000, generator=generator)
+        errors.append(_LASTING * errors[-1] + (1 - _LASTING**2) ** 0.5 * fresh)
+    drawn = 5 * float(torch.stack(errors).mean(0).var())
+    torch.testing.assert_close(ratio, torch.full_like(ratio, drawn), rtol=0.03, atol=0)

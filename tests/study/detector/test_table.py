@@ -86,3 +86,25 @@ def test_too_few_recordings_are_refused() -> None:
     )
     with pytest.raises(ValueError, match="expected 3 or more recordings, got 2"):
         error_table([one, one])
+
+
+def _errors(angles: Tensor) -> DetectorErrors:
+    frames = len(angles)
+    nothing = torch.zeros(frames, 21, 2, dtype=DOUBLE)
+    return DetectorErrors(name=f"{frames} frames", frames=frames, across=nothing, bones=nothing + 1, angles=angles)
+
+
+def test_how_long_errors_last_is_told_by_successive_frames() -> None:
+    generator = torch.Generator().manual_seed(3)
+    lasting = [torch.randn(30, generator=generator, dtype=DOUBLE)]
+    for _ in range(1999):
+        lasting.append(0.9 * lasting[-1] + (1 - 0.81) ** 0.5 * torch.randn(30, generator=generator, dtype=DOUBLE))
+    angles = 0.5 + torch.stack(lasting)  # what never changes is no error that lasts
+    angles[::7, 3] = torch.nan
+    angles[:, 5] = torch.nan
+    errors = _errors(angles)
+    assert errors.angle_correlation == pytest.approx(0.9, abs=0.02)
+    single = _errors(torch.zeros(1, 30, dtype=DOUBLE))
+    assert math.isnan(single.angle_correlation)
+    assert error_table([errors, errors, single])["angle_correlation"] == pytest.approx(0.9, abs=0.02)
+    assert error_table([single, single, single])["angle_correlation"] == 0.0

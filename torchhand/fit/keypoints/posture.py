@@ -27,15 +27,16 @@ _MIN_POINTS = 5  # points that tell how the hand is turned and still something o
 _FREEDOM = 4.0  # degrees of freedom of the t distribution of a finger's errors
 _PER_FINGER = len(JOINT_DOFS) // len(FINGERS)
 
+_ERRORS = json.loads(Path(__file__).with_name("detector_errors.json").read_text(encoding="utf-8"))
+
 # Standard deviations of the angles of MediaPipe's world landmarks, read as here, by DOF (`torchhand measure_detector`).
 # Others are not read.
-_STD: dict[str, float] = {
-    name: entry["std_rad"]
-    for name, entry in json.loads(Path(__file__).with_name("detector_errors.json").read_text(encoding="utf-8"))[
-        "angles"
-    ].items()
-}
+_STD: dict[str, float] = {name: entry["std_rad"] for name, entry in _ERRORS["angles"].items()}
 _STD_RAD = tuple(_STD.get(dof, math.inf) for dof in JOINT_DOFS)
+_LASTING: float = _ERRORS["angle_correlation"]  # correlation of an error with that of the frame before
+_ADDED_UP = 5  # frames that a filter adds up before it forgets: some 0.15 s, as long as its motion model foretells
+_REPEATED = 1 + 2 * sum((1 - lag / _ADDED_UP) * _LASTING**lag for lag in range(1, _ADDED_UP))
+"""Variance of the mean of so many successive readings over that of as many independent ones."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,10 +150,11 @@ class PostureKeypointFactor:
 
     def measurement(self) -> tuple[Float[Tensor, "m"], Float[Tensor, "m"], Bool[Tensor, "m"]]:
         """Of the first row: values, variances, and which are known; for filters, which have a belief of their own to
-        weigh a finger against: trust does not count."""
+        weigh a finger against: trust does not count. As errors last for frames, variances are larger by what
+        these have in common."""
         precision = self.precision[0]
         is_known = precision > 0
-        return self.angles[0], torch.where(is_known, precision, 1.0).reciprocal(), is_known
+        return self.angles[0], _REPEATED / torch.where(is_known, precision, 1.0), is_known
 
     def rows(self, rows: Int[Tensor, "n"]) -> "PostureKeypointFactor":
         """Of some of the hands."""

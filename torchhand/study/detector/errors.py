@@ -43,6 +43,16 @@ class DetectorErrors:
         """Mean square error of every angle, radians²; NaN for angles that are never told."""
         return self.angles.square().nanmean(0)
 
+    @property
+    def angle_correlation(self) -> float:
+        """Correlation of the angles' errors, each angle's mean removed, with those of the frame before; NaN where no
+        two frames tell."""
+        away = self.angles - self.angles.nanmean(0)
+        before, after = away[:-1], away[1:]
+        both = (before * after).isfinite()
+        common = (before * after)[both].sum() / (0.5 * (before.square() + after.square()))[both].sum()
+        return float(common)
+
 
 def detector_errors(recording: DetectedRecording) -> DetectorErrors:
     """Errors of a recording's detections, which must be some."""

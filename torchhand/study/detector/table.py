@@ -21,13 +21,15 @@ class _Typical:
     offset: Float[Tensor, "21"]
     std: Float[Tensor, "21"]
     angle_std: Float[Tensor, "30"]
+    angle_correlation: Float[Tensor, ""]
 
     @classmethod
     def of(cls, recordings: Sequence[DetectorErrors]) -> "_Typical":
         offset = _median(torch.stack([one.offset for one in recordings]))
         std = torch.stack([one.variance(offset) for one in recordings]).sqrt()
         angles = torch.stack([one.angle_variance for one in recordings]).sqrt()
-        return cls(offset=offset, std=_median(std), angle_std=_median(angles))
+        correlation = offset.new_tensor([one.angle_correlation for one in recordings])
+        return cls(offset=offset, std=_median(std), angle_std=_median(angles), angle_correlation=_median(correlation))
 
     def normalised(self, errors: DetectorErrors) -> tuple[float, float]:
         """Root mean square of a recording's errors in the standard deviations of the table: points, angles."""
@@ -40,6 +42,7 @@ def error_table(recordings: Sequence[DetectorErrors]) -> dict[str, Any]:
 
     points: std_m along each axis of the picture at a hand of our default size, and along_m, how far the point lies
     beyond the true one along the bone that ends there. angles: std_rad; an angle that is never told is left out.
+    angle_correlation: of the angles' errors with those of the frame before; 0 where no recording has two frames.
     held_out: each recording against the table of all others, root mean squares in its standard deviations; 1 is what
     the table promises.
 
@@ -62,10 +65,11 @@ def error_table(recordings: Sequence[DetectorErrors]) -> dict[str, Any]:
             for name, std in zip(JOINT_DOFS, table.angle_std, strict=True)
             if bool(std.isfinite())
         },
+        "angle_correlation": round(float(table.angle_correlation.nan_to_num()), 2),
         "held_out": held_out,
     }
 
 
-def _median(values: Float[Tensor, "recordings n"]) -> Float[Tensor, "n"]:
+def _median(values: Float[Tensor, "recordings *n"]) -> Float[Tensor, "*n"]:
     """Medians over the recordings that tell; the mean of the middle two of an even number."""
     return values.nanquantile(0.5, 0)
