@@ -4,8 +4,9 @@
 The paper draws each conic from its eigendecomposition, which has no solution for the line pairs of cones and cylinders
 and gives points that do not correspond between two poses. Here the contour generator is parametrised on the primitive
 itself: a cone has two straight generators, an ellipsoid an arc, both found in the primitive's own frame; a fixed
-parameter therefore follows its point through every sigma point, and truncation gives the end points in closed form.
-The points lie on the conic C = c A - b bᵀ, which the tests hold.
+parameter therefore follows its point from pose to pose, and truncation gives the end points in closed form. Sigma
+points are compared along normals, by the farthest place of the same section (`farthest_along`). The points lie on the
+conic C = c A - b bᵀ, which the tests hold.
 """
 
 from dataclasses import dataclass
