@@ -18,7 +18,7 @@ from torchhand.cluster import can_copy_process, usable_cores
 from torchhand.devices import is_host
 from torchhand.hand import HandPose
 from torchhand.track.knowledge import Estimate, TrackerState
-from torchhand.track.messages import READY, OtherProcess, packed, served
+from torchhand.track.messages import READY, OtherProcess, answering, served
 from torchhand.track.multiview import Hull
 from torchhand.track.quality import Told
 from torchhand.track.scene import Appearances, PackedMask, PlacedHand, View
@@ -251,16 +251,17 @@ def serve(connection: Connection, make: bytes) -> None:
     def work(tracker: Tracker) -> None:
         memory: SharedMemory | None = None
         last: deque[tuple[float, Foreseen]] = deque(maxlen=_IN_MEMORY - 1)
-        while True:
-            order = pickle.loads(connection.recv_bytes())
-            if isinstance(order, _FingersOrder):
-                connection.send_bytes(packed(_judged(tracker, order, dict(last)[order.time_s])))
-                continue
-            memory = memory or SharedMemory(name=order.memory)
-            made = _made(tracker, order, memory)
-            last.append((order.time_s, made))
-            masks = tuple(None if mask is None else PackedMask.of(mask) for mask in made.masks)
-            connection.send_bytes(packed(_MadeScene(appearance=made.appearance, masks=masks, hull=made.hull)))
+        with answering(connection) as answer:
+            while True:
+                order = pickle.loads(connection.recv_bytes())
+                if isinstance(order, _FingersOrder):
+                    answer(_judged(tracker, order, dict(last)[order.time_s]))
+                    continue
+                memory = memory or SharedMemory(name=order.memory)
+                made = _made(tracker, order, memory)
+                last.append((order.time_s, made))
+                masks = tuple(None if mask is None else PackedMask.of(mask) for mask in made.masks)
+                answer(_MadeScene(appearance=made.appearance, masks=masks, hull=made.hull))
 
     served(connection, make, work)
 

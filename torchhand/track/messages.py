@@ -4,8 +4,10 @@ import contextlib
 import io
 import os
 import pickle
+import queue
 import signal
 import sys
+import threading
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -185,6 +187,29 @@ def served(connection: Connection, make: bytes, work: Callable[[Any], None]) -> 
         return
     except Exception:
         connection.send_bytes(packed(RuntimeError(traceback.format_exc())))
+
+
+@contextlib.contextmanager
+def answering(connection: Connection) -> Iterator[Callable[[Any], None]]:
+    """What sends answers to a tracker without waiting until they are read.
+
+    A tracker that sends an order meanwhile does not read: were both larger than what the connection holds, each would
+    wait for the other for ever.
+    """
+    answers: queue.Queue[bytes | None] = queue.Queue()
+
+    def send() -> None:
+        with contextlib.suppress(OSError):  # nobody is at the other end: who reads orders sees it
+            while (answer := answers.get()) is not None:
+                connection.send_bytes(answer)
+
+    sender = threading.Thread(target=send, name="answers", daemon=True)
+    sender.start()
+    try:
+        yield lambda answer: answers.put(packed(answer))
+    finally:
+        answers.put(None)
+        sender.join()
 
 
 @contextlib.contextmanager

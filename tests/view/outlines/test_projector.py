@@ -82,7 +82,7 @@ def test_along_its_own_normals_a_hand_is_where_its_contour_is(
     contour = projector.contour_of(own, table)
     seen = table.select(contour.visible)
     points, normals = contour.points_px[contour.visible], contour.normals[contour.visible]
-    along = projector.along_normals_px(projector.generators_of(hands), seen, normals)
+    along = projector.along_normals_px(hands, projector.generators_of(hands), seen, normals)
     assert along.shape == (3, seen.size)
     torch.testing.assert_close(along[0], (points * normals).sum(-1), atol=1e-8, rtol=0)
 
@@ -97,7 +97,7 @@ def test_other_hands_are_compared_where_their_bones_are_farthest(
     table = outline_table(3, 5)
     hands = scene.primitives(projector, poses, reference)
     normals = torch.nn.functional.normalize(torch.randn(table.size, 2, generator=generator, dtype=torch.float64))
-    along = projector.along_normals_px(projector.generators_of(hands), table, normals)
+    along = projector.along_normals_px(hands, projector.generators_of(hands), table, normals)
 
     angle = torch.linspace(0, 2 * torch.pi, 721, dtype=torch.float64)[:, None]
     cones, sizes = len(table.cone), hands.sizes

@@ -100,7 +100,7 @@ class EdgeSearch:
         together = torch.bincount(seen.primitive, weights=is_found.to(offset))[seen.primitive]
         surface_px = self.settings.surface_std * length_px
         return EdgeMeasurement(
-            predicted=projector.along_normals_px((cones, arcs), seen, normals),
+            predicted=projector.along_normals_px(hands, (cones, arcs), seen, normals),
             surface_variance=together * surface_px**2,
             value=(points * normals).sum(-1) + offset,
             variance=variance,

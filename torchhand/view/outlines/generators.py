@@ -27,18 +27,12 @@ class ConeGenerators:
     """Outward normals (15, 2, 3, n), the same all along a generator."""
     is_real: Tensor
     """Whether a cone has generators that the camera sees (15, n)."""
-    section: Tensor | None
-    """Ellipse across the lower end, in the parts of an arc (15, 3, 3, n), metres; where normals are asked for."""
-    growth: Tensor | None
-    """Change of the section from the lower to the upper end, in the same parts."""
 
     def of_hand(self, index: int) -> "ConeGenerators":
         """The part of one hand of the batch, with n = 1."""
         low, rise, is_real = (x[..., index : index + 1] for x in (self.low, self.rise, self.is_real))
-        normal, section, growth = (
-            None if x is None else x[..., index : index + 1] for x in (self.normal, self.section, self.growth)
-        )
-        return ConeGenerators(low=low, rise=rise, normal=normal, is_real=is_real, section=section, growth=growth)
+        normal = None if self.normal is None else self.normal[..., index : index + 1]
+        return ConeGenerators(low=low, rise=rise, normal=normal, is_real=is_real)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +85,22 @@ def generators(
     return cones, arcs
 
 
+def cone_sections(primitives_cam: Primitives) -> tuple[Tensor, Tensor]:
+    """The ellipse across the lower end of every cone, in the parts of an arc (15, 3, 3, n), and its change up to the
+    upper end; metres."""
+    batch, s = primitives_cam.position.shape[:-2], primitives_cam.sizes
+    rotation = batch_last(primitives_cam.rotation, 3, batch)[:_CONES]
+    position = batch_last(primitives_cam.position, 2, batch)[:_CONES]
+    start, scale, length = (
+        batch_last(x, own, batch) for x, own in ((s.cone_start, 2), (s.cone_end_scale, 1), (s.cone_length, 1))
+    )
+    x_axis, y_axis, z_axis = rotation.transpose(1, 2).unbind(1)
+    radii = torch.stack((x_axis * start[:, :1], z_axis * start[:, 1:]), 2)
+    section = torch.cat((position[:, :, None], radii), 2)
+    growth = torch.cat(((y_axis * length[:, None])[:, :, None], radii * (scale - 1)[:, None, None]), 2)
+    return section, growth
+
+
 def _limit(like: Tensor) -> float:
     """The largest cosine that is used: a little below 1, where the derivative of the angle is still finite."""
     return 1 - max(1e-9, 8 * torch.finfo(like.dtype).eps)
@@ -126,15 +136,11 @@ def _cones(
     lateral = torch.addcmul(x_axis * scaled[:, :, 0], z_axis, scaled[:, :, 1])
     low = lateral + position[:, None]
     rise = torch.addcmul(y_axis * length[:, None, None], lateral, (scale - 1)[:, None, None])
-    normal = section = growth = None
+    normal = None
     if with_normals:
         steep = direction / start[:, None, :, None]
         normal = torch.addcmul(x_axis * steep[:, :, 0], z_axis, steep[:, :, 1]) + y_axis * slope[:, None, None]
-        x_axis, y_axis, z_axis = columns[:, 0].unbind(1)
-        radii = torch.stack((x_axis * start[:, :1], z_axis * start[:, 1:]), 2)
-        section = torch.cat((position[:, :, None], radii), 2)
-        growth = torch.cat(((y_axis * length[:, None])[:, :, None], radii * (scale - 1)[:, None, None]), 2)
-    return ConeGenerators(low=low, rise=rise, normal=normal, is_real=ratio.abs() < 1, section=section, growth=growth)
+    return ConeGenerators(low=low, rise=rise, normal=normal, is_real=ratio.abs() < 1)
 
 
 def _arcs(

@@ -181,7 +181,7 @@ def sample_generators(cones: ConeGenerators, arcs: EllipsoidArcs, table: Outline
 
 
 def farthest_along(
-    cones: ConeGenerators,
+    sections: tuple[Tensor, Tensor],
     arcs: EllipsoidArcs,
     table: OutlineTable,
     normals: Float[Tensor, "points 2"],
@@ -192,13 +192,11 @@ def farthest_along(
 
     The curve is the cone's section at the point's fraction, or the ellipsoid's outline. At the hand that the normals
     belong to it is the table's own point. At others a fixed place on the curve moves round the bone as the bone turns,
-    the faster the more it points at the camera, although the outline hardly changes. Generators with normals.
+    the faster the more it points at the camera, although the outline hardly changes. sections: `cone_sections`.
     """
-    assert cones.section is not None
-    assert cones.growth is not None
-    section, growth = (x.index_select(0, table.cone) for x in (cones.section, cones.growth))
-    sections = torch.addcmul(section, growth, table.cone_fraction.to(section.dtype)[:, None, None, None])
-    curve = torch.cat((sections, arcs.curve.index_select(0, table.ellipsoid)))
+    section, growth = (x.index_select(0, table.cone) for x in sections)
+    on_cones = torch.addcmul(section, growth, table.cone_fraction.to(section.dtype)[:, None, None, None])
+    curve = torch.cat((on_cones, arcs.curve.index_select(0, table.ellipsoid)))
     x, y, depth = curve.unbind(1)  # points, (centre, first, second), n
     across = torch.addcmul(normals[:, :1, None] * x, normals[:, 1:, None], y)
     centre, first, second = across.unbind(1)

@@ -21,7 +21,7 @@ from torchhand.hand import (
     primitive_sizes,
 )
 from torchhand.precision import own_precision
-from torchhand.view.outlines.generators import ConeGenerators, EllipsoidArcs, generators
+from torchhand.view.outlines.generators import ConeGenerators, EllipsoidArcs, cone_sections, generators
 from torchhand.view.outlines.outline import (
     OutlineTable,
     farthest_along,
@@ -139,15 +139,15 @@ class HandProjector:
 
     @own_precision
     def along_normals_px(
-        self, seen: Generators, table: OutlineTable, normals: Float[Tensor, "points 2"]
+        self, primitives: Primitives, seen: Generators, table: OutlineTable, normals: Float[Tensor, "points 2"]
     ) -> Float[Tensor, "hands points"]:
         """normal · pixel of the outlines of a batch of hands, the one that the normals belong to first: what an edge
-        search measures."""
+        search measures. primitives: in the camera frame; seen: their generators."""
         cones, arcs = seen
         own = sample_generators(cones.of_hand(0), arcs.of_hand(0), table)[..., 0]
         slope = self.camera.pixel_jacobian(self.camera.plane_from_cam(own))
         in_plane = (normals[:, None] @ slope.to(normals))[:, 0]
-        points = farthest_along(cones, arcs, table, in_plane, is_orthographic=self.is_orthographic)
+        points = farthest_along(cone_sections(primitives), arcs, table, in_plane, is_orthographic=self.is_orthographic)
         x, y = self._pixels(points).unbind(1)
         return torch.addcmul(x * normals[:, :1], y, normals[:, 1:]).T
 
