@@ -71,11 +71,12 @@ def test_a_shape_per_hand(scene: Any, generator: torch.Generator) -> None:
     torch.testing.assert_close(together, torch.stack(alone), atol=1e-9, rtol=0)
 
 
+@pytest.mark.parametrize("side", ["right", "left"])
 @pytest.mark.parametrize(("kind", "lens"), [("pinhole", 0), ("pinhole", 5), ("orthographic", 0)])
 def test_along_its_own_normals_a_hand_is_where_its_contour_is(
-    kind: str, lens: int, scene: Any, generator: torch.Generator
+    kind: str, lens: int, side: str, scene: Any, generator: torch.Generator
 ) -> None:
-    projector = scene.projector(scene.camera(kind, lens=lens))
+    projector = scene.projector(scene.camera(kind, lens=lens), side)
     poses, reference = scene.pose(generator, 3)
     hands = scene.primitives(projector, poses, reference)
     own, table = replace(hands, rotation=hands.rotation[0], position=hands.position[0]), outline_table(3, 5)
@@ -87,12 +88,12 @@ def test_along_its_own_normals_a_hand_is_where_its_contour_is(
     torch.testing.assert_close(along[0], (points * normals).sum(-1), atol=1e-8, rtol=0)
 
 
-@pytest.mark.parametrize("kind", ["pinhole", "orthographic"])
+@pytest.mark.parametrize(("kind", "side"), [("pinhole", "right"), ("pinhole", "left"), ("orthographic", "right")])
 def test_other_hands_are_compared_where_their_bones_are_farthest(
-    kind: str, scene: Any, generator: torch.Generator
+    kind: str, side: str, scene: Any, generator: torch.Generator
 ) -> None:
     """By trying many points round each bone."""
-    projector = scene.projector(scene.camera(kind))
+    projector = scene.projector(scene.camera(kind), side)
     poses, reference = scene.pose(generator, 4)
     table = outline_table(3, 5)
     hands = scene.primitives(projector, poses, reference)
