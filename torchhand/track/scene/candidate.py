@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.geometry import cosine_between
 from torchhand.hand import HandFrames, HandPose
 from torchhand.propose import LearnedPosture
 from torchhand.track.belief import FollowedHand
@@ -66,7 +67,7 @@ class Candidate:
 
     def is_turned_from(self, facing: Float[Tensor, "3 3"]) -> bool:
         """Whether the hand is turned by more than a quarter turn; facing: world_from_hand of another one."""
-        return float((facing * self.rotation).sum()) < 1.0
+        return float(cosine_between(facing, self.rotation)) < 0
 
     def remembering(self, direction: float | None) -> "Candidate":
         """The hand with the network's agreement over the frames up to this one; as it is where there is none of this
