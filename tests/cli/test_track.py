@@ -459,7 +459,7 @@ def test_one_shape_for_the_whole_recording_and_again_where_it_is_resumed(
     clip: Clip, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    monkeypatch.setattr("torchhand.track.shape._SCHEDULE", (Stage(gross_m=0.0075, rounds=1, iterations=1),))
+    monkeypatch.setattr("torchhand.track.shape.SCHEDULE", (Stage(gross_m=0.0075, rounds=1, iterations=1),))
     plain = ["--camera", clip.camera, "--config", "contour_full", "--no-overlay", "--max-frames", "7"]
     settings = ("shape_frames=4", "learned_posture=false", "learned_proposals=false")
     options = [*plain, *(word for setting in settings for word in ("--set", setting))]

@@ -99,11 +99,12 @@ def test_frames_that_are_independent_tell_the_proportions_of_the_person(
     studio: Studio, kinematics: HandKinematics, person: Tensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(UnscentedUpdate, "overconfidence", 1.0)  # simulated pictures have no errors in common
-    monkeypatch.setattr("torchhand.track.shape._SCHEDULE", (Stage(gross_m=0.0075, rounds=1, iterations=3),))
+    monkeypatch.setattr("torchhand.track.shape.SCHEDULE", (Stage(gross_m=0.0075, rounds=1, iterations=3),))
     space, before = kinematics.shape_space, kinematics.default_shape
     found = recorded_shape(tracker_of(studio), TrackerState(shape=before), frames_of(studio, person))
     assert found is not None
-    assert found.cost < found.cost_before
+    assert float(found.costs.mean()) < float(found.costs_before.mean())
+    assert not found.is_contradicted
     length = space.names.index("hand_length")
     is_radius = torch.tensor([name.endswith(("pip_radius", "dip_radius")) for name in space.names])
     thickness, expected, default = (space.metres(one)[is_radius].mean() for one in (found.shape, person, before))

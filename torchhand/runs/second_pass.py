@@ -66,15 +66,15 @@ def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
 
 
 def _adopted_shape(run: Run, forward: Track, before: Tensor, say: Say) -> Float[Tensor, "shape"]:
-    """Proportions that well-spread frames tell, which the run adopts, where frames that were held out bear these out;
-    else those before."""
+    """Proportions that well-spread frames tell, which the run adopts, unless frames that were held out contradict
+    these; else those before."""
     tracker, state, count = run.tracker, run.state, run.tracker.settings.shape_frames
     if state is None or not count or not can_tell_shape(tracker):
         return before
     rows = spread_frames(torch.from_numpy(forward.pose), torch.from_numpy(_is_good(forward)), count)
     say(f"proportions: fitted over {len(rows)} frames (--set shape_frames=0 keeps those of the first hand)")
     found = recorded_shape(tracker, state, _followed_frames(run, forward, rows))
-    if found is None or not found.cost < found.cost_before:
+    if found is None or found.is_contradicted:
         return before
     names = tracker.kinematics.shape_space.names
     run.adopt(
@@ -82,7 +82,7 @@ def _adopted_shape(run: Run, forward: Track, before: Tensor, say: Say) -> Float[
         method="fit over frames of the recording",
         frames=[int(forward.frame[row]) for row in rows],
         std={name: std for name, std in zip(names, found.shape_std.tolist(), strict=True) if std > 0},
-        held_out_nats_per_frame={"first_hand": found.cost_before, "this": found.cost},
+        held_out_nats_per_frame={"first_hand": float(found.costs_before.mean()), "this": float(found.costs.mean())},
     )
     return found.shape
 

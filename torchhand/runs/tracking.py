@@ -90,6 +90,7 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
             shape=_known_shape(request),
             start_points=request.start_points,
             plates=None if plate is None else [plate],
+            accumulates_shape=request.is_causal,
         )
         files, detectors = request.keypoint_tracks(recording.cameras), request.detectors(recording.cameras)
         with (

@@ -14,19 +14,13 @@ from torchhand.track.ahead import ScenesAhead, scenes_ahead
 from torchhand.track.alternatives import Alternatives
 from torchhand.track.backward import BackwardPass
 from torchhand.track.beside import SearchBeside, opened_tracker
-from torchhand.track.frame_fit import FollowedFrame
 from torchhand.track.knowledge import Estimate, Keyframe, TrackerState, restored_state, saved_state
 from torchhand.track.paths import HandPath, PosedHand, combined_hand, path_weights
+from torchhand.track.proportions import FittedShape, reshaped_poses
 from torchhand.track.proposals import OCCASIONS
 from torchhand.track.scene import ONE_PLACE_M, HandKeypoints, View
 from torchhand.track.settings import DEFAULTS, TrackerSettings
-from torchhand.track.shape import (
-    RecordedShape,
-    can_tell_shape,
-    recorded_shape,
-    reshaped_poses,
-    spread_frames,
-)
+from torchhand.track.shape import FollowedFrame, can_tell_shape, recorded_shape, spread_frames
 from torchhand.track.smoothing import PastFrame, Smoother
 from torchhand.track.tracker import Tracker
 
@@ -37,13 +31,13 @@ __all__ = [
     "Alternatives",
     "BackwardPass",
     "Estimate",
+    "FittedShape",
     "FollowedFrame",
     "HandKeypoints",
     "HandPath",
     "Keyframe",
     "PastFrame",
     "PosedHand",
-    "RecordedShape",
     "ScenesAhead",
     "SearchBeside",
     "Smoother",

@@ -16,8 +16,8 @@ from torchhand.fit.contour import QUICK_SEARCH
 from torchhand.fit.keypoints import PostureKeypoints
 from torchhand.hand import JOINT_DOFS, HandPose
 from torchhand.numerics import single_threaded
-from torchhand.track.frame_fit import FrameFit, contour_settings
 from torchhand.track.knowledge import TrackerState
+from torchhand.track.proportions import contour_settings
 from torchhand.track.proposals import TiltedHands, tilted_hands
 from torchhand.track.scene import Scene, learned_observations, seen_posture
 from torchhand.track.tracker import Tracker
@@ -48,11 +48,10 @@ class TiltAlternatives:
     def __init__(self, tracker: Tracker, state: TrackerState) -> None:
         """tracker: of one pinhole camera, one whose hands can be tilted (`can_tilt`). state: with the proportions and
         the hand's colours."""
-        self._tracker, self._fit = (
-            tracker,
-            FrameFit(tracker=tracker, state=state, schedule=QUICK_SEARCH, contours=contour_settings(tracker)),
-        )
-        self._shape = state.shape
+        assert state.shape is not None
+        self._tracker, self._shape = tracker, state.shape
+        contours = contour_settings(tracker.settings)
+        self._fit = tracker.parts.frame_fit(tracker.settings, state.shape, QUICK_SEARCH, contours)
 
     @staticmethod
     def can_tilt(tracker: Tracker) -> bool:
@@ -65,7 +64,6 @@ class TiltAlternatives:
         """hands: poses () with zero rotation vectors, the followed one first. None where nothing of its contour is seen
         and beside a detector, which tells of tilts."""
         parts, followed, shape = self._tracker.parts, hands[0], self._shape
-        assert shape is not None
         outline = None if parts.keypoints(scene).observations else self._fit.contour(scene, followed)
         if outline is None:
             return None
@@ -88,7 +86,6 @@ class TiltAlternatives:
 
     def _nats(self, observation: Observation, poses: HandPose) -> Float[Tensor, "k"]:
         """What an observation costs hands in which nothing is to be associated."""
-        assert self._shape is not None
         hands = PosedHands(pose=poses, shape=self._shape)
         return observation.associate(hands, QUICK_SEARCH[-1]).equations(hands).cost
 
@@ -96,7 +93,6 @@ class TiltAlternatives:
         """Those that differ, the cheapest first; None where one of the first few, which were given, is none. contour:
         nats of the contours alone."""
         shape, order = self._shape, found.cost.argsort().tolist()
-        assert shape is not None
         if not bool(found.cost[:given].isfinite().all()):
             return None
         common = 1 - 1 / self._tracker.parts.rule.overconfidence

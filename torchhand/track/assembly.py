@@ -9,14 +9,17 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.devices import sent_to
+from torchhand.fit import Schedule
+from torchhand.fit.contour import ContourSettings
 from torchhand.fit.detect import ContourFitter, StartPoints
 from torchhand.fit.keypoints import KeypointSettings
 from torchhand.geometry import Camera
-from torchhand.hand import Hand, HandKinematics, named_pose_space
+from torchhand.hand import FINGERS, Hand, HandKinematics, named_pose_space
 from torchhand.image import BackgroundPlate
 from torchhand.track.belief import HandMotion
 from torchhand.track.extended import ExtendedUpdate, ExtendedUpdateSettings
 from torchhand.track.multiview import AccumulatedShape, FrameFitter, HandProposer, HullUpdate
+from torchhand.track.proportions import SCHEDULE, FrameFit, OutlineShape, contour_settings
 from torchhand.track.proposals import (
     KeypointHand,
     KeypointStart,
@@ -65,8 +68,42 @@ class Assembly:
     """Whether a network tells the posture of the followed hand."""
     fitter: FrameFitter | None = None
     """What fits hands into hulls, where the update rule does so; None elsewhere."""
-    accumulated_shape: AccumulatedShape | None = None
+    accumulated_shape: AccumulatedShape | OutlineShape | None = None
     """How proportions are fitted while a hand is followed; None where they are known, or those of the first hand."""
+
+    @property
+    def flexes(self) -> bool:
+        """Whether the fingers bend, so that frames show them differently."""
+        names = self.motion.space.free_names
+        return all(f"{finger}_{joint}_fe" in names for finger in FINGERS[1:] for joint in ("mcp", "pip"))
+
+    def frame_fit(
+        self, settings: TrackerSettings, shape: Float[Tensor, "shape"], schedule: Schedule, contours: ContourSettings
+    ) -> FrameFit:
+        """The fit of poses to frames of the one camera. settings: of the tracker."""
+        return FrameFit(
+            kinematics=self.kinematics,
+            camera=self.cameras[0],
+            motion=self.motion,
+            settings=settings,
+            has_network=self.has_learned_posture,
+            shape=shape,
+            schedule=schedule,
+            contours=contours,
+        )
+
+    def with_accumulated_shape(self, settings: TrackerSettings) -> "Assembly":
+        """The same with proportions that are fitted while one camera follows a hand, where its frames tell them."""
+        if not (settings.shape_frames and self.flexes):
+            return self
+        contours = contour_settings(settings, self.rule.overconfidence)
+        outlines = OutlineShape(
+            fit=self.frame_fit(settings, self.kinematics.default_shape, SCHEDULE, contours),
+            segmentation=self.segmentation,
+            health=self.health,
+            overconfidence=self.rule.overconfidence,
+        )
+        return replace(self, accumulated_shape=outlines)
 
     def keypoints(self, scene: Scene) -> SceneKeypoints:
         """What detectors found in a scene."""

@@ -15,6 +15,7 @@ from torchhand.track.alternatives import SAME_M, Alternatives, TiltAlternatives
 from torchhand.track.belief import FollowedHand
 from torchhand.track.knowledge import Estimate, TrackerState
 from torchhand.track.paths import MOTION_NATS
+from torchhand.track.proportions import reshaped_poses
 from torchhand.track.scene import (
     Scene,
     SceneKeypoints,
@@ -23,7 +24,6 @@ from torchhand.track.scene import (
     learned_observations,
     seen_posture,
 )
-from torchhand.track.shape import reshaped_poses
 from torchhand.track.tracker import Tracker
 
 _NATS = 40.0

@@ -28,7 +28,7 @@ class SearchBeside:
     with the frame what `Tracker.step` does, follows what it finds through the pictures that have come meanwhile, and
     hands it over at the newest: there the two hands are compared as any are. One search goes on at a time. While a
     hand is followed, the next one begins as long after one in vain as that one took, so that half of a core is spent.
-    Proportions that several cameras tell ever more finely are fitted there between two searches, and used at once.
+    Proportions, which frames tell ever more finely, are fitted there between two searches, and used at once.
 
     A process, for a thread would have the interpreter's lock in common with the tracker: two trackers of one camera
     take 31 to 39 ms a frame each in two processes on two idle cores, 32 to 36 ms alone, 62 to 87 ms in two threads.
@@ -118,7 +118,8 @@ class SearchBeside:
         if self.tracker.is_reshape_due(after):
             self._ask(Reshape(number=self._number + 1, state=saved_state(after)), estimate.time_s)
         elif estimate.is_doubted and not is_resting:
-            state = None if before is None else saved_state(before)
+            is_found = before is not None and before.has_started  # then nothing but its hand is taken over
+            state = None if before is None else saved_state(replace(before, shape_frames=None) if is_found else before)
             frame = SeenFrame.of(views, estimate.time_s)
             self._ask(Search(number=self._number + 1, frame=frame, state=state), estimate.time_s)
 

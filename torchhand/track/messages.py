@@ -62,7 +62,7 @@ class Search:
 
 @dataclass(frozen=True, kw_only=True)
 class Reshape:
-    """Frames of a hand that several cameras follow, to which its proportions are to be fitted."""
+    """Frames of a hand that is followed, to which its proportions are to be fitted."""
 
     number: int
     state: Mapping[str, Any]

@@ -55,9 +55,9 @@ class TrackerSettings:
     rig: RigSettings = field(default_factory=RigSettings)
     """Several cameras: the hull of the silhouettes, in which a hand is found whatever the update rule."""
     shape_frames: int = 16
-    """Frames of one camera's recording, well spread, over which the proportions are fitted once it was followed; a
-    quarter of them only judge the result. 0 keeps the proportions of the first hand, as the presets do for methods with
-    which it has not been measured."""
+    """Frames of one camera, well spread, over which the proportions are fitted once a recording was followed, or while
+    pictures come; a quarter of them only judge the result. 0 keeps the proportions of the first hand, as the presets do
+    for methods with which it has not been measured."""
     smoothing_window_s: float = 0.0
     """How far a hand that was found anew is followed back, to correct the frames before, seconds; 0 or more."""
     max_pixels: int = WORKING_PIXELS

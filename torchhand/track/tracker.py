@@ -149,12 +149,15 @@ class Tracker:
         start_points: StartPoints | None = None,
         plates: Sequence[BackgroundPlate] | None = None,
         observations: ObservationsOf | None = None,
+        accumulates_shape: bool = True,
     ) -> None:
         """hand: the model; its own shape does not count. shape: proportions where they are known; else they are fitted.
 
         start_points: where the hand is in the first picture of one camera, in place of a search. plates: the empty
         scene in every view, for the silhouette method "background". observations: what else is known of the hand, scene
         by scene, poses in the tracker's world; any `torchhand.fit.Observation`, under every update rule.
+        accumulates_shape: whether proportions are fitted to more and more frames of one camera while the hand is
+        followed, as to those of several (`settings.shape_frames`); a step in which they are takes some seconds.
         Raises ValueError where that method lacks its plates, and for cameras that see no volume together.
         """
         self.settings, self.device = settings or TrackerSettings(), hand.shape.device
@@ -163,7 +166,9 @@ class Tracker:
         known = None if shape is None else shape.double().to(self.device)
         self._working = working = WorkingViews(self.cameras, self.settings.max_pixels)
         plates, start_points = working.plates(plates), working.points(start_points)
-        self.parts: Assembly = assembled(hand, working.cameras, self.settings, known, start_points, plates)
+        parts = assembled(hand, working.cameras, self.settings, known, start_points, plates)
+        fits_shape = accumulates_shape and known is None and len(self.cameras) == 1
+        self.parts: Assembly = parts.with_accumulated_shape(self.settings) if fits_shape else parts
         self.known_shape = known
         self._observations, self._has_start_points = observations, start_points is not None
         self.kinematics = self.parts.kinematics
@@ -196,7 +201,7 @@ class Tracker:
         state: that of the frame before, None at first. views: one per camera; an empty one where its picture is
         missing. time_s: of the frame, after that of the one before. occasions: those of the sources of other hands that
         may be asked; where one of another occasion should be, the estimate tells (`is_doubted`), and where a search may
-        not be, proportions of several cameras are not fitted (`reshaped`). other: what another tracker knew at an
+        not be, proportions are not fitted (`reshaped`). other: what another tracker knew at an
         earlier time, whose hand is compared with this one's as proposed hands are. foreseen: what `foresee` makes of
         these views, where that is known. judges: asked, with what is known of an estimated hand, whether somebody else
         gathers the evidence of its fingers: then the estimate comes without that and without qualities

@@ -14,7 +14,7 @@ from torchhand.image import ColourModel, SkinModel
 from torchhand.numerics import Gaussian
 from torchhand.track.belief import FollowedHand
 from torchhand.track.knowledge.state import Keyframe, ShapeFrame, TrackerState
-from torchhand.track.scene import LearnedSkin, PackedMask
+from torchhand.track.scene import HandKeypoints, LearnedSkin, PackedMask, View
 
 _RECORDS = {
     record.__name__: record
@@ -23,6 +23,8 @@ _RECORDS = {
         Keyframe,
         ShapeFrame,
         PackedMask,
+        View,
+        HandKeypoints,
         FollowedHand,
         HandPose,
         Gaussian,

@@ -9,9 +9,10 @@ from torch import Tensor
 from torchhand.files import FrameStatus
 from torchhand.hand import DOFS, FINGERS, HandPose
 from torchhand.track.belief import FollowedHand
-from torchhand.track.scene import Appearances, PackedMask
+from torchhand.track.scene import Appearances, PackedMask, View
 
 _SAME_TIME_S = 1e-3
+_TURN = 0.7  # radians of joint angles that a radian of the hand's own turn is worth, where frames are told apart
 _BENDING = [DOFS.index(f"{finger}_{joint}_fe") for finger in FINGERS[1:] for joint in ("mcp", "pip")]
 _OPEN_BELOW = math.radians(45.0)
 REFIT_EVERY = 10
@@ -33,12 +34,22 @@ class Keyframe:
 
 @dataclass(frozen=True, kw_only=True)
 class ShapeFrame:
-    """What a frame tells of the proportions of a hand that several cameras follow."""
+    """What a frame tells of the proportions of a hand that is followed."""
 
     pose: HandPose
     """Pose with a zero rotation vector."""
-    masks: tuple[PackedMask | None, ...]
-    """Silhouettes of all views; None where there is none."""
+    masks: tuple[PackedMask | None, ...] = ()
+    """Silhouettes of all views of several cameras; None where there is none."""
+    views: tuple[View, ...] = ()
+    """The view of one camera."""
+    time_s: float = 0.0
+    """Time of that view."""
+
+    def distance(self, pose: HandPose) -> float:
+        """Radians from a posture with its direction, which has a zero rotation vector, to this one."""
+        bent = (self.pose.dofs[6:] - pose.dofs[6:]).square().sum()
+        turned = (self.pose.reference - pose.reference).square().sum() / 2  # of a small turn: its angle's square
+        return float((bent + _TURN**2 * turned).sqrt())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +74,7 @@ class TrackerState:
     keyframes: tuple[Keyframe, ...] = ()
     """Hands that were found before tracking began."""
     shape_frames: tuple[ShapeFrame, ...] | None = None
-    """Frames so far to which the proportions are fitted while several cameras follow a hand; None where these stand."""
+    """Frames so far to which the proportions are fitted while a hand is followed; None where these stand."""
     shape_fitted_to: int = 0
     """How many of these frames the proportions are fitted to already."""
     usual_score: float = 0.0

@@ -12,7 +12,6 @@ from torchhand.track.multiview.hand_initialization import SHAPE_AT
 from torchhand.track.scene import Candidate, PackedMask, Scene
 
 _APART = 0.6  # radians, over all joint angles and the turn, between frames that tell different things
-_TURN = 0.7  # radians of joint angles that a radian of the hand's own turn is worth there
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +52,7 @@ class AccumulatedShape:
             return False
         if not found.is_sound or found.overlap < self.fitter.settings.found_overlap:
             return False
-        return all(_distance(frame.pose, found.pose.normalized()) > _APART for frame in frames)
+        return all(frame.distance(found.pose.normalized()) > _APART for frame in frames)
 
     def _frame(self, found: Candidate, scene: Scene) -> ShapeFrame:
         masks = tuple(None if mask is None else PackedMask.of(mask) for mask in scene.masks)
@@ -75,10 +74,3 @@ class AccumulatedShape:
         solution = self.fitter.fit_shape([hull for _, hull in seen], starts, shape, is_rough=is_rough)
         posed = tuple(replace(frame, pose=solution.pose[row]) for row, (frame, _) in enumerate(seen))
         return solution.shape, posed
-
-
-def _distance(one: HandPose, other: HandPose) -> float:
-    """Radians between two postures with their directions; zero rotation vectors."""
-    bent = (one.dofs[6:] - other.dofs[6:]).square().sum()
-    turned = (one.reference - other.reference).square().sum() / 2  # of a small turn: its angle's square
-    return float((bent + _TURN**2 * turned).sqrt())

@@ -1,0 +1,70 @@
+"""Proportions of a hand while one camera follows it: fitted to a few frames that show it differently."""
+
+from dataclasses import dataclass, replace
+
+import torch
+
+from torchhand.hand import HandPose
+from torchhand.track.knowledge import ShapeFrame, TrackerState
+from torchhand.track.proportions.fitted import fitted_shape, reshaped_poses
+from torchhand.track.proportions.frame_fit import FrameFit
+from torchhand.track.scene import Candidate, Health, Scene, Segmentation
+
+_APART = 0.4  # radians, over all joint angles and the turn, between frames that tell different things
+_PARTS = (4, 2, 1)  # of the frames: a fit when there are a quarter, a half and all of them
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutlineShape:
+    """Keeps frames that show a followed hand otherwise than those before, and fits proportions to all of them when
+    there are a quarter of `TrackerSettings.shape_frames`, half as many, and all: then the proportions stand, and no
+    frame is kept. (Tkach et al. 2017 accumulate a Gaussian of the proportions in place of frames.)
+    """
+
+    fit: FrameFit
+    """Of the tracker, with the proportions that a hand has before it is seen."""
+    segmentation: Segmentation
+    health: Health
+    overconfidence: float
+    """Of the tracker's update rule."""
+
+    def __call__(self, state: TrackerState, found: Candidate, scene: Scene, *, fits: bool = True) -> TrackerState:
+        """The state after a frame in which a hand was followed or found.
+
+        fits: whether it may take as long as a fit, some seconds; else the frames alone are kept (`is_due`)."""
+        frames, pose = state.shape_frames, found.pose.normalized()
+        if frames is None or len(frames) >= self._count or self.health.is_degraded(found, state.usual_score):
+            return state
+        if any(one.distance(pose) <= _APART for one in frames):
+            return state
+        kept = ShapeFrame(pose=pose, views=scene.views, time_s=scene.time_s)
+        state = replace(state, shape_frames=(*frames, kept))
+        return self.fitted(state) if fits and self.is_due(state) else state
+
+    @property
+    def _count(self) -> int:
+        return self.fit.settings.shape_frames
+
+    def is_due(self, state: TrackerState) -> bool:
+        """Whether there are so many frames that the proportions are to be fitted anew."""
+        before, count = state.shape_fitted_to, len(state.shape_frames or ())
+        return any(before < self._count // part <= count for part in _PARTS)
+
+    def fitted(self, state: TrackerState) -> TrackerState:
+        """The state with proportions that are fitted to all of its frames, unless those that only judge contradict
+        them."""
+        frames, before = state.shape_frames, state.shape
+        if not frames or before is None:
+            return state
+        fit = replace(self.fit, shape=before)
+        seen = [fit.seen(self.segmentation.scene(one.views, state.appearance, one.time_s), one.pose) for one in frames]
+        found = fitted_shape(fit, [one for one in seen if one is not None], self.overconfidence)
+        is_last, shape = len(frames) >= self._count, before
+        if found is not None and not found.is_contradicted:
+            shape = found.shape
+            poses = torch.stack([one.pose.vector for one in frames])
+            moved = HandPose.of(reshaped_poses(poses, fit.motion, fit.kinematics, before, shape)).normalized()
+            frames = tuple(replace(one, pose=moved[row]) for row, one in enumerate(frames))
+        return replace(
+            state, shape=shape, shape_frames=None if is_last else frames, shape_fitted_to=0 if is_last else len(frames)
+        )
