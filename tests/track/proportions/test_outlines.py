@@ -86,6 +86,11 @@ def test_frames_are_kept_that_show_the_hand_otherwise_until_there_are_enough(
     assert kept(states) == [1, 1, 2, 2, 3, 3, 4, 4]
     doubtful = replace(seen[1][1], is_sound=False)
     assert kept(followed(tracker, [seen[0], (seen[1][0], doubtful)], fits=False)) == [1, 1]
+    score = tracker.parts.health.score(seen[0][1])
+    for best, count in ((score + 0.01, 1), (score + 0.03, 0)):  # of the frames before
+        state = TrackerState(shape=tracker.kinematics.default_shape, shape_frames=(), best_score=best)
+        state = outlines_of(tracker)(state, seen[0][1], seen[0][0], fits=False)
+        assert kept([state]) == [count]
 
 
 def test_proportions_of_the_person_are_found_and_stand(

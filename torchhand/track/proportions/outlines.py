@@ -11,6 +11,7 @@ from torchhand.track.proportions.frame_fit import FrameFit
 from torchhand.track.scene import Candidate, Health, Scene, Segmentation
 
 _APART = 0.4  # radians, over all joint angles and the turn, between frames that tell different things
+_GOOD = 0.02  # score less than at best, up to which a frame is kept: wrong fingers would spoil the proportions
 _PARTS = (4, 2, 1)  # of the frames: a fit when there are a quarter, a half and all of them
 
 
@@ -33,13 +34,18 @@ class OutlineShape:
 
         fits: whether it may take as long as a fit, some seconds; else the frames alone are kept (`is_due`)."""
         frames, pose = state.shape_frames, found.pose.normalized()
-        if frames is None or len(frames) >= self._count or self.health.is_degraded(found, state.usual_score):
+        if frames is None or len(frames) >= self._count or not self._is_good(found, state):
             return state
         if any(one.distance(pose) <= _APART for one in frames):
             return state
         kept = ShapeFrame(pose=pose, views=scene.views, time_s=scene.time_s)
         state = replace(state, shape_frames=(*frames, kept))
         return self.fitted(state) if fits and self.is_due(state) else state
+
+    def _is_good(self, found: Candidate, state: TrackerState) -> bool:
+        """Whether the hand explains a frame about as well as any before."""
+        is_sound = not self.health.is_degraded(found, state.usual_score)
+        return is_sound and self.health.score(found) >= state.best_score - _GOOD
 
     @property
     def _count(self) -> int:
