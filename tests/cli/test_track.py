@@ -482,6 +482,29 @@ def test_one_shape_for_the_whole_recording_and_again_where_it_is_resumed(
     assert (parts / "hand.json").read_bytes() == (whole / "hand.json").read_bytes()
 
 
+def test_proportions_that_are_fitted_on_the_way_are_kept_with_the_frame(
+    clip: Clip, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("torchhand.track.proportions.outlines._APART", 0.0)  # the clip's hand keeps its posture
+    monkeypatch.setattr("torchhand.track.proportions.outlines._GOOD", 1.0)
+    monkeypatch.setattr("torchhand.track.proportions.fitted.FittedShape.is_contradicted", False)
+    monkeypatch.setattr("torchhand.track.assembly.SCHEDULE", (Stage(gross_m=0.0075, rounds=1, iterations=1),))
+    settings = ("shape_frames=4", "learned_posture=false", "learned_proposals=false")
+    options = ["--camera", clip.camera, "--config", "contour_full", "--no-overlay", "--max-frames", "6"]
+    options += [word for setting in settings for word in ("--set", setting)]
+    assert run(clip.frames, "--out", tmp_path / "out", "--causal", *options).code == 0
+    hand = json.loads((tmp_path / "out" / "hand.json").read_text())
+    assert (hand["provenance"]["method"], hand["provenance"]["frame"]) == (
+        "fit to frames while the hand was followed",
+        3,
+    )
+    track, kinematics = load_track(tmp_path / "out"), load_hand_model().kinematics(dtype=torch.float64)
+    shape = torch.tensor(list(hand["shape"].values()), dtype=torch.float64)
+    apart = np.abs(track.keypoints3d - kinematics(torch.from_numpy(track.pose), shape).keypoints.numpy()).max((1, 2))
+    assert (apart[:4] > 1e-4).all()  # hands of the first picture's proportions
+    assert (apart[4:] < 1e-6).all()
+
+
 class _Webcam(FrameSource):
     """Delivers a picture of the clip when the one before is tracked, until a hand was tracked in three, which it takes
     another process to find; then, as a user would, presses Ctrl-C, or ends."""

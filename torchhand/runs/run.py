@@ -98,7 +98,7 @@ class Run:
         self._step = tracker.step if beside is None else beside.step
         self.ahead: ScenesAhead | None = None  # what makes the next frame's scene, while there is such a process
         self._followed_px: Float[Tensor, "views 21 2"] | None = None
-        self.state, self._provenance = state, dict(provenance)
+        self.state, self._first_provenance, self._provenance = state, provenance, dict(provenance)
         self._smoother = Smoother(tracker, tracker.settings.smoothing_window_s)
         self._names = tuple(camera.name for camera in recording.cameras)
         self._past: dict[float, tuple[int, float]] = {}
@@ -185,7 +185,7 @@ class Run:
 
     def restart(self) -> None:
         """Forget the hand, its colours and its proportions; it is found anew in the frames that come."""
-        self.state, self._followed_px = None, None
+        self.state, self._followed_px, self._provenance = None, None, dict(self._first_provenance)
 
     def _checkpoint(self, state: TrackerState, followed_px: Float[Tensor, "views 21 2"] | None) -> dict[str, Any]:
         return {
@@ -296,10 +296,11 @@ def _tracked(
     waiting: tuple[RecordedFrame, TrackedFrame] | None = None
     try:
         for frame, following in _with_following(frames, is_wanted=run.ahead is not None):
-            had_shape = run.shape is not None
+            shape = run.shape
             tracked = run.step(frame, following)
-            if not had_shape and run.shape is not None:
-                run.save_hand(writer.folder, frame=frame.index)
+            if run.shape is not None and (shape is None or not torch.equal(run.shape, shape)):
+                told = {} if shape is None else {"method": "fit to frames while the hand was followed"}
+                run.save_hand(writer.folder, frame=frame.index, **told)
             if waiting is not None:
                 ready, waiting = waiting, None
                 yield ready
