@@ -123,6 +123,35 @@ def test_a_step_that_must_be_quick_keeps_frames_for_a_fit_that_is_the_same_after
     torch.testing.assert_close(fitted.shape, whole.shape, rtol=0, atol=2e-3)  # that one came by two earlier fits
 
 
+def test_of_a_picture_the_part_about_the_hand_is_kept(studio: Studio) -> None:
+    tracker, camera = tracker_of(studio), studio.camera(WIDTH, HEIGHT)
+    outlines, shape = outlines_of(tracker), tracker.kinematics.default_shape
+    hand = studio.placed(view="back", posed="open", shape=shape, size=0.3, camera=camera)
+    state = TrackerState(shape=shape, shape_frames=())
+    image = torch.randint(255, (HEIGHT, WIDTH, 3), dtype=torch.uint8)
+    scene = tracker.scene(state, [View(image=image, mask=hand.mask)], 0.0)
+    pose = HandPose(dofs=hand.pose, reference=hand.root_reference)
+    candidate = tracker.candidate(pose, scene, shape)
+    assert candidate is not None
+    frames = outlines(state, candidate, scene, fits=False).shape_frames
+    assert frames is not None
+    [view], (top, left) = frames[0].views, frames[0].corner
+    assert view.image is not None
+    assert view.mask is not None
+    assert view.mask.numel() < 0.6 * hand.mask.numel()
+    assert bool(view.mask.sum() == hand.mask.sum())
+    points = camera.project(tracker.kinematics(hand.pose, shape, root_reference=hand.root_reference).keypoints)
+    height, width = view.mask.shape
+    first, last = torch.tensor([left, top]), torch.tensor([left + width, top + height])
+    assert bool(((points > first) & (points < last)).all())
+    whole = outlines._whole(frames[0])
+    assert whole.mask is not None
+    assert torch.equal(whole.mask, hand.mask)
+    assert whole.image is not None
+    assert whole.image.shape == image.shape
+    assert torch.equal(whole.image[top : top + height, left : left + width], view.image)
+
+
 def test_contradicted_proportions_are_not_taken(
     studio: Studio, seen: list[tuple[Scene, Candidate]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

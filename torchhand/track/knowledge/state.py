@@ -41,7 +41,9 @@ class ShapeFrame:
     masks: tuple[PackedMask | None, ...] = ()
     """Silhouettes of all views of several cameras; None where there is none."""
     views: tuple[View, ...] = ()
-    """The view of one camera."""
+    """The view of one camera: of its picture and mask the part about the hand, keypoints in pixels of the whole."""
+    corner: tuple[int, int] = (0, 0)
+    """Row and column of the whole picture at which that part begins."""
     time_s: float = 0.0
     """Time of that view."""
 

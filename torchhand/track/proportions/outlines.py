@@ -3,15 +3,18 @@
 from dataclasses import dataclass, replace
 
 import torch
+from torch import Tensor
 
+from torchhand.devices import read_back
 from torchhand.hand import HandPose
 from torchhand.track.knowledge import ShapeFrame, TrackerState
 from torchhand.track.proportions.fitted import fitted_shape, reshaped_poses
 from torchhand.track.proportions.frame_fit import FrameFit
-from torchhand.track.scene import Candidate, Health, Scene, Segmentation
+from torchhand.track.scene import Candidate, Health, Scene, Segmentation, View
 
 _APART = 0.4  # radians, over all joint angles and the turn, between frames that tell different things
 _GOOD = 0.02  # score less than at best, up to which a frame is kept: wrong fingers would spoil the proportions
+_MARGIN = 0.4  # of the longer side of the box of a hand's joints, which is kept about it
 _PARTS = (4, 2, 1)  # of the frames: a fit when there are a quarter, a half and all of them
 
 
@@ -34,11 +37,12 @@ class OutlineShape:
 
         fits: whether it may take as long as a fit, some seconds; else the frames alone are kept (`is_due`)."""
         frames, pose = state.shape_frames, found.pose.normalized()
-        if frames is None or len(frames) >= self._count or not self._is_good(found, state):
+        if frames is None or state.shape is None or len(frames) >= self._count or not self._is_good(found, state):
             return state
         if any(one.distance(pose) <= _APART for one in frames):
             return state
-        kept = ShapeFrame(pose=pose, views=scene.views, time_s=scene.time_s)
+        view, corner = self._about(pose, state.shape, scene.views[0])
+        kept = ShapeFrame(pose=pose, views=(view,), corner=corner, time_s=scene.time_s)
         state = replace(state, shape_frames=(*frames, kept))
         return self.fitted(state) if fits and self.is_due(state) else state
 
@@ -63,7 +67,8 @@ class OutlineShape:
         if not frames or before is None:
             return state
         fit = replace(self.fit, shape=before)
-        seen = [fit.seen(self.segmentation.scene(one.views, state.appearance, one.time_s), one.pose) for one in frames]
+        scenes = [self.segmentation.scene((self._whole(one),), state.appearance, one.time_s) for one in frames]
+        seen = [fit.seen(scene, one.pose) for scene, one in zip(scenes, frames, strict=True)]
         found = fitted_shape(fit, [one for one in seen if one is not None], self.overconfidence)
         is_last, shape = len(frames) >= self._count, before
         if found is not None and not found.is_contradicted:
@@ -74,3 +79,28 @@ class OutlineShape:
         return replace(
             state, shape=shape, shape_frames=None if is_last else frames, shape_fitted_to=0 if is_last else len(frames)
         )
+
+    def _about(self, pose: HandPose, shape: Tensor, view: View) -> tuple[View, tuple[int, int]]:
+        """The part of a view about a hand, and the row and column at which it begins: states are saved and sent, and
+        the hand is a tenth of a picture."""
+        keypoints = self.fit.kinematics(pose.dofs, shape, root_reference=pose.reference).keypoints
+        points = read_back(self.fit.camera.project(keypoints))
+        margin = _MARGIN * float((points.max(0) - points.min(0)).max())
+        left, top = (max(0, int(value - margin)) for value in points.min(0))
+        right, bottom = (max(1, int(value + margin)) for value in points.max(0))
+        box = (slice(top, bottom), slice(left, right))
+        image, mask = (None if one is None else one[box].clone() for one in (view.image, view.mask))
+        return replace(view, image=image, mask=mask), (top, left)
+
+    def _whole(self, frame: ShapeFrame) -> View:
+        """The view of a frame in a picture of its size, which is black elsewhere."""
+        [view], (top, left), camera = frame.views, frame.corner, self.fit.camera
+
+        def placed(part: Tensor | None) -> Tensor | None:
+            if part is None:
+                return None
+            whole = part.new_zeros((camera.height, camera.width, *part.shape[2:]))
+            whole[top : top + part.shape[0], left : left + part.shape[1]] = part
+            return whole
+
+        return replace(view, image=placed(view.image), mask=placed(view.mask))
