@@ -50,8 +50,8 @@ class TiltAlternatives:
         the hand's colours."""
         assert state.shape is not None
         self._tracker, self._shape = tracker, state.shape
-        contours = contour_settings(tracker.settings)
-        self._fit = tracker.parts.frame_fit(tracker.settings, state.shape, QUICK_SEARCH, contours)
+        contours = contour_settings(tracker.settings.update)
+        self._fit = tracker.parts.frame_fit(state.shape, QUICK_SEARCH, contours)
 
     @staticmethod
     def can_tilt(tracker: Tracker) -> bool:

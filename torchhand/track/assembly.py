@@ -56,6 +56,8 @@ class Assembly:
     cameras: tuple[Camera, ...]
     """As the scene's silhouettes are seen: without distortion where there are several."""
     motion: HandMotion
+    table: OutlineTable
+    """Which points of a hand's outline are looked at."""
     segmentation: Segmentation
     rule: UpdateRule
     sources: tuple[ProposalSource, ...]
@@ -77,15 +79,14 @@ class Assembly:
         names = self.motion.space.free_names
         return all(f"{finger}_{joint}_fe" in names for finger in FINGERS[1:] for joint in ("mcp", "pip"))
 
-    def frame_fit(
-        self, settings: TrackerSettings, shape: Float[Tensor, "shape"], schedule: Schedule, contours: ContourSettings
-    ) -> FrameFit:
-        """The fit of poses to frames of the one camera. settings: of the tracker."""
+    def frame_fit(self, shape: Float[Tensor, "shape"], schedule: Schedule, contours: ContourSettings) -> FrameFit:
+        """The fit of poses to frames of the one camera."""
         return FrameFit(
             kinematics=self.kinematics,
             camera=self.cameras[0],
             motion=self.motion,
-            settings=settings,
+            table=self.table,
+            keypoints=self.keypoint_settings,
             has_network=self.has_learned_posture,
             shape=shape,
             schedule=schedule,
@@ -96,12 +97,13 @@ class Assembly:
         """The same with proportions that are fitted while one camera follows a hand, where its frames tell them."""
         if not (settings.shape_frames and self.flexes):
             return self
-        contours = contour_settings(settings, self.rule.overconfidence)
+        contours = contour_settings(settings.update, self.rule.overconfidence)
         outlines = OutlineShape(
-            fit=self.frame_fit(settings, self.kinematics.default_shape, SCHEDULE, contours),
+            fit=self.frame_fit(self.kinematics.default_shape, SCHEDULE, contours),
             segmentation=self.segmentation,
             health=self.health,
             overconfidence=self.rule.overconfidence,
+            count=settings.shape_frames,
         )
         return replace(self, accumulated_shape=outlines)
 
@@ -207,6 +209,7 @@ def _of_one_camera(
         kinematics=kinematics,
         cameras=(here,),
         motion=own.motion,
+        table=own.table,
         segmentation=ColourSegmentation(kinematics=kinematics, camera=here, settings=s.colours),
         rule=own.rule((here,)),
         sources=sources,
@@ -261,6 +264,7 @@ def _of_a_rig(
         kinematics=own.hand.kinematics,
         cameras=silhouettes.cameras,
         motion=own.motion,
+        table=own.table,
         segmentation=RigSegmentation(silhouettes=silhouettes),
         rule=hull if takes_proposals else own.rule(silhouettes.cameras),
         sources=(detected, *hull_sources(hull, health, proposer)),

@@ -62,8 +62,8 @@ def recorded_shape(tracker: Tracker, state: TrackerState, frames: Iterable[Follo
     """
     assert state.shape is not None
     factor = tracker.parts.rule.overconfidence
-    contours = contour_settings(tracker.settings, factor)
-    fit = tracker.parts.frame_fit(tracker.settings, state.shape, SCHEDULE, contours)
+    contours = contour_settings(tracker.settings.update, factor)
+    fit = tracker.parts.frame_fit(state.shape, SCHEDULE, contours)
     poses_and_scenes = (
         (HandPose.of(one.pose.to(tracker.device)).normalized(), tracker.scene(state, one.views, one.time_s))
         for one in frames

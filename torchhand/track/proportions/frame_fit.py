@@ -10,7 +10,6 @@ from functools import cached_property
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.devices import sent_to
 from torchhand.fit import (
     ConstraintPrior,
     FrameObservations,
@@ -21,14 +20,14 @@ from torchhand.fit import (
     Schedule,
 )
 from torchhand.fit.contour import ContourObservation, ContourSettings, picture_contours
+from torchhand.fit.keypoints import KeypointSettings
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics, HandPose, HandPrior, PoseConstraints
 from torchhand.image import clean, fill_holes, touching
 from torchhand.track.belief import HandMotion
 from torchhand.track.extended import ExtendedUpdateSettings
 from torchhand.track.scene import Scene, learned_observations, scene_keypoints, seen_posture
-from torchhand.track.settings import TrackerSettings
-from torchhand.view import HandProjector, PrimitiveContours, outline_table
+from torchhand.view import HandProjector, OutlineTable, PrimitiveContours
 
 _HOLE_PX = 50  # largest hole of a silhouette that is filled, square px
 
@@ -56,8 +55,9 @@ class FrameFit:
     """In whose frame poses are."""
     motion: HandMotion
     """Of the tracker beside which is fitted: its pose space."""
-    settings: TrackerSettings
-    """Of that tracker."""
+    table: OutlineTable
+    """Which points of a hand's outline are compared with contours."""
+    keypoints: KeypointSettings
     has_network: bool
     """Whether a network tells the posture in every frame."""
     shape: Float[Tensor, "shape"]
@@ -76,7 +76,7 @@ class FrameFit:
         if self.has_network:
             seen = seen_posture(scene, self.camera, self.kinematics, pose, self.shape)
             found += () if seen is None else learned_observations(seen, pose)
-        found += scene_keypoints(scene, (self.camera,), self.kinematics, self.settings.keypoints).observations
+        found += scene_keypoints(scene, (self.camera,), self.kinematics, self.keypoints).observations
         return SeenFrame(pose=pose, observations=tuple(found))
 
     def contour(self, scene: Scene, pose: HandPose) -> ContourObservation | None:
@@ -84,16 +84,14 @@ class FrameFit:
         plane = scene.plane(0)
         if plane is None:
             return None
-        s, settings = self.settings, self.contours
         projector = HandProjector(self.kinematics, self.camera, self.shape)
         mask = fill_holes(touching(clean(plane > 0.5), projector.silhouette(pose.dofs, pose.reference)), _HOLE_PX)
-        picture = picture_contours(mask, self.schedule, settings, image=scene.views[0].image)
+        picture = picture_contours(mask, self.schedule, self.contours, image=scene.views[0].image)
         if picture.is_empty:
             return None
-        table = sent_to(
-            outline_table(s.points_per_generator, s.points_per_arc, without=("palm_wrist",)), self.shape.device
+        return ContourObservation(
+            picture=picture, contours=PrimitiveContours(projector, self.table), settings=self.contours
         )
-        return ContourObservation(picture=picture, contours=PrimitiveContours(projector, table), settings=settings)
 
     def problem(self, frames: Sequence[SeenFrame]) -> Problem:
         """The poses of some frames as one problem, the shape known."""
@@ -122,12 +120,11 @@ class FrameFit:
         return PostureResiduals.of(prior.postures)
 
 
-def contour_settings(settings: TrackerSettings, overconfidence: float = 1.0) -> ContourSettings:
-    """How much contours count in a fit beside a tracker.
+def contour_settings(update: object, overconfidence: float = 1.0) -> ContourSettings:
+    """How much contours count in a fit beside a tracker, by the settings of its update rule.
 
     overconfidence: by which all frames have errors in common, such as those of the model's surface.
     """
-    update = settings.update
     s = (update if isinstance(update, ExtendedUpdateSettings) else ExtendedUpdateSettings()).contour
     return replace(
         s, contour_weight=s.contour_weight / overconfidence, coverage_weight=s.coverage_weight / overconfidence

@@ -21,8 +21,8 @@ _PARTS = (4, 2, 1)  # of the frames: a fit when there are a quarter, a half and 
 @dataclass(frozen=True, kw_only=True)
 class OutlineShape:
     """Keeps frames that show a followed hand otherwise than those before, and fits proportions to all of them when
-    there are a quarter of `TrackerSettings.shape_frames`, half as many, and all: then the proportions stand, and no
-    frame is kept. (Tkach et al. 2017 accumulate a Gaussian of the proportions in place of frames.)
+    there are a quarter of those that are wanted, half of them, and all: then the proportions stand, and no frame is
+    kept. (Tkach et al. 2017 accumulate a Gaussian of the proportions in place of frames.)
     """
 
     fit: FrameFit
@@ -31,13 +31,15 @@ class OutlineShape:
     health: Health
     overconfidence: float
     """Of the tracker's update rule."""
+    count: int
+    """Frames at most; `TrackerSettings.shape_frames`."""
 
     def __call__(self, state: TrackerState, found: Candidate, scene: Scene, *, fits: bool = True) -> TrackerState:
         """The state after a frame in which a hand was followed or found.
 
         fits: whether it may take as long as a fit, some seconds; else the frames alone are kept (`is_due`)."""
         frames, pose = state.shape_frames, found.pose.normalized()
-        if frames is None or state.shape is None or len(frames) >= self._count or not self._is_good(found, state):
+        if frames is None or state.shape is None or len(frames) >= self.count or not self._is_good(found, state):
             return state
         if any(one.distance(pose) <= _APART for one in frames):
             return state
@@ -51,14 +53,10 @@ class OutlineShape:
         is_sound = not self.health.is_degraded(found, state.usual_score)
         return is_sound and self.health.score(found) >= state.best_score - _GOOD
 
-    @property
-    def _count(self) -> int:
-        return self.fit.settings.shape_frames
-
     def is_due(self, state: TrackerState) -> bool:
         """Whether there are so many frames that the proportions are to be fitted anew."""
         before, count = state.shape_fitted_to, len(state.shape_frames or ())
-        return any(before < self._count // part <= count for part in _PARTS)
+        return any(before < self.count // part <= count for part in _PARTS)
 
     def fitted(self, state: TrackerState) -> TrackerState:
         """The state with proportions that are fitted to all of its frames, unless those that only judge contradict
@@ -70,7 +68,7 @@ class OutlineShape:
         scenes = [self.segmentation.scene((self._whole(one),), state.appearance, one.time_s) for one in frames]
         seen = [fit.seen(scene, one.pose) for scene, one in zip(scenes, frames, strict=True)]
         found = fitted_shape(fit, [one for one in seen if one is not None], self.overconfidence)
-        is_last, shape = len(frames) >= self._count, before
+        is_last, shape = len(frames) >= self.count, before
         if found is not None and not found.is_contradicted:
             shape = found.shape
             poses = torch.stack([one.pose.vector for one in frames])
