@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from types import TracebackType
 
+from torchhand.cluster import can_copy_process
 from torchhand.track.knowledge import Estimate, TrackerState, restored_state, saved_state
 from torchhand.track.messages import READY, Answer, OtherProcess, Request, Reshape, Search, SeenFrame, packed
 from torchhand.track.scene import View
@@ -33,13 +34,17 @@ class SearchBeside:
     A process, for a thread would have the interpreter's lock in common with the tracker: two trackers of one camera
     take 31 to 39 ms a frame each in two processes on two idle cores, 32 to 36 ms alone, 62 to 87 ms in two threads.
 
+    It begins as a copy of this process, at once, where that can be (`can_copy_process`) and no thread but the caller's
+    is at work when this object is made; else it begins by itself, which takes seconds.
+
     Results depend on when searches end: for pictures that do not wait, not for recordings. A context manager.
     """
 
     def __init__(self, make: Callable[[], Tracker]) -> None:
         """make: makes the tracker, here and in the other process; picklable, such as a `functools.partial`."""
         self.tracker = make()
-        self._process = OtherProcess(serve, make, "searches")
+        is_copy = can_copy_process(self.tracker.device) and threading.active_count() == 1
+        self._process = OtherProcess(serve, make, "searches", is_copy=is_copy)
         self._messages: queue.Queue[Request | SeenFrame | None] = queue.Queue()
         self._sender = threading.Thread(target=self._send, name="searches", daemon=True)
         self._number, self._is_ready = 0, False
