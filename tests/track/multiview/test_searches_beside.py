@@ -1,5 +1,6 @@
 """Several cameras whose pictures do not wait: another process finds the hand and fits its proportions."""
 
+import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -46,8 +47,15 @@ def scenes(large: torch.Tensor, rig_hand: Hand, rig: list[Camera], pose_at: Call
     return found
 
 
-def _fail(*_: Any, **__: Any) -> None:
-    raise AssertionError("the step searches, or fits proportions, itself")
+def _elsewhere(work: Callable[..., Any]) -> Callable[..., Any]:
+    """The same in another process, which may be a copy of this one; fails here."""
+    here = os.getpid()
+
+    def checked(*args: Any, **given: Any) -> Any:
+        assert os.getpid() != here, "the step searches, or fits proportions, itself"
+        return work(*args, **given)
+
+    return checked
 
 
 def _stepped(
@@ -73,7 +81,7 @@ def test_hand_and_proportions_are_found_while_steps_go_on(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for name in ("search", "fit_shape", "refine", "vary_fingers", "vary_orientation", "fit_proposed"):
-        monkeypatch.setattr(FrameFitter, name, _fail)  # here, and not in the other process
+        monkeypatch.setattr(FrameFitter, name, _elsewhere(getattr(FrameFitter, name)))
     shown, other = scenes
     with SearchBeside(partial(Tracker, rig_hand, rig, SETTINGS)) as beside:
         state, waited = _stepped(beside, shown, None, lambda state: state.hand is not None)
