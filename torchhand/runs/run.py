@@ -296,10 +296,10 @@ def _tracked(
     waiting: tuple[RecordedFrame, TrackedFrame] | None = None
     try:
         for frame, following in _with_following(frames, is_wanted=run.ahead is not None):
-            shape = run.shape
-            tracked = run.step(frame, following)
-            if run.shape is not None and (shape is None or not torch.equal(run.shape, shape)):
-                told = {} if shape is None else {"method": "fit to frames while the hand was followed"}
+            before = run.shape
+            tracked, shape = run.step(frame, following), run.shape
+            if shape is not None and (before is None or not torch.equal(shape, before)):
+                told = {} if before is None else {"method": "fit to frames while the hand was followed"}
                 run.save_hand(writer.folder, frame=frame.index, **told)
             if waiting is not None:
                 ready, waiting = waiting, None

@@ -9,12 +9,11 @@ from torch import Tensor
 
 from torchhand.hand import HandPose
 from torchhand.numerics import single_threaded
-from torchhand.track.knowledge import TrackerState
+from torchhand.track.knowledge import TrackerState, posture_features
 from torchhand.track.proportions import SCHEDULE, FittedShape, contour_settings, fitted_shape
 from torchhand.track.scene import View
 from torchhand.track.tracker import Tracker
 
-_TURN = 0.7  # radians of joint angles that a radian of the hand's own turn is worth, when frames are told apart
 _TIME = 1.0  # radians that the recording's length is worth
 
 
@@ -39,8 +38,7 @@ def spread_frames(poses: Float[Tensor, "frames 36"], is_good: Bool[Tensor, "fram
         return []
     hands = HandPose.of(poses[rows]).normalized()
     time = _TIME * rows.to(poses) / max(1, len(poses) - 1)
-    turn = _TURN * hands.rotation.flatten(1) / 2**0.5  # Frobenius distance of rotations: √2 of a small angle
-    features = torch.cat((poses[rows][:, 6:], turn, time[:, None]), 1)
+    features = torch.cat((posture_features(hands), time[:, None]), 1)
     chosen, apart = [0], (features - features[0]).norm(dim=-1)
     while len(chosen) < min(count, len(rows)) and float(apart.max()) > 0:
         chosen.append(int(apart.argmax()))

@@ -24,8 +24,9 @@ SETTINGS = replace(settings_of("contour_full"), learned_posture=False, learned_p
 
 @pytest.fixture(autouse=True)
 def independent(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Simulated pictures have no errors in common."""
+    """Simulated pictures have no errors in common; a short schedule finds the proportions as well."""
     monkeypatch.setattr(UnscentedUpdate, "overconfidence", 1.0)
+    monkeypatch.setattr("torchhand.track.assembly.SCHEDULE", (Stage(gross_m=0.0075, rounds=1, iterations=3),))
 
 
 def tracker_of(studio: Studio, *, shape: Tensor | None = None, accumulates: bool = True) -> Tracker:
@@ -37,7 +38,6 @@ def tracker_of(studio: Studio, *, shape: Tensor | None = None, accumulates: bool
 def outlines_of(tracker: Tracker) -> OutlineShape:
     found = tracker.parts.accumulated_shape
     assert isinstance(found, OutlineShape)
-    found.fit.__dict__["schedule"] = (Stage(gross_m=0.0075, rounds=1, iterations=3),)
     return found
 
 

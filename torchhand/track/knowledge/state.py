@@ -1,13 +1,15 @@
 """What a tracker knows between two frames, and what it says of one."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.files import FrameStatus
-from torchhand.hand import DOFS, FINGERS, HandPose
+from torchhand.hand import DOFS, FINGERS, JOINT_DOFS, HandPose
 from torchhand.track.belief import FollowedHand
 from torchhand.track.scene import Appearances, PackedMask, View
 
@@ -17,6 +19,13 @@ _BENDING = [DOFS.index(f"{finger}_{joint}_fe") for finger in FINGERS[1:] for joi
 _OPEN_BELOW = math.radians(45.0)
 REFIT_EVERY = 10
 """Frames from one fit with larger steps of a hand that declines to the next at least."""
+
+
+def posture_features(pose: HandPose) -> Float[Tensor, "*batch 39"]:
+    """Coordinates of postures with their directions, radians: how far two of them are apart is how differently they
+    show a hand. pose: (*batch), with zero rotation vectors."""
+    turn = _TURN * pose.reference.flatten(-2) / 2**0.5  # Frobenius distance of rotations: √2 of a small angle
+    return torch.cat((pose.dofs[..., -len(JOINT_DOFS) :], turn), -1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,9 +58,7 @@ class ShapeFrame:
 
     def distance(self, pose: HandPose) -> float:
         """Radians from a posture with its direction, which has a zero rotation vector, to this one."""
-        bent = (self.pose.dofs[6:] - pose.dofs[6:]).square().sum()
-        turned = (self.pose.reference - pose.reference).square().sum() / 2  # of a small turn: its angle's square
-        return float((bent + _TURN**2 * turned).sqrt())
+        return float((posture_features(self.pose) - posture_features(pose)).norm())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,6 +115,18 @@ class TrackerState:
     def began_open(self) -> bool:
         """Whether the first hand had no finger bent much: which side it shows is then known from its outline."""
         return self.posture is not None and bool((self.posture[_BENDING] < _OPEN_BELOW).all())
+
+    def is_shape_due(self, counts: Iterable[int]) -> bool:
+        """Whether the frames are as many as one of some counts, and the proportions are not fitted to so many yet."""
+        count = len(self.shape_frames or ())
+        return any(self.shape_fitted_to < wanted <= count for wanted in counts)
+
+    def with_shape(
+        self, shape: Float[Tensor, "shape"], frames: tuple[ShapeFrame, ...], *, is_last: bool
+    ) -> "TrackerState":
+        """The state with proportions that are fitted to its frames, with which these go on, or which stand."""
+        kept, count = (None, 0) if is_last else (frames, len(frames))
+        return replace(self, shape=shape, shape_frames=kept, shape_fitted_to=count)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,8 +33,7 @@ class AccumulatedShape:
 
     def is_due(self, state: TrackerState) -> bool:
         """Whether there are so many frames that the proportions are to be fitted anew."""
-        before, count = state.shape_fitted_to, len(state.shape_frames or ())
-        return any(before < wanted <= count for wanted in (*SHAPE_AT, self.fitter.settings.shape_frames))
+        return state.is_shape_due((*SHAPE_AT, self.fitter.settings.shape_frames))
 
     def fitted(self, state: TrackerState) -> TrackerState:
         """The state with proportions that are fitted to all of its frames."""
@@ -43,9 +42,7 @@ class AccumulatedShape:
             return state
         is_last = len(frames) >= self.fitter.settings.shape_frames
         shape, frames = self._fitted(frames, state.shape, is_rough=not is_last)
-        return replace(
-            state, shape=shape, shape_frames=None if is_last else frames, shape_fitted_to=0 if is_last else len(frames)
-        )
+        return state.with_shape(shape, frames, is_last=is_last)
 
     def _is_news(self, frames: tuple[ShapeFrame, ...], found: Candidate) -> bool:
         if len(frames) >= self.fitter.settings.shape_frames:

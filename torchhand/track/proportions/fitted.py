@@ -59,9 +59,9 @@ class FittedShape:
         """Whether the frames that were held out cost so much more with these proportions that one in twenty fits which
         are no worse would look it by chance (paired t test; of a single frame, whether it costs more).
 
-        Several frames are believed before one unless they are contradicted. Of twelve synthetic recordings, and
-        `palm_gestures` with keypoints, three had a mean that was higher by chance, in which the hand was followed
-        better with the fitted proportions, as in all the others.
+        Several frames are believed before one unless they are contradicted. Of six synthetic recordings, with keypoints
+        and without, and `palm_gestures` with them, three had a higher mean; in these, too, the hand was followed better
+        with the fitted proportions (docs/measured.md).
         """
         more = read_back(self.costs - self.costs_before)
         if len(more) < 2:

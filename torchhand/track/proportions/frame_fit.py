@@ -27,6 +27,7 @@ from torchhand.image import clean, fill_holes, touching
 from torchhand.track.belief import HandMotion
 from torchhand.track.extended import ExtendedUpdateSettings
 from torchhand.track.scene import Scene, learned_observations, scene_keypoints, seen_posture
+from torchhand.track.unscented import UnscentedUpdateSettings
 from torchhand.view import HandProjector, OutlineTable, PrimitiveContours
 
 _HOLE_PX = 50  # largest hole of a silhouette that is filled, square px
@@ -120,7 +121,9 @@ class FrameFit:
         return PostureResiduals.of(prior.postures)
 
 
-def contour_settings(update: object, overconfidence: float = 1.0) -> ContourSettings:
+def contour_settings(
+    update: UnscentedUpdateSettings | ExtendedUpdateSettings | None, overconfidence: float = 1.0
+) -> ContourSettings:
     """How much contours count in a fit beside a tracker, by the settings of its update rule.
 
     overconfidence: by which all frames have errors in common, such as those of the model's surface.

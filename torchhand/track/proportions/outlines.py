@@ -38,9 +38,10 @@ class OutlineShape:
         """The state after a frame in which a hand was followed or found.
 
         fits: whether it may take as long as a fit, some seconds; else the frames alone are kept (`is_due`)."""
-        frames, pose = state.shape_frames, found.pose.normalized()
+        frames = state.shape_frames
         if frames is None or state.shape is None or len(frames) >= self.count or not self._is_good(found, state):
             return state
+        pose = found.pose.normalized()
         if any(one.distance(pose) <= _APART for one in frames):
             return state
         view, corner = self._about(pose, state.shape, scene.views[0])
@@ -55,8 +56,7 @@ class OutlineShape:
 
     def is_due(self, state: TrackerState) -> bool:
         """Whether there are so many frames that the proportions are to be fitted anew."""
-        before, count = state.shape_fitted_to, len(state.shape_frames or ())
-        return any(before < self.count // part <= count for part in _PARTS)
+        return state.is_shape_due(self.count // part for part in _PARTS)
 
     def fitted(self, state: TrackerState) -> TrackerState:
         """The state with proportions that are fitted to all of its frames, unless those that only judge contradict
@@ -74,9 +74,7 @@ class OutlineShape:
             poses = torch.stack([one.pose.vector for one in frames])
             moved = HandPose.of(reshaped_poses(poses, fit.motion, fit.kinematics, before, shape)).normalized()
             frames = tuple(replace(one, pose=moved[row]) for row, one in enumerate(frames))
-        return replace(
-            state, shape=shape, shape_frames=None if is_last else frames, shape_fitted_to=0 if is_last else len(frames)
-        )
+        return state.with_shape(shape, frames, is_last=is_last)
 
     def _about(self, pose: HandPose, shape: Tensor, view: View) -> tuple[View, tuple[int, int]]:
         """The part of a view about a hand, and the row and column at which it begins: states are saved and sent, and
