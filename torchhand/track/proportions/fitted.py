@@ -61,7 +61,7 @@ class FittedShape:
 
         Several frames are believed before one unless they are contradicted. Of six synthetic recordings, with keypoints
         and without, and `palm_gestures` with them, three had a higher mean; in these, too, the hand was followed better
-        with the fitted proportions (docs/measured.md).
+        with the fitted proportions (docs/tried.md).
         """
         more = read_back(self.costs - self.costs_before)
         if len(more) < 2:
