@@ -4,6 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -51,3 +52,13 @@ def test_the_package_of_the_trackers_is_the_short_way_too() -> None:
         found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
         assert "InputError" in found.stderr
         assert "nowhere.mp4" in found.stderr
+
+
+def test_a_picture_may_be_an_array_and_must_be_rgb() -> None:
+    grey = np.full((120, 160, 3), 90, dtype=np.uint8)
+    for picture in (grey, grey[:, ::-1]):
+        with pytest.raises(InputError, match="picture: no hand"):
+            fit_hand(picture)
+    for wrong in (grey[..., 0], grey[..., :2], grey[:0], grey / 255, torch.from_numpy(grey).float()):
+        with pytest.raises(InputError, match=r"picture: expected RGB, uint8 \(height, width, 3\), got"):
+            fit_hand(wrong)

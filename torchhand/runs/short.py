@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
@@ -78,17 +79,20 @@ def track(
 
 
 def fit_hand(
-    picture: str | Path | UInt8[Tensor, "height width 3"], *, side: Side = "right", camera: Camera | None = None
+    picture: str | Path | Tensor | np.ndarray,
+    *,
+    side: Side = "right",
+    camera: Camera | None = None,
 ) -> OpenHand:
-    """Proportions and pose of the open hand in one picture (a file, or RGB), with their standard deviations.
+    """Proportions and pose of the open hand in one picture, with their standard deviations.
 
-    One picture does not tell how large a hand is: its length is that of the average hand (`torchhand.fit.open_hand`
-    has other sizes). camera: in whose frame the pose is; a field of view is assumed where none is given.
+    picture: a file, or RGB as uint8 (height, width, 3). One picture does not tell how large a hand is: its length is
+    that of the average hand (`torchhand.fit.open_hand` has other sizes). camera: in whose frame the pose is; a field of
+    view is assumed where none is given.
 
-    Raises InputError where the picture shows no open hand, or not all five fingers.
+    Raises InputError where the picture shows no open hand, or not all five fingers, and for what is no picture.
     """
-    image = picture if isinstance(picture, Tensor) else read_picture(Path(picture))
-    name = "picture" if isinstance(picture, Tensor) else str(picture)
+    name, image = _named_picture(picture)
     seen = hand_in_picture(image)
     found = seen.silhouette
     if not bool(found.mask.any()):
@@ -101,3 +105,13 @@ def fit_hand(
     if isinstance(hand, NoRegions):
         raise InputError(f"{name}: {hand.reason}")
     return replace(hand, part=seen.part)
+
+
+def _named_picture(picture: str | Path | Tensor | np.ndarray) -> tuple[str, UInt8[Tensor, "height width 3"]]:
+    """A picture, and what to call it in a complaint."""
+    if isinstance(picture, str | Path):
+        return str(picture), read_picture(Path(picture))
+    if tuple(picture.shape[2:]) != (3,) or 0 in picture.shape or str(picture.dtype).removeprefix("torch.") != "uint8":
+        got = f"{picture.dtype} {tuple(picture.shape)}"
+        raise InputError(f"picture: expected RGB, uint8 (height, width, 3), got {got}")
+    return "picture", picture if isinstance(picture, Tensor) else torch.from_numpy(np.ascontiguousarray(picture))
