@@ -56,9 +56,19 @@ def test_the_package_of_the_trackers_is_the_short_way_too() -> None:
 
 def test_a_picture_may_be_an_array_and_must_be_rgb() -> None:
     grey = np.full((120, 160, 3), 90, dtype=np.uint8)
-    for picture in (grey, grey[:, ::-1]):
+    fixed = grey.copy()
+    fixed.flags.writeable = False
+    for picture in (grey, grey[:, ::-1], fixed):
         with pytest.raises(InputError, match="picture: no hand"):
             fit_hand(picture)
     for wrong in (grey[..., 0], grey[..., :2], grey[:0], grey / 255, torch.from_numpy(grey).float()):
         with pytest.raises(InputError, match=r"picture: expected RGB, uint8 \(height, width, 3\), got"):
             fit_hand(wrong)
+
+
+def test_what_is_no_array_is_no_picture() -> None:
+    """In a process of its own, in which no types are checked, as a user has it."""
+    code = "import torchhand; torchhand.fit_hand([[1]])"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    told = found.stderr.strip().splitlines()[-1]
+    assert told.endswith("InputError: picture: expected RGB, uint8 (height, width, 3), got list")

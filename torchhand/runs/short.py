@@ -111,7 +111,10 @@ def _named_picture(picture: str | Path | Tensor | np.ndarray) -> tuple[str, UInt
     """A picture, and what to call it in a complaint."""
     if isinstance(picture, str | Path):
         return str(picture), read_picture(Path(picture))
-    if tuple(picture.shape[2:]) != (3,) or 0 in picture.shape or str(picture.dtype).removeprefix("torch.") != "uint8":
-        got = f"{picture.dtype} {tuple(picture.shape)}"
-        raise InputError(f"picture: expected RGB, uint8 (height, width, 3), got {got}")
-    return "picture", picture if isinstance(picture, Tensor) else torch.from_numpy(np.ascontiguousarray(picture))
+    if isinstance(picture, np.ndarray) and picture.dtype == np.uint8:
+        picture = torch.from_numpy(picture.copy())  # row by row and writable, as torch wants it
+    if isinstance(picture, Tensor) and picture.dtype == torch.uint8 and picture.shape[2:] == (3,) and picture.numel():
+        return "picture", picture
+    is_array = isinstance(picture, Tensor | np.ndarray)
+    got = f"{picture.dtype} {tuple(picture.shape)}" if is_array else type(picture).__name__
+    raise InputError(f"picture: expected RGB, uint8 (height, width, 3), got {got}")
