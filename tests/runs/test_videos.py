@@ -1,5 +1,6 @@
 """Videos of a folder: what a lost worker had begun is gone on with, and every video has its own report."""
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,17 @@ def test_each_video_has_its_report(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     assert reports["new"].said == ("what it says",)
     assert _tracked(replace(REQUEST, overwrite=True), [begun])["begun"].error
     assert asked["begun.mp4"] is False
+
+
+def test_warnings_of_a_video_are_in_its_report(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def track(*_: Any) -> Any:
+        assert not sys.stderr.isatty()  # a bar is drawn on a terminal alone
+        print("UserWarning: an old decoder", file=sys.stderr)
+        raise InputError("none")
+
+    monkeypatch.setattr(videos, "track_sequence", track)
+    reports = _tracked(REQUEST, [Video(name="one", source=tmp_path / "one.mp4", out_dir=tmp_path / "one")])
+    assert reports["one"].said == ("UserWarning: an old decoder",)
 
 
 def test_a_full_disk_ends_all_of_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

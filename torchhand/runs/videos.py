@@ -2,7 +2,7 @@
 
 import contextlib
 import functools
-import os
+import io
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -60,7 +60,7 @@ def _worker(request: Request, max_megapixels: float) -> Callable[[Video], VideoR
     def work(video: Video) -> VideoReport:
         said: list[str] = []
         try:
-            with pixel_limit(max_megapixels), untold_progress(), _without_bars():
+            with pixel_limit(max_megapixels), untold_progress(), _kept_from_terminal(said):
                 track, _ = track_sequence(video.source, video.out_dir, _continued(request, video), said.append)
         except DiskError:
             raise
@@ -74,10 +74,15 @@ def _worker(request: Request, max_megapixels: float) -> Callable[[Video], VideoR
 
 
 @contextlib.contextmanager
-def _without_bars() -> Iterator[None]:
-    """No progress bars within the block, which several videos would write over each other."""
-    with Path(os.devnull).open("w") as nowhere, contextlib.redirect_stderr(nowhere):
-        yield
+def _kept_from_terminal(said: list[str]) -> Iterator[None]:
+    """No progress bars within the block, which several videos would write over each other: they are drawn on terminals
+    alone. Warnings become lines of what is said."""
+    written = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(written):
+            yield
+    finally:
+        said += [line for line in written.getvalue().splitlines() if line.strip()]
 
 
 def _continued(request: Request, video: Video) -> Request:
