@@ -1,15 +1,15 @@
-"""Covariances and qualities of records with what the pictures leave open."""
+"""Covariances of records with what the pictures leave open."""
 
 import numpy as np
 import pytest
 import torch
 
 from torchhand.files import FrameRecord, load_hand_model
-from torchhand.hand import DOFS, FINGERS, KEYPOINTS, HandKinematics, HandPose
+from torchhand.hand import DOFS, KEYPOINTS, HandKinematics, HandPose
 from torchhand.runs.records import widened
 from torchhand.track import Alternatives
 
-BEND, TIP, MIDDLE = DOFS.index("middle_pip_fe"), KEYPOINTS.index("middle_tip"), FINGERS.index("middle")
+BEND, TIP = DOFS.index("middle_pip_fe"), KEYPOINTS.index("middle_tip")
 BENT_RAD = 1.2
 FRAMES = 7
 
@@ -76,10 +76,8 @@ def test_two_hands_that_explain_a_picture_alike_are_both_in_the_covariance(
     away = _keypoints(kinematics, _pose(BENT_RAD)) - _keypoints(kinematics, _pose(0.0))
     assert _spread(found) == pytest.approx(0.5 * float(away[TIP].square().sum()), rel=1e-6)
     assert found.pose_std[BEND] == pytest.approx(np.hypot(0.1, BENT_RAD * np.sqrt(0.5)))
-    assert found.measures["quality"] == pytest.approx(0.5)
-    assert found.finger_quality is not None
-    assert found.finger_quality[MIDDLE] == pytest.approx(0.5)
-    assert np.delete(found.finger_quality, MIDDLE) == pytest.approx(0.9)
+    assert found.measures == records[1].measures  # qualities are measured as they are
+    assert found.finger_quality == pytest.approx(0.9)
     wrist = KEYPOINTS.index("wrist")
     assert found.keypoints3d_cov[wrist] == pytest.approx(records[1].keypoints3d_cov[wrist])
     assert (found.pose_std[records[1].pose_std == 0] == 0).all()  # what is held stays held
@@ -94,7 +92,6 @@ def test_between_two_pictures_what_is_open_is_interpolated(
     assert _spread(found[0]) == pytest.approx(_spread(found[1]))
     assert _spread(found[2]) == pytest.approx(0.75 * _spread(found[1]))
     assert _spread(found[5]) == pytest.approx(0.0, abs=1e-12)
-    assert found[5].measures["quality"] == 0.8
 
 
 def test_neighbouring_pictures_tell_what_one_of_them_leaves_open(
@@ -110,7 +107,6 @@ def test_a_hand_that_is_less_likely_by_far_leaves_nothing_open(
 ) -> None:
     found = widened(records, {2: _alternatives(kinematics, 0.0, 30.0)})
     assert _spread(found[2]) == pytest.approx(0.0, abs=1e-9)
-    assert found[2].measures["quality"] == pytest.approx(0.8)
 
 
 def test_frames_without_a_hand_and_tracks_without_alternatives_stay(

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from torchhand.files import load_hand_model
 from torchhand.fit import learn_appearance
-from torchhand.geometry import assumed_camera
+from torchhand.geometry import assumed_camera, rotation_from_vector
 from torchhand.hand import DOFS, FINGERS, HandPose, posture
 from torchhand.image import dilate, disc_kernel
 from torchhand.simulate import Motion, SceneSettings, facing, render_sequence
@@ -101,6 +101,28 @@ def test_a_hidden_finger_has_no_contour() -> None:
     open_hand = _evidence(_scene(_pose("open")), _pose("open"))
     assert (seen[1:] < 0.7).all()
     assert (open_hand["outer_found"][1:] > seen[1:]).all()
+
+
+def test_how_a_finger_is_bent_and_the_hand_turned() -> None:
+    pose = _pose("open")
+    scene = _scene(pose)
+    dofs = pose.dofs.clone()
+    dofs[[DOFS.index(f"index_{joint}_fe") for joint in ("pip", "dip")]] = torch.pi / 4
+    before, bent = _evidence(scene, pose), _evidence(scene, HandPose.of(dofs, pose.reference))
+    assert bent["curl"][INDEX] == pytest.approx(0.5)
+    assert bent["curl_squared"][INDEX] == pytest.approx(0.25)
+    others = [i for i in range(5) if i != INDEX]
+    torch.testing.assert_close(bent["curl"][others], before["curl"][others])
+    edge_on = HandPose.of(
+        pose.dofs, rotation_from_vector(torch.tensor((0.0, torch.pi / 2, 0.0), dtype=torch.float64)) @ facing("back")
+    )
+    away = HandPose.of(pose.dofs, facing("palm"))
+    facings = [_evidence(scene, one)["facing"] for one in (pose, away, edge_on)]
+    sight = pose.dofs[:3] / pose.dofs[:3].norm()
+    assert torch.allclose(facings[0], sight[2].expand(5))
+    assert torch.allclose(facings[1], facings[0])
+    assert (facings[2] < 0.1).all()
+    torch.testing.assert_close(before["facing_found"], before["facing"] * before["outer_found"])
 
 
 def test_the_detector_and_the_belief_have_their_say() -> None:

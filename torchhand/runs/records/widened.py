@@ -1,4 +1,4 @@
-"""What the pictures of a recording leave open, in the covariances and qualities of its records."""
+"""What the pictures of a recording leave open, in the covariances of its records."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -7,12 +7,9 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from torchhand.evaluate import fingertip_distances, fingertip_errors
 from torchhand.files import FrameRecord
 from torchhand.hand import HandPose
 from torchhand.track import Alternatives, HandPath, path_weights
-
-_RIGHT_M = 0.020  # distance within which a fingertip is right, as qualities have it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,24 +20,18 @@ class _Open:
     """Square metres: mean square of how far the alternatives lie from it."""
     pose: Float[np.ndarray, "36"]
     """The same of the pose, the root's rotation as a small turn in the world's axes."""
-    right: float
-    """Probability of the alternatives none of whose fingertips lies elsewhere in the picture."""
-    fingers: Float[np.ndarray, "5"]
-    """Probability of those in which each fingertip is where it is, once the hands are laid over one another."""
 
     def towards(self, other: "_Open", share: float) -> "_Open":
         """What is left open between two pictures, a share of the way from this one to the other."""
         return _Open(
             keypoints=(1 - share) * self.keypoints + share * other.keypoints,
             pose=(1 - share) * self.pose + share * other.pose,
-            right=(1 - share) * self.right + share * other.right,
-            fingers=(1 - share) * self.fingers + share * other.fingers,
         )
 
 
 def widened(records: Sequence[FrameRecord], alternatives: Mapping[int, Alternatives]) -> list[FrameRecord]:
     """Records of one camera with the spread of the hands that explain the pictures about as well, the mixture's and not
-    the winner's; no quality is higher than the probability of those that agree.
+    the winner's.
 
     alternatives: by the place of their record. Between two records that have some, what they leave open is interpolated
     linearly; a hidden Markov model over these weighs them, as they move in relation to the records' hands
@@ -84,23 +75,16 @@ def _left_open(hand: FrameRecord, found: Alternatives, weights: Float[torch.Tens
     away = points - own
     at = HandPose.of(torch.from_numpy(hand.pose))
     missed = np.stack([at.step_to(found.pose[row]).numpy() for row in range(len(points))])
-    is_right = (fingertip_distances(points, own, is_one_camera=True) <= _RIGHT_M).all(-1)
     return _Open(
         keypoints=np.einsum("k,kji,kjl->jil", share, away, away),
         pose=share @ missed**2,
-        right=float(share @ is_right),
-        fingers=share @ (fingertip_errors(points, own) <= _RIGHT_M),
     )
 
 
 def _with(record: FrameRecord, left: _Open) -> FrameRecord:
-    fingers = record.finger_quality
-    quality = {"quality": min(record.measures["quality"], left.right)} if "quality" in record.measures else {}
     is_free = record.pose_std > 0
     return replace(
         record,
         pose_std=np.where(is_free, np.sqrt(record.pose_std**2 + left.pose), record.pose_std),
         keypoints3d_cov=record.keypoints3d_cov + left.keypoints,
-        finger_quality=None if fingers is None else np.minimum(fingers, left.fingers),
-        measures={**record.measures, **quality},
     )

@@ -1,31 +1,33 @@
 """The evidence for fingers of tracked simulated hands, and how far their tips are off."""
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.devices import HOST, sent_to
+from torchhand.devices import HOST
 from torchhand.evaluate import fingertip_distances, fingertip_errors
 from torchhand.files import load_hand_model
-from torchhand.geometry import rotation_from_vector
-from torchhand.hand import FINGERS, HandKinematics, HandPose
+from torchhand.hand import DOFS
 from torchhand.study import seed_of
-from torchhand.study.quality.sequences import FPS, SimulatedSequence, drawn_posture, sequence
-from torchhand.track import Estimate, Tracker, TrackerSettings, TrackerState
+from torchhand.study.quality.sequences import FPS, SimulatedSequence, sequence
+from torchhand.track import (
+    BackwardPass,
+    Estimate,
+    FollowedFrame,
+    Tracker,
+    TrackerSettings,
+    TrackerState,
+    recorded_shape,
+    spread_frames,
+)
 from torchhand.track.single import SinglePoseFitter
 
-_NEVER = 10**6  # frames
-FRAMES = 12
+FRAMES = 50
 """Pictures of a sequence."""
-_PER_FINGER = 6  # joint angles
-_ROOT = 6
-_OTHERWISE = 0.5  # share of the fingers that start in another posture
-_FLIPPED = 0.15  # share of the hands that start with palm and back exchanged
-_ROOT_STD_M, _ROOT_STD_DEG, _ANGLE_STD_DEG = 0.004, 4.0, 6.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,27 +44,20 @@ class FingerSample:
 
 
 def collect(
-    settings: TrackerSettings, count: int, seed: int, device: torch.device = HOST
+    settings: TrackerSettings, count: int, seed: int, device: torch.device = HOST, *, frames: int = FRAMES
 ) -> Iterator[list[FingerSample]]:
-    """The estimates of each of `count` sequences, every other one with the points of a detector.
+    """The estimates of each of `count` recordings, every other one with the points of a detector.
 
-    Trackers start beside the truth: some degrees off, with some fingers in another posture, or turned over; what they
-    make of that is theirs. Only following is measured, without searches. The same seed gives the same samples.
-    device: of the tracker.
+    The hand is found and followed as `torchhand track` does it: forwards, then back with the proportions that the
+    frames tell; the estimates of both passes are samples. The same seed gives the same samples. device: of the tracker.
+    frames: of each recording.
     """
-    health = replace(settings.health, search_every=_NEVER, search_at_most_every=_NEVER, searches_when_failing=False)
-    settings = replace(settings, learned_proposals=False, health=health)
-    kinematics = load_hand_model().kinematics("right", dtype=torch.float64)
     hand = load_hand_model().to(device=device).hand(side="right", dtype=torch.float64)
     for index in range(count):
         generator = torch.Generator().manual_seed(seed_of(seed, "quality", index))
-        own = sequence(generator, FRAMES, has_detector=index % 2 == 1)
-        if own is None:
-            yield []
-            continue
-        tracker = Tracker(hand, own.camera, settings, shape=own.shape)
-        start = _beside(own, kinematics, generator)
-        yield [_sample(estimate, keypoints, index) for estimate, keypoints in _tracked(own, tracker, start)]
+        own = sequence(generator, frames, has_detector=index % 2 == 1)
+        tracked = _tracked(own, Tracker(hand, own.camera, settings))
+        yield [_sample(estimate, keypoints, index) for estimate, keypoints in tracked if estimate.pose is not None]
 
 
 def collect_single(fitter: SinglePoseFitter, count: int, seed: int) -> Iterator[list[FingerSample]]:
@@ -70,47 +65,36 @@ def collect_single(fitter: SinglePoseFitter, count: int, seed: int) -> Iterator[
     for index in range(count):
         generator = torch.Generator().manual_seed(seed_of(seed, "single quality", index))
         own = sequence(generator, 1, has_detector=index % 2 == 1)
-        if own is None:
-            yield []
-            continue
         estimate = fitter(own.frames[0].view, own.camera).estimate
         yield [] if estimate.evidence is None else [_sample(estimate, own.frames[0].keypoints, index)]
 
 
-def _tracked(
-    own: SimulatedSequence, tracker: Tracker, start: HandPose
-) -> Iterator[tuple[Estimate, Float[Tensor, "21 3"]]]:
-    """The estimates of all pictures after the first, until the hand is lost."""
-    begun = TrackerState(shape=own.shape, appearance=(own.appearance,), posture=start.dofs, has_started=True)
-    empty, start, shape = sent_to((begun, start, own.shape), tracker.device)
-    found = tracker.candidate(start, tracker.scene(empty, [own.frames[0].view], 0.0), shape)
-    if found is None:
-        return
-    state = replace(empty, hand=found.hand, time_s=0.0)
-    for number, frame in enumerate(own.frames[1:], 1):
+def _tracked(own: SimulatedSequence, tracker: Tracker) -> Iterator[tuple[Estimate, Float[Tensor, "21 3"]]]:
+    """The estimates of both passes, with the true keypoints."""
+    state, forward = None, list[Estimate]()
+    for number, frame in enumerate(own.frames):
         state, estimate = tracker.step(state, [frame.view], number / FPS)
-        if estimate.pose is None:
-            return
+        forward.append(estimate)
         yield estimate, frame.keypoints
+    if state is None or state.shape is None:
+        return
+    back = BackwardPass(tracker, state, shape=_fitted_shape(own, tracker, state, forward))
+    for frame, before in zip(reversed(own.frames), reversed(forward), strict=True):
+        yield back.step([frame.view], before.time_s, before.pose).estimate, frame.keypoints
 
 
-def _beside(own: SimulatedSequence, kinematics: HandKinematics, generator: torch.Generator) -> HandPose:
-    """A start beside the truth."""
-    other = drawn_posture(kinematics, generator)
-    takes = torch.rand(len(FINGERS), generator=generator) < _OTHERWISE
-    share = torch.where(takes, torch.rand(len(FINGERS), generator=generator), 0.0).repeat_interleave(_PER_FINGER)
-    dofs = own.start.dofs.clone()
-    dofs[_ROOT:] = torch.lerp(dofs[_ROOT:], other, share.to(dofs))
-    dofs[_ROOT:] += math.radians(_ANGLE_STD_DEG) * torch.randn(30, generator=generator, dtype=torch.float64)
-    dofs[_ROOT:] = kinematics.skeleton.within_limits(dofs[_ROOT:])
-    dofs[:3] += _ROOT_STD_M * torch.randn(3, generator=generator, dtype=torch.float64)
-    turn = math.radians(_ROOT_STD_DEG) * torch.randn(3, generator=generator, dtype=torch.float64)
-    rotation = rotation_from_vector(turn) @ own.start.rotation
-    if float(torch.rand((), generator=generator)) < _FLIPPED:
-        over = torch.tensor((0.0, math.pi, 0.0), dtype=torch.float64)  # about the axis of the palm
-        rotation = rotation @ rotation_from_vector(over)
-    dofs[3:_ROOT] = 0
-    return HandPose.of(dofs, rotation)
+def _fitted_shape(
+    own: SimulatedSequence, tracker: Tracker, state: TrackerState, forward: Sequence[Estimate]
+) -> Float[Tensor, "shape"] | None:
+    """Proportions that the frames tell in which the hand is followed at least as well as in half of them; None where
+    they tell none that are better than those before."""
+    overlaps = torch.tensor([math.nan if one.overlap is None else one.overlap for one in forward])
+    nowhere = torch.full((len(DOFS),), math.nan, dtype=torch.float64)
+    poses = torch.stack([nowhere if one.pose is None else one.pose for one in forward])
+    rows = spread_frames(poses, overlaps >= overlaps.nanmedian(), tracker.settings.shape_frames)
+    frames = [FollowedFrame(views=(own.frames[row].view,), time_s=forward[row].time_s, pose=poses[row]) for row in rows]
+    found = recorded_shape(tracker, state, frames)
+    return None if found is None or found.is_contradicted else found.shape
 
 
 def _sample(estimate: Estimate, keypoints: Float[Tensor, "21 3"], sequence: int) -> FingerSample:

@@ -9,10 +9,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.files import load_hand_model
-from torchhand.fit import Appearance, learn_appearance
 from torchhand.geometry import Camera, assumed_camera, rotation_from_vector
-from torchhand.hand import DOFS, JOINT_DOFS, POSTURES, HandKinematics, HandPose, centre_spread, posture
-from torchhand.image import dilate, disc_kernel, intersection_over_union, touching
+from torchhand.hand import DOFS, JOINT_DOFS, POSTURES, HandKinematics, centre_spread, posture
 from torchhand.numerics import ease
 from torchhand.signs import load_signs
 from torchhand.simulate import (
@@ -27,18 +25,22 @@ from torchhand.simulate import (
 )
 from torchhand.track import HandKeypoints, View
 
-WIDTH, HEIGHT = 320, 240
+WIDTH, HEIGHT = 640, 480
 FPS = 30.0
 _ROOT = len(DOFS) - len(JOINT_DOFS)
-_BACKGROUNDS = ("plain", "dark", "wall", "clutter")
-_SIZES = (0.5, 0.8)  # length of the hand, shares of the picture's height
+_NAMED = tuple(name for name in POSTURES if name != "open")
+_BACKGROUNDS = ("plain", "dark", "wall", "room")
+_SIZES = (0.45, 0.75)  # length of the hand, shares of the picture's height
 _MIDDLE = 0.48  # of a hand, share of its length from the wrist
-_SIDE_DEG = 80.0  # turn about the hand's own axis, to either side
-_TILT_DEG, _TURN_DEG = 30.0, 60.0  # towards the camera, and in the picture
-_SWAY_DEG = 15.0  # turn in the course of a sequence
+_SIDE_DEG = 60.0  # turn about the hand's own axis, to either side
+_TILT_DEG, _TURN_DEG = 25.0, 40.0  # towards the camera, and in the picture
+_SWAY_DEG = 15.0  # standard deviation about each axis
+_SWAYS = 3  # turns in the course of a sequence
+_PLAIN = 0.5  # share of the sequences in which a hand opens and closes before the camera
+_PLAIN_TURN = 0.4  # of them: shares of the turns and tilts
+_BEGINS_OPEN = 0.75  # share of the others
+_MOVES, _RESTS = (5, 25), (0, 12)  # frames from one posture to the next, and in it
 _WOBBLE = 0.12  # radians: standard deviation of known postures' angles
-_SHAPE_ERROR = 0.5  # of a fitted shape, shares of the spread of people
-_SEPARABLE = 0.8  # intersection over union of the hand by colour and the hand itself
 _PRIOR = 0.4  # share of the postures that comes from the prior; the others are named postures and signs
 
 # A detector's errors: of points in all (offset and deviation) and of angles, about the means over joints of
@@ -62,21 +64,14 @@ class SimulatedSequence:
     """A hand in motion before one camera."""
 
     camera: Camera
-    shape: Float[Tensor, "shape"]
-    """Proportions as a tracker may have fitted them."""
-    start: HandPose
-    """Pose in the first picture."""
-    appearance: Appearance
-    """Colours of hand and arm against the rest in the first picture, as a tracker learns them."""
     frames: tuple[SimulatedFrame, ...]
 
 
-def sequence(generator: torch.Generator, frames: int, *, has_detector: bool) -> SimulatedSequence | None:
-    """A right hand of a random person goes from one posture to another and a part of the way back; None where its
-    colours do not tell it from its background."""
+def sequence(generator: torch.Generator, frames: int, *, has_detector: bool) -> SimulatedSequence:
+    """A right hand of a random person that goes from posture to posture and stays a while in each."""
     hand = load_hand_model().hand(side="right", dtype=torch.float64)
     kinematics = hand.kinematics
-    camera = replace(assumed_camera(WIDTH, HEIGHT, horizontal_fov_deg=50.0), is_assumed=False)
+    camera = replace(assumed_camera(WIDTH, HEIGHT, horizontal_fov_deg=55.0), is_assumed=False)
     shape = sample_shape(kinematics.shape_space, generator)
     motion = _motion(kinematics, camera, hand_length(kinematics, shape), frames, generator)
     tones = list(SKIN_TONES)
@@ -89,20 +84,12 @@ def sequence(generator: torch.Generator, frames: int, *, has_detector: bool) -> 
         blur_px=0.7,
     )
     rendered = list(render_sequence(kinematics, motion, camera, look, generator, shape=shape, hand=hand))
-    appearance = _appearance(rendered[0])
-    if appearance is None:
-        return None
-    error = sample_shape(kinematics.shape_space, generator) - kinematics.default_shape
-    believed = (shape + _SHAPE_ERROR * error).clamp(kinematics.shape_space.lower, kinematics.shape_space.upper)
     seen: list[HandKeypoints | None] = [None] * frames
     if has_detector:
         seen = list(_detections(kinematics, motion, camera, shape, generator))
     drawn = torch.randn(21, 3, 1, generator=generator, dtype=torch.float64)
     return SimulatedSequence(
         camera=camera,
-        shape=believed,
-        start=HandPose.of(motion.poses[0], motion.root_reference),
-        appearance=appearance,
         frames=tuple(
             SimulatedFrame(view=View(image=one.image, keypoints=points), keypoints=_by_another_maker(one, drawn))
             for one, points in zip(rendered, seen, strict=True)
@@ -115,37 +102,20 @@ def _by_another_maker(one: RenderedFrame, drawn: Float[Tensor, "21 3 1"]) -> Flo
     return one.keypoints_cam + (centre_spread(one.keypoints_cam) @ drawn)[..., 0]
 
 
-def _appearance(first: RenderedFrame) -> Appearance | None:
-    """Colours of the hand; what is near it or beyond the wrist is not its background."""
-    height, width = first.mask.shape
-    around = dilate(first.mask, disc_kernel(max(1, round(0.05 * height))))
-    wrist, knuckle = first.keypoints_px[0], first.keypoints_px[9]
-    x, y = torch.arange(width), torch.arange(height)[:, None]
-    is_beyond = (x - wrist[0]) * (knuckle - wrist)[0] + (y - wrist[1]) * (knuckle - wrist)[1] < 0
-    skin = learn_appearance(first.image, first.mask, ~around & ~is_beyond, 1)
-    if skin is None:
-        return None
-    seen = touching(skin.probability(first.image) > 0.5, first.mask)
-    is_told = float(intersection_over_union(seen, first.mask, ~is_beyond)) >= _SEPARABLE
-    return skin if is_told else None
-
-
 def _motion(
     kinematics: HandKinematics, camera: Camera, length: float, frames: int, generator: torch.Generator
 ) -> Motion:
+    is_plain = _between(0.0, 1.0, generator) < _PLAIN
+    most = _PLAIN_TURN if is_plain else 1.0
     turn, tilt, side = (
-        math.radians(most) * _between(-1.0, 1.0, generator) for most in (_TURN_DEG, _TILT_DEG, _SIDE_DEG)
+        most * math.radians(angle) * _between(-1.0, 1.0, generator) for angle in (_TURN_DEG, _TILT_DEG, _SIDE_DEG)
     )
     in_picture = rotation_from_vector(torch.tensor((0.0, 0.0, turn), dtype=torch.float64))
     towards = rotation_from_vector(torch.tensor((tilt, 0.0, 0.0), dtype=torch.float64))
     about = rotation_from_vector(torch.tensor((0.0, side, 0.0), dtype=torch.float64))
     reference = in_picture @ towards @ about @ facing("palm" if _choice(2, generator) else "back")
-    along = ease(torch.linspace(0, 1.6, frames, dtype=torch.float64).clamp(0, 1))
-    along = along - 0.5 * ease((torch.linspace(0, 1.6, frames, dtype=torch.float64) - 1).clamp(0, 1) / 0.6)
-    first, last = (drawn_posture(kinematics, generator) for _ in range(2))
-    joints = kinematics.skeleton.within_limits(torch.lerp(first, last, along[:, None]))
-    sway = math.radians(_SWAY_DEG) * torch.randn(3, generator=generator, dtype=torch.float64)
-    turns = along[:, None] * sway
+    joints = _postures(kinematics, frames, generator, is_plain=is_plain)
+    turns = _sway(frames, generator)
     size = _between(*_SIZES, generator)
     focal = float(camera.intrinsics[0, 0])
     ahead = focal * length / (size * camera.height)
@@ -157,14 +127,45 @@ def _motion(
     return Motion(name="postures", poses=poses, root_reference=reference, fps=FPS)
 
 
-def drawn_posture(kinematics: HandKinematics, generator: torch.Generator) -> Float[Tensor, "30"]:
+def _postures(
+    kinematics: HandKinematics, frames: int, generator: torch.Generator, *, is_plain: bool
+) -> Float[Tensor, "frames 30"]:
+    """Joint angles on the way from posture to posture, most often from an open hand on. is_plain: between every two
+    named postures the hand opens."""
+    opened = posture("open", dtype=torch.float64)[_ROOT:]
+    begins_open = frames > 1 and (is_plain or _between(0.0, 1.0, generator) < _BEGINS_OPEN)
+    here, is_open = (opened, True) if begins_open else (_drawn_posture(kinematics, generator), False)
+    shown = [here]
+    while len(shown) < frames:
+        is_open = is_plain and not is_open
+        named = opened if is_open else posture(_NAMED[_choice(len(_NAMED), generator)], dtype=torch.float64)[_ROOT:]
+        there = _wobbled(named, generator) if is_plain else _drawn_posture(kinematics, generator)
+        moves, rests = (low + _choice(high - low, generator) for low, high in (_MOVES, _RESTS))
+        along = ease(torch.linspace(0, 1, moves + 1, dtype=torch.float64))[1:, None]
+        shown += [*torch.lerp(here, there, along), *[there] * rests]
+        here = there
+    return kinematics.skeleton.within_limits(torch.stack(shown[:frames]))
+
+
+def _sway(frames: int, generator: torch.Generator) -> Float[Tensor, "frames 3"]:
+    """Turns away from the direction of the first picture: eased from one drawn turn to the next."""
+    knots = math.radians(_SWAY_DEG) * torch.randn(_SWAYS + 1, 3, generator=generator, dtype=torch.float64)
+    at = torch.linspace(0, _SWAYS, frames, dtype=torch.float64)
+    before = at.long().clamp(max=_SWAYS - 1)
+    return torch.lerp(knots[before], knots[before + 1], ease(at - before)[:, None]) - knots[0]
+
+
+def _drawn_posture(kinematics: HandKinematics, generator: torch.Generator) -> Float[Tensor, "30"]:
     """Joint angles of the prior, or near those of a named posture or a sign; not yet within the limits."""
     if _between(0.0, 1.0, generator) < _PRIOR:
         drawn, _ = load_hand_model().prior(dtype=torch.float64).sample(1, generator)
         return drawn[0, _ROOT:].double()
     known = [*(posture(name, dtype=torch.float64)[_ROOT:] for name in POSTURES), *load_signs().values()]
-    own = known[_choice(len(known), generator)].double()
-    return own + _WOBBLE * torch.randn(len(own), generator=generator, dtype=torch.float64)
+    return _wobbled(known[_choice(len(known), generator)].double(), generator)
+
+
+def _wobbled(joints: Float[Tensor, "30"], generator: torch.Generator) -> Float[Tensor, "30"]:
+    return joints + _WOBBLE * torch.randn(len(joints), generator=generator, dtype=torch.float64)
 
 
 def _detections(

@@ -42,6 +42,10 @@ EVIDENCE = (
     "no_learned",
     "overlap",
     "unexplained",
+    "curl",
+    "curl_squared",
+    "facing",
+    "facing_found",
 )
 """Columns of the evidence, each of one finger of one estimate.
 
@@ -53,7 +57,9 @@ points in the pictures, from the posture of its points in space and from the pos
 mean square standard deviations; learned_spread: logarithm of the spread of the network's hypotheses about the finger's
 angles; direction: logarithm of how far these bear out the hand's direction. All of them are 0 where there is nothing,
 and then no_points and no_learned are 1. overlap: of the hand. unexplained: ln(1 + a / 0.002) of the area a of the hand
-that the model leaves out, in squares of its length."""
+that the model leaves out, in squares of its length. curl, curl_squared: flexion of the last two joints, in half turns.
+facing: how far palm or back face the cameras, 0 for a hand that is seen edge-on; facing_found: its product with
+outer_found, for edge-on fingers hide one another."""
 
 _PARTS = ("middle", "distal", "pip", "dip", "tip")
 _THUMB_PARTS = ("proximal", "distal", "ip", "tip")
@@ -64,6 +70,7 @@ _MIN_REACH_PX = 2.0
 _SPREAD_M = 0.01
 _SPECK = 0.002
 _MIN_DIRECTION = 0.02
+_CURLS = {finger: ("mcp", "ip") if finger == "thumb" else ("pip", "dip") for finger in FINGERS}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,6 +111,7 @@ class FingerEvidence:
         in_pictures = [deviations_of_digits(one) for one in told.keypoints.deviations(told.pose, told.shape)]
         postures = [one.deviation(joints)[0] for one in told.keypoints.postures]
         unexplained = math.log1p(told.agreement.most_unexplained / _SPECK)
+        curl, facing = joints[0][_curls(device)].sum(-1) / math.pi, self._facing(told.pose)
         columns = [
             (told.tip_std.clamp_min(1e-4) / _SPREAD_M).log(),
             *borne_out.unbind(-1),
@@ -113,6 +121,10 @@ class FingerEvidence:
             *_learned(told, joints[0]).unbind(-1),
             torch.full((len(FINGERS),), told.agreement.overlap, device=device),
             torch.full((len(FINGERS),), unexplained, device=device),
+            curl,
+            curl.square(),
+            facing.expand(len(FINGERS)),
+            facing * borne_out[:, 0],
         ]
         return torch.stack([column.to(told.tip_std) for column in columns], -1)
 
@@ -164,6 +176,16 @@ class FingerEvidence:
                     found[which] = search_edges(part, own - start, normals[which], how).found
         kind = 2 * (~outer).long() + (~found).long()
         return torch.bincount(4 * finger + kind, minlength=4 * len(FINGERS)).reshape(-1, 4).double()
+
+    def _facing(self, pose: HandPose) -> Float[Tensor, ""]:
+        """Cosine between the palm's normal and the line of sight to the wrist, without its sign; mean over the
+        cameras."""
+        told = []
+        for camera in self.cameras:
+            normal = camera.rotation.to(pose.dofs) @ pose.rotation[:, 0]
+            sight = camera.cam_from_world(pose.dofs[:3])
+            told.append(normal[2] if camera.kind == "orthographic" else normal @ sight / sight.norm())
+        return torch.stack(told).abs().mean()
 
     def _projectors(self, shape: Tensor) -> list[HandProjector]:
         made = self._made
@@ -217,6 +239,14 @@ def _finger_of(name: str) -> int | None:
     finger, _, part = name.partition("_")
     parts = _THUMB_PARTS if finger == "thumb" else _PARTS
     return FINGERS.index(finger) if finger in FINGERS and part in parts else None
+
+
+@lru_cache(maxsize=4)
+def _curls(device: torch.device) -> Int[Tensor, "5 2"]:
+    """Places of the last two joints' flexions among the joint angles."""
+    with torch.inference_mode(False):  # kept for callers in any mode
+        places = [[JOINT_DOFS.index(f"{finger}_{joint}_fe") for joint in last] for finger, last in _CURLS.items()]
+        return sent_to(torch.tensor(places), device)
 
 
 @lru_cache(maxsize=4)
