@@ -32,8 +32,7 @@ class Arguments(OnDevice):
     Trackers find simulated hands and follow them forwards and back, half of them with a detector's points, and single
     pictures are fitted. What is known of each finger then (edges, covariance, points, the network's view, how bent it
     is) is weighed by a logistic model for the probability that its tip is within 20 mm of the truth, and that for the
-    hand. The same
-    arguments give the same models; those of methods that are not measured stay in FILE.
+    hand. The same arguments give the same models; those of methods that are not measured stay in FILE.
 
     Example:
         torchhand measure_quality --methods contour --sequences 80
