@@ -52,6 +52,18 @@ def test_a_network_comes_back_to_16_bits(stored: Path, tmp_path: Path, generator
     assert stored.read_bytes() == (tmp_path / "again.npz").read_bytes()
 
 
+@pytest.mark.parametrize("load", [load_proposal_network, load_presence_network])
+def test_a_network_is_for_callers_in_any_mode(load: Any) -> None:
+    """Weights that are made for inference alone and sent to a GPU by another mode are refused there by layers that look
+    for their versions; the change of the dtype is a sending that a processor has too."""
+    with torch.inference_mode():
+        network = load.__wrapped__()
+    network.double()
+    with torch.inference_mode():
+        network(torch.zeros(1, CHANNELS, SIDE_PX, SIDE_PX, dtype=torch.float64))
+    assert all(value._version >= 0 for value in (*network.parameters(), *network.buffers()))
+
+
 @pytest.mark.parametrize(
     ("name", "value", "complaint"),
     [

@@ -48,9 +48,7 @@ def load_proposal_network(path: str | Path | None = None, device: torch.device =
     """
     path = models_dir() / "proposals" / "network.npz" if path is None else Path(path)
     skeleton = load_hand_model().skeleton
-    found = _load(path, PROPOSAL_FORMAT, "proposal network", lambda sizes: ProposalNetwork(skeleton, **sizes))
-    with torch.inference_mode(False):  # kept for callers in any mode
-        return found.to(device)
+    return _load(path, PROPOSAL_FORMAT, "proposal network", lambda sizes: ProposalNetwork(skeleton, **sizes), device)
 
 
 @lru_cache(maxsize=4)
@@ -60,9 +58,7 @@ def load_presence_network(path: str | Path | None = None, device: torch.device =
     Raises InputError naming the file and what is wrong with it.
     """
     path = models_dir() / "proposals" / "presence.npz" if path is None else Path(path)
-    found = _load(path, PRESENCE_FORMAT, "presence network", lambda sizes: PresenceNetwork(**sizes))
-    with torch.inference_mode(False):
-        return found.to(device)
+    return _load(path, PRESENCE_FORMAT, "presence network", lambda sizes: PresenceNetwork(**sizes), device)
 
 
 def _save(
@@ -78,7 +74,10 @@ def _save(
         np.savez(file, **arrays)  # type: ignore[arg-type]
 
 
-def _load(path: Path, file_format: str, what: str, make: Callable[[dict[str, int]], Network]) -> Network:
+@torch.inference_mode(False)  # kept for callers in any mode: weights made in one cannot be sent to a device in another
+def _load(
+    path: Path, file_format: str, what: str, make: Callable[[dict[str, int]], Network], device: torch.device
+) -> Network:
     with opened_arrays(path, complaint=f"is no {what} that can be read") as stored:
         header = _header(path, stored.chosen([_HEADER]).get(_HEADER), file_format, what)
         try:
@@ -98,7 +97,7 @@ def _load(path: Path, file_format: str, what: str, make: Callable[[dict[str, int
     network.load_state_dict(weights, strict=False)
     # As convolutions read them, or they would be copied for each picture.
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    return network.eval().requires_grad_(False)
+    return network.to(device).eval().requires_grad_(False)
 
 
 def _header(path: Path, stored: np.ndarray | None, file_format: str, what: str) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -46,17 +46,19 @@ class FingerSample:
 def collect(
     settings: TrackerSettings, count: int, seed: int, device: torch.device = HOST, *, frames: int = FRAMES
 ) -> Iterator[list[FingerSample]]:
-    """The estimates of each of `count` recordings, every other one with the points of a detector.
+    """The estimates of each of `count` recordings, every other one with the points of a detector, and every third one
+    without what a network sees.
 
     The hand is found and followed as `torchhand track` does it: forwards, then back with the proportions that the
     frames tell; the estimates of both passes are samples. The same seed gives the same samples. device: of the tracker.
     frames: of each recording.
     """
     hand = load_hand_model().to(device=device).hand(side="right", dtype=torch.float64)
+    silent = replace(settings, learned_posture=False)
     for index in range(count):
         generator = torch.Generator().manual_seed(seed_of(seed, "quality", index))
         own = sequence(generator, frames, has_detector=index % 2 == 1)
-        tracked = _tracked(own, Tracker(hand, own.camera, settings))
+        tracked = _tracked(own, Tracker(hand, own.camera, silent if index % 3 == 2 else settings))
         yield [_sample(estimate, keypoints, index) for estimate, keypoints in tracked if estimate.pose is not None]
 
 
