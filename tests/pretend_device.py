@@ -16,13 +16,17 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torchhand import devices
 
 NAME = "pretend"
-try:
-    from torch.utils.backend_registration import _setup_privateuseone_for_python_backend
-except ImportError:  # a torch to which no device can be added in Python
-    IS_POSSIBLE = False
+WHY_NOT: str | None = None
+"""Why there can be no such device here."""
+if torch.cuda.is_available():  # gradients of the other device are no longer computed once one is added
+    WHY_NOT = "torch knows one accelerator at a time, and there is a real one: pytest -m gpu"
 else:
-    _setup_privateuseone_for_python_backend(NAME)
-    IS_POSSIBLE = True
+    try:
+        from torch.utils.backend_registration import _setup_privateuseone_for_python_backend
+    except ImportError:
+        WHY_NOT = f"torch {torch.__version__} knows no devices that are added in Python"
+    else:
+        _setup_privateuseone_for_python_backend(NAME)
 CPU = torch.device("cpu")
 _MOVING = {"_to_copy", "copy_", "to", "lift_fresh"}
 _INDEXING = {"index", "index_put", "index_put_", "_index_put_impl_"}

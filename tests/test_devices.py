@@ -47,6 +47,11 @@ def test_devices_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
             device_named(name)
 
 
+def test_an_accelerator_works_on_more_at_once() -> None:
+    assert devices.at_once_on(CPU, 128) == 128
+    assert devices.at_once_on(META, 128) == 128 * devices.MORE
+
+
 @pytest.mark.gpu
 def test_a_gpu_by_name() -> None:
     assert device_named("cuda").type == "cuda"

@@ -22,6 +22,9 @@ from torchhand.errors import InputError
 TURNS = 8
 """Turns of a loop on an accelerator after which it asks whether it may end."""
 
+MORE = 16
+"""How many times as many problems an accelerator works on together as a processor."""
+
 HOST = torch.device("cpu")
 """Where numpy and OpenCV work, and what is written to disks comes from."""
 
@@ -127,6 +130,12 @@ def on_host(work: _Work) -> _Work:
         return sent_to(work(*given, **{name: sent_to(value, HOST) for name, value in named.items()}), device)
 
     return cast(_Work, done)
+
+
+def at_once_on(device: torch.device, on_host: int) -> int:
+    """How many problems to work on together where a processor takes `on_host`, as many as its caches hold: an
+    accelerator needs as long for few as for many."""
+    return on_host if is_host(device) else MORE * on_host
 
 
 def device_named(name: str, *, option: str = "--device") -> torch.device:

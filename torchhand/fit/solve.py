@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchhand.devices import is_host
+from torchhand.devices import at_once_on, is_host
 from torchhand.fit.observation import Explained
 from torchhand.fit.problem import Linearization, Problem
 from torchhand.fit.schedule import Schedule, Stage
@@ -153,8 +153,8 @@ class Solutions:
 def solve(problem: Problem, starts: HandPose, schedule: Schedule, *, at_once: int = 128) -> Solutions:
     """Estimate poses from many starts, each by itself, the shape held.
 
-    starts: any batch shape; they are put into the pose space and the joint limits. at_once: hypotheses that are worked
-    on together, which bounds the memory.
+    starts: any batch shape; they are put into the pose space and the joint limits. at_once: hypotheses that a processor
+    works on together, which bounds the memory; an accelerator takes `devices.MORE` times as many.
 
     Computes in the dtype of the problem's pose space, float32 or float64; ValueError for half precision. Never raises
     for what else data or a start may be: see `SolveStatus`. One hypothesis never touches another.
@@ -166,6 +166,7 @@ def solve(problem: Problem, starts: HandPose, schedule: Schedule, *, at_once: in
     batch = starts.batch_shape
     flat = starts.to(problem.space.basis).reshape(-1)
     parts = []
+    at_once = at_once_on(flat.dofs.device, at_once)
     for first in range(0, max(1, len(flat)), at_once):
         part = slice(first, first + at_once)
         with torch.inference_mode():  # a sixth faster than without gradients alone

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchhand.devices import is_host
+from torchhand.devices import at_once_on, is_host
 from torchhand.image import Boundary
 
 _HANDS_AT_ONCE = 8  # whose distances stay in the processor's memory
@@ -57,7 +57,7 @@ def _nearest(
     weighted = model * torch.stack((near, near, alike, alike), -1)[:, None]
     length = torch.where(is_usable, (weighted * model).sum(-1), torch.inf)
     # The weighted |model - picture|² less what is the same for all of the model, as one product.
-    rows = torch.cat((-2 * weighted, length[..., None]), -1).split(_HANDS_AT_ONCE)
+    rows = torch.cat((-2 * weighted, length[..., None]), -1).split(at_once_on(model.device, _HANDS_AT_ONCE))
     picture = torch.nn.functional.pad(picture - middle, (0, 1), value=1.0)
     nearest = [_argmin((picture @ some.flatten(0, 1).T).unflatten(1, some.shape[:2])) for some in rows]
     return torch.where(is_usable.any(-1, keepdim=True), torch.cat(nearest), -1)
