@@ -16,13 +16,14 @@ from torchhand.errors import InputError
 from torchhand.files.disk import write_text
 from torchhand.runs import settings_of
 from torchhand.runs.pictures import single_pose_fitter
-from torchhand.study.quality import calibrated, collect, collect_single
+from torchhand.study.quality import calibrated, collect, collect_rigs, collect_single
 from torchhand.track import quality
 from torchhand.track.quality import Method
 from torchhand.track.single import SinglePoseSettings
 
 _TABLE = Path(quality.__file__).with_name("quality.json")
 _CONFIGS = {"contour": "contour_full", "distance": "distance_full"}
+_OF_RIGS = ("hull_lm", "contour_full", "distance_full")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +41,8 @@ class Arguments(OnDevice):
 
     out: Annotated[Path, arg(metavar="FILE")] = _TABLE
     """The models; those of the package if not given."""
-    methods: Annotated[tuple[Method, ...], arg(metavar="METHOD")] = ("contour", "distance", "single")
-    """Update rules whose estimates are measured, or single pictures."""
+    methods: Annotated[tuple[Method, ...], arg(metavar="METHOD")] = ("contour", "distance", "rig", "single")
+    """Update rules whose estimates are measured, rigs by all of them, or single pictures."""
     sequences: int = 80
     """Simulated sequences, or pictures."""
     seed: int = 0
@@ -59,6 +60,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             if method == "single":
                 fitter = single_pose_fitter("right", SinglePoseSettings(), device)
                 found = collect_single(fitter, arguments.sequences, arguments.seed)
+            elif method == "rig":
+                of_rigs = [settings_of(name) for name in _OF_RIGS]
+                found = collect_rigs(of_rigs, arguments.sequences, arguments.seed, device)
             else:
                 found = collect(settings_of(_CONFIGS[method]), arguments.sequences, arguments.seed, device)
             found = tqdm(found, desc=method, total=arguments.sequences, unit="sequence", disable=None)

@@ -765,7 +765,8 @@ class Tracker:
         return self._with_qualities(estimate, self._evidence(told, self._segmented(scene, state)))
 
     def _with_qualities(self, estimate: Estimate, evidence: Float[Tensor, "5 evidence"]) -> Estimate:
-        quality, fingers = qualities(evidence, "contour" if self.settings.method == "contour" else "distance")
+        alone = "contour" if self.settings.method == "contour" else "distance"
+        quality, fingers = qualities(evidence, alone if len(self.parts.cameras) == 1 else "rig")
         return replace(estimate, quality=quality, finger_quality=fingers, evidence=evidence)
 
     def _told(self, found: Candidate, state: TrackerState, scene: Scene, tip_std: Float[Tensor, "5"]) -> Told:

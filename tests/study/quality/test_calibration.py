@@ -1,12 +1,15 @@
 """Models of qualities: fitted ones are the likeliest, their figures are of what they were not fitted to."""
 
+import math
+
 import pytest
 import torch
 
 from torchhand.devices import HOST
 from torchhand.runs import settings_of
-from torchhand.study.quality import FingerSample, calibrated, collect, figures
+from torchhand.study.quality import FingerSample, calibrated, collect, collect_rigs, figures
 from torchhand.study.quality.calibration import fitted, held_out
+from torchhand.study.quality.sequences import sequence
 from torchhand.track.quality import EVIDENCE
 
 
@@ -63,6 +66,28 @@ def test_collected_samples_are_of_tracked_hands() -> None:
     assert len(first) > 5  # of both passes
     assert all(torch.equal(one.evidence, other.evidence) for one, other in zip(first, again, strict=True))
     assert all(0 < float(one.error_m.max()) < 0.3 for one in first)
+
+
+@pytest.mark.slow
+def test_samples_of_rigs_come_from_all_update_rules() -> None:
+    settings = [settings_of(name) for name in ("hull_lm", "contour_full")]
+    found = list(collect_rigs(settings, 4, 0, frames=2))
+    assert [some[0].sequence for some in found if some] == [0, 1, 2, 3]
+    assert all(0 < float(one.error_m.max()) < 0.3 for some in found for one in some)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_all_cameras_see_the_hand_where_the_first_one_does(count: int) -> None:
+    own = sequence(torch.Generator().manual_seed(4), 1, cameras=count)
+    [frame] = own.frames
+    assert len(own.cameras) == len(frame.views) == count
+    middle = frame.keypoints[9]  # knuckle of the middle finger
+    places = torch.stack([camera.project(middle) for camera in own.cameras])
+    depths = torch.stack([camera.cam_from_world(middle)[2] for camera in own.cameras])
+    assert float((places - places[0]).norm(dim=-1).max()) < 25
+    assert float((depths / depths[0] - 1).abs().max()) < 0.1
+    sights = torch.stack([camera.rotation[2] for camera in own.cameras])
+    assert bool(((sights @ sights.mT).tril(-1) < math.cos(math.radians(10.0))).all())
 
 
 @pytest.mark.slow

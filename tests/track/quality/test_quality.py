@@ -138,7 +138,7 @@ def test_the_detector_and_the_belief_have_their_say() -> None:
     assert (alone["points"] == 0).all()
 
 
-@pytest.mark.parametrize("method", ["contour", "distance", "single"])
+@pytest.mark.parametrize("method", ["contour", "distance", "rig", "single"])
 def test_the_models_of_the_package_prefer_what_is_right(method: str) -> None:
     """A finger with edges is better than one without, one that the detector sees elsewhere is worse."""
     pose = _pose("open")

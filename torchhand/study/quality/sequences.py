@@ -1,4 +1,4 @@
-"""Simulated hands that close and open before one camera, from all sides, and what a detector may see of them."""
+"""Simulated hands that close and open before cameras on all sides, and what a detector may see of them."""
 
 import math
 from collections.abc import Iterator
@@ -20,6 +20,7 @@ from torchhand.simulate import (
     SceneSettings,
     facing,
     hand_length,
+    render_rig,
     render_sequence,
     sample_shape,
 )
@@ -34,6 +35,7 @@ _SIZES = (0.45, 0.75)  # length of the hand, shares of the picture's height
 _MIDDLE = 0.48  # of a hand, share of its length from the wrist
 _SIDE_DEG = 60.0  # turn about the hand's own axis, to either side
 _TILT_DEG, _TURN_DEG = 25.0, 40.0  # towards the camera, and in the picture
+_UP_DEG, _RIGHT_DEG, _ROLL_DEG = (0.0, 45.0), (30.0, 90.0), 15.0  # of further cameras about the hand, either way
 _SWAY_DEG = 15.0  # standard deviation about each axis
 _SWAYS = 3  # turns in the course of a sequence
 _PLAIN = 0.5  # share of the sequences in which a hand opens and closes before the camera
@@ -52,23 +54,28 @@ _UNEVEN = 0.7  # standard deviation of the logarithm of a finger's own factor: s
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedFrame:
-    """One picture, with the truth."""
+    """The pictures of one time, with the truth."""
 
-    view: View
+    views: tuple[View, ...]
+    """One for each camera."""
     keypoints: Float[Tensor, "21 3"]
-    """Metres, in the camera's frame; as another hand model would place them under the same skin."""
+    """Metres, in the first camera's frame; as another hand model would place them under the same skin."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedSequence:
-    """A hand in motion before one camera."""
+    """A hand in motion before one or several cameras."""
 
-    camera: Camera
+    cameras: tuple[Camera, ...]
+    """The first one's frame is the world."""
     frames: tuple[SimulatedFrame, ...]
 
 
-def sequence(generator: torch.Generator, frames: int, *, has_detector: bool) -> SimulatedSequence:
-    """A right hand of a random person that goes from posture to posture and stays a while in each."""
+def sequence(
+    generator: torch.Generator, frames: int, *, has_detector: bool = False, cameras: int = 1
+) -> SimulatedSequence:
+    """A right hand of a random person that goes from posture to posture and stays a while in each. has_detector: of the
+    first camera, and with it alone."""
     hand = load_hand_model().hand(side="right", dtype=torch.float64)
     kinematics = hand.kinematics
     camera = replace(assumed_camera(WIDTH, HEIGHT, horizontal_fov_deg=55.0), is_assumed=False)
@@ -83,18 +90,44 @@ def sequence(generator: torch.Generator, frames: int, *, has_detector: bool) -> 
         supersampling=1,
         blur_px=0.7,
     )
-    rendered = list(render_sequence(kinematics, motion, camera, look, generator, shape=shape, hand=hand))
+    eyes, person = (camera,), {"shape": shape, "hand": hand}
+    if cameras == 1:
+        alone = render_sequence(kinematics, motion, camera, look, generator, **person)
+        rendered = [(one,) for one in alone]
+    else:
+        lever = torch.tensor((0.0, _MIDDLE * hand_length(kinematics, shape), 0.0), dtype=torch.float64)
+        middle = motion.poses[0, :3] + motion.root_reference @ lever
+        eyes = (camera, *(_beside(camera, middle, generator) for _ in range(cameras - 1)))
+        rendered = list(render_rig(kinematics, motion, eyes, look, generator, **person))
     seen: list[HandKeypoints | None] = [None] * frames
     if has_detector:
         seen = list(_detections(kinematics, motion, camera, shape, generator))
     drawn = torch.randn(21, 3, 1, generator=generator, dtype=torch.float64)
     return SimulatedSequence(
-        camera=camera,
+        cameras=eyes,
         frames=tuple(
-            SimulatedFrame(view=View(image=one.image, keypoints=points), keypoints=_by_another_maker(one, drawn))
-            for one, points in zip(rendered, seen, strict=True)
+            SimulatedFrame(
+                views=(View(image=first.image, keypoints=points), *(View(image=one.image) for one in others)),
+                keypoints=_by_another_maker(first, drawn),
+            )
+            for (first, *others), points in zip(rendered, seen, strict=True)
         ),
     )
+
+
+def _beside(camera: Camera, middle: Float[Tensor, "3"], generator: torch.Generator) -> Camera:
+    """Another camera as far from a place, which it shows where the first one does."""
+    degrees = (
+        _between(*_UP_DEG, generator) * (2 * _choice(2, generator) - 1),
+        _between(*_RIGHT_DEG, generator) * (2 * _choice(2, generator) - 1),
+        _between(-_ROLL_DEG, _ROLL_DEG, generator),
+    )
+    up, right, roll = (
+        rotation_from_vector(math.radians(angle) * axis)
+        for angle, axis in zip(degrees, torch.eye(3, dtype=torch.float64), strict=True)
+    )
+    rotation = roll @ up @ right
+    return replace(camera, rotation=rotation, translation=middle - rotation @ middle)
 
 
 def _by_another_maker(one: RenderedFrame, drawn: Float[Tensor, "21 3 1"]) -> Float[Tensor, "21 3"]:

@@ -16,8 +16,8 @@ from torch import Tensor
 
 from torchhand.track.quality.evidence import EVIDENCE
 
-Method = Literal["contour", "distance", "single"]
-"""How estimates are made: by the contour or the distance-map update, or from single pictures."""
+Method = Literal["contour", "distance", "rig", "single"]
+"""How estimates are made: by the contour or the distance-map update, of several cameras, or of single pictures."""
 
 TIP_M = 0.02
 """Distance within which a fingertip is right, metres."""
@@ -79,7 +79,7 @@ def qualities(evidence: Float[Tensor, "5 evidence"], method: Method) -> tuple[fl
     return float(hand(hand_evidence(evidence, fingers))), fingers
 
 
-@lru_cache(maxsize=3)
+@lru_cache(maxsize=4)
 def _models(method: Method) -> tuple[LogisticModel, LogisticModel]:
     table = json.loads(_TABLE.read_text(encoding="utf-8"))[method]
     with torch.inference_mode(False):  # kept for callers in any mode
