@@ -11,15 +11,17 @@ from torchhand.cli.measure_quality import main
 
 
 def test_the_models_of_the_package_tell_right_from_wrong() -> None:
-    """On sequences that they were not fitted to, and as often as they say."""
+    """On sequences that they were not fitted to, and as often as they say, where more than two recordings tell; those
+    give up to 50 estimates each, in which a hand is right or wrong throughout. Single pictures tell one by one."""
     table: dict[str, Any] = json.loads(TABLE.read_text(encoding="utf-8"))
-    assert set(table) == {"contour", "distance", "single"}
-    for models in table.values():
+    assert set(table) == {"contour", "distance", "rig", "single"}
+    for method, models in table.items():
         assert models["command"].startswith("torchhand measure_quality --methods")
         for part in ("finger", "hand"):
             assert models[part]["auc"] > 0.65
             for mean, share, number in models[part]["mean_right_number"].values():
-                assert abs(mean - share) < 0.12 + 1.5 / number**0.5
+                if method == "single" or number > 100:
+                    assert abs(mean - share) < 0.12 + 1.5 / number**0.5
 
 
 @pytest.mark.slow
