@@ -9,19 +9,33 @@ import pytest
 from torchhand.cli.measure_quality import _TABLE as TABLE
 from torchhand.cli.measure_quality import main
 
+_MODELS: dict[str, Any] = json.loads(TABLE.read_text(encoding="utf-8"))
+_PARTS = [(method, part) for method in ("contour", "distance", "rig", "single") for part in ("finger", "hand")]
+_OF_ONE_RECORDING = pytest.mark.xfail(
+    strict=True, reason="24 recordings: hands above 0.9 were told in one of them alone, and were wrong there"
+)
 
-def test_the_models_of_the_package_tell_right_from_wrong() -> None:
-    """On sequences that they were not fitted to, and as often as they say, where more than two recordings tell; those
-    give up to 50 estimates each, in which a hand is right or wrong throughout. Single pictures tell one by one."""
-    table: dict[str, Any] = json.loads(TABLE.read_text(encoding="utf-8"))
-    assert set(table) == {"contour", "distance", "rig", "single"}
-    for method, models in table.items():
+
+def test_all_methods_have_models_and_a_command() -> None:
+    assert set(_MODELS) == {method for method, _ in _PARTS}
+    for models in _MODELS.values():
         assert models["command"].startswith("torchhand measure_quality --methods")
-        for part in ("finger", "hand"):
-            assert models[part]["auc"] > 0.65
-            for mean, share, number in models[part]["mean_right_number"].values():
-                if method == "single" or number > 100:
-                    assert abs(mean - share) < 0.12 + 1.5 / number**0.5
+
+
+@pytest.mark.parametrize(("method", "part"), _PARTS)
+def test_the_models_of_the_package_tell_right_from_wrong(method: str, part: str) -> None:
+    """On sequences that they were not fitted to."""
+    assert _MODELS[method][part]["auc"] > 0.65
+
+
+@pytest.mark.parametrize(
+    ("method", "part"),
+    [pytest.param(*one, marks=_OF_ONE_RECORDING) if one == ("rig", "hand") else one for one in _PARTS],
+)
+def test_what_they_tell_is_as_often_right_as_they_say(method: str, part: str) -> None:
+    """On sequences that they were not fitted to."""
+    for mean, share, number in _MODELS[method][part]["mean_right_number"].values():
+        assert abs(mean - share) < 0.12 + 1.5 / number**0.5
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ from torchhand.track import (
 from torchhand.track.single import SinglePoseFitter
 
 FRAMES, RIG_FRAMES = 50, 25
-"""Of a sequence before one camera, and before several."""
+"""Pictures that each camera takes of a sequence, one camera alone and several."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -74,8 +74,10 @@ class SimulatedSequence:
 def sequence(
     generator: torch.Generator, frames: int, *, has_detector: bool = False, cameras: int = 1
 ) -> SimulatedSequence:
-    """A right hand of a random person that goes from posture to posture and stays a while in each. has_detector: of the
-    first camera, and with it alone."""
+    """A right hand of a random person that goes from posture to posture and stays a while in each.
+
+    has_detector: whether a detector's points come with the first camera's pictures. cameras: how many.
+    """
     hand = load_hand_model().hand(side="right", dtype=torch.float64)
     kinematics = hand.kinematics
     camera = replace(assumed_camera(WIDTH, HEIGHT, horizontal_fov_deg=55.0), is_assumed=False)
@@ -90,21 +92,21 @@ def sequence(
         supersampling=1,
         blur_px=0.7,
     )
-    eyes, person = (camera,), {"shape": shape, "hand": hand}
+    rig, person = (camera,), {"shape": shape, "hand": hand}
     if cameras == 1:
         alone = render_sequence(kinematics, motion, camera, look, generator, **person)
         rendered = [(one,) for one in alone]
     else:
         lever = torch.tensor((0.0, _MIDDLE * hand_length(kinematics, shape), 0.0), dtype=torch.float64)
         middle = motion.poses[0, :3] + motion.root_reference @ lever
-        eyes = (camera, *(_beside(camera, middle, generator) for _ in range(cameras - 1)))
-        rendered = list(render_rig(kinematics, motion, eyes, look, generator, **person))
+        rig = (camera, *(_beside(camera, middle, generator) for _ in range(cameras - 1)))
+        rendered = list(render_rig(kinematics, motion, rig, look, generator, **person))
     seen: list[HandKeypoints | None] = [None] * frames
     if has_detector:
         seen = list(_detections(kinematics, motion, camera, shape, generator))
     drawn = torch.randn(21, 3, 1, generator=generator, dtype=torch.float64)
     return SimulatedSequence(
-        cameras=eyes,
+        cameras=rig,
         frames=tuple(
             SimulatedFrame(
                 views=(View(image=first.image, keypoints=points), *(View(image=one.image) for one in others)),
