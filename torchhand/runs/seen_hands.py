@@ -16,7 +16,6 @@ from torchhand.geometry import Camera
 
 PALM_METRES = (0.03, 0.2)
 """Distances from the wrist to the middle knuckle that a hand may have."""
-_NEAR_FRACTION = 0.025  # of the hand's box in a picture: standard deviation of a point
 
 
 def cameras_of_detections(
@@ -60,9 +59,7 @@ def _metres_per_unit(
     path: Path, cameras: Sequence[Camera], detections: Sequence[Detections], say: Callable[[str], None]
 ) -> float:
     """1 where a hand of a hand's size is seen, or nothing is; else that of the unit that makes it one."""
-    points = [view.points_px for view in seen_keypoints(detections, cameras)]
-    extent = [own.nan_to_num(-torch.inf).amax((1, 2)) - own.nan_to_num(torch.inf).amin((1, 2)) for own in points]
-    found = triangulated(cameras, points, [_NEAR_FRACTION * own.clamp_min(1.0) for own in extent]).points
+    found = triangulated(cameras, [view.points_px for view in seen_keypoints(detections, cameras)]).points
     palm = float((found[:, 9] - found[:, 0]).norm(dim=-1).nanmedian())
     if not math.isfinite(palm) or PALM_METRES[0] <= palm <= PALM_METRES[1]:
         return 1.0

@@ -41,7 +41,7 @@ from torchhand.runs.second_pass import smooth_frames
 from torchhand.runs.watchers import opened_watchers, projector_of
 from torchhand.track import Keyframe, Tracker, TrackerState, opened_tracker, scenes_ahead
 from torchhand.track.multiview import HandInitialization, HandProposer, Initialization, initialize
-from torchhand.track.scene import ViewSilhouettes
+from torchhand.track.scene import View, ViewSilhouettes, WorkingViews
 from torchhand.view import HandProjector
 
 _log = logging.getLogger(__name__)
@@ -336,8 +336,14 @@ class _RigStart:
         silhouettes = ViewSilhouettes(recording.cameras, self.settings.silhouette, plates=self.plates)
         wanted = max(1, self.settings.rig.shape_frames)
         wanted += wanted // 2 if self.request.unit == "hand" else 0  # frames of a bare arm tell a wrong unit
-        sample = recording.sample(wanted)
-        frames = ((self._noted(frame), with_keypoints(frame, self.keypoints, None).views) for frame in sample)
+        sample, given = recording.sample(wanted), recording.cameras
+        working = WorkingViews(given, max(camera.width * camera.height for camera in given))
+
+        def seen(frame: RecordedFrame) -> tuple[View, ...]:
+            views = with_keypoints(frame, self.keypoints, None).views
+            return tuple(working.of(view, index, silhouettes.cameras[index]) for index, view in enumerate(views))
+
+        frames = ((self._noted(frame), seen(frame)) for frame in sample)
         with tqdm(
             total=wanted,
             desc="initializing",

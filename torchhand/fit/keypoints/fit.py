@@ -16,7 +16,7 @@ from torchhand.fit.keypoints.posture import PostureKeypoints
 from torchhand.fit.keypoints.prior import natural_posture
 from torchhand.fit.keypoints.recording import PosePath, is_short_gap
 from torchhand.fit.keypoints.relative import RelativeKeypoints
-from torchhand.fit.keypoints.rig import RefinedCameras, ViewLag, refined_cameras, triangulated
+from torchhand.fit.keypoints.rig import RefinedCameras, ViewLag, box_side_px, refined_cameras, triangulated
 from torchhand.fit.keypoints.seen import SeenKeypoints
 from torchhand.fit.keypoints.settings import KeypointFitSettings
 from torchhand.fit.keypoints.world import WorldKeypoints
@@ -362,8 +362,7 @@ def _std_px(
 ) -> tuple[Float[Tensor, "frames"], Float[Tensor, "frames"]]:
     """Standard deviations of points in pictures, and such as are not so small that only near starts can be told
     apart."""
-    extent = (points.nan_to_num(-torch.inf).amax(1) - points.nan_to_num(torch.inf).amin(1)).amax(-1)
-    coarse = settings.noise_fraction * extent.clamp_min(1.0)
+    coarse = settings.noise_fraction * box_side_px(points)
     noise = coarse if settings.noise_px is None else torch.full_like(coarse, settings.noise_px)
     return noise, torch.maximum(noise, coarse)
 

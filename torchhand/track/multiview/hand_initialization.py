@@ -57,6 +57,8 @@ class _Frame:
     masks: Masks
     hull: Hull
     fit: HullFit | None = None
+    is_told: bool = False
+    """Whether that is the hand of detected keypoints, which tell how it faces."""
 
 
 def evenly_spaced_frames(count: int, wanted: int) -> tuple[int, ...]:
@@ -146,11 +148,10 @@ def _searched(
     (index, scene), (propose, detect) = frame, proposers
     empty = _Frame(index=index, masks=scene.masks, hull=fitter.hull_anywhere(shape, scene.masks))
     for place, size in enumerate(sizes):
-        fit = _told(fitter, empty, size, detect(scene, size))
-        if fit is None:
-            fit = _found(fitter, empty, size, propose(scene, size), fits)
+        told = _told(fitter, empty, size, detect(scene, size))
+        fit = told or _found(fitter, empty, size, propose(scene, size), fits)
         if fit is not None:
-            return replace(empty, fit=fit), place
+            return replace(empty, fit=fit, is_told=told is not None), place
     return empty, None
 
 
@@ -194,7 +195,8 @@ def _consistent(fitter: FrameFitter, seen: Sequence[_Frame], shape: Tensor) -> l
     for _, frame, fit in found:
         others = [other for _, _, other in found if other is not fit]
         others = [other.pose for other in sorted(others, key=lambda one: -one.score)[:_MAX_OTHERS]]
-        alternatives.append([fit, *fitter.fit_in_place(frame.hull, fit.pose, others, shape, frame.masks)])
+        own = [] if frame.is_told else fitter.fit_in_place(frame.hull, fit.pose, others, shape, frame.masks)
+        alternatives.append([fit, *own])
     scores = [shape.new_tensor([fit.score - _SCORE_PER_NAT * float(fit.cost) for fit in own]) for own in alternatives]
     facing = [torch.stack([fit.pose.reference for fit in own]) for own in alternatives]
     chosen = list(seen)

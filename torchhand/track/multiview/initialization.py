@@ -16,7 +16,7 @@ from torchhand.numerics import single_threaded
 from torchhand.track.multiview.fitting import FrameFitter, best_of
 from torchhand.track.multiview.hand_initialization import HandInitialization, initialize_hand
 from torchhand.track.multiview.proposer import HandProposer
-from torchhand.track.multiview.scale import resized_pose, resized_shape, rough_units, size_factor
+from torchhand.track.multiview.scale import resized_pose, resized_shape, rough_units, size_factor, unit_by_points
 from torchhand.track.multiview.settings import RigSettings
 from torchhand.track.scene import LearnedSkin, RigSegmentation, Scene, View, ViewSilhouettes
 
@@ -51,9 +51,10 @@ def initialize(
     """Learn colours, unit, proportions and poses from some frames of a recording.
 
     frames: read as they are needed where silhouettes are given, so that the first hand does not wait for the last
-    frame. proposer: its cameras do not count. shape: known proportions. fits_unit: the unit of the cameras'
-    translations is not known and is chosen so that the hand is as large as `shape` or, without it, as the average.
-    done: called after every frame, told whether the hand was found.
+    frame; keypoints as the cameras without distortion see them. proposer: its cameras do not count. shape: known
+    proportions. fits_unit: the unit of the cameras' translations is not known and is chosen so that the hand is as
+    large as `shape` or, without it, as the average. done: called after every frame, told whether the hand
+    was found.
     """
     skins, frames = _with_skins(silhouettes, frames)
     segmentation = RigSegmentation(silhouettes=silhouettes)
@@ -100,10 +101,35 @@ def _with_unit(
 ) -> Initialization:
     """Initialization with the unit that makes the hand as large as it is known, or expected, to be."""
     space = hand.kinematics.shape_space
-    units, decisive = rough_units(cameras, [(index, scene.masks) for index, scene in seen])
-    if not units:
+    expected = hand.kinematics.default_shape.to(hand.shape) if shape is None else shape
+    nominal = unit_by_points(cameras, [scene.views for _, scene in seen], hand.kinematics, expected)
+    nominal = _searched_unit(hand, cameras, seen, settings, proposer) if nominal is None else nominal
+    if nominal is None:
         nothing = HandInitialization(shape=hand.kinematics.default_shape, shape_std=None, poses={}, shape_frames=())
         return Initialization(hand=nothing, skins=skins)
+    fitter = FrameFitter(hand, Rig(cameras).scaled(nominal), settings)
+    propose = replace(proposer, cameras=fitter.cameras)
+    found = initialize_hand(fitter, seen, propose, detect=propose.detected, done=done)
+    if not found.poses:
+        return Initialization(hand=found, skins=skins)
+    known = space.default.to(found.shape) if shape is None else shape
+    factor = size_factor(found.shape, known, space)
+    poses = {index: resized_pose(pose, factor) for index, pose in found.poses.items()}
+    own = resized_shape(found.shape, factor, space) if shape is None else shape
+    return Initialization(hand=replace(found, shape=own, poses=poses), skins=skins, metres=factor * nominal)
+
+
+def _searched_unit(
+    hand: Hand,
+    cameras: Sequence[Camera],
+    seen: Sequence[tuple[int, Scene]],
+    settings: RigSettings,
+    proposer: HandProposer,
+) -> float | None:
+    """The unit in which a search finds the best hand; None where no frame has a hull."""
+    units, decisive = rough_units(cameras, [(index, scene.masks) for index, scene in seen])
+    if not units:
+        return None
     # Sizes differ more than what further fingers and hypotheses tell, which take most of a search's time.
     rough = replace(settings, start=settings.start.reduced())
     fitters = {unit: FrameFitter(hand, Rig(cameras).scaled(unit), rough) for unit in units}
@@ -114,17 +140,7 @@ def _with_unit(
         jobs = [partial(_agreement, fitters[unit], shown[index], proposers[unit]) for unit, index in asked]
         return side_by_side(jobs, hand.shape.device)
 
-    nominal = best_unit(units, [index for index, _ in decisive], agreements)
-    fitter = FrameFitter(hand, Rig(cameras).scaled(nominal), settings)
-    propose = proposers[nominal]
-    found = initialize_hand(fitter, seen, propose, detect=propose.detected, done=done)
-    if not found.poses:
-        return Initialization(hand=found, skins=skins)
-    known = space.default.to(found.shape) if shape is None else shape
-    factor = size_factor(found.shape, known, space)
-    poses = {index: resized_pose(pose, factor) for index, pose in found.poses.items()}
-    own = resized_shape(found.shape, factor, space) if shape is None else shape
-    return Initialization(hand=replace(found, shape=own, poses=poses), skins=skins, metres=factor * nominal)
+    return best_unit(units, [index for index, _ in decisive], agreements)
 
 
 def best_unit(

@@ -8,11 +8,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.fit.keypoints import triangulated
 from torchhand.geometry import Camera, Rig, rig_size
-from torchhand.hand import HandPose, ShapeSpace
+from torchhand.hand import DOFS, HandKinematics, HandPose, ShapeSpace
 from torchhand.track.multiview.hulls import Hulls
 from torchhand.track.multiview.settings import HullOctreeSettings
-from torchhand.track.scene import Masks
+from torchhand.track.scene import Masks, View
 
 _BALL = 0.030
 """Radius, metres, of the largest ball in the hull of a fist or a relaxed hand."""
@@ -22,6 +23,7 @@ that."""
 _DECISIVE = (0.2, 0.45, 0.7)  # quantiles of the balls of all frames: the frames at these decide about the size
 _LEAF = 0.012  # metres of that carving, in which the ball is looked for; how large it is tells a finer one about it
 _FIRST_SIZE = 0.6  # metres between the cameras in the first carving, which only tells the ball
+_PALM = ((0, 5), (0, 9), (0, 17), (5, 17))  # keypoints between which no joint bends
 
 
 def rough_units(
@@ -47,6 +49,37 @@ def rough_units(
     unit = first * _BALL / balls[-1][0]
     places = sorted({balls[int(quantile * len(balls))][1] for quantile in _DECISIVE})
     return tuple(unit * scale for scale in _SCALES), [frames[place] for place in places]
+
+
+def unit_by_points(
+    cameras: Sequence[Camera],
+    frames: Sequence[Sequence[View]],
+    kinematics: HandKinematics,
+    shape: Float[Tensor, "shape"],
+) -> float | None:
+    """Metres of the cameras' unit by the hands that detectors see in two views or more: it makes palms as large as that
+    of a shape, in the median over the frames. None where no two views agree on a hand.
+
+    cameras: as the views' keypoints are theirs.
+    """
+    nothing = torch.full((21, 2), torch.nan, dtype=torch.float64)
+    points = [
+        torch.stack([nothing if view.keypoints is None else view.keypoints.points_px.to(nothing) for view in views])
+        for views in zip(*frames, strict=True)
+    ]
+    found = triangulated([camera.to(device=nothing.device, dtype=nothing.dtype) for camera in cameras], points).points
+    sizes = _palm_sizes(found)
+    size = float(sizes.nanmedian())
+    if not math.isfinite(size) or size <= 0:
+        return None
+    known = kinematics(shape.new_zeros(len(DOFS)), shape).keypoints
+    return float(_palm_sizes(known)) / size
+
+
+def _palm_sizes(points: Float[Tensor, "*batch 21 3"]) -> Float[Tensor, "*batch"]:
+    """Summed distances between points of the palm; NaN where one of them is missing."""
+    first, second = zip(*_PALM, strict=True)
+    return (points[..., list(first), :] - points[..., list(second), :]).norm(dim=-1).sum(-1)
 
 
 def resized_shape(shape: Float[Tensor, "shape"], factor: float, space: ShapeSpace) -> Float[Tensor, "shape"]:

@@ -15,6 +15,7 @@ _ROUNDS = 3  # of reweighting
 _GROSS_STD = 4.0  # distance at which a point counts a quarter
 _MIN_DEPTH = 0.01  # metres from the camera
 _MIN_POINTS = 4  # of a hand that a view must show before it can agree or not
+_BOX_STD = 0.025  # standard deviation of a point, shares of the longer side of the box around its hand
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,14 +31,15 @@ class Triangulated:
 def triangulated(
     cameras: Sequence[Camera],
     points_px: Sequence[Float[Tensor, "frames 21 2"]],
-    std_px: Sequence[Float[Tensor, "frames"]],
+    std_px: Sequence[Float[Tensor, "frames"]] | None = None,
 ) -> Triangulated:
     """The hand that most views of every frame see, its points by robust linear least squares.
 
     Every pair of views proposes a hand; the one that most views agree with is taken, of several such the one that they
     agree with best. points_px: NaN for missing points. std_px: of the points of every view, from which follows how near
-    is near enough. Cameras that show no depth (orthographic ones) count as any other.
+    is near enough; a share of their box where None. Cameras that show no depth (orthographic ones) count as any other.
     """
+    std_px = [_BOX_STD * box_side_px(own) for own in points_px] if std_px is None else std_px
     rows = [ViewRows.of(*one) for one in zip(cameras, points_px, std_px, strict=True)]
     count, frames = len(rows), len(points_px[0])
     like = points_px[0]
@@ -59,6 +61,12 @@ def triangulated(
         weights = [one.weight * one.trust(best) * agrees[:, view, None] for view, one in enumerate(rows)]
         best = _solved(rows, weights)
     return Triangulated(points=best, agrees=agrees)
+
+
+def box_side_px(points_px: Float[Tensor, "frames 21 2"]) -> Float[Tensor, "frames"]:
+    """Longer side of the box around the points of each frame, at least a pixel."""
+    extent = points_px.nan_to_num(-torch.inf).amax(1) - points_px.nan_to_num(torch.inf).amin(1)
+    return extent.amax(-1).clamp_min(1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
