@@ -16,9 +16,11 @@ import yaml
 
 from tests.live_pictures import delivered_as_tracked
 from torchhand.cli.track_multiview import main
+from torchhand.errors import InputError
 from torchhand.files import (
     Frame,
     FrameSource,
+    load_cameras,
     load_hand_model,
     load_track,
     read_picture,
@@ -30,7 +32,7 @@ from torchhand.geometry import rotation_from_vector
 from torchhand.hand import Hand, posture
 from torchhand.runs import Run
 from torchhand.simulate import named_rig
-from torchhand.track import OCCASIONS, Estimate, ScenesAhead, Tracker
+from torchhand.track import OCCASIONS, Estimate, ScenesAhead, Tracker, View
 from torchhand.track.multiview import Initialization, initialize
 from torchhand.track.scene import ViewSilhouettes
 from torchhand.view import mesh_silhouette
@@ -141,6 +143,35 @@ def test_result_folder(result: Path, recording: Path) -> None:
     overlay = cv2.VideoCapture(str(result / "overlay.mp4"))
     assert overlay.get(cv2.CAP_PROP_FRAME_COUNT) == FRAMES
     assert overlay.get(cv2.CAP_PROP_FRAME_WIDTH) == 2 * SIZE[0]
+
+
+def test_the_first_hand_is_looked_for_where_cameras_without_distortion_see_its_points(
+    copied: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bare = load_cameras(copied / "cameras.json")
+    bent = [
+        replace(camera, distortion=torch.tensor((-0.2, 0.1, 0.0, 0.0, 0.0), dtype=torch.float64)) for camera in bare
+    ]
+    save_cameras(bent, copied / "cameras.json")
+    truth = torch.from_numpy(np.load(copied / "truth.npz")["keypoints3d"])
+    files = [copied / f"points_{view}.npz" for view in range(len(bent))]
+    for path, camera in zip(files, bent, strict=True):
+        points = camera.project(truth).numpy()
+        np.savez(path, points_px=points, label=np.full(FRAMES, "Left"), score=np.ones(FRAMES))
+    seen: list[tuple[int, tuple[View, ...]]] = []
+
+    def asked(hand: Hand, silhouettes: ViewSilhouettes, frames: Iterable, *_: Any, **__: Any) -> Initialization:
+        seen.extend(frames)
+        raise InputError("seen enough")
+
+    monkeypatch.setattr("torchhand.runs.tracking.initialize", asked)
+    given = [part for path in files for part in ("--keypoints", str(path))]
+    assert run(copied, tmp_path / "out", *given) == 2
+    assert seen
+    for frame, views in seen:
+        for view, camera in zip(views, bare, strict=True):
+            assert view.keypoints is not None
+            torch.testing.assert_close(view.keypoints.points_px, camera.project(truth[frame]), rtol=0, atol=0.01)
 
 
 def test_skin_in_place_of_masks_and_videos_in_place_of_pictures(recording: Path, tmp_path: Path) -> None:

@@ -62,9 +62,9 @@ class PastFrame:
         )
 
     @property
-    def is_detected(self) -> bool:
-        """Whether detectors see a hand in two pictures or more: what they tell of it was compared at that time."""
-        return sum(view.keypoints is not None for view in self.views) > 1
+    def is_told(self) -> bool:
+        """Whether a hand was found that detectors see in two pictures or more: what they tell was compared with it."""
+        return self.keypoints is not None and sum(view.keypoints is not None for view in self.views) > 1
 
     def scene(self, device: torch.device) -> Scene:
         """The scene in which a tracker follows a hand, on its device."""
@@ -102,7 +102,7 @@ class Smoother:
         for past in reversed(self._past):
             is_out = past.time_s < estimate.time_s - self._window_s - _CLOCK_S
             is_in_vain = gains[-1] < max(gains) - _HOPELESS or len(gains) > gains.index(max(gains)) + _IN_VAIN
-            if is_out or is_in_vain or past.is_detected:
+            if is_out or is_in_vain or past.is_told:
                 break
             followed = self._tracker.follow(state, hand, past.scene(self._tracker.device), time_s - past.time_s)
             if followed is None or _distance(followed.estimate.keypoints, past.keypoints) < _SAME:

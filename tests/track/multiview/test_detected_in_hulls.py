@@ -7,6 +7,7 @@ from tests.steps import FRAME_S
 from torchhand.hand import DOFS, HandPose
 from torchhand.runs import settings_of
 from torchhand.track import HandKeypoints, Tracker, TrackerState, View
+from torchhand.track.proposals import Proposals
 
 
 @pytest.fixture(scope="module")
@@ -65,3 +66,24 @@ def test_a_hand_is_found_where_its_points_are(config: str, rig_hand, rig, scene,
     assert estimate.status == "tracked"
     assert estimate.keypoints is not None
     assert float((estimate.keypoints - keypoints).norm(dim=-1).mean()) < 0.006
+
+
+@pytest.mark.parametrize(("pictures", "is_asked"), [(0, True), (1, True), (2, False), (4, False)])
+def test_nobody_else_is_asked_where_two_pictures_show_the_hand(
+    pictures: int, is_asked: bool, rig_hand, rig, scene, monkeypatch
+) -> None:
+    """Of a hand that explains less than usual, but is where its detectors see it."""
+    at, masks, keypoints = scene
+    asked = set[str]()
+    for name in ("SeenHands", "Turns", "Fingers", "Keyframes", "HullSearch"):
+        source = f"torchhand.track.proposals.hull.{name}.__call__"
+        monkeypatch.setattr(source, lambda self, *_, name=name: asked.add(name) or Proposals())
+    shape = rig_hand.kinematics.default_shape
+    tracker = Tracker(rig_hand, rig, settings_of("hull_lm"), shape=shape)
+    hand = tracker.parts.motion.started(at)
+    state = TrackerState(shape=shape, hand=hand, has_started=True, usual_score=1.2, frames_since_search=100)
+    views = _views(rig, masks, keypoints)
+    views = [view if row < pictures else View(mask=view.mask) for row, view in enumerate(views)]
+    _, estimate = tracker.step(state, views, 0.0)
+    assert estimate.status == "tracked"
+    assert bool(asked) == is_asked

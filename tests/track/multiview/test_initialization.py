@@ -7,11 +7,12 @@ from torchhand.fit.hull import HullShapeSettings, HullStartSettings
 from torchhand.geometry import Rig
 from torchhand.hand import HandPose
 from torchhand.numerics import single_threaded
+from torchhand.track import HandKeypoints
 from torchhand.track.multiview.fitting import FrameFitter
 from torchhand.track.multiview.hand_initialization import evenly_spaced_frames, initialize_hand
 from torchhand.track.multiview.initialization import best_unit, climbed
 from torchhand.track.multiview.proposer import HandProposer
-from torchhand.track.multiview.scale import resized_pose, resized_shape, rough_units, size_factor
+from torchhand.track.multiview.scale import resized_pose, resized_shape, rough_units, size_factor, unit_by_points
 from torchhand.track.multiview.settings import RigSettings
 from torchhand.track.scene import Scene, View
 
@@ -93,6 +94,22 @@ def test_nothing_is_proposed_where_keypoints_tell_the_hand(rig_hand, rig, pose_a
     assert float((points - truth).norm(dim=-1).mean()) < 0.004
 
 
+@pytest.mark.parametrize("is_told", [True, False])
+def test_how_a_hand_faces_is_decided_over_two_views_alone_where_no_keypoints_tell(
+    is_told, rig_hand, rig, pose_at, masks_of, monkeypatch
+):
+    asked = list[HandPose]()
+    monkeypatch.setattr(FrameFitter, "fit_in_place", lambda self, hull, pose, *_: asked.append(pose) or [])
+    fitter = FrameFitter(rig_hand, rig[:2], SETTINGS)
+    pose = pose_at()
+    known = HandPose(dofs=pose[0], reference=pose[1]).normalized().reshape(1)
+    told = {"detect": lambda scene, shape: known} if is_told else {}
+    shape = rig_hand.kinematics.default_shape
+    found = initialize_hand(fitter, [(4, _scene(masks_of(pose)[:2]))], lambda scene, shape: known, shape=shape, **told)
+    assert set(found.poses) == {4}
+    assert len(asked) == (0 if is_told else 1)
+
+
 def test_first_hand_is_told_before_proportions_are_fitted_to_it(rig_hand, rig, pose_at, masks_of, monkeypatch):
     fitter, pose, order = FrameFitter(rig_hand, rig, SETTINGS), pose_at(), list[str]()
     known, fit_shape = HandPose(dofs=pose[0], reference=pose[1]).normalized().reshape(1), FrameFitter.fit_shape
@@ -154,6 +171,23 @@ def test_rough_units_hold_the_true_one(rig, pose_at, masks_of):
         assert min(abs(unit / 0.0254 - 1) for unit in units) < 0.13
         assert [index for index, _ in decisive] == list(range(len(postures)))
     assert rough_units(unknown, [(9, empty)]) == ((), [])
+
+
+def test_unit_is_told_by_points_of_two_views(rig_hand, rig, pose_at):
+    kinematics, inches = rig_hand.kinematics, Rig(rig).scaled(1 / 0.0254)
+    frames = []
+    for name in ("open", "fist", "point"):
+        pose, reference = pose_at(name)
+        points = [camera.project(kinematics(pose, root_reference=reference).keypoints) for camera in rig]
+        frames.append([View(keypoints=HandKeypoints(points_px=own, score=0.9)) for own in points])
+    frames[1] = [View() for _ in rig]  # of which nothing is seen
+    frames[2][1] = View(keypoints=HandKeypoints(points_px=frames[2][1].keypoints.points_px.flip(-1), score=0.9))
+    known = (kinematics, kinematics.default_shape)
+    assert unit_by_points(inches, frames, *known) == pytest.approx(0.0254, rel=1e-3)
+    larger = resized_shape(kinematics.default_shape, 1.1, kinematics.shape_space)
+    assert unit_by_points(inches, frames, kinematics, larger) == pytest.approx(1.1 * 0.0254, rel=1e-3)
+    alone = [[own[0], *(View() for _ in own[1:])] for own in frames]
+    assert unit_by_points(inches, alone, *known) is None
 
 
 def test_everything_scales_together(rig_hand, pose_at):

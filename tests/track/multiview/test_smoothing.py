@@ -8,7 +8,7 @@ from torch.nn.functional import max_pool2d
 
 from torchhand.fit.hull import HullStartSettings
 from torchhand.hand import HandPose, posture
-from torchhand.track import DEFAULTS, Keyframe, PastFrame, Smoother, Tracker, TrackerState, View
+from torchhand.track import DEFAULTS, HandKeypoints, Keyframe, PastFrame, Smoother, Tracker, TrackerState, View
 from torchhand.track.multiview import HULL, RigSettings
 from torchhand.track.scene import Scene
 
@@ -112,9 +112,29 @@ def test_frames_with_a_lost_digit_are_corrected_and_those_before_stay(tracker, r
     assert smoother.corrections(*found) == []  # what was corrected is remembered so
 
 
-def test_frame_in_which_the_hand_was_lost_is_filled_in(tracker, rig_hand, poses, masks):
+def _detected(past, rig, keypoints, count):
+    """The same frame, in so many of whose pictures a detector sees the hand."""
+    views = [
+        replace(view, keypoints=HandKeypoints(points_px=camera.project(keypoints), score=0.9)) if row < count else view
+        for row, (view, camera) in enumerate(zip(past.views, rig, strict=True))
+    ]
+    return replace(past, views=tuple(views))
+
+
+@pytest.mark.parametrize(("pictures", "corrected"), [(1, [3, 2]), (2, [])])
+def test_what_two_detectors_told_of_a_frame_is_not_corrected(pictures, corrected, tracker, rig, rig_hand, poses, masks):
+    seen = _seen(rig_hand, masks, poses, wrong={2, 3})
+    pairs = zip(seen, poses[:-1], strict=True)
+    seen = [_detected(past, rig, _points(rig_hand, pose), pictures) for past, pose in pairs]
+    better, _, _ = _corrected(tracker, masks, seen, poses[-1])
+    assert _frames(better) == corrected
+
+
+@pytest.mark.parametrize("pictures", [0, 2])
+def test_frame_in_which_the_hand_was_lost_is_filled_in(pictures, tracker, rig, rig_hand, poses, masks):
     seen = _seen(rig_hand, masks, poses, wrong=set())
     seen[3] = replace(seen[3], keypoints=None, score=0.0)
+    seen[3] = _detected(seen[3], rig, _points(rig_hand, poses[3]), pictures)
     better, _, _ = _corrected(tracker, masks, seen, poses[-1])
     assert _frames(better) == [3]
     assert float((better[0].keypoints - _points(rig_hand, poses[3])).norm(dim=-1).mean()) < 0.004
