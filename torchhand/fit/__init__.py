@@ -4,7 +4,6 @@ To observe something new, write a class with `associate` (`Observation`) and the
 """
 
 from torchhand.fit.appearance import (
-    Agreement,
     Appearance,
     disc,
     grey,
@@ -16,7 +15,7 @@ from torchhand.fit.appearance import (
 from torchhand.fit.bounds import free_bounds
 from torchhand.fit.frames import FrameFactor, FrameObservations
 from torchhand.fit.limits import DynamicConstraints
-from torchhand.fit.observation import Equations, Explained, Factor, Observation, PosedHands
+from torchhand.fit.observation import Equations, Explained, Factor, Observation, OwnFactor, PosedHands
 from torchhand.fit.posture import PostureResiduals
 from torchhand.fit.priors import ConstraintPrior, GaussianPrior, PosturePrior
 from torchhand.fit.problem import Linearization, Problem
@@ -26,7 +25,6 @@ from torchhand.fit.solve import Solutions, SolveStatus, covariance_of, solve
 from torchhand.fit.solve_shared import SharedSolution, solve_shared
 
 __all__ = [
-    "Agreement",
     "Appearance",
     "ConstraintPrior",
     "DynamicConstraints",
@@ -38,6 +36,7 @@ __all__ = [
     "GaussianPrior",
     "Linearization",
     "Observation",
+    "OwnFactor",
     "PopulationPrior",
     "PosedHands",
     "PosturePrior",

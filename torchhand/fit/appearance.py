@@ -25,16 +25,6 @@ _MIN_PIXELS = 50
 
 
 @dataclass(frozen=True, kw_only=True)
-class Agreement:
-    """How a model's silhouette and the picture's compare."""
-
-    overlap: float
-    """Intersection over union, forearm cut at the wrist."""
-    unexplained: float
-    """Area of the picture's hand outside the model, in pieces as thick as a finger, in squares of the hand's length."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class Appearance:
     """Colours of the hand (and a bare forearm) against those of the rest."""
 

@@ -7,7 +7,7 @@ returns; it then works in `solve` over many hypotheses, in the shape fit and in 
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol, Self, TypeVar, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
@@ -206,3 +206,24 @@ class Observation(Protocol):
     def associate(self, hands: PosedHands, stage: Stage) -> Factor:
         """Decides which data belong to which part of the posed hands, and freezes that."""
         ...
+
+
+class OwnFactor:
+    """What is its own factor, one and the same for all hypotheses, and has no data that are explained."""
+
+    @property
+    def is_empty(self) -> bool:
+        """False"""
+        return False
+
+    def rows(self, rows: "Int[Tensor, 'n'] | slice") -> Self:
+        """Itself."""
+        return self
+
+    def associate(self, hands: PosedHands, stage: Stage) -> Self:
+        """Itself."""
+        return self
+
+    def explained(self) -> tuple[Explained, ...]:
+        """Nothing."""
+        return ()

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchhand.devices import constant_tensor
 from torchhand.fit.limits import DynamicConstraints
-from torchhand.fit.observation import Equations, Explained, PosedHands
+from torchhand.fit.observation import Equations, Explained, OwnFactor, PosedHands
 from torchhand.fit.posture import PostureResiduals
 from torchhand.fit.schedule import Stage
 from torchhand.geometry import vector_from_rotation
@@ -20,9 +20,9 @@ _ROOT = 6
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConstraintPrior:
+class ConstraintPrior(OwnFactor):
     """The constraints between joint angles (Ouhaddi and Horain 1998, eq. 1 to 5) as soft walls; the static limits hold
-    exactly without it. Its own factor: nothing is associated."""
+    exactly without it."""
 
     constraints: PoseConstraints
     weight: float = 1.0
@@ -30,17 +30,9 @@ class ConstraintPrior:
     has_ties: bool = True
     """Whether the ties between joints are among them; False beside a posture prior that holds them."""
 
-    @property
-    def is_empty(self) -> bool:
-        return False
-
     @cached_property
     def _residuals(self) -> DynamicConstraints:
         return DynamicConstraints(constraints=self.constraints)
-
-    def associate(self, hands: PosedHands, stage: Stage) -> "ConstraintPrior":
-        """This prior itself, which is one and the same for all hands."""
-        return self
 
     def equations(self, hands: PosedHands) -> Equations:
         """Normal equations in the joint angles."""
@@ -52,13 +44,6 @@ class ConstraintPrior:
             matrix=slope.mT @ weighted,
             first_dof=_ROOT,
         )
-
-    def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "ConstraintPrior":
-        """This prior itself, which is one and the same for all hands."""
-        return self
-
-    def explained(self) -> tuple[Explained, ...]:
-        return ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -48,14 +48,8 @@ def test_valleys_are_the_dark_lines_within_the_hand(studio: Any) -> None:
     torch.testing.assert_close(grey.sample(probe)[0], distance, atol=0.6, rtol=0)
 
 
-def test_what_is_ignored_is_no_contour(studio: Any) -> None:
-    mask = studio.placed().mask
-    ignored = torch.zeros_like(mask)
-    ignored[90:] = True
-    found = picture_contours(mask, SEARCH, ignored=ignored)
-    assert float(found.boundary.points_px[:, 1].max()) < 90
-    assert picture_contours(mask, SEARCH, ignored=torch.ones_like(mask)).is_empty
-    assert picture_contours(torch.zeros_like(mask), SEARCH).is_empty
+def test_an_empty_silhouette_has_no_contour(studio: Any) -> None:
+    assert picture_contours(torch.zeros_like(studio.placed().mask), SEARCH).is_empty
 
 
 @pytest.mark.parametrize(

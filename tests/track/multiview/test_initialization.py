@@ -103,9 +103,13 @@ def test_how_a_hand_faces_is_decided_over_two_views_alone_where_no_keypoints_tel
     fitter = FrameFitter(rig_hand, rig[:2], SETTINGS)
     pose = pose_at()
     known = HandPose(dofs=pose[0], reference=pose[1]).normalized().reshape(1)
-    told = {"detect": lambda scene, shape: known} if is_told else {}
-    shape = rig_hand.kinematics.default_shape
-    found = initialize_hand(fitter, [(4, _scene(masks_of(pose)[:2]))], lambda scene, shape: known, shape=shape, **told)
+    found = initialize_hand(
+        fitter,
+        [(4, _scene(masks_of(pose)[:2]))],
+        lambda scene, shape: known,
+        detect=lambda scene, shape: known if is_told else None,
+        shape=rig_hand.kinematics.default_shape,
+    )
     assert set(found.poses) == {4}
     assert len(asked) == (0 if is_told else 1)
 

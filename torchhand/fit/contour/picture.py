@@ -54,13 +54,10 @@ def picture_contours(
     settings: ContourSettings | None = None,
     *,
     image: UInt8[Tensor, "height width 3"] | Float[Tensor, "height width"] | None = None,
-    ignored: Bool[Tensor, "height width"] | None = None,
 ) -> PictureContours:
     """Contours of a silhouette, and valleys within it where the picture is given, RGB or grey levels.
 
-    schedule: whose maps are wanted. ignored: where the silhouette's boundary is none of the hand, such as where a
-    forearm was cut off, or a sleeve. The picture's edge is no boundary anyway. An empty silhouette gives empty
-    contours.
+    schedule: whose maps are wanted. The picture's edge is no boundary. An empty silhouette gives empty contours.
     """
     settings = settings or ContourSettings()
     window = Window.around(mask.cpu().numpy(), valley_reach(settings.valleys))
@@ -75,10 +72,10 @@ def picture_contours(
         valleys = _valleys(image, mask, window, settings)
     return PictureContours(
         fields={
-            pitch: boundary_field(mask, pitch_px=pitch, channels=settings.directions, ignored=ignored, reach_px=reach)
+            pitch: boundary_field(mask, pitch_px=pitch, channels=settings.directions, reach_px=reach)
             for pitch, reach in reaches.items()
         },
-        boundary=boundary_points(mask, settings.boundary_points, ignored=ignored),
+        boundary=boundary_points(mask, settings.boundary_points),
         valleys=valleys,
     )
 

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from torchhand.devices import constant_tensor, is_host
-from torchhand.fit import Equations, Explained, PosedHands, Stage
+from torchhand.fit import Equations, OwnFactor, PosedHands
 from torchhand.fit.hull.skin import PosedBones, SkinPoints, bones_of
 from torchhand.geometry import tapered_capsule_touch
 from torchhand.hand import CONE_BONES, DOFS, PenetrationSettings, digit_pairs, primitive_sizes
@@ -23,21 +23,13 @@ _NOTHING = 1e-9  # metres: keeps directions finite where two axes meet
 
 
 @dataclass(frozen=True, kw_only=True)
-class PenetrationPrior:
-    """½ weight Σ (excess / softness)² over the pairs of segments, deep ones less. Nothing is associated."""
+class PenetrationPrior(OwnFactor):
+    """½ weight Σ (excess / softness)² over the pairs of segments, deep ones less."""
 
     skin: SkinPoints
     """Tells the bones, in the dtype to compute in."""
     weight: float = 1.0
     settings: PenetrationSettings = field(default_factory=PenetrationSettings)
-
-    @property
-    def is_empty(self) -> bool:
-        return False
-
-    def associate(self, hands: PosedHands, stage: Stage) -> "PenetrationPrior":
-        """This prior itself, which is one and the same for all hands."""
-        return self
 
     def equations(self, hands: PosedHands) -> Equations:
         """Normal equations in the joint angles; the dependence on the shape is left out."""
@@ -73,13 +65,6 @@ class PenetrationPrior:
         trust = (excess > 0) / (1 + square)
         cost = 0.5 * self.weight * _GROSS**2 * square.log1p().sum(-1)
         return Equations.of_rows(residual, self.weight * trust, rows, cost, first_dof=_ROOT)
-
-    def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "PenetrationPrior":
-        """This prior itself, which is one and the same for all hands."""
-        return self
-
-    def explained(self) -> tuple[Explained, ...]:
-        return ()
 
 
 def _capsules(skin: SkinPoints, hands: PosedHands, bones: PosedBones) -> tuple[Tensor, Tensor, Tensor]:

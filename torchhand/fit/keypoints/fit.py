@@ -187,21 +187,15 @@ def fit_keypoints(
 
 
 @torch.no_grad()
-def refine_cameras(
-    views: Sequence[SeenKeypoints],
-    *,
-    turn_std: float = math.radians(3.0),
-    shift_std: float = 0.05,
-    settings: KeypointFitSettings | None = None,
-) -> RefinedCameras:
-    """Cameras whose turns (radians) and places (metres) are roughly known, by the points that they saw of one hand.
+def refine_cameras(views: Sequence[SeenKeypoints]) -> RefinedCameras:
+    """Cameras whose turns are known to some 3° and places to 5 cm, by the points that they saw of one hand.
 
     Raises ValueError for fewer than two cameras, cameras in one place, and cameras that are no single pinhole camera.
     """
-    settings = settings or KeypointFitSettings()
+    settings = KeypointFitSettings()
     seen = [_usable(view.flat(torch.zeros((), dtype=torch.float64)), settings) for view in views]
     points, std = [view.points_px for view in seen], [_std_px(view.points_px, settings)[0] for view in seen]
-    return refined_cameras([view.camera for view in seen], points, std, turn_std=turn_std, shift_std=shift_std)
+    return refined_cameras([view.camera for view in seen], points, std)
 
 
 def _views(

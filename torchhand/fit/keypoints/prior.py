@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchhand.fit import Equations, Explained, PosedHands, Stage
+from torchhand.fit import Equations, OwnFactor, PosedHands
 from torchhand.hand import DOFS, FINGERS, JOINT_DOFS, KEYPOINTS, Skeleton
 
 _DEG = math.pi / 180
@@ -48,24 +48,16 @@ class NaturalPosture:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NaturalPrior:
-    """½ |posture - mean|² in the metric of the precision, counted DOF by DOF. Its own factor: nothing is associated."""
+class NaturalPrior(OwnFactor):
+    """½ |posture - mean|² in the metric of the precision, counted DOF by DOF."""
 
     posture: NaturalPosture
     fraction: Float[Tensor, "#rows 36"]
     """0 to 1: how far the belief in the natural posture holds for each DOF: of each frame, or of all hypotheses."""
 
-    @property
-    def is_empty(self) -> bool:
-        return False
-
     def rows(self, rows: "Int[Tensor, 'n'] | slice") -> "NaturalPrior":
         """The rows of some of the frames; itself where there is one for all."""
         return self if len(self.fraction) == 1 else replace(self, fraction=self.fraction[rows])
-
-    def associate(self, hands: PosedHands, stage: Stage) -> "NaturalPrior":
-        """Itself."""
-        return self
 
     def equations(self, hands: PosedHands) -> Equations:
         """Normal equations in the joint angles."""
@@ -79,9 +71,6 @@ class NaturalPrior:
             matrix=matrix.expand(len(hands), -1, -1),
             first_dof=_ROOT,
         )
-
-    def explained(self) -> tuple[Explained, ...]:
-        return ()
 
 
 @lru_cache(maxsize=4)

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.fit import Equations, Explained, PosedHands, Stage
+from torchhand.fit import Equations, OwnFactor, PosedHands
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandKinematics, HandPose
 from torchhand.hand.kinematics import TIP_DEPTH
@@ -24,7 +24,7 @@ _STEP = 1e-6  # of the numerical derivative, metres and radians
 
 
 @dataclass(frozen=True, kw_only=True)
-class DigitObservation:
+class DigitObservation(OwnFactor):
     """Tips, bases and axes of five digits and the wrist in one picture. Its own factor: nothing is associated."""
 
     kinematics: HandKinematics
@@ -65,18 +65,6 @@ class DigitObservation:
         base = torch.cat((self.base[:1], self.base[1:] + bases - own.base[1:]))
         return replace(self, tip=self.tip + tips - own.tip, base=base)
 
-    @property
-    def is_empty(self) -> bool:
-        return False
-
-    def rows(self, rows: object) -> "DigitObservation":
-        """This observation itself, which all hypotheses have in common."""
-        return self
-
-    def associate(self, hands: PosedHands, stage: Stage) -> "DigitObservation":
-        """Itself."""
-        return self
-
     def residuals(
         self, dofs: Float[Tensor, "n 36"], shape: Float[Tensor, "*#n shape"], reference: Float[Tensor, "3 3"]
     ) -> Float[Tensor, "n rows"]:
@@ -114,9 +102,6 @@ class DigitObservation:
             0.5 * residual.square().sum(-1),
             shared=None if hands.unknowns is None else torch.nn.functional.pad(shared, (0, len(hands.unknowns.extra))),
         )
-
-    def explained(self) -> tuple[Explained, ...]:
-        return ()
 
     def _points(self, dofs: Tensor, shape: Tensor, reference: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Tips (5), bases of the fingers (4), two joints of each digit and the wrist in the picture, px."""

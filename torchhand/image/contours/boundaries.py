@@ -29,15 +29,13 @@ class Boundary:
         return Boundary(points_px=self.points_px[::factor], normals=self.normals[::factor])
 
 
-def boundary_points(
-    mask: Bool[Tensor, "height width"], count: int, *, ignored: Bool[Tensor, "height width"] | None = None
-) -> Boundary:
+def boundary_points(mask: Bool[Tensor, "height width"], count: int) -> Boundary:
     """Up to `count` points spread over the boundary of a silhouette, between its pixels, float64.
 
     Each outermost pixel inside is moved along the gradient of the smoothed silhouette to where that is ½.
     """
-    grid, hidden, window = cut_out(mask, ignored)
-    within, _ = boundary_sides(grid, hidden)
+    grid, window = cut_out(mask)
+    within, _ = boundary_sides(grid)
     y, x = np.nonzero(within)
     if len(x) > count:
         chosen = np.linspace(0, len(x) - 1, count).round().astype(int)
@@ -54,25 +52,17 @@ def boundary_points(
     )
 
 
-def cut_out(
-    mask: Bool[Tensor, "height width"], ignored: Bool[Tensor, "height width"] | None, *, multiple: int = 1
-) -> tuple[np.ndarray, np.ndarray | None, Window]:
-    """A silhouette with all around it that its boundary depends on, uint8, and what is ignored there."""
+def cut_out(mask: Bool[Tensor, "height width"], *, multiple: int = 1) -> tuple[np.ndarray, Window]:
+    """A silhouette with all around it that its boundary depends on, uint8."""
     whole = mask.cpu().numpy().view(np.uint8)
     window = Window.around(whole, _REACH * multiple, multiple=multiple)
-    grid = np.ascontiguousarray(whole[window.slices])
-    hidden = None if ignored is None else np.ascontiguousarray(ignored.cpu().numpy().view(np.uint8)[window.slices])
-    return grid, hidden, window
+    return np.ascontiguousarray(whole[window.slices]), window
 
 
-def boundary_sides(grid: np.ndarray, hidden: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Outermost pixels inside and innermost pixels outside, bool; those beside hidden ones are none."""
+def boundary_sides(grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Outermost pixels inside and innermost pixels outside, bool."""
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    within, beyond = grid > cv2.erode(grid, cross), grid < cv2.dilate(grid, cross)
-    if hidden is None:
-        return within, beyond
-    shown = cv2.dilate(hidden, np.ones((3, 3), np.uint8)) == 0
-    return within & shown, beyond & shown
+    return grid > cv2.erode(grid, cross), grid < cv2.dilate(grid, cross)
 
 
 def boundary_angle(grid: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:

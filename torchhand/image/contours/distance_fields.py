@@ -38,7 +38,6 @@ def boundary_field(
     *,
     pitch_px: int = 1,
     channels: int = 1,
-    ignored: Bool[Tensor, "height width"] | None = None,
     reach_px: float | None = None,
 ) -> DistanceField:
     """Signed distance from the boundary of a silhouette, holes included; the picture's edge is none.
@@ -46,17 +45,15 @@ def boundary_field(
     pitch_px: pixels of the picture that one of the map stands for; a coarse map is that of the silhouette shrunk.
     channels: 1, or as many directions of the outward normal as are kept apart, each with the boundary within 1.5 times
         its share of the circle: two sides of a finger are then never confused.
-    ignored: pixels whose boundary does not count.
     reach_px: how far beyond the boundary's box the map goes, 8 map pixels or more; a third of its diagonal by default.
     """
     if pitch_px < 1 or channels < 1:
         raise ValueError(f"pitch_px, channels: expected 1 or more, got {pitch_px} and {channels}")
     pitch = float(pitch_px)
-    grid, hidden, cut = cut_out(mask, ignored, multiple=pitch_px)
+    grid, cut = cut_out(mask, multiple=pitch_px)
     if pitch_px > 1:
         grid = (shrunk(grid, pitch_px) > 0.5 * pitch_px**2 + 0.25).astype(np.uint8)
-        hidden = None if hidden is None else (shrunk(hidden, pitch_px) > 0.25).astype(np.uint8)
-    sides = [np.nonzero(side) for side in boundary_sides(grid, hidden)]
+    sides = [np.nonzero(side) for side in boundary_sides(grid)]
     angles = [boundary_angle(grid, *side) for side in sides]
     offset = np.array(((cut.top // pitch_px,), (cut.left // pitch_px,)))
     places = [np.stack(side) + offset for side in sides]  # (row, column)

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import ClassVar
 
 from jaxtyping import Float
 from torch import Tensor
@@ -64,11 +65,8 @@ class HullProposals:
 class KeyframeHere:
     """The keyframe of the scene's own time, wherever the followed hand is not borne out."""
 
+    occasion: ClassVar[Occasion] = "always"
     shared: HullProposals
-
-    @property
-    def occasion(self) -> Occasion:
-        return "always"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """Proposals of at most one hand."""
@@ -87,11 +85,8 @@ class Refit:
     """The followed hand itself, fitted without a prediction, and with larger steps where that explains no more: a
     finger that stayed behind may still be drawn in."""
 
+    occasion: ClassVar[Occasion] = "declining"
     shared: HullProposals
-
-    @property
-    def occasion(self) -> Occasion:
-        return "declining"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """Proposals of at most one hand."""
@@ -107,12 +102,9 @@ class Refit:
 class SeenHands:
     """A hand as the views by themselves are read to show it, wherever one was followed."""
 
+    occasion: ClassVar[Occasion] = "degraded"
     shared: HullProposals
     propose: HandProposer
-
-    @property
-    def occasion(self) -> Occasion:
-        return "degraded"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """Proposals of at most one hand."""
@@ -130,11 +122,8 @@ class SeenHands:
 class Turns:
     """The hand turned about its palm, as after a fast turn of the forearm."""
 
+    occasion: ClassVar[Occasion] = "degraded"
     shared: HullProposals
-
-    @property
-    def occasion(self) -> Occasion:
-        return "degraded"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """Proposals of at most one hand."""
@@ -145,11 +134,8 @@ class Turns:
 class Fingers:
     """The hand in its place with single digits in other postures, or in the postures of the nearest keyframes."""
 
+    occasion: ClassVar[Occasion] = "degraded"
     shared: HullProposals
-
-    @property
-    def occasion(self) -> Occasion:
-        return "degraded"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """Proposals of at most one hand."""
@@ -161,11 +147,8 @@ class Fingers:
 class Keyframes:
     """A lost hand where the nearest keyframes were, anywhere in the hull."""
 
+    occasion: ClassVar[Occasion] = "degraded"
     shared: HullProposals
-
-    @property
-    def occasion(self) -> Occasion:
-        return "degraded"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """Proposals of at most one hand; none while the followed one is not failing."""
@@ -180,11 +163,8 @@ class Keyframes:
 class HullSearch:
     """A search in the hull without any guess."""
 
+    occasion: ClassVar[Occasion] = "search"
     shared: HullProposals
-
-    @property
-    def occasion(self) -> Occasion:
-        return "search"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """Proposals of at most one hand."""

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 from torch import Tensor
 
@@ -22,14 +23,11 @@ _FLEXIONS = [i for i, name in enumerate(DOFS) if name.endswith(("mcp_fe", "pip_f
 class KeypointHand:
     """A hand in the posture and place of the points."""
 
+    occasion: ClassVar[Occasion] = "detected"
     kinematics: HandKinematics
     cameras: Sequence[Camera]
     """Cameras of the scene, one per view."""
     settings: KeypointSettings
-
-    @property
-    def occasion(self) -> Occasion:
-        return "detected"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """At most one hand; none of one camera before the first, which has to bring its colours."""
@@ -48,15 +46,12 @@ class KeypointStart:
     """One camera: the first hand, where the points are, with its colours, and its proportions where these are not
     known. A hand that its colours do not tell from its surroundings is found at the points in every picture."""
 
+    occasion: ClassVar[Occasion] = "degraded"
     fitter: ContourFitter
     """How that hand is fitted."""
     settings: KeypointSettings
     min_overlap: float
     """Smallest intersection over union with what has its colours, with which these are believed; 0 to 1."""
-
-    @property
-    def occasion(self) -> Occasion:
-        return "degraded"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """At most one hand; none once there was one."""

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import torch
 from jaxtyping import Bool
@@ -41,6 +42,7 @@ class LearnedHands:
     followed.
     """
 
+    occasion: ClassVar[Occasion] = "degraded"
     fitter: ContourFitter
     """How the first hand is fitted; with a pinhole camera, which is the world."""
     silhouette: SilhouetteSettings
@@ -49,10 +51,6 @@ class LearnedHands:
     can_restart: bool = True
     """Whether later hands may; not where the posture is held, which is that of the first hand."""
     plate: BackgroundPlate | None = None
-
-    @property
-    def occasion(self) -> Occasion:
-        return "degraded"
 
     @cached_property
     def _registration(self) -> ProposalRegistration:

@@ -1,6 +1,7 @@
 """One camera: a hand in the posture of the start, looked for over the whole picture without a guess."""
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -21,6 +22,7 @@ class PostureSearch:
     The first hand ever brings its proportions and its colours.
     """
 
+    occasion: ClassVar[Occasion] = "search"
     fitter: ContourFitter
     """How the first hand is fitted: proportions too, unless they are known."""
     posture: str
@@ -30,10 +32,6 @@ class PostureSearch:
     plate: BackgroundPlate | None = None
     start_points: StartPoints | None = None
     """Wrist and middle fingertip in the first picture, px, given by the user in place of the first search."""
-
-    @property
-    def occasion(self) -> Occasion:
-        return "search"
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """Proposals of at most one hand."""

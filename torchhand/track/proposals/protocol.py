@@ -1,7 +1,7 @@
 """Proposals: other hands that may explain a scene, tried in their order while the followed one is degraded."""
 
 from dataclasses import dataclass
-from typing import Literal, Protocol, get_args, runtime_checkable
+from typing import ClassVar, Literal, Protocol, get_args, runtime_checkable
 
 from jaxtyping import Float
 from torch import Tensor
@@ -51,10 +51,8 @@ OCCASIONS: tuple[Occasion, ...] = get_args(Occasion)
 class ProposalSource(Protocol):
     """Proposes hands for a scene."""
 
-    @property
-    def occasion(self) -> Occasion:
-        """When it is asked."""
-        ...
+    occasion: ClassVar[Occasion]
+    """When it is asked."""
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """best: the best hand so far; None where there is none."""

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -38,13 +39,10 @@ class TiltedHands:
     a little it is as long. Turned over a hand explains outlines as well: that is a search's matter.
     """
 
+    occasion: ClassVar[Occasion] = "declining"
     kinematics: HandKinematics
     camera: Camera
     """A pinhole camera, which is the world."""
-
-    @property
-    def occasion(self) -> Occasion:
-        return "declining"
 
     @cached_property
     def _registration(self) -> ProposalRegistration:

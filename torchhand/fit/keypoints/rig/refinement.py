@@ -17,6 +17,7 @@ from torchhand.fit.keypoints.rig.triangulation import ViewRows, triangulated
 from torchhand.geometry import Camera, centres_world, left_jacobian, rotation_from_vector, skew
 from torchhand.numerics import LevenbergMarquardtSettings, NormalEquations, levenberg_marquardt
 
+_TURN_STD, _SHIFT_STD = math.radians(3.0), 0.05  # radians, metres: what is known of a camera beforehand
 _GROSS = (24.0, 8.0, 3.0)  # standard deviations beyond which a point counts for less (Cauchy), one after the other
 _MIN_DEPTH = 0.01  # metres from the camera
 _STEPS = 5  # of the points for each trial of the cameras
@@ -47,11 +48,8 @@ def refined_cameras(
     cameras: Sequence[Camera],
     points_px: Sequence[Float[Tensor, "frames 21 2"]],
     std_px: Sequence[Float[Tensor, "frames"]],
-    *,
-    turn_std: float = math.radians(3.0),
-    shift_std: float = 0.05,
 ) -> RefinedCameras:
-    """Two cameras or more, whose turns (radians) and places (metres) are known so well.
+    """Two cameras or more, whose turns are known to some 3° and places to 5 cm.
 
     points_px: NaN for missing points. std_px: of the points of every view. Points of another hand than most views show
     do not count. With fewer than 24 frames in which two views agree nothing is determined.
@@ -64,7 +62,7 @@ def refined_cameras(
         raise ValueError("cameras: expected pinhole cameras, one for all frames")
     cameras = [camera.to(dtype=torch.float64) for camera in cameras]
     wide = [
-        std.double() + turn_std * camera.intrinsics[0, 0] for std, camera in zip(std_px, cameras, strict=True)
+        std.double() + _TURN_STD * camera.intrinsics[0, 0] for std, camera in zip(std_px, cameras, strict=True)
     ]  # all points of a view may be off by its turn
     points = [own.double() for own in points_px]
     found = triangulated(cameras, points, wide)
@@ -74,7 +72,7 @@ def refined_cameras(
         ViewRows.of(camera, own[is_used], std.double()[is_used])
         for camera, own, std in zip(cameras, seen, std_px, strict=True)
     ]
-    prior = torch.tensor([turn_std] * 3 + [shift_std] * 3, dtype=torch.float64).repeat(len(cameras) - 1, 1)
+    prior = torch.tensor([_TURN_STD] * 3 + [_SHIFT_STD] * 3, dtype=torch.float64).repeat(len(cameras) - 1, 1)
     bundle = _Bundle(rows, found.points[is_used], prior)
     change = bundle.adjusted(torch.zeros_like(prior))
     covariance = bundle.covariance(change) + _jackknife(bundle, change)
