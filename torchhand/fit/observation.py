@@ -7,7 +7,7 @@ returns; it then works in `solve` over many hypotheses, in the shape fit and in 
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, Self, TypeVar, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
@@ -18,6 +18,7 @@ from torchhand.fit.shared import SharedUnknowns
 from torchhand.hand import HandPose
 
 T = TypeVar("T")
+Own = TypeVar("Own", bound="OwnFactor")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -216,11 +217,11 @@ class OwnFactor:
         """False"""
         return False
 
-    def rows(self, rows: "Int[Tensor, 'n'] | slice") -> Self:
+    def rows(self: Own, rows: "Int[Tensor, 'n'] | slice") -> Own:
         """Itself."""
         return self
 
-    def associate(self, hands: PosedHands, stage: Stage) -> Self:
+    def associate(self: Own, hands: PosedHands, stage: Stage) -> Own:
         """Itself."""
         return self
 
