@@ -30,10 +30,10 @@ _OF_RIGS = ("hull_lm", "contour_full", "distance_full")
 class Arguments(OnDevice):
     """Measure what tells right fingers from wrong ones on simulated hands; write the models of `finger_quality`.
 
-    Trackers find simulated hands and follow them forwards and back: before one camera half of them with a detector's
-    points and a third without the network, before two to four cameras ("rig") with neither; and single pictures are
-    fitted. What is known of each finger then (edges, covariance, points, the network's view, how bent it is) is weighed
-    by a logistic model for the probability that its tip is within 20 mm of the truth, and that for the hand. The same
+    Trackers find simulated hands and follow them forwards and back: half of them with a detector's points, before one
+    camera a third without the network, and all before two to four cameras ("rig"); and single pictures are fitted. What
+    is known of each finger then (edges, covariance, points, the network's view, how bent it is) is weighed by a
+    logistic model for the probability that its tip is within 20 mm of the truth, and that for the hand. The same
     arguments give the same models; those of methods that are not measured stay in FILE.
 
     Example:

@@ -90,6 +90,21 @@ def test_all_cameras_see_the_hand_where_the_first_one_does(count: int) -> None:
     assert bool(((sights @ sights.mT).tril(-1) < math.cos(math.radians(10.0))).all())
 
 
+def test_a_detector_sees_the_hand_in_the_pictures_of_all_cameras() -> None:
+    own = sequence(torch.Generator().manual_seed(4), 2, has_detector=True, cameras=3)
+    alone = sequence(torch.Generator().manual_seed(4), 2, cameras=3)
+    assert torch.equal(own.frames[0].views[1].image, alone.frames[0].views[1].image)
+    for frame in own.frames:
+        for camera, view in zip(own.cameras, frame.views, strict=True):
+            assert view.keypoints is not None
+            assert view.keypoints.points is not None
+            off = (view.keypoints.points_px - camera.project(frame.keypoints)).norm(dim=-1)
+            assert float(off.max()) < 80  # an eighth of the picture's width
+            seen = camera.cam_from_world(frame.keypoints)
+            palm = (seen - seen[:1])[[5, 9, 13, 17]]
+            assert float((view.keypoints.points[[5, 9, 13, 17]] - palm).norm(dim=-1).max()) < 0.03
+
+
 @pytest.mark.slow
 def test_a_device_gives_the_samples_of_the_processor(device: torch.device) -> None:
     own, there = (next(iter(collect(settings_of("contour_full"), 1, 0, where, frames=5))) for where in (HOST, device))

@@ -66,12 +66,12 @@ def collect(
 def collect_rigs(
     settings: Sequence[TrackerSettings], count: int, seed: int, device: torch.device = HOST, *, frames: int = RIG_FRAMES
 ) -> Iterator[list[FingerSample]]:
-    """The same of hands before two, three and four cameras in turn, without a detector. settings: which take turns,
-    too."""
+    """The same of hands before two, three and four cameras in turn, whatever a network sees. settings: which take
+    turns, too."""
     hand = load_hand_model().to(device=device).hand(side="right", dtype=torch.float64)
     for index in range(count):
         generator = torch.Generator().manual_seed(seed_of(seed, "rig quality", index))
-        own = sequence(generator, frames, cameras=2 + index % 3)
+        own = sequence(generator, frames, has_detector=index % 2 == 1, cameras=2 + index % 3)
         tracker = Tracker(hand, own.cameras, settings[index // 3 % len(settings)])
         yield _samples(own, tracker, index)
 

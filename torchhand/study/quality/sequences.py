@@ -1,7 +1,7 @@
 """Simulated hands that close and open before cameras on all sides, and what a detector may see of them."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -76,7 +76,7 @@ def sequence(
 ) -> SimulatedSequence:
     """A right hand of a random person that goes from posture to posture and stays a while in each.
 
-    has_detector: whether a detector's points come with the first camera's pictures. cameras: how many.
+    has_detector: whether a detector's points come with the pictures. cameras: how many.
     """
     hand = load_hand_model().hand(side="right", dtype=torch.float64)
     kinematics = hand.kinematics
@@ -101,18 +101,18 @@ def sequence(
         middle = motion.poses[0, :3] + motion.root_reference @ lever
         rig = (camera, *(_beside(camera, middle, generator) for _ in range(cameras - 1)))
         rendered = list(render_rig(kinematics, motion, rig, look, generator, **person))
-    seen: list[HandKeypoints | None] = [None] * frames
+    seen = [(None,) * cameras] * frames
     if has_detector:
-        seen = list(_detections(kinematics, motion, camera, shape, generator))
+        seen = list(_detections(kinematics, motion, rig, shape, generator))
     drawn = torch.randn(21, 3, 1, generator=generator, dtype=torch.float64)
     return SimulatedSequence(
         cameras=rig,
         frames=tuple(
             SimulatedFrame(
-                views=(View(image=first.image, keypoints=points), *(View(image=one.image) for one in others)),
-                keypoints=_by_another_maker(first, drawn),
+                views=tuple(View(image=one.image, keypoints=own) for one, own in zip(views, points, strict=True)),
+                keypoints=_by_another_maker(views[0], drawn),
             )
-            for (first, *others), points in zip(rendered, seen, strict=True)
+            for views, points in zip(rendered, seen, strict=True)
         ),
     )
 
@@ -206,11 +206,12 @@ def _wobbled(joints: Float[Tensor, "30"], generator: torch.Generator) -> Float[T
 def _detections(
     kinematics: HandKinematics,
     motion: Motion,
-    camera: Camera,
+    cameras: Sequence[Camera],
     shape: Float[Tensor, "shape"],
     generator: torch.Generator,
-) -> Iterator[HandKeypoints]:
-    """What a detector sees: points in the picture, and points in space of a hand whose joints are bent otherwise."""
+) -> Iterator[tuple[HandKeypoints, ...]]:
+    """What a detector sees in every picture: points in it, and points in space of a hand whose joints are bent
+    otherwise; fingers that it sees wrongly are those in all of them."""
 
     def errors(*size: int) -> Tensor:
         """Standard normal, most of it the same in all frames."""
@@ -222,16 +223,22 @@ def _detections(
 
     factor = (_UNEVEN * torch.randn(5, generator=generator, dtype=torch.float64)).exp()
     of_points = torch.cat((factor.new_ones(1), factor.repeat_interleave(4)))
-    bent = _ANGLE_STD * errors(len(JOINT_DOFS)) * factor.repeat_interleave(len(JOINT_DOFS) // 5)
-    shifted = _POINT_STD_M * errors(21, 2) * of_points[:, None]
-    focal = float(camera.intrinsics[0, 0])
-    for pose, angles, shift in zip(motion.poses, bent, shifted, strict=True):
+    of_joints = factor.repeat_interleave(len(JOINT_DOFS) // 5)
+    drawn = [
+        (_ANGLE_STD * errors(len(JOINT_DOFS)) * of_joints, _POINT_STD_M * errors(21, 2) * of_points[:, None])
+        for _ in cameras
+    ]
+    for frame, pose in enumerate(motion.poses):
         true = kinematics(pose, shape, root_reference=motion.root_reference).keypoints
-        joints = kinematics.skeleton.within_limits(pose[_ROOT:] + angles)
-        other = torch.cat((pose[:_ROOT], joints))
-        space = kinematics(other, shape, root_reference=motion.root_reference).keypoints
-        points_px = camera.project(true) + focal / float(pose[2]) * shift
-        yield HandKeypoints(points_px=points_px, points=space - space[:1])
+        found = []
+        for camera, (bent, shifted) in zip(cameras, drawn, strict=True):
+            joints = kinematics.skeleton.within_limits(pose[_ROOT:] + bent[frame])
+            other = torch.cat((pose[:_ROOT], joints))
+            space = camera.cam_from_world(kinematics(other, shape, root_reference=motion.root_reference).keypoints)
+            depth, focal = camera.cam_from_world(pose[:3])[2], camera.intrinsics[0, 0]
+            points_px = camera.project(true) + focal / depth * shifted[frame]
+            found.append(HandKeypoints(points_px=points_px, points=space - space[:1]))
+        yield tuple(found)
 
 
 def _choice(count: int, generator: torch.Generator) -> int:
