@@ -52,7 +52,9 @@ def test_points_in_space(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     np.save(source, holes)
     assert _run(source, "--out", tmp_path / "out", "--no-fit-shape") == 0
     said = capsys.readouterr().out
-    assert "3 of 4 frames fitted, 1 too few points; left hand, the better fit (0.00 mm, else" in said
+    assert (
+        "3 of 4 frames fitted, 1 too few points; left hand, the better fit (0.00 mm in root mean square, else" in said
+    )
     with np.load(tmp_path / "out" / "keypoints_fit.npz") as result:
         assert result["status"].tolist() == ["fitted", "fitted", "fitted", "too few points"]
         assert result["frame"].tolist() == [0, 1, 2, 3]

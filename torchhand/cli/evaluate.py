@@ -28,7 +28,15 @@ from torchhand.evaluate import (
 )
 from torchhand.files import Detections, Track, load_track, read_detections
 from torchhand.files.disk import write_text
-from torchhand.files.results import FIT_NAME, HAND_NAME, JSONL_NAME, NPZ_NAME
+from torchhand.files.results import (
+    EVALUATION_NAME,
+    FIT_NAME,
+    HAND_NAME,
+    JSONL_NAME,
+    NPZ_NAME,
+    RANGE_NAME,
+    STABILITY_NAME,
+)
 
 TABLE = (
     ("position_mm", "frame", "joint position (camera or world frame)", "mm"),
@@ -77,14 +85,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.truth is None:
         ranges = range_of_motion(track)
         print(range_table(ranges))
-        name = "range_of_motion.json"
+        name = RANGE_NAME
         figures: dict[str, Any] = {"range_of_motion_deg": {name: asdict(one) for name, one in ranges.items()}}
     elif _is_result(arguments.truth):
-        name, found = "stability.json", stability(track, load_track(arguments.truth))
+        name, found = STABILITY_NAME, stability(track, load_track(arguments.truth))
         print(stability_table(found))
         figures = {"stability": asdict(found)}
     else:
-        name, truth = "evaluation.json", load_truth(arguments.truth)
+        name, truth = EVALUATION_NAME, load_truth(arguments.truth)
         with threads(1):
             masks = _silhouettes(arguments.directory, track, truth)
             figures = evaluate(track, truth, masks, _detections(arguments.keypoints, track))

@@ -311,12 +311,9 @@ def _fitted(
     if len(sides) == 1:
         return sides[0], fits[0], ""
     errors = [float(fit.residual.square().nanmean()) if bool(fit.is_fitted.any()) else np.inf for fit in fits]
-    best, is_seen = int(np.argmin(errors)), bool(cameras)
-    return (
-        sides[best],
-        fits[best],
-        f", the better fit ({_mean(fits[best], is_seen)}, else {_mean(fits[1 - best], is_seen)})",
-    )
+    best = int(np.argmin(errors))
+    here, other = (_distance(np.sqrt(errors[which]), bool(cameras)) for which in (best, 1 - best))
+    return sides[best], fits[best], f", the better fit ({here} in root mean square, else {other})"
 
 
 def _settings(arguments: Arguments, detections: Sequence[Detections]) -> KeypointFitSettings:
@@ -331,8 +328,11 @@ def _settings(arguments: Arguments, detections: Sequence[Detections]) -> Keypoin
 
 
 def _mean(fit: KeypointFit, is_seen: bool) -> str:
-    mean = float(fit.residual.nanmean())
-    return f"{mean:.2f} px" if is_seen else f"{1000 * mean:.2f} mm"
+    return _distance(float(fit.residual.nanmean()), is_seen)
+
+
+def _distance(value: float, is_seen: bool) -> str:
+    return f"{value:.2f} px" if is_seen else f"{1000 * value:.2f} mm"
 
 
 def _summary(fit: KeypointFit, side: Side, note: str, *, is_seen: bool) -> str:

@@ -218,7 +218,13 @@ def _track_side_by_side(
 
 
 def _settings(arguments: Arguments) -> TrackerSettings:
-    return settings_of(arguments.config, arguments.changes, arguments.posture)
+    settings = settings_of(arguments.config, arguments.changes, arguments.posture)
+    if settings.method == "hull":
+        raise InputError(
+            f"--config: expected one for a single camera, got {arguments.config or 'one'} with method hull, which"
+            " needs several (torchhand track_multiview)"
+        )
+    return settings
 
 
 def _request(arguments: Arguments) -> Request:

@@ -93,7 +93,7 @@ class Arguments(OnDevice):
     report: bool = True
     """Write report.html: one page with the video, the hand in 3D, every angle over time and tables."""
     changes: Annotated[UseAppendAction[tuple[str, ...]], arg(name="set", metavar="KEY=VALUE")] = ()
-    """Change a single setting, such as octree.level=8; may be repeated. config.yaml of a result lists them all."""
+    """Change a single setting, such as rig.octree.level=8; may be repeated. config.yaml of a result lists them all."""
     threads: int = 1
     """Threads of torch; its tensors are small, and more than one is slower."""
     max_megapixels: float = MAX_MEGAPIXELS

@@ -126,7 +126,14 @@ def _changed(settings: Any, differences: Any, source: str, prefix: str) -> Any:
     try:
         return dataclasses.replace(settings, **changes)
     except ValueError as error:
-        raise InputError(f"{source}: {prefix}{error}") from error
+        raise InputError(f"{source}: {prefix}{_of_own_field(str(error), allowed)}") from error
+
+
+def _of_own_field(text: str, fields: list[str]) -> str:
+    """What a record says of one of its fields, which may begin with the record's own name, without that."""
+    name, colon, rest = text.partition(":")
+    last = name.rpartition(".")[2]
+    return f"{last}{colon}{rest}" if last in fields else text
 
 
 def _converted(where: str, value: Any, hint: Any) -> Any:

@@ -42,9 +42,9 @@ class DetectedTracks:
             self._has_found |= hand is not None
         return found
 
-    def sees_other_hands(self) -> list[bool]:
-        """Whether a detector has seen pictures with hands of the other side alone."""
-        return [detector.other_hands > 0 for detector in self._detectors]
+    def tells_absence(self, frame: RecordedFrame) -> list[bool]:
+        """Of every view, whether its detector has seen no pictures with hands of the other side alone."""
+        return [detector.other_hands == 0 for detector in self._detectors]
 
     def rewind(self) -> None:
         """From now on what was found is told again. Raises ValueError where nothing was kept."""

@@ -27,8 +27,9 @@ class KeypointSource(Protocol):
         """The hand of every view. followed_px: keypoints of the hand as last tracked; None before there is one."""
         ...
 
-    def sees_other_hands(self) -> Sequence[bool]:
-        """Of every view, whether hands of the other side were seen, which may be this one under the wrong name."""
+    def tells_absence(self, frame: RecordedFrame) -> Sequence[bool]:
+        """Of every view, whether the hand is not in it where it is not among those given: not where hands of the other
+        side were seen, which may be this one under the wrong name, nor where nothing was looked for."""
         ...
 
     def rewind(self) -> None:
@@ -45,10 +46,8 @@ def with_keypoints(
         return frame
     hands = source.hands(frame, followed_px)
     views = [
-        view
-        if view.is_empty
-        else replace(view, keypoints=seen, is_detector_silent=seen is None and not sees_other_hands)
-        for view, seen, sees_other_hands in zip(frame.views, hands, source.sees_other_hands(), strict=True)
+        view if view.is_empty else replace(view, keypoints=seen, is_detector_silent=seen is None and tells)
+        for view, seen, tells in zip(frame.views, hands, source.tells_absence(frame), strict=True)
     ]
     return replace(frame, views=tuple(views))
 
@@ -60,14 +59,20 @@ class KeypointTracks:
     both; points in space alone cannot be used, as they do not tell where the hand is.
     """
 
-    def __init__(self, paths: Sequence[Path], cameras: Sequence[Camera], *, side: Side = "right") -> None:
-        """side: of the hand that is tracked; those of the other side are left out.
+    def __init__(
+        self, paths: Sequence[Path], cameras: Sequence[Camera], *, side: Side = "right", start: int = 0
+    ) -> None:
+        """side: of the hand that is tracked; those of the other side are left out. start: first frame that is wanted.
 
-        Raises InputError for files that cannot be read, that hold no points in the picture, or are not one a camera.
+        Raises InputError for files that cannot be read, that hold no points in the picture, or none of these frames,
+        or are not one a camera.
         """
         if len(paths) != len(cameras):
             raise InputError(f"--keypoints: expected one file per camera, {len(cameras)}, got {len(paths)}")
         self._views = [_View(path, camera, side) for path, camera in zip(paths, cameras, strict=True)]
+        for path, view in zip(paths, self._views, strict=True):
+            if view.last < start:
+                raise InputError(f"{path}: expected keypoints of frame {start} or later, got those of 0 to {view.last}")
 
     def hands(
         self, frame: RecordedFrame, followed_px: Float[Tensor, "views 21 2"] | None
@@ -75,9 +80,9 @@ class KeypointTracks:
         """What was found in a frame, view by view; None where nothing was."""
         return [view.hand(frame.number(place)) for place, view in enumerate(self._views)]
 
-    def sees_other_hands(self) -> list[bool]:
-        """Whether a camera's file holds hands of the other side."""
-        return [view.has_other_hands for view in self._views]
+    def tells_absence(self, frame: RecordedFrame) -> list[bool]:
+        """Of every view, whether its file knows of the frame, and holds no hands of the other side."""
+        return [view.tells_absence(frame.number(place)) for place, view in enumerate(self._views)]
 
     def rewind(self) -> None:
         """Files can be read in any order."""
@@ -91,7 +96,11 @@ class _View:
         if self._found.picture is None:
             raise InputError(f"{path}: expected points in the picture, got points in space alone")
         self._pixels = self._found.in_pixels(camera.width, camera.height)
-        self.has_other_hands = any(label not in (side, None) for label in self._found.label)
+        self._has_other_hands = any(label not in (side, None) for label in self._found.label)
+        self.last = int(self._found.frame.max()) if len(self._found) else -1
+
+    def tells_absence(self, number: int | None) -> bool:
+        return number is not None and number <= self.last and not self._has_other_hands
 
     def hand(self, number: int | None) -> HandKeypoints | None:
         if number is None:

@@ -115,7 +115,9 @@ class Request:
 
     def keypoint_tracks(self, cameras: Sequence[Camera]) -> KeypointTracks | None:
         """What the files of keypoints hold of the hand; None where none are used."""
-        return KeypointTracks(self.keypoints, cameras, side=self.known_side) if self.keypoints else None
+        if not self.keypoints:
+            return None
+        return KeypointTracks(self.keypoints, cameras, side=self.known_side, start=self.start)
 
     def detectors(self, cameras: Sequence[Camera]) -> list[HandDetector]:
         """A detector per camera; none where none runs along. Raises InputError where it cannot be had."""

@@ -211,6 +211,7 @@ def _track_views(recording: RigRecording | LiveRecording, out_dir: Path, request
     for line in recording.notes:
         say(line)
     start = _RigStart(recording, request, files)
+    start.check()
     with _writer(out_dir, recording, request, detectors) as writer:
         if writer.is_finished:
             _say_finished(writer, say)
@@ -294,6 +295,15 @@ class _RigStart:
         self._times_s: dict[int, float] = {}  # of the frames in which the hand was looked for
         method, has_masks = self.settings.silhouette.method, recording.has_masks
         self.plates = rig_plates(recording.cameras, request.background, method, has_masks=has_masks)
+
+    def check(self) -> None:
+        """Raise InputError for cameras that cannot see a hand together."""
+        if self.request.unit == "hand":
+            return
+        try:
+            self.tracker(1.0)
+        except ValueError as error:
+            raise InputError(f"{error}; --unit tells what their places are measured in") from error
 
     def tracker(self, metres: float) -> Tracker:
         """metres: of one unit of the cameras' translations."""

@@ -13,6 +13,7 @@ import tyro
 from tyro.conf import FlagCreatePairsOff, arg
 
 from torchhand.cli.command.guard import DONE, WRONG_INPUT
+from torchhand.cli.command.inputs import check_inputs_stay
 from torchhand.cli.command.verbosity import tell
 from torchhand.errors import InputError
 
@@ -75,8 +76,8 @@ def parse(
     arguments; the command then has --print-config, which ends it with SystemExit, the settings printed.
 
     Raises:
-        InputError: a word is empty or no UTF-8, the command line does not fit the record, or the record's own range
-            check (ValueError) refuses it.
+        InputError: a word is empty or no UTF-8, the command line does not fit the record, the record's own range
+            check (ValueError) refuses it, or what is to be replaced is to be read.
     """
     # What loads torch is left to what needs it: help does not.
     from torchhand.files.disk import check_name
@@ -86,6 +87,7 @@ def parse(
             raise InputError("expected a value, got an empty argument")  # as a path it would mean the current folder
         check_name(word)
     given, common = _read(kind, argv, name, has_settings=settings is not None)
+    check_inputs_stay(given)
     if settings is not None and common.print_config:
         from torchhand.files import settings_text
 

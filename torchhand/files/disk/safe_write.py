@@ -42,8 +42,10 @@ def temporary_path(path: Path) -> Path:
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary path to write to, moved onto `path` when the block ends well and removed when it does not.
 
-    Raises InputError where the disk refuses.
+    Raises InputError where the disk refuses, and for what is no file, such as a device.
     """
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise InputError(f"{path}: expected a file to replace, got a device, a pipe or a socket")
     temporary = temporary_path(path)
     with explained_errors(path):
         try:

@@ -13,8 +13,8 @@ from jaxtyping import Float
 from torchhand.errors import InputError
 from torchhand.files.disk import LineFile, explained_errors, read_lines, replacing
 from torchhand.files.results.replacement import remove_entry, replace_result
-from torchhand.files.results.results import UNFINISHED_NAME, check_header, check_output_folder
-from torchhand.files.results.track_file import HEADER_NAME, POSES_NAME, write_header
+from torchhand.files.results.results import TRACK_NAMES, UNFINISHED_NAME, check_header, check_output_folder
+from torchhand.files.results.track_file import FIT_NAME, HEADER_NAME, POSES_NAME, write_header
 from torchhand.files.results.track_record import OF_PICTURES, FrameRecord, TrackHeader, track_of
 
 POSES_LINES_NAME = "poses.jsonl"
@@ -25,6 +25,8 @@ _RESULT_NAMES = (
     POSES_LINES_NAME,
     POSES_NAME,
 )  # in the order in which they are moved into place
+RESULT_NAMES = frozenset((*TRACK_NAMES, *_RESULT_NAMES, FIT_NAME))
+"""Names of the files of all results."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +80,8 @@ class PosesWriter:
         """Where the files of this run are until it has ended well."""
         self.done: frozenset[str] = frozenset()
         """Names of the pictures whose results stand in the file."""
+        if overwrite and (out_dir / OVERLAYS_NAME).exists() and not (out_dir / POSES_LINES_NAME).is_file():
+            raise InputError(f"{out_dir}: expected results of fit_pose to replace, got other {OVERLAYS_NAME}")
         with explained_errors(self.folder):
             if self.folder == unfinished and not resume:
                 for name in _RESULT_NAMES:

@@ -41,8 +41,11 @@ FORWARD_NAME = "forward.jsonl"
 BACKWARD_NAME = "backward.jsonl"
 """The lines of a backward pass that is under way."""
 
+EVALUATION_NAME, STABILITY_NAME, RANGE_NAME = "evaluation.json", "stability.json", "range_of_motion.json"
+
 # In the order in which they are moved into place: the result itself last.
-_RESULT_NAMES = (
+TRACK_NAMES = (
+    *(EVALUATION_NAME, STABILITY_NAME, RANGE_NAME),
     *(HAND_NAME, CONFIG_NAME, OVERLAY_NAME, REPORT_NAME, COMPARISON_NAME),
     *(CHECKPOINT_NAME, DETECTIONS_NAME, FORWARD_NAME, BACKWARD_NAME),
     *(HEADER_NAME, JSONL_NAME, NPZ_NAME),
@@ -220,7 +223,7 @@ class TrackWriter:
         if self.folder == self.out_dir or not (self._frames or self.is_finished):
             return
         kept = [name for name in _result_names(self.folder) if (self.folder / name).exists()]
-        replace_result(self.out_dir, self.folder, kept, [name for name in _RESULT_NAMES if name not in kept])
+        replace_result(self.out_dir, self.folder, kept, [name for name in TRACK_NAMES if name not in kept])
 
     def _choose_folder(self, resume: bool) -> Path:
         unfinished = self.out_dir / UNFINISHED_NAME
@@ -303,7 +306,7 @@ class TrackWriter:
 def _result_names(*folders: Path) -> list[str]:
     """Names of the files that a run may leave in some folders."""
     entries = {entry.name for folder in folders if folder.is_dir() for entry in folder.iterdir()}
-    return [*sorted(name for name in entries if _DETECTED_ARRAYS.fullmatch(name)), *_RESULT_NAMES]
+    return [*sorted(name for name in entries if _DETECTED_ARRAYS.fullmatch(name)), *TRACK_NAMES]
 
 
 def check_header(path: Path, header: Mapping[str, Any]) -> None:
