@@ -289,3 +289,44 @@ def test_commands_with_settings_have_print_config() -> None:
     asked = {name for name in command_descriptions() if has_settings(f"torchhand.cli.{name}")}
     assert {"track", "track_multiview", "study"} <= asked
     assert "report" not in asked
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Replacing:
+    """Write results."""
+
+    given: Positional[tuple[str, ...]]
+    hand: Path | None = None
+    out: Path
+    overwrite: bool = False
+
+
+@pytest.mark.parametrize(
+    ("words", "is_refused"),
+    [
+        (("out/overlay.mp4", "--out", "out"), True),
+        (("clip.mp4", "--hand", "out/hand.json", "--out", "out"), True),
+        (("clip.mp4", "out/overlays/one.png", "--out", "out"), True),
+        (("out/clip.mp4", "--out", "out"), False),
+        (("clip.mp4", "--hand", "out/hand.json", "--out", "other"), False),
+        (("clip.mp4", "--out", "clip.mp4"), True),
+        (("clip.mp4", "--out", "hand.json"), False),
+        (("out", "--out", "out/hand.json"), True),
+        (("out", "--out", "out/report.html"), False),
+    ],
+)
+def test_what_is_read_is_not_replaced(
+    words: tuple[str, ...], is_refused: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out" / "overlays").mkdir(parents=True)
+    (tmp_path / "other").mkdir()
+    for name in ("clip.mp4", "hand.json", *(f"out/{own}" for own in ("overlay.mp4", "hand.json", "clip.mp4"))):
+        (tmp_path / name).write_text("")
+    (tmp_path / "out" / "overlays" / "one.png").write_text("")
+    parse(_Replacing, words, name="thing")  # without --overwrite the commands refuse by themselves
+    if not is_refused:
+        parse(_Replacing, (*words, "--overwrite"), name="thing")
+        return
+    with pytest.raises(InputError, match=r"--out: expected a .* input, got"):
+        parse(_Replacing, (*words, "--overwrite"), name="thing")

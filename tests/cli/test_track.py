@@ -996,3 +996,12 @@ def test_a_run_that_ended_before_the_hand_was_open_goes_on_with_its_own(
     assert outcome.code == 0
     assert before.all()
     assert load_track(tmp_path / "out" / "forward.jsonl").has_hand.all()
+
+
+@pytest.mark.parametrize("words", [("--config", "hull_lm"), ("--set", "method=hull")])
+def test_a_hull_needs_several_cameras(
+    words: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["clip.mp4", "--out", str(tmp_path / "out"), *words]) == 2
+    assert "error: --config: expected one for a single camera, got" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

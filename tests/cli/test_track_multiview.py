@@ -464,3 +464,12 @@ def test_what_live_cameras_cannot_do(
 ) -> None:
     assert run(recording, tmp_path / "out", *options) == 2
     assert words in line_of(capsys)
+
+
+def test_cameras_that_see_nothing_together_are_told_before_anything_is_written(
+    copied: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(copied, tmp_path / "out", "--unit", "mm") == 2
+    assert "no volume is seen by all of" in (line := line_of(capsys))
+    assert "--unit" in line
+    assert not (tmp_path / "out").exists()

@@ -10,6 +10,7 @@ import yaml
 from torchhand import __version__
 from torchhand.errors import InputError
 from torchhand.files.settings import load_settings, save_settings
+from torchhand.track import DEFAULTS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,6 +136,8 @@ def test_mistakes_on_the_command_line():
         load_settings(Options(), None, {"filter.noise_px": 0})
     with pytest.raises(InputError, match=r"command line: unknown key filter.x"):
         load_settings(Options(), None, {"filter.x": 0})
+    with pytest.raises(InputError, match=r"command line: health.min_overlap: expected 0 to 1, got 3.0"):
+        load_settings(DEFAULTS["contour"], None, {"health.min_overlap": 3.0})  # which names itself "health.min_overlap"
 
 
 def test_files_that_cannot_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

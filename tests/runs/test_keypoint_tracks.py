@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from torchhand.errors import InputError
 from torchhand.files import save_cameras, write_video
 from torchhand.geometry import assumed_camera
 from torchhand.runs.keypoint_tracks import KeypointTracks, with_keypoints
@@ -60,3 +61,17 @@ def test_a_file_without_a_hand_in_a_frame_is_silent_unless_it_knows_other_hands(
         told.append(with_keypoints(frame, keypoints, None).views[0].is_detector_silent)
     assert told == [False, is_silent, False]
     assert not with_keypoints(frame, None, None).views[0].is_detector_silent
+
+
+def test_frames_that_a_file_does_not_know_are_not_called_empty(tmp_path: Path) -> None:
+    points = np.ones((3, 21, 2))
+    points[1:] = np.nan
+    np.savez(tmp_path / "points.npz", points_px=points, label=np.array(["Left", "", ""]), score=np.ones(3))
+    paths, cameras = [tmp_path / "points.npz"], [assumed_camera(WIDTH, HEIGHT)]
+    keypoints, view = KeypointTracks(paths, cameras), View(image=torch.zeros(HEIGHT, WIDTH, 3, dtype=torch.uint8))
+    frames = [RecordedFrame(index=i, time_s=i / 30, views=(view,), problems=(None,)) for i in range(5)]
+    told = [with_keypoints(frame, keypoints, None).views[0].is_detector_silent for frame in frames]
+    assert told == [False, True, True, False, False]
+    KeypointTracks(paths, cameras, start=2)
+    with pytest.raises(InputError, match=r"points.npz: expected keypoints of frame 3 or later, got those of 0 to 2"):
+        KeypointTracks(paths, cameras, start=3)

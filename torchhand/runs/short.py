@@ -8,13 +8,13 @@ from typing import Literal
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.detect import HandDetector
 from torchhand.errors import InputError
-from torchhand.files import load_hand_model, read_picture
-from torchhand.files.pictures import is_stream
+from torchhand.files import load_hand_model
+from torchhand.files.pictures import is_stream, named_picture
 from torchhand.fit.open_hand import OpenHand, fit_open_hand, hand_in_picture
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import Side
@@ -92,7 +92,7 @@ def fit_hand(
 
     Raises InputError where the picture shows no open hand, or not all five fingers, and for what is no picture.
     """
-    name, image = _named_picture(picture)
+    name, image = named_picture(picture)
     seen = hand_in_picture(image)
     found = seen.silhouette
     if not bool(found.mask.any()):
@@ -105,16 +105,3 @@ def fit_hand(
     if isinstance(hand, NoRegions):
         raise InputError(f"{name}: {hand.reason}")
     return replace(hand, part=seen.part)
-
-
-def _named_picture(picture: str | Path | Tensor | np.ndarray) -> tuple[str, UInt8[Tensor, "height width 3"]]:
-    """A picture, and what to call it in a complaint."""
-    if isinstance(picture, str | Path):
-        return str(picture), read_picture(Path(picture))
-    if isinstance(picture, np.ndarray) and picture.dtype == np.uint8:
-        picture = torch.from_numpy(picture.copy())  # row by row and writable, as torch wants it
-    if isinstance(picture, Tensor) and picture.dtype == torch.uint8 and picture.shape[2:] == (3,) and picture.numel():
-        return "picture", picture
-    is_array = isinstance(picture, Tensor | np.ndarray)
-    got = f"{picture.dtype} {tuple(picture.shape)}" if is_array else type(picture).__name__
-    raise InputError(f"picture: expected RGB, uint8 (height, width, 3), got {got}")

@@ -478,6 +478,8 @@ class Tracker:
         if len(views) != len(self.cameras):
             raise ValueError(f"views: expected one per camera, {len(self.cameras)}, got {len(views)}")
         for index, (view, camera) in enumerate(zip(views, self.cameras, strict=True)):
+            if view.image is not None and not _is_rgb(view.image):
+                raise ValueError(f"views[{index}].image: expected a tensor of RGB, uint8 (height, width, 3)")
             for name, picture in (("image", view.image), ("mask", view.mask)):
                 if picture is not None and picture.shape[:2] != (camera.height, camera.width):
                     got = f"{picture.shape[1]}×{picture.shape[0]} px"
@@ -836,6 +838,10 @@ class Tracker:
     def pose_of(self, state: TrackerState) -> HandPose | None:
         """Where a state's hand is believed to be; None while there is none."""
         return None if state.hand is None else self.parts.motion.pose(state.hand)
+
+
+def _is_rgb(image: object) -> bool:
+    return isinstance(image, Tensor) and image.dtype == torch.uint8 and image.ndim == 3 and image.shape[2] == 3
 
 
 def _is_silent(scene: Scene) -> bool:

@@ -1,11 +1,12 @@
 """Where shipped models and configurations are found."""
 
+import os
 from pathlib import Path
 
 import pytest
 
 from torchhand.errors import InputError
-from torchhand.files.disk import locations
+from torchhand.files.disk import locations, write_text
 from torchhand.files.disk.locations import configs_dir, find_config, models_dir
 
 
@@ -35,3 +36,10 @@ def test_shipped_folders_are_found_in_the_package_before_the_checkout(tmp_path: 
     assert (models_dir(), configs_dir()) == (tmp_path / "models", tmp_path / "configs")
     (package / "models").mkdir()
     assert (models_dir(), configs_dir()) == (package / "models", tmp_path / "configs")
+
+
+def test_a_pipe_is_not_replaced(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="pipe: expected a file to replace"):
+        write_text(tmp_path / "pipe", "text")
+    assert (tmp_path / "pipe").is_fifo()

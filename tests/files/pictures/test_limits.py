@@ -215,3 +215,13 @@ def test_the_identity_of_a_file_beside_the_input(tmp_path: Path):
     assert file_identity(folder) != before[1]
     with pytest.raises(InputError, match=r"cannot be read .No such file"):
         file_identity(tmp_path / "missing.npz")
+
+
+def test_a_picture_of_a_few_pixels_is_none(tmp_path: Path):
+    for side, is_read in ((1, False), (7, False), (8, True)):
+        cv2.imwrite(str(tmp_path / "small.png"), np.full((side, 8, 3), 90, np.uint8))
+        if is_read:
+            assert read_picture(tmp_path / "small.png").shape == (8, 8, 3)
+            continue
+        with pytest.raises(InputError, match=f"small.png: expected a picture of 8x8 px or more, got 8x{side}$"):
+            read_picture(tmp_path / "small.png")

@@ -94,3 +94,11 @@ def test_what_lies_in_folders_of_an_overlay_folder_is_never_removed(tmp_path: Pa
     with pytest.raises(InputError, match=r"overlays/mine: cannot be removed .is a folder"):
         _write(tmp_path, "new", overwrite=True)
     assert (tmp_path / "overlays" / "mine" / "notes.txt").exists()
+
+
+def test_overlays_of_something_else_are_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "overlays").mkdir()
+    (tmp_path / "overlays" / "mine.png").write_text("mine")
+    with pytest.raises(InputError, match="expected results of fit_pose to replace"):
+        _write(tmp_path, "new", overwrite=True)
+    assert _names(tmp_path) == {"overlays/mine.png"}

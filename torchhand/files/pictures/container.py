@@ -55,7 +55,7 @@ def open_container(place: Path | str) -> tuple["InputContainer", "VideoStream"]:
     context = stream.codec_context
     if problem := _size_problem(place, context.width, context.height):
         container.close()
-        raise InputError(f"{what}: {problem} (--max-megapixels)")
+        raise InputError(f"{what}: {problem}")
     context.options = {"max_pixels": str(largest_size())}
     context.thread_count = 1  # an error is then that of the packet that is being decoded; the callers have own threads
     return container, stream

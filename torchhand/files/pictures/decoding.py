@@ -32,7 +32,7 @@ def read_raw(path: Path) -> tuple[np.ndarray | None, str]:
     if size is None:
         return None, "is no picture that can be decoded (corrupt or of an unknown format)"
     if problem := size_problem(*size):
-        return None, f"{problem} (--max-megapixels)"
+        return None, problem
     is_jpeg = data.startswith(b"\xff\xd8")
     checked = CheckedPicture(whole=data)
     if is_jpeg:

@@ -9,6 +9,8 @@ from torchhand.errors import InputError
 
 MAX_MEGAPIXELS = 64.0
 """Default: photographs of telephones have 12 to 50. Two hundred bytes may claim to be a picture of gigabytes."""
+SMALLEST_SIDE = 8
+"""Pixels along either side of the smallest picture that is read: less shows nothing."""
 _limit = ContextVar("max_megapixels", default=MAX_MEGAPIXELS)
 
 
@@ -29,12 +31,12 @@ def pixel_limit(megapixels: float) -> Iterator[None]:
 
 def size_problem(width: int, height: int) -> str:
     """Why a picture of this size is not read; empty where it is."""
-    if width < 1 or height < 1:
-        return f"expected a picture of 1x1 px or more, got {width}x{height}"
+    if width < SMALLEST_SIDE or height < SMALLEST_SIDE:
+        return f"expected a picture of {SMALLEST_SIDE}x{SMALLEST_SIDE} px or more, got {width}x{height}"
     most = _limit.get()
     if width * height <= most * 1e6:
         return ""
-    return f"expected at most {most:g} megapixels, got {width}x{height} px"
+    return f"expected at most {most:g} megapixels, got {width}x{height} px (--max-megapixels)"
 
 
 def largest_size() -> int:

@@ -13,6 +13,7 @@ from torch import Tensor
 from torchhand.errors import InputError
 from torchhand.files.pictures.decoding import read_raw
 from torchhand.files.pictures.frame_source import ASSUMED_FPS, Frame, FrameRange, FrameSource, check_size
+from torchhand.files.pictures.limits import size_problem
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm")
 
@@ -32,6 +33,23 @@ def read_picture(path: Path) -> UInt8[Tensor, "height width 3"]:
     if raw is None:
         raise InputError(f"{path}: {problem}")
     return rgb8(raw, full_scale(raw))
+
+
+def named_picture(picture: str | Path | Tensor | np.ndarray) -> tuple[str, UInt8[Tensor, "height width 3"]]:
+    """A picture, from a file or RGB as uint8 (height, width, 3), and what to call it in a complaint. Raises InputError
+    for what is none."""
+    if isinstance(picture, str | Path):
+        return str(picture), read_picture(Path(picture))
+    if isinstance(picture, np.ndarray) and picture.dtype == np.uint8:
+        picture = torch.from_numpy(picture.copy())  # row by row and writable, as torch wants it
+    is_tensor = isinstance(picture, Tensor)
+    if not is_tensor or picture.dtype != torch.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
+        is_array = isinstance(picture, Tensor | np.ndarray)
+        got = f"{picture.dtype} {tuple(picture.shape)}" if is_array else type(picture).__name__
+        raise InputError(f"picture: expected RGB, uint8 (height, width, 3), got {got}")
+    if problem := size_problem(picture.shape[1], picture.shape[0]):
+        raise InputError(f"picture: {problem}")
+    return "picture", picture
 
 
 class PictureSource(FrameSource):

@@ -87,7 +87,7 @@ class VideoSource(FrameSource):
             raise InputError(f"{self._what}: {reason}")
         if problem := size_problem(first.width, first.height):
             self.close()
-            raise InputError(f"{self._what}: {problem} (--max-megapixels)")
+            raise InputError(f"{self._what}: {problem}")
         is_turned = _quarter_turns(first) % 2 == 1
         self.width, self.height = (first.height, first.width) if is_turned else (first.width, first.height)
 

@@ -2,10 +2,11 @@
 
 from pathlib import Path
 
-from jaxtyping import Float, UInt8
+import numpy as np
+from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.files import read_picture
+from torchhand.files.pictures import named_picture
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import Side
 from torchhand.runs.pictures.bounded import BoundedView
@@ -15,7 +16,7 @@ from torchhand.track.single import SinglePose, SinglePoseSettings
 
 
 def fit_pose(
-    picture: str | Path | UInt8[Tensor, "height width 3"],
+    picture: str | Path | Tensor | np.ndarray,
     *,
     side: Side = "right",
     camera: Camera | None = None,
@@ -23,14 +24,15 @@ def fit_pose(
     keypoints: HandKeypoints | None = None,
     settings: SinglePoseSettings | None = None,
 ) -> SinglePose:
-    """The hand in one picture (a file, or RGB), in any posture; `estimate.status` is `no_hand` where it is refused.
+    """The hand in one picture (a file, or RGB as uint8), in any posture; `estimate.status` is `no_hand` where there is
+    none.
 
     camera: in whose frame the pose is; a field of view is assumed where none is given. shape: proportions where they
     are known; else those that the outline shows, in the size of the average hand. keypoints: those of a detector.
 
-    Raises InputError where the picture cannot be read.
+    Raises InputError where the picture cannot be read, and for what is none.
     """
-    image = picture if isinstance(picture, Tensor) else read_picture(Path(picture))
+    _, image = named_picture(picture)
     camera = camera or assumed_camera(image.shape[1], image.shape[0])
     fitter = single_pose_fitter(side, settings or SinglePoseSettings())
     return BoundedView.of(View(image=image, keypoints=keypoints), camera).fitted(fitter, shape)
