@@ -14,6 +14,7 @@ from tests.studio import Studio
 from torchhand.errors import InputError
 from torchhand.files import open_source, write_video
 from torchhand.geometry import assumed_camera
+from torchhand.runs.pictures import fit_pose
 from torchhand.runs.request import settings_of
 from torchhand.runs.short import fit_hand, track
 from torchhand.track import Tracker
@@ -62,8 +63,9 @@ def test_a_picture_may_be_an_array_and_must_be_rgb() -> None:
         with pytest.raises(InputError, match="picture: no hand"):
             fit_hand(picture)
     for wrong in (grey[..., 0], grey[..., :2], grey[:0], grey / 255, torch.from_numpy(grey).float()):
-        with pytest.raises(InputError, match=r"picture: expected RGB, uint8 \(height, width, 3\), got"):
-            fit_hand(wrong)
+        for fit in (fit_hand, fit_pose):
+            with pytest.raises(InputError, match=r"picture: expected RGB, uint8 \(height, width, 3\), got"):
+                fit(wrong)
 
 
 def test_what_is_no_array_is_no_picture() -> None:

@@ -43,7 +43,7 @@ def named_picture(picture: str | Path | Tensor | np.ndarray) -> tuple[str, UInt8
     if isinstance(picture, np.ndarray) and picture.dtype == np.uint8:
         picture = torch.from_numpy(picture.copy())  # row by row and writable, as torch wants it
     is_tensor = isinstance(picture, Tensor)
-    if not is_tensor or picture.dtype != torch.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
+    if not is_tensor or picture.dtype != torch.uint8 or picture.shape[2:] != (3,) or not picture.numel():
         is_array = isinstance(picture, Tensor | np.ndarray)
         got = f"{picture.dtype} {tuple(picture.shape)}" if is_array else type(picture).__name__
         raise InputError(f"picture: expected RGB, uint8 (height, width, 3), got {got}")
