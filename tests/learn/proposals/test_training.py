@@ -1,6 +1,7 @@
 """Training of proposals: the loss's laws, and that it learns."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
@@ -107,16 +108,24 @@ def test_settings_out_of_range_are_refused(change: dict[str, float], complaint: 
         ProposalTraining(**change)  # type: ignore[arg-type]
 
 
-def test_it_learns_the_same_on_any_device(device: torch.device, rendered: RenderedHands) -> None:
+def test_it_learns_the_same_on_any_device(
+    device: torch.device, rendered: RenderedHands, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By steps in proportion to the gradient: those of AdamW are its sign at first, which rounding decides where a
+    gradient is nothing but rounding."""
+    monkeypatch.setattr(torch.optim, "AdamW", _descent)
     settings = replace(SMALL, steps=3)
     ends = []
     for there in (torch.device("cpu"), device):
         network = new_network(settings, MODEL).to(there)
         losses = [reached.loss for reached in train_proposals(network, rendered, settings, MODEL, report_every=1)]
         ends.append((losses, measured_on_views(network, rendered, MODEL, 3).errors.best["aligned_mm"]))
+    assert ends[0][0][2] != pytest.approx(ends[0][0][0], rel=0.1)
     assert ends[1][0][0] == pytest.approx(ends[0][0][0], rel=1e-5)
-    expected = pytest.approx(ends[0][0], rel=1e-3)
-    if device.type == "cuda" and ends[1][0] != expected:
-        pytest.xfail("on an H200 the loss was 0.17 % off after two steps, for a reason that is not known")
-    assert ends[1][0] == expected
-    assert ends[1][1] == pytest.approx(ends[0][1], rel=1e-2)
+    assert ends[1][0] == pytest.approx(ends[0][0], rel=1e-4)
+    assert ends[1][1] == pytest.approx(ends[0][1], rel=1e-3)
+
+
+def _descent(parameters: Iterator[torch.nn.Parameter], lr: float, weight_decay: float) -> torch.optim.Optimizer:
+    """Plain steps along the gradient; `lr` is large for those of AdamW, which are as long as it is."""
+    return torch.optim.SGD(parameters, lr=lr, weight_decay=weight_decay)
