@@ -9,7 +9,7 @@ import pytest
 
 from torchhand.cluster import Cluster
 from torchhand.errors import DiskError, InputError
-from torchhand.runs import Request, Video, settings_of, track_videos, videos
+from torchhand.runs import Request, Video, settings_of, track_videos, videos, with_own_keypoints
 
 REQUEST = Request(settings=settings_of("contour_planar"), config="contour_planar")
 
@@ -68,3 +68,40 @@ def test_a_full_disk_ends_all_of_it(monkeypatch: pytest.MonkeyPatch, tmp_path: P
     monkeypatch.setattr(videos, "track_sequence", track)
     with pytest.raises(DiskError, match="no space"):
         _tracked(REQUEST, [Video(name="one", source=tmp_path / "one.mp4", out_dir=tmp_path / "one")])
+
+
+def _three_videos(folder: Path) -> list[Video]:
+    return [Video(name=name, source=folder / f"{name}.mp4", out_dir=folder / "out" / name) for name in "abc"]
+
+
+def test_each_video_has_its_own_keypoints(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    found = tmp_path / "found"
+    (found / "b").mkdir(parents=True)
+    (found / "c").mkdir()
+    for name in ("a.npz", "b/keypoints.npz", "b.npz", "c/0.json"):
+        (found / name).touch()
+    asked: dict[str, tuple[Path, ...]] = {}
+
+    def track(source: Path, out_dir: Path, request: Request, say: Any) -> Any:
+        asked[source.stem] = request.keypoints
+        raise InputError("none")
+
+    monkeypatch.setattr(videos, "track_sequence", track)
+    _tracked(REQUEST, with_own_keypoints(_three_videos(tmp_path), [found]))
+    assert asked == {"a": (found / "a.npz",), "b": (found / "b" / "keypoints.npz",), "c": (found / "c",)}
+
+
+def test_keypoints_that_are_not_of_each_video_are_refused(tmp_path: Path) -> None:
+    items = _three_videos(tmp_path)
+    assert with_own_keypoints(items, []) == items
+    (tmp_path / "a.npz").touch()
+    with pytest.raises(InputError, match=r"with keypoints of each video .*got a file for 3 videos"):
+        with_own_keypoints(items, [tmp_path / "a.npz"])
+    assert with_own_keypoints(items[:1], [tmp_path / "a.npz"]) == items[:1]  # the only one: the request's file is its
+    with pytest.raises(InputError, match=r"NAME\.npz.* found none of b, c$"):
+        with_own_keypoints(items, [tmp_path])
+    for item in items:
+        item.out_dir.mkdir(parents=True)
+        (item.out_dir / "keypoints.npz").touch()
+    with pytest.raises(InputError, match="another folder than that of --out"):
+        with_own_keypoints(items, [tmp_path / "out"])

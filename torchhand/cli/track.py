@@ -41,6 +41,7 @@ from torchhand.runs import (
     summary_of,
     track_sequence,
     track_videos,
+    with_own_keypoints,
     without_hand,
 )
 from torchhand.track import TrackerSettings
@@ -81,7 +82,9 @@ class Arguments(OnDevice):
     keypoints: Annotated[str | None, arg(metavar="mediapipe|FILE")] = None
     """Detected keypoints that are used beside the contours. mediapipe: MediaPipe runs along (pip install
     torchhand[mediapipe]), and what it finds is kept in DIR/keypoints.npz. FILE: those of an earlier run, or any file
-    that fit_keypoints reads with points in the picture (and in space, such as MediaPipe's world landmarks)."""
+    that fit_keypoints reads with points in the picture (and in space, such as MediaPipe's world landmarks); of a folder
+    of videos, a folder with NAME.npz (or .npy, .json, a folder of OpenPose's) for each, or the --out of an earlier
+    run with mediapipe."""
     hand_model: Annotated[Path | None, arg(metavar="FILE")] = None
     """hand_landmarker.task for a MediaPipe that carries no models of its own (newer than 0.10.21)."""
     background: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -153,6 +156,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         Video(name=name, source=source, out_dir=arguments.out / name if has_videos else arguments.out)
         for name, source in sequences
     ]
+    if has_videos:
+        videos = with_own_keypoints(videos, request.keypoints)
     for video in videos:
         check_output_folder(video.out_dir, resume=request.resume, overwrite=request.overwrite)
     if arguments.ray is not None:
@@ -176,7 +181,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     with threads(arguments.threads), pixel_limit(arguments.max_megapixels):
         for video in videos:
             try:
-                track, _ = track_sequence(video.source, video.out_dir, request, say)
+                track, _ = track_sequence(video.source, video.out_dir, video.request_of(request), say)
             except KeyboardInterrupt:
                 _say(how_to_go_on(video.out_dir, overwrite=request.overwrite))
                 return STOPPED_BY_USER

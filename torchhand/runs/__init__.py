@@ -10,7 +10,7 @@ from torchhand.runs.seen_hands import PALM_METRES, cameras_of_detections, same_f
 from torchhand.runs.short import fit_hand, track
 from torchhand.runs.streams import STANDARD_OUTPUT, check_streams
 from torchhand.runs.tracking import how_to_go_on, resume_option, summary_of, track_live_rig, track_rig, track_sequence
-from torchhand.runs.videos import Video, VideoReport, track_videos, without_hand
+from torchhand.runs.videos import Video, VideoReport, track_videos, with_own_keypoints, without_hand
 
 __all__ = [
     "PALM_METRES",
@@ -47,5 +47,6 @@ __all__ = [
     "track_sequence",
     "track_videos",
     "undetermined_fingers",
+    "with_own_keypoints",
     "without_hand",
 ]

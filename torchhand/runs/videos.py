@@ -10,6 +10,8 @@ from pathlib import Path
 from torchhand.cluster import Cluster, Copies
 from torchhand.errors import DiskError, InputError
 from torchhand.files import Track
+from torchhand.files.detections import KEYPOINTS_NAME
+from torchhand.files.disk import expanded
 from torchhand.files.pictures import pixel_limit
 from torchhand.runs.progress import untold_progress
 from torchhand.runs.request import Request
@@ -23,6 +25,12 @@ class Video:
     name: str
     source: str | Path
     out_dir: Path
+    keypoints: Path | None = None
+    """Its own file of detected keypoints; that of the request, if any, where there is none."""
+
+    def request_of(self, request: Request) -> Request:
+        """What is asked for with this video."""
+        return request if self.keypoints is None else replace(request, keypoints=(self.keypoints,))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +54,30 @@ def track_videos(
     is lost.
     """
     return workers.done(functools.partial(_worker, request, max_megapixels), videos)
+
+
+def with_own_keypoints(videos: Sequence[Video], keypoints: Sequence[Path]) -> list[Video]:
+    """The videos of a folder, each with the file of its name: NAME.npz, NAME.npy, NAME.json or a folder NAME of
+    OpenPose's in the folder of keypoints, or the keypoints.npz of an older result NAME there.
+
+    Raises InputError where a video has none, and where one file is given for several videos.
+    """
+    if not keypoints:
+        return list(videos)
+    folder = expanded(keypoints[0])
+    found = [_keypoints_in(folder, video.name) for video in videos]
+    if len(videos) == 1 and found == [None]:
+        return list(videos)
+    kinds = f"NAME.npz, NAME.npy, NAME.json, a folder NAME of OpenPose's, or NAME/{KEYPOINTS_NAME}"
+    expected = f"{folder}: expected a folder with keypoints of each video ({kinds})"
+    if folder.is_file():
+        raise InputError(f"{expected}, got a file for {len(videos)} videos")
+    missing = [video.name for video, own in zip(videos, found, strict=True) if own is None]
+    if missing:
+        raise InputError(f"{expected}, found none of {', '.join(missing[:3])}{' and others' * (len(missing) > 3)}")
+    if any(own == expanded(video.out_dir) / KEYPOINTS_NAME for video, own in zip(videos, found, strict=True)):
+        raise InputError(f"--keypoints: expected another folder than that of --out, got {folder}")
+    return [replace(video, keypoints=own) for video, own in zip(videos, found, strict=True)]
 
 
 def without_hand(name: str, track: Track) -> str | None:
@@ -85,7 +117,13 @@ def _kept_from_terminal(said: list[str]) -> Iterator[None]:
         said += [line for line in written.getvalue().splitlines() if line.strip()]
 
 
+def _keypoints_in(folder: Path, name: str) -> Path | None:
+    places = (folder / name / KEYPOINTS_NAME, *(folder / f"{name}{kind}" for kind in (".npz", ".npy", ".json", "")))
+    return next((place for place in places if place.exists()), None)
+
+
 def _continued(request: Request, video: Video) -> Request:
     """The request, to go on with what a lost worker has begun: a new folder was empty when the command began."""
     has_begun = not request.overwrite and video.out_dir.is_dir() and any(video.out_dir.iterdir())
-    return replace(request, resume=True) if has_begun else request
+    own = video.request_of(request)
+    return replace(own, resume=True) if has_begun else own

@@ -11,6 +11,9 @@ from torchhand.errors import InputError
 from torchhand.files.detections.record import COUNT, HandDetection, Side
 from torchhand.files.disk import LineFile, read_lines, replacing
 
+KEYPOINTS_NAME = "keypoints.npz"
+"""What `save_detections` writes of one camera."""
+
 _LABELS: Mapping[Side | None, str] = {"right": "Left", "left": "Right", None: ""}
 """Labels as MediaPipe's solutions give them: of a mirror image, as `read_detections` takes them."""
 
@@ -77,7 +80,7 @@ def save_detections(log: Path, folder: Path, views: int) -> None:
             "label": np.array(["" if hand is None else _LABELS[hand.label] for hand in hands], dtype="<U5"),
             "score": np.array([np.nan if hand is None else hand.score for hand in hands], dtype=np.float64),
         }
-        path = folder / (f"keypoints_{view}.npz" if views > 1 else "keypoints.npz")
+        path = folder / (f"keypoints_{view}.npz" if views > 1 else KEYPOINTS_NAME)
         with replacing(path) as temporary, temporary.open("wb") as file:
             np.savez(file, **arrays)  # pyright: ignore[reportArgumentType] - the stub lacks keyword arrays
 
