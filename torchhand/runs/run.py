@@ -134,6 +134,8 @@ class Run:
         else:
             after = None if following is None else (following.views, following.time_s)
             state, estimate, whole = self.ahead.step(self.state, frame.views, frame.time_s, after)
+        if self.state is None or self.state.picture_scale != state.picture_scale:
+            self._smoother = self._new_smoother(state)
         better = self._smoother.corrections(state, estimate)
         seconds = time.perf_counter() - started
         if self.tracker.settings.smoothing_window_s > 0:
@@ -170,11 +172,15 @@ class Run:
             return
         begin = int(np.searchsorted(track.time_s, self.state.time_s - window_s)) - 1  # one more than are used
         rows = {int(frame): row for row, frame in enumerate(track.frame)}
+        self._smoother = self._new_smoother(self.state)
+        of_this_scale = 0 if self.state.picture_scale == 1 else int(track.has_hand.argmax())
         with self.recording.opened(min(done, max(0, begin))) as frames:
             for frame in frames:
                 if frame.index >= first + done:
                     break
                 row = rows[frame.index]
+                if row < of_this_scale:
+                    continue
                 frame = with_keypoints(frame, self.keypoints, self._followed_px)
                 points = torch.from_numpy(track.keypoints3d[row])
                 is_lost = not bool(points.isfinite().all())
@@ -182,6 +188,10 @@ class Run:
                 score = 0.0 if is_lost else float(track.measures["score"][row])
                 self._smoother.remember(PastFrame.of(scene, None if is_lost else points, score))
                 self._keep_past(frame, float(track.seconds[row]))
+
+    def _new_smoother(self, state: TrackerState) -> Smoother:
+        """One that knows nothing of frames of another size."""
+        return Smoother(self.tracker.at(state), self.tracker.settings.smoothing_window_s)
 
     def restart(self) -> None:
         """Forget the hand, its colours and its proportions; it is found anew in the frames that come."""

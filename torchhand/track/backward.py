@@ -67,7 +67,8 @@ class BackwardPass:
         is where no hand was ever found."""
         if state.shape is None:
             raise ValueError("state: expected one of a tracker that has found a hand")
-        self._tracker, self._shape_before, self._last = tracker, state.shape, state.hand
+        self._tracker = tracker = tracker.at(state)
+        self._shape_before, self._last = state.shape, state.hand
         self._shape = state.shape if shape is None else shape
         mirrored = tuple(replace(one, time_s=-one.time_s) for one in state.keyframes)
         self._state = replace(state, time_s=None, hand=None, last_seen=None, keyframes=mirrored, shape=self._shape)

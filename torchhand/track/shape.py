@@ -59,6 +59,7 @@ def recorded_shape(tracker: Tracker, state: TrackerState, frames: Iterable[Follo
     state: of the tracker, with the proportions before and the hand's colours.
     """
     assert state.shape is not None
+    tracker = tracker.at(state)
     factor = tracker.parts.rule.overconfidence
     contours = contour_settings(tracker.settings.update, factor)
     fit = tracker.parts.frame_fit(state.shape, SCHEDULE, contours)

@@ -3,6 +3,7 @@
 A tracker is a value: `step` takes a state and the views of one time and returns the next state and the estimate.
 """
 
+import copy
 import math
 from collections.abc import Callable, Collection, Hashable, Sequence
 from dataclasses import dataclass, replace
@@ -15,6 +16,7 @@ from torch import Tensor
 
 from torchhand.devices import HOST, sent_to
 from torchhand.files import FrameStatus
+from torchhand.fit.contour import hand_length_px
 from torchhand.fit.detect import StartPoints
 from torchhand.geometry import Camera
 from torchhand.hand import Hand, HandPose, scale_covariance
@@ -56,6 +58,10 @@ the hand is lost is another thing."""
 _FORESEEABLE_S = 0.1
 """Time over which a hand's motion foretells where it is. After longer ones the motion model is so unsure that edges
 near its contour tell little: from 0.2 s on `contour_planar` loses even a hand that keeps still."""
+
+_SMALL_PX, _MADE_PX, _MOST_ENLARGED, _SCALE_STEP = 200.0, 275.0, 4.0, 0.25
+"""A hand that is no longer in the picture is made so long, the picture being enlarged so many times at most: outlines,
+colours and the network's views of smaller ones are too coarse for fingers, however sharp the picture is."""
 
 _BESIDE_DETECTORS = ("detected", "declining")
 _SILENCE = "the detector finds no hand; without --keypoints one is looked for by its colours"
@@ -165,21 +171,41 @@ class Tracker:
         given = (cameras,) if isinstance(cameras, Camera) else tuple(cameras)
         self.cameras = tuple(camera.to(device=self.device) for camera in given)
         known = None if shape is None else shape.double().to(self.device)
-        self._working = working = WorkingViews(self.cameras, self.settings.max_pixels)
-        plates, start_points = working.plates(plates), working.points(start_points)
-        parts = assembled(hand, working.cameras, self.settings, known, start_points, plates)
-        fits_shape = accumulates_shape and known is None and len(self.cameras) == 1
-        self.parts: Assembly = parts.with_accumulated_shape(self.settings) if fits_shape else parts
         self.known_shape = known
         self._observations, self._has_start_points = observations, start_points is not None
+        fits_shape = accumulates_shape and known is None and len(self.cameras) == 1
+
+        def made(working: WorkingViews) -> Assembly:
+            own_plates, own_points = working.plates(plates), working.points(start_points)
+            parts = assembled(hand, working.cameras, self.settings, known, own_points, own_plates)
+            return parts.with_accumulated_shape(self.settings) if fits_shape else parts
+
+        self._made = made
+        self._of_scale: dict[float, Tracker] = {}
+        """The same tracker on pictures of other sizes."""
+        self._work_on(1.0)
         self.kinematics = self.parts.kinematics
-        self._evidence = FingerEvidence(self.kinematics, self.parts.cameras)
-        self._last: tuple[Appearances, Scene] | None = None
-        self._last_prediction: _Prediction | None = None
         self._scale_std = 0.0
         if len(self.cameras) == 1:
             space = self.kinematics.shape_space
             self._scale_std = unknown_scale_std(space, self.cameras[0], is_shape_known=known is not None)
+
+    def _work_on(self, scale: float) -> None:
+        """Be the tracker on pictures whose sides are so many times as long."""
+        self._of_scale[scale] = self
+        self._working = WorkingViews(self.cameras, self.settings.max_pixels, scale=scale)
+        self.parts: Assembly = self._made(self._working)
+        self._evidence = FingerEvidence(self.parts.kinematics, self.parts.cameras)
+        self._last: tuple[Appearances, Scene] | None = None
+        self._last_prediction: _Prediction | None = None
+
+    def at(self, state: TrackerState) -> "Tracker":
+        """The tracker on pictures of the size that a state's hand is followed in. Scenes, and what is done in them, are
+        of one size; `step`, `scene` and `reshaped` find it by themselves."""
+        if state.picture_scale not in self._of_scale:
+            other = copy.copy(self)
+            other._work_on(state.picture_scale)
+        return self._of_scale[state.picture_scale]
 
     # ------------------------------------------------------------------ a frame
 
@@ -213,6 +239,8 @@ class Tracker:
         or size, and for a time that does not advance.
         """
         state = self._started(state)
+        if (own := self.at(state)) is not self:
+            return own.step(state, views, time_s, occasions=occasions, other=other, foreseen=foreseen, judges=judges)
         self._check(views, state, time_s)
         prediction, expected_before = self._prediction(state, time_s), state.expected
         predicted = prediction.hand
@@ -259,7 +287,7 @@ class Tracker:
     def reshaped(self, state: TrackerState) -> TrackerState:
         """The state with proportions that are fitted to the frames it keeps; takes seconds. The same where it keeps
         none."""
-        accumulated = self.parts.accumulated_shape
+        accumulated = self.at(state).parts.accumulated_shape
         return state if accumulated is None else accumulated.fitted(state)
 
     @torch.inference_mode()
@@ -323,6 +351,8 @@ class Tracker:
     @single_threaded()
     def scene(self, state: TrackerState, views: Sequence[View], time_s: float) -> Scene:
         """What `step` sees in the views of one time; the scene of its last call where views and colours are those."""
+        if (tracker := self.at(state)) is not self:
+            return tracker.scene(state, views, time_s)
         own = self._worked_on(views)
         if self._last is not None:
             looks, scene = self._last
@@ -707,7 +737,7 @@ class Tracker:
         is_bad = best is None or (not health.is_found(best) if is_new else health.is_failing(best))
         if best is None or is_bad:
             return self._without(state, search, predicted)
-        was_lost = state.has_started and predicted is None
+        was_lost, is_first = state.has_started and predicted is None, not state.has_started
         state = self._remembered(state, search.proposed, best, scene, is_new=is_new)
         estimate, tip_std = self._posed("recovered" if was_lost else "tracked", best, state, scene)
         told = self._told(best, state, scene, tip_std)
@@ -715,7 +745,20 @@ class Tracker:
             estimate = self._with_evidence(estimate, told, scene, state)
         if self.parts.accumulated_shape is not None:
             state = self.parts.accumulated_shape(state, best, scene, fits=fits_shape)
-        return state, replace(estimate, is_new=is_new)
+        return self._sized(state, best.pose) if is_first else state, replace(estimate, is_new=is_new)
+
+    def _sized(self, state: TrackerState, pose: HandPose) -> TrackerState:
+        """The state for larger pictures where a hand that was just found at a pose is small in those of one camera;
+        what it kept of smaller ones is forgotten."""
+        if len(self.cameras) > 1 or not self.parts.flexes or state.shape is None:
+            return state
+        camera = self.own_cameras[0]
+        length_px = hand_length_px(camera, self.kinematics, pose.dofs, state.shape)
+        most = math.sqrt(self.settings.max_pixels / (camera.width * camera.height))
+        scale = math.floor(min(_MADE_PX / length_px, _MOST_ENLARGED, most) / _SCALE_STEP) * _SCALE_STEP
+        if length_px > _SMALL_PX or scale <= 1:
+            return state
+        return replace(state, picture_scale=scale, shape_frames=None if state.shape_frames is None else ())
 
     def _remembered(
         self, state: TrackerState, proposed: Proposed | None, best: Candidate, scene: Scene, *, is_new: bool

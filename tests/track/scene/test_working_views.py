@@ -44,6 +44,23 @@ def test_a_point_of_space_is_where_the_reduced_camera_says(distortion: tuple[flo
     )
 
 
+@pytest.mark.parametrize(("max_pixels", "size"), [(10**7, (1600, 1200)), (800 * 600 * 9 // 4, (1200, 900))])
+def test_pictures_are_enlarged_as_far_as_wanted_and_allowed(max_pixels: int, size: tuple[int, int]) -> None:
+    working = WorkingViews((LARGE,), max_pixels, scale=2.0)
+    (used,) = working.cameras
+    assert (used.width, used.height) == size
+    point = torch.tensor([[0.05, -0.03, 0.5]], dtype=torch.float64)
+    torch.testing.assert_close(working.whole_px(used.project(point), 0), LARGE.project(point))
+    image, mask = torch.zeros(600, 800, 3, dtype=torch.uint8), torch.zeros(600, 800, dtype=torch.bool)
+    image[200:400, 300:500], mask[200:400, 300:500] = 200, True
+    own = working.of(View(image=image, mask=mask), 0, used)
+    assert own.image is not None
+    assert own.mask is not None
+    scale = size[0] / 800
+    assert int(own.mask.sum()) == pytest.approx(200 * 200 * scale**2, rel=0.01)
+    assert float((own.image[..., 0] > 100).double().mean()) == pytest.approx(200 * 200 / 800 / 600, rel=0.01)
+
+
 def test_plates_are_reduced_with_the_pictures(generator: torch.Generator) -> None:
     colour = torch.randint(0, 255, (600, 800, 3), generator=generator).to(torch.uint8)
     plate = BackgroundPlate(colour=colour, noise=torch.full((600, 800, 3), 2.6))

@@ -22,12 +22,14 @@ class PicturePart:
     part: tuple[int, int]
     """Width and height of the rectangle in the whole picture."""
     size: tuple[int, int]
-    """Width and height after resampling, at most those of the rectangle."""
+    """Width and height after resampling."""
 
     @classmethod
-    def of(cls, corner: tuple[int, int], part: tuple[int, int], max_pixels: int) -> "PicturePart":
-        """The rectangle at its own size, or at the largest one of at most so many pixels."""
-        scale = min(1.0, math.sqrt(max_pixels / (part[0] * part[1])))
+    def of(
+        cls, corner: tuple[int, int], part: tuple[int, int], max_pixels: int, *, scale: float = 1.0
+    ) -> "PicturePart":
+        """The rectangle with sides so many times as long, or as long as at most so many pixels allow."""
+        scale = min(scale, math.sqrt(max_pixels / (part[0] * part[1])))
         return cls(corner=corner, part=part, size=(max(1, round(part[0] * scale)), max(1, round(part[1] * scale))))
 
     @classmethod
@@ -74,7 +76,9 @@ class PicturePart:
     def _resampled(self, whole: np.ndarray) -> np.ndarray:
         (x, y), (width, height) = self.corner, self.part
         cut = np.ascontiguousarray(whole[y : y + height, x : x + width])
-        return cut if self.size == self.part else cv2.resize(cut, self.size, interpolation=cv2.INTER_AREA)
+        if self.size == self.part:
+            return cut
+        return cv2.resize(cut, self.size, interpolation=cv2.INTER_AREA if self.scale < 1 else cv2.INTER_CUBIC)
 
 
 _MARGIN = 0.15

@@ -110,6 +110,8 @@ class TrackerState:
     """Good frames since colours were last learned."""
     has_started: bool = False
     """Whether a hand was ever found."""
+    picture_scale: float = 1.0
+    """How much larger the pictures of one camera are made, along a side, so that the hand is large enough in them."""
 
     @property
     def began_open(self) -> bool:

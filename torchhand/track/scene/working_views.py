@@ -17,9 +17,11 @@ from torchhand.track.scene.views import View
 class WorkingViews:
     """Brings views of cameras to `cameras`: the same, with pictures of at most so many pixels."""
 
-    def __init__(self, given: Sequence[Camera], max_pixels: int) -> None:
+    def __init__(self, given: Sequence[Camera], max_pixels: int, *, scale: float = 1.0) -> None:
+        """scale: pixels to one of the given cameras, along a side, where these are not too many."""
         self.given = tuple(given)
-        self._parts = [PicturePart.of((0, 0), (camera.width, camera.height), max_pixels) for camera in given]
+        sizes = [(camera.width, camera.height) for camera in given]
+        self._parts = [PicturePart.of((0, 0), size, max_pixels, scale=scale) for size in sizes]
         self.cameras = tuple(
             camera if part.size == part.part else camera.of_part(part.corner, part.part, part.size)
             for camera, part in zip(self.given, self._parts, strict=True)
@@ -57,7 +59,7 @@ class WorkingViews:
         return own
 
     def whole_px(self, points_px: Float[Tensor, "*points 2"], index: int) -> Float[Tensor, "*points 2"]:
-        """Points of a camera's reduced picture in the picture as it was taken."""
+        """Points of a camera's resampled picture in the picture as it was taken."""
         whole = self._parts[index].whole_px(points_px.cpu().numpy())
         return torch.from_numpy(whole).to(points_px)
 
