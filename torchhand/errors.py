@@ -20,6 +20,12 @@ def require(condition: bool, name: str, expected: str, got: object) -> None:
         raise ValueError(f"{name}: expected {expected}, got {got!r}")
 
 
+def require_kind(name: str, value: object, *kinds: type) -> None:
+    """Raise TypeError naming an argument, what was expected and what was given, unless it is of one of the kinds."""
+    if not isinstance(value, kinds):
+        raise TypeError(f"{name}: expected {' or '.join(kind.__name__ for kind in kinds)}, got {type(value).__name__}")
+
+
 def require_positive(name: str, value: float) -> None:
     """Raise ValueError unless a setting is above 0 and finite."""
     require(0 < value < math.inf, name, "above 0 and finite", value)

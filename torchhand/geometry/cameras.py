@@ -3,12 +3,14 @@
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from numbers import Integral
 from typing import Literal
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchhand.errors import require, require_kind
 from torchhand.precision import own_precision
 
 ASSUMED_HORIZONTAL_FOV_DEG = 55.0
@@ -40,6 +42,15 @@ class Camera:
     """True where no calibration was given and a field of view was assumed."""
 
     def __post_init__(self) -> None:
+        """Raises TypeError for what is no tensor, ValueError for other shapes and for pictures without a pixel."""
+        for name, size in (("intrinsics", (3, 3)), ("rotation", (3, 3)), ("translation", (3,)), ("distortion", ())):
+            value = getattr(self, name)
+            require_kind(name, value, Tensor)
+            is_so = value.ndim > 0 and value.shape[value.ndim - len(size) :] == size
+            require(is_so, name, f"shape (*batch, {', '.join(map(str, size))})", tuple(value.shape))
+        for name in ("width", "height"):
+            value = getattr(self, name)
+            require(isinstance(value, Integral) and int(value) >= 1, name, "a whole number, 1 or more", value)
         if self.distortion.shape[-1] not in DISTORTION_LENGTHS:
             raise ValueError(f"distortion: expected {DISTORTION_LENGTHS} coefficients, got {self.distortion.shape[-1]}")
         if self.kind == "orthographic" and self.has_distortion:
@@ -177,7 +188,11 @@ def assumed_camera(
     horizontal_fov_deg: float = ASSUMED_HORIZONTAL_FOV_DEG,
     dtype: torch.dtype = torch.float64,
 ) -> Camera:
-    """An ideal pinhole camera at the world's origin for pictures without calibration; marked as assumed."""
+    """An ideal pinhole camera at the world's origin for pictures without calibration; marked as assumed.
+
+    width, height: of the pictures, px. Raises ValueError for less than a pixel, and for a field of view that is not
+    1° to 170°.
+    """
     if not 1.0 <= horizontal_fov_deg <= 170.0:
         raise ValueError(f"horizontal_fov_deg: expected 1 to 170, got {horizontal_fov_deg}")
     focal_px = 0.5 * width / math.tan(math.radians(horizontal_fov_deg) / 2)

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.errors import require_kind
 from torchhand.geometry.cameras import Camera
 
 _GRID = 7  # rays per side of a picture
@@ -23,7 +24,7 @@ class Rig(tuple[Camera, ...]):
     """Several calibrated cameras that stand in one world: a tuple of them, for everything that takes cameras.
 
     Points of the world are metres where the cameras' translations are. Raises ValueError for no camera, and for a batch
-    of cameras in the place of one.
+    of cameras in the place of one; TypeError for what is no camera.
     """
 
     __slots__ = ()
@@ -33,6 +34,7 @@ class Rig(tuple[Camera, ...]):
         if not rig:
             raise ValueError("cameras: expected at least one, got none")
         for camera in rig:
+            require_kind("cameras", camera, Camera)
             if camera.rotation.ndim != 2:
                 raise ValueError(f"cameras: expected single ones, got a batch {tuple(camera.rotation.shape[:-2])}")
         return rig

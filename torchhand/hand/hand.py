@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from torchhand.errors import require_kind
 from torchhand.geometry import batch_last, common_shape
 from torchhand.hand.kinematics import DOFS, HandFrames, HandKinematics, ShapeSpace, Side, Skeleton
 from torchhand.hand.primitives import Primitives, place_primitives, primitive_sizes
@@ -72,11 +73,13 @@ class Hand(nn.Module):
             Constants are rounded to it once, so for float64 say so here instead of converting the module later.
 
         Raises ValueError for a shape that is not finite or outside its bounds, for other dtypes, and for a parameter
-        given as shape that has another dtype.
+        given as shape that has another dtype; TypeError for what is no tensor.
         """
         super().__init__()
-        if not dtype.is_floating_point:
-            raise ValueError(f"dtype: expected one of floating-point numbers, got {dtype}")
+        if shape is not None:
+            require_kind("shape", shape, Tensor)
+        if not (isinstance(dtype, torch.dtype) and dtype.is_floating_point):
+            raise ValueError(f"dtype: expected one of floating-point numbers, got {dtype!r}")
         if isinstance(shape, nn.Parameter) and shape.dtype != dtype:
             raise ValueError(f"dtype: expected {shape.dtype}, that of the parameter given as shape, got {dtype}")
         self.side: Side = side
@@ -109,9 +112,9 @@ class Hand(nn.Module):
         shape: in place of the module's own. Both broadcast; one shape for all poses is several times faster than a
             shape for each.
 
-        Raises ValueError for wrong dimensions and for another dtype than the module's; within `torch.autocast` it
-        computes in float32 all the same. NaN and infinite numbers go through to the results, because looking for them
-        would make a GPU wait; see `check`.
+        Raises TypeError for what is no tensor, ValueError for wrong dimensions and for another dtype than the module's;
+        within `torch.autocast` it computes in float32 all the same. NaN and infinite numbers go through to the results,
+        because looking for them would make a GPU wait; see `check`.
         """
         self.check_sizes(pose, shape)
         shape = self.shape if shape is None else shape
@@ -153,12 +156,14 @@ class Hand(nn.Module):
             self.shape_space.check(shape)
 
     def check_sizes(self, pose: Tensor, shape: Tensor | None = None) -> None:
-        """Raises ValueError for a pose or a shape of other dimensions or another dtype than the hand's."""
+        """Raises ValueError for a pose or a shape of other dimensions or another dtype than the hand's, TypeError for
+        what is no tensor."""
         self._check_width("pose", pose, len(DOFS))
         if shape is not None:
             self._check_width("shape", shape, len(self.shape_space.names))
 
     def _check_width(self, name: str, value: Tensor, width: int) -> None:
+        require_kind(name, value, Tensor)
         if value.ndim == 0 or value.shape[-1] != width:
             raise ValueError(f"{name}: expected {width} numbers in the last dimension, got shape {tuple(value.shape)}")
         if value.dtype != self.skinning.weights.dtype:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from os import PathLike
 from pathlib import Path
 from typing import Literal
 
@@ -12,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.detect import HandDetector
-from torchhand.errors import InputError
+from torchhand.errors import InputError, require_kind
 from torchhand.files import load_hand_model
 from torchhand.files.pictures import is_stream, named_picture
 from torchhand.fit.open_hand import OpenHand, fit_open_hand, hand_in_picture
@@ -48,8 +49,13 @@ def track(
     made from its frame and earlier ones alone; `torchhand track` corrects those of a recording backwards, and keeps the
     result.
 
-    Raises InputError for a source, a camera or keypoints that cannot be read.
+    Raises InputError for a source, a camera or keypoints that cannot be read, TypeError for what is no file, ValueError
+    for a shape outside its bounds; all of them with the first estimate.
     """
+    require_kind("source", source, str, PathLike, int)
+    for name, file in (("camera", camera), ("keypoints", keypoints)):
+        if file is not None:
+            require_kind(name, file, str, PathLike)
     if isinstance(source, int):
         recording = LiveCamera(str(source), camera)
     else:
@@ -90,7 +96,8 @@ def fit_hand(
     that of the average hand (`torchhand.fit.open_hand` has other sizes). camera: in whose frame the pose is; a field of
     view is assumed where none is given.
 
-    Raises InputError where the picture shows no open hand, or not all five fingers, and for what is no picture.
+    Raises InputError where the picture shows no open hand, or not all five fingers, and for what is no picture;
+    TypeError for what is no camera.
     """
     name, image = named_picture(picture)
     seen = hand_in_picture(image)
@@ -100,6 +107,7 @@ def fit_hand(
     if found.odd_digits:
         raise InputError(f"{name}: {', '.join(found.odd_digits)} of another colour than the palm")
     camera = camera or assumed_camera(image.shape[1], image.shape[0])
+    require_kind("camera", camera, Camera)
     kinematics = load_hand_model().kinematics(side, dtype=torch.float64)
     hand = fit_open_hand(found.mask, kinematics, seen.camera(camera))
     if isinstance(hand, NoRegions):

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.devices import HOST, sent_to
+from torchhand.errors import require_kind
 from torchhand.files import FrameStatus
 from torchhand.fit.contour import hand_length_px
 from torchhand.fit.detect import StartPoints
@@ -165,10 +166,18 @@ class Tracker:
         by scene, poses in the tracker's world; any `torchhand.fit.Observation`, under every update rule.
         accumulates_shape: whether proportions are fitted to more and more frames of one camera while the hand is
         followed, as to those of several (`settings.shape_frames`); a step in which they are takes some seconds.
-        Raises ValueError where that method lacks its plates, and for cameras that see no volume together.
+        Raises ValueError where that method lacks its plates, for cameras that see no volume together, and for a shape
+        outside its bounds; TypeError for what is no hand, no camera, no settings and no tensor.
         """
-        self.settings, self.device = settings or TrackerSettings(), hand.shape.device
         given = (cameras,) if isinstance(cameras, Camera) else tuple(cameras)
+        settings = TrackerSettings() if settings is None else settings
+        require_kind("hand", hand, Hand)
+        require_kind("settings", settings, TrackerSettings)
+        for camera in given:
+            require_kind("cameras", camera, Camera)
+        if shape is not None:
+            hand.shape_space.check(shape)
+        self.settings, self.device = settings, hand.shape.device
         self.cameras = tuple(camera.to(device=self.device) for camera in given)
         known = None if shape is None else shape.double().to(self.device)
         self.known_shape = known
@@ -236,7 +245,7 @@ class Tracker:
 
         A hand that the views do not bear out is looked for otherwise at once, one in doubt when a search is due; a hand
         found again after a lost frame is `recovered`. Raises ValueError for views that are not the cameras' in number
-        or size, and for a time that does not advance.
+        or size, and for a time that does not advance; TypeError for what is no sequence of views.
         """
         state = self._started(state)
         if (own := self.at(state)) is not self:
@@ -505,11 +514,11 @@ class Tracker:
         )
 
     def _check(self, views: Sequence[View], state: TrackerState, time_s: float) -> None:
+        require_kind("views", views, Sequence)
         if len(views) != len(self.cameras):
             raise ValueError(f"views: expected one per camera, {len(self.cameras)}, got {len(views)}")
         for index, (view, camera) in enumerate(zip(views, self.cameras, strict=True)):
-            if view.image is not None and not _is_rgb(view.image):
-                raise ValueError(f"views[{index}].image: expected a tensor of RGB, uint8 (height, width, 3)")
+            require_kind(f"views[{index}]", view, View)
             for name, picture in (("image", view.image), ("mask", view.mask)):
                 if picture is not None and picture.shape[:2] != (camera.height, camera.width):
                     got = f"{picture.shape[1]}×{picture.shape[0]} px"
@@ -881,10 +890,6 @@ class Tracker:
     def pose_of(self, state: TrackerState) -> HandPose | None:
         """Where a state's hand is believed to be; None while there is none."""
         return None if state.hand is None else self.parts.motion.pose(state.hand)
-
-
-def _is_rgb(image: object) -> bool:
-    return isinstance(image, Tensor) and image.dtype == torch.uint8 and image.ndim == 3 and image.shape[2] == 3
 
 
 def _is_silent(scene: Scene) -> bool:

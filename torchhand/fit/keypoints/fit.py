@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.errors import require_kind
 from torchhand.fit import PosedHands, SharedSolution, SolveStatus, Stage
 from torchhand.fit.keypoints.estimate import KeypointEstimator, Measured
 from torchhand.fit.keypoints.observation import PictureKeypoints
@@ -141,8 +142,10 @@ def fit_keypoints(
 
     Raises ValueError for shapes that do not fit together, negative confidences, a camera for points in space or none
     for pixels, half precision, spaces without the root, unknown parameter names, a shape that is not finite or outside
-    its bounds. A frame that cannot be fitted is no error: see `KeypointFit.status`.
+    its bounds; TypeError for what is no HandKinematics, and for what are no keypoints. A frame that cannot be fitted is
+    no error: see `KeypointFit.status`.
     """
+    require_kind("kinematics", kinematics, HandKinematics)
     settings = settings or KeypointFitSettings()
     like = kinematics.default_levers
     require_exact("kinematics", like.dtype)
@@ -215,6 +218,8 @@ def _views(
         raise ValueError("keypoints: expected those of at least one camera, got none")
     if camera is not None or confidence is not None or settings.fit_scale:
         raise ValueError("camera, confidence, fit_scale: expected none beside SeenKeypoints, which hold their own")
+    for view in views:
+        require_kind("keypoints", view, SeenKeypoints)
     for view in views[1:]:
         if view.batch_shape != views[0].batch_shape:
             raise ValueError(

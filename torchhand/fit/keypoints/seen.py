@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.errors import require, require_kind
 from torchhand.geometry import Camera
 from torchhand.precision import require_exact
 
@@ -27,7 +28,12 @@ class SeenKeypoints:
     """Covariance of every point in the pictures, px²; NaN where it is not known. That of the settings where None."""
 
     def __post_init__(self) -> None:
-        """Raises ValueError for shapes that do not fit together, for half precision, and for negative confidences."""
+        """Raises ValueError for shapes that do not fit together, for half precision, and for negative confidences;
+        TypeError for what is no camera and no tensor."""
+        require_kind("camera", self.camera, Camera)
+        require_kind("points_px", self.points_px, Tensor)
+        is_hand = self.points_px.shape[-2:] == (21, 2)
+        require(is_hand, "points_px", "shape (*frames, 21, 2)", tuple(self.points_px.shape))
         frames = self.points_px.shape[:-2]
         if self.camera.intrinsics.shape[:-2] not in ((), frames):
             raise ValueError(
@@ -36,10 +42,10 @@ class SeenKeypoints:
             )
         require_exact("points_px", self.points_px.dtype)
         for name, own in (("points", (21, 3)), ("confidence", (21,)), ("cov_px", (21, 2, 2))):
-            value = getattr(self, name)
-            require_exact(name, None if value is None else value.dtype)
-            if value is not None and value.shape != (*frames, *own):
-                raise ValueError(f"{name}: expected shape {(*frames, *own)}, got {tuple(value.shape)}")
+            if (value := getattr(self, name)) is not None:
+                require_kind(name, value, Tensor)
+                require_exact(name, value.dtype)
+                require(value.shape == (*frames, *own), name, f"shape {(*frames, *own)}", tuple(value.shape))
         if self.confidence is not None and bool((self.confidence < 0).any()):
             raise ValueError(f"confidence: expected 0 or more, got {float(self.confidence.min()):g}")
 

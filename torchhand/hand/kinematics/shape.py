@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.errors import require_kind
 from torchhand.hand.kinematics.skeleton import FINGERS
 from torchhand.precision import own_precision
 
@@ -57,14 +58,16 @@ class ShapeSpace:
         return dict(zip(self.names, self.metres(shape).unbind(-1), strict=True))
 
     def check_width(self, shape: Float[Tensor, "*batch numbers"]) -> None:
-        """Raises ValueError where the last dimension does not hold the parameters."""
+        """Raises ValueError where the last dimension does not hold the parameters, TypeError for what is no tensor."""
+        require_kind("shape", shape, Tensor)
         if shape.ndim == 0 or shape.shape[-1] != len(self.names):
             raise ValueError(
                 f"shape: expected {len(self.names)} numbers in the last dimension, got shape {tuple(shape.shape)}"
             )
 
     def check(self, shape: Float[Tensor, "*batch shape"]) -> None:
-        """Raises ValueError naming the first parameter that is not finite or outside its bounds, whatever the dtype."""
+        """Raises ValueError naming the first parameter that is not finite or outside its bounds, whatever the dtype;
+        TypeError for what is no tensor."""
         self.check_width(shape)
         values = shape.detach().double().reshape(-1, len(self.names))
         is_wrong = (~values.isfinite()).nonzero()

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from torchhand.errors import require_kind
 from torchhand.hand.kinematics import DOFS, HandKinematics, ShapeSpace, Skeleton
 from torchhand.hand.limits import Anthropometry, AnthropometrySettings, ConstraintSettings, PoseConstraints
 from torchhand.hand.primitives import PenetrationSettings, energy_of, penetration, place_primitives, primitive_sizes
@@ -76,7 +77,8 @@ class HandPrior(nn.Module):
     ) -> Float[Tensor, "*batch"]:
         """Log-probability up to one constant; minus infinity where a hard constraint is broken.
 
-        Raises ValueError for numbers that are too many, too few, or of another dtype than the prior's.
+        Raises ValueError for numbers that are too many, too few, or of another dtype than the prior's; TypeError for
+        what is no tensor.
 
         Without a shape that of the pose for the default shape. The gradient is finite inside; outside it is that of
         `energy` without the walls, so that it still leads towards likelier poses. A NaN gives minus infinity.
@@ -96,7 +98,7 @@ class HandPrior(nn.Module):
     ) -> Float[Tensor, "*batch"]:
         """−log_prob with smooth walls in place of the infinite ones: finite everywhere, for losses and fitting.
 
-        On the feasible set, and no deeper than `settings.deepest`, it is −log_prob exactly.
+        On the feasible set, and no deeper than `settings.deepest`, it is −log_prob exactly. Raises as that does.
         """
         self._check(pose, shape)
         _, cost = self._penetration(pose, shape)
@@ -136,8 +138,9 @@ class HandPrior(nn.Module):
 
     def _check(self, pose: Tensor, shape: Tensor | None) -> None:
         dtype = self.kinematics.default_shape.dtype
-        for name, value in (("pose", pose), ("shape", shape)):
-            if value is not None and value.dtype != dtype:
+        for name, value in (("pose", pose),) if shape is None else (("pose", pose), ("shape", shape)):
+            require_kind(name, value, Tensor)
+            if value.dtype != dtype:
                 raise ValueError(f"{name}: expected {dtype}, in which the prior computes, got {value.dtype}")
         if pose.ndim == 0 or pose.shape[-1] != len(DOFS):
             raise ValueError(f"pose: expected {len(DOFS)} numbers in the last dimension, got shape {tuple(pose.shape)}")

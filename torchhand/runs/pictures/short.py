@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.errors import require_kind
 from torchhand.files.pictures import named_picture
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import Side
@@ -30,9 +31,11 @@ def fit_pose(
     camera: in whose frame the pose is; a field of view is assumed where none is given. shape: proportions where they
     are known; else those that the outline shows, in the size of the average hand. keypoints: those of a detector.
 
-    Raises InputError where the picture cannot be read, and for what is none.
+    Raises InputError where the picture cannot be read, and for what is none; ValueError for a shape outside its bounds,
+    TypeError for what is no camera and no HandKeypoints.
     """
     _, image = named_picture(picture)
     camera = camera or assumed_camera(image.shape[1], image.shape[0])
+    require_kind("camera", camera, Camera)
     fitter = single_pose_fitter(side, settings or SinglePoseSettings())
     return BoundedView.of(View(image=image, keypoints=keypoints), camera).fitted(fitter, shape)

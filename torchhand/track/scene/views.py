@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from torchhand.errors import require, require_kind
 from torchhand.fit import Observation, grey, mask_plane
 from torchhand.hand import HandPose
 from torchhand.precision import require_exact
@@ -32,9 +33,11 @@ class HandKeypoints:
     """How sure the detector is, 0 to 1."""
 
     def __post_init__(self) -> None:
-        """Raises ValueError for half precision: pixels beyond 256 are not whole numbers in it."""
-        require_exact("points_px", self.points_px.dtype)
-        require_exact("points", None if self.points is None else self.points.dtype)
+        """Raises TypeError for what is no tensor, ValueError for other shapes and for half precision: pixels beyond 256
+        are not whole numbers in it."""
+        _require_points("points_px", self.points_px, (21, 2))
+        if self.points is not None:
+            _require_points("points", self.points, (21, 3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +53,16 @@ class View:
     is_detector_silent: bool = False
     """Whether a detector looked for hands in the picture and found none, of either side."""
 
+    def __post_init__(self) -> None:
+        """Raises TypeError for what is no tensor and no HandKeypoints, ValueError for an image that is not RGB and a
+        mask that is not bool."""
+        if self.image is not None:
+            _require_picture("image", self.image, "RGB, uint8 (height, width, 3)", torch.uint8, (3,))
+        if self.mask is not None:
+            _require_picture("mask", self.mask, "bool (height, width)", torch.bool, ())
+        if self.keypoints is not None:
+            require_kind("keypoints", self.keypoints, HandKeypoints)
+
     @property
     def is_empty(self) -> bool:
         return self.image is None and self.mask is None and self.keypoints is None
@@ -58,6 +71,19 @@ class View:
         """Whether all that there is lies on a device."""
         keypoints = () if self.keypoints is None else (self.keypoints.points_px, self.keypoints.points)
         return all(one is None or one.device == device for one in (self.image, self.mask, *keypoints))
+
+
+def _require_points(name: str, value: Tensor, shape: tuple[int, int]) -> None:
+    require_kind(name, value, Tensor)
+    require(value.shape == shape, name, f"shape {shape}", tuple(value.shape))
+    require_exact(name, value.dtype)
+
+
+def _require_picture(name: str, value: object, expected: str, dtype: torch.dtype, channels: tuple[int, ...]) -> None:
+    if not isinstance(value, Tensor):
+        raise TypeError(f"{name}: expected a tensor, {expected}, got {type(value).__name__}")
+    if value.dtype != dtype or value.ndim < 2 or value.shape[2:] != channels:
+        raise ValueError(f"{name}: expected {expected}, got {value.dtype} {tuple(value.shape)}")
 
 
 @dataclass(frozen=True, kw_only=True)

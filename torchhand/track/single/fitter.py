@@ -118,8 +118,11 @@ class SinglePoseFitter:
         """The hand in a view: a picture or a silhouette, and detected keypoints where there are some.
 
         shape: proportions where they are known. A hand that the picture does not bear out is refused.
-        Raises ValueError for a view without picture and silhouette, or of another size than the camera's.
+        Raises ValueError for a view without picture and silhouette, or of another size than the camera's, and for a
+        shape outside its bounds.
         """
+        if shape is not None:
+            self.kinematics.shape_space.check(shape)
         found = self._found(view, camera.to(device=self.device), None if shape is None else shape.to(self.device))
         return sent_to(found, HOST)
 
