@@ -102,6 +102,21 @@ def test_derivatives(generator: torch.Generator) -> None:
     assert torch.autograd.gradcheck(prior.energy, (pose, shape), atol=1e-3, rtol=1e-3)
 
 
+@pytest.mark.filterwarnings("ignore:`torch.jit.script` is deprecated:DeprecationWarning")
+def test_derivatives_of_one_hand_in_both_modes(generator: torch.Generator) -> None:
+    """In float32, as a pipeline has it: forwards and backwards they are the same, in the prior's own dtype."""
+    prior = _prior(dtype=torch.float32)
+    poses, shapes = prior.sample(2, generator)
+    forward, reverse = (
+        torch.vmap(mode(prior.energy, argnums=(0, 1)))(poses, shapes) for mode in (torch.func.jacfwd, torch.func.jacrev)
+    )
+    for one, other in zip(forward, reverse, strict=True):
+        torch.testing.assert_close(one, other, atol=1e-4 * float(other.abs().max()), rtol=1e-4)
+    over = torch.func.hessian(prior.energy)(poses[0])
+    twice = torch.autograd.functional.hessian(prior.energy, poses[0])
+    torch.testing.assert_close(over, twice, atol=1e-4 * float(over.abs().max()), rtol=1e-4)
+
+
 @pytest.mark.parametrize("batch", [(), (1,), (2, 3)])
 def test_batches(generator: torch.Generator, batch: tuple[int, ...]) -> None:
     prior = _prior()

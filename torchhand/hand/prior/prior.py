@@ -84,6 +84,8 @@ class HandPrior(nn.Module):
         `energy` without the walls, so that it still leads towards likelier poses. A NaN gives minus infinity.
         """
         self._check(pose, shape)
+        if _is_one(pose, shape):
+            return self.log_prob(pose[None], None if shape is None else shape[None])[0]
         excess, cost = self._penetration(pose, shape)
         density = self.postures.log_density(pose) - cost
         possible = self.constraints.is_feasible(pose) & (excess <= self.settings.deepest)
@@ -98,9 +100,12 @@ class HandPrior(nn.Module):
     ) -> Float[Tensor, "*batch"]:
         """−log_prob with smooth walls in place of the infinite ones: finite everywhere, for losses and fitting.
 
-        On the feasible set, and no deeper than `settings.deepest`, it is −log_prob exactly. Raises as that does.
+        On the feasible set, and no deeper than `settings.deepest`, it is −log_prob exactly. Raises as that does. Where
+        parts overlap it is differentiable once: second derivatives lack that of the penetration (see `penetration`).
         """
         self._check(pose, shape)
+        if _is_one(pose, shape):
+            return self.energy(pose[None], None if shape is None else shape[None])[0]
         _, cost = self._penetration(pose, shape)
         energy = cost - self.postures.log_density(pose) + self.constraints.wall(pose)
         if shape is not None:
@@ -169,3 +174,9 @@ class HandPrior(nn.Module):
         sizes = primitive_sizes(self.kinematics.shape_space, self.kinematics.default_shape if shape is None else shape)
         depths = penetration(place_primitives(self.kinematics(still, shape), sizes), self.settings.penetration)
         return depths.worst, energy_of(depths, self.settings.penetration)
+
+
+def _is_one(pose: Tensor, shape: Tensor | None) -> bool:
+    """Whether this is one hand without a batch dimension. Such a hand is a batch of one: the forward mode of torch.func
+    gives float64 for products of a number and a float32 tensor that has no dimension (torch 2.13)."""
+    return pose.ndim == 1 and (shape is None or shape.ndim == 1)
