@@ -4,6 +4,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.errors import require
 from torchhand.image import distance_map
 from torchhand.losses.reduction import Reduction, reduced
 from torchhand.precision import own_precision
@@ -23,8 +24,11 @@ def silhouette_loss(
     known: pixels that count, for masks that say nothing about some of them; all of them if None.
 
     It pulls only where silhouette and mask meet: a hand that lies beside its mask gets no direction from it. Add
-    `distance_map_loss` until they overlap.
+    `distance_map_loss` until they overlap. Raises ValueError for masks of whole numbers, whose 255 is no share.
     """
+    is_share = mask.dtype == torch.bool or mask.is_floating_point()
+    require(is_share, "mask", "bool, or shares as floating-point numbers", mask.dtype)
+    require(known is None or known.dtype == torch.bool, "known", "bool", None if known is None else known.dtype)
     wanted = mask.to(coverage)
     both, either = coverage * wanted, coverage + wanted - coverage * wanted
     if known is not None:
