@@ -17,6 +17,7 @@ import json, sys
 from dataclasses import replace
 import numpy as np, torch, torchhand
 from torchhand import *
+from torchhand.losses import silhouette_loss
 from torchhand.track import HandKeypoints
 
 model, camera = load_hand_model(), assumed_camera(64, 48)
@@ -60,6 +61,7 @@ TOLD = {
     ),
     "first(shape=torch.zeros(52))": "ValueError: shape: hand_length: expected 0.14 to 0.24 m, got 0",
     "first(shape=torch.zeros(10))": "ValueError: shape: expected 52 numbers in the last dimension, got shape (10,)",
+    "first(shape=hand.shape.expand(2, 52))": "ValueError: shape: expected that of one hand, (52,), got (2, 52)",
     "first(shape=np.zeros(52))": "TypeError: shape: expected Tensor, got ndarray",
     "first(settings='contour_full')": "TypeError: settings: expected TrackerSettings, got str",
     "first(camera=camera)": "TypeError: camera: expected str or PathLike, got Camera",
@@ -72,6 +74,9 @@ TOLD = {
         "ValueError: points_px: expected shape (*frames, 21, 2), got (1, 20, 2)"
     ),
     "fit_keypoints(kinematics, points.numpy())": "TypeError: keypoints: expected SeenKeypoints, got ndarray",
+    "fit_keypoints(kinematics, pose.new_zeros(2, 21, 3), shape=hand.shape.expand(2, 52))": (
+        "ValueError: shape: expected that of one hand, (52,), got (2, 52)"
+    ),
     "fit_keypoints(hand, points)": "TypeError: kinematics: expected HandKinematics, got Hand",
     "SeenKeypoints(camera=camera, points_px=points.numpy())": "TypeError: points_px: expected Tensor, got ndarray",
     "SeenKeypoints(camera='cam0', points_px=points)": "TypeError: camera: expected Camera, got str",
@@ -90,6 +95,12 @@ TOLD = {
     "hand(pose.numpy())": "TypeError: pose: expected Tensor, got ndarray",
     "hand([0.0] * 36)": "TypeError: pose: expected Tensor, got list",
     "prior.energy(pose.numpy())": "TypeError: pose: expected Tensor, got ndarray",
+    "silhouette_loss(torch.rand(48, 64), picture[..., 0])": (
+        "ValueError: mask: expected bool, or shares as floating-point numbers, got torch.uint8"
+    ),
+    "silhouette_loss(torch.rand(48, 64), torch.ones(48, 64), picture[..., 0])": (
+        "ValueError: known: expected bool, got torch.uint8"
+    ),
 }
 
 

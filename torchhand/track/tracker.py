@@ -176,7 +176,7 @@ class Tracker:
         for camera in given:
             require_kind("cameras", camera, Camera)
         if shape is not None:
-            hand.shape_space.check(shape)
+            hand.shape_space.check_one(shape)
         self.settings, self.device = settings, hand.shape.device
         self.cameras = tuple(camera.to(device=self.device) for camera in given)
         known = None if shape is None else shape.double().to(self.device)

@@ -154,7 +154,7 @@ def fit_keypoints(
     space = (space or named_pose_space("dof27")).to(dtype=like.dtype, device=like.device)
     _check_space(space)
     if shape is not None:
-        kinematics.shape_space.check(shape)
+        kinematics.shape_space.check_one(shape)
     shape = kinematics.default_shape if shape is None else shape.to(like)
     views = _views(keypoints, camera, confidence, settings)
     if views:

@@ -84,6 +84,12 @@ class ShapeSpace:
                 f" {self.units[column]}, got {float(values[row, column]):g}"
             )
 
+    def check_one(self, shape: Float[Tensor, "shape"]) -> None:
+        """Raises as `check` does, and ValueError for the shapes of several hands."""
+        self.check(shape)
+        if shape.ndim != 1:
+            raise ValueError(f"shape: expected that of one hand, ({len(self.names)},), got {tuple(shape.shape)}")
+
     @cached_property
     def _unit_index(self) -> Tensor:
         with torch.inference_mode(False):  # kept for callers in any mode

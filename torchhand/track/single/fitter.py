@@ -122,7 +122,7 @@ class SinglePoseFitter:
         shape outside its bounds.
         """
         if shape is not None:
-            self.kinematics.shape_space.check(shape)
+            self.kinematics.shape_space.check_one(shape)
         found = self._found(view, camera.to(device=self.device), None if shape is None else shape.to(self.device))
         return sent_to(found, HOST)
 
