@@ -6,6 +6,8 @@ from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
+import torchhand
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 FILES = sorted(path for folder in ("torchhand", "tests", "scripts") for path in (REPOSITORY / folder).rglob("*.py"))
 WITHOUT_A_ROOM = {"torchhand.devices", "torchhand.errors", "torchhand.precision"}
@@ -72,3 +74,7 @@ def test_a_door_exports_what_it_imports() -> None:
             listed = exports(home(path))
             assert listed == {name for _, name in imports(path)}, path
             assert not [name for name in listed if name.startswith("_")], path
+
+
+def test_the_top_level_lists_what_it_has_not_loaded_yet() -> None:
+    assert set(torchhand.__all__) <= set(dir(torchhand))

@@ -81,6 +81,11 @@ def __getattr__(name: str) -> Any:
     return getattr(importlib.import_module(_DOORS[name]), name)
 
 
+def __dir__() -> list[str]:
+    """With the names that are not loaded yet, for those who complete them."""
+    return sorted({*globals(), *__all__})
+
+
 def Hand(
     shape: "torch.Tensor | None" = None,
     *,
