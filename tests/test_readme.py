@@ -1,8 +1,10 @@
 """What the README and the pages under docs/ show must run and be there."""
 
 import ast
+import builtins
 import importlib
 import importlib.util
+import math
 import re
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import pytest
 import torchhand
 from tests.studio import Studio
 from torchhand.files import write_video
+from torchhand.hand import posture
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PAGES = {
@@ -112,6 +115,42 @@ def test_what_its_python_imports_is_there(page: str) -> None:
     for statement in _imports(page):
         if re.match(r"(from|import) torchhand\b", statement):
             exec(compile(statement, page, "exec"), {})
+
+
+def _unknown(page: str) -> set[str]:
+    """Names in the Python of a page that neither its block nor one before it gives."""
+    known, unknown = set(dir(builtins)), set()
+    for block in _examples(page):
+        if block.startswith("--8<--"):
+            continue
+        nodes = list(ast.walk(ast.parse(block)))
+        names = [node for node in nodes if isinstance(node, ast.Name)]
+        for node in nodes:
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                known |= {(one.asname or one.name).partition(".")[0] for one in node.names}
+            elif isinstance(node, ast.FunctionDef | ast.ClassDef):
+                known.add(node.name)
+            elif isinstance(node, ast.arg):
+                known.add(node.arg)
+        known |= {name.id for name in names if not isinstance(name.ctx, ast.Load)}
+        unknown |= {name.id for name in names} - known
+    return unknown
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_name_in_its_python_is_given_on_the_page(page: str) -> None:
+    assert _unknown(page) == set()
+    assert [block for block in re.findall(r"```\n(.*?)```", PAGES[page], flags=re.DOTALL) if "import " in block] == []
+
+
+def test_the_examples_of_streams_write_and_read_three_poses(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    for words in ("PoseStreamWriter", "PoseStreamReader"):
+        exec(compile(_example("docs/exports.md", words), "docs/exports.md", "exec"), names)
+    assert names["poses"].shape == (3, 36)
+    assert not names["held"].any()
+    assert float((names["poses"][-1] - posture("fist", dtype=names["poses"].dtype)).abs().max()) < math.radians(2.0)
 
 
 def test_the_example_for_those_who_come_from_mano_runs(capsys: pytest.CaptureFixture[str]) -> None:
