@@ -18,7 +18,7 @@ from torchhand.hand import JOINT_DOFS, HandPose
 from torchhand.numerics import single_threaded
 from torchhand.track.knowledge import TrackerState
 from torchhand.track.proportions import contour_settings
-from torchhand.track.proposals import TiltedHands, tilted_hands
+from torchhand.track.proposals import tilted_hands
 from torchhand.track.scene import Scene, learned_observations, seen_posture
 from torchhand.track.tracker import Tracker
 
@@ -56,7 +56,7 @@ class TiltAlternatives:
     @staticmethod
     def can_tilt(tracker: Tracker) -> bool:
         """Whether a tracker compares its hand with tilted ones."""
-        return any(isinstance(one, TiltedHands) for one in tracker.parts.sources)
+        return tracker.parts.tilts is not None
 
     @torch.inference_mode()
     @single_threaded()

@@ -74,6 +74,11 @@ class Assembly:
     """How proportions are fitted while a hand is followed; None where they are known, or those of the first hand."""
 
     @property
+    def tilts(self) -> TiltedHands | None:
+        """What tilts the followed hand, where something does."""
+        return next((one for one in self.sources if isinstance(one, TiltedHands)), None)
+
+    @property
     def flexes(self) -> bool:
         """Whether the fingers bend, so that frames show them differently."""
         names = self.motion.space.free_names

@@ -60,7 +60,7 @@ _FORESEEABLE_S = 0.1
 """Time over which a hand's motion foretells where it is. After longer ones the motion model is so unsure that edges
 near its contour tell little: from 0.2 s on `contour_planar` loses even a hand that keeps still."""
 
-_SMALL_PX, _MADE_PX, _MOST_ENLARGED, _SCALE_STEP = 200.0, 275.0, 4.0, 0.25
+_SMALL_PX, _MADE_PX, _MOST_ENLARGED, _SCALE_STEP = 110.0, 165.0, 3.0, 0.25
 """A hand that is no longer in the picture is made so long, the picture being enlarged so many times at most: outlines,
 colours and the network's views of smaller ones are too coarse for fingers, however sharp the picture is."""
 
@@ -687,7 +687,7 @@ class Tracker:
         """The better of the best hand so far and the proposed ones, and whether any of these is a hand at all."""
         has_found = False
         has_foreground = search.has_foreground or proposals.has_foreground
-        search = replace(search, has_foreground=has_foreground, reason=proposals.reason or search.reason)
+        search = before = replace(search, has_foreground=has_foreground, reason=proposals.reason or search.reason)
         for proposed in proposals.hands:
             candidate = self._alike(self._judged(proposed, scene, state), state.hand, facing)
             if candidate is not None and search.best is None and (away := _out_of_reach(candidate, state, scene)):
@@ -695,7 +695,25 @@ class Tracker:
             elif candidate is not None:
                 search = self._better(search, proposed, candidate, facing)
                 has_found |= self.parts.health.is_found(candidate)
-        return search, has_found
+        return self._from_known_side(search, before, facing, scene, state), has_found
+
+    def _from_known_side(
+        self, search: _Search, before: _Search, facing: Tensor | None, scene: Scene, state: TrackerState
+    ) -> _Search:
+        """What a search has found, unless it is a hand that is turned over although its side was known, and hands with
+        that side explain nearly as much that nobody has proposed. before: the search before."""
+        best, first, tilts = search.best, before.best, self.parts.tilts
+        if tilts is None or facing is None or best is None or first is None or best is first:
+            return search
+        is_over = search.is_firm and best.is_turned_from(facing) and not first.is_turned_from(facing)
+        if not is_over or best.keypoints is not None or state.shape is None or search.proposed is None:
+            return search
+        known = before
+        for proposed in tilts.turned_back(scene, state.shape, best).hands:
+            candidate = self._alike(self._judged(proposed, scene, state), state.hand, facing)
+            if candidate is not None and not candidate.is_turned_from(facing):
+                known = self._better(known, proposed, candidate, facing)
+        return search if known.best is first else self._better(known, search.proposed, best, facing)
 
     def _alike(
         self, proposed: Candidate | None, followed: FollowedHand | None, facing: Tensor | None

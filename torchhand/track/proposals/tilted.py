@@ -27,6 +27,10 @@ _COUNT = 4  # registered hands that the followed one is compared with
 _BENDS = (0.5, 1.0)  # of a fist, of digits that are bent
 _AWAY = 0.4  # share of a digit beyond its first joint that lies outside the silhouette where it is elsewhere
 _BETWEEN = 4  # points that are looked at from one keypoint of a digit to the next
+_BENDING = [
+    JOINT_DOFS.index(f"index_{name}") - JOINT_DOFS.index("index_cmc_fe") for name in ("mcp_fe", "pip_fe", "dip_fe")
+]
+_OVER = torch.diag(torch.tensor((-1.0, 1.0, -1.0), dtype=torch.float64))  # half a turn about the fingers' direction
 _SAME_M = 0.005  # mean distance of keypoints, up to which two registered hands are one
 
 
@@ -56,7 +60,30 @@ class TiltedHands:
         if plane is None or not bool((plane > 0.5).any()):
             return Proposals()
         seen = Silhouette(mask=plane > 0.5, camera=self.camera, image=scene.views[0].image)
-        found = self._registration(seen, self._starts(best, seen, shape), shape)
+        return self._registered(seen, self._starts(best, seen, shape), shape)
+
+    def turned_back(self, scene: Scene, shape: Float[Tensor, "shape"], turned: Candidate) -> Proposals:
+        """What explains a picture as well as a hand that is turned over, from the side that was known: its other side
+        in its place, each finger as the one that it takes the place of, and as a network sees it, in all tilts."""
+        plane = scene.plane(0)
+        if plane is None:
+            return Proposals()
+        own = turned.pose.normalized()
+        joints = exchanged_fingers(own.dofs[-len(JOINT_DOFS) :])
+        joints += [] if turned.learned is None else [turned.learned.joints]
+        over = HandPose(dofs=own.dofs, reference=own.reference @ _OVER.to(own.reference))
+        middles = [
+            palm_middle(self.kinematics(one.dofs[None], shape, root_reference=one.reference[None]).keypoints)[0]
+            for one in (own, over)
+        ]
+        moved = torch.cat((over.dofs[:3] + middles[0] - middles[1], over.dofs[3:]))
+        starts = tilted_hands(HandPose(dofs=moved, reference=over.reference), joints, self.kinematics, shape)
+        seen = Silhouette(mask=plane > 0.5, camera=self.camera, image=scene.views[0].image)
+        return self._registered(seen, starts, shape)
+
+    def _registered(self, seen: Silhouette, starts: HandPose, shape: Float[Tensor, "shape"]) -> Proposals:
+        """The cheapest of the registered starts (k) that differ."""
+        found = self._registration(seen, starts, shape)
         order = found.cost.argsort()
         order = order[found.cost[order].isfinite()]
         keypoints = self.kinematics(found.pose.dofs, shape, root_reference=found.pose.reference).keypoints
@@ -108,6 +135,21 @@ def bent_hands(pose: HandPose, digits: Bool[Tensor, "5"]) -> HandPose | None:
         joints[some] = bend * folded[some]
         dofs.append(one)
     return HandPose(dofs=torch.stack(dofs), reference=pose.reference.expand(len(dofs), 3, 3))
+
+
+def exchanged_fingers(joints: Float[Tensor, "30"]) -> list[Float[Tensor, "30"]]:
+    """Joint angles with which a hand shows from its other side about what one with these angles shows: its fingers bent
+    as those in the same places, with the thumb or without it; else open."""
+    own = joints.unflatten(0, (len(FINGERS), -1))
+    found = []
+    for places in ({1: 3, 2: 2, 3: 1}, {1: 4, 2: 3, 3: 2, 4: 1}):
+        other = (
+            posture("open", dtype=joints.dtype).to(joints.device)[-len(JOINT_DOFS) :].unflatten(0, own.shape).clone()
+        )
+        for finger, place in places.items():
+            other[finger, _BENDING] = own[place, _BENDING]
+        found.append(other.flatten())
+    return found
 
 
 def tilted_hands(
