@@ -290,6 +290,38 @@ def test_points_that_are_no_hand(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("place", [(5000.0, -3000.0), (1290.0, 100.0), (100.0, -490.0), (1e7, 1e7)])
+def test_points_farther_outside_one_camera_s_picture_than_it_is_large_are_left_out(
+    place: tuple[float, float], tmp_path: Path
+) -> None:
+    _, points = _points("left")
+    pixels = assumed_camera(640, 480).project(torch.from_numpy(points)).numpy()
+    holes, wrong = pixels.copy(), pixels.copy()
+    holes[1, 8], wrong[1, 8] = np.nan, place
+    found = []
+    for name, given in (("holes", holes), ("wrong", wrong)):
+        np.save(tmp_path / f"{name}.npy", given)
+        options = ("--size", "640x480", "--side", "left", "--no-fit-shape", "--no-report")
+        assert _run(tmp_path / f"{name}.npy", "--out", tmp_path / name, *options) == 0
+        with np.load(tmp_path / name / "keypoints_fit.npz") as result:
+            found.append((result["pose"], result["residual"]))
+    np.testing.assert_array_equal(found[1][0], found[0][0])
+    np.testing.assert_array_equal(found[1][1], found[0][1])
+
+
+def test_points_a_little_outside_one_camera_s_picture_count(tmp_path: Path) -> None:
+    _, points = _points("left")
+    camera = assumed_camera(640, 480)
+    moved = torch.from_numpy(points) + torch.tensor((0.25, 0.0, 0.0), dtype=torch.float64)
+    pixels = camera.project(moved).numpy()
+    assert (pixels > (639.5, 479.5)).any(-1).any()
+    np.save(tmp_path / "points.npy", pixels)
+    options = ("--size", "640x480", "--side", "left", "--no-fit-shape", "--no-report")
+    assert _run(tmp_path / "points.npy", "--out", tmp_path / "out", *options) == 0
+    with np.load(tmp_path / "out" / "keypoints_fit.npz") as result:
+        assert np.isfinite(result["residual"]).all()
+
+
 def test_an_array_of_all_cameras_with_a_calibration_of_aniposelib(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

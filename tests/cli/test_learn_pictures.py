@@ -87,7 +87,7 @@ def test_a_training_that_is_broken_off_twice_ends_in_the_same_bytes(
 def test_wrong_orders_are_one_line_and_two(
     more: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    np.savez(tmp_path / "points.npz", points_px=np.zeros((2, 21, 2)), label=np.array(["Left", "Left"]))
+    np.savez(tmp_path / "points.npz", points_px=np.ones((2, 21, 2)), label=np.array(["Left", "Left"]))
     more = [word.replace("{tmp}", str(tmp_path)) for word in more]
     assert main(["--out", str(tmp_path / "out"), *more]) == 2
     printed = capsys.readouterr()

@@ -27,7 +27,7 @@ def test_frames_of_several_cameras_have_the_times_and_the_keypoints_of_their_pic
         with write_video(tmp_path / f"{name}.mp4", width=WIDTH, height=HEIGHT, fps=fps) as video:
             for number in range(count):
                 video.write(torch.full((HEIGHT, WIDTH, 3), 40 + 3 * number, dtype=torch.uint8))
-        points = np.broadcast_to(np.arange(count, dtype=np.float64)[:, None, None], (count, 21, 2))
+        points = np.broadcast_to(np.arange(1.0, count + 1)[:, None, None], (count, 21, 2))
         files.append(tmp_path / f"{name}.npz")
         np.savez(files[-1], points_px=points, label=np.full(count, "Left"), score=np.ones(count))
     recording = RigRecording(tmp_path)
@@ -42,8 +42,8 @@ def test_frames_of_several_cameras_have_the_times_and_the_keypoints_of_their_pic
             fast, slow = keypoints.hands(frame, None)
             assert fast is not None
             assert slow is not None
-            assert float(slow.points_px[0, 0]) == frame.index
-            assert abs(float(fast.points_px[0, 0]) / 25 - frame.time_s) <= 0.02 + 1e-9
+            assert float(slow.points_px[0, 0]) - 1 == frame.index
+            assert abs((float(fast.points_px[0, 0]) - 1) / 25 - frame.time_s) <= 0.02 + 1e-9
 
 
 @pytest.mark.parametrize(("label", "is_silent"), [("Left", True), ("Right", False)])  # names of MediaPipe

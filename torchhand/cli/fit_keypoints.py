@@ -53,12 +53,13 @@ class Arguments(OnDevice):
 
     INPUT is JSON of MediaPipe or OpenPose, a folder of OpenPose's *_keypoints.json, or arrays (frames, 21, 2 or 3) as
     .npy or .npz (points_px and world of MediaPipe, keypoints3d, keypoints2d ...; std_px or cov_px for the points'
-    standard deviations or covariances in the picture). Several INPUTs are those of several cameras, as is one array
-    (cameras, frames, 21, 2), missing points NaN or negative. DIR gets keypoints_fit.npz (pose, pose_std, keypoints3d,
-    residual, status ... per frame), hand.json (the shape) and report.html, which opens in a browser. Points in a
-    picture need --camera, or --size for an assumed field of view; points in space beside them (MediaPipe's world
-    landmarks) are used together with them. Points of another hand than most cameras see are left out, and so are those
-    outside the pictures. A recording is smoothed, short gaps in it are filled, and cameras may be late.
+    standard deviations or covariances in the picture), missing points NaN, (0, 0) or (-1, -1). Several INPUTs are those
+    of several cameras, as is one array (cameras, frames, 21, 2). DIR gets keypoints_fit.npz (pose, pose_std,
+    keypoints3d, residual, status ... per frame), hand.json (the shape) and report.html, which opens in a browser.
+    Points in a picture need --camera, or --size for an assumed field of view; points in space beside them (MediaPipe's
+    world landmarks) are used together with them. Points outside the pictures are left out (of one camera, where they
+    are farther outside than the picture is large), and so are those of another hand than most cameras see. A recording
+    is smoothed, short gaps in it are filled, and cameras may be late.
 
     Examples:
         torchhand fit_keypoints hands.json --out out/hands --side left --size 1280x720

@@ -17,6 +17,10 @@ from torchhand.geometry import Camera
 PALM_METRES = (0.03, 0.2)
 """Distances from the wrist to the middle knuckle that a hand may have."""
 
+_BEYOND = 1.0
+"""Sizes of the picture by which a point that one camera's detector guesses may lie outside it; the hand is in part
+inside. MediaPipe's of `open_hand_wave` lie up to 0.18 outside, where the arm leaves the picture."""
+
 
 def cameras_of_detections(
     path: Path | None,
@@ -82,14 +86,17 @@ def same_frames(detections: Sequence[Detections]) -> list[Detections]:
 
 
 def seen_keypoints(detections: Sequence[Detections], cameras: Sequence[Camera]) -> list[SeenKeypoints]:
-    """What was seen by every camera, of the same frames each (`same_frames`)."""
+    """What was seen by every camera, of the same frames each (`same_frames`), without points that lie too far outside
+    its pictures: by more than their size before one camera, at all before several."""
+    beyond = _BEYOND if len(cameras) == 1 else 0.0  # other cameras know better than a detector that guesses
     seen = []
     for found, camera in zip(detections, cameras, strict=True):
         pixels = found.in_pixels(camera.width, camera.height)
         assert pixels.picture is not None
         points = torch.from_numpy(pixels.picture)
-        if len(cameras) > 1:  # other cameras know better than a detector that guesses
-            is_outside = (points < -0.5) | (points > points.new_tensor((camera.width, camera.height)) - 0.5)
+        if camera.intrinsics.ndim == 2 or found.size is not None:  # one K per picture tells no size
+            size = points.new_tensor((camera.width, camera.height))
+            is_outside = (points < -0.5 - beyond * size) | (points > (1 + beyond) * size - 0.5)
             points = torch.where(is_outside.any(-1, keepdim=True), torch.nan, points)
         seen.append(
             SeenKeypoints(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from torchhand.errors import InputError
-from torchhand.files.detections.formats import read_detections
+from torchhand.files.detections.formats import read_detections, read_rig_detections
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.uniform(0.1, 0.9, (4, 21, 3))
@@ -353,7 +353,11 @@ def test_broken_arrays(tmp_path: Path) -> None:
     )
     check("none.npz", r"expected an array \(frames, 21, 2 or 3\), got \(0, 21, 3\)", landmarks=WORLD[:0])
     check("name.npz", "expected an array named keypoints3d, .*, got a, b", a=WORLD, b=WORLD)
-    check("nan.npz", "expected numbers, got NaN or infinity at every point", landmarks=np.full((2, 21, 3), np.nan))
+    check(
+        "nan.npz",
+        "expected numbers, got NaN, infinity or a mark of a missing point everywhere",
+        landmarks=np.full((2, 21, 3), np.nan),
+    )
     check("text.npz", "expected numbers, got <U1", landmarks=np.full((2, 21, 3), "a"))
     check(
         "trust.npz",
@@ -440,3 +444,19 @@ def test_openpose_confidences_beyond_one_do_not_overflow(tmp_path: Path) -> None
     content = {"people": [{"hand_left_keypoints_2d": [1e308] * 63}]}
     found = read_detections(_write(tmp_path / "hands.json", json.dumps(content)))
     np.testing.assert_array_equal(found.confidence, np.ones((1, 21)))
+
+
+@pytest.mark.parametrize("mark", [(0.0, 0.0), (-1.0, -1.0)])
+@pytest.mark.parametrize("views", [(), (2,)])
+def test_marks_of_missing_points_are_none_and_points_a_little_outside_are(
+    mark: tuple[float, float], views: tuple[int, ...], tmp_path: Path
+) -> None:
+    points = np.random.default_rng(0).uniform(10, 400, (*views, 3, 21, 2))
+    points[..., 0, 4, :], points[..., 1, 8, :] = mark, (-3.0, -2.0)
+    np.save(tmp_path / "points.npy", points)
+    found = read_rig_detections(tmp_path / "points.npy") or [read_detections(tmp_path / "points.npy")]
+    for view, own in zip(found, points.reshape(-1, 3, 21, 2), strict=True):
+        own[0, 4] = np.nan
+        assert view.picture is not None
+        np.testing.assert_array_equal(view.picture, own)
+        assert view.confidence[0, 4] == 0

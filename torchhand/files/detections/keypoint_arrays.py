@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Float64
 
 from torchhand.errors import InputError
 from torchhand.files.detections.record import (
@@ -24,6 +25,7 @@ EITHER_NAMES = ("", "keypoints", "landmarks")
 _IN_PIXELS = "points_px"
 CONFIDENCE_NAMES = ("confidence", "confidences", "visibility", "scores", "score")
 BEYOND_PICTURE = 2.0  # shares of a picture may lie outside it, but not by more than its size
+_MARKS = np.array(((0.0, 0.0), (-1.0, -1.0)))  # what other programs write in place of a missing point
 
 _MEANT: dict[str, Side | None] = {"": None, "left": "left", "right": "right"}
 
@@ -50,7 +52,8 @@ def read_keypoint_arrays(
     points: Points = "auto",
     is_mirrored: bool = False,
 ) -> Detections:
-    """(frames, 21, 3) or (21, 3) in metres, or (frames, 21, 2) in px or shares of the picture; NaN for missing points.
+    """(frames, 21, 3) or (21, 3) in metres, or (frames, 21, 2) in px or shares of the picture; NaN for missing points,
+    in pictures also exactly (0, 0) or (-1, -1).
 
     Without `units`, three columns are metres; two are shares where none is beyond ±2, else px. With normalised or px
     given, a third column (MediaPipe's z) is dropped. Of an .npz, the arrays under usual names (keypoints3d, world,
@@ -83,7 +86,7 @@ def detections_of_arrays(
             )
     if not any(np.isfinite(kind.values).all(-1).any() for kind in kinds):
         where = f"{path}: {first.name}" if first.name else str(path)
-        raise InputError(f"{where}: expected numbers, got NaN or infinity at every point")
+        raise InputError(f"{where}: expected numbers, got NaN, infinity or a mark of a missing point everywhere")
     by_units = {"metres" if kind.units == "metres" else "picture": kind for kind in kinds}
     space, picture = by_units.get("metres"), by_units.get("picture")
     trust = _confidences(path, arrays, count, first.is_single)
@@ -112,6 +115,12 @@ def stored_arrays(path: Path) -> dict[str, np.ndarray]:
     """Arrays by name; that of an .npy is empty."""
     with opened_arrays(path, complaint="expected an array file of numpy (.npy, .npz) that can be read") as stored:
         return dict(stored)
+
+
+def without_marks(points: Float64[np.ndarray, "*rows 2"]) -> Float64[np.ndarray, "*rows 2"]:
+    """Points in pictures with NaN in place of marks of missing ones, which are exactly (0, 0) or (-1, -1)."""
+    is_mark = (points[..., None, :] == _MARKS).all(-1).any(-1)
+    return np.where(is_mark[..., None], np.nan, points)
 
 
 def _kinds(path: Path, arrays: dict[str, np.ndarray], points: Points, units: Units | None) -> list[_Kind]:
@@ -147,7 +156,7 @@ def _kind(where: str, name: str, found: np.ndarray, units: Units | None, is_pict
     found = found.astype(np.float64)
     if units not in ("px", "normalised") and found.shape[2] == 3 and not is_picture:
         return _Kind(name=name, values=found, units="metres", is_single=is_single)
-    found = found[..., :2]
+    found = without_marks(found[..., :2])
     if name == _IN_PIXELS:
         units = "px"
     elif units not in ("px", "normalised"):

@@ -13,6 +13,7 @@ from torchhand.files.detections.keypoint_arrays import (
     SPACE_NAMES,
     detections_of_arrays,
     stored_arrays,
+    without_marks,
 )
 from torchhand.files.detections.record import COUNT, Detections, Side, Units
 
@@ -26,8 +27,8 @@ def read_rig_arrays(
     """The keypoints of one hand before every camera; None for a file of one camera.
 
     Beside the points an .npz may hold what files of one camera do (confidence, std_px, cov_px, world, label, score),
-    with a dimension for cameras in front; what has none is the same for all. Missing points are NaN, or at or below 0
-    in both coordinates, as other programs write them. A camera that never saw the hand has no points.
+    with a dimension for cameras in front; what has none is the same for all. Missing points are as in those
+    (`read_keypoint_arrays`). A camera that never saw the hand has no points.
 
     Raises InputError naming the file and the array.
     """
@@ -44,8 +45,8 @@ def read_rig_arrays(
         raise InputError(f"{where}: expected numbers, got {points.dtype}")
     if units == "metres":
         raise InputError(f"{where}: expected points in pictures, got --units metres")
-    seen = points.astype(np.float64)
-    seen[(seen <= 0).all(-1) | ~np.isfinite(seen).all(-1)] = np.nan
+    seen = without_marks(points.astype(np.float64))
+    seen[~np.isfinite(seen).all(-1)] = np.nan
     if not np.isfinite(seen).any():
         raise InputError(f"{where}: expected numbers, got no point in any picture")
     units = units or ("normalised" if np.nanmax(seen) <= BEYOND_PICTURE else "px")
