@@ -100,6 +100,17 @@ def test_a_folder_is_fitted_judged_resumed_and_replaced(
     assert "cannot be resumed: side" in capsys.readouterr().err
 
 
+def test_pictures_of_one_name_have_overlays_of_their_own(tmp_path: Path) -> None:
+    folder = tmp_path / "walls"
+    folder.mkdir()
+    wall = np.full((160, 200, 3), 120, np.uint8)
+    for name in ("a.png", "a.jpg", "a.jpg.bmp", "b.jpg"):
+        cv2.imwrite(str(folder / name), wall)
+    assert main([str(folder), "--out", str(tmp_path / "out")]) == 0
+    drawn = sorted(path.name for path in (tmp_path / "out" / "overlays").iterdir())
+    assert drawn == ["a.jpg.bmp.png", "a.jpg.png", "a.png.png", "b.png"]
+
+
 def test_pictures_side_by_side_give_the_bytes_of_one_after_the_other(
     pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

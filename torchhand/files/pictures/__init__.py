@@ -5,7 +5,14 @@ from torchhand.files.pictures.frame_source import ASSUMED_FPS, Frame, FrameRange
 from torchhand.files.pictures.frames import is_stream, is_webcam, open_source, sequences_of
 from torchhand.files.pictures.identity import file_identity, input_identity
 from torchhand.files.pictures.limits import MAX_MEGAPIXELS, pixel_limit, size_problem
-from torchhand.files.pictures.pictures import PICTURE_SUFFIXES, PictureSource, named_picture, natural_key, read_picture
+from torchhand.files.pictures.pictures import (
+    PICTURE_SUFFIXES,
+    PictureSource,
+    named_picture,
+    natural_key,
+    read_picture,
+    unique_names,
+)
 from torchhand.files.pictures.video import VIDEO_SUFFIXES, video_times
 from torchhand.files.pictures.video_writer import VideoWriter, write_video
 
@@ -31,6 +38,7 @@ __all__ = [
     "sequences_of",
     "shown_address",
     "size_problem",
+    "unique_names",
     "video_times",
     "write_video",
 ]

@@ -8,7 +8,7 @@ from torchhand.errors import InputError
 from torchhand.files.disk import check_name, check_plain_file, expanded, short
 from torchhand.files.pictures.container import ADDRESS, STANDARD_INPUT, shown_address
 from torchhand.files.pictures.frame_source import FrameRange, FrameSource
-from torchhand.files.pictures.pictures import PICTURE_SUFFIXES, PictureSource, natural_key
+from torchhand.files.pictures.pictures import PICTURE_SUFFIXES, PictureSource, natural_key, unique_names
 from torchhand.files.pictures.video import VIDEO_SUFFIXES, VideoSource
 from torchhand.files.pictures.webcam import WebcamSource
 
@@ -66,8 +66,7 @@ def sequences_of(source: str | Path) -> list[tuple[str, str | Path]]:
     _, videos = _content(path)
     if not videos:
         return [(_name(path), path)]
-    stems = [video.stem for video in videos]
-    return [(video.stem if stems.count(video.stem) == 1 else video.name, video) for video in videos]
+    return list(zip(unique_names(videos), videos, strict=True))
 
 
 def is_webcam(source: str | Path) -> bool:

@@ -1,6 +1,7 @@
 """Single pictures and folders of pictures: any depth and any number of channels in, 8-bit RGB out."""
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -25,6 +26,12 @@ def natural_key(path: Path) -> tuple[object, ...]:
     """Sorting key that puts frame2 before frame10."""
     parts = re.split(r"(\d+)", path.name.casefold())
     return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts), path.name
+
+
+def unique_names(paths: Sequence[Path]) -> list[str]:
+    """Names of a folder's files without their suffixes; with these where that would name two files alike."""
+    stems, names = Counter(path.stem for path in paths), {path.name for path in paths}
+    return [path.stem if stems[path.stem] == 1 and path.stem not in names else path.name for path in paths]
 
 
 def read_picture(path: Path) -> UInt8[Tensor, "height width 3"]:

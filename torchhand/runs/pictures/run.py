@@ -24,7 +24,7 @@ from torchhand.draw import draw_overlay
 from torchhand.errors import InputError
 from torchhand.files import FittedHand, Track, TrackHeader, load_hand_model, load_track, read_picture
 from torchhand.files.disk import expanded, replacing
-from torchhand.files.pictures import file_identity, input_identity
+from torchhand.files.pictures import file_identity, input_identity, unique_names
 from torchhand.files.results import CONVENTION, POSES_NAME, PictureRecord, PosesWriter
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandPose, Side
@@ -82,6 +82,7 @@ class _Pictures:
 
     def __init__(self, request: PicturesRequest) -> None:
         self.request, self.paths = request, pictures_in(request.source)
+        self.names = unique_names(self.paths)
         self.camera: CameraOf = cameras_of(request.camera, [path.name for path in self.paths])
         self._stored: PictureKeypoints | None = None
         if request.keypoints and not request.has_detector:
@@ -191,7 +192,9 @@ def _fitted(pictures: _Pictures, overlays: Path | None, number: int) -> PictureR
     found = bounded.fitted(single_pose_fitter(side, request.settings, request.device), shape)
     record = _record(number, path, found.estimate, found, camera, side, started)
     if overlays is not None and bounded.view.image is not None:
-        _save_overlay(overlays / f"{path.stem}.png", bounded.view.image, found, bounded.camera, side, number)
+        _save_overlay(
+            overlays / f"{pictures.names[number]}.png", bounded.view.image, found, bounded.camera, side, number
+        )
     return record
 
 
