@@ -113,6 +113,15 @@ def test_other_boards_are_told() -> None:
     assert other_board(torch.full((200, 300, 3), 90, dtype=torch.uint8), CHESSBOARD) is None
 
 
+@pytest.mark.parametrize("sigma", [2.0, 4.0, 8.0])
+def test_clutter_is_no_other_chessboard(sigma: float) -> None:
+    for seed in range(5):
+        noise = np.random.default_rng(seed).standard_normal((240, 320)).astype(np.float32)
+        spots = cv2.GaussianBlur(noise, (0, 0), sigma)
+        grey = torch.from_numpy((128 + 60 * spots / spots.std()).clip(0, 255).astype(np.uint8))
+        assert other_board(grey[..., None].expand(-1, -1, 3), Board(columns=9, rows=6)) is None
+
+
 def test_points_are_a_grid_in_metres() -> None:
     points = CHESSBOARD.points()
     assert points.shape == (CHESSBOARD.corners, 3)

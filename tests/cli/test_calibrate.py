@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.studio import Studio
 from torchhand.calibration import Board, Pose, draw_board, find_board
 from torchhand.cli import calibrate
 from torchhand.cli.calibrate import main
@@ -244,10 +245,24 @@ def test_wrong_number_of_squares_is_told(
     assert run(some_of([0, 1]), tmp_path, flags=flags) == 2
     message = capsys.readouterr().err
     assert (
-        "view_0: found a chessboard of 8x7 squares in 0 pictures, expected 6 or more; its pictures show a chessboard"
+        "view_0: expected a chessboard of 8x7 squares in 6 pictures or more, found it in 0; its pictures show a"
         in message
     )
     assert "7x6" in message or "6x7" in message
+
+
+def test_pictures_without_a_board_are_told_without_another_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "hands"
+    folder.mkdir()
+    for number in range(3):
+        cv2.imwrite(str(folder / f"{number}.png"), Studio().placed(size=0.7 + 0.1 * number).picture().numpy())
+    assert run(folder, tmp_path, flags=("--squares", "9x6")) == 2
+    assert capsys.readouterr().err == (
+        "torchhand calibrate: error: cam0: expected a chessboard of 9x6 squares in 6 pictures or more, found it in 0;"
+        " check the pictures, --board and --squares\n"
+    )
 
 
 def test_wrong_markers_are_told(charucos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -202,11 +202,11 @@ def _views(arguments: Arguments, folder: Path, board: Board) -> list[CameraViews
         ]
     for view, other in zip(views, others, strict=True):
         if len(view.corners) < _MIN_PICTURES:
-            what = f"{board.kind} of {board.columns}x{board.rows} squares"
-            hint = f"; its pictures show {other}" if other else ""
+            what = f"a {board.kind} of {board.columns}x{board.rows} squares"
+            hint = f"its pictures show {other}" if other else "check the pictures, --board and --squares"
             raise InputError(
-                f"{view.name}: found a {what} in {len(view.corners)} pictures, expected {QualityLimits().boards} or"
-                f" more{hint}"
+                f"{view.name}: expected {what} in {QualityLimits().boards} pictures or more, found it in"
+                f" {len(view.corners)}; {hint}"
             )
     return _fewer(views)
 
