@@ -100,6 +100,17 @@ def test_a_folder_is_fitted_judged_resumed_and_replaced(
     assert "cannot be resumed: side" in capsys.readouterr().err
 
 
+def test_a_grey_picture_is_refused_without_advice_that_the_command_does_not_take(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    grey = cv2.cvtColor(staged("open").picture().numpy(), cv2.COLOR_RGB2GRAY)
+    cv2.imwrite(str(tmp_path / "grey.png"), grey)
+    assert main([str(tmp_path / "grey.png"), "--out", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr().err
+    assert "grey.png: no hand: the picture is grey" in told
+    assert "--" not in told.split("grey.png: ")[1]
+
+
 def test_pictures_of_one_name_have_overlays_of_their_own(tmp_path: Path) -> None:
     folder = tmp_path / "walls"
     folder.mkdir()

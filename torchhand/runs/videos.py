@@ -85,7 +85,7 @@ def without_hand(name: str, track: Track) -> str | None:
     if not len(track) or any(status in ("tracked", "recovered") for status in track.status):
         return None
     reason = "" if track.reason is None else next((f" ({text})" for text in track.reason if text), "")
-    return f"{name}: no hand was found{reason}; name its --posture, or give --start-points"
+    return f"{name}: no hand was found{reason}; name its --posture, or give --start-points or --keypoints"
 
 
 def _worker(request: Request, max_megapixels: float) -> Callable[[Video], VideoReport]:

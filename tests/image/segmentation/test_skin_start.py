@@ -98,6 +98,7 @@ def test_a_grey_picture_is_called_grey(generator: torch.Generator) -> None:
     assert is_grey(grey)
     assert not start.has_skin
     assert start.reason.startswith("the picture is grey")
+    assert "--" not in start.reason  # each command has options of its own
     assert not is_grey(image)
     wall, _ = scene((205, 160, 140), None, generator)
     assert "grey" not in bootstrap_skin(wall).reason

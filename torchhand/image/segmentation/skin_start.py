@@ -62,8 +62,8 @@ class SkinStart:
 
 
 GREY = (
-    "the picture is grey: without colours a hand is not told from its surroundings; give detected keypoints"
-    " (--keypoints), or the empty scene (--set silhouette.method=background --background EMPTY.png)"
+    "the picture is grey: without colours a hand is not told from its surroundings unless keypoints or a silhouette are"
+    " given"
 )
 """Said of pictures that have no colour."""
 _NO_COLOUR = 128.0  # of Cr and Cb
