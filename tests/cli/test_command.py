@@ -297,7 +297,9 @@ class _Replacing:
 
     given: Positional[tuple[str, ...]]
     hand: Path | None = None
-    out: Path
+    out: Path | None = None
+    overlay: Path | None = None
+    to: Path | None = None
     overwrite: bool = False
 
 
@@ -313,6 +315,10 @@ class _Replacing:
         (("clip.mp4", "--out", "hand.json"), False),
         (("out", "--out", "out/hand.json"), True),
         (("out", "--out", "out/report.html"), False),
+        (("clip.mp4", "--out", "new.json", "--overlay", "clip.mp4"), True),
+        (("clip.mp4", "--hand", "hand.json", "--to", "hand.json"), True),
+        (("out/overlay.mp4", "--to", "out/hand.json"), True),  # results are read with what stands beside them
+        (("out/clip.mp4", "--to", "out/hand.json"), False),
     ],
 )
 def test_what_is_read_is_not_replaced(
@@ -328,5 +334,5 @@ def test_what_is_read_is_not_replaced(
     if not is_refused:
         parse(_Replacing, (*words, "--overwrite"), name="thing")
         return
-    with pytest.raises(InputError, match=r"--out: expected a .* input, got"):
+    with pytest.raises(InputError, match=rf"{words[-2]}: expected a .* input, got"):
         parse(_Replacing, (*words, "--overwrite"), name="thing")

@@ -22,20 +22,9 @@ from torchhand.export import (
     write,
 )
 from torchhand.files.disk import expanded
-from torchhand.files.results import (
-    CHECKPOINT_NAME,
-    CONFIG_NAME,
-    HAND_NAME,
-    HEADER_NAME,
-    JSONL_NAME,
-    NPZ_NAME,
-    OVERLAY_NAME,
-)
 from torchhand.hand import Side
 
 _MAX_NAMED = 3
-RESULT_NAMES = (HAND_NAME, CONFIG_NAME, OVERLAY_NAME, CHECKPOINT_NAME, HEADER_NAME, JSONL_NAME, NPZ_NAME)
-"""Files of a result folder, which an export never replaces."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +103,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments.frame is not None:
             clip = _only(arguments, clip)
         files = kind.files(clip, target)
-        _check_free(arguments, files)
+        for file in files:
+            if file.exists() and not arguments.overwrite:
+                raise InputError(f"{file}: exists already; give another name, or --overwrite")
         notes = write(clip, target, kind.name, arguments.options)
     print(_summary(clip, kind.name, files))
     for note in (*clip.notes, *notes):
@@ -129,18 +120,6 @@ def _only(arguments: Arguments, clip: MotionClip) -> MotionClip:
     except ValueError as error:
         cut = " (lost frames are cut)" if arguments.gaps == "cut" else ""
         raise InputError(f"--{error}{cut}") from error
-
-
-def _check_free(arguments: Arguments, files: Sequence[Path]) -> None:
-    result = expanded(arguments.result)
-    folder = result if result.is_dir() else result.parent
-    kept = {result.resolve(), *((folder / name).resolve() for name in RESULT_NAMES)}
-    kept |= {expanded(arguments.hand).resolve()} if arguments.hand is not None else set()
-    for file in files:
-        if file.resolve() in kept:
-            raise InputError(f"--to: expected a name other than those of the result, got {file}")
-        if file.exists() and not arguments.overwrite:
-            raise InputError(f"{file}: exists already; give another name, or --overwrite")
 
 
 def _summary(clip: MotionClip, kind: str, files: Sequence[Path]) -> str:

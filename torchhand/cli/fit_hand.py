@@ -140,10 +140,6 @@ def _check_outputs(arguments: Arguments) -> None:
     overlay = arguments.overlay
     if overlay is not None and overlay.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise InputError(f"--overlay: expected a name that ends in .png or .jpg, got {overlay}")
-    given = {path.resolve() for path in (arguments.image, arguments.mask, arguments.camera) if path is not None}
-    for name, path in (("--out", arguments.out), ("--overlay", overlay)):
-        if path is not None and path.resolve() in given:
-            raise InputError(f"{name}: expected a name other than that of an input, got {path}")
 
 
 def _silhouette(arguments: Arguments, image: UInt8[Tensor, "height width 3"]) -> HandInPicture:
