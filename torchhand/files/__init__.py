@@ -6,6 +6,7 @@ from torchhand.files.cameras import (
     camera_of_entry,
     camera_per_picture,
     load_cameras,
+    only_camera,
     save_cameras,
 )
 from torchhand.files.detections import DetectionLog, Detections, HandDetection, read_detections, save_detections
@@ -86,6 +87,7 @@ __all__ = [
     "load_track",
     "models_dir",
     "offsets_of",
+    "only_camera",
     "open_rig",
     "open_source",
     "read_detections",

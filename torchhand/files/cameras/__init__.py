@@ -1,7 +1,14 @@
 """Calibrations in our own format and in those of others."""
 
 from torchhand.files.cameras.aniposelib import aniposelib_entries
-from torchhand.files.cameras.cameras import camera_entry, camera_for, camera_of_entry, load_cameras, save_cameras
+from torchhand.files.cameras.cameras import (
+    camera_entry,
+    camera_for,
+    camera_of_entry,
+    load_cameras,
+    only_camera,
+    save_cameras,
+)
 from torchhand.files.cameras.colmap import colmap_entries
 from torchhand.files.cameras.opencv import OPENCV_SUFFIXES, opencv_entries
 from torchhand.files.cameras.per_picture import camera_per_picture
@@ -17,6 +24,7 @@ __all__ = [
     "colmap_entries",
     "lens_files",
     "load_cameras",
+    "only_camera",
     "opencv_entries",
     "plain_text_entries",
     "save_cameras",

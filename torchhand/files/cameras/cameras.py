@@ -62,6 +62,15 @@ def camera_entry(camera: Camera) -> dict[str, Any]:
     }
 
 
+def only_camera(path: str | Path) -> Camera:
+    """The camera of a file of one. Raises InputError if it cannot be read or holds more than one camera."""
+    cameras = load_cameras(path)
+    if len(cameras) != 1:
+        names = ", ".join(camera.name for camera in cameras)
+        raise InputError(f"{path}: expected one camera, got {len(cameras)} ({names})")
+    return cameras[0]
+
+
 def camera_for(path: str | Path | None, width: int, height: int) -> Camera:
     """The camera of pictures of the given size (px): the only one of the file; without a file an assumed one.
 
@@ -69,11 +78,7 @@ def camera_for(path: str | Path | None, width: int, height: int) -> Camera:
     """
     if path is None:
         return assumed_camera(width, height)
-    cameras = load_cameras(path)
-    if len(cameras) != 1:
-        names = ", ".join(camera.name for camera in cameras)
-        raise InputError(f"{path}: expected one camera, got {len(cameras)} ({names})")
-    camera = cameras[0]
+    camera = only_camera(path)
     if (camera.width, camera.height) != (width, height):
         raise InputError(
             f"{path}: expected a camera of {width}x{height} px, the size of the pictures,"

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-import numpy as np
 from jaxtyping import Bool, UInt8
 from torch import Tensor
 
@@ -16,6 +15,7 @@ from torchhand.files import (
     HandDetection,
     camera_for,
     camera_per_picture,
+    only_camera,
     read_detections,
     read_picture,
 )
@@ -84,8 +84,10 @@ def cameras_of(path: Path | None, names: Sequence[str]) -> CameraOf:
     """Cameras from a file: the only one of a cameras.json, or those of an npz with intrinsics K (pictures, 3, 3), by
     the pictures' names where it has them (`image`), else in their order. Without a file a field of view is assumed.
 
-    Raises InputError for an npz that does not hold the intrinsics of these pictures.
+    Raises InputError for an npz that does not hold the intrinsics of these pictures, and for a file of several cameras.
     """
+    if path is not None and path.suffix.lower() != ".npz":
+        only_camera(path)
     if path is None or path.suffix.lower() != ".npz":
         return lambda number, width, height: camera_for(path, width, height)
     intrinsics = camera_per_picture(path, names, len(names)).intrinsics
@@ -94,15 +96,16 @@ def cameras_of(path: Path | None, names: Sequence[str]) -> CameraOf:
     )
 
 
-def _rows_of_names(path: Path, names: np.ndarray | None, rows: int, count: int) -> dict[str, int] | None:
-    """Rows by the names of pictures; None where they are in the pictures' order."""
-    if names is None:
-        if rows != count:
-            raise InputError(f"{path}: expected one row for each of {count} pictures, or their names, got {rows} rows")
+def _frames_of_names(path: Path, found: Detections, pictures: Sequence[str]) -> dict[str, int] | None:
+    """Numbers of the frames by the names of pictures; None where they are in the pictures' order."""
+    if found.image is None:
+        if len(found) != len(pictures):
+            expected = f"expected one row for each of {len(pictures)} pictures, or their names"
+            raise InputError(f"{path}: {expected}, got {len(found)} rows")
         return None
-    if names.shape != (rows,):
-        raise InputError(f"{path}: image: expected {rows} names, got an array of shape {names.shape}")
-    return {str(name): row for row, name in enumerate(names)}
+    if not set(found.image) & set(pictures):
+        raise InputError(f"{path}: image: expected names of the pictures, such as {pictures[0]}, got {found.image[0]}")
+    return {name: int(number) for name, number in zip(found.image, found.frame, strict=True)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,11 +179,12 @@ class PictureDetector:
 class PictureKeypointsFile:
     """Keypoints from a file, as `PictureKeypoints`."""
 
-    def __init__(self, path: Path, *, side: Side | None, count: int) -> None:
-        """side: of the hands; those of the other hand are left out. None takes what the detector says.
+    def __init__(self, path: Path, *, side: Side | None, pictures: Sequence[str]) -> None:
+        """side: of the hands; those of the other hand are left out. None takes what the detector says. pictures: their
+        names.
 
-        Raises InputError for a file that cannot be read, holds no points in the pictures, or tells of another number of
-        pictures and not of their names.
+        Raises InputError for a file that cannot be read, holds no points in the pictures, names none of them, or tells
+        of another number of pictures and not of their names.
         """
         self._of_sides: dict[Side, _OfSide] = {}
         self._wanted = _SIDES if side is None else (side,)
@@ -193,10 +197,7 @@ class PictureKeypointsFile:
                 continue
             if found.picture is None:
                 raise InputError(f"{path}: expected points in the picture, got points in space alone")
-            names = None if found.image is None else np.array(found.image)
-            rows = _rows_of_names(path, names, len(found), count)
-            frames = None if rows is None else {name: int(found.frame[row]) for name, row in rows.items()}
-            self._of_sides[own] = _OfSide(found=found, frames=frames)
+            self._of_sides[own] = _OfSide(found=found, frames=_frames_of_names(path, found, pictures))
         if problem is not None and not any(own in self._of_sides for own in self._wanted):
             raise problem
 

@@ -82,12 +82,12 @@ class _Pictures:
 
     def __init__(self, request: PicturesRequest) -> None:
         self.request, self.paths = request, pictures_in(request.source)
-        self.names = unique_names(self.paths)
-        self.camera: CameraOf = cameras_of(request.camera, [path.name for path in self.paths])
+        self.overlay_names = unique_names(self.paths)
+        names = [path.name for path in self.paths]
+        self.camera: CameraOf = cameras_of(request.camera, names)
         self._stored: PictureKeypoints | None = None
         if request.keypoints and not request.has_detector:
-            count = len(self.paths)
-            self._stored = PictureKeypointsFile(request.keypoints[0], side=request.side, count=count)
+            self._stored = PictureKeypointsFile(request.keypoints[0], side=request.side, pictures=names)
         if request.masks is not None and not request.masks.is_dir():
             raise InputError(f"--masks: expected a folder of silhouettes, got {request.masks}")
 
@@ -193,7 +193,7 @@ def _fitted(pictures: _Pictures, overlays: Path | None, number: int) -> PictureR
     record = _record(number, path, found.estimate, found, camera, side, started)
     if overlays is not None and bounded.view.image is not None:
         _save_overlay(
-            overlays / f"{pictures.names[number]}.png", bounded.view.image, found, bounded.camera, side, number
+            overlays / f"{pictures.overlay_names[number]}.png", bounded.view.image, found, bounded.camera, side, number
         )
     return record
 
