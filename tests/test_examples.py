@@ -53,6 +53,15 @@ def test_a_video_becomes_a_table(tmp_path: Path) -> None:
     assert 0 < float(rows[1]["index_pip_fe_std_deg"]) < 30
 
 
+@pytest.mark.parametrize("words", [(), ("wave.mp4",), ("wave.mp4", "both", "index.csv")])
+def test_a_wrong_command_line_of_an_example_is_told_with_its_usage(words: tuple[str, ...]) -> None:
+    command = [sys.executable, str(EXAMPLES / "track_a_video.py"), *words]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=REPOSITORY)
+    assert done.returncode == 2
+    assert done.stderr.startswith("usage: track_a_video.py [-h] video {left,right} out\n")
+    assert "Traceback" not in done.stderr
+
+
 def test_a_tracker_steps() -> None:
     assert example("tracker_step_by_step").main(frames=2) == ["tracked", "tracked"]
 

@@ -3,9 +3,9 @@
 python track_a_video.py wave.mp4 right index.csv
 """
 
+import argparse
 import csv
 import math
-import sys
 from pathlib import Path
 
 from torchhand import track
@@ -35,4 +35,8 @@ def main(video: Path, side: str, out: Path) -> int:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2], Path(sys.argv[3]))
+    parser = argparse.ArgumentParser(description="Write the flexion of the index finger of a video's hand over time.")
+    parser.add_argument("video", type=Path)
+    parser.add_argument("side", choices=("left", "right"))
+    parser.add_argument("out", type=Path, help="table to write, .csv")
+    main(**vars(parser.parse_args()))
