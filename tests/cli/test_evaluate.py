@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 import torch
 
+from tests.report.made_result import FRAMES as FRAMES_OF_A_RESULT
+from tests.report.made_result import write_result
 from torchhand.cli.evaluate import main
 from torchhand.cli.simulate import main as simulate
 from torchhand.evaluate import flexion_deg
-from torchhand.files import Track, load_hand_model, save_hand
-from torchhand.geometry import rotation_from_vector, vector_from_rotation
+from torchhand.files import Track, load_hand_model, save_cameras, save_hand
+from torchhand.geometry import assumed_camera, rotation_from_vector, vector_from_rotation
 from torchhand.hand import DOFS
 
 FRAMES = 5
@@ -114,6 +116,23 @@ def test_another_result_in_place_of_a_truth_is_compared_joint_by_joint(
     figures = json.loads((result_dir / "stability.json").read_text())["stability"]
     assert figures["joints"]["middle_pip_fe"]["fraction_apart"] == 0.5
     assert figures["whole"]["fraction_apart"] == pytest.approx(2 / (4 * 30))
+
+
+def test_what_is_of_another_hand_or_recording_is_noted(
+    tmp_path: Path, truth_dir: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    right, left = write_result(tmp_path / "right"), write_result(tmp_path / "left", side="left")
+    assert main([str(right), str(left)]) == 0
+    assert f"note: {right} and {left} differ: a right hand against a left one\n" in capsys.readouterr().out
+    with np.load(truth_dir / "truth.npz") as stored:
+        arrays = {key: np.repeat(array, FRAMES_OF_A_RESULT, axis=0) for key, array in stored.items()}
+    np.savez(truth_dir / "truth.npz", **arrays, side=np.array("left"))  # type: ignore[arg-type]
+    save_cameras([assumed_camera(720, 480)], truth_dir / "cameras.json")
+    assert main([str(right), str(truth_dir)]) == 0
+    told = "differ: a right hand against a left one; pictures of 640x480 px against 720x480 px\n"
+    assert f"note: {right} and {truth_dir} {told}" in capsys.readouterr().out
+    assert main([str(left), str(left)]) == 0
+    assert "note" not in capsys.readouterr().out
 
 
 def test_without_a_truth_the_range_of_motion_is_told(
@@ -240,7 +259,9 @@ def test_a_hand_of_other_parameters_is_refused(
 
 def test_what_is_unknown_is_null_in_the_file(result_dir: Path, truth_dir: Path) -> None:
     with np.load(truth_dir / "truth.npz") as truth:
-        np.savez(truth_dir / "truth.npz", keypoints3d=np.full_like(truth["keypoints3d"], np.nan))
+        points = truth["keypoints3d"]
+    points[np.arange(FRAMES) != 3] = np.nan  # but for the frame that the result has lost
+    np.savez(truth_dir / "truth.npz", keypoints3d=points)
     assert main([str(result_dir), str(truth_dir)]) == 0
     assert json.loads((result_dir / "evaluation.json").read_text())["position_mm"]["frame"]["mean"] is None
 
@@ -248,7 +269,8 @@ def test_what_is_unknown_is_null_in_the_file(result_dir: Path, truth_dir: Path) 
 def test_a_shorter_truth_is_another_sequences(
     result_dir: Path, truth_dir: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    np.savez(truth_dir / "truth.npz", keypoints3d=np.zeros((3, 21, 3)))
+    with np.load(truth_dir / "truth.npz") as truth:
+        np.savez(truth_dir / "truth.npz", keypoints3d=truth["keypoints3d"][:3])
     assert main([str(result_dir), str(truth_dir)]) == 2
     assert "holds frames 0 to 2 and the result has frame 4" in capsys.readouterr().err
     assert not (result_dir / "evaluation.json").exists()

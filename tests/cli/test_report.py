@@ -27,6 +27,16 @@ def test_pages_lie_beside_their_results(results: tuple[Path, Path], capsys: pyte
     assert "B: two/wave" in page
 
 
+def test_results_of_two_hands_are_told(
+    results: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    left, page = write_result(tmp_path / "left", side="left", has_video=False), tmp_path / "page.html"
+    assert main([str(results[1]), str(left), "--out", str(page)]) == 0
+    told = "A and B differ: a right hand against a left one"
+    assert f"note: {told}\n" in capsys.readouterr().out
+    assert f"<p>{told}.</p>" in page.read_text(encoding="utf-8")
+
+
 def test_a_file_that_is_there_stays(
     results: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -10,7 +10,7 @@ from torchhand.evaluate.truth import load_truth
 
 
 def test_a_folder_and_its_file_hold_the_same(tmp_path: Path) -> None:
-    points = np.random.default_rng(0).normal(size=(4, 21, 3)).astype(np.float32)
+    points = np.random.default_rng(0).normal(scale=0.05, size=(4, 21, 3)).astype(np.float32)
     np.savez(tmp_path / "truth.npz", keypoints3d=points, other=np.arange(3))
     for path in (tmp_path, tmp_path / "truth.npz"):
         truth = load_truth(path)
@@ -46,6 +46,11 @@ def test_the_project_truth_is_read(data_dir: Path) -> None:
         (
             {"keypoints3d": np.zeros((3, 21, 3)), "flexion_deg": np.zeros((4, 5, 3))},
             "expected arrays of one length, got keypoints3d 3, flexion_deg 4",
+        ),
+        ({"keypoints2d": np.full((3, 21, 2), np.nan)}, "keypoints2d: expected known numbers, got none in 3 frames"),
+        (
+            {"keypoints3d": 90.0 * np.arange(63.0).reshape(1, 21, 3) / 27 / 3**0.5},
+            "keypoints3d: expected metres, in which the middle finger's MCP is some 0.09 from the wrist, got 90",
         ),
     ],
 )

@@ -331,7 +331,7 @@ def _glove(folder: Path) -> None:
 def _truth(folder: Path) -> None:
     np.savez(
         folder / "truth.npz",
-        keypoints3d=_points(3, 3),
+        keypoints3d=0.1 * _points(3, 3),
         keypoints2d=300 * _points(3, 2),
         flexion_deg=np.full((3, 5, 3), 20.0),
     )

@@ -15,8 +15,10 @@ from torchhand.evaluate import (
     JointRange,
     JointStability,
     MaskOfFrame,
+    RecordingFacts,
     Stability,
     Truth,
+    differences,
     evaluate,
     load_mask,
     load_truth,
@@ -88,8 +90,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         name = RANGE_NAME
         figures: dict[str, Any] = {"range_of_motion_deg": {name: asdict(one) for name, one in ranges.items()}}
     elif _is_result(arguments.truth):
-        name, found = STABILITY_NAME, stability(track, load_track(arguments.truth))
+        other = load_track(arguments.truth)
+        name, found = STABILITY_NAME, stability(track, other)
         print(stability_table(found))
+        _note_differences(arguments, track, RecordingFacts.of_track(other))
         figures = {"stability": asdict(found)}
     else:
         name, truth = EVALUATION_NAME, load_truth(arguments.truth)
@@ -97,10 +101,18 @@ def main(argv: Sequence[str] | None = None) -> int:
             masks = _silhouettes(arguments.directory, track, truth)
             figures = evaluate(track, truth, masks, _detections(arguments.keypoints, track))
         print(table(figures))
+        told = RecordingFacts(side=truth.side, frames=None, sizes_px=truth.sizes_px)  # the table has the frames
+        _note_differences(arguments, track, told)
     out = arguments.out or arguments.directory / name
     write_text(out, json.dumps(_without_nan(figures), indent=2) + "\n")
     print(f"saved {out}")
     return DONE
+
+
+def _note_differences(arguments: Arguments, track: Track, other: RecordingFacts) -> None:
+    found = differences(RecordingFacts.of_track(track), other)
+    if found:
+        print(f"note: {arguments.directory} and {arguments.truth} differ: {'; '.join(found)}")
 
 
 def _is_result(folder: Path) -> bool:

@@ -11,7 +11,7 @@ from torchhand.cli.command import DONE, command, parse, threads
 from torchhand.errors import InputError
 from torchhand.files.disk import expanded
 from torchhand.files.results import COMPARISON_NAME, REPORT_NAME
-from torchhand.report import load_result, write_report
+from torchhand.report import doubts, load_result, write_report
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +52,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             for path in names
         ]
         write_report(out, results)
+    doubt = doubts(results)
+    if doubt is not None:
+        print(f"note: {doubt}")
     print(f"saved {out} ({out.stat().st_size / 1e6:.1f} MB); open it in a browser")
     return DONE
 

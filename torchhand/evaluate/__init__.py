@@ -3,11 +3,12 @@
 from torchhand.evaluate.alignment import Similarity, fit_similarity
 from torchhand.evaluate.angles import flexion_deg, without_offset
 from torchhand.evaluate.continuity import Continuity, continuity
-from torchhand.evaluate.evaluation import MIDDLE_MCP, evaluate
+from torchhand.evaluate.evaluation import evaluate
 from torchhand.evaluate.nees import Consistency, area_under_curve, consistency, normalised_errors_squared
 from torchhand.evaluate.planar_motion import PlanarMotionErrors, planar_motion_errors
 from torchhand.evaluate.pose_errors import PoseErrors, pose_errors
 from torchhand.evaluate.positions import (
+    MIDDLE_MCP,
     WRIST,
     aligned_errors,
     fingertip_distances,
@@ -27,7 +28,15 @@ from torchhand.evaluate.timing import (
 )
 from torchhand.evaluate.tracked_silhouettes import MaskOfFrame, tracked_projector, tracked_silhouettes
 from torchhand.evaluate.truth import Truth, load_mask, load_truth, numbered_pictures
-from torchhand.evaluate.without_truth import JointRange, JointStability, Stability, range_of_motion, stability
+from torchhand.evaluate.without_truth import (
+    JointRange,
+    JointStability,
+    RecordingFacts,
+    Stability,
+    differences,
+    range_of_motion,
+    stability,
+)
 
 __all__ = [
     "MIDDLE_MCP",
@@ -41,6 +50,7 @@ __all__ = [
     "MaskOfFrame",
     "PlanarMotionErrors",
     "PoseErrors",
+    "RecordingFacts",
     "Similarity",
     "Stability",
     "Timing",
@@ -49,6 +59,7 @@ __all__ = [
     "area_under_curve",
     "consistency",
     "continuity",
+    "differences",
     "evaluate",
     "fingertip_distances",
     "fingertip_errors",

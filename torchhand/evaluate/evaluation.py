@@ -22,6 +22,7 @@ from torchhand.evaluate.finite import is_finite_set, max_finite, mean_finite, me
 from torchhand.evaluate.nees import area_under_curve, consistency, fraction_in_band
 from torchhand.evaluate.planar_motion import planar_motion_errors
 from torchhand.evaluate.positions import (
+    MIDDLE_MCP,
     WRIST,
     aligned_errors,
     fingertip_distances,
@@ -36,7 +37,6 @@ from torchhand.files.results import DETERMINED
 from torchhand.hand import FINGERS, KEYPOINTS, TIPS, bone_directions
 from torchhand.image import hand_region, intersection_over_union
 
-MIDDLE_MCP = 9
 GOOD_FRAME_MM = 20.0
 MM_PER_M = 1000.0
 

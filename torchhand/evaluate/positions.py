@@ -6,7 +6,7 @@ from jaxtyping import Float
 from torchhand.evaluate.alignment import fit_similarity
 from torchhand.hand import TIPS
 
-WRIST = 0
+WRIST, MIDDLE_MCP = 0, 9
 
 
 def joint_errors(

@@ -69,7 +69,8 @@ def free_angles(result: Result) -> set[str]:
 
 def _view_from_world(result: Result) -> list[float]:
     """Rotation of the first camera, by rows."""
-    rotation = np.asarray(result.cameras[0].get("R", np.eye(3)) if result.cameras else np.eye(3), dtype=np.float64)
+    cameras = result.track.cameras
+    rotation = np.asarray(cameras[0].get("R", np.eye(3)) if cameras else np.eye(3), dtype=np.float64)
     return rotation.reshape(9).tolist() if rotation.size == 9 else np.eye(3).reshape(9).tolist()
 
 

@@ -9,7 +9,14 @@ import numpy as np
 
 import torchhand
 from torchhand.errors import InputError
-from torchhand.evaluate.without_truth import JointRange, Stability, range_of_motion, stability
+from torchhand.evaluate.without_truth import (
+    JointRange,
+    RecordingFacts,
+    Stability,
+    differences,
+    range_of_motion,
+    stability,
+)
 from torchhand.files.results import STATUSES
 from torchhand.hand import FINGERS, JOINT_DOFS
 from torchhand.report.content import ANGLE_STEP_DEG, frame_stride, free_angles
@@ -94,17 +101,27 @@ def range_table(results: Sequence[Result]) -> str:
     return f"<table><thead><tr>{heads}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
 
 
+def doubts(results: Sequence[Result]) -> str | None:
+    """One sentence where two results seem to be of two hands or recordings; else None."""
+    if len(results) < 2:
+        return None
+    found = differences(*(RecordingFacts.of_track(result.track) for result in results))
+    return f"A and B differ: {'; '.join(found)}" if found else None
+
+
 def comparison(results: Sequence[Result]) -> str:
     """What two results say of each other."""
     if len(results) < 2:
         return ""
+    doubt = doubts(results)
+    told = "" if doubt is None else f"<p>{escape(doubt)}.</p>"
     both = _compared(results)
     if both is None:
         if not free_angles(results[0]) & free_angles(results[1]):
-            return "<p>No joint angle was free in both results: none is compared.</p>"
-        return "<p>The two results have no frame in which both have a hand: nothing is compared.</p>"
+            return f"{told}<p>No joint angle was free in both results: none is compared.</p>"
+        return f"{told}<p>The two results have no frame in which both have a hand: nothing is compared.</p>"
     whole = both.whole
-    return (
+    return told + (
         f"<p>In {both.frames} frames both have a hand, in {both.frames_in_one} only one of them. Over all joint angles"
         f" that were free the median difference is {whole.median_deg:.1f}°, the 95th percentile"
         f" {whole.percentile95_deg:.1f}°; {whole.fraction_apart:.1%} of the angles differ by more than three of their"
@@ -127,14 +144,14 @@ def citation(results: Sequence[Result]) -> str:
 
 
 def _of_cameras(result: Result) -> list[tuple[str, str]]:
-    if not result.cameras:
+    if not result.track.cameras:
         return [("Camera", "none: the points were given in space, in a frame of their own.")]
-    if len(result.cameras) > 1:
-        names = ", ".join(str(camera.get("name", "?")) for camera in result.cameras)
+    if len(result.track.cameras) > 1:
+        names = ", ".join(str(camera.get("name", "?")) for camera in result.track.cameras)
         unit = result.provenance.get("unit_m")
         scale = f" One unit of the rig was found to be {1e3 * unit:.4g} mm." if isinstance(unit, float) else ""
-        return [("Cameras", f"calibrated, {len(result.cameras)}: {names}.{scale if unit != 1.0 else ''}")]
-    camera = result.cameras[0]
+        return [("Cameras", f"calibrated, {len(result.track.cameras)}: {names}.{scale if unit != 1.0 else ''}")]
+    camera = result.track.cameras[0]
     size = f"{camera.get('width')}×{camera.get('height')} px"
     if not camera.get("is_assumed"):
         return [("Camera", f"calibrated, {size}.")]

@@ -49,14 +49,6 @@ class Result:
         told = made_with.get("frames_per_second") if isinstance(made_with, Mapping) else None
         return float(told) if isinstance(told, int | float) and told > 0 else None
 
-    @property
-    def cameras(self) -> list[Mapping[str, Any]]:
-        """Entries of the cameras, as the header tells them; none for points in space."""
-        camera = self.track.header.get("camera")
-        entries = camera if isinstance(camera, list) else [camera]
-        entries = entries[0].get("rig", entries) if len(entries) == 1 and isinstance(entries[0], Mapping) else entries
-        return [entry for entry in entries if isinstance(entry, Mapping) and "K" in entry]
-
 
 def load_result(path: str | Path, *, track: Track | None = None, name: str | None = None) -> Result:
     """The result in a folder of `track`, `track_multiview` or `fit_keypoints`, or that of a file in such a folder.

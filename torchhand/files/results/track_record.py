@@ -188,6 +188,14 @@ class Track:
         """Frames with an estimate."""
         return np.asarray(np.isfinite(self.pose).all(1))
 
+    @property
+    def cameras(self) -> list[Mapping[str, Any]]:
+        """Entries of the cameras, as the header tells them; none for points in space."""
+        camera = self.header.get("camera")
+        entries = camera if isinstance(camera, list) else [camera]
+        entries = entries[0].get("rig", entries) if len(entries) == 1 and isinstance(entries[0], Mapping) else entries
+        return [entry for entry in entries if isinstance(entry, Mapping) and "K" in entry]
+
     def arrays(self) -> dict[str, np.ndarray]:
         """What track.npz holds."""
         arrays = {
