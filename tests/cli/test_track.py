@@ -588,6 +588,25 @@ def test_what_live_tracking_cannot_do(clip: Clip, run: Run, tmp_path: Path, monk
     _assert_refused(run(clip.frames, "--out", out, "--live", *clip.options), "pip install 'torchhand[view]'")
 
 
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (("--live", "--port", "-1"), "--port: expected 1 to 65535, got -1"),
+        (("--stream", "live.thp", "--stream", "osc://nowhere.invalid:9000"), "nowhere.invalid: no such host"),
+        (("--stream", "live.thp", "--start", "99"), "start 99 lies after the last frame"),
+    ],
+)
+def test_a_run_that_fails_before_its_first_frame_leaves_nothing(
+    clip: Clip, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], word: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with write_video(tmp_path / "clip.mp4", width=WIDTH, height=HEIGHT, fps=25.0) as video:
+        for picture in clip.pictures[:3]:
+            video.write(torch.from_numpy(picture[..., ::-1].copy()))
+    _assert_refused(run("clip.mp4", "--out", "new/out", *options, *clip.options), word)
+    assert [path.name for path in tmp_path.iterdir()] == ["clip.mp4"]
+
+
 # ---------------------------------------------------------------------------------------- pictures that are not right
 
 

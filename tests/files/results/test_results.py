@@ -371,6 +371,30 @@ def test_overwriting_that_is_interrupted_keeps_the_old_result(tmp_path: Path, fr
     assert UNFINISHED_NAME not in _files(out)
 
 
+def test_an_error_before_the_first_frame_leaves_everything_as_it_was(tmp_path: Path):
+    def failing(folder: Path, **options: Any) -> None:
+        with TrackWriter(folder, _header(), **options) as writer:
+            (writer.folder / "config.yaml").write_text("settings")
+            raise InputError("no such port")
+
+    old, own = tmp_path / "old", tmp_path / "own"
+    _run(old, 12)
+    own.mkdir()
+    (own / "notes.txt").write_text("the user's own")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    for folder, options in (
+        (tmp_path / "new" / "deep", {}),
+        (tmp_path / "new", {"resume": True}),
+        (own, {"overwrite": True}),
+        (old, {"overwrite": True}),
+    ):
+        with pytest.raises(InputError, match="no such port"):
+            failing(folder, **options)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["old", "own"]
+    assert UNFINISHED_NAME not in _files(old)
+
+
 def test_overwriting_with_nothing_keeps_the_old_result(tmp_path: Path):
     _run(tmp_path / "out", 12)
     with TrackWriter(tmp_path / "out", _header(), overwrite=True):

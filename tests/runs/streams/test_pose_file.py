@@ -101,3 +101,18 @@ def test_files_that_cannot_be_made_are_refused(tmp_path: Path) -> None:
         opened_pose_files([str(tmp_path / "nowhere" / "a.thp")], PoseRate(25.0), "left", _unsaid),
     ):
         pass
+
+
+def test_without_a_hand_there_is_no_file_and_an_older_one_stays(tmp_path: Path) -> None:
+    new, old = tmp_path / "new.thp", tmp_path / "old.thp"
+    old.write_bytes(b"kept")
+    said: list[str] = []
+    with opened_pose_files([str(new), str(old)], PoseRate(25.0), "left", said.append) as files:
+        for file in files:
+            file.take(_lost(0, 0.0), SHAPE)
+    assert not new.exists()
+    assert old.read_bytes() == b"kept"
+    assert said == [f"{old}: is the older stream, for there was no hand"]
+    with opened_pose_files([str(old)], PoseRate(25.0), "left", _unsaid) as [file]:
+        file.take(_frame(0, 0.0), SHAPE)
+    assert len(clip_of_stream(old, MODEL)) == 1

@@ -79,7 +79,8 @@ class TrackWriter:
     last line counts. What a
     backward pass corrects is kept as it was in forward.jsonl. Leaving the block well leaves one line per frame and
     writes track.npz from them. Leaving it by an exception (Ctrl-C, a full disk) keeps the lines, and writes track.npz
-    from them where the disk allows.
+    from them where the disk allows; an error (not Ctrl-C, after which a
+    run is resumed) before the first frame takes away what the block has made.
 
     Where the folder already holds a result (`overwrite`), the new run grows in the sub-folder `unfinished`, and its
     files take the place of the old ones only when the block ends well with at least one frame. Everything else that
@@ -123,6 +124,7 @@ class TrackWriter:
         self._frames = 0
         self._has_corrections = False
         self._pending_state: Callable[[], State] | None = None
+        self._made = [folder for folder in (self.folder, *self.folder.parents) if not folder.exists()]
         with explained_errors(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / JSONL_NAME
@@ -131,6 +133,7 @@ class TrackWriter:
             self._remove_unfinished()
         elif path.exists():
             size = self._resume(path)
+        self._before = {entry.name for entry in self.folder.iterdir()}
         if not size:
             write_header(self.folder, self._header)
         self._lines = LineFile(path, size=size)
@@ -207,6 +210,17 @@ class TrackWriter:
         if self._frames:
             with contextlib.suppress(InputError):
                 write_npz(load_track(self.folder), self.folder / NPZ_NAME)  # the longer of lines and arrays
+        elif issubclass(kind, Exception):
+            with contextlib.suppress(OSError):
+                self._leave_as_before()
+
+    def _leave_as_before(self) -> None:
+        """Take away the files of this run, and the folders that were made for them."""
+        for name in _result_names(self.folder):
+            if name not in self._before:
+                (self.folder / name).unlink(missing_ok=True)
+        for folder in self._made:
+            folder.rmdir()
 
     def _finish(self) -> None:
         if self._frames:

@@ -30,7 +30,8 @@ class PoseRate(NamedTuple):
 
 
 class PoseFile:
-    """One file. It begins with the first frame that has a hand, whose proportions it keeps.
+    """One file. It begins with the first frame that has a hand, whose proportions it keeps; until then it is empty, or
+    as it was. Without a hand there is none, or the older one.
 
     A stream has one rate: each frame takes the place that its time is nearest to. A place that no frame takes, and
     frames without a hand, repeat the pose before and are marked as held; of two frames in one place the first is kept.
@@ -40,8 +41,9 @@ class PoseFile:
 
     def __init__(self, path: Path, rate: PoseRate, side: Side, say: Callable[[str], None]) -> None:
         """Raises InputError where the file cannot be made."""
+        self._is_new = not path.exists()
         with explained_errors(path):
-            self._file: BinaryIO = path.open("wb")
+            self._file: BinaryIO = path.open("ab")
         self._path, self._fps, self._max_gap_s, self._say = path, rate.fps, rate.max_gap_s, say
         self._side: Side = side
         self._writer: PoseStreamWriter | None = None
@@ -71,6 +73,9 @@ class PoseFile:
             torch.cat((self._pose.expand(missed, -1), own)), np.array([True] * missed + [not has_hand])
         )
         self._pose, self._written = own, self._written + missed + 1
+        if begins and self._path.is_file():  # no pipe
+            with explained_errors(self._path):
+                self._file.truncate(0)
         self._write(self._writer.head + data if begins else data)
 
     def _left_out(self, missed: int, frame: int) -> int:
@@ -88,9 +93,16 @@ class PoseFile:
 
     def close(self) -> None:
         """End the stream."""
-        if self._writer is not None:
-            self._write(self._writer.end())
-        self._file.close()
+        try:
+            if self._writer is not None:
+                self._write(self._writer.end())
+        finally:
+            self._file.close()
+        if self._writer is None and self._is_new:
+            with explained_errors(self._path):
+                self._path.unlink(missing_ok=True)
+        elif self._writer is None:
+            self._say(f"{self._path}: is the older stream, for there was no hand")
 
     def _write(self, data: bytes) -> None:
         with explained_errors(self._path):
