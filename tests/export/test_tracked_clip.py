@@ -32,6 +32,33 @@ def test_a_result_gives_its_poses(make_result: Callable[..., Path]) -> None:
         assert torch.equal(load_clip(folder / file).poses, clip.poses)
 
 
+def test_pictures_that_were_fitted_with_one_hand_give_its_poses(
+    make_result: Callable[..., Path], model: HandModel
+) -> None:
+    folder = make_result(lost=(1,), side="each picture's own", hand_side="left")
+    track, hand = load_track(folder), folder / "hand.json"
+    shapes = np.tile(1.01 * model.shape_space.default.double().numpy(), (6, 1))
+    shapes[1] = np.nan
+    arrays = track.arrays() | {"image": np.array([f"{i}.png" for i in range(6)]), "side": np.array(["left"] * 6)}
+    arrays |= {"shape": shapes, "shape_names": np.array(model.shape_space.names)}
+    np.savez(folder / "poses.npz", **arrays)  # type: ignore[arg-type]
+    (folder / "track.npz").unlink()
+    hand = hand.rename(folder.parent / "hand.json")
+    clip = load_clip(folder, gaps="cut")
+    assert (clip.side, clip.frame) == ("left", (0, 2, 3, 4, 5))
+    assert np.array_equal(clip.poses.numpy(), track.pose[[0, 2, 3, 4, 5]])
+    assert np.array_equal(clip.shape.numpy(), shapes[0])
+    assert torch.equal(load_clip(folder, hand=hand).shape, model.shape_space.default.double())
+    for name, array, got in (
+        ("shape", shapes * (1 + 1e-3 * np.arange(6)[:, None]), "5 pictures with a hand each"),
+        ("side", np.array(["left", "left", "right", "left", "left", "left"]), "5 pictures with a hand each"),
+        ("shape", np.full_like(shapes, np.nan), "pictures without any"),
+    ):
+        np.savez(folder / "poses.npz", **arrays | {name: array})  # type: ignore[arg-type]
+        with pytest.raises(InputError, match=rf"poses\.npz: expected one hand, got {got}: fit one picture alone"):
+            load_clip(folder)
+
+
 def test_held_gaps_repeat_the_last_pose(make_result: Callable[..., Path]) -> None:
     clip = load_clip(make_result(lost=(0, 2, 3, 5)), gaps="hold")
     known = load_clip(make_result(name="whole")).poses

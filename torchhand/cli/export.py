@@ -22,6 +22,7 @@ from torchhand.export import (
     write,
 )
 from torchhand.files.disk import expanded
+from torchhand.files.results import RESULT_NAMES
 from torchhand.hand import Side
 
 _MAX_NAMED = 3
@@ -42,8 +43,8 @@ class Arguments:
     """
 
     result: Annotated[Positional[Path], arg(metavar="IN")]
-    """Result folder of `torchhand track`, its track.npz or track.jsonl, a hand.json, or a motion in one of the formats
-    that are read."""
+    """Result folder of `torchhand track`, its track.npz or track.jsonl, that of `torchhand fit_pose` (one picture, or
+    several fitted with one --hand), a hand.json, or a motion in one of the formats that are read."""
     to: Annotated[Path, arg(metavar="FILE")]
     """File to write."""
     format: FormatName | None = None
@@ -103,9 +104,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments.frame is not None:
             clip = _only(arguments, clip)
         files = kind.files(clip, target)
-        for file in files:
-            if file.exists() and not arguments.overwrite:
-                raise InputError(f"{file}: exists already; give another name, or --overwrite")
+        _check_free(arguments, files)
         notes = write(clip, target, kind.name, arguments.options)
     print(_summary(clip, kind.name, files))
     for note in (*clip.notes, *notes):
@@ -120,6 +119,17 @@ def _only(arguments: Arguments, clip: MotionClip) -> MotionClip:
     except ValueError as error:
         cut = " (lost frames are cut)" if arguments.gaps == "cut" else ""
         raise InputError(f"--{error}{cut}") from error
+
+
+def _check_free(arguments: Arguments, files: Sequence[Path]) -> None:
+    """Also of what is written beside --to."""
+    result = expanded(arguments.result)
+    folder = (result if result.is_dir() else result.parent).resolve()
+    for file in files:
+        if file.resolve().parent == folder and file.name in RESULT_NAMES:
+            raise InputError(f"--to: expected a name other than those of the result, got {file}")
+        if file.exists() and not arguments.overwrite:
+            raise InputError(f"{file}: exists already; give another name, or --overwrite")
 
 
 def _summary(clip: MotionClip, kind: str, files: Sequence[Path]) -> str:

@@ -12,9 +12,9 @@ from torchhand.errors import InputError
 from torchhand.export.clip import MISSING, MotionClip, Up, rest_clip
 from torchhand.export.motion_files import MOTION_SUFFIXES, is_motion_file, load_motion
 from torchhand.files import Track, load_hand, load_hand_model, load_track
-from torchhand.files.disk import expanded
+from torchhand.files.disk import expanded, opened_arrays
 from torchhand.files.pictures import ASSUMED_FPS
-from torchhand.files.results import HAND_NAME
+from torchhand.files.results import HAND_NAME, POSES_NAME
 from torchhand.hand import DOFS, HandModel, Side
 
 Gaps = Literal["hold", "cut"]
@@ -32,9 +32,10 @@ def load_clip(
     side: Side | None = None,
     model: HandModel | None = None,
 ) -> MotionClip:
-    """The clip of a result folder, of a track.npz or track.jsonl with hand.json beside it, of a hand.json alone, or of
-    a motion in a file of another program (`load_motion`), with the proportions of `hand` or the default ones. A pose
-    stream (.thp) has its own side, shape, fps and direction up.
+    """The clip of a result folder, of a track.npz or track.jsonl with hand.json beside it, of a poses.npz of one hand
+    (a single picture, or several fitted with one hand), of a hand.json alone, or of a motion in a file of another
+    program (`load_motion`), with the proportions of `hand` or the default ones. A pose stream (.thp) has its own side,
+    shape, fps and direction up.
 
     gaps: frames without an estimate repeat the last one before them ("hold"; those at the beginning the first after
         them) or are left out ("cut").
@@ -86,7 +87,13 @@ def _loaded(
         )
     folder = path if path.is_dir() else path.parent
     track = load_track(path)
-    own, shape = _hand_of(folder / HAND_NAME if hand is None else expanded(hand), model)
+    own_file = folder / HAND_NAME if hand is None else expanded(hand)
+    if (folder / POSES_NAME).is_file() and not (folder / HAND_NAME).is_file():
+        own, shape = _hand_of_pictures(folder / POSES_NAME, model)
+        track = replace(track, header={**track.header, "side": own})
+        own, shape = (own, shape) if hand is None else _hand_of(own_file, model)
+    else:
+        own, shape = _hand_of(own_file, model)
     clip = clip_of_track(track, model, shape, own, gaps=gaps, fps=fps, where=str(path))
     return replace(clip, name=_plain(folder.resolve().name), up=up or clip.up)
 
@@ -163,6 +170,22 @@ def _hand_of(path: Path, model: HandModel) -> tuple[Side, torch.Tensor]:
     except ValueError as error:
         raise InputError(f"{path}: {error}") from error
     return cast(Side, fitted.side), shape
+
+
+def _hand_of_pictures(file: Path, model: HandModel) -> tuple[Side, torch.Tensor]:
+    """The hand of a single picture, or of several that were fitted with one. Raises InputError for several hands."""
+    with opened_arrays(file, complaint="is no result of fit_pose that can be read") as stored:
+        shapes, sides = stored["shape"], stored["side"]
+        is_known = np.isfinite(shapes).all(1)
+        shape, side = np.unique(shapes[is_known], axis=0), np.unique(sides[is_known])
+        if tuple(stored["shape_names"].tolist()) != model.shape_space.names:
+            raise InputError(f"{file}: shape_names: expected those of this version's hand, got others")
+    if len(shape) != 1 or len(side) != 1:
+        got = f"{is_known.sum()} pictures with a hand each" if len(shape) else "pictures without any"
+        raise InputError(
+            f"{file}: expected one hand, got {got}: fit one picture alone, or all with the same hand (fit_pose --hand)"
+        )
+    return cast(Side, str(side[0])), torch.from_numpy(shape[0])
 
 
 def _times(number: np.ndarray, time_s: np.ndarray, frame: np.ndarray) -> np.ndarray | None:
