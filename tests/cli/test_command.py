@@ -203,7 +203,10 @@ def test_a_number_of_threads_that_cannot_be(count: int) -> None:
 
 @pytest.mark.parametrize(
     ("word", "complaint"),
-    [("", "expected a value, got an empty argument"), ("a\udcff.mp4", r"a\xff.mp4: expected a name in UTF-8")],
+    [
+        ("", "expected a value after --out, got an empty argument"),
+        ("a\udcff.mp4", r"a\xff.mp4: expected a name in UTF-8"),
+    ],
 )
 def test_words_that_name_nothing_are_refused(word: str, complaint: str) -> None:
     @dataclass(frozen=True, kw_only=True)
@@ -216,6 +219,8 @@ def test_words_that_name_nothing_are_refused(word: str, complaint: str) -> None:
     with pytest.raises(InputError) as caught:
         parse(Arguments, ["--out", word], name="test")
     assert complaint in str(caught.value)
+    with pytest.raises(InputError, match="expected a value after --out=, got an empty argument"):
+        parse(Arguments, ["--out="], name="test")
 
 
 @command

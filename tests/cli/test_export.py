@@ -157,7 +157,11 @@ def test_existing_files_and_inputs_are_kept(result: Path, tmp_path: Path, capsys
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--to", "OUT/hand.foo"), "hand.foo: expected a file name with a known ending (.glb, .bvh, "),
+        (
+            ("--to", "OUT/hand.foo"),
+            "hand.foo: expected a file name with a known ending (.glb, .bvh, .urdf, .xml, ",
+        ),
+        (("--to", "OUT/hand.foo"), ".keypoints.json, .keypoints.npz, .csv, .npy, .joints.csv, "),
         (("--to", "OUT/hand.json"), ".json may be openxr (.openxr.json) or keypoints (.keypoints.json)"),
         (("--to", "OUT/hand.bvh", "--format", "glb"), "expected an ending .glb for glb, got '.bvh'"),
         (("--to", "OUT/hand.bvh", "--format", "fbx"), "fbx"),

@@ -352,7 +352,7 @@ def test_unit_from_the_hand(copied: Path, tmp_path: Path, capsys) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--unit", "furlong"), "unit: expected one of m, cm, mm, inch or a number of metres"),
+        (("--unit", "furlong"), "unit: expected one of m, cm, mm, inch, hand or a number of metres"),
         (("--silhouettes", "background"), "expected --background with pictures of the empty scene, got none"),
         (("--background", "x"), "--background: expected --silhouettes background with it"),
         (("--set", "rig.octree.depth=3"), "unknown key rig.octree.depth"),

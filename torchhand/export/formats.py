@@ -283,7 +283,8 @@ def format_of(path: str | Path, name: FormatName | None = None) -> Format:
     fitting = [entry for entry in FORMATS if longest in entry.suffixes]
     is_bare = longest.startswith(".") and path.name.lower() == longest
     if not longest or is_bare:
-        allowed = ", ".join(entry.suffixes[0] for entry in FORMATS)
+        endings = [suffix for entry in FORMATS for suffix in entry.suffixes]
+        allowed = ", ".join(ending for ending in endings if endings.count(ending) == 1)  # what leaves nothing open
         raise InputError(f"{path}: expected a file name with a known ending ({allowed}), got {path.suffix!r}")
     if len(fitting) > 1:
         choices = " or ".join(f"{entry.name} ({_own_suffix(entry, longest)})" for entry in fitting)

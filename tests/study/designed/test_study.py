@@ -80,12 +80,12 @@ def test_a_factor_of_ones_own_is_one_class() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("blur_px:", "blur:", r"factors: blur: unknown \(did you mean blur_px\?\)"),
+        ("blur_px:", "blur:", r"factors: blur: unknown \(did you mean blur_px\?\); allowed: .*, camera_turn_deg, "),
         ("high: 6", "high: 600", "blur_px: expected a number, 0 to 50, got 600"),
         ("[outline, points]", "[outline, depth]", "observation: expected one of contour, .* got 'depth'"),
         ("trials: 12", "trials: 2", "pictures: expected 1 to 2, got 3"),
         ("trials: 12", "trials: many", "trials: expected .*'many'"),
-        ("seed: 4", "seeds: 4", r"seeds: unknown key \(did you mean seed\?\)"),
+        ("seed: 4", "seeds: 4", r"seeds: unknown key \(did you mean seed\?\); allowed: factors, "),
         ("crossed: observation", "crossed: noise", "crossed: expected one of observation, .* got 'noise'"),
         ("occlusion: 0.1", "blur_px: 1", "fixed: expected no factor that is varied, got 'blur_px'"),
         ("design: {latin_hypercube: 6}", "design: full", "blur_px: expected levels"),

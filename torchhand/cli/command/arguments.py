@@ -3,6 +3,7 @@
 import contextlib
 import inspect
 import io
+import itertools
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -28,6 +29,7 @@ _MISSING_VALUE = re.compile(r"Missing value for argument '([^']*)'\. Expected (\
 _WRONG_SEVERAL = re.compile(
     r"Error parsing ([^:]*): .*Could not parse arguments (\[.*?\]) into tuple type (?:typing\.T|t)uple\[(.*)\].*"
 )
+_EMPTY_OPTION = re.compile(r"--[\w-]+=")
 _OF_A_RECORD = re.compile(r"^Error parsing [\w.]+: (?=--)")
 """Before what a record's own check says."""
 _WRONG_NUMBERS = {
@@ -82,9 +84,10 @@ def parse(
     # What loads torch is left to what needs it: help does not.
     from torchhand.files.disk import check_name
 
-    for word in sys.argv[1:] if argv is None else argv:
-        if not word:
-            raise InputError("expected a value, got an empty argument")  # as a path it would mean the current folder
+    for before, word in itertools.pairwise(("", *(sys.argv[1:] if argv is None else argv))):
+        if not word or _EMPTY_OPTION.fullmatch(word):  # as a path it would mean the current folder
+            place = word or before
+            raise InputError(f"expected a value{f' after {place}' if place else ''}, got an empty argument")
         check_name(word)
     given, common = _read(kind, argv, name, has_settings=settings is not None)
     check_inputs_stay(given)

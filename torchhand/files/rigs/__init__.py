@@ -1,6 +1,6 @@
 """Recordings of several cameras."""
 
-from torchhand.files.rigs.rig import UNITS, load_rig, rig_notes
+from torchhand.files.rigs.rig import UNITS, load_rig, rig_notes, unit_in_metres
 from torchhand.files.rigs.source import Offsets, RigFrame, RigSource, offsets_of, open_rig, open_uncalibrated
 from torchhand.files.rigs.views import mask_paths
 
@@ -15,4 +15,5 @@ __all__ = [
     "open_rig",
     "open_uncalibrated",
     "rig_notes",
+    "unit_in_metres",
 ]

@@ -72,8 +72,9 @@ def rig_notes(cameras: Sequence[Camera]) -> list[str]:
     return notes
 
 
-def unit_in_metres(unit: str | float | None) -> float:
-    """Metres of one unit; 1 for None. Raises InputError naming the allowed ones."""
+def unit_in_metres(unit: str | float | None, *, others: Sequence[str] = ()) -> float:
+    """Metres of one unit; 1 for None. others: words that are allowed besides. Raises InputError naming all that are
+    allowed."""
     if unit is None:
         return 1.0
     if isinstance(unit, str) and unit in UNITS:
@@ -81,9 +82,10 @@ def unit_in_metres(unit: str | float | None) -> float:
     try:
         value = float(unit)
     except ValueError:
-        hint = suggestion(str(unit), UNITS)
+        allowed = (*UNITS, *others)
+        hint = suggestion(str(unit), allowed)
         raise InputError(
-            f"unit: expected one of {', '.join(UNITS)} or a number of metres, got {short(unit)}{hint}"
+            f"unit: expected one of {', '.join(allowed)} or a number of metres, got {short(unit)}{hint}"
         ) from None
     if not 0 < value <= _LONGEST_UNIT:
         raise InputError(f"unit: expected a number of metres above 0, at most {_LONGEST_UNIT:g}, got {short(unit)}")

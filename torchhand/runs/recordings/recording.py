@@ -23,7 +23,7 @@ from torchhand.files import (
 )
 from torchhand.files.disk import expanded
 from torchhand.files.pictures import PICTURE_SUFFIXES, shown_address
-from torchhand.files.rigs import mask_paths
+from torchhand.files.rigs import mask_paths, unit_in_metres
 from torchhand.geometry import Camera
 from torchhand.hand import FINGERS
 from torchhand.image import BackgroundPlate, fingers_apart, learn_background
@@ -34,6 +34,7 @@ ASSUMED_CAMERA = "no --camera given: a field of view is assumed, so distances ar
 _MEMORY_BYTES = 2**28  # of the pictures that are held at once where a recording is read backwards
 _LOOKED_AHEAD_S = 5.0  # how far an open hand is looked for
 _LOOK_EVERY = 5  # frames from one look for it to the next
+_UNIT_OF_THE_HAND = "hand"
 _UNKNOWN_LENGTH = 300  # frames among which samples are taken where nobody knows how many there are
 
 
@@ -212,7 +213,9 @@ class RigRecording:
         place = self.folder if cameras is None else cameras
         if not self.folder.is_dir():
             raise InputError(f"{folder}: expected a folder with cameras and pictures, found none")
-        fits_unit = unit == "hand"
+        fits_unit = unit == _UNIT_OF_THE_HAND
+        if not fits_unit:
+            unit_in_metres(unit, others=(_UNIT_OF_THE_HAND,))
         self.cameras = load_rig(place, unit=1.0 if fits_unit else unit)  # 1: what a unit is, is not known yet
         if len(self.cameras) < 2:
             raise InputError(f"{place}: expected two cameras or more, got {len(self.cameras)}")

@@ -63,7 +63,8 @@ class Study:
         object.__setattr__(self, "design", design_of(self.design))
         for name, values in (*self.factors.items(), *((name, [value]) for name, value in self.fixed.items())):
             if name not in self.kinds:
-                raise ValueError(f"factors: {name}: unknown{suggestion(name, self.kinds)}")
+                hint = suggestion(name, self.kinds)
+                raise ValueError(f"factors: {name}: unknown{hint}; allowed: {', '.join(self.kinds)}")
             is_range = isinstance(values, Between) or (isinstance(values, (list, tuple)) and bool(values))
             require(is_range, name, "a list of levels or the two ends {low, high}", values)
         twice = set(self.factors) & set(self.fixed)
@@ -129,7 +130,9 @@ def load_study(path: Path) -> Study:
     known = [one.name for one in fields(Study) if one.name != "kinds"]
     unknown = next((key for key in content if key not in known), None)
     if unknown is not None:
-        raise InputError(f"{path}: {unknown}: unknown key{suggestion(str(unknown), known)}")
+        raise InputError(
+            f"{path}: {unknown}: unknown key{suggestion(str(unknown), known)}; allowed: {', '.join(known)}"
+        )
     if not isinstance(content.get("fixed", {}), dict):
         raise InputError(f"{path}: fixed: expected values by the names of factors, got {content['fixed']!r}")
     plain = {name: content[name] for name in _PLAIN if name in content}
