@@ -223,6 +223,23 @@ def test_words_that_name_nothing_are_refused(word: str, complaint: str) -> None:
         parse(Arguments, ["--out="], name="test")
 
 
+def test_a_file_whose_name_begins_with_a_dash_is_no_option(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    @dataclass(frozen=True, kw_only=True)
+    class Arguments:
+        """A command."""
+
+        source: Positional[Path]
+
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=r"^SOURCE: expected a value, got none"):
+        parse(Arguments, ["-v.mp4"], name="test")
+    for name in ("-v.mp4", "-v"):
+        Path(name).touch()
+    with pytest.raises(InputError, match=r"^-v\.mp4: expected \./-v\.mp4 for a file whose name begins with a dash$"):
+        parse(Arguments, ["-v.mp4"], name="test")
+    assert parse(Arguments, ["./-v.mp4", "-v"], name="test") == Arguments(source=Path("-v.mp4"))
+
+
 @command
 def talkative(argv: Sequence[str] | None = None) -> int:
     parse(Arguments, argv, name="thing")

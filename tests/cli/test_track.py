@@ -482,6 +482,11 @@ def test_one_shape_for_the_whole_recording_and_again_where_it_is_resumed(
     assert (parts / "hand.json").read_bytes() == (whole / "hand.json").read_bytes()
 
 
+def test_proportions_of_a_single_frame_are_told_in_the_singular(clip: Clip, run: Run, tmp_path: Path) -> None:
+    options = ["--camera", clip.camera, "--no-overlay", "--no-report", "--max-frames", "1"]
+    assert "proportions: fitted over 1 frame (" in run(clip.frames, "--out", tmp_path / "out", *options).err
+
+
 def test_proportions_that_are_fitted_on_the_way_are_kept_with_the_frame(
     clip: Clip, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

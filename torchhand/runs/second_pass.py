@@ -72,7 +72,8 @@ def _adopted_shape(run: Run, forward: Track, before: Tensor, say: Say) -> Float[
     if state is None or not count or not can_tell_shape(tracker):
         return before
     rows = spread_frames(torch.from_numpy(forward.pose), torch.from_numpy(_is_good(forward)), count)
-    say(f"proportions: fitted over {len(rows)} frames (--set shape_frames=0 keeps those of the first hand)")
+    frames = "1 frame" if len(rows) == 1 else f"{len(rows)} frames"
+    say(f"proportions: fitted over {frames} (--set shape_frames=0 keeps those of the first hand)")
     found = recorded_shape(tracker, state, _followed_frames(run, forward, rows))
     if found is None or found.is_contradicted:
         return before

@@ -70,6 +70,17 @@ def test_objects_are_not_executed(tmp_path: Path) -> None:
     np.savez(path, points=np.array([None, print], dtype=object))
     with pytest.raises(InputError, match="expected points"), opened_arrays(path, complaint="expected points") as arrays:
         arrays["points"]
+    np.save(tmp_path / "objects.npy", np.array([None, print], dtype=object))
+    assert (
+        _complaint(tmp_path / "objects.npy") == f"{tmp_path / 'objects.npy'}: expected points (it holds Python objects)"
+    )
+
+
+def test_what_is_no_array_file_is_told_without_numpys_advice(tmp_path: Path) -> None:
+    (tmp_path / "a.npz").write_text("no arrays")
+    assert (
+        _complaint(tmp_path / "a.npz") == f"{tmp_path / 'a.npz'}: expected points (neither .npz nor .npy, or damaged)"
+    )
 
 
 def test_what_is_no_file(tmp_path: Path) -> None:

@@ -134,8 +134,16 @@ def test_offsets(as_video: bool, record: Callable[..., Path], make_video: Callab
             make_video(f"cam{i}.mp4", 8)
     else:
         record(range(8), range(8), range(8))
-    frames = read(open_rig(tmp_path, cameras(), offsets={"cam1": 2, "cam2": -1}))
-    assert numbers(frames) == [[i + 1, i + 3, i] for i in range(5)]
+    source = open_rig(tmp_path, cameras(), offsets={"cam1": 2, "cam2": -1})
+    assert source.count == 5
+    assert numbers(read(source)) == [[i + 1, i + 3, i] for i in range(5)]
+    with pytest.raises(InputError, match=r"start 5 lies after the last frame \(4\)"):
+        open_rig(tmp_path, cameras(), offsets={"cam1": 2, "cam2": -1}, start=5)
+    for offset in (100, -100):
+        with pytest.raises(
+            InputError, match=f"offset: expected frames that all views have, got none with cam1={offset}$"
+        ):
+            open_rig(tmp_path, cameras(), offsets={"cam0": 0, "cam1": offset})
 
 
 @pytest.fixture

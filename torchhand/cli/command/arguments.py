@@ -8,6 +8,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, make_dataclass
+from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import tyro
@@ -89,6 +90,8 @@ def parse(
             place = word or before
             raise InputError(f"expected a value{f' after {place}' if place else ''}, got an empty argument")
         check_name(word)
+        if re.match("-[^-].", word) and Path(word).exists():  # -q and -v are options
+            raise InputError(f"{word}: expected ./{word} for a file whose name begins with a dash")
     given, common = _read(kind, argv, name, has_settings=settings is not None)
     check_inputs_stay(given)
     if settings is not None and common.print_config:
@@ -187,6 +190,11 @@ def _text_of_box(text: str) -> str:
     return "; ".join(_plainly(sentence) for sentence in sentences if sentence and not sentence.startswith(UNWANTED))
 
 
+def _as_in_help(name: str) -> str:
+    """An option as it is; an argument without one by the name of its field, in capitals."""
+    return name if name.startswith("-") else name.rpartition(".")[2].upper()
+
+
 def _plainly(sentence: str) -> str:
     """One of tyro's sentences in the form of our own: the option, what was expected, what was given."""
     if found := _WRONG_CHOICE.fullmatch(sentence):
@@ -195,7 +203,7 @@ def _plainly(sentence: str) -> str:
         choices = " or ".join(allowed) if len(allowed) < 3 else f"one of {', '.join(allowed)}"
         return f"{name}: expected {choices}, got {got}"
     if found := _MISSING_VALUE.fullmatch(sentence):
-        name, count = found.groups()
+        name, count = _as_in_help(found[1]), found[2]
         return f"{name}: expected {'a value, got none' if count == '1' else f'{count} values, got fewer'}"
     if found := _WRONG_SEVERAL.fullmatch(sentence):
         name, listed, kinds = found.groups()

@@ -66,7 +66,14 @@ def opened_arrays(path: Path, *, complaint: str) -> Iterator[StoredArrays]:
         except InputError:
             raise
         except Exception as error:  # zip, its decompressors and numpy's header parser raise whatever they stumble over
-            raise InputError(f"{path}: {complaint} ({type(error).__name__}: {_first_words(error)})") from error
+            raise InputError(f"{path}: {complaint} ({_reason(error)})") from error
+
+
+def _reason(error: Exception) -> str:
+    text = str(error)
+    if "allow_pickle" in text:  # numpy's advice, which nobody should follow
+        return "it holds Python objects" if text.startswith("Object arrays") else "neither .npz nor .npy, or damaged"
+    return f"{type(error).__name__}: {_first_words(error)}"
 
 
 def _first_words(error: Exception) -> str:

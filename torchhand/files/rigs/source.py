@@ -2,7 +2,7 @@
 
 import itertools
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Sized
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -95,12 +95,18 @@ class RigSource:
         frames = self._frame_positions_of(usable, keep_all=keep_all)
         self._frame_positions = frames if frames is None else frames[::every]
         known = self._pairs if self._frame_positions is None else self._frame_positions
-        if known is not None and start >= len(known):
-            raise InputError(f"start {start} lies after the last frame ({len(known) - 1})")
         self._start, self._every, self._shift = start, every, self._first(usable)
+        length = self._length(usable, known)
+        if length == 0 and any(self._offsets):
+            own = zip(self.names[: self._cameras], self._offsets, strict=False)  # without those of masks
+            given = ", ".join(f"{name}={offset:g}" for name, offset in own if offset)
+            raise InputError(f"offset: expected frames that all views have, got none with {given}")
+        if length is not None and start >= length:
+            raise InputError(f"start {start} lies after the last frame ({length - 1})")
         stops = [max_frames and start + max_frames, known and len(known)]
         self._stop = min((stop for stop in stops if stop), default=None)
-        self.count = self._promised_count(usable)
+        ends = [end for end in (length, self._stop) if end is not None]
+        self.count = min(ends) - start if ends else None
         """How many frames this reading will deliver, for a progress bar; None where nobody knows."""
         self._used = False
         self._readers: list[Iterator[Picture]] = []
@@ -255,14 +261,16 @@ class RigSource:
             texts = ", ".join(f"{name} {length}" for name, length in lengths.items())
             self.warnings.append(f"the views differ in length ({texts} frames): reading ends with the shortest")
 
-    def _promised_count(self, usable: Sequence[RigView]) -> int | None:
+    def _length(self, usable: Sequence[RigView], known: Sized | None) -> int | None:
+        """How many frames there are from the first one on, as the files promise; None where nobody knows. known: those
+        whose pictures are known already."""
         ends = [
             -(-(view.promised - self._shift - self._offset(view)) // self._every)
             for view in usable
             if view.promised is not None and view.pictures is None and self._pairs is None
         ]
-        ends += [] if self._stop is None else [self._stop]
-        return max(0, int(min(ends)) - self._start) if ends else None
+        ends += [] if known is None else [len(known)]
+        return max(0, int(min(ends))) if ends else None
 
     def _report_end(self, pictures: Sequence[Picture | None], index: int) -> None:
         usable = [view.problem is None for view in self._views]
