@@ -9,7 +9,10 @@ import pytest
 
 from torchhand.cluster import Cluster
 from torchhand.errors import DiskError, InputError
-from torchhand.runs import Request, Video, settings_of, track_videos, videos, with_own_keypoints
+from torchhand.files import FrameRecord, TrackHeader, TrackWriter, load_track
+from torchhand.hand import DOFS
+from torchhand.runs import Request, Video, settings_of, track_videos, videos, with_own_keypoints, without_hand
+from torchhand.track import STILL_SEARCHED
 
 REQUEST = Request(settings=settings_of("contour_planar"), config="contour_planar")
 
@@ -105,3 +108,16 @@ def test_keypoints_that_are_not_of_each_video_are_refused(tmp_path: Path) -> Non
         (item.out_dir / "keypoints.npz").touch()
     with pytest.raises(InputError, match="another folder than that of --out"):
         with_own_keypoints(items, [tmp_path / "out"])
+
+
+def test_why_no_hand_was_found_is_what_most_frames_tell_once_one_was_searched(tmp_path: Path) -> None:
+    def told(*reasons: str) -> str | None:
+        header = TrackHeader(dof_names=DOFS, source="", side="right", camera={})
+        with TrackWriter(tmp_path / "out", header, overwrite=True) as writer:
+            for frame, reason in enumerate(reasons):
+                writer.append(FrameRecord.empty(frame, "no_hand", dofs=len(DOFS), seconds=0.1, reason=reason))
+        return without_hand(load_track(tmp_path / "out"))
+
+    assert told(STILL_SEARCHED, STILL_SEARCHED) == f"no hand was found: {STILL_SEARCHED}, which takes seconds"
+    searched = told(STILL_SEARCHED, STILL_SEARCHED, STILL_SEARCHED, "a wall", "a face", "a face")
+    assert searched == "no hand was found (a face); name its --posture, or give --start-points"

@@ -18,8 +18,8 @@ from tests.steps import FRAME_S, right_hand
 from torchhand.cluster import can_copy_process
 from torchhand.devices import HOST
 from torchhand.runs import settings_of
-from torchhand.track import OCCASIONS, Estimate, SearchBeside, Tracker, TrackerState, View
-from torchhand.track.messages import READY, Search, packed
+from torchhand.track import OCCASIONS, STILL_SEARCHED, Estimate, SearchBeside, Tracker, TrackerState, View
+from torchhand.track.messages import READY, Answer, Search, packed
 
 QUICK = ("always", "detected")
 PATIENCE_S = 120.0  # for another process on a machine with other work
@@ -66,7 +66,7 @@ def test_a_hand_is_found_while_steps_go_on(film: Any) -> None:
     assert expected.keypoints is not None
     with SearchBeside(make) as beside:
         estimates = _until_tracked(beside, film)
-        assert {one.status for one in estimates[:-1]} == {"no_hand"}  # none of them has searched
+        assert {(one.status, one.reason) for one in estimates[:-1]} == {("no_hand", STILL_SEARCHED)}
         found = estimates[-1].keypoints
         assert found is not None
         assert float((found - expected.keypoints).norm(dim=-1).max()) < 0.005
@@ -103,6 +103,20 @@ def test_all_pictures_near_a_search_are_sent_then_some(film: Any, monkeypatch: p
     assert isinstance(messages[0], Search)
     sent = [round(message.time_s / FRAME_S) for message in messages[1:]]
     assert sent == [1, 2, 3, 4, 7, 10]
+
+
+def test_a_search_in_vain_tells_why_until_the_next_hand(film: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    context = _NoProcess()
+    monkeypatch.setattr("torchhand.track.messages.get_context", lambda _: context)
+    views = [View(image=film.images[0])]
+    with SearchBeside(partial(Tracker, right_hand(), film.camera, settings_of("contour_planar"))) as beside:
+        context.there.send_bytes(packed(READY))
+        state, first = beside.step(None, views, 0.0)
+        asked = pickle.loads(context.there.recv_bytes())
+        context.there.send_bytes(packed(Answer(number=asked.number, seconds=0.1, state=None, reason="a wall")))
+        _, second = beside.step(state, views, FRAME_S)
+        _, forgotten = beside.step(None, views, 2 * FRAME_S)
+    assert [one.reason for one in (first, second, forgotten)] == [STILL_SEARCHED, "a wall", STILL_SEARCHED]
 
 
 SCRIPT = """

@@ -193,9 +193,9 @@ def main(argv: Sequence[str] | None = None) -> int:
                 continue
             told = summary_of(video.name, track, video.out_dir)
             print(told, file=sys.stderr if STANDARD_OUTPUT in request.streams else sys.stdout)
-            line = without_hand(video.name, track)
+            line = without_hand(track)
             if line is not None:
-                _say(line)
+                _say(f"{video.name}: {line}")
     return WRONG_INPUT if failed else DONE
 
 

@@ -23,6 +23,7 @@ from torchhand.runs import (
     summary_of,
     track_live_rig,
     track_rig,
+    without_hand,
 )
 from torchhand.track import TrackerSettings
 
@@ -121,9 +122,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             _say(how_to_go_on(arguments.out, overwrite=request.overwrite))
             return STOPPED_BY_USER
     print(summary_of(arguments.rig.name, track, arguments.out))
-    if len(track) and not any(status in ("tracked", "recovered") for status in track.status):
-        reason = "" if track.reason is None else next((f" ({text})" for text in track.reason if text), "")
-        _say(f"no hand was found{reason}; look at the silhouettes, the cameras' unit and --side")
+    line = without_hand(track, "look at the silhouettes, the cameras' unit and --side")
+    if line is not None:
+        _say(line)
     return DONE
 
 

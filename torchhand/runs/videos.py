@@ -3,6 +3,7 @@
 import contextlib
 import functools
 import io
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from torchhand.files.pictures import pixel_limit
 from torchhand.runs.progress import untold_progress
 from torchhand.runs.request import Request
 from torchhand.runs.tracking import summary_of, track_sequence
+from torchhand.track import STILL_SEARCHED
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,12 +82,23 @@ def with_own_keypoints(videos: Sequence[Video], keypoints: Sequence[Path]) -> li
     return [replace(video, keypoints=own) for video, own in zip(videos, found, strict=True)]
 
 
-def without_hand(name: str, track: Track) -> str | None:
-    """What to tell where no hand was found in any frame."""
+def without_hand(track: Track, advice: str = "name its --posture, or give --start-points or --keypoints") -> str | None:
+    """What to tell where no hand was found in any frame; advice: what may help."""
     if not len(track) or any(status in ("tracked", "recovered") for status in track.status):
         return None
-    reason = "" if track.reason is None else next((f" ({text})" for text in track.reason if text), "")
-    return f"{name}: no hand was found{reason}; name its --posture, or give --start-points or --keypoints"
+    reason = _usual_reason(track)
+    if reason == STILL_SEARCHED:
+        return f"no hand was found: {reason}, which takes seconds"
+    return f"no hand was found{f' ({reason})' if reason else ''}; {advice}"
+
+
+def _usual_reason(track: Track) -> str:
+    """Why most of the frames without a hand have none, those before the end of the first search aside; empty where none
+    tells."""
+    reasons = Counter(text for text in ([] if track.reason is None else track.reason.tolist()) if text)
+    if len(reasons) > 1:
+        reasons.pop(STILL_SEARCHED, None)
+    return max(reasons, key=reasons.__getitem__, default="")
 
 
 def _worker(request: Request, max_megapixels: float) -> Callable[[Video], VideoReport]:
@@ -98,8 +111,8 @@ def _worker(request: Request, max_megapixels: float) -> Callable[[Video], VideoR
             raise
         except (InputError, OSError) as error:
             return VideoReport(said=tuple(said), error=str(error))
-        line = without_hand(video.name, track)
-        said += [] if line is None else [line]
+        line = without_hand(track)
+        said += [] if line is None else [f"{video.name}: {line}"]
         return VideoReport(said=tuple(said), summary=summary_of(video.name, track, video.out_dir))
 
     return work

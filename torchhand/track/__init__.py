@@ -13,7 +13,7 @@ from typing import Any
 from torchhand.track.ahead import ScenesAhead, scenes_ahead
 from torchhand.track.alternatives import Alternatives
 from torchhand.track.backward import BackwardPass
-from torchhand.track.beside import SearchBeside, opened_tracker
+from torchhand.track.beside import STILL_SEARCHED, SearchBeside, opened_tracker
 from torchhand.track.knowledge import Estimate, Keyframe, TrackerState, restored_state, saved_state
 from torchhand.track.paths import HandPath, PosedHand, combined_hand, path_weights
 from torchhand.track.proportions import FittedShape, reshaped_poses
@@ -28,6 +28,7 @@ __all__ = [
     "DEFAULTS",
     "OCCASIONS",
     "ONE_PLACE_M",
+    "STILL_SEARCHED",
     "Alternatives",
     "BackwardPass",
     "Estimate",

@@ -18,6 +18,8 @@ from torchhand.track.worker import FOLLOWING, serve
 
 _log = logging.getLogger(__name__)
 
+STILL_SEARCHED = "the first search for a hand has not ended"
+"""Reason of frames without a hand until a search tells one."""
 _SENT_EVERY_S = 0.09  # from one picture that is sent for a search that goes on to the next: hardly less than its steps
 _ALL_SENT_S = 0.15  # after the searched frame in which every picture is sent: in these the hand's motion becomes known
 
@@ -51,6 +53,7 @@ class SearchBeside:
         self._asked: Request | None = None
         """The request that goes on."""
         self._sent_s, self._rest_until_s = 0.0, 0.0
+        self._reason = STILL_SEARCHED
 
     def __enter__(self) -> "SearchBeside":
         self._process.start()
@@ -77,10 +80,13 @@ class SearchBeside:
         """
         if state is None:
             self._number += 1
+            self._reason = STILL_SEARCHED
         state, other = self._answered(state)
         if other is not None and (state is None or not state.has_started):
             state, other = other, None
         after, estimate = self.tracker.step(state, views, time_s, occasions=FOLLOWING, other=other)
+        if not after.has_started:
+            estimate = replace(estimate, reason=self._reason)
         self._offer(state, after, views, estimate)
         return after, estimate
 
@@ -105,6 +111,8 @@ class SearchBeside:
             told = "no other hand" if known is None else f"a hand at {known.time_s:.2f} s"
             _log.debug("search %d: %s after %.2f s", answer.number, told, answer.seconds)
             self._rest_until_s = time.monotonic() + answer.seconds
+            if known is None and answer.number == self._number:
+                self._reason = answer.reason
             found = found if known is None else known
         return state, found
 

@@ -83,6 +83,8 @@ class Answer:
     state: Mapping[str, Any] | None
     """Of a search, what is known of a hand that explains more, at the last frame there was; None where none does. Else
     the state with its new proportions."""
+    reason: str = ""
+    """Why a search has found no hand."""
 
 
 def packed(message: Any) -> bytes:

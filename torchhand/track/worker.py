@@ -104,7 +104,10 @@ class Searcher:
                 break
         seconds = time.monotonic() - begun_s
         found = self._followed(state, is_detected=is_detected) if estimate.is_new else None
-        return Answer(number=search.number, seconds=seconds, state=None if found is None else saved_state(found))
+        if found is None:
+            reason = "a hand was found and lost again" if estimate.is_new else estimate.reason
+            return Answer(number=search.number, seconds=seconds, state=None, reason=reason)
+        return Answer(number=search.number, seconds=seconds, state=saved_state(found))
 
     def _followed(self, state: TrackerState, *, is_detected: bool) -> TrackerState | None:
         """The state at the newest frame; None where the hand is given up on the way. is_detected: whether a detector
