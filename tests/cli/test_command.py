@@ -311,6 +311,7 @@ def test_commands_with_settings_have_print_config() -> None:
     asked = {name for name in command_descriptions() if has_settings(f"torchhand.cli.{name}")}
     assert {"track", "track_multiview", "study"} <= asked
     assert "report" not in asked
+    assert not any(has_settings(f"torchhand.cli.studies.{name}") for name in ("design", "ueda", "export"))
 
 
 @dataclass(frozen=True, kw_only=True)
