@@ -784,6 +784,10 @@ def test_a_missing_camera_file(clip: Clip, run: Run, tmp_path: Path) -> None:
         (["--threads", "0"], ["--threads: expected 1 to 1024, got 0"]),
         (["--hand-model", "hand_landmarker.task"], ["--hand-model: expected --keypoints mediapipe with it"]),
         (["--keypoints", "mediapipe", "--hand-model", "none.task"], ["mediapipe"]),
+        (
+            ["--keypoints", "a.npz", "--keypoints", "b.npz"],
+            ["--keypoints: expected one for the one camera, got a.npz, b"],
+        ),
         (["--resume", "--overwrite"], ["at most one of --resume and --overwrite"]),
         (["--start", "-1"], ["start: expected a frame number of 0 or more"]),
     ],

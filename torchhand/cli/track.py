@@ -79,7 +79,7 @@ class Arguments(OnDevice):
     """Posture at the start: open, flat, point, fist, victory ..."""
     start_points: Annotated[str | None, arg(metavar="WX,WY,MX,MY")] = None
     """Wrist and middle fingertip in the first picture, px, where the hand is not found by itself."""
-    keypoints: Annotated[str | None, arg(metavar="mediapipe|FILE")] = None
+    keypoints: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="mediapipe|FILE")] = ()
     """Detected keypoints that are used beside the contours. mediapipe: MediaPipe runs along (pip install
     torchhand[mediapipe]), and what it finds is kept in DIR/keypoints.npz. FILE: those of an earlier run, or any file
     that fit_keypoints reads with points in the picture (and in space, such as MediaPipe's world landmarks); of a folder
@@ -139,6 +139,8 @@ class Arguments(OnDevice):
     def __post_init__(self) -> None:
         if not -(2**63) <= self.seed < 2**63:
             raise ValueError(f"--seed: expected a number of 64 bits, got {self.seed}")
+        if len(self.keypoints) > 1:
+            raise ValueError(f"--keypoints: expected one for the one camera, got {', '.join(self.keypoints)}")
         check_max_gap(self.max_gap_s, "--max-gap-s")
         one_address(self.ray)
 
@@ -241,7 +243,7 @@ def _request(arguments: Arguments) -> Request:
         side=arguments.side,
         hand=hand,
         camera=arguments.camera,
-        **keypoints_of([] if arguments.keypoints is None else [arguments.keypoints], arguments.hand_model),
+        **keypoints_of(arguments.keypoints, arguments.hand_model),
         start_points=None if arguments.start_points is None else start_points_of(arguments.start_points),
         background=arguments.background,
         is_causal=arguments.causal,
