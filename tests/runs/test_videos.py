@@ -120,4 +120,4 @@ def test_why_no_hand_was_found_is_what_most_frames_tell_once_one_was_searched(tm
 
     assert told(STILL_SEARCHED, STILL_SEARCHED) == f"no hand was found: {STILL_SEARCHED}, which takes seconds"
     searched = told(STILL_SEARCHED, STILL_SEARCHED, STILL_SEARCHED, "a wall", "a face", "a face")
-    assert searched == "no hand was found (a face); name its --posture, or give --start-points"
+    assert searched == "no hand was found (a face); name its --posture, or give --start-points or --keypoints"

@@ -10,11 +10,11 @@ from torch import Tensor
 
 from tests.steps import right_hand, run
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand import JOINT_DOFS, HandPose, posture
+from torchhand.hand import FINGERS, JOINT_DOFS, HandPose, posture
 from torchhand.runs import settings_of
 from torchhand.track import Tracker, TrackerState, View
-from torchhand.track.proposals import TiltedHands
-from torchhand.track.proposals.tilted import bent_hands, outside
+from torchhand.track.proposals import Proposals, Proposed, TiltedHands
+from torchhand.track.proposals.tilted import bent_hands, exchanged_fingers, outside
 from torchhand.track.scene import Candidate, Scene
 
 
@@ -104,6 +104,86 @@ def test_digits_are_bent_each_by_itself_and_all_together() -> None:
     assert is_bent.tolist() == [alone, alone, other, other, both, both]
     torch.testing.assert_close(bent.dofs[1, 12:18], fist[12:18])
     torch.testing.assert_close(bent.dofs[0, 12:18], 0.5 * fist[12:18])
+
+
+def test_fingers_are_exchanged_with_those_that_lie_in_their_places() -> None:
+    bends = {
+        f"{finger}_{joint}_fe": 0.1 * number + place
+        for number, finger in enumerate(FINGERS[1:], 1)
+        for place, joint in enumerate(("mcp", "pip", "dip"))
+    }
+    joints = torch.tensor([bends.get(name, 0.3) for name in JOINT_DOFS], dtype=torch.float64)
+    opened = posture("open", dtype=torch.float64)[6:]
+    for found, places in zip(exchanged_fingers(joints), ("3210", "4321"), strict=True):
+        told = dict(zip(JOINT_DOFS, found.tolist(), strict=True))
+        usual = dict(zip(JOINT_DOFS, opened.tolist(), strict=True))
+        for finger, place in zip(FINGERS[1:], map(int, places), strict=True):
+            for joint in ("mcp", "pip", "dip"):
+                name = f"{finger}_{joint}_fe"
+                assert told.pop(name) == (bends[f"{FINGERS[place]}_{joint}_fe"] if place else usual[name])
+        assert all(value == usual[name] for name, value in told.items())
+
+
+@pytest.fixture(scope="module")
+def turned_over(studio: Any) -> tuple[Tracker, TrackerState, View, HandPose, Proposed]:
+    """A tracker and its state of a hand that was open; a picture in which it points with the index alone, that hand,
+    and one from the other side in its place that shows about the same."""
+    placed = studio.placed(size=0.7, view="palm", camera=studio.camera(320, 240))
+    opened, fist, victory = (posture(name, dtype=torch.float64)[6:] for name in ("open", "fist", "victory"))
+    middle = torch.tensor([name.startswith("middle") for name in JOINT_DOFS])
+    straight, bent = placed.pose.clone(), placed.pose.clone()
+    straight[6:], bent[6:] = opened, torch.where(middle, fist, victory)
+    settings = replace(settings_of("contour_full"), learned_posture=False)
+    tracker = Tracker(right_hand(), placed.camera, settings, shape=placed.shape)
+    state, _ = run(tracker, [replace(placed, pose=straight).picture(seed=0)])
+    view = View(image=replace(placed, pose=bent).picture(seed=1))
+    true = HandPose(dofs=bent, reference=placed.root_reference).normalized()
+    scene = tracker.scene(state, [view], 1 / 30)
+    follows = _followed(tracker, scene, true, placed.shape)
+    with torch.inference_mode():
+        over = _source(tracker).turned_back(scene, placed.shape, replace(follows, pose=true)).hands[0]
+    return tracker, state, view, true, over
+
+
+def test_the_other_side_of_a_hand_shows_about_the_same(turned_over: Any) -> None:
+    """And so does the other side of that: the hand itself."""
+    tracker, state, view, true, over = turned_over
+    assert _turned_deg(over.pose.rotation, true.rotation) > 120
+    scene = tracker.scene(state, [view], 1 / 30)
+    turned = tracker.candidate(over.pose, scene, state.shape)
+    assert turned is not None
+    assert turned.overlap > 0.8
+    with torch.inference_mode():
+        back = _source(tracker).turned_back(scene, state.shape, turned).hands
+    found = [tracker.candidate(one.pose, scene, state.shape) for one in back]
+    near = [one for one in found if one is not None and _turned_deg(one.rotation, true.rotation) < 30]
+    assert max(one.overlap for one in near) > turned.overlap - 0.05
+
+
+@pytest.mark.parametrize("began_open", [True, False])
+def test_a_hand_whose_side_is_known_is_not_turned_over_where_that_side_shows_as_much(
+    began_open: bool, turned_over: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Followed in a posture that explains little, it is found anew in the right one, and turned over where its side is
+    only a guess."""
+    tracker, state, view, true, over = turned_over
+    opened = posture("open", dtype=torch.float64)[6:]
+    poor = HandPose(dofs=torch.cat((true.dofs[:6], opened)), reference=true.reference)
+    posed = posture("open" if began_open else "fist", dtype=torch.float64)
+    state = replace(state, posture=posed, hand=tracker.parts.motion.started(poor))
+
+    class Over:
+        occasion = "always"
+
+        def __call__(self, *_: Any) -> Proposals:
+            return Proposals(hands=(over,), has_foreground=True)
+
+    own = replace(tracker.parts, sources=(Over(), replace(_source(tracker), kinematics=tracker.kinematics)))
+    monkeypatch.setattr(tracker, "parts", own)
+    _, estimate = tracker.step(state, [view], 1 / 30, occasions=("always",))
+    assert estimate.pose is not None
+    away = _turned_deg(HandPose.of(estimate.pose).normalized().rotation, true.rotation)
+    assert (away < 40) is began_open
 
 
 def test_what_lies_outside_the_picture_is_not_outside_the_silhouette() -> None:

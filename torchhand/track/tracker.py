@@ -60,9 +60,10 @@ _FORESEEABLE_S = 0.1
 """Time over which a hand's motion foretells where it is. After longer ones the motion model is so unsure that edges
 near its contour tell little: from 0.2 s on `contour_planar` loses even a hand that keeps still."""
 
-_SMALL_PX, _MADE_PX, _MOST_ENLARGED, _SCALE_STEP = 110.0, 165.0, 3.0, 0.25
-"""A hand that is no longer in the picture is made so long, the picture being enlarged so many times at most: outlines,
-colours and the network's views of smaller ones are too coarse for fingers, however sharp the picture is."""
+_SMALL_PX, _MADE_PX = 110.0, 165.0
+"""A hand shorter than the first in the picture of one camera is followed in a picture in which it is as long as the
+second. On a real recording in which hands are 80 px long as many fingers are off then as where they are 320."""
+_MOST_ENLARGED, _SCALE_STEP = 3.0, 0.25
 
 _BESIDE_DETECTORS = ("detected", "declining")
 _SILENCE = "the detector finds no hand; without --keypoints one is looked for by its colours"
