@@ -89,10 +89,7 @@ CASES = [
     (HealthSettings, "search_at_most_every", 2, "health.search_at_most_every: expected search_every or more, got 2"),
     (ColourUpdateSettings, "every", -1, "colours.every: expected 0 or more, got -1"),
     (ColourUpdateSettings, "keep", 1.5, "colours.keep: expected 0 to 1, got 1.5"),
-    *[
-        (FitSettings, name, -2.0, f"fit.{name}: expected above 0 and finite, got -2.0")
-        for name in ("search_fraction", "final_search_fraction", "edge_std_px", "bent_std_rad")
-    ],
+    (FitSettings, "edge_std_px", -2.0, "fit.edge_std_px: expected above 0 and finite, got -2.0"),
     (FitSettings, "iterations", 0, "fit.iterations: expected 1 or more, got 0"),
     (RigSettings, "found_overlap", 1.5, "rig.found_overlap: expected 0 to 1, got 1.5"),
     (RigSettings, "min_views", 1, "rig.min_views: expected 2 or more, got 1"),

@@ -20,7 +20,7 @@ from torchhand.fit import (
     solve_shared,
 )
 from torchhand.fit.contour.matching import match_boundary
-from torchhand.fit.contour.observation import ContourObservation
+from torchhand.fit.contour.observation import TURN_M, VALLEY_GROSS_M, ContourObservation
 from torchhand.fit.contour.picture import picture_contours
 from torchhand.fit.contour.settings import TRACKING, ContourSettings
 from torchhand.geometry import rotation_from_vector
@@ -95,7 +95,7 @@ class Scene:
         each = size * s.contour_weight / precision / weight.sum(-1, keepdim=True)
         ahead = ((boundary.points_px - visible.wrist_px[:, None]) * visible.distal_px[:, None]).sum(-1) > 0
         of_each = s.coverage_weight / precision / ahead.double().sum(-1, keepdim=True)
-        match = match_boundary(boundary, visible.points_px, visible.normals, visible.outer, turn_px=s.turn_m * scale)
+        match = match_boundary(boundary, visible.points_px, visible.normals, visible.outer, turn_px=TURN_M * scale)
         field, valleys = self.picture.field(stage.pitch_px), self.picture.valleys
         assert valleys is not None
         outer = outer_contour(motion, field, channel_of(visible.normals, field.channels))
@@ -103,7 +103,7 @@ class Scene:
         return summed(
             robust_equations(outer, each * visible.outer, gross_px),
             robust_equations(covered, of_each * ahead, gross_px),
-            robust_equations(valley(motion, valleys), s.valley_weight * each * visible.inner, s.valley_gross_m * scale),
+            robust_equations(valley(motion, valleys), s.valley_weight * each * visible.inner, VALLEY_GROSS_M * scale),
         )
 
 

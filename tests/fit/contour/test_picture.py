@@ -58,7 +58,7 @@ def test_an_empty_silhouette_has_no_contour(studio: Any) -> None:
         ("directions", 0),
         ("boundary_points", 3),
         ("contour_std_px", 0.0),
-        ("turn_m", -1.0),
+        ("probe_distance_m", -1.0),
         ("coverage_weight", -1.0),
         ("valley_weight", float("inf")),
     ],

@@ -125,7 +125,7 @@ def test_the_pose_comes_back_with_a_zero_rotation_vector_and_frozen_joints(studi
     assert bool((fit.pose[3:6] == 0).all())
     eye = torch.eye(3, dtype=torch.float64)
     torch.testing.assert_close(fit.root_reference @ fit.root_reference.T, eye, rtol=0, atol=1e-12)
-    is_frozen = pose_prior_std(start, 0.25) == 0
+    is_frozen = pose_prior_std(start) == 0
     is_frozen[3:6] = False
     assert bool(is_frozen.any())
     assert torch.equal(fit.pose[is_frozen], start[is_frozen])
@@ -185,8 +185,8 @@ def test_more_noise_of_edges_trusts_the_start_more(studio: Any) -> None:
 
 def test_bent_fingers_of_the_posture_have_more_freedom() -> None:
     straight, bent = (
-        pose_prior_std(posture("open", dtype=torch.float64), 0.25),
-        pose_prior_std(posture("fist", dtype=torch.float64), 0.25),
+        pose_prior_std(posture("open", dtype=torch.float64)),
+        pose_prior_std(posture("fist", dtype=torch.float64)),
     )
     index = DOFS.index("index_pip_fe")
     assert (float(straight[index]), float(bent[index])) == (0.08, 0.25)

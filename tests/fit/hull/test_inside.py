@@ -39,7 +39,7 @@ def hands(rig: Any) -> PosedHands:
 
 
 def test_cost_is_hubers_of_the_distance_outside(rig: Any) -> None:
-    settings = HullSettings(vertices=200, inside_weight=50.0, inside_gross=3.0, std_m=0.002)
+    settings = HullSettings(vertices=200, inside_weight=50.0, std_m=0.002)
     stage, both = Stage(gross_m=0.004), hands(rig)
     own = observation(rig, 0.07, settings)
     found = own.associate(both, stage).equations(both)

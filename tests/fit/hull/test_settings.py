@@ -30,12 +30,10 @@ from torchhand.fit.hull.settings import (
         (JointPriorWeights, "posture_tail", 0.0, "joints.posture_tail: expected above 0"),
         (HullShapeSettings, "rounds", 0, "hull_shape.rounds: expected 1 or more, got 0"),
         (HullShapeSettings, "gross_m", (0.01, 0.0), "hull_shape.gross_m: expected above 0"),
-        (HullShapeSettings, "population_weight", 0.0, "hull_shape.population_weight: expected above 0"),
         (HullStartSettings, "rolls", 0, "hull_start.rolls: expected 1 or more"),
         (HullStartSettings, "rays", 0, "hull_start.rays: expected 1 or more"),
         (HullStartSettings, "finger_hypotheses", 0, "hull_start.finger_hypotheses: expected 1 or more"),
         (HullStartSettings, "postures", (), "hull_start.postures: expected at least one"),
-        (HullStartSettings, "far_m", 0.0, "hull_start.far_m: expected above 0"),
     ],
 )
 def test_what_is_wrong_is_named(record: type, field: str, value: object, message: str) -> None:

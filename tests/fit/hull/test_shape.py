@@ -7,7 +7,7 @@ import torch
 
 from torchhand.fit import PosedHands, SharedUnknowns
 from torchhand.fit.hull.fitter import HullFitter
-from torchhand.fit.hull.settings import HullSettings, HullShapeSettings
+from torchhand.fit.hull.settings import HullSettings
 from torchhand.fit.hull.shape import fit_shape
 from torchhand.fit.hull.shape_rows import shape_rows
 from torchhand.fit.hull.skin import SkinPoints
@@ -52,7 +52,7 @@ def test_a_known_persons_hand(rig: Any) -> None:
         targets.append(rig.target(pose, shape, points=250))
         ends.append(fitter(targets[-1], rig.moved(pose, seed, deg=2, mm=4)).pose)
     population = rig.model.prior().population
-    found = fit_shape(fitter, targets, HandPose.stack(ends), population, HullShapeSettings(rounds=6, iterations=2))
+    found = fit_shape(fitter, targets, HandPose.stack(ends), population)
 
     def error(poses: Any, own: torch.Tensor) -> float:
         distances = [

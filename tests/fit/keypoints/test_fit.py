@@ -381,11 +381,9 @@ def test_error_messages() -> None:
     [
         ("noise", 0.0, "noise: expected above 0 and finite, got 0.0"),
         ("noise_px", float("nan"), "noise_px: expected above 0 and finite, got nan"),
-        ("noise_fraction", -1.0, "noise_fraction: expected above 0"),
         ("gross", 0.0, "gross: expected above 0, got 0.0"),
         ("prior", "often", "prior: expected one of auto, where_missing, always, never, got 'often'"),
         ("offset_std", -0.1, "offset_std: expected 0 or more"),
-        ("min_points", 3, "min_points: expected 4 or more, got 3"),
         ("starts", 0, "starts: expected 1 or more, got 0"),
     ],
 )

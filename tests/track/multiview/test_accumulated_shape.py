@@ -13,7 +13,7 @@ from torchhand.view import mesh_silhouette
 
 POSTURES = ("open", "point", "victory")
 SETTINGS = replace(
-    DEFAULTS["hull"], rig=replace(DEFAULTS["hull"].rig, shape_frames=3, shape=HullShapeSettings(rounds=4, iterations=2))
+    DEFAULTS["hull"], rig=replace(DEFAULTS["hull"].rig, shape_frames=3, shape=HullShapeSettings(rounds=4))
 )
 
 

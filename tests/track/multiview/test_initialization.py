@@ -18,7 +18,7 @@ from torchhand.track.scene import Scene, View
 
 SETTINGS = RigSettings(
     start=HullStartSettings(places=1, rolls=4, postures=("open",), coarse=6, fine=2, finger_rounds=0),
-    shape=HullShapeSettings(rounds=3, iterations=2),
+    shape=HullShapeSettings(rounds=3),
 )
 
 

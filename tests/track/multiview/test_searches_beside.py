@@ -23,7 +23,7 @@ _RIG = DEFAULTS["hull"].rig
 _START = replace(_RIG.start, places=1, rolls=4, postures=("open",), coarse=6, fine=2, finger_rounds=0)
 SETTINGS = replace(
     DEFAULTS["hull"],
-    rig=replace(_RIG, shape_frames=2, shape=HullShapeSettings(rounds=4, iterations=2), start=_START),
+    rig=replace(_RIG, shape_frames=2, shape=HullShapeSettings(rounds=4), start=_START),
 )
 
 

@@ -21,6 +21,12 @@ from torchhand.image import Boundary, DistanceField
 from torchhand.view import Contours, VisibleContour
 
 CONTOUR = "contour"
+NEAR_M = 0.00374
+"""Distance within which the picture's contour and the model's lie on each other, metres at the hand."""
+VALLEY_GROSS_M = 0.0028
+"""Distance beyond which a valley is not that of a model point, metres at the hand, where the stage is no narrower."""
+TURN_M = 0.0224
+"""Distance that a turn of the contour by one radian is worth in matching, metres at the hand."""
 _STEEP = 0.15  # of the hand's length: a palm seen shorter than this has no direction in the picture
 
 
@@ -52,7 +58,7 @@ class ContourObservation:
         field, gross_px = picture.field(stage.pitch_px), stage.gross_m * px_per_m
         boundary = picture.boundary.thinned(stage.thinning)
         visible = contours.visible(hands.pose, probe_distance_px=1 + s.probe_distance_m * px_per_m)
-        match = match_boundary(boundary, visible.points_px, visible.normals, visible.outer, turn_px=s.turn_m * px_per_m)
+        match = match_boundary(boundary, visible.points_px, visible.normals, visible.outer, turn_px=TURN_M * px_per_m)
         pairs = Correspondences.of(
             visible,
             field.channels,
@@ -60,7 +66,7 @@ class ContourObservation:
             match,
             self._weights(visible, boundary, gross_px, length_px),
             gross_px=gross_px,
-            valley_gross_px=min(s.valley_gross_m, stage.gross_m) * px_per_m,
+            valley_gross_px=min(VALLEY_GROSS_M, stage.gross_m) * px_per_m,
             unmatched_px=length_px,
         )
         return ContourFactor(
@@ -71,7 +77,7 @@ class ContourObservation:
             pairs=pairs,
             associated=hands,
             gross_px=gross_px,
-            near_px=s.near_m * px_per_m,
+            near_px=NEAR_M * px_per_m,
             view=self.view,
         )
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchhand.fit import Schedule
 from torchhand.fit.contour.settings import ContourSettings
 from torchhand.image import Boundary, DistanceField, boundary_field, boundary_points, find_valleys, point_field
-from torchhand.image.contours import Window, valley_reach
+from torchhand.image.contours import VALLEY_REACH_PX, Window
 
 _CELLS = 32  # a map is no coarser than the silhouette's size (root of its area) over so many cells
 _MIN_POINTS = 16  # points of a contour
@@ -60,7 +60,7 @@ def picture_contours(
     schedule: whose maps are wanted. The picture's edge is no boundary. An empty silhouette gives empty contours.
     """
     settings = settings or ContourSettings()
-    window = Window.around(mask.cpu().numpy(), valley_reach(settings.valleys))
+    window = Window.around(mask.cpu().numpy(), VALLEY_REACH_PX)
     size_px = math.hypot(window.right - window.left, window.bottom - window.top)
     finest = max(1, math.floor(math.sqrt(float(mask.sum())) / _CELLS))
     reaches: dict[int, float] = {}
@@ -69,7 +69,7 @@ def picture_contours(
         reaches[pitch] = max(reaches.get(pitch, 0.0), _REACH * stage.gross_m / _LENGTH * size_px)
     valleys = None
     if image is not None and settings.valley_weight > 0:
-        valleys = _valleys(image, mask, window, settings)
+        valleys = _valleys(image, mask, window)
     return PictureContours(
         fields={
             pitch: boundary_field(mask, pitch_px=pitch, channels=settings.directions, reach_px=reach)
@@ -80,9 +80,9 @@ def picture_contours(
     )
 
 
-def _valleys(image: Tensor, mask: Tensor, window: Window, settings: ContourSettings) -> DistanceField | None:
+def _valleys(image: Tensor, mask: Tensor, window: Window) -> DistanceField | None:
     """Distance from the valleys within the silhouette, found in the window around it."""
-    found = find_valleys(_grey(image[window.slices]), settings.valleys, within=mask[window.slices])
+    found = find_valleys(_grey(image[window.slices]), within=mask[window.slices])
     if not len(found.points_px):
         return None
     width, height = window.right - window.left, window.bottom - window.top

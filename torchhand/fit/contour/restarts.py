@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from torchhand.devices import read_back, rows_where
-from torchhand.errors import require, require_positive
+from torchhand.errors import require
 from torchhand.fit import PostureResiduals, Problem, Schedule, Solutions, solve
 from torchhand.fit.contour.observation import CONTOUR
 from torchhand.fit.contour.settings import WIDE_SEARCH
@@ -19,6 +19,8 @@ from torchhand.geometry import Camera, rotation_from_vector
 from torchhand.hand import HandPose
 
 _ROOT = 6
+_TURN_DEG = 8.0  # about the line of sight through the wrist, to either side; stretched fingers are some 12° apart
+_SPREAD_DEG = 10.0  # standard deviation of the joint angles of starts, by which postures are judged
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,22 +30,12 @@ class RestartSettings:
     min_fraction: float = 0.93
     """Share of the picture's contour that a hand must explain not to be started again, 0 to 1; 0 starts none again. A
     finger that is left out is a tenth of the contour or more, where it does not lie beside another."""
-    turn_deg: float = 8.0
-    """Turn about the line of sight through the wrist, to either side; 0 to 90, 0 for none. Stretched fingers are some
-    12 degrees apart."""
-    schedule: Schedule = WIDE_SEARCH
-    """Stages of restarts, before those of the first solution's that are finer than the last of them; at least one."""
     postures: int = 2
     """Number of likely postures that the fingers are put into; 0 to 100."""
-    spread_deg: float = 10.0
-    """Standard deviation of the joint angles of starts, by which postures are judged; above 0."""
 
     def __post_init__(self) -> None:
         require(0 <= self.min_fraction <= 1, "restarts.min_fraction", "0 to 1", self.min_fraction)
-        require(0 <= self.turn_deg <= 90, "restarts.turn_deg", "0 to 90", self.turn_deg)
-        require(bool(self.schedule), "restarts.schedule", "at least one stage", self.schedule)
         require(0 <= self.postures <= 100, "restarts.postures", "0 to 100", self.postures)
-        require_positive("restarts.spread_deg", self.spread_deg)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,13 +50,13 @@ class Restarts:
 
     def beside(self, hands: HandPose, starts: HandPose) -> HandPose:
         """The starts (k) themselves, and others beside the hands that came of them: (several, k)."""
-        s, begun = self.settings, [starts]
+        begun, count = [starts], self.settings.postures
         ahead, place = self.camera.rotation.to(hands.dofs)[2], hands.normalized().dofs[:, :_ROOT]
-        for turn in (math.radians(s.turn_deg), -math.radians(s.turn_deg)) if s.turn_deg else ():
+        for turn in (math.radians(_TURN_DEG), -math.radians(_TURN_DEG)):
             dofs = torch.cat((place, starts.dofs[:, _ROOT:]), 1)
             begun.append(HandPose.of(dofs, rotation_from_vector(turn * ahead) @ hands.rotation))
-        if self.postures is not None and s.postures:
-            known = self.postures.on(place.device).nearest(starts.dofs, math.radians(s.spread_deg), s.postures)
+        if self.postures is not None and count:
+            known = self.postures.on(place.device).nearest(starts.dofs, math.radians(_SPREAD_DEG), count)
             begun += [HandPose.of(torch.cat((place, joints), 1), hands.rotation) for joints in known.unbind(1)]
         return HandPose.stack(begun)
 
@@ -74,7 +66,7 @@ def solve_with_restarts(
 ) -> Solutions:
     """`solve`; hands that explain too little of the picture's contour are then solved from other starts as well.
 
-    Restarts go through stages of their own; the cheapest one of each hypothesis goes through those of the schedule that
+    Restarts go through WIDE_SEARCH; the cheapest one of each hypothesis goes through those of the schedule that
     are finer (or its last), and is the result where it is cheaper than what was found before. One hypothesis never
     touches another.
     """
@@ -87,11 +79,11 @@ def solve_with_restarts(
     poor = rows_where(read_back(unexplained), unexplained.device)
     if len(poor):
         begun = restarts.beside(found.pose[poor], starts[poor])
-        stages, kinds = restarts.settings.schedule, len(begun)
-        tried = solve(problem.rows(poor.repeat(kinds)), begun.reshape(-1), stages, at_once=at_once)
+        kinds = len(begun)
+        tried = solve(problem.rows(poor.repeat(kinds)), begun.reshape(-1), WIDE_SEARCH, at_once=at_once)
         cheapest = tried.cost.unflatten(0, (kinds, -1)).argmin(0)
         best = tried.rows(cheapest * len(poor) + torch.arange(len(poor), device=poor.device))
-        finer = tuple(stage for stage in schedule if stage.gross_m < stages[-1].gross_m) or schedule[-1:]
+        finer = tuple(stage for stage in schedule if stage.gross_m < WIDE_SEARCH[-1].gross_m) or schedule[-1:]
         refined = solve(problem.rows(poor), best.pose, finer, at_once=at_once)
         spent = tried.iterations.unflatten(0, (kinds, -1)).sum(0) + refined.iterations
         found = replace(found, iterations=found.iterations.index_add(0, poor, spent)).or_cheaper(poor, refined)

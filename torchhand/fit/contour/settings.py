@@ -1,10 +1,9 @@
 """How much the contours of a picture count, and how they are compared with the model's."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 from torchhand.errors import require, require_positive
 from torchhand.fit import Stage
-from torchhand.image import ValleySettings
 
 SEARCH = (
     Stage(gross_m=0.0187, rounds=2, iterations=4, pitch_px=4),
@@ -12,6 +11,8 @@ SEARCH = (
     Stage(gross_m=0.00374, rounds=2, iterations=3, pitch_px=1),
 )
 """For starts that may be 15° and 10 mm off."""
+WHOLE_SEARCH = (*SEARCH[:-1], replace(SEARCH[-1], gross_m=0.0075))
+"""As SEARCH with a wider last stage: in that of SEARCH a finger that is not covered at all costs next to nothing."""
 QUICK_SEARCH = (
     Stage(gross_m=0.0187, rounds=1, iterations=5, pitch_px=4, thinning=2),
     Stage(gross_m=0.00374, rounds=2, iterations=3, pitch_px=1),
@@ -67,29 +68,14 @@ class ContourSettings:
     inside the silhouette costs nothing."""
     valley_weight: float = 0.5
     """Worth of an inner point (or length) near a valley over that of an outer one; 0 or more, 0 leaves valleys out."""
-    valley_gross_m: float = 0.0028
-    """Distance beyond which a valley is not that of a model point, metres at the hand, where the stage is no narrower;
-    above 0."""
-    turn_m: float = 0.0224
-    """Distance that a turn of the contour by one radian is worth in matching, metres at the hand; above 0."""
     probe_distance_m: float = 0.00224
     """Distance outside a model point at which the hand must have ended for the point to be an outer one, metres at the
     hand; above 0."""
-    near_m: float = 0.00374
-    """Distance within which the contour counts as explained, metres at the hand; above 0."""
-    valleys: ValleySettings = field(default_factory=ValleySettings)
 
     def __post_init__(self) -> None:
         require(1 <= self.directions <= 64, "contour.directions", "1 to 64", self.directions)
         require(self.boundary_points >= 8, "contour.boundary_points", "8 or more", self.boundary_points)
-        for name in (
-            "contour_std_px",
-            "contour_std_fraction",
-            "valley_gross_m",
-            "turn_m",
-            "probe_distance_m",
-            "near_m",
-        ):
+        for name in ("contour_std_px", "contour_std_fraction", "probe_distance_m"):
             require_positive(f"contour.{name}", getattr(self, name))
         for name in ("contour_weight", "coverage_weight", "valley_weight"):
             value = getattr(self, name)

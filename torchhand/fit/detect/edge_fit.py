@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.errors import require, require_positive
 from torchhand.fit import (
     GaussianPrior,
     Problem,
@@ -43,33 +44,26 @@ _POSE_STD = {
     "dip_fe": 0.05,
 }
 _BENT = 0.3  # radians: a finger joint flexed more than this by the posture counts as bent
+_BENT_STD = 0.25  # radians: prior standard deviation of the flexions of a finger that the posture bends
+_FIRST_REACH, _LAST_REACH = 0.10, 0.035  # half lengths of the first and the last edge search, hand lengths
 
 
 @dataclass(frozen=True, kw_only=True)
 class FitSettings:
     iterations: int = 14
     """Gauss-Newton steps; 1 or more."""
-    search_fraction: float = 0.10
-    """First half length of the edge search, as a share of the hand's length in the picture; above 0."""
-    final_search_fraction: float = 0.035
-    """Last half length, as such a share; above 0."""
     edge_std_px: float = 1.5
     """Standard deviation of one edge; above 0."""
-    bent_std_rad: float = 0.25
-    """Prior standard deviation of the flexions of a finger that the posture bends; above 0."""
 
     def __post_init__(self) -> None:
-        for name in ("search_fraction", "final_search_fraction", "edge_std_px", "bent_std_rad"):
-            if not 0 < getattr(self, name) < float("inf"):
-                raise ValueError(f"fit.{name}: expected above 0 and finite, got {getattr(self, name)!r}")
-        if not self.iterations >= 1:
-            raise ValueError(f"fit.iterations: expected 1 or more, got {self.iterations!r}")
+        require_positive("fit.edge_std_px", self.edge_std_px)
+        require(self.iterations >= 1, "fit.iterations", "1 or more", self.iterations)
 
     def schedule(self, length_m: float) -> Schedule:
         """One step after each search of edges, from coarse to fine, for a hand of some length."""
-        finer = self.final_search_fraction / self.search_fraction
+        finer = _LAST_REACH / _FIRST_REACH
         progress = (step / max(1, self.iterations - 1) for step in range(self.iterations))
-        reaches = (length_m * self.search_fraction * finer**part for part in progress)
+        reaches = (length_m * _FIRST_REACH * finer**part for part in progress)
         return tuple(
             Stage(gross_m=reach / EDGE_REACH, rounds=1, iterations=1, method="gauss_newton") for reach in reaches
         )
@@ -133,13 +127,13 @@ class Fit:
         )
 
 
-def pose_prior_std(pose: Float[Tensor, "36"], bent_std_rad: float) -> Float[Tensor, "36"]:
+def pose_prior_std(pose: Float[Tensor, "36"]) -> Float[Tensor, "36"]:
     """Standard deviation of every DOF about a start posture, metres and radians; 0 for DOFs that are held."""
     std = torch.zeros(len(DOFS), dtype=pose.dtype)
     for i, dof in enumerate(DOFS):
         std[i] = next((value for ending, value in _POSE_STD.items() if dof.endswith(ending)), 0.0)
         if dof.endswith(("pip_fe", "mcp_fe")) and abs(float(pose[i])) > _BENT:
-            std[i] = bent_std_rad
+            std[i] = _BENT_STD
     return std
 
 
@@ -188,7 +182,7 @@ def _fitted(
     edges = EdgeObservation(plane=plane, contours=PrimitiveContours(projector, table), std_px=settings.edge_std_px)
     if edges.is_empty:
         return [Fit.of_start(own, reference, shape) for own, reference in zip(start.dofs, start.reference, strict=True)]
-    pose_std = pose_prior_std(start.dofs[0], settings.bent_std_rad)
+    pose_std = pose_prior_std(start.dofs[0])
     space = pose_space("start", tuple(dof for dof, std in zip(DOFS, pose_std.tolist(), strict=True) if std > 0))
     space = space.about(start.dofs[0])
     problem = Problem(

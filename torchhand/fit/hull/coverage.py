@@ -20,6 +20,8 @@ from torchhand.fit.hull.vertices import SkinVertices
 from torchhand.numerics import RobustLoss
 
 NAME = "edges"
+TURN_M = 0.012
+"""Distance that a turn of the surface by one radian is worth in matching, metres."""
 _BESIDE = 0.008  # metres along the surface to the nearest vertex, beyond which there is no skin
 
 
@@ -47,7 +49,6 @@ class CoverageObservation:
         distance = torch.where(beside > _BESIDE, torch.inf, across)
         is_hand = _is_hand(matched.data_places, bones, s.beyond_wrist_m)
         count = is_hand.sum(-1, keepdim=True).clamp_min(1)
-        precision = max(s.std_m, s.std_fraction * stage.gross_m) ** -2
         worth = s.surface_weight if self.target.rays is None else s.edge_weight
         return CoverageFactor(
             skin=self.vertices.skin,
@@ -55,7 +56,7 @@ class CoverageObservation:
             vertices=self.vertices.skin.weighted(matched.match),
             points=matched.points,
             normals=matched.normals,
-            weight=worth * precision / count * is_hand * self.vertices.rigidity[matched.match],
+            weight=worth * s.precision(stage) / count * is_hand * self.vertices.rigidity[matched.match],
             robust=RobustLoss(kind="geman_mcclure", scale=stage.gross_m),
             explanation=Explained(
                 name=NAME,
@@ -66,10 +67,10 @@ class CoverageObservation:
         )
 
     def _matched(self, vertices: Tensor, skin_normals: Tensor) -> "_Matched":
-        target, turn = self.target, self.vertices.settings.turn_m
+        target = self.target
         if target.rays is None:
             points = target.points.to(vertices)
-            match = match_hull(points, target.normals.to(vertices), vertices, skin_normals, turn=turn)
+            match = match_hull(points, target.normals.to(vertices), vertices, skin_normals, turn=TURN_M)
             index = match[..., None].expand(-1, -1, 3)
             return _Matched(
                 match=match,
@@ -78,7 +79,7 @@ class CoverageObservation:
                 data_places=points.expand(len(vertices), -1, -1),
                 normals=skin_normals.gather(1, index),
             )
-        match = target.rays.match(vertices, skin_normals, turn=turn)
+        match = target.rays.match(vertices, skin_normals, turn=TURN_M)
         places = vertices.gather(1, match[..., None].expand(-1, -1, 3))
         return _Matched(
             match=match,

@@ -18,6 +18,7 @@ from torchhand.fit.hull.vertices import SkinVertices
 from torchhand.numerics import RobustLoss
 
 NAME = "hull"
+_GROSS = 3.0  # standard deviations outside the hull from which a vertex's cost grows linearly
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,14 +46,14 @@ class InsideObservation:
             outside = beyond[0] > s.slack_m
             index, area = index[outside], area[outside]
             weighted = own.skin.weighted(index)
-        precision = max(s.std_m, s.std_fraction * stage.gross_m) ** -2
+        precision = s.precision(stage)
         return InsideFactor(
             skin=own.skin,
             field=self.target.field,
             index=index,
             vertices=weighted,
             weight=s.inside_weight * precision * area * own.rigidity[index],
-            robust=RobustLoss(kind="huber", scale=s.inside_gross * precision**-0.5),
+            robust=RobustLoss(kind="huber", scale=_GROSS * precision**-0.5),
             slack_m=s.slack_m,
             explanation=Explained(
                 name=NAME,

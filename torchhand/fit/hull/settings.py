@@ -20,6 +20,9 @@ TRACKING: Schedule = (
 )
 """For starts near the pose, such as a prediction: most hands have arrived after one step of the last stage."""
 
+_STD_FRACTION = 0.5  # standard deviation of the hull's surface over a stage's gross distance
+_SHAPE_STEPS = 2  # of the optimiser at most, after each association of all frames' data in the fit of the proportions
+
 TorqueSteps = Literal["largest", "proportional", "equal"]
 
 
@@ -41,8 +44,6 @@ class HullSettings:
     """Vertices of the skin that must be inside the hull, spread evenly over it; 1 or more."""
     std_m: float = 0.0007
     """Smallest standard deviation of the hull's surface, metres; above 0."""
-    std_fraction: float = 0.5
-    """Standard deviation of that surface over the distance at which a stage takes residuals for gross; above 0."""
     inside_weight: float = 100.0
     """Independent measurements that the vertices inside are worth together; 0 or more."""
     edge_weight: float = 200.0
@@ -51,16 +52,11 @@ class HullSettings:
     surface_weight: float = 25.0
     """Independent measurements that points of the hull's surface are worth, where the edges are not known; 0 or more.
     Less than edges, for much of a hull's surface is no skin."""
-    inside_gross: float = 3.0
-    """Distance outside the hull, over a stage's standard deviation, from which a vertex's cost grows linearly; above
-    0."""
     slack_m: float = 0.0
     """Distance from the hull's surface up to which a vertex counts as inside, metres; finite."""
     beyond_wrist_m: float = 0.0
     """How far beyond the wrist the silhouettes must be covered, metres: 0 where a forearm may follow, more where the
     silhouettes end at the wrist, which then tells where it is. 0 or more."""
-    turn_m: float = 0.012
-    """Distance that a turn of the surface by one radian is worth in matching, metres; above 0."""
     rigidity_exponent: float = 0.0
     """How much less the skin counts that no bone carries alone, such as the webs between fingers, where people (and
     models) differ more: power of its largest skinning weight; 0 or more, 0 counts all alike."""
@@ -70,11 +66,15 @@ class HullSettings:
 
     def __post_init__(self) -> None:
         _require_count("hull", self, "vertices")
-        for name in ("std_m", "std_fraction", "inside_gross", "turn_m", "near_m"):
+        for name in ("std_m", "near_m"):
             require_positive(f"hull.{name}", getattr(self, name))
         for name in ("inside_weight", "edge_weight", "surface_weight", "beyond_wrist_m", "rigidity_exponent"):
             _require_weight(f"hull.{name}", getattr(self, name))
         require(math.isfinite(self.slack_m), "hull.slack_m", "a finite number", self.slack_m)
+
+    def precision(self, stage: Stage) -> float:
+        """Inverse variance of the hull's surface in a stage, m⁻²: coarse ones leave more to the priors."""
+        return max(self.std_m, _STD_FRACTION * stage.gross_m) ** -2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,8 +150,6 @@ class HullStartSettings:
     """Vertices of the skin in the coarse fit; twice as many in the evaluation before. 1 or more."""
     points: int = 150
     """Points of the hull's surface in both, where the silhouettes' edges are not known; 1 or more."""
-    far_m: float = 0.03
-    """Distance at which both kinds of points are cut off in the evaluation, metres; above 0."""
     coarse: int = 60
     """Hypotheses of each size that are fitted coarsely; 1 or more."""
     fine: int = 5
@@ -166,8 +164,6 @@ class HullStartSettings:
     """Hypotheses that are fitted of those that are proposed to a search; 1 or more."""
     proposed_finger_rounds: int = 1
     """Rounds in which single digits of the best of these are tried in other postures; 0 or more."""
-    evaluated_at_once: int = 64
-    """Hypotheses that are evaluated together; bounds the memory. 1 or more."""
 
     def reduced(self) -> "HullStartSettings":
         """Half the hypotheses, and further fingers of the best of them in one round alone."""
@@ -177,11 +173,10 @@ class HullStartSettings:
 
     def __post_init__(self) -> None:
         counts = ("places", "rolls", "vertices", "points", "coarse", "fine", "rays", "finger_hypotheses")
-        _require_count("hull_start", self, *counts, "evaluated_at_once", "proposed")
+        _require_count("hull_start", self, *counts, "proposed")
         for name in ("finger_rounds", "proposed_finger_rounds"):
             require(getattr(self, name) >= 0, f"hull_start.{name}", "0 or more", getattr(self, name))
         require(len(self.postures) > 0, "hull_start.postures", "at least one", self.postures)
-        require_positive("hull_start.far_m", self.far_m)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,18 +185,13 @@ class HullShapeSettings:
 
     rounds: int = 6
     """Associations of all frames' data with the posed hands; 1 or more."""
-    iterations: int = 2
-    """Largest number of steps of the optimiser after each association; 1 or more."""
     gross_m: tuple[float, float] = (0.010, 0.003)
     """Distance beyond which a residual counts as gross, in the first round and in the last, metres; above 0."""
-    population_weight: float = 1.0
-    """Weight of what is known of people's proportions; above 0."""
 
     def __post_init__(self) -> None:
-        _require_count("hull_shape", self, "rounds", "iterations")
+        _require_count("hull_shape", self, "rounds")
         for value in self.gross_m:
             require_positive("hull_shape.gross_m", value)
-        require_positive("hull_shape.population_weight", self.population_weight)
 
     @property
     def schedule(self) -> Schedule:
@@ -209,6 +199,6 @@ class HullShapeSettings:
         first, last = self.gross_m
         fractions = (turn / max(1, self.rounds - 1) for turn in range(self.rounds))
         return tuple(
-            Stage(gross_m=first * (last / first) ** fraction, rounds=1, iterations=self.iterations)
+            Stage(gross_m=first * (last / first) ** fraction, rounds=1, iterations=_SHAPE_STEPS)
             for fraction in fractions
         )

@@ -43,7 +43,7 @@ def fit_shape(
     problem = replace(
         fitter.problem(targets[0]),
         observations=tuple(FrameObservations(frames=frames) for frames in kinds),
-        shared=SharedUnknowns.of_shape(population, weight=settings.population_weight),
+        shared=SharedUnknowns.of_shape(population),
     )
     found = solve_shared(
         problem, starts, settings.schedule, cost_tolerance=_COST_TOLERANCE, pose_tolerance=_POSE_TOLERANCE

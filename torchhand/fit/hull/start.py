@@ -17,6 +17,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchhand.fit import Solutions, Stage
+from torchhand.fit.hull.coverage import TURN_M
 from torchhand.fit.hull.fitter import HullFitter
 from torchhand.fit.hull.joint_priors import JointPriors
 from torchhand.fit.hull.settings import HullSettings, HullStartSettings
@@ -30,6 +31,8 @@ _BLANKED = 1.0  # no two balls have centres nearer than so many radii of the lar
 _MIN_BALL = 0.7  # smallest radius of a ball over that of the largest
 _MIN_INNER = 8  # grid points inside a hull in which something can be looked for
 _ALIKE = math.cos(math.radians(25.0) / 2)  # hypotheses turned by less count as the same
+_FAR = 0.03  # metres: distances of skin and hull that are longer count as much in the first evaluation
+_AT_ONCE = 64  # hypotheses that are evaluated together, which bounds the memory
 _NEAR = 0.01  # metres: proposals whose palm is nearer to the largest ball are not tried there too
 _COARSE = (Stage(gross_m=0.030, rounds=3, iterations=2), Stage(gross_m=0.012, rounds=1, iterations=2))
 _FINGER_STAGES = (
@@ -293,18 +296,18 @@ def _evaluated(
     skins, normals = state.vertices[:, vertices], posed_mesh(hand, state).vertex_normals()[:, vertices]
     surface = target.points.to(shape)
     costs = []
-    for some in torch.arange(len(starts)).split(settings.evaluated_at_once):
+    for some in torch.arange(len(starts)).split(_AT_ONCE):
         turned = starts.reference[some].mT
         placed = skins[which[some]] @ turned + starts.dofs[some, None, :3]
         value, _ = target.field.sample(placed)
-        outside = (value.clamp(0, settings.far_m) * fraction).sum(-1)
+        outside = (value.clamp(0, _FAR) * fraction).sum(-1)
         if target.rays is None:
             distance = torch.cdist(surface.expand(len(some), -1, 3), placed).amin(-1)
         else:
-            match = target.rays.match(placed, normals[which[some]] @ turned, turn=fitter.settings.turn_m)
+            match = target.rays.match(placed, normals[which[some]] @ turned, turn=TURN_M)
             touched = placed.gather(1, match[..., None].expand(-1, -1, 3))
             distance = (touched - target.rays.nearest_to(touched)).norm(dim=-1)
-        costs.append(outside + distance.clamp_max(settings.far_m).mean(-1))
+        costs.append(outside + distance.clamp_max(_FAR).mean(-1))
     return torch.cat(costs)
 
 

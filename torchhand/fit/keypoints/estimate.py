@@ -33,6 +33,8 @@ from torchhand.fit.keypoints.world import WorldKeypoints
 from torchhand.hand import DOFS, Anthropometry, HandKinematics, HandPose, PoseSpace, moving_parameters
 from torchhand.hand.limits import AnthropometrySettings, clamp_to_limits
 
+MIN_POINTS = 5
+"""Frames with fewer points, or with all of them in one place, are not fitted."""
 _ROOT_STD = (1.0, math.pi / math.sqrt(3))  # of a root that points leave open: metres, radians
 _LOG_SCALE_STD = 3.0  # as good as nothing known
 _SOFTNESS = 0.05  # violation of an anthropometric constraint that costs ½, in its spread over people
@@ -269,7 +271,7 @@ class KeypointEstimator:
         """Poses (frames) by points in space; NaN where there are too few."""
         is_known = points.isfinite().all(-1)
         pose, _ = start_in_space(self._kinematics, points.nan_to_num(), is_known, shape, self._natural)
-        is_placed = is_known.sum(-1) >= self.settings.min_points
+        is_placed = is_known.sum(-1) >= MIN_POINTS
         return HandPose(
             dofs=torch.where(is_placed[:, None], pose.dofs, torch.nan), reference=pose.reference.contiguous()
         )

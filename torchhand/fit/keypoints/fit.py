@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchhand.errors import require_kind
 from torchhand.fit import PosedHands, SharedSolution, SolveStatus, Stage
-from torchhand.fit.keypoints.estimate import KeypointEstimator, Measured
+from torchhand.fit.keypoints.estimate import MIN_POINTS, KeypointEstimator, Measured
 from torchhand.fit.keypoints.observation import PictureKeypoints
 from torchhand.fit.keypoints.points import Detector, KeypointSettings, frames_of
 from torchhand.fit.keypoints.posture import PostureKeypoints
@@ -39,6 +39,10 @@ from torchhand.precision import require_exact, without_autocast
 _AT_ONCE = 1024  # frames whose derivatives are held at a time
 
 _MIN_RECORDED = 10  # frames that tell how a hand moves
+_MAX_GAP = 10  # frames in a row without enough points in a recording that are filled from their neighbours
+_LAG_STD = 1.0  # frames: spread of the lags of cameras behind the first one in a recording, which are at most 3
+_NOISE_FRACTION = 0.025
+"""Standard deviation of a point in a picture over the longer side of the box around the frame's points."""
 _SIZE_STD = 0.04
 """Error of the size of what a detector sees in a picture, as a share: root mean square, over seven recordings of
 another maker's hand, of the spread of MediaPipe's points over that of the joints, less 1 (0.91 to 1.00)."""
@@ -158,7 +162,7 @@ def fit_keypoints(
     shape = kinematics.default_shape if shape is None else shape.to(like)
     views = _views(keypoints, camera, confidence, settings)
     if views:
-        batch, seen = views[0].batch_shape, [_usable(view.flat(like), settings) for view in views]
+        batch, seen = views[0].batch_shape, [_usable(view.flat(like)) for view in views]
         seen, in_space = _agreeing(seen, settings)
         good = torch.stack([view.points_px.isfinite().any((-2, -1)) for view in seen]).any(0).nonzero()[:, 0]
         measured = _in_pictures(kinematics, shape, seen, good, settings)
@@ -172,7 +176,7 @@ def fit_keypoints(
         assert isinstance(keypoints, Tensor)
         batch = keypoints.shape[:-2]
         observed = _in_world(kinematics, keypoints.reshape(-1, 21, 3).to(like), confidence, settings)
-        good, count = _good(observed.points, settings), len(observed.points)
+        good, count = _good(observed.points), len(observed.points)
         measured = Measured(observed=observed.rows(good))
     estimator = KeypointEstimator(
         measured=measured,
@@ -185,7 +189,7 @@ def fit_keypoints(
         return _placed(_nothing(estimator, shape), good, count, batch)
     fit = _placed(_result(estimator, shape), good, count, torch.Size((count,)))
     if settings.is_recording and int(fit.is_fitted.sum()) >= _MIN_RECORDED:
-        fit = _smoothed(fit, kinematics, settings.max_gap)
+        fit = _smoothed(fit, kinematics)
     return _shaped(fit, batch)
 
 
@@ -196,7 +200,7 @@ def refine_cameras(views: Sequence[SeenKeypoints]) -> RefinedCameras:
     Raises ValueError for fewer than two cameras, cameras in one place, and cameras that are no single pinhole camera.
     """
     settings = KeypointFitSettings()
-    seen = [_usable(view.flat(torch.zeros((), dtype=torch.float64)), settings) for view in views]
+    seen = [_usable(view.flat(torch.zeros((), dtype=torch.float64))) for view in views]
     points, std = [view.points_px for view in seen], [_std_px(view.points_px, settings)[0] for view in seen]
     return refined_cameras([view.camera for view in seen], points, std)
 
@@ -285,7 +289,7 @@ def _in_pictures(
     settings: KeypointFitSettings,
 ) -> Measured:
     """A row for each good frame."""
-    detector, like = _detector(shape, settings), shape
+    detector = _detector(shape, settings)
     pictures, coarse, relative, postures = [], [], [], []
     for number, view in enumerate(views):
         std, wide = _std_px(view.points_px, settings)
@@ -301,16 +305,15 @@ def _in_pictures(
             loss=_loss(settings, 2),
             detector=detector,
         )
-        if number and settings.is_recording and settings.lag_std > 0:
-            lag = ViewLag.of(view.points_px, std=settings.lag_std, place=len(detector.extra) + number - 1)
+        if number and settings.is_recording:
+            lag = ViewLag.of(view.points_px, std=_LAG_STD, place=len(detector.extra) + number - 1)
             seen = replace(seen, lag=lag)
         pictures.append(seen.rows(good))
         coarse.append(wide[good])
         if view.points is None:
             continue
-        std_m = like.new_tensor((settings.relative_noise, settings.relative_noise, settings.relative_noise_depth))
         seen_in_space = RelativeKeypoints.of_points(view.points, kinematics, view.camera)
-        own = replace(seen_in_space, std=std_m, detector=detector).rows(good)
+        own = replace(seen_in_space, detector=detector).rows(good)
         relative.append(own)
         postures.append(PostureKeypoints.of_points(own.points, kinematics, shape, KeypointSettings()))
     return Measured(
@@ -318,11 +321,11 @@ def _in_pictures(
     )
 
 
-def _usable(view: SeenKeypoints, settings: KeypointFitSettings) -> SeenKeypoints:
+def _usable(view: SeenKeypoints) -> SeenKeypoints:
     """Without missing points, and with nothing in the frames of which too little is known."""
     points = torch.where(view.trust[..., None] > 0, view.points_px, torch.nan)
     is_bad = torch.ones(len(points), dtype=torch.bool, device=points.device)
-    is_bad[_good(points, settings)] = False
+    is_bad[_good(points)] = False
     return replace(view, points_px=points).without(is_bad)
 
 
@@ -338,10 +341,10 @@ def _agreeing(
     return [view.without(is_other[:, number]) for number, view in enumerate(views)], found.points
 
 
-def _good(points: Float[Tensor, "frames 21 d"], settings: KeypointFitSettings) -> Int[Tensor, "n"]:
+def _good(points: Float[Tensor, "frames 21 d"]) -> Int[Tensor, "n"]:
     """Frames with enough points, which are not all in one place."""
     is_known = points.isfinite().all(-1)
-    return ((is_known.sum(-1) >= settings.min_points) & ~_is_one_point(points)).nonzero()[:, 0]
+    return ((is_known.sum(-1) >= MIN_POINTS) & ~_is_one_point(points)).nonzero()[:, 0]
 
 
 def _loss(settings: KeypointFitSettings, dimension: int) -> RobustLoss:
@@ -361,7 +364,7 @@ def _std_px(
 ) -> tuple[Float[Tensor, "frames"], Float[Tensor, "frames"]]:
     """Standard deviations of points in pictures, and such as are not so small that only near starts can be told
     apart."""
-    coarse = settings.noise_fraction * box_side_px(points)
+    coarse = _NOISE_FRACTION * box_side_px(points)
     noise = coarse if settings.noise_px is None else torch.full_like(coarse, settings.noise_px)
     return noise, torch.maximum(noise, coarse)
 
@@ -408,11 +411,11 @@ def _shaped(fit: KeypointFit, batch: torch.Size) -> KeypointFit:
     return replace(fit, **{name: getattr(fit, name).reshape((*batch, *getattr(fit, name).shape[1:])) for name in names})
 
 
-def _smoothed(fit: KeypointFit, kinematics: HandKinematics, max_gap: int) -> KeypointFit:
+def _smoothed(fit: KeypointFit, kinematics: HandKinematics) -> KeypointFit:
     """The fit of a recording's frames (one dimension) by those before and after them, short gaps filled."""
     path = PosePath.of(HandPose.of(fit.pose), fit.pose_covariance, fit.is_fitted, fit.space)
     found = path.smoothed(path.motion(), kinematics.skeleton)
-    is_told = fit.is_fitted | is_short_gap(fit.is_fitted, max_gap)
+    is_told = fit.is_fitted | is_short_gap(fit.is_fitted, _MAX_GAP)
     frames = kinematics(found.pose.dofs, fit.shape, root_reference=found.pose.reference)
     spread = _keypoints_covariance(PoseJacobian(kinematics, fit.space.basis), found.pose, frames, found.covariance)
 

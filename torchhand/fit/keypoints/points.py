@@ -14,6 +14,7 @@ from torchhand.hand import KEYPOINT_BONES, KEYPOINTS, HandFrames, HandKinematics
 from torchhand.numerics import RobustLoss
 
 _POINTS = len(KEYPOINTS)
+_GROSS = 3.0  # standard deviations beyond which a point counts for less (Geman and McClure)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,8 +31,6 @@ class KeypointSettings:
     """Standard deviation of a point of known place in space, metres; above 0."""
     angle_error: float = 1.0
     """Standard deviation of a joint angle by points in space, over that measured of MediaPipe's; above 0."""
-    gross: float = 3.0
-    """Standard deviations beyond which a point counts for less (Geman and McClure); above 0."""
     correlation: float = 0.2
     """Share of a point's variance that it has in common with the others: what all points together are worth is that
     much less. 0 or more, below 1."""
@@ -40,7 +39,7 @@ class KeypointSettings:
 
     def __post_init__(self) -> None:
         require(0 <= self.min_score <= 1, "keypoints.min_score", "0 to 1", self.min_score)
-        for name in ("std_m", "space_std_m", "angle_error", "gross"):
+        for name in ("std_m", "space_std_m", "angle_error"):
             require(
                 0 < getattr(self, name) < float("inf"), f"keypoints.{name}", "above 0 and finite", getattr(self, name)
             )
@@ -56,7 +55,7 @@ class KeypointSettings:
     ) -> Float[Tensor, "k 21"]:
         """What points at some distance from the hand count; distance and std are in one unit, own_std_m is that std in
         metres."""
-        gross = max(1.0, stage.gross_m / own_std_m / self.gross) * self.gross  # coarse stages must reach their points
+        gross = max(1.0, stage.gross_m / own_std_m / _GROSS) * _GROSS  # coarse stages must reach their points
         return self.weight * (1 + (distance / (gross * std)).square()).square().reciprocal()
 
 

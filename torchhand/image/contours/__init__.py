@@ -6,15 +6,15 @@ from torchhand.image.contours.distance_maps import depth_map, distance_map
 from torchhand.image.contours.edges import EdgeSearch, EdgeSettings, search_edges
 from torchhand.image.contours.sampled_maps import DistanceField
 from torchhand.image.contours.sampling import is_inside, sample_bilinear
-from torchhand.image.contours.valleys import Valleys, ValleySettings, find_valleys, valley_reach
+from torchhand.image.contours.valleys import VALLEY_REACH_PX, Valleys, find_valleys
 from torchhand.image.contours.windows import Window
 
 __all__ = [
+    "VALLEY_REACH_PX",
     "Boundary",
     "DistanceField",
     "EdgeSearch",
     "EdgeSettings",
-    "ValleySettings",
     "Valleys",
     "Window",
     "boundary_field",
@@ -27,5 +27,4 @@ __all__ = [
     "point_field",
     "sample_bilinear",
     "search_edges",
-    "valley_reach",
 ]

@@ -5,6 +5,7 @@ answer twice, on both sides of such a line. Its operator is not printed; this is
 Hessian of the smoothed picture, its largest eigenvalue and where the slope along its eigenvector is zero.
 """
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -19,33 +20,13 @@ from torchhand.image.operations import label_pieces
 _INSIDE = 0.52  # the lowest place may lie this far from the pixel's centre along x and y: half, and rounding
 _REACH_SIGMAS = 4.0  # of the filters
 _HEAVY_SIGMAS = 3.0  # places so near to the region's rim are told by the rim
-
-
-@dataclass(frozen=True, kw_only=True)
-class ValleySettings:
-    """What counts as a dark line."""
-
-    sigma_px: float = 1.6
-    """Standard deviation of the smoothing; 0.5 to 20. A line of half width w needs w / √3 or more."""
-    low: float = 3.0
-    """Least σ² × second derivative across the line, grey levels; a place counts if linked to one above `high`."""
-    high: float = 7.0
-    """Strength at which a line begins; not below `low`."""
-    min_points: int = 8
-    """Pixels of the shortest line; 1 or more."""
-    steepest: float = 0.5
-    """Largest |slope across the line| · σ of a place relative to the strength: edges are steep, valleys level; above
-    0."""
-
-    def __post_init__(self) -> None:
-        if not 0.5 <= self.sigma_px <= 20:
-            raise ValueError(f"valleys.sigma_px: expected 0.5 to 20, got {self.sigma_px!r}")
-        if not 0 < self.low <= self.high < float("inf"):
-            raise ValueError(f"valleys.low: expected above 0 and at most high, got {self.low!r} and {self.high!r}")
-        if self.min_points < 1:
-            raise ValueError(f"valleys.min_points: expected 1 or more, got {self.min_points!r}")
-        if not 0 < self.steepest < float("inf"):
-            raise ValueError(f"valleys.steepest: expected above 0 and finite, got {self.steepest!r}")
+_SIGMA_PX = 1.6  # standard deviation of the smoothing; a line of half width w needs w / √3 or more
+_LOW = 3.0  # least σ² × second derivative across the line, grey levels, of places that are linked to a stronger one
+_HIGH = 7.0  # strength at which a line begins
+_MIN_POINTS = 8  # pixels of the shortest line
+_STEEPEST = 0.5  # largest |slope across the line| · σ of a place over its strength: edges are steep, valleys level
+VALLEY_REACH_PX = math.ceil(_REACH_SIGMAS * _SIGMA_PX) + 1
+"""How far around a region the picture matters to the valleys within it, px."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +43,6 @@ class Valleys:
 
 def find_valleys(
     grey: Float[Tensor, "height width"],
-    settings: ValleySettings | None = None,
     *,
     within: Bool[Tensor, "height width"] | None = None,
 ) -> Valleys:
@@ -70,51 +50,45 @@ def find_valleys(
 
     A pixel is on a valley if along the eigenvector v of its Hessian's largest eigenvalue λ > 0 the slope vanishes
     within the pixel: t = -(∇I · v) / λ, |t v_x| and |t v_y| at most half. That pixel's place is its centre plus t v.
-    Strength is σ² λ; lines are followed from places above `high` to all linked ones above `low` and dropped where
-    short.
+    Strength is σ² λ; lines are followed from places above 7 grey levels to all linked ones above 3 and dropped
+    where shorter than 8 pixels.
 
     within: only lines inside this region (the hand) and clear of its rim, where the background makes valleys of its
     own: what lies beyond is first replaced by the region's nearest grey level.
     """
-    settings = settings or ValleySettings()
     picture = grey.detach().cpu().numpy().astype(np.float32)
     inside = np.ones(picture.shape, dtype=bool)
     if within is not None:
         region = within.cpu().numpy()
         picture = _extended(picture, region)
         depth = depth_map(torch.from_numpy(region)).numpy()
-        inside = depth > _HEAVY_SIGMAS * settings.sigma_px * 0.5
-    slopes, (xx, xy, yy) = _derivatives(picture, settings.sigma_px)
+        inside = depth > _HEAVY_SIGMAS * _SIGMA_PX * 0.5
+    slopes, (xx, xy, yy) = _derivatives(picture)
     half, mean = 0.5 * (xx - yy), 0.5 * (xx + yy)
     largest = mean + np.hypot(half, xy)
-    strength = settings.sigma_px**2 * largest
-    y, x = np.nonzero((strength >= settings.low) & inside)
+    strength = _SIGMA_PX**2 * largest
+    y, x = np.nonzero((strength >= _LOW) & inside)
     angle = 0.5 * np.arctan2(xy[y, x], half[y, x])
     across = np.stack((np.cos(angle), np.sin(angle)), -1)
     slope = slopes[0][y, x] * across[:, 0] + slopes[1][y, x] * across[:, 1]
     shift = -(slope / largest[y, x])[:, None] * across
     keep = (np.abs(shift) <= _INSIDE).all(1)
-    keep &= np.abs(slope) * settings.sigma_px <= settings.steepest * strength[y, x]
+    keep &= np.abs(slope) * _SIGMA_PX <= _STEEPEST * strength[y, x]
     y, x, across, shift = y[keep], x[keep], across[keep], shift[keep]
-    linked = _linked(y, x, strength, settings)
+    linked = _linked(y, x, strength)
     y, x, across, shift = y[linked], x[linked], across[linked], shift[linked]
     found = (np.stack((x, y), -1) + shift, across, strength[y, x])
     points, directions, strengths = (torch.from_numpy(part).to(grey.device, torch.float64) for part in found)
     return Valleys(points_px=points, directions=directions, strength=strengths)
 
 
-def valley_reach(settings: ValleySettings) -> int:
-    """How far around a region the picture matters to the valleys within it, px."""
-    return int(np.ceil(_REACH_SIGMAS * settings.sigma_px)) + 1
-
-
 def _derivatives(
-    picture: np.ndarray, sigma: float
+    picture: np.ndarray,
 ) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Slopes and second derivatives of the picture smoothed by a Gaussian: separable, exact derivatives of it."""
-    reach = int(np.ceil(_REACH_SIGMAS * sigma))
+    reach = math.ceil(_REACH_SIGMAS * _SIGMA_PX)
     t = np.arange(-reach, reach + 1, dtype=np.float64)
-    bell = np.exp(-0.5 * (t / sigma) ** 2)
+    bell = np.exp(-0.5 * (t / _SIGMA_PX) ** 2)
     bell /= bell.sum()
     first = t * bell  # correlation: the smoothed picture's slope is Σ t bell I / Σ t² bell
     first /= (t * first).sum()
@@ -140,7 +114,7 @@ def _extended(picture: np.ndarray, region: np.ndarray) -> np.ndarray:
     return np.where(region, picture, level[label])
 
 
-def _linked(y: np.ndarray, x: np.ndarray, strength: np.ndarray, settings: ValleySettings) -> np.ndarray:
+def _linked(y: np.ndarray, x: np.ndarray, strength: np.ndarray) -> np.ndarray:
     """Which places belong to a line that is strong somewhere and long enough."""
     canvas = np.zeros(strength.shape, dtype=bool)
     canvas[y, x] = True
@@ -148,5 +122,5 @@ def _linked(y: np.ndarray, x: np.ndarray, strength: np.ndarray, settings: Valley
     own = pieces.labels.numpy()[y, x] - 1
     peak = np.zeros(len(pieces.areas))
     np.maximum.at(peak, own, strength[y, x])
-    good = (peak >= settings.high) & (pieces.areas.numpy() >= settings.min_points)
+    good = (peak >= _HIGH) & (pieces.areas.numpy() >= _MIN_POINTS)
     return good[own]

@@ -23,7 +23,7 @@ from torchhand.fit import (
     SolveStatus,
     free_bounds,
 )
-from torchhand.fit.contour import ContourObservation, Restarts, picture_contours, solve_with_restarts
+from torchhand.fit.contour import WIDE_SEARCH, ContourObservation, Restarts, picture_contours, solve_with_restarts
 from torchhand.geometry import Camera
 from torchhand.hand import HandModel, HandPose, PoseConstraints, Side, named_pose_space
 from torchhand.image import hand_region, intersection_over_union
@@ -101,7 +101,7 @@ class CaseStudy:
         self.camera = case.camera.to(dtype=torch.float64, device=device)
         self.shape = case.shape.to(self.kinematics.default_shape)
         self.space = named_pose_space(settings.space).to(device=device).about(self.case.pose.dofs)
-        schedule = (*settings.restarts.schedule, *settings.schedule)
+        schedule = (*WIDE_SEARCH, *settings.schedule)
         self.picture = picture_contours(case.mask.to(device), schedule, settings.contour, image=case.image.to(device))
         self._dtype = torch.float32 if settings.precision == "single" else torch.float64
         self._constraints = PoseConstraints(self.model.skeleton)
