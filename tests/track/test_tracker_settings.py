@@ -12,7 +12,7 @@ from torchhand.track import DEFAULTS, TrackerSettings
 from torchhand.track.belief import NoiseSettings, PosturePriorSettings
 from torchhand.track.extended import ExtendedUpdateSettings
 from torchhand.track.multiview import RigSettings
-from torchhand.track.scene import ColourUpdateSettings, HealthSettings
+from torchhand.track.scene import HealthSettings
 from torchhand.track.unscented import UnscentedUpdateSettings
 
 _FRACTIONS = (
@@ -26,7 +26,7 @@ _FRACTIONS = (
     "turned_by",
     "nearer_by",
 )
-_PRIOR = ("rest_std_rad", "side_std_rad", "tie_std_rad", "tilt_std_rad")
+_PRIOR = ("rest_std_rad", "tie_std_rad", "tilt_std_rad")
 
 CASES = [
     *[
@@ -34,14 +34,13 @@ CASES = [
         for name, minimum in {
             "points_per_generator": 2,
             "points_per_arc": 4,
+            "colour_update_every": 0,
             "shape_frames": 0,
             "max_pixels": 10_000,
             "check_side_px": 64,
         }.items()
     ],
-    (TrackerSettings, "search_overlap", 1.5, "search_overlap: expected 0 to 1, got 1.5"),
     (TrackerSettings, "smoothing_window_s", -1.0, "smoothing_window_s: expected 0 or more and finite, got -1.0"),
-    (TrackerSettings, "nominal_dt_s", 0.0, "nominal_dt_s: expected above 0 and finite, got 0.0"),
     (TrackerSettings, "pose_space", "dof99", f"pose_space: expected one of {', '.join(POSE_SPACES)}, got 'dof99'"),
     (TrackerSettings, "posture", "wave", f"posture: expected one of {', '.join(POSTURES)}, got 'wave'"),
     *[
@@ -50,22 +49,13 @@ CASES = [
     ],
     (UnscentedUpdateSettings, "gate", math.inf, "update.gate: expected above 0 and finite, got inf"),
     (UnscentedUpdateSettings, "edge_std_px", math.nan, "update.edge_std_px: expected above 0 and finite, got nan"),
-    (UnscentedUpdateSettings, "surface_std", -0.1, "update.surface_std: expected 0 or more, below 1, got -0.1"),
     (UnscentedUpdateSettings, "passes", 0, "update.passes: expected 1 or more, got 0"),
     (UnscentedUpdateSettings, "inner_weight", -0.1, "update.inner_weight: expected 0 or more and finite, got -0.1"),
-    *[
-        (ExtendedUpdateSettings, name, 0.0, f"update.{name}: expected above 0 and finite, got 0.0")
-        for name in ("max_contour_distance_m", "near_m", "gate")
-    ],
+    (ExtendedUpdateSettings, "gate", 0.0, "update.gate: expected above 0 and finite, got 0.0"),
     *[
         (ExtendedUpdateSettings, name, -1.0, f"update.{name}: expected 0 or more and finite, got -1.0")
         for name in ("pose_weight", "constraint_weight", "prior_weight")
     ],
-    *[
-        (ExtendedUpdateSettings, name, 0.5, f"update.{name}: expected 1 or more, got 0.5")
-        for name in ("max_cost_ratio", "relocation_ratio")
-    ],
-    (ExtendedUpdateSettings, "restart_fraction", 1.5, "update.restart_fraction: expected 0 to 1, got 1.5"),
     (ExtendedUpdateSettings, "finger_proposals", 11, "update.finger_proposals: expected 0 to 10, got 11"),
     (
         ExtendedUpdateSettings,
@@ -87,16 +77,11 @@ CASES = [
         for name in ("patience", "search_every", "alternatives_at_most_every")
     ],
     (HealthSettings, "search_at_most_every", 2, "health.search_at_most_every: expected search_every or more, got 2"),
-    (ColourUpdateSettings, "every", -1, "colours.every: expected 0 or more, got -1"),
-    (ColourUpdateSettings, "keep", 1.5, "colours.keep: expected 0 to 1, got 1.5"),
     (FitSettings, "edge_std_px", -2.0, "fit.edge_std_px: expected above 0 and finite, got -2.0"),
     (FitSettings, "iterations", 0, "fit.iterations: expected 1 or more, got 0"),
-    (RigSettings, "found_overlap", 1.5, "rig.found_overlap: expected 0 to 1, got 1.5"),
     (RigSettings, "min_views", 1, "rig.min_views: expected 2 or more, got 1"),
-    (RigSettings, "check_side_px", 10, "rig.check_side_px: expected 64 or more, got 10"),
     (RigSettings, "shape_frames", -1, "rig.shape_frames: expected 0 or more, got -1"),
     (RigSettings, "tracking_vertices", 0, "rig.tracking_vertices: expected 1 or more, got 0"),
-    (RigSettings, "shape_posture_weight", -1.0, "rig.shape_posture_weight: expected 0 or more and finite, got -1.0"),
 ]
 
 

@@ -45,6 +45,7 @@ from torchhand.track.unscented import UnscentedUpdate, UnscentedUpdateSettings
 from torchhand.view import OutlineTable, outline_table
 
 _ROOT = 6
+_SEARCH_OVERLAP = 0.80  # smallest overlap with which a search of one camera takes a hand as found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,7 +200,7 @@ def _of_one_camera(
         fitter=fitter,
         posture=s.posture,
         silhouette=s.silhouette,
-        min_overlap=s.search_overlap,
+        min_overlap=_SEARCH_OVERLAP,
         plate=plate,
         start_points=start_points,
     )
@@ -215,7 +216,7 @@ def _of_one_camera(
         cameras=(here,),
         motion=own.motion,
         table=own.table,
-        segmentation=ColourSegmentation(kinematics=kinematics, camera=here, settings=s.colours),
+        segmentation=ColourSegmentation(kinematics=kinematics, camera=here),
         rule=own.rule((here,)),
         sources=sources,
         health=Health(settings=s.health),

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from torchhand.errors import require, require_positive
+from torchhand.errors import require
 from torchhand.fit.detect import FitSettings
 from torchhand.fit.keypoints import KeypointSettings
 from torchhand.hand import POSE_SPACES, POSTURES
@@ -12,7 +12,7 @@ from torchhand.numerics import MotionModel
 from torchhand.track.belief import NoiseSettings
 from torchhand.track.extended import ExtendedUpdateSettings
 from torchhand.track.multiview import RigSettings
-from torchhand.track.scene import ColourUpdateSettings, HealthSettings
+from torchhand.track.scene import HealthSettings
 from torchhand.track.unscented import UnscentedUpdateSettings
 
 Method = Literal["contour", "distance", "hull"]
@@ -38,14 +38,14 @@ class TrackerSettings:
     """Outline points on each ellipsoid; 4 or more."""
     silhouette: SilhouetteSettings = field(default_factory=SilhouetteSettings)
     """How the hand is told from its surroundings until its colours are learned: skin, background plate or chroma."""
-    colours: ColourUpdateSettings = field(default_factory=ColourUpdateSettings)
+    colour_update_every: int = 10
+    """Frames of one camera that agree with the model from one update of the hand's colours to the next, as the light
+    changes; 0 keeps those of the start."""
     health: HealthSettings = field(default_factory=HealthSettings)
     keypoints: KeypointSettings = field(default_factory=KeypointSettings)
     """Noise, correlation and smallest score of detected keypoints, where a detector gives some."""
     fit: FitSettings = field(default_factory=FitSettings)
     """Settings of the fit to the picture in which a hand is found."""
-    search_overlap: float = 0.80
-    """Smallest overlap with which a search of one camera takes a hand as found; 0 to 1."""
     learned_proposals: bool = True
     """Whether a trained network proposes hands in any posture to one pinhole camera, where the posture of the start is
     not found or leaves something unexplained."""
@@ -65,8 +65,6 @@ class TrackerSettings:
     outline says no more of a hand in a larger picture. 10,000 or more."""
     check_side_px: int = 320
     """Longer side of the reduced pictures in which silhouettes are compared; 64 or more."""
-    nominal_dt_s: float = 1 / 30
-    """Time step that is assumed at the first frame; above 0."""
 
     def __post_init__(self) -> None:
         require(self.pose_space in POSE_SPACES, "pose_space", f"one of {', '.join(POSE_SPACES)}", self.pose_space)
@@ -74,15 +72,14 @@ class TrackerSettings:
         for name, minimum in (
             ("points_per_generator", 2),
             ("points_per_arc", 4),
+            ("colour_update_every", 0),
             ("shape_frames", 0),
             ("max_pixels", 10_000),
             ("check_side_px", 64),
         ):
             require(getattr(self, name) >= minimum, name, f"{minimum} or more", getattr(self, name))
-        require(0 <= self.search_overlap <= 1, "search_overlap", "0 to 1", self.search_overlap)
         has_window = 0 <= self.smoothing_window_s < float("inf")
         require(has_window, "smoothing_window_s", "0 or more and finite", self.smoothing_window_s)
-        require_positive("nominal_dt_s", self.nominal_dt_s)
 
 
 _CONTOUR = TrackerSettings()

@@ -56,6 +56,7 @@ _VAIN_REFIT_EVERY = 40  # the same where they keep bringing nothing better
 _FASTEST_M_PER_S, _JUMP_M = 5.0, 0.2
 """How fast a hand moves at most, and how far off its place before a camera may be besides: what is found elsewhere once
 the hand is lost is another thing."""
+_NOMINAL_DT_S = 1 / 30  # time step that is assumed at the first frame
 _FORESEEABLE_S = 0.1
 """Time over which a hand's motion foretells where it is. After longer ones the motion model is so unsure that edges
 near its contour tell little: from 0.2 s on `contour_planar` loses even a hand that keeps still."""
@@ -416,7 +417,7 @@ class Tracker:
             return last
         predicted = place = None
         if hand is not None:
-            dt_s = self.settings.nominal_dt_s if state.time_s is None else time_s - state.time_s
+            dt_s = _NOMINAL_DT_S if state.time_s is None else time_s - state.time_s
             predicted = self.parts.motion.predicted(hand, dt_s)
             if self.parts.fitter is not None and shape is not None:
                 place = self.parts.fitter.place_of(self.parts.motion.pose(predicted).normalized(), shape)
@@ -439,7 +440,7 @@ class Tracker:
             return found
         motion = self.parts.motion
         begun = replace(hand, belief=motion.at_rest(motion.prior(hand).mean, None))
-        resting = motion.predicted(begun, self.settings.nominal_dt_s)
+        resting = motion.predicted(begun, _NOMINAL_DT_S)
         other = self._corrected(hand, replace(resting, dt_s=predicted.dt_s), scene, shape)
         if found is None or other is None:
             return found or other
@@ -813,7 +814,7 @@ class Tracker:
 
     def _with_colours(self, state: TrackerState, best: Candidate, scene: Scene) -> TrackerState:
         """Colours learned from a scene that bears the hand out, where it is time for them."""
-        every, count = self.settings.colours.every, state.frames_since_colours + 1
+        every, count = self.settings.colour_update_every, state.frames_since_colours + 1
         is_sure = not self.parts.health.is_degraded(best, state.usual_score)
         if not is_sure or every == 0 or count < every or state.shape is None:
             return replace(state, frames_since_colours=count if is_sure else state.frames_since_colours)

@@ -9,6 +9,7 @@ import torch
 from tests.steps import FRAME_S, assert_equal, motion_error_px, points_px, right_hand, run, saved_and_restored
 from torchhand.errors import InputError
 from torchhand.hand import DOFS
+from torchhand.numerics import AdaptiveNoiseSettings
 from torchhand.runs import settings_of
 from torchhand.track import DEFAULTS, Tracker, View
 from torchhand.track.extended import ExtendedUpdateSettings
@@ -59,7 +60,7 @@ def test_the_filter_learns_rates_and_noise(followed: Any) -> None:
     assert hand.belief.mean.shape == (2 * count,)  # parameters and velocities
     assert float(hand.belief.mean[count:].abs().max()) > 0.01
     assert hand.density is not None
-    nominal, bounds = motion.density, ExtendedUpdateSettings().adaptive
+    nominal, bounds = motion.density, AdaptiveNoiseSettings()
     assert not torch.equal(hand.density, nominal)
     assert bool((hand.density >= bounds.floor * nominal).all() & (hand.density <= bounds.ceiling * nominal).all())
     last = estimates[-1].pose_std

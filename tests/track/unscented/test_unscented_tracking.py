@@ -27,7 +27,7 @@ from torchhand.simulate import SceneSettings
 from torchhand.track import Estimate, Tracker, TrackerSettings, TrackerState, View
 from torchhand.track.belief import NoiseSettings
 from torchhand.track.proposals import Proposals, Proposed
-from torchhand.track.scene import ColourUpdateSettings, HealthSettings
+from torchhand.track.scene import HealthSettings
 from torchhand.track.unscented import UnscentedUpdateSettings
 from torchhand.view import HandProjector
 
@@ -384,7 +384,7 @@ def test_the_colours_follow_changing_light(studio: Any, every: int, is_right: bo
     film = studio.film("planar", 24, scene=SceneSettings(supersampling=2, background="plain", noise=2.0))
     dimmed = 1 + torch.linspace(0, 1, 24)[:, None] * (torch.tensor((0.55, 0.4, 0.3)) - 1)
     images = [(image * fraction).round().to(torch.uint8) for image, fraction in zip(film.images, dimmed, strict=True)]
-    settings = TrackerSettings(colours=ColourUpdateSettings(every=every))
+    settings = TrackerSettings(colour_update_every=every)
     _, estimates = run(_tracker(film, settings, shape=film.kinematics.default_shape), images)
     assert [estimate.status for estimate in estimates[:12]] == ["tracked"] * 12
     last = estimates[-1]

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchhand.fit.hull import (
+    SEARCH,
     HullFitter,
     HullTarget,
     HullTorqueSettings,
@@ -57,7 +58,7 @@ def by_least_squares(problem: FitProblem, *, contours: bool) -> HandPose:
         space=problem.space,
         shape=problem.shape,
         settings=settings.hull,
-        schedule=settings.search,
+        schedule=SEARCH,
         joints=replace(problem.joints, weights=settings.joints),
     )
     return fitter(target, problem.guess).pose

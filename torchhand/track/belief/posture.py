@@ -12,6 +12,7 @@ from torchhand.hand import DOFS, PoseSpace
 from torchhand.track.belief.settings import PosturePriorSettings
 
 _TIE = 2.0 / 3.0  # flexion of the end joint over that of the middle joint (Ouhaddi and Horain 1998, eq. 1)
+_SIDE_STD = 0.12  # radians: standard deviation of abductions and twists about those of the start
 _TILTS = ("root_rx", "root_ry")
 
 
@@ -70,7 +71,7 @@ def posture_prior(space: PoseSpace, settings: PosturePriorSettings, *, has_tilt:
             row[names.index(middle_joint)] = -_TIE
             std = settings.tie_std_rad
         elif name.endswith(("_aa", "_tw")):
-            std = settings.side_std_rad
+            std = _SIDE_STD
         else:
             std = settings.rest_std_rad
         is_tie = name.endswith("_dip_fe") and middle_joint in names

@@ -32,8 +32,6 @@ class PosturePriorSettings:
 
     rest_std_rad: float = 1.0
     """Standard deviation of joint angles about those of the start; above 0."""
-    side_std_rad: float = 0.12
-    """Standard deviation of abductions and twists about those of the start; above 0."""
     tie_std_rad: float = 0.25
     """Standard deviation of the end joint's flexion about two thirds of that of the middle joint (Ouhaddi and Horain
     1998, eq. 1); above 0."""
@@ -41,5 +39,5 @@ class PosturePriorSettings:
     """Standard deviation of the rotation out of the picture's plane since the start; above 0. Of one camera only."""
 
     def __post_init__(self) -> None:
-        for name in ("rest_std_rad", "side_std_rad", "tie_std_rad", "tilt_std_rad"):
+        for name in ("rest_std_rad", "tie_std_rad", "tilt_std_rad"):
             require_positive(f"prior.{name}", getattr(self, name))

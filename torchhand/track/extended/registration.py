@@ -7,8 +7,15 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.fit import Observation, Problem, Schedule, Solutions, solve
-from torchhand.fit.contour import CONTOUR, ContourObservation, PictureContours, picture_contours, pixels_per_metre
+from torchhand.fit import Observation, Problem, Schedule, Solutions, Stage, solve
+from torchhand.fit.contour import (
+    CONTOUR,
+    WHOLE_SEARCH,
+    ContourObservation,
+    PictureContours,
+    picture_contours,
+    pixels_per_metre,
+)
 from torchhand.hand import HandPose, PoseSpace
 from torchhand.track.extended.proposals import finger_proposals, posture_proposals, turned_proposals
 from torchhand.track.extended.settings import ExtendedUpdateSettings
@@ -17,6 +24,13 @@ from torchhand.view import Contours, HandProjector
 
 _ROOT = 6
 _PROMISING = 6  # starts of a search that are followed up
+_GOOD_M = 0.0015  # metres at the hand: largest mean distance of the contours from each other with which a hand is good
+_ELSEWHERE = 2.0  # that distance, over the largest good one, beyond which the hand is sought elsewhere and turned
+_MAX_COST_RATIO = 1.5  # cost of a hand with another finger, over that of the registered one, to be followed up
+
+SCHEDULE = (Stage(gross_m=0.01125, rounds=1, iterations=3, pitch_px=2), Stage(gross_m=0.0075, rounds=1, iterations=4))
+"""Registration of a scene from its prediction; the last stage is as wide as that of WHOLE_SEARCH, by which a hand is
+registered that was found or is sought anew."""
 
 Pictures = tuple[PictureContours | None, ...]
 """Contours of the hand, view by view; None where a view shows nothing."""
@@ -61,7 +75,7 @@ class SceneRegistration:
         cameras = [self.projectors[one.view or 0].camera for one in contours]
         pairs = zip(contours, cameras, strict=True)
         metres = [float(one.distance) / float(pixels_per_metre(camera, found.pose)) for one, camera in pairs]
-        return max(metres, default=math.inf) / self.settings.max_contour_distance_m
+        return max(metres, default=math.inf) / _GOOD_M
 
     def reinitialized(
         self, found: Solutions, pictures: Pictures, foreground: tuple[Bool[Tensor, "_height _width"] | None, ...]
@@ -72,14 +86,14 @@ class SceneRegistration:
         contours that the registration was made on.
         """
         s = self.settings
-        if self.normalized_residual(found) > s.relocation_ratio and len(self.contours) == 1:
+        if self.normalized_residual(found) > _ELSEWHERE and len(self.contours) == 1:
             other = self._elsewhere(foreground)
             if other is not None and float(other.cost) < float(found.cost):
-                found, pictures = other, self.pictures(foreground, s.schedule)
+                found, pictures = other, self.pictures(foreground, SCHEDULE)
         if self.normalized_residual(found) > 1:
             start = self.space.constant
             proposals = (posture_proposals(found.pose, start, s.postures), finger_proposals(found.pose, start))
-            found = _cheaper(found, self.best(pictures, HandPose.cat(proposals), s.schedule))
+            found = _cheaper(found, self.best(pictures, HandPose.cat(proposals), SCHEDULE))
         return found, pictures
 
     def with_other_fingers(self, found: Solutions, pictures: Pictures, turn: int) -> Solutions:
@@ -92,9 +106,9 @@ class SceneRegistration:
         if not count:
             return found
         due = torch.tensor([(turn * s.finger_proposals + i) % len(starts) for i in range(count)])
-        other = self.best(pictures, starts[due], s.schedule)
-        if float(other.cost) < s.max_cost_ratio * float(found.cost):
-            other = self.best(pictures, other.pose.reshape(1), s.schedule)
+        other = self.best(pictures, starts[due], SCHEDULE)
+        if float(other.cost) < _MAX_COST_RATIO * float(found.cost):
+            other = self.best(pictures, other.pose.reshape(1), SCHEDULE)
         return _cheaper(found, other)
 
     def _elsewhere(self, foreground: tuple[Bool[Tensor, "_height _width"] | None, ...]) -> Solutions | None:
@@ -102,7 +116,7 @@ class SceneRegistration:
 
         All of them on the coarsest map, the most promising ones on the finer maps as well.
         """
-        [mask], [projector], schedule = foreground, self.projectors, self.settings.search_schedule
+        [mask], [projector], schedule = foreground, self.projectors, WHOLE_SEARCH
         if mask is None:
             return None
         model = projector.silhouette(self.pose.dofs, self.pose.reference)

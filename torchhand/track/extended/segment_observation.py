@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.errors import require, require_positive
 from torchhand.fit.contour import is_in_picture
 from torchhand.hand import DOFS, HandFrames, PoseSpace, Primitives
 from torchhand.hand.limits import clamp_to_limits
@@ -25,6 +26,9 @@ SCALARS = ("u", "v", "length", "direction")
 """Of every segment: its middle in px, its length in px and its direction in rad, modulo π; segment by segment."""
 OBSERVED = len(SEGMENT_NAMES) * len(SCALARS)
 _SHORTEST_PX = 1e-6
+_MIN_LENGTH_PX = 3.0  # shorter segments have no direction worth the name
+_MIN_FORESHORTENING = 0.25  # sine of the angle between segment and line of sight that must be reached
+_SAMPLES = 8  # points per segment at which visibility is tested
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,25 +41,11 @@ class SegmentSettings:
     """Standard deviation of the length of a segment that faces the camera; grows with 1 / foreshortening."""
     min_visible: float = 0.5
     """Share of a segment that must be seen, not hidden by the hand itself; 0 to 1."""
-    min_foreshortening: float = 0.25
-    """Sine of the angle between segment and line of sight that must be reached; above 0, at most 1."""
-    min_length_px: float = 3.0
-    """Shorter segments have no direction worth the name; above 0."""
-    samples: int = 8
-    """Points per segment at which visibility is tested; 1 or more."""
 
     def __post_init__(self) -> None:
-        for name in ("position_std_px", "length_std_px", "min_length_px"):
-            if not 0 < getattr(self, name) < float("inf"):
-                raise ValueError(f"segments.{name}: expected above 0 and finite, got {getattr(self, name)!r}")
-        if not 0 <= self.min_visible <= 1:
-            raise ValueError(f"segments.min_visible: expected 0 to 1, got {self.min_visible!r}")
-        if not 0 < self.min_foreshortening <= 1:
-            raise ValueError(
-                f"segments.min_foreshortening: expected above 0, at most 1, got {self.min_foreshortening!r}"
-            )
-        if self.samples < 1:
-            raise ValueError(f"segments.samples: expected 1 or more, got {self.samples!r}")
+        for name in ("position_std_px", "length_std_px"):
+            require_positive(f"segments.{name}", getattr(self, name))
+        require(0 <= self.min_visible <= 1, "segments.min_visible", "0 to 1", self.min_visible)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,7 +145,7 @@ class SegmentObservation:
 
     def _visible_fraction(self, posed: "_PosedSegments") -> Tensor:
         with torch.no_grad():
-            table = _sample_table(self.settings.samples, posed.pose)
+            table = _sample_table(posed.pose)
             is_orthographic = self.projector.is_orthographic
             seen = outline(posed.primitives, table, is_orthographic=is_orthographic)
             visible = visible_points(posed.primitives, seen, table, is_orthographic=is_orthographic)
@@ -167,16 +157,16 @@ class SegmentObservation:
         return (
             segments.is_real
             & is_in_picture(segments.ends_px.mean(-2), self.projector.camera)
-            & (_length(segments.ends_px) >= s.min_length_px)
-            & (facing >= s.min_foreshortening)
+            & (_length(segments.ends_px) >= _MIN_LENGTH_PX)
+            & (facing >= _MIN_FORESHORTENING)
             & (self._visible_fraction(posed) >= s.min_visible)
         )
 
     def _variances(self, segments: Segments) -> Tensor:
         s = self.settings
         facing = foreshortening(segments.ends_cam, is_orthographic=self.projector.is_orthographic)
-        length = _length(segments.ends_px).clamp_min(s.min_length_px)
-        of_length = s.length_std_px / facing.clamp_min(s.min_foreshortening)
+        length = _length(segments.ends_px).clamp_min(_MIN_LENGTH_PX)
+        of_length = s.length_std_px / facing.clamp_min(_MIN_FORESHORTENING)
         position = torch.full_like(length, s.position_std_px)
         return torch.stack((position, position, of_length, position / length), -1).flatten(-2).square()
 
@@ -252,13 +242,13 @@ def _of_values(ends_px: Tensor, of_ends: Tensor) -> Float[Tensor, "*batch 80 fre
     return torch.cat((of_ends.mean(-3), along @ of_rise, of_direction), -2).flatten(-3, -2)
 
 
-def _sample_table(samples: int, like: Tensor) -> OutlineTable:
+def _sample_table(like: Tensor) -> OutlineTable:
     """Points spread evenly on the segments, in their order."""
     device, each = like.device, len(CONES) * 2
-    fraction = (torch.arange(samples, dtype=like.dtype, device=device) + 0.5) / samples
+    fraction = (torch.arange(_SAMPLES, dtype=like.dtype, device=device) + 0.5) / _SAMPLES
     return OutlineTable(
-        cone=torch.tensor(CONES, device=device).repeat_interleave(2 * samples),
-        cone_side=torch.tensor((0, 1), device=device).repeat_interleave(samples).repeat(len(CONES)),
+        cone=torch.tensor(CONES, device=device).repeat_interleave(2 * _SAMPLES),
+        cone_side=torch.tensor((0, 1), device=device).repeat_interleave(_SAMPLES).repeat(len(CONES)),
         cone_fraction=fraction.repeat(each),
         ellipsoid=torch.zeros(0, dtype=torch.int64, device=device),
         ellipsoid_fraction=fraction[:0],

@@ -14,12 +14,13 @@ from torch import Tensor
 
 from torchhand.fit import ConstraintPrior, Observation, PostureResiduals, Solutions
 from torchhand.fit import PosturePrior as PostureDensity
-from torchhand.fit.contour import PictureContours, is_in_picture
+from torchhand.fit.contour import NEAR_M, WHOLE_SEARCH, PictureContours, is_in_picture
 from torchhand.fit.keypoints import KeypointSettings
 from torchhand.geometry import Camera
 from torchhand.hand import Hand, HandPose, HandPrior, PoseConstraints
 from torchhand.image import channel_of, clean, fill_holes, largest_component, touching
 from torchhand.numerics import (
+    IteratedSettings,
     Measurement,
     adapted_variance,
     noise_density,
@@ -29,7 +30,7 @@ from torchhand.numerics import (
     wrapped,
 )
 from torchhand.track.belief import FollowedHand, HandMotion
-from torchhand.track.extended.registration import Pictures, SceneRegistration
+from torchhand.track.extended.registration import SCHEDULE, Pictures, SceneRegistration
 from torchhand.track.extended.segment_observation import SCALARS, SegmentObservation, StackedSegments
 from torchhand.track.extended.settings import ExtendedUpdateSettings
 from torchhand.track.scene import Candidate, Scene, SilhouetteComparison, detected_hand, scene_keypoints
@@ -38,6 +39,8 @@ from torchhand.view import Contours, HandProjector, MeshContours, OutlineTable, 
 _HOLE = 3e-4  # largest hole of a silhouette that is filled, squares of the hand's length
 _ROOT = 6
 _MIN_POINTS = 16  # of the model's contour
+_ITERATIONS = IteratedSettings(iterations=4)
+_TRUSTED = 0.5  # share of the visible segments that must pass the gate, or else the filter starts afresh
 _OVERCONFIDENCE = 4.0  # as of the contour update: the registered contours have the same surface
 
 Masks = tuple[Bool[Tensor, "_height _width"] | None, ...]
@@ -85,13 +88,13 @@ class ExtendedUpdate:
         s, made = self.settings, self._for(shape)
         expected, last = self.motion.pose(predicted), self.motion.pose(hand)
         registration = self._registration(hand, last, scene, shape)
-        pictures = registration.pictures(self._silhouettes(expected, scene, made), s.schedule)
+        pictures = registration.pictures(self._silhouettes(expected, scene, made), SCHEDULE)
         starts = [expected.about(last.reference), last]
         where = (self.cameras, self.kinematics, self.keypoints, shape)
         if (detected := detected_hand(scene, *where)) is not None:
             starts.append(detected)
 
-        found = registration.best(pictures, HandPose.stack(starts), s.schedule)
+        found = registration.best(pictures, HandPose.stack(starts), SCHEDULE)
         if s.hypotheses and bool(self.motion.space.basis[_ROOT:].any()):
             if registration.normalized_residual(found) > 1:
                 found, pictures = registration.reinitialized(found, pictures, _foreground(scene))
@@ -115,8 +118,8 @@ class ExtendedUpdate:
         """Registered from coarse to fine."""
         hand, made = self.motion.started(pose), self._for(shape)
         registration = self._registration(hand, pose.normalized(), scene, shape)
-        pictures = registration.pictures(self._silhouettes(pose, scene, made), self.settings.search_schedule)
-        found = registration.best(pictures, HandPose.stack([pose.normalized()]), self.settings.search_schedule)
+        pictures = registration.pictures(self._silhouettes(pose, scene, made), WHOLE_SEARCH)
+        found = registration.best(pictures, HandPose.stack([pose.normalized()]), WHOLE_SEARCH)
         if bool(found.cost.isfinite()):
             hand = self.motion.begun(hand, found.pose, found.covariance)
         return self._candidate(hand, scene, shape, pictures)
@@ -174,7 +177,7 @@ class ExtendedUpdate:
         innovation = wrapped(seen.value - value, observe.period)
         how = {"gate": s.gate, "group": len(SCALARS)}
         used = update_extended(predicted.belief, innovation, jacobian, seen.noise, valid=seen.valid, **how).used
-        if float(used.sum()) < s.restart_fraction * float(seen.valid.sum()):
+        if float(used.sum()) < _TRUSTED * float(seen.valid.sum()):
             return self.motion.begun(predicted, found.pose, found.covariance)
         belief = predicted.belief
         if s.pose_weight > 0 and bool(found.covariance.isfinite().all()):
@@ -185,13 +188,11 @@ class ExtendedUpdate:
             belief,
             observe,
             Measurement(seen.value, seen.noise, used),
-            s.iterated,
+            _ITERATIONS,
             period=observe.period,
             observed=count,
         ).update.state
-        density = predicted.density
-        if s.is_adaptive:
-            density = self._learned_density(predicted, replace(predicted, belief=belief))
+        density = self._learned_density(predicted, replace(predicted, belief=belief))
         return self.motion.limited(replace(predicted, belief=belief, density=density))
 
     def _learned_density(self, predicted: FollowedHand, updated: FollowedHand) -> Float[Tensor, "free"]:
@@ -199,7 +200,7 @@ class ExtendedUpdate:
         nominal, model, dt_s = self.motion.density, self.motion.model, predicted.dt_s
         old = nominal if predicted.density is None else predicted.density
         sample = process_covariance(predicted.belief, updated.belief, self.motion.process_noise(dt_s, old))
-        return adapted_variance(old, noise_density(sample, model, dt_s), nominal, self.settings.adaptive)
+        return adapted_variance(old, noise_density(sample, model, dt_s), nominal)
 
     # ------------------------------------------------------------------ what it made of the scene
 
@@ -238,7 +239,7 @@ class ExtendedUpdate:
             return 0.0, inside
         field, normals = picture.field(1), seen.normals[0][outer]
         distance, _ = field.sample(seen.points_px[0][outer], channel_of(normals, field.channels))
-        near = distance.abs() <= self.settings.near_m * px_per_m
+        near = distance.abs() <= NEAR_M * px_per_m
         return float(near.double().mean()), inside
 
     def _for(self, shape: Tensor) -> "_Made":

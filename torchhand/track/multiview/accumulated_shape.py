@@ -8,7 +8,7 @@ from torch import Tensor
 from torchhand.hand import HandPose
 from torchhand.track.knowledge import ShapeFrame, TrackerState
 from torchhand.track.multiview.fitting import FrameFitter
-from torchhand.track.multiview.hand_initialization import SHAPE_AT
+from torchhand.track.multiview.hand_initialization import FOUND_OVERLAP, SHAPE_AT
 from torchhand.track.scene import Candidate, PackedMask, Scene
 
 _APART = 0.6  # radians, over all joint angles and the turn, between frames that tell different things
@@ -47,7 +47,7 @@ class AccumulatedShape:
     def _is_news(self, frames: tuple[ShapeFrame, ...], found: Candidate) -> bool:
         if len(frames) >= self.fitter.settings.shape_frames:
             return False
-        if not found.is_sound or found.overlap < self.fitter.settings.found_overlap:
+        if not found.is_sound or found.overlap < FOUND_OVERLAP:
             return False
         return all(frame.distance(found.pose.normalized()) > _APART for frame in frames)
 

@@ -9,6 +9,8 @@ from torch import Tensor
 
 from torchhand.fit import GaussianPrior, PostureResiduals, SharedSolution, Solutions, SolveStatus, Stage
 from torchhand.fit.hull import (
+    SEARCH,
+    TRACKING,
     HullEvidence,
     HullFitter,
     HullTarget,
@@ -53,6 +55,10 @@ _TURNS_DEG = (
 """Rotation vectors about the hand's axes, degrees: mostly about that of the forearm."""
 _REFINED, _REFINED_TURNS = 8, 3  # hands that are fitted to all data, of those that were compared with some of them
 _FEW_RAYS = 200
+_CHECK_SIDE_PX = 160  # of the reduced pictures in which silhouettes are compared
+_POSTURES_FOR_SHAPE = 0.8
+"""Weight of the posture prior in the fit of the proportions: the less each frame's posture may deviate, the more the
+frames tell of the proportions."""
 _BENT = 0.1  # radians in any joint, from which on another posture was found
 _ALIKE = 0.25  # part of what the best fit leaves unexplained: scores that differ by less are alike, the cost decides
 
@@ -146,7 +152,7 @@ class FrameFitter:
         """
         self.hand, self.settings = hand, settings
         self.cameras = tuple(camera.to(dtype=torch.float64, device=hand.shape.device) for camera in cameras)
-        self.hulls = Hulls(self.cameras, settings.octree, min_views=settings.min_views, contours=settings.contours)
+        self.hulls = Hulls(self.cameras, settings.octree, min_views=settings.min_views)
         device, skeleton = hand.shape.device, hand.kinematics.skeleton
         self.space = named_pose_space(settings.pose_space).to(device=device)
         self.joints = JointPriors(
@@ -167,13 +173,10 @@ class FrameFitter:
         return self.hand.kinematics(pose.dofs, shape, root_reference=pose.reference).keypoints[_KNUCKLE]
 
     def hull_anywhere(self, shape: Float[Tensor, "shape"] | None, masks: Masks) -> Hull:
-        """What may be the hand in all that the silhouettes show, arm included; for a shape, or the largest tried."""
+        """What may be the hand in all that the silhouettes show, arm included; for a shape, or the generic hand's."""
         space = self.hand.kinematics.shape_space
-        if shape is None:
-            length = max(self.settings.sizes) * float(space.metric(self.hand.kinematics.default_shape)["hand_length"])
-        else:
-            length = float(space.metric(shape)["hand_length"])
-        return self.hulls.anywhere(masks, hand_length=length)
+        known = self.hand.kinematics.default_shape if shape is None else shape
+        return self.hulls.anywhere(masks, hand_length=float(space.metric(known)["hand_length"]))
 
     def fit_predicted(
         self,
@@ -334,7 +337,7 @@ class FrameFitter:
 
         is_rough: with half the rounds, where more will follow.
         """
-        weights = replace(self.settings.joints, postures=self.settings.shape_posture_weight, penetration=0.0)
+        weights = replace(self.settings.joints, postures=_POSTURES_FOR_SHAPE, penetration=0.0)
         fitter = HullFitter(
             hand=self.hand,
             space=self.space,
@@ -372,10 +375,10 @@ class FrameFitter:
         if self._fitters is None or self._fitters.comparison.shape is not shape:
             s = self.settings
             searching = HullFitter(
-                hand=self.hand, space=self.space, shape=shape, settings=s.hull, schedule=s.search, joints=self.joints
+                hand=self.hand, space=self.space, shape=shape, settings=s.hull, schedule=SEARCH, joints=self.joints
             )
-            tracking = replace(searching, settings=replace(s.hull, vertices=s.tracking_vertices), schedule=s.tracking)
-            comparison = SilhouetteComparison(self.hand.kinematics, self.cameras, shape, side_px=s.check_side_px)
+            tracking = replace(searching, settings=replace(s.hull, vertices=s.tracking_vertices), schedule=TRACKING)
+            comparison = SilhouetteComparison(self.hand.kinematics, self.cameras, shape, side_px=_CHECK_SIDE_PX)
             self._fitters = _Fitters(
                 tracking=tracking,
                 trying=replace(

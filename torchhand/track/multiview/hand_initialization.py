@@ -24,6 +24,8 @@ _MAX_DROP_FOR_SHAPE = 0.08  # score below the best frame's with which a frame en
 _MAX_DROP_AS_FOUND = 0.15  # score below the best frame's with which a hand still counts as found
 SHAPE_AT = (1, 3, 6)
 """Hands that were found, with which the proportions are fitted before the last time."""
+FOUND_OVERLAP = 0.70
+"""Smallest overlap, mean over the views, with which a hand is taken as found."""
 _SCORE_PER_NAT = 1e-3  # score that a nat of a fit's cost is worth between fits that explain a frame alike
 _FACING_VIEWS = 3  # views that tell by themselves how a hand faces
 _AT_ONCE = 2  # frames that are searched at a time after the first hand; more would know less of one another
@@ -91,34 +93,32 @@ def initialize_hand(
 
     Without any frame in which a hand is found the proportions are the generic hand's, or those given.
     """
-    sizes = _scaled_shapes(fitter) if shape is None else [shape]
+    own = _generic_shape(fitter) if shape is None else shape
     is_told = len(fitter.cameras) >= _FACING_VIEWS
     seen: list[_Frame] = []
     solution: SharedSolution | None = None
     left = iter(frames)
     while group := list(islice(left, _together(len(_fits_of(seen)), is_told=is_told))):
         found = side_by_side(
-            [partial(_searched, fitter, frame, sizes, (propose, detect), _fits_of(seen), shape) for frame in group],
+            [partial(_searched, fitter, frame, own, (propose, detect), _fits_of(seen), shape) for frame in group],
             fitter.hand.shape.device,
         )
-        for frame, _ in found:
+        for frame in found:
             seen.append(frame)
             done(frame.fit is not None)
-        known = [place for _, place in found if place is not None]
-        sizes = [sizes[known[0]]] if known else sizes
-        if shape is None and is_told and known and len(_fits_of(seen)) in SHAPE_AT:
-            seen, solution = _with_shape(fitter, seen, sizes[0], is_rough=True)
-            sizes = [solution.shape]
+        if shape is None and is_told and _fits_of(found) and len(_fits_of(seen)) in SHAPE_AT:
+            seen, solution = _with_shape(fitter, seen, own, is_rough=True)
+            own = solution.shape
     if not _fits_of(seen):
-        return HandInitialization(shape=sizes[0], shape_std=None, poses={}, shape_frames=())
+        return HandInitialization(shape=own, shape_std=None, poses={}, shape_frames=())
     if not is_told:
-        seen = _consistent(fitter, seen, sizes[0])
+        seen = _consistent(fitter, seen, own)
     used: tuple[int, ...] = ()
     if shape is None:
         used = tuple(frame.index for frame in _for_shape(seen))
-        seen, solution = _with_shape(fitter, seen, sizes[0])
+        seen, solution = _with_shape(fitter, seen, own)
     return HandInitialization(
-        shape=sizes[0] if solution is None else solution.shape,
+        shape=own if solution is None else solution.shape,
         shape_std=None if solution is None else solution.shape_std,
         poses={frame.index: frame.fit.pose for frame in _within(seen, _MAX_DROP_AS_FOUND) if frame.fit is not None},
         shape_frames=used,
@@ -136,23 +136,21 @@ def _together(found: int, *, is_told: bool) -> int:
 def _searched(
     fitter: FrameFitter,
     frame: tuple[int, Scene],
-    sizes: Sequence[Tensor],
+    own: Tensor,
     proposers: tuple[Proposer, Proposer],
     fits: Sequence[HullFit],
     shape: Tensor | None,
-) -> tuple[_Frame, int | None]:
-    """A frame with the hand in it, and the place of its size; None where no hand is found.
+) -> _Frame:
+    """A frame with the hand in it, where one is found.
 
-    proposers: what proposes hands, and what detects them. fits: of other frames. shape: known proportions.
+    own: proportions so far. proposers: what proposes hands, and what detects them. fits: of other frames. shape: known
+    proportions.
     """
     (index, scene), (propose, detect) = frame, proposers
     empty = _Frame(index=index, masks=scene.masks, hull=fitter.hull_anywhere(shape, scene.masks))
-    for place, size in enumerate(sizes):
-        told = _told(fitter, empty, size, detect(scene, size))
-        fit = told or _found(fitter, empty, size, propose(scene, size), fits)
-        if fit is not None:
-            return replace(empty, fit=fit, is_told=told is not None), place
-    return empty, None
+    told = _told(fitter, empty, own, detect(scene, own))
+    fit = told or _found(fitter, empty, own, propose(scene, own), fits)
+    return empty if fit is None else replace(empty, fit=fit, is_told=told is not None)
 
 
 def _told(fitter: FrameFitter, frame: _Frame, shape: Tensor, detected: HandPose | None) -> HullFit | None:
@@ -225,7 +223,7 @@ def _with_shape(
 
 def _accepted(fitter: FrameFitter, fit: HullFit | None) -> HullFit | None:
     """The fit where the silhouettes bear it out."""
-    return None if fit is None or fit.overlap < fitter.settings.found_overlap else fit
+    return None if fit is None or fit.overlap < FOUND_OVERLAP else fit
 
 
 def _fits_of(seen: Sequence[_Frame]) -> list[HullFit]:
@@ -244,10 +242,7 @@ def _within(seen: Sequence[_Frame], max_drop: float) -> list[_Frame]:
     return [frame for frame in seen if frame.fit is not None and frame.fit.score >= best - max_drop]
 
 
-def _scaled_shapes(fitter: FrameFitter) -> list[Tensor]:
-    """The generic hand in several sizes."""
+def _generic_shape(fitter: FrameFitter) -> Tensor:
     space = fitter.hand.kinematics.shape_space
-    metric = torch.tensor([unit == "m" for unit in space.units], device=space.default.device)
     default = space.default.to(torch.float64)
-    scaled = [torch.where(metric, size * default, default) for size in fitter.settings.sizes]
-    return [shape.clamp(space.lower.to(shape), space.upper.to(shape)) for shape in scaled]
+    return default.clamp(space.lower.to(default), space.upper.to(default))

@@ -73,13 +73,9 @@ class Hulls:
         settings: HullOctreeSettings,
         *,
         min_views: int = 2,
-        contours: bool = True,
     ) -> None:
-        """contours: with the edges of the silhouettes.
-
-        Raises ValueError where the cameras see no volume together and no cube is given."""
+        """Raises ValueError where the cameras see no volume together and no cube is given."""
         self.cameras, self.settings, self._min_views = tuple(cameras), settings, min_views
-        self._contours = contours
         self._carvers: dict[tuple[tuple[int, ...], float, CarvingSettings], Carver] = {}
         self.root = (
             root_cube(cameras) if settings.side is None else RootCube(centre=settings.centre, side=settings.side)
@@ -147,11 +143,10 @@ class Hulls:
         target = target_of(hull_field(carved.octree, surface="middle", within=within, exact_to=exact_to))
         if end is not None:
             target = target.where(end)
-        if self._contours:
-            cameras, seen = [self.cameras[view] for view in carved.views], [masks[view] for view in carved.views]
-            target = with_rays(target, cameras, seen, count=_RAYS if end is None else _SPARE * _RAYS)
-            if end is not None and target.rays is not None:
-                target = replace(target, rays=end.rays(target.rays, _RAYS))
+        cameras, seen = [self.cameras[view] for view in carved.views], [masks[view] for view in carved.views]
+        target = with_rays(target, cameras, seen, count=_RAYS if end is None else _SPARE * _RAYS)
+        if end is not None and target.rays is not None:
+            target = replace(target, rays=end.rays(target.rays, _RAYS))
         return Hull(target=target, views=carved.views)
 
     def _carved(

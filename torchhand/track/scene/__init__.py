@@ -28,7 +28,6 @@ from torchhand.track.scene.learned_posture import (
 from torchhand.track.scene.segmentation import (
     Appearances,
     ColourSegmentation,
-    ColourUpdateSettings,
     RigSegmentation,
     Segmentation,
 )
@@ -48,7 +47,6 @@ __all__ = [
     "Box",
     "Candidate",
     "ColourSegmentation",
-    "ColourUpdateSettings",
     "HandKeypoints",
     "Health",
     "HealthSettings",

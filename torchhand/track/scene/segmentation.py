@@ -7,7 +7,6 @@ from typing import Protocol, runtime_checkable
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.errors import require
 from torchhand.fit import Appearance, relearned
 from torchhand.fit.contour import hand_length_px
 from torchhand.fit.detect import CutAtKeypoints
@@ -20,21 +19,8 @@ from torchhand.view import HandProjector
 Appearances = tuple[Appearance | CutAtKeypoints | LearnedSkin | None, ...]
 """Appearance of the hand, view by view; None where nothing is known."""
 
+_KEEP = 0.7  # share of what is known of a colour that outlasts an update with that colour in it
 _MARGIN = 0.015  # along the outline, colours are nobody's, hand lengths
-
-
-@dataclass(frozen=True, kw_only=True)
-class ColourUpdateSettings:
-    """How the colours learned at the start follow changing light."""
-
-    every: int = 10
-    """Frames that agree with the model from one update of the colours to the next; 0 keeps those of the start."""
-    keep: float = 0.7
-    """Share of what is known of a colour that outlasts an update with that colour in it; 0 to 1."""
-
-    def __post_init__(self) -> None:
-        require(self.every >= 0, "colours.every", "0 or more", self.every)
-        require(0 <= self.keep <= 1, "colours.keep", "0 to 1", self.keep)
 
 
 @runtime_checkable
@@ -62,7 +48,6 @@ class ColourSegmentation:
 
     kinematics: HandKinematics
     camera: Camera
-    settings: ColourUpdateSettings
 
     def initial_appearances(self, views: Sequence[View]) -> Appearances:
         """No appearances: colours are learned with the first hand."""
@@ -88,7 +73,7 @@ class ColourSegmentation:
             return appearances
         model = HandProjector(self.kinematics, self.camera, shape).silhouette(pose.dofs, pose.reference)
         margin = max(1, round(_MARGIN * hand_length_px(self.camera, self.kinematics, pose.dofs, shape)))
-        return (relearned(appearance, image, probability, model, margin, keep=self.settings.keep),)
+        return (relearned(appearance, image, probability, model, margin, keep=_KEEP),)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -272,7 +272,6 @@ class SinglePoseFitter:
         return PictureProblem(
             kinematics=self.kinematics,
             camera=work.camera,
-            settings=self.settings,
             observations=(*detected, *work.in_space(self.kinematics, self.settings), *further),
         )
 
@@ -292,7 +291,7 @@ class SinglePoseFitter:
 
     def _result(self, best: _Judged, work: "_Work", view: View, camera: Camera, *, is_shape_known: bool) -> SinglePose:
         hand, agreement = best.hand, best.agreement
-        space = PictureProblem(kinematics=self.kinematics, camera=camera, settings=self.settings).space
+        space = PictureProblem(kinematics=self.kinematics, camera=camera).space
         at = hand.pose.normalized()
         posed = posed_gaussian(at, hand.covariance, space.about(at.dofs), self.kinematics, hand.shape)
         scale_std = unknown_scale_std(self.kinematics.shape_space, camera, is_shape_known=is_shape_known)

@@ -14,6 +14,9 @@ from torchhand.track.unscented.settings import UnscentedUpdateSettings
 from torchhand.view import HandProjector, OutlineTable
 
 _MIN_POINTS = 10
+_SURFACE_STD = 0.01
+"""Standard deviation of the model's surface, hand lengths: an error that all edges on one bone have in common, and that
+counts where detected keypoints tell of the posture too."""
 _MIN_SEARCH_PX = 4.0
 _WIDENING = 0.5  # the search grows by this share with every failed frame
 _INNER_REACH = 0.6  # half length of the search for inner edges over that for outer ones
@@ -98,7 +101,7 @@ class EdgeSearch:
         is_same = before is not None and torch.equal(before.visible, contour.visible)
         seen = before.seen if before is not None and is_same else self.table.select(contour.visible)
         together = torch.bincount(seen.primitive, weights=is_found.to(offset))[seen.primitive]
-        surface_px = self.settings.surface_std * length_px
+        surface_px = _SURFACE_STD * length_px
         return EdgeMeasurement(
             predicted=projector.along_normals_px(hands, (cones, arcs), seen, normals),
             surface_variance=together * surface_px**2,

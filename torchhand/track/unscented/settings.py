@@ -27,9 +27,6 @@ class UnscentedUpdateSettings:
     """Weight of an inner edge relative to an outer one; 0 or more, 0 leaves them out."""
     edge_std_px: float = 2.5
     """Standard deviation of one edge, neighbours being correlated; above 0."""
-    surface_std: float = 0.01
-    """Standard deviation of the model's surface as a share of the hand's length: an error that all edges on one bone
-    have in common, and that counts where detected keypoints tell of the posture too; 0 or more."""
     gate: float = 9.0
     """Edges whose squared innovation exceeds this many times its variance are refused; above 0."""
     search_fraction: float = 0.06
@@ -43,6 +40,5 @@ class UnscentedUpdateSettings:
         for name in ("edge_std_px", "gate", "search_fraction"):
             require_positive(f"update.{name}", getattr(self, name))
         require(self.passes >= 1, "update.passes", "1 or more", self.passes)
-        require(0 <= self.surface_std < 1, "update.surface_std", "0 or more, below 1", self.surface_std)
         is_weight = 0 <= self.inner_weight < float("inf")
         require(is_weight, "update.inner_weight", "0 or more and finite", self.inner_weight)
