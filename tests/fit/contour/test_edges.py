@@ -63,7 +63,8 @@ def test_the_cost_is_that_of_every_edge_along_its_normal(studio: Any, generator:
             scene.edges.plane,
             seen.points_px[i][outer],
             seen.normals[i][outer],
-            EdgeSettings(polarity="inside_bright", min_strength=0.15, choose="nearest", half_length_px=reach),
+            EdgeSettings(polarity="inside_bright", min_strength=0.15, choose="nearest"),
+            half_length_px=reach,
         )
         assert bool(edges.found.any())
         assert not bool(edges.found.all())

@@ -1,6 +1,7 @@
 """Edge search along normals against steps whose place is known."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -64,15 +65,15 @@ def test_ideal_step_answers_its_height() -> None:
 
 
 def test_kernel_is_the_derivative_of_a_gaussian() -> None:
-    sigma, step = 1.5, 0.5
+    sigma, step = 1.5, 0.5  # px, between samples
     impulse = np.zeros(201)
     impulse[100] = 1.0
     scipy_kernel = gaussian_filter1d(impulse, sigma / step, order=1, truncate=3.0)
-    ours = derivative_of_gaussian(sigma, step).numpy()
+    ours = derivative_of_gaussian(sigma).numpy()
     # Correlation against convolution turns the sign, and both are compared at their peak's height.
     theirs = -scipy_kernel[100 - 9 : 100 + 10]
     assert np.allclose(ours / ours.max(), theirs / theirs.max(), atol=1e-9)
-    assert derivative_of_gaussian(sigma, step)[10:].sum() == pytest.approx(1.0)
+    assert derivative_of_gaussian(sigma)[10:].sum() == pytest.approx(1.0)
 
 
 def two_edges() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -100,19 +101,19 @@ def test_strongest_and_nearest_choose_differently_and_count_rivals() -> None:
 
 def test_polarity_selects_the_side() -> None:
     image, points, normals = two_edges()
-    wide = EdgeSettings(half_length_px=35.0)
-    assert float(search_edges(image, points, normals, wide).offset_px) == pytest.approx(29.0, abs=0.02)
-    bright = search_edges(image, points, normals, EdgeSettings(half_length_px=35.0, polarity="inside_bright"))
+    wide: Any = {"half_length_px": 35.0}
+    assert float(search_edges(image, points, normals, **wide).offset_px) == pytest.approx(29.0, abs=0.02)
+    bright = search_edges(image, points, normals, EdgeSettings(polarity="inside_bright"), **wide)
     assert float(bright.offset_px) == pytest.approx(29.0, abs=0.02)
     assert int(bright.polarity) == 1
-    dark = search_edges(image, points, normals, EdgeSettings(half_length_px=35.0, polarity="inside_dark"))
+    dark = search_edges(image, points, normals, EdgeSettings(polarity="inside_dark"), **wide)
     assert float(dark.offset_px) == pytest.approx(12.0, abs=0.02)
     assert int(dark.polarity) == -1
 
 
 def test_flank_of_an_edge_beyond_the_end_is_none() -> None:
     image, points, normals = two_edges()
-    result = search_edges(image, points, normals, EdgeSettings(half_length_px=11.0, polarity="inside_dark"))
+    result = search_edges(image, points, normals, EdgeSettings(polarity="inside_dark"), half_length_px=11.0)
     assert float(result.offset_px) == pytest.approx(-3.0, abs=0.02)
     nothing = search_edges(image, points, normals, half_length_px=torch.tensor([2.0]))
     assert not bool(nothing.found)
@@ -165,13 +166,13 @@ def test_batch_shapes_equal_a_loop(generator: torch.Generator) -> None:
     image = torch.rand(60, 80, generator=generator)
     points = torch.rand(2, 3, 5, 2, generator=generator) * torch.tensor([79.0, 59.0])
     normals = torch.nn.functional.normalize(torch.randn(2, 3, 5, 2, generator=generator), dim=-1)
-    settings = EdgeSettings(half_length_px=6.0, choose="nearest")
-    whole = search_edges(image, points, normals, settings)
+    settings = EdgeSettings(choose="nearest")
+    whole = search_edges(image, points, normals, settings, half_length_px=6.0)
     assert whole.offset_px.shape == (2, 3, 5)
     assert whole.found.any()
     for i in range(2):
         for j in range(3):
-            part = search_edges(image, points[i, j], normals[i, j], settings)
+            part = search_edges(image, points[i, j], normals[i, j], settings, half_length_px=6.0)
             assert torch.equal(part.found, whole.found[i, j])
             assert torch.equal(part.candidates, whole.candidates[i, j])
             assert torch.allclose(part.offset_px, whole.offset_px[i, j], atol=1e-5)
@@ -184,8 +185,8 @@ def test_slow_loop_agrees(generator: torch.Generator) -> None:
     image = torch.nn.functional.avg_pool2d(torch.rand(1, 64, 84, generator=generator), 5, stride=1)[0]
     points = torch.rand(40, 2, generator=generator) * torch.tensor([30.0, 20.0]) + torch.tensor([25.0, 20.0])
     normals = torch.nn.functional.normalize(torch.randn(40, 2, generator=generator), dim=-1)
-    settings = EdgeSettings(half_length_px=5.0, sigma_px=1.0, min_strength=0.01)
-    result = search_edges(image, points, normals, settings)
+    settings = EdgeSettings(sigma_px=1.0, min_strength=0.01)
+    result = search_edges(image, points, normals, settings, half_length_px=5.0)
     pixels = image.double().numpy()
 
     def read(x: float, y: float) -> float:
@@ -214,9 +215,7 @@ def test_slow_loop_agrees(generator: torch.Generator) -> None:
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
-        ("half_length_px", 0.0, "half_length_px must be > 0"),
-        ("sigma_px", -1.0, "sigma_px must be > 0"),
-        ("step_px", 2.0, "step_px must be at most sigma_px"),
+        ("sigma_px", 0.4, "sigma_px must be >= 0.5 px"),
         ("min_strength", -0.1, "min_strength must be >= 0"),
         ("rival_fraction", 1.5, "rival_fraction must lie in 0..1"),
         ("polarity", "up", "polarity must be one of any, inside_bright, inside_dark"),

@@ -12,15 +12,13 @@ from torch import Tensor
 from torchhand.devices import is_host
 from torchhand.image.contours.sampling import is_inside, sample_bilinear
 
+_STEP_PX = 0.5  # distance of samples along the normal
+
 
 @dataclass(frozen=True, kw_only=True)
 class EdgeSettings:
-    half_length_px: float = 15.0
-    """Search reaches this far to both sides of the predicted point; > 0."""
-    step_px: float = 0.5
-    """Distance of samples along the normal; > 0, at most sigma_px."""
     sigma_px: float = 1.5
-    """Standard deviation of the derivative-of-Gaussian kernel; > 0."""
+    """Standard deviation of the derivative-of-Gaussian kernel; >= 0.5, the distance of samples."""
     min_strength: float = 0.03
     """Weakest edge accepted: height of the step in the picture's own units (0.03 is 8 grey levels of 255)."""
     polarity: Literal["any", "inside_bright", "inside_dark"] = "any"
@@ -31,11 +29,8 @@ class EdgeSettings:
     """An edge at least this share as strong as the strongest is its rival; 0..1."""
 
     def __post_init__(self) -> None:
-        for name in ("half_length_px", "step_px", "sigma_px"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"EdgeSettings.{name} must be > 0 px, got {getattr(self, name)}")
-        if self.step_px > self.sigma_px:
-            raise ValueError(f"EdgeSettings.step_px must be at most sigma_px = {self.sigma_px}, got {self.step_px}")
+        if not self.sigma_px >= _STEP_PX:
+            raise ValueError(f"EdgeSettings.sigma_px must be >= {_STEP_PX} px, got {self.sigma_px}")
         if not self.min_strength >= 0:
             raise ValueError(f"EdgeSettings.min_strength must be >= 0, got {self.min_strength}")
         if not 0 <= self.rival_fraction <= 1:
@@ -46,10 +41,9 @@ class EdgeSettings:
         if self.choose not in ("strongest", "nearest"):
             raise ValueError(f"EdgeSettings.choose must be one of strongest, nearest, got {self.choose!r}")
 
-    @property
-    def reach_px(self) -> float:
-        """Distance from a predicted point within which pixels are read, px."""
-        return self.half_length_px + 3.0 * self.sigma_px + 2.0 * self.step_px
+    def reach_px(self, half_length_px: float) -> float:
+        """Distance from a predicted point within which a search reads pixels, px."""
+        return half_length_px + 3.0 * self.sigma_px + 2.0 * _STEP_PX
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +68,7 @@ def search_edges(
     normals: Float[Tensor, "*batch points 2"],
     settings: EdgeSettings | None = None,
     *,
-    half_length_px: Float[Tensor, "*batch points"] | None = None,
+    half_length_px: float | Float[Tensor, "*batch points"] = 15.0,
     channel_weights: Float[Tensor, " channels"] | None = None,
 ) -> EdgeSearch:
     """Edge nearest the truth along each contour normal (Stenger et al. 2001, section 4.3).
@@ -86,9 +80,9 @@ def search_edges(
     none. With several planes the one with the largest weighted answer speaks at each place (a weighted *sum* of planes
     is a search in the summed picture). The picture itself is not smoothed.
 
-    Samples outside the picture are unknown: no edge is found within 3 sigma + 2 steps of the border. `half_length_px`
-    replaces the setting per point; it may be longer or shorter, 0 finds nothing but an edge at the point itself.
-    Offsets are in the dtype of the points. Gradients do not flow.
+    Samples outside the picture are unknown: no edge is found within 3 sigma + 1 px of the border. `half_length_px`: how
+    far the search reaches to both sides of the predicted points, of all or of each; 0 finds nothing but an edge at the
+    point itself. Offsets are in the dtype of the points. Gradients do not flow.
     """
     settings = EdgeSettings() if settings is None else settings
     planes = image if image.ndim == 3 else image[None]
@@ -97,11 +91,12 @@ def search_edges(
     if points_px.shape != normals.shape:
         raise ValueError(f"points {tuple(points_px.shape)} and normals {tuple(normals.shape)} must have the same shape")
     with torch.no_grad():
-        reach = settings.half_length_px
-        if half_length_px is not None:
+        if isinstance(half_length_px, Tensor):
             reach = float(half_length_px.max()) if half_length_px.numel() else 0.0
+        else:
+            reach = half_length_px
         response, is_valid, offsets = _responses(planes, points_px, normals, settings, reach, channel_weights)
-        if half_length_px is not None:
+        if isinstance(half_length_px, Tensor):
             is_near = offsets.abs() <= half_length_px[..., None] + 1e-6
             is_valid = is_near if is_valid is None else is_valid & is_near
         return _choose(response, is_valid, offsets, settings, points_px.dtype)
@@ -112,10 +107,10 @@ def _responses(
 ) -> tuple[Tensor, Tensor | None, Tensor]:
     """Signed answers (*batch, points, positions + 2), which inner ones are known, None for all, and the positions in
     px."""
-    half_positions = math.floor(reach / settings.step_px + 1e-6)
-    half_taps = math.ceil(3.0 * settings.sigma_px / settings.step_px)
+    half_positions = math.floor(reach / _STEP_PX + 1e-6)
+    half_taps = math.ceil(3.0 * settings.sigma_px / _STEP_PX)
     half_samples = half_positions + 1 + half_taps
-    samples = _steps(half_samples, settings.step_px, points_px.dtype, planes.device)
+    samples = _steps(half_samples, points_px.dtype, planes.device)
     # Coordinates apart in memory, as the readers want them.
     start, direction = points_px.movedim(-1, 0)[..., None], normals.movedim(-1, 0)[..., None]
     places = torch.addcmul(start, direction, samples).movedim(0, -1)
@@ -125,7 +120,7 @@ def _responses(
     all_inside = is_host(places.device) and bool(is_inside(ends, width, height).all())
     profile = sample_bilinear(planes, places, all_inside=all_inside)
 
-    kernel = _correlation(settings.sigma_px, settings.step_px, 2 * half_positions + 3, profile.dtype, profile.device)
+    kernel = _correlation(settings.sigma_px, 2 * half_positions + 3, profile.dtype, profile.device)
     response = profile @ kernel
     if weights is not None:
         response = response * weights.to(response).reshape(-1, *(1,) * (response.ndim - 1))
@@ -143,26 +138,26 @@ def _responses(
     return response, is_valid, samples[half_taps + 1 : half_taps + 2 + 2 * half_positions]
 
 
-def derivative_of_gaussian(sigma_px: float, step_px: float) -> Float[Tensor, " taps"]:
+def derivative_of_gaussian(sigma_px: float) -> Float[Tensor, " taps"]:
     """Correlation kernel t/sigma² exp(-t²/2 sigma²), |t| <= 3 sigma, its positive half summing to one; float64."""
-    half_taps = math.ceil(3.0 * sigma_px / step_px)
-    t = torch.arange(-half_taps, half_taps + 1, dtype=torch.float64) * step_px
+    half_taps = math.ceil(3.0 * sigma_px / _STEP_PX)
+    t = torch.arange(-half_taps, half_taps + 1, dtype=torch.float64) * _STEP_PX
     kernel = t * torch.exp(-0.5 * (t / sigma_px) ** 2)
     return kernel / kernel[half_taps + 1 :].sum()
 
 
 @lru_cache(maxsize=256)
-def _steps(count: int, step_px: float, dtype: torch.dtype, device: torch.device) -> Tensor:
+def _steps(count: int, dtype: torch.dtype, device: torch.device) -> Tensor:
     """Places along a profile, px."""
     with torch.inference_mode(False):  # kept for callers in any mode
-        return torch.arange(-count, count + 1, device=device, dtype=dtype) * step_px
+        return torch.arange(-count, count + 1, device=device, dtype=dtype) * _STEP_PX
 
 
 @lru_cache(maxsize=256)
-def _correlation(sigma_px: float, step_px: float, positions: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+def _correlation(sigma_px: float, positions: int, dtype: torch.dtype, device: torch.device) -> Tensor:
     """Band matrix of the kernel; a tracker asks for the same few again and again."""
     with torch.inference_mode(False):  # kept for callers in any mode
-        return _band(derivative_of_gaussian(sigma_px, step_px), positions).to(dtype=dtype, device=device)
+        return _band(derivative_of_gaussian(sigma_px), positions).to(dtype=dtype, device=device)
 
 
 def _band(kernel: Tensor, positions: int) -> Tensor:
@@ -200,7 +195,7 @@ def _choose(
 
     a, b, c = (part.gather(-1, index)[..., 0] for part in (before, here, after))
     curvature = torch.where(found, a - 2.0 * b + c, -1.0)
-    shift = (0.5 * (a - c) / curvature).clamp(-0.5, 0.5) * settings.step_px
+    shift = (0.5 * (a - c) / curvature).clamp(-0.5, 0.5) * _STEP_PX
     place = offsets[index[..., 0]] + shift.to(dtype)
     sign = -response[..., 1:-1].gather(-1, index)[..., 0].sign()
     return EdgeSearch(

@@ -167,13 +167,13 @@ class FingerEvidence:
         searches = ((outer, scene.plane_in, _OUTER, _OUTER_REACH), (~outer, scene.grey_in, _INNER, _INNER_REACH))
         for which, picture, how, reach in searches:
             if bool(which.any()):
-                how = replace(how, half_length_px=max(_MIN_REACH_PX, reach * length_px))
-                own = points[which]
-                box = _box_around(own, camera, how.reach_px)
+                own, half_px = points[which], max(_MIN_REACH_PX, reach * length_px)
+                box = _box_around(own, camera, how.reach_px(half_px))
                 part = picture(view, box)
                 if part is not None:
                     start = own.new_tensor((box[1].start, box[0].start))
-                    found[which] = search_edges(part, own - start, normals[which], how).found
+                    edges = search_edges(part, own - start, normals[which], how, half_length_px=half_px)
+                    found[which] = edges.found
         kind = 2 * (~outer).long() + (~found).long()
         return torch.bincount(4 * finger + kind, minlength=4 * len(FINGERS)).reshape(-1, 4).double()
 

@@ -130,7 +130,7 @@ class EdgeSearch:
             rows = which.nonzero().squeeze(-1)
             if len(rows):
                 own = (points.index_select(0, rows), normals.index_select(0, rows))
-                edges = search_edges(plane, *own, replace(how, half_length_px=half_length_px))
+                edges = search_edges(plane, *own, how, half_length_px=half_length_px)
                 offset.index_copy_(0, rows, edges.offset_px)
                 is_found.index_copy_(0, rows, edges.found)
                 rivals.index_copy_(0, rows, edges.candidates)
