@@ -57,12 +57,6 @@ CASES = [
         for name in ("pose_weight", "constraint_weight", "prior_weight")
     ],
     (ExtendedUpdateSettings, "finger_proposals", 11, "update.finger_proposals: expected 0 to 10, got 11"),
-    (
-        ExtendedUpdateSettings,
-        "postures",
-        ("open", "wave"),
-        f"update.postures: expected names among {', '.join(POSTURES)}, got 'wave'",
-    ),
     *[
         (NoiseSettings, name, -1.0, f"noise.{name}: expected 0 or more and finite, got -1.0")
         for name in ("translation", "rotation", "angle")

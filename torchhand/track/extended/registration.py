@@ -23,6 +23,7 @@ from torchhand.track.scene import Scene
 from torchhand.view import Contours, HandProjector
 
 _ROOT = 6
+_POSTURES = ("flat", "fist", "point")  # that are tried beside that of the start where registration is bad
 _PROMISING = 6  # starts of a search that are followed up
 _GOOD_M = 0.0015  # metres at the hand: largest mean distance of the contours from each other with which a hand is good
 _ELSEWHERE = 2.0  # that distance, over the largest good one, beyond which the hand is sought elsewhere and turned
@@ -85,14 +86,13 @@ class SceneRegistration:
         foreground: where the pictures have the hand's colours, wherever the hand was expected. The second result is the
         contours that the registration was made on.
         """
-        s = self.settings
         if self.normalized_residual(found) > _ELSEWHERE and len(self.contours) == 1:
             other = self._elsewhere(foreground)
             if other is not None and float(other.cost) < float(found.cost):
                 found, pictures = other, self.pictures(foreground, SCHEDULE)
         if self.normalized_residual(found) > 1:
             start = self.space.constant
-            proposals = (posture_proposals(found.pose, start, s.postures), finger_proposals(found.pose, start))
+            proposals = (posture_proposals(found.pose, start, _POSTURES), finger_proposals(found.pose, start))
             found = _cheaper(found, self.best(pictures, HandPose.cat(proposals), SCHEDULE))
         return found, pictures
 

@@ -5,7 +5,6 @@ from typing import Literal
 
 from torchhand.errors import require, require_positive
 from torchhand.fit.contour import ContourSettings
-from torchhand.hand import POSTURES
 from torchhand.track.extended.segment_observation import SegmentSettings
 
 
@@ -27,9 +26,6 @@ class ExtendedUpdateSettings:
     other fingers."""
     finger_proposals: int = 2
     """Proposals with one finger straight or bent beside a good registration; the fingers take turns. 0 to 10."""
-    postures: tuple[str, ...] = ("flat", "fist", "point")
-    """Postures tried beside that of the start, and single fingers straight or bent, where registration is bad: names
-    of torchhand.hand.POSTURES."""
     filter: Literal["extended", "none"] = "extended"
     """The extended Kalman filter over the segments of the registered hand, or the registered hand as it is."""
     segments: SegmentSettings = field(default_factory=SegmentSettings)
@@ -49,5 +45,3 @@ class ExtendedUpdateSettings:
         for name in ("pose_weight", "constraint_weight", "prior_weight"):
             value = getattr(self, name)
             require(0 <= value < float("inf"), f"update.{name}", "0 or more and finite", value)
-        for name in self.postures:
-            require(name in POSTURES, "update.postures", f"names among {', '.join(POSTURES)}", name)
