@@ -12,6 +12,7 @@ from torchhand.fit import Observation, PosedHands, Problem, SharedUnknowns, Stag
 from torchhand.fit.keypoints.observation import PictureKeypoints
 from torchhand.fit.keypoints.points import Detector, KeypointSettings
 from torchhand.fit.keypoints.posture import PostureKeypoints
+from torchhand.fit.keypoints.rig import ViewLag
 from torchhand.fit.keypoints.world import WorldKeypoints
 from torchhand.geometry import assumed_camera, rotation_from_vector
 from torchhand.hand import Anthropometry, HandPose, Side, named_pose_space, posture
@@ -184,6 +185,24 @@ def test_frames_are_rows(kind: str) -> None:
         torch.testing.assert_close(own, costs[rows], rtol=1e-12, atol=0)
         of_factor = whole.rows(rows).equations(_posed(hands[rows])).cost
         torch.testing.assert_close(of_factor, costs[rows], rtol=1e-12, atol=0)
+
+
+def test_points_of_one_frame_of_a_late_camera_are_those_of_all_hands() -> None:
+    """And of some of them, as where others are done."""
+    hands = _hands(3, 9)
+    path = CAMERA.project(_keypoints(_hands(5, 9, spread=0.02)))
+    seen = PictureKeypoints(
+        points_px=path[2:3],
+        kinematics=KINEMATICS,
+        camera=CAMERA,
+        settings=KeypointSettings(),
+        lag=replace(ViewLag.of(path, std=1.0, place=0), lag=torch.tensor(0.3, dtype=torch.float64)).rows(slice(2, 3)),
+    )
+    factor = seen.associate(_posed(hands), FINE)
+    costs = factor.equations(_posed(hands)).cost
+    rows = torch.tensor([2, 1])
+    own = factor.rows(rows).equations(_posed(hands[rows])).cost
+    torch.testing.assert_close(own, costs[rows], rtol=1e-12, atol=0)
 
 
 def test_a_hand_behind_the_camera_is_no_solution() -> None:

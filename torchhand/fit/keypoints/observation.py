@@ -104,7 +104,7 @@ class PictureKeypoints:
             view=self.view,
             loss=self.loss,
             detector=self.detector or Detector.known(keypoints),
-            lag=self.lag,
+            lag=None if self.lag is None else self.lag.of_hands(len(hands)),
         )
         if self.loss is not None:
             return factor

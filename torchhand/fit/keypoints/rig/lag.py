@@ -36,6 +36,10 @@ class ViewLag:
         """Of some of the frames."""
         return replace(self, around_px=self.around_px[rows])
 
+    def of_hands(self, count: int) -> "ViewLag":
+        """Of so many hands: the points of one frame are those of all."""
+        return replace(self, around_px=self.around_px.expand(count, -1, -1, -1))
+
     def points_px(self) -> tuple[Float[Tensor, "rows 21 2"], Float[Tensor, "rows 21 2"]]:
         """Points at the time of the frames, and their derivative in the lag: a cubic through four frames (Catmull and
         Rom 1974). NaN for missing ones."""
