@@ -340,7 +340,7 @@ def _summary(fit: KeypointFit, side: Side, note: str, *, is_seen: bool) -> str:
     names = fit.status_names()
     left_out = {name: names.count(name) for name in sorted(set(names) - {"fitted"})}
     text = "".join(f", {count} {name}" for name, count in left_out.items())
-    late = ", ".join(f"{lag:.1f}" for lag in fit.lags)
+    late = ", ".join(f"{round(lag, 1) + 0.0:.1f}" for lag in fit.lags)  # no -0.0
     note += f"; cameras after the first are late by {late} frames" if late else ""
     scale = "" if fit.scale == 1.0 else f", {fit.scale:.5g} m per unit"
     return (

@@ -99,9 +99,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _summary(poses: Track) -> str:
     found = poses.status == "tracked"
-    text = f"{len(poses)} pictures: {int(found.sum())} hands, {int((~found).sum())} refused"
+    pictures, hands = len(poses), int(found.sum())
+    text = f"{pictures} picture{'s' * (pictures != 1)}: {hands} hand{'s' * (hands != 1)}, {pictures - hands} refused"
     if found.any():
-        overlap = sorted(poses.measures["overlap"][found])[int(found.sum()) // 2]
+        overlap = sorted(poses.measures["overlap"][found])[hands // 2]
         text += f"; median overlap with the picture's silhouette {overlap:.2f}"
     return text
 

@@ -73,7 +73,11 @@ def _reason(error: Exception) -> str:
     text = str(error)
     if "allow_pickle" in text:  # numpy's advice, which nobody should follow
         return "it holds Python objects" if text.startswith("Object arrays") else "neither .npz nor .npy, or damaged"
-    return f"{type(error).__name__}: {_first_words(error)}"
+    return (
+        f"damaged: {_first_words(error)}"
+        if isinstance(error, zipfile.BadZipFile)
+        else f"{type(error).__name__}: {_first_words(error)}"
+    )
 
 
 def _first_words(error: Exception) -> str:
