@@ -156,7 +156,9 @@ def test_wrong_orders_are_one_line_and_two(
         save_cameras(some, tmp_path / name / "cameras.json")
     np.savez(tmp_path / "single" / "truth.npz", keypoints3d=np.zeros((3, 21, 3)))
     np.savez(tmp_path / "flat" / "truth.npz", keypoints2d=np.zeros((3, 21, 2)))
-    np.savez(tmp_path / "short" / "truth.npz", keypoints3d=np.zeros((3, 21, 3)))
+    points = np.zeros((3, 21, 3))
+    points[:, 1:, 1] = 0.09  # a palm's length from the wrist
+    np.savez(tmp_path / "short" / "truth.npz", keypoints3d=points)
     order = [word.replace("{tmp}", str(tmp_path)) for word in order]
     assert main(["ueda", "--out", str(tmp_path / "out"), "--people", "0", *order]) == 2
     printed = capsys.readouterr()

@@ -495,6 +495,7 @@ def test_proportions_that_are_fitted_on_the_way_are_kept_with_the_frame(
     monkeypatch.setattr("torchhand.track.proportions.fitted.FittedShape.is_contradicted", False)
     monkeypatch.setattr("torchhand.track.assembly.SCHEDULE", (Stage(gross_m=0.0075, rounds=1, iterations=1),))
     settings = ("shape_frames=4", "learned_posture=false", "learned_proposals=false")
+    settings += (f"max_pixels={WIDTH * HEIGHT}",)  # the first frame counts, as in pictures that are not enlarged
     options = ["--camera", clip.camera, "--config", "contour_full", "--no-overlay", "--max-frames", "6"]
     options += [word for setting in settings for word in ("--set", setting)]
     assert run(clip.frames, "--out", tmp_path / "out", "--causal", *options).code == 0
