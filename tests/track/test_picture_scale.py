@@ -1,5 +1,6 @@
 """A hand that is small in the pictures of one camera is followed in larger ones."""
 
+import pickle
 from dataclasses import replace
 
 import cv2
@@ -56,6 +57,15 @@ def test_a_small_hand_is_followed_as_in_larger_pictures(pictures: list[torch.Ten
         assert expected.keypoints_px is not None
         torch.testing.assert_close(found.pose, expected.pose, atol=1e-6, rtol=0.0)
         torch.testing.assert_close((found.keypoints_px + 0.5) * scale - 0.5, expected.keypoints_px, atol=1e-3, rtol=0.0)
+
+
+def test_a_tracker_can_be_sent_to_another_process(pictures: list[torch.Tensor], first: TrackerState) -> None:
+    """Whatever sizes of pictures it has worked on."""
+    views, tracker = [View(image=pictures[1])], tracker_of(SMALL)
+    _, here = tracker.step(first, views, 1 / 30)
+    _, there = pickle.loads(pickle.dumps(tracker)).step(first, views, 1 / 30)
+    assert here.pose is not None
+    assert torch.equal(here.pose, there.pose)
 
 
 def test_a_state_is_of_its_pictures_wherever_it_goes_on(pictures: list[torch.Tensor], first: TrackerState) -> None:

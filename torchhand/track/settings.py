@@ -62,7 +62,8 @@ class TrackerSettings:
     """How far a hand that was found anew is followed back, to correct the frames before, seconds; 0 or more."""
     max_pixels: int = WORKING_PIXELS
     """Pixels of a picture that is worked on: larger ones are reduced to as many, which is a little over full HD; an
-    outline says no more of a hand in a larger picture. 10,000 or more."""
+    outline says no more of a hand in a larger picture. Where a hand is small in the picture of one camera, that is
+    enlarged to no more than these. 10,000 or more."""
     check_side_px: int = 320
     """Longer side of the reduced pictures in which silhouettes are compared; 64 or more."""
 

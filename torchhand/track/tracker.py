@@ -63,7 +63,7 @@ near its contour tell little: from 0.2 s on `contour_planar` loses even a hand t
 
 _SMALL_PX, _MADE_PX = 110.0, 165.0
 """A hand shorter than the first in the picture of one camera is followed in a picture in which it is as long as the
-second. On a real recording in which hands are 80 px long as many fingers are off then as where they are 320."""
+second. On a real recording in which hands are 80 px long as many fingers are off then as where they are 330."""
 _MOST_ENLARGED, _SCALE_STEP = 3.0, 0.25
 
 _BESIDE_DETECTORS = ("detected", "declining")
@@ -183,15 +183,8 @@ class Tracker:
         self.cameras = tuple(camera.to(device=self.device) for camera in given)
         known = None if shape is None else shape.double().to(self.device)
         self.known_shape = known
-        self._observations, self._has_start_points = observations, start_points is not None
-        fits_shape = accumulates_shape and known is None and len(self.cameras) == 1
-
-        def made(working: WorkingViews) -> Assembly:
-            own_plates, own_points = working.plates(plates), working.points(start_points)
-            parts = assembled(hand, working.cameras, self.settings, known, own_points, own_plates)
-            return parts.with_accumulated_shape(self.settings) if fits_shape else parts
-
-        self._made = made
+        self._hand, self._start_points, self._plates, self._observations = hand, start_points, plates, observations
+        self._fits_shape = accumulates_shape and known is None and len(self.cameras) == 1
         self._of_scale: dict[float, Tracker] = {}
         """The same tracker on pictures of other sizes."""
         self._work_on(1.0)
@@ -204,8 +197,10 @@ class Tracker:
     def _work_on(self, scale: float) -> None:
         """Be the tracker on pictures whose sides are so many times as long."""
         self._of_scale[scale] = self
-        self._working = WorkingViews(self.cameras, self.settings.max_pixels, scale=scale)
-        self.parts: Assembly = self._made(self._working)
+        self._working = working = WorkingViews(self.cameras, self.settings.max_pixels, scale=scale)
+        plates, start_points = working.plates(self._plates), working.points(self._start_points)
+        parts = assembled(self._hand, working.cameras, self.settings, self.known_shape, start_points, plates)
+        self.parts: Assembly = parts.with_accumulated_shape(self.settings) if self._fits_shape else parts
         self._evidence = FingerEvidence(self.parts.kinematics, self.parts.cameras)
         self._last: tuple[Appearances, Scene] | None = None
         self._last_prediction: _Prediction | None = None
@@ -570,7 +565,7 @@ class Tracker:
         Where none is followed and a detector finds none, none is looked for: something else would be taken for it.
         """
         health = self.parts.health
-        is_told = self._has_start_points and not state.has_started
+        is_told = self._start_points is not None and not state.has_started
         if state.hand is None and search.best is None and not is_told and _is_silent(scene):
             return state, replace(search, reason=_SILENCE)
         asked: dict[type, Candidate | None] = {}
@@ -783,9 +778,11 @@ class Tracker:
             return state
         camera = self.own_cameras[0]
         length_px = hand_length_px(camera, self.kinematics, pose.dofs, state.shape)
+        if length_px > _SMALL_PX:
+            return state
         most = math.sqrt(self.settings.max_pixels / (camera.width * camera.height))
         scale = math.floor(min(_MADE_PX / length_px, _MOST_ENLARGED, most) / _SCALE_STEP) * _SCALE_STEP
-        if length_px > _SMALL_PX or scale <= 1:
+        if scale <= 1:
             return state
         return replace(state, picture_scale=scale, shape_frames=None if state.shape_frames is None else ())
 

@@ -76,11 +76,10 @@ class TrackWriter:
     """Writes the result folder of one sequence; use it as a context manager around the whole run.
 
     header.json is written once; track.jsonl grows by a line per frame, and by one for each that is corrected: a frame's
-    last line counts. What a
-    backward pass corrects is kept as it was in forward.jsonl. Leaving the block well leaves one line per frame and
-    writes track.npz from them. Leaving it by an exception (Ctrl-C, a full disk) keeps the lines, and writes track.npz
-    from them where the disk allows; an error (not Ctrl-C, after which a
-    run is resumed) before the first frame takes away what the block has made.
+    last line counts. What a backward pass corrects is kept as it was in forward.jsonl. Leaving the block well leaves
+    one line per frame and writes track.npz from them. Leaving it by an exception (Ctrl-C, a full disk) keeps the lines,
+    and writes track.npz from them where the disk allows; an error (not Ctrl-C, after which a run is resumed) before the
+    first frame takes away what the block has made.
 
     Where the folder already holds a result (`overwrite`), the new run grows in the sub-folder `unfinished`, and its
     files take the place of the old ones only when the block ends well with at least one frame. Everything else that

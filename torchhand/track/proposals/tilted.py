@@ -19,7 +19,7 @@ from torchhand.hand import FINGERS, JOINT_DOFS, HandKinematics, HandPose, postur
 from torchhand.propose import Silhouette, palm_middle
 from torchhand.track.knowledge import TrackerState
 from torchhand.track.proposals.protocol import Occasion, Proposals, Proposed
-from torchhand.track.scene import Candidate, Scene
+from torchhand.track.scene import Candidate, Scene, seen_silhouette
 
 _TILTS = (-math.radians(30.0), 0.0, math.radians(30.0))
 """About either axis of the picture, and none: as far off as the network's view of a direction is."""
@@ -54,31 +54,24 @@ class TiltedHands:
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """The cheapest hands that differ; none without a followed hand or a silhouette, nor beside a detector."""
-        plane, shape = scene.plane(0), state.shape
+        shape = state.shape
         if best is None or best.keypoints is not None or shape is None:
             return Proposals()
-        if plane is None or not bool((plane > 0.5).any()):
+        seen = seen_silhouette(scene, self.camera)
+        if seen is None:
             return Proposals()
-        seen = Silhouette(mask=plane > 0.5, camera=self.camera, image=scene.views[0].image)
         return self._registered(seen, self._starts(best, seen, shape), shape)
 
     def turned_back(self, scene: Scene, shape: Float[Tensor, "shape"], turned: Candidate) -> Proposals:
         """What explains a picture as well as a hand that is turned over, from the side that was known: its other side
         in its place, each finger as the one that it takes the place of, and as a network sees it, in all tilts."""
-        plane = scene.plane(0)
-        if plane is None:
+        seen = seen_silhouette(scene, self.camera)
+        if seen is None:
             return Proposals()
         own = turned.pose.normalized()
         joints = exchanged_fingers(own.dofs[-len(JOINT_DOFS) :])
         joints += [] if turned.learned is None else [turned.learned.joints]
-        over = HandPose(dofs=own.dofs, reference=own.reference @ _OVER.to(own.reference))
-        middles = [
-            palm_middle(self.kinematics(one.dofs[None], shape, root_reference=one.reference[None]).keypoints)[0]
-            for one in (own, over)
-        ]
-        moved = torch.cat((over.dofs[:3] + middles[0] - middles[1], over.dofs[3:]))
-        starts = tilted_hands(HandPose(dofs=moved, reference=over.reference), joints, self.kinematics, shape)
-        seen = Silhouette(mask=plane > 0.5, camera=self.camera, image=scene.views[0].image)
+        starts = tilted_hands(own, joints, self.kinematics, shape, turn=_OVER.to(own.reference))
         return self._registered(seen, starts, shape)
 
     def _registered(self, seen: Silhouette, starts: HandPose, shape: Float[Tensor, "shape"]) -> Proposals:
@@ -153,14 +146,20 @@ def exchanged_fingers(joints: Float[Tensor, "30"]) -> list[Float[Tensor, "30"]]:
 
 
 def tilted_hands(
-    pose: HandPose, joints: Sequence[Float[Tensor, "30"]], kinematics: HandKinematics, shape: Float[Tensor, "shape"]
+    pose: HandPose,
+    joints: Sequence[Float[Tensor, "30"]],
+    kinematics: HandKinematics,
+    shape: Float[Tensor, "shape"],
+    *,
+    turn: Float[Tensor, "3 3"] | None = None,
 ) -> HandPose:
     """A hand () with a zero rotation vector tilted by 30° and by nothing about either axis of the picture through the
-    middle of its palm, nine times with each of some postures; the camera is the world."""
+    middle of its palm, nine times with each of some postures; the camera is the world. turn: of the hand about its own
+    axes before, the middle of its palm staying in place."""
     ways = list(itertools.product(joints, _TILTS, _TILTS))
     tilts = pose.dofs.new_tensor([(across, up, 0.0) for _, across, up in ways])
     dofs = torch.cat((pose.dofs.new_zeros(len(ways), 6), torch.stack([bent for bent, _, _ in ways])), 1)
-    rotation = rotation_from_vector(tilts) @ pose.rotation
+    rotation = rotation_from_vector(tilts) @ (pose.rotation if turn is None else pose.rotation @ turn)
     tilted, own = (
         palm_middle(kinematics(one, shape, root_reference=turned).keypoints)
         for one, turned in ((dofs, rotation), (pose.dofs[None], pose.reference[None]))

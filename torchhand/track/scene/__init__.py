@@ -24,6 +24,7 @@ from torchhand.track.scene.learned_posture import (
     learned_observations,
     seen_posture,
     seen_presence,
+    seen_silhouette,
 )
 from torchhand.track.scene.segmentation import (
     Appearances,
@@ -77,5 +78,6 @@ __all__ = [
     "scene_keypoints",
     "seen_posture",
     "seen_presence",
+    "seen_silhouette",
     "with_further_postures",
 ]

@@ -28,7 +28,7 @@ def seen_posture(
     scene: Scene, camera: Camera, kinematics: HandKinematics, pose: HandPose, shape: Float[Tensor, "shape"]
 ) -> LearnedPosture | None:
     """What the network sees of the hand near a pose () in the only view of a scene; None without a silhouette."""
-    seen, network = _silhouette(scene, camera), load_proposal_network(device=shape.device)
+    seen, network = seen_silhouette(scene, camera), load_proposal_network(device=shape.device)
     return None if seen is None else learned_posture(network, seen, kinematics, pose, shape)
 
 
@@ -37,11 +37,12 @@ def seen_presence(
 ) -> float | None:
     """Logarithm of how much likelier a hand at a pose () in the only view of a scene is than something else there, as a
     network sees it; None without a silhouette."""
-    seen, network = _silhouette(scene, camera), load_presence_network(device=shape.device)
+    seen, network = seen_silhouette(scene, camera), load_presence_network(device=shape.device)
     return None if seen is None else float(hand_presence(network, seen, kinematics, pose, shape))
 
 
-def _silhouette(scene: Scene, camera: Camera) -> Silhouette | None:
+def seen_silhouette(scene: Scene, camera: Camera) -> Silhouette | None:
+    """The silhouette of the only view of a scene; None where nothing is in it."""
     plane = scene.plane(0)
     if plane is None or not bool((mask := plane > 0.5).any()):
         return None
