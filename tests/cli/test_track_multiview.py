@@ -97,7 +97,7 @@ def _initialized_once() -> Iterator[None]:
     def remembered(
         hand: Hand, silhouettes: ViewSilhouettes, frames: Iterable, *rest: Any, **options: Any
     ) -> Initialization:
-        done, frames = options.pop("done"), list(frames)
+        done, frames = options.pop("done", lambda is_found: None), list(frames)
         what = (silhouettes.cameras, silhouettes.settings, frames, rest[:1], options)
         content = io.BytesIO()
         torch.save(what, content)
@@ -290,6 +290,52 @@ def test_finished_run_is_resumed_without_work(
     assert {path.name: path.read_bytes() for path in out.iterdir()} == {
         path.name: path.read_bytes() for path in result.iterdir()
     }
+
+
+def _mirrored(folder: Path) -> None:
+    """Make a recording that of the left hand: as in a mirror."""
+    mirror = torch.diag(torch.tensor((-1.0, 1.0, 1.0), dtype=torch.float64))
+    cameras = []
+    for camera in load_cameras(folder / "cameras.json"):
+        intrinsics = camera.intrinsics.clone()
+        intrinsics[0, 2] = camera.width - 1 - intrinsics[0, 2]
+        rotation, translation = mirror @ camera.rotation @ mirror, mirror @ camera.translation
+        cameras.append(replace(camera, intrinsics=intrinsics, rotation=rotation, translation=translation))
+    save_cameras(cameras, folder / "cameras.json")
+    for path in (*folder.glob("view_*/*.png"), *folder.glob("masks_*/*.png")):
+        picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        assert picture is not None
+        cv2.imwrite(str(path), picture[:, ::-1])
+    truth = np.load(folder / "truth.npz")["keypoints3d"]
+    np.savez(folder / "truth.npz", keypoints3d=truth * (-1.0, 1.0, 1.0))
+
+
+def test_a_left_hand_is_told_where_nobody_names_its_side(
+    copied: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And hands of both sides are not tried again by a run that is resumed."""
+    _mirrored(copied)
+    out, step = tmp_path / "out", Run.step
+    arguments = [str(copied), "--out", str(out), "--no-overlay", *FAST]
+
+    def stopping(self, frame, following):
+        if frame.index == 2:
+            raise KeyboardInterrupt
+        return step(self, frame, following)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Run, "step", stopping)
+        assert main(arguments) == 130
+    assert "a left hand, with probability 0.8" in capsys.readouterr().err
+    monkeypatch.setattr("torchhand.runs.tracking._hands_of", lambda *_: pytest.fail("tried again"))
+    assert main([*arguments, "--resume"]) == 0
+    track = load_track(out)
+    truth = np.load(copied / "truth.npz")["keypoints3d"]
+    assert np.linalg.norm(track.keypoints3d - truth, axis=-1).mean() < 0.004
+    assert track.header["side"] == "left"
+    assert yaml.safe_load((out / "config.yaml").read_text())["run"]["side_is"] == "tried"
+    assert main([*arguments, "--resume", "--side", "right"]) == 2
+    assert "side was 'left', is now 'right'" in line_of(capsys)
 
 
 def test_resuming_with_other_settings_is_refused(result: Path, recording: Path, tmp_path: Path, capsys) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from torchhand.hand import Side
 from torchhand.runs.recordings import OneCameraRecording
-from torchhand.runs.side import find_side, probability_of_right
+from torchhand.runs.side import find_side, probability_of_right, probability_of_right_tried
 
 FRAMES = 40
 
@@ -93,3 +93,34 @@ def test_files_of_several_cameras_count_together(write: Any, found: Any, tmp_pat
     other = first.rename(tmp_path / "other.npz")
     both = found(None, other, write(["Right"] * FRAMES))
     assert (both.side, both.frames) == ("left", 33)
+
+
+def test_hands_of_both_sides_tell_where_nothing_else_does(write: Any, recording: OneCameraRecording) -> None:
+    def trial(side: Side) -> dict[int, float]:
+        return {3: 0.93, 7: 0.91} if side == "left" else {3: 0.82}
+
+    tried = find_side(None, recording, trial=trial)
+    assert (tried.side, tried.source, tried.frames) == ("left", "tried", 2)
+    (note,) = tried.notes()
+    assert note == "a left hand, with probability 0.86 by hands of both sides tried on 2 frames; --side overrides"
+
+    def never(side: Side) -> dict[int, float]:
+        pytest.fail("tried though something tells")
+
+    assert find_side("right", recording, trial=never).source == "given"
+    assert find_side(None, recording, keypoints=[write(["Left"] * FRAMES)], trial=never).source == "inferred"
+    nothing = find_side(None, recording, trial=lambda side: {})
+    assert (nothing.side, nothing.source, nothing.probability) == ("right", "assumed", None)
+
+
+def test_a_left_hand_has_to_explain_more_than_a_right_one() -> None:
+    """For nine in ten who name no side film a right hand."""
+    assert probability_of_right_tried({}, {}) is None
+    assert probability_of_right_tried({0: 0.9}, {0: 0.9}) == pytest.approx(0.9)
+    more = probability_of_right_tried({0: 0.90}, {0: 0.93})
+    assert more is not None
+    assert 0.5 < more < 0.9
+    less = probability_of_right_tried({0: 0.85, 1: 0.85}, {0: 0.91, 1: 0.91})
+    assert less is not None
+    assert less < 0.3
+    assert probability_of_right_tried({0: 0.9}, {0: 0.9, 1: 0.9}) == pytest.approx(1 / (1 + np.exp(4.0) / 9))

@@ -32,7 +32,12 @@ _METHODS = {
     "hull": "Ueda, E., Matsumoto, Y., Imai, M., Ogasawara, T. (2003): hand pose estimation from the silhouettes of"
     " several views (in Japanese).",
 }
-_SIDE_SOURCES = {"given": "as given", "inferred": "by a detector's labels", "assumed": "assumed: nothing told it"}
+_SIDE_SOURCES = {
+    "given": "as given",
+    "inferred": "by a detector's labels",
+    "tried": "by hands of both sides",
+    "assumed": "assumed: nothing told it",
+}
 
 
 def angle_title(name: str) -> str:

@@ -29,7 +29,7 @@ from torchhand.image import BackgroundPlate, learn_background
 from torchhand.runs.changes import changes_of
 from torchhand.runs.keypoint_tracks import KeypointTracks
 from torchhand.runs.recordings import Recording
-from torchhand.runs.side import find_side
+from torchhand.runs.side import HandsOfSide, find_side
 from torchhand.track import DEFAULTS, TrackerSettings
 
 MIN_START_SPAN_PX = 10.0
@@ -90,8 +90,14 @@ class Request:
     device: torch.device = HOST
     """Device of the tracker; decoding and drawing are the processor's."""
 
-    def with_side(self, recording: Recording, say: Callable[[str], None]) -> "Request":
-        """The request with a side: the one given, that of the known hand, or the one that the recording shows."""
+    def with_side(
+        self, recording: Recording, say: Callable[[str], None], trial: HandsOfSide | None = None
+    ) -> "Request":
+        """The request with a side: the one given, that of the known hand, or the one that the recording shows.
+
+        trial: tells hands of both sides apart where nothing else does."""
+        if self.side_source == "tried":
+            return self
         known: Side | None = None if self.hand is None else ("left" if self.hand.side == "left" else "right")
         found = find_side(
             self.side or known,
@@ -99,6 +105,7 @@ class Request:
             keypoints=self.keypoints,
             has_detector=self.has_detector,
             hand_model=self.hand_model,
+            trial=trial,
         )
         for line in found.notes():
             say(line)

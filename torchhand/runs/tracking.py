@@ -4,7 +4,7 @@ import contextlib
 import logging
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,10 +18,21 @@ from tqdm import tqdm
 
 from torchhand.detect import HandDetector
 from torchhand.errors import InputError
-from torchhand.files import Track, TrackWriter, check_output_folder, load_hand_model, load_track
+from torchhand.files import Track, TrackWriter, check_output_folder, load_hand_model, load_track, setting_in
+from torchhand.files.disk import read_json
 from torchhand.files.pictures import file_identity, input_identity, is_webcam, shown_address
-from torchhand.files.results import HAND_NAME, JSONL_NAME, OVERLAY_NAME, REPORT_NAME, STATUSES, UNFINISHED_NAME
+from torchhand.files.results import (
+    CONFIG_NAME,
+    HAND_NAME,
+    HEADER_NAME,
+    JSONL_NAME,
+    OVERLAY_NAME,
+    REPORT_NAME,
+    STATUSES,
+    UNFINISHED_NAME,
+)
 from torchhand.geometry import Camera, Rig
+from torchhand.hand import Side
 from torchhand.report import load_result, write_report
 from torchhand.runs.detected_tracks import kept_detections
 from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks, with_keypoints
@@ -45,6 +56,8 @@ from torchhand.track.scene import View, ViewSilhouettes, WorkingViews
 from torchhand.view import HandProjector
 
 _log = logging.getLogger(__name__)
+
+_SIDE_FRAMES = 3  # in which hands of both sides are tried where several cameras see one
 
 OneCamera = OneCameraRecording | LiveCamera
 """What one camera gives."""
@@ -112,6 +125,17 @@ def track_sequence(source: str | Path, out_dir: Path, request: Request, say: Say
         return track, projector
     finally:
         recording.close()
+
+
+def _with_side_before(request: Request, out_dir: Path) -> Request:
+    """The request with the side for which the run that is to be resumed has tried hands."""
+    if not request.resume or request.side is not None:
+        return request
+    folder = out_dir / UNFINISHED_NAME if (out_dir / UNFINISHED_NAME / JSONL_NAME).exists() else out_dir
+    config, header = folder / CONFIG_NAME, folder / HEADER_NAME
+    run = setting_in(config, "run") if config.is_file() and header.is_file() else None
+    was_tried = isinstance(run, Mapping) and run.get("side_is") == "tried"
+    return replace(request, side=read_json(header).get("side"), side_source="tried") if was_tried else request
 
 
 def _track_one(run: Run, recording: OneCamera, writer: TrackWriter, request: Request, say: Say) -> None:
@@ -206,12 +230,15 @@ def track_live_rig(sources: Sequence[str | Path], folder: Path, out_dir: Path, r
 
 
 def _track_views(recording: RigRecording | LiveRecording, out_dir: Path, request: Request, say: Say) -> Track:
-    request = request.with_side(recording, say)
+    _RigStart(recording, request, None).check()
+    trial = None
+    if isinstance(recording, RigRecording) and request.unit != "hand":
+        trial = partial(_hands_of, recording, request)
+    request = _with_side_before(request, out_dir).with_side(recording, say, trial)
     files, detectors = request.keypoint_tracks(recording.cameras), request.detectors(recording.cameras)
     for line in recording.notes:
         say(line)
     start = _RigStart(recording, request, files)
-    start.check()
     with _writer(out_dir, recording, request, detectors) as writer:
         if writer.is_finished:
             _say_finished(writer, say)
@@ -280,6 +307,11 @@ def _write_report(writer: TrackWriter, track: Track, request: Request) -> None:
     write_report(writer.folder / REPORT_NAME, [result if request.has_overlay else replace(result, overlay=None)])
 
 
+def _hands_of(recording: RigRecording, request: Request, side: Side) -> Mapping[int, float]:
+    """How well a hand of a side explains frames from all over a recording, as `HandsOfSide`."""
+    return _RigStart(recording, replace(request, side=side), None).scores(recording, _SIDE_FRAMES)
+
+
 class _RigStart:
     """How a hand is found before it is followed: in frames from all over the recording."""
 
@@ -342,18 +374,37 @@ class _RigStart:
         provenance = self._provenance(found.hand) | {"unit_m": metres}
         return Run(recording, self.tracker(metres), provenance, state=state, metres=metres)
 
-    def _initialization(self, recording: RigRecording, say: Say) -> Initialization:
+    def scores(self, recording: RigRecording, wanted: int) -> Mapping[int, float]:
+        """How well a hand of the average's proportions explains some frames, by their indices, each searched by itself;
+        frames in which none is found are missing."""
+        silhouettes, frames = self._sample(recording, wanted)
+        rough = replace(self.settings.rig, start=self.settings.rig.start.reduced())
+        found = dict[int, float]()
+        for frame in frames:
+            here = initialize(
+                self.hand, silhouettes, [frame], rough, self._proposer, shape=self.hand.kinematics.default_shape
+            )
+            found |= here.hand.scores
+        return found
+
+    def _sample(
+        self, recording: RigRecording, wanted: int
+    ) -> tuple[ViewSilhouettes, Iterator[tuple[int, tuple[View, ...]]]]:
+        """What makes silhouettes, and frames from all over the recording as it takes them."""
         silhouettes = ViewSilhouettes(recording.cameras, self.settings.silhouette, plates=self.plates)
-        wanted = max(1, self.settings.rig.shape_frames)
-        wanted += wanted // 2 if self.request.unit == "hand" else 0  # frames of a bare arm tell a wrong unit
-        sample, given = recording.sample(wanted), recording.cameras
+        given = recording.cameras
         working = WorkingViews(given, max(camera.width * camera.height for camera in given))
 
         def seen(frame: RecordedFrame) -> tuple[View, ...]:
             views = with_keypoints(frame, self.keypoints, None).views
             return tuple(working.of(view, index, silhouettes.cameras[index]) for index, view in enumerate(views))
 
-        frames = ((self._noted(frame), seen(frame)) for frame in sample)
+        return silhouettes, ((self._noted(frame), seen(frame)) for frame in recording.sample(wanted))
+
+    def _initialization(self, recording: RigRecording, say: Say) -> Initialization:
+        wanted = max(1, self.settings.rig.shape_frames)
+        wanted += wanted // 2 if self.request.unit == "hand" else 0  # frames of a bare arm tell a wrong unit
+        silhouettes, frames = self._sample(recording, wanted)
         with tqdm(
             total=wanted,
             desc="initializing",

@@ -10,7 +10,7 @@ from torchhand.numerics import single_threaded
 from torchhand.track import HandKeypoints
 from torchhand.track.multiview.fitting import FrameFitter
 from torchhand.track.multiview.hand_initialization import evenly_spaced_frames, initialize_hand
-from torchhand.track.multiview.initialization import best_unit, climbed
+from torchhand.track.multiview.initialization import best_unit
 from torchhand.track.multiview.proposer import HandProposer
 from torchhand.track.multiview.scale import resized_pose, resized_shape, rough_units, size_factor, unit_by_points
 from torchhand.track.multiview.settings import RigSettings
@@ -128,33 +128,37 @@ def test_first_hand_is_told_before_proportions_are_fitted_to_it(rig_hand, rig, p
     assert order == ["hand: True", "proportions", "proportions"]
 
 
-@pytest.mark.parametrize("highest", range(6))
-def test_best_unit_is_found_from_the_middle_on(highest):
-    units, asked = (0.6, 0.72, 0.86, 1.0, 1.17, 1.35), []
-
-    def values_of(some):
-        asked.extend(some)
-        return [1.0 - abs(units.index(unit) - highest) for unit in some]
-
-    assert climbed(units, values_of, {1.0: values_of([1.0])[0]}) == units[highest]
-    assert len(asked) == len(set(asked)) <= abs(highest - 3) + 3
+UNITS = (0.6, 0.72, 0.86, 1.0, 1.17, 1.35, 1.6)
 
 
-def test_unit_is_that_of_the_frame_that_shows_the_hand():
+@pytest.mark.parametrize("best", UNITS)
+def test_unit_is_that_of_the_frame_that_shows_the_hand(best):
     """A frame without a hand is explained by any size as badly, by chance best by a wrong one."""
-    units, asked = (0.6, 0.72, 0.86, 1.0, 1.17, 1.35), []
+    asked = []
 
     def agreement(unit, frame):
-        return 0.9 - abs(unit - 1.17) if frame == 1 else 0.75 - abs(unit - 0.86)
+        return 0.95 - 0.2 * abs(unit - best) if frame < 2 else 0.6 - abs(unit - 0.86)
 
     def agreements(pairs):
         asked.extend(pairs)
         return [agreement(unit, frame) for unit, frame in pairs]
 
-    assert best_unit(units, (0, 1, 2), agreements) == 1.17
-    assert len(asked) == len(set(asked)) <= 3 + 3  # all frames in the middle unit, then one
-    assert asked[:3] == [(1.0, 0), (1.0, 1), (1.0, 2)]
-    assert asked[3:5] == [(0.86, 1), (1.17, 1)]
+    assert best_unit(UNITS, (2, 1, 0), agreements) == best
+    assert asked[:3] == [(1.0, 2), (1.0, 1), (1.0, 0)]
+    assert len(asked) == len(set(asked))
+    assert {frame for _, frame in asked[3:]} == {0, 1}
+
+
+def test_an_elbow_that_is_as_good_a_hand_in_one_frame_is_not_in_two():
+    """Agreements as an arm that is bare to the elbow gave them."""
+    first = dict(zip(UNITS, (0.65, 0.64, 0.778, 0.677, 0.679, 0.777, 0.76), strict=True))
+    second = dict(zip(UNITS, (0.47, 0.47, 0.654, 0.627, 0.668, 0.744, 0.70), strict=True))
+
+    def agreements(pairs):
+        return [(first if frame == 5 else second)[unit] for unit, frame in pairs]
+
+    assert best_unit(UNITS, (5,), agreements) == 0.86
+    assert best_unit(UNITS, (7, 5), agreements) == 1.35
 
 
 def test_no_hand_is_found_where_there_is_none(rig_hand, rig, pose_at, masks_of):

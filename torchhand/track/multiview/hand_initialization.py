@@ -1,7 +1,7 @@
 """The hand before it is followed: its pose in some frames of a recording, and its proportions over all of them."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
 
@@ -49,6 +49,8 @@ class HandInitialization:
     """Poses with a zero rotation vector, world frame, by the index of the frame in which the hand was found."""
     shape_frames: tuple[int, ...]
     """Indices of the frames to which the proportions were fitted."""
+    scores: Mapping[int, float] = field(default_factory=dict)
+    """How well these hands explain their frames (`HullFit.score`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,11 +119,13 @@ def initialize_hand(
     if shape is None:
         used = tuple(frame.index for frame in _for_shape(seen))
         seen, solution = _with_shape(fitter, seen, own)
+    fits = {frame.index: frame.fit for frame in _within(seen, _MAX_DROP_AS_FOUND) if frame.fit is not None}
     return HandInitialization(
         shape=own if solution is None else solution.shape,
         shape_std=None if solution is None else solution.shape_std,
-        poses={frame.index: frame.fit.pose for frame in _within(seen, _MAX_DROP_AS_FOUND) if frame.fit is not None},
+        poses={index: fit.pose for index, fit in fits.items()},
         shape_frames=used,
+        scores={index: fit.score for index, fit in fits.items()},
     )
 
 

@@ -1,6 +1,6 @@
 """The start on a recording: skin colours of every view, the rig's unit where it is unknown, poses and proportions."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, islice
@@ -19,6 +19,8 @@ from torchhand.track.multiview.proposer import HandProposer
 from torchhand.track.multiview.scale import resized_pose, resized_shape, rough_units, size_factor, unit_by_points
 from torchhand.track.multiview.settings import RigSettings
 from torchhand.track.scene import LearnedSkin, RigSegmentation, Scene, View, ViewSilhouettes
+
+_SETTLED = 0.1  # agreement that a unit may lack in one frame to be asked about another
 
 Frame = tuple[int, tuple[View, ...]]
 """A frame's index, and its views."""
@@ -148,34 +150,25 @@ def best_unit(
     frames: Sequence[int],
     agreements: Callable[[Sequence[tuple[float, int]]], Sequence[float]],
 ) -> float:
-    """The unit in which a hand explains a frame best: the frame that it explains best in the middle one.
+    """The unit in which hands explain two frames best: those that one of the middle unit explains best.
 
     In a frame that hardly shows the hand every unit is a bad guess, and none is the better for having been tried there.
-    agreements: how well a hand explains frames in some units, all that is asked for at once.
+    What is alike in one frame, such as a hand and an elbow of another size, is not in two. agreements: how well a hand
+    explains frames in some units, all that is asked for at once.
     """
     middle = units[len(units) // 2]
     told = dict(zip(frames, agreements([(middle, index) for index in frames]), strict=True))
-    frame = max(told, key=told.__getitem__)
-    known = {middle: told[frame]}
-    return climbed(units, lambda asked: agreements([(unit, frame) for unit in asked]), known)
-
-
-def climbed(
-    ordered: Sequence[float], values_of: Callable[[Sequence[float]], Sequence[float]], known: Mapping[float, float]
-) -> float:
-    """Where a function of one hill is highest, from the middle on: beyond a fall it is not asked.
-
-    known: values that need not be asked for; that of the middle is.
-    """
-    values, best = dict(known), len(ordered) // 2
-    while True:
-        around = [ordered[place] for place in (best - 1, best + 1) if 0 <= place < len(ordered)]
-        asked = [one for one in around if one not in values]
-        values |= dict(zip(asked, values_of(asked) if asked else (), strict=True))
-        above = max(around, key=values.__getitem__, default=ordered[best])
-        if not values[above] > values[ordered[best]]:
-            return ordered[best]
-        best = ordered.index(above)
+    first, *others = sorted(told, key=told.__getitem__, reverse=True)
+    left = [unit for unit in units if unit != middle]
+    values = {middle: told[first]}
+    values |= dict(zip(left, agreements([(unit, first) for unit in left]), strict=True))
+    if others:
+        second = others[0]
+        near = [unit for unit in units if values[unit] >= max(values.values()) - _SETTLED]
+        asked = [unit for unit in near if unit != middle]
+        found = dict(zip(asked, agreements([(unit, second) for unit in asked]), strict=True))
+        values = {unit: values[unit] + found.get(unit, told[second]) for unit in near}
+    return max(values, key=values.__getitem__)
 
 
 def _agreement(fitter: FrameFitter, scene: Scene, propose: HandProposer) -> float:

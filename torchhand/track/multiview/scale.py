@@ -17,9 +17,9 @@ from torchhand.track.scene import Masks, View
 
 _BALL = 0.030
 """Radius, metres, of the largest ball in the hull of a fist or a relaxed hand."""
-_SCALES = (0.6, 0.72, 0.86, 1.0, 1.17, 1.35)
+_SCALES = (0.6, 0.72, 0.86, 1.0, 1.17, 1.35, 1.6)
 """Factors that are tried about the unit that makes the largest ball so large: in a hand that stays flat it is half of
-that."""
+that, in an arm that is bare to the elbow half as large again."""
 _DECISIVE = (0.2, 0.45, 0.7)  # quantiles of the balls of all frames: the frames at these decide about the size
 _LEAF = 0.012  # metres of that carving, in which the ball is looked for; how large it is tells a finer one about it
 _FIRST_SIZE = 0.6  # metres between the cameras in the first carving, which only tells the ball
