@@ -67,7 +67,8 @@ class Arguments(OnDevice):
     hand: Annotated[Path | None, arg(metavar="FILE")] = None
     """Known shape of the hand (hand.json), which is then not fitted."""
     side: Literal["left", "right"] | None = None
-    """Which hand. Without it, that of --hand; else the one that detected keypoints tell of; else right."""
+    """Which hand. Without it, that of --hand; else the one that detected keypoints tell of; else, where the
+    unit is known, the one whose hands explain three frames better; else right."""
     keypoints: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="mediapipe|FILE")] = ()
     """Detected keypoints that are used beside the silhouettes. mediapipe: MediaPipe runs along before every camera (pip
     install torchhand[mediapipe]), and what it finds is kept in DIR/keypoints_0.npz and so on. FILE: those that were
