@@ -129,6 +129,28 @@ def test_half_length_per_point_shortens_and_lengthens() -> None:
     assert result.offset_px[1:].tolist() == pytest.approx([-3.0, 29.0], abs=0.02)
 
 
+def test_a_search_of_any_length_ends_with_the_picture(generator: torch.Generator) -> None:
+    """A hand that lies at the camera's lens is searched for its edges without bound: 15 GB were asked for once."""
+    picture = step_image(0.4, 1.0)
+    points, normals = line_points(0.4, torch.tensor([3.0, -4.0]), generator)
+    narrow = search_edges(picture, points, normals, half_length_px=15.0)
+    wide = search_edges(picture, points, normals, half_length_px=torch.tensor([15.0, 1e9]))
+    assert wide.found.all()
+    torch.testing.assert_close(wide.offset_px, narrow.offset_px, rtol=0, atol=1e-5)
+
+
+def test_long_and_short_searches_are_correlated_alike(
+    generator: torch.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    picture = torch.rand(3, 120, 160, generator=generator)
+    points, normals = line_points(1.1, torch.rand(9, generator=generator) * 8 - 4, generator)
+    by_band = search_edges(picture, points.reshape(3, 3, 2), normals.reshape(3, 3, 2))
+    monkeypatch.setattr("torchhand.image.contours.edges._MOST_IN_BAND", 0)
+    by_convolution = search_edges(picture, points.reshape(3, 3, 2), normals.reshape(3, 3, 2))
+    torch.testing.assert_close(by_convolution.offset_px, by_band.offset_px, rtol=0, atol=1e-4)
+    torch.testing.assert_close(by_convolution.strength, by_band.strength)
+
+
 def test_border_of_the_picture_is_no_edge() -> None:
     image = torch.full((40, 60), 0.9)
     points = torch.tensor([[1.0, 20.0], [58.0, 20.0], [30.0, 1.0], [30.0, 39.0], [-5.0, 20.0], [300.0, 300.0]])

@@ -8,11 +8,13 @@ from typing import Literal
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from torch.nn.functional import conv1d
 
 from torchhand.devices import is_host
 from torchhand.image.contours.sampling import is_inside, sample_bilinear
 
 _STEP_PX = 0.5  # distance of samples along the normal
+_MOST_IN_BAND = 400  # positions along a normal for which the kernel is kept as a matrix, of 1.3 MB at most
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,6 +97,7 @@ def search_edges(
             reach = float(half_length_px.max()) if half_length_px.numel() else 0.0
         else:
             reach = half_length_px
+        reach = min(reach, math.hypot(*planes.shape[-2:]))  # of a hand at the camera's lens it would be without bound
         response, is_valid, offsets = _responses(planes, points_px, normals, settings, reach, channel_weights)
         if isinstance(half_length_px, Tensor):
             is_near = offsets.abs() <= half_length_px[..., None] + 1e-6
@@ -120,8 +123,7 @@ def _responses(
     all_inside = is_host(places.device) and bool(is_inside(ends, width, height).all())
     profile = sample_bilinear(planes, places, all_inside=all_inside)
 
-    kernel = _correlation(settings.sigma_px, 2 * half_positions + 3, profile.dtype, profile.device)
-    response = profile @ kernel
+    response = _correlated(profile, settings.sigma_px, 2 * half_positions + 3)
     if weights is not None:
         response = response * weights.to(response).reshape(-1, *(1,) * (response.ndim - 1))
     if planes.shape[0] == 1:
@@ -151,6 +153,15 @@ def _steps(count: int, dtype: torch.dtype, device: torch.device) -> Tensor:
     """Places along a profile, px."""
     with torch.inference_mode(False):  # kept for callers in any mode
         return torch.arange(-count, count + 1, device=device, dtype=dtype) * _STEP_PX
+
+
+def _correlated(profile: Tensor, sigma_px: float, positions: int) -> Tensor:
+    """Rows of samples (..., positions + taps - 1) correlated with the kernel: by its band matrix where that is small,
+    which is the faster."""
+    if positions <= _MOST_IN_BAND:
+        return profile @ _correlation(sigma_px, positions, profile.dtype, profile.device)
+    kernel = derivative_of_gaussian(sigma_px).to(profile)
+    return conv1d(profile.flatten(0, -2)[:, None], kernel[None, None]).reshape(*profile.shape[:-1], positions)
 
 
 @lru_cache(maxsize=256)
