@@ -106,6 +106,7 @@ class Request:
             has_detector=self.has_detector,
             hand_model=self.hand_model,
             trial=trial,
+            device=self.device,
         )
         for line in found.notes():
             say(line)

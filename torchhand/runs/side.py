@@ -10,6 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
+import torch
+
 from torchhand.cluster import side_by_side
 from torchhand.detect import HandDetector
 from torchhand.devices import HOST
@@ -74,12 +76,13 @@ def find_side(
     has_detector: bool = False,
     hand_model: Path | None = None,
     trial: HandsOfSide | None = None,
+    device: torch.device = HOST,
 ) -> FoundSide:
     """The side of the hand in a recording; right where nothing tells.
 
     given: by the user. keypoints: files of detections. has_detector: whether MediaPipe is to be asked about the first
     frames; a webcam's frames do not come again, so it is not asked about these. trial: tells hands
-    of both sides apart where no detector is asked.
+    of both sides apart where no detector is asked; it computes on the device.
 
     Raises InputError for files that cannot be read, and where MediaPipe is to be asked and is not installed.
     """
@@ -95,7 +98,7 @@ def find_side(
         return FoundSide(side=given, source="given", probability=own, frames=told)
     source: Literal["inferred", "tried"] = "inferred"
     if right is None and trial is not None and not (keypoints or has_detector):
-        source, (right, told) = "tried", _tried(trial)
+        source, (right, told) = "tried", _tried(trial, device)
     if right is None:
         return FoundSide(side="right", source="assumed")
     side: Side = "right" if right >= 0.5 else "left"
@@ -131,9 +134,9 @@ def _detected(recording: Recording, hand_model: Path | None) -> list[Side | None
     return found
 
 
-def _tried(trial: HandsOfSide) -> tuple[float | None, int]:
+def _tried(trial: HandsOfSide, device: torch.device) -> tuple[float | None, int]:
     """Probability of a right hand by hands of both sides, and the frames in which one of them was found."""
-    right, left = side_by_side([partial(trial, "right"), partial(trial, "left")], HOST)
+    right, left = side_by_side([partial(trial, "right"), partial(trial, "left")], device)
     return probability_of_right_tried(right, left), len({**right, **left})
 
 
