@@ -19,7 +19,7 @@ from torchhand.propose import Silhouette, propose_hands
 from torchhand.track.knowledge import TrackerState
 from torchhand.track.proposals.keypoints import fitter_of
 from torchhand.track.proposals.protocol import Occasion, Proposals, Proposed
-from torchhand.track.scene import Candidate, Scene
+from torchhand.track.scene import Candidate, Scene, hand_end
 
 _MIN_AREA = 0.004  # share of the picture that a silhouette fills at least
 _MAX_SOLIDITY = 0.9
@@ -66,12 +66,21 @@ class LearnedHands:
         mask = self._mask(scene, image, state)
         if float(mask.float().mean()) < _MIN_AREA or (best is None and solidity(mask) > _MAX_SOLIDITY):
             return Proposals()
-        seen = Silhouette(mask=mask, camera=self.fitter.camera, image=image)
-        found = self._registered(seen, self.fitter.shape if state.shape is None else state.shape)
+        shape = self.fitter.shape if state.shape is None else state.shape
+        if state.has_started and best is not None:
+            mask = hand_end(mask, self._length_px(best, shape))
+        found = self._registered(Silhouette(mask=mask, camera=self.fitter.camera, image=image), shape)
         if state.has_started:
             hands = tuple(Proposed(pose=found.pose[i]) for i in range(min(_RESTARTS, len(found.cost))))
             return Proposals(hands=hands, has_foreground=True)
         return self._first(found, image)
+
+    def _length_px(self, hand: Candidate, shape: Tensor) -> float:
+        """Length in the picture of a hand of some proportions at the place of another, held parallel to it."""
+        camera, name = self.fitter.camera, "hand_length"
+        depth = max(float(camera.cam_from_world(hand.palm)[2]), 1e-3)
+        length = float(shape[self.fitter.kinematics.shape_space.names.index(name)])
+        return length * float(camera.intrinsics[0, 0]) / depth
 
     def _registered(self, seen: Silhouette, shape: Tensor) -> Solutions:
         """Registered hypotheses: the cheapest, the cheapest of those that are turned away from it, then the rest by

@@ -8,7 +8,7 @@ from torchhand.track.scene.agreement import (
     SilhouetteComparison,
     mean_overlap,
 )
-from torchhand.track.scene.arm_end import END_REACH, lengths_to_end
+from torchhand.track.scene.arm_end import END_REACH, hand_end, lengths_to_end
 from torchhand.track.scene.candidate import Candidate
 from torchhand.track.scene.health import MAX_BEYOND, MIN_KEYPOINTS, ONE_PLACE_M, Health, HealthSettings
 from torchhand.track.scene.keypoints import (
@@ -70,6 +70,7 @@ __all__ = [
     "credible_posture",
     "detected_hand",
     "deviations_of_digits",
+    "hand_end",
     "is_same_view",
     "learned_observations",
     "lengths_to_end",

@@ -10,6 +10,9 @@ from torchhand.image import reduced_mask
 
 END_REACH = 1.25
 """Hand lengths from the farthest place of a silhouette that may be the hand's."""
+_ARM_LENGTH, _END_LENGTH = 2.0, 1.6
+"""Hand lengths from which on a silhouette is a long arm's, and those of its end that may be the hand: with as much of
+the forearm as pictures of hands show."""
 _SIDE_PX = 240  # longer side of the reduced silhouettes
 _KERNELS = tuple(cv2.getStructuringElement(kind, (3, 3)) for kind in (cv2.MORPH_CROSS, cv2.MORPH_RECT))
 
@@ -57,22 +60,71 @@ def lengths_to_end(mask: Bool[Tensor, "height width"]) -> Float[Tensor, "h w"] |
     scale = min(1.0, _SIDE_PX / max(height, width))
     small = reduced_mask(mask.cpu(), max(1, round(scale * height)), max(1, round(scale * width)))
     filled = small.numpy().astype(np.uint8)
-    reached = filled.copy()
-    reached[1:-1, 1:-1] = 0
-    if not reached.any():
+    begin = filled.copy()
+    begin[1:-1, 1:-1] = 0
+    if not begin.any():
         return None
-    lengths, step = np.zeros(filled.shape, np.float32), 0
-    while True:
-        step += 1
-        grown = cv2.bitwise_and(cv2.dilate(reached, _KERNELS[step % 2]), filled)
-        is_new = grown > reached
-        if not is_new.any():
-            break
-        lengths[is_new] = step
-        reached = grown
-    lengths = np.where(reached > 0, lengths.max() - lengths, 0.0).astype(np.float32)
+    lengths = _lengths_from(begin, filled)
+    lengths = np.where(lengths >= 0, lengths.max() - lengths, 0.0).astype(np.float32)
     _, labels = cv2.distanceTransformWithLabels(1 - filled, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
     label = np.asarray(labels, np.int64)
     of_label = np.zeros(int(label.max()) + 1, np.float32)
     of_label[label[filled > 0]] = lengths[filled > 0]
     return torch.from_numpy(of_label[label])
+
+
+def _lengths_from(begin: np.ndarray, filled: np.ndarray) -> np.ndarray:
+    """Length through a silhouette (height, width) from some of its pixels to each, px; -1 where none leads."""
+    lengths, reached, step = np.where(begin > 0, 0.0, -1.0).astype(np.float32), begin, 0
+    while True:
+        step += 1
+        grown = cv2.bitwise_and(cv2.dilate(reached, _KERNELS[step % 2]), filled)
+        is_new = grown > reached
+        if not is_new.any():
+            return lengths
+        lengths[is_new] = step
+        reached = grown
+
+
+def hand_end(mask: Bool[Tensor, "height width"], length_px: float) -> Bool[Tensor, "height width"]:
+    """The part of a silhouette that may be a hand of some length: of a long arm the end that is farthest from where it
+    comes from, which is where it leaves the picture, or else the end nearer to the border; the whole silhouette where
+    it is not so long."""
+    height, width = mask.shape
+    scale = min(1.0, _SIDE_PX / max(height, width))
+    filled = reduced_mask(mask.cpu(), max(1, round(scale * height)), max(1, round(scale * width))).numpy()
+    filled = filled.astype(np.uint8)
+    if not filled.any():
+        return mask
+    begin = filled.copy()
+    begin[1:-1, 1:-1] = 0
+    if not begin.any():
+        first = _farthest(_one_of(filled), filled)
+        begin = min(first, _farthest(first, filled), key=_to_border)
+    if float(_lengths_from(begin, filled).max()) < _ARM_LENGTH * scale * length_px:
+        return mask
+    end = _lengths_from(_farthest(begin, filled), filled)
+    part = ((end >= 0) & (end <= _END_LENGTH * scale * length_px)).astype(np.uint8)
+    large = cv2.resize(part, (width, height), interpolation=cv2.INTER_NEAREST)
+    return mask & torch.from_numpy(large > 0).to(mask.device)
+
+
+def _to_border(pixel: np.ndarray) -> int:
+    """How far the one pixel of a picture lies from its border."""
+    height, width = pixel.shape
+    y, x = divmod(int(pixel.argmax()), width)
+    return min(x, y, width - 1 - x, height - 1 - y)
+
+
+def _one_of(filled: np.ndarray) -> np.ndarray:
+    """One pixel of a silhouette, as a picture."""
+    found = np.zeros_like(filled)
+    found.flat[int(filled.argmax())] = 1
+    return found
+
+
+def _farthest(begin: np.ndarray, filled: np.ndarray) -> np.ndarray:
+    """The pixel farthest from some others through a silhouette, as a picture."""
+    found = np.zeros_like(filled)
+    found.flat[int(_lengths_from(begin, filled).argmax())] = 1
+    return found
