@@ -56,12 +56,7 @@ def lengths_to_end(mask: Bool[Tensor, "height width"]) -> Float[Tensor, "h w"] |
     """Length in reduced pixels from each pixel of a silhouette to the one farthest from the picture's border, measured
     through the silhouette from the border on; outside, that of the nearest pixel inside. None where the silhouette does
     not touch the border."""
-    height, width = mask.shape
-    scale = min(1.0, _SIDE_PX / max(height, width))
-    small = reduced_mask(mask.cpu(), max(1, round(scale * height)), max(1, round(scale * width)))
-    filled = small.numpy().astype(np.uint8)
-    begin = filled.copy()
-    begin[1:-1, 1:-1] = 0
+    filled, begin, _ = _small(mask)
     if not begin.any():
         return None
     lengths = _lengths_from(begin, filled)
@@ -71,6 +66,17 @@ def lengths_to_end(mask: Bool[Tensor, "height width"]) -> Float[Tensor, "h w"] |
     of_label = np.zeros(int(label.max()) + 1, np.float32)
     of_label[label[filled > 0]] = lengths[filled > 0]
     return torch.from_numpy(of_label[label])
+
+
+def _small(mask: Bool[Tensor, "height width"]) -> tuple[np.ndarray, np.ndarray, float]:
+    """A silhouette in a reduced picture, those of its pixels that lie along the border, and the scale."""
+    height, width = mask.shape
+    scale = min(1.0, _SIDE_PX / max(height, width))
+    small = reduced_mask(mask.cpu(), max(1, round(scale * height)), max(1, round(scale * width)))
+    filled = small.numpy().astype(np.uint8)
+    rim = filled.copy()
+    rim[1:-1, 1:-1] = 0
+    return filled, rim, scale
 
 
 def _lengths_from(begin: np.ndarray, filled: np.ndarray) -> np.ndarray:
@@ -90,14 +96,9 @@ def hand_end(mask: Bool[Tensor, "height width"], length_px: float) -> Bool[Tenso
     """The part of a silhouette that may be a hand of some length: of a long arm the end that is farthest from where it
     comes from, which is where it leaves the picture, or else the end nearer to the border; the whole silhouette where
     it is not so long."""
-    height, width = mask.shape
-    scale = min(1.0, _SIDE_PX / max(height, width))
-    filled = reduced_mask(mask.cpu(), max(1, round(scale * height)), max(1, round(scale * width))).numpy()
-    filled = filled.astype(np.uint8)
+    filled, begin, scale = _small(mask)
     if not filled.any():
         return mask
-    begin = filled.copy()
-    begin[1:-1, 1:-1] = 0
     if not begin.any():
         first = _farthest(_one_of(filled), filled)
         begin = min(first, _farthest(first, filled), key=_to_border)
@@ -105,7 +106,7 @@ def hand_end(mask: Bool[Tensor, "height width"], length_px: float) -> Bool[Tenso
         return mask
     end = _lengths_from(_farthest(begin, filled), filled)
     part = ((end >= 0) & (end <= _END_LENGTH * scale * length_px)).astype(np.uint8)
-    large = cv2.resize(part, (width, height), interpolation=cv2.INTER_NEAREST)
+    large = cv2.resize(part, (mask.shape[1], mask.shape[0]), interpolation=cv2.INTER_NEAREST)
     return mask & torch.from_numpy(large > 0).to(mask.device)
 
 
