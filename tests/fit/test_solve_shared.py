@@ -103,6 +103,8 @@ def test_covariances_are_those_of_the_dense_problem() -> None:
         place = slice(frame * SPACE.size, (frame + 1) * SPACE.size)
         expected = dense[place, place]
         torch.testing.assert_close(found.covariance[frame], expected, rtol=1e-5, atol=1e-7 * float(expected.max()))
+        follow = -torch.linalg.solve(matrix[place, place], matrix[place, -len(COLUMNS) :])
+        torch.testing.assert_close(found.follow[frame], follow, rtol=1e-4, atol=1e-6 * float(follow.abs().max()))
     torch.testing.assert_close(found.shared_covariance, dense[-3:, -3:], rtol=1e-5, atol=0)
 
 
@@ -142,6 +144,7 @@ def test_without_shared_unknowns_every_frame_is_by_itself() -> None:
         torch.testing.assert_close(alone.covariance[0], found.covariance[frame], rtol=1e-9, atol=1e-15)
     assert float((_points(found.pose, found.shape) - points).norm(dim=-1).max()) < 1e-8
     assert found.shared_covariance.shape == (0, 0)
+    assert found.follow.shape == (4, SPACE.size, 0)
 
 
 def test_a_frame_that_fails_tells_nothing() -> None:

@@ -11,7 +11,7 @@ from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import HandKinematics
 from torchhand.runs import settings_of
 from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
-from torchhand.track import BackwardPass, Estimate, Tracker, TrackerState, View
+from torchhand.track import BackwardPass, Estimate, FittedShape, Tracker, TrackerState, View
 from torchhand.track.backward import is_borne_out
 
 WIDTH, HEIGHT, FPS, FRAMES = 240, 192, 30.0, 12
@@ -93,6 +93,31 @@ def test_the_hand_that_the_views_bear_out_has_the_larger_evidence(
     assert off.evidence is not None
     assert off.evidence_before is not None
     assert off.evidence > off.evidence_before + 3
+
+
+def test_what_uncertain_proportions_leave_open_is_in_the_covariances_of_keypoints(
+    tracker: Tracker, scene: tuple, forward: tuple[TrackerState, list[Estimate]]
+) -> None:
+    state, found = forward
+    assert state.shape is not None
+    nothing, root = torch.zeros(1, dtype=torch.float64), 0.01 * torch.rand(21, 3, 3, dtype=torch.float64)
+    fitted = FittedShape(
+        shape=state.shape,
+        shape_std=torch.zeros_like(state.shape),
+        keypoints_cov=root @ root.mT,
+        costs=nothing,
+        costs_before=nothing,
+    )
+    known, unsure = (
+        BackwardPass(tracker, state, fitted=own).step(scene[0][-1], 1.0, found[-1].pose).estimate
+        for own in (None, fitted)
+    )
+    assert known.keypoints is not None
+    assert known.keypoints_cov is not None
+    assert unsure.keypoints is not None
+    assert unsure.keypoints_cov is not None
+    assert torch.equal(known.keypoints, unsure.keypoints)
+    torch.testing.assert_close(unsure.keypoints_cov, known.keypoints_cov + root @ root.mT, rtol=1e-12, atol=0)
 
 
 def test_a_tracker_that_never_found_a_hand_has_nothing_to_follow(tracker: Tracker) -> None:

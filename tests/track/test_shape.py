@@ -113,6 +113,27 @@ def test_frames_that_are_independent_tell_the_proportions_of_the_person(
     assert found.shape_std[length] == 0
     others = torch.arange(len(before)) != length
     assert bool((found.shape_std[others] > 0).all())
+    assert bool((torch.linalg.eigvalsh(found.keypoints_cov) > -1e-12).all())
+
+
+def test_errors_that_all_frames_share_leave_proportions_less_sure(
+    studio: Studio, kinematics: HandKinematics, person: Tensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Four times as overconfident a rule makes a standard deviation nothing but larger, and no more than four times."""
+    monkeypatch.setattr("torchhand.track.shape.SCHEDULE", (Stage(gross_m=0.0075, rounds=1, iterations=1),))
+    frames, found = frames_of(studio, person), []
+    for factor in (1.0, 16.0):
+        monkeypatch.setattr(UnscentedUpdate, "overconfidence", factor)
+        own = recorded_shape(tracker_of(studio), TrackerState(shape=kinematics.default_shape), frames)
+        assert own is not None
+        found.append(own)
+    sure, unsure = found
+    is_free = sure.shape_std > 0
+    ratio = (unsure.shape_std / sure.shape_std)[is_free]
+    assert bool(((ratio > 0.99) & (ratio < 16.0)).all())
+    assert float(ratio.median()) > 1.2
+    space = kinematics.shape_space
+    assert float((unsure.shape_std / space.std)[is_free].max()) < 1.01  # no less sure than of anybody's hand
 
 
 def test_too_few_frames_tell_nothing(studio: Studio, kinematics: HandKinematics) -> None:

@@ -52,6 +52,8 @@ class SharedSolution:
     frozen."""
     shared_covariance: Float[Tensor, "c c"]
     """Covariance of the shared unknowns."""
+    follow: Float[Tensor, "frames free c"]
+    """Derivative of the free parameters of the best poses in the shared unknowns."""
     covariance: Float[Tensor, "frames free free"]
     """Covariance of the free parameters of every pose, what is shared being uncertain too; NaN where a frame failed."""
     cost: float
@@ -328,7 +330,7 @@ class _Work:
             self.associate(stage)
             self.solve_poses(stage.iterations)
         self.associate(stage)
-        cost, covariance, shared_covariance = self._covariances(information)
+        cost, covariance, shared_covariance, follow = self._covariances(information)
         std = torch.zeros_like(shape)
         if shared is not None:
             columns = shared.places(std.device)
@@ -344,6 +346,7 @@ class _Work:
             extra=self.vector[:0] if shared is None else shared.extras(self.vector),
             shape_std=std,
             shared_covariance=shared_covariance,
+            follow=follow,
             covariance=covariance,
             cost=cost,
             status=self.status,
@@ -355,8 +358,8 @@ class _Work:
 
     def _covariances(
         self, information: Float[Tensor, "36"] | None
-    ) -> tuple[float, Float[Tensor, "frames free free"], Float[Tensor, "c c"]]:
-        """The whole cost, and the covariances of poses and shared unknowns."""
+    ) -> tuple[float, Float[Tensor, "frames free free"], Float[Tensor, "c c"], Float[Tensor, "frames free c"]]:
+        """The whole cost, the covariances of poses and shared unknowns, and how the former follow the latter."""
         shared, basis = self.problem.shared, self.problem.space.basis
         known = basis.new_zeros(len(basis)) if information is None else information.to(basis)
         prior_information = torch.diag((basis.square() * known[:, None]).sum(0))
@@ -377,11 +380,11 @@ class _Work:
         covariance = torch.cat(own)
         total = float(read_back(cost))
         if not len(self.vector):
-            return total, covariance, matrix
+            return total, covariance, matrix, covariance[..., :0]
         of_shared = covariance_of(matrix[None], torch.ones_like(self.is_sound[:1]))[0]
         for part, following in zip(self.parts, follow, strict=True):
             covariance[part.rows] += following @ of_shared @ following.mT
-        return total, covariance, of_shared
+        return total, covariance, of_shared, torch.cat(follow)
 
     def _pose_settings(self, iterations: int) -> LevenbergMarquardtSettings:
         return LevenbergMarquardtSettings(

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from torch import Tensor
 
 from torchhand.devices import HOST, read_back, sent_to
@@ -29,6 +29,7 @@ from torchhand.runs.run import Run, Say
 from torchhand.track import (
     Alternatives,
     BackwardPass,
+    FittedShape,
     FollowedFrame,
     Tracker,
     can_tell_shape,
@@ -49,34 +50,35 @@ def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
     if before is None or not forward.has_hand.any():
         return
     writer.keep_forward()
-    shape = _adopted_shape(run, forward, before, say)
+    fitted = _adopted_shape(run, forward, say)
+    shape = before if fitted is None else fitted.shape
     say("second pass: the hand is followed back from the last frame to the first (--causal does without)")
-    alternatives = _follow_back(run, writer, forward, shape, say)
-    if shape is not before:
-        forward = _reshaped(forward, run.tracker, before, shape)
+    alternatives = _follow_back(run, writer, forward, fitted, say)
+    if fitted is not None:
+        forward = _reshaped(forward, run.tracker, before, fitted)
     passes = TwoPasses.of(forward, load_track(writer.folder / BACKWARD_NAME), begins_at=run.begins_at)
     cameras = sent_to(run.tracker.own_cameras, HOST)
     camera = cameras[0] if len(cameras) == 1 else None
     joined = list(joined_records(passes, run.kinematics, shape.to(HOST), camera))
     for record in widened(joined, alternatives):
         writer.correct(record)
-    if shape is not before:
+    if fitted is not None:
         run.save_hand(writer.folder)
     writer.drop(BACKWARD_NAME)
 
 
-def _adopted_shape(run: Run, forward: Track, before: Tensor, say: Say) -> Float[Tensor, "shape"]:
-    """Proportions that well-spread frames tell, which the run adopts, unless frames that were held out contradict
-    these; else those before."""
+def _adopted_shape(run: Run, forward: Track, say: Say) -> FittedShape | None:
+    """Proportions that well-spread frames tell, which the run adopts; None where frames that were held out contradict
+    these, or none are fitted."""
     tracker, state, count = run.tracker, run.state, run.tracker.settings.shape_frames
     if state is None or not count or not can_tell_shape(tracker):
-        return before
+        return None
     rows = spread_frames(torch.from_numpy(forward.pose), torch.from_numpy(_is_good(forward)), count)
     frames = "1 frame" if len(rows) == 1 else f"{len(rows)} frames"
     say(f"proportions: fitted over {frames} (--set shape_frames=0 keeps those of the first hand)")
     found = recorded_shape(tracker, state, _followed_frames(run, forward, rows))
     if found is None or found.is_contradicted:
-        return before
+        return None
     names = tracker.kinematics.shape_space.names
     run.adopt(
         found.shape,
@@ -85,7 +87,7 @@ def _adopted_shape(run: Run, forward: Track, before: Tensor, say: Say) -> Float[
         std={name: std for name, std in zip(names, found.shape_std.tolist(), strict=True) if std > 0},
         held_out_nats_per_frame={"first_hand": float(found.costs_before.mean()), "this": float(found.costs.mean())},
     )
-    return found.shape
+    return found
 
 
 def _is_good(track: Track) -> Bool[np.ndarray, " t"]:
@@ -108,21 +110,24 @@ def _followed_frames(run: Run, track: Track, rows: Sequence[int]) -> Iterator[Fo
                 return
 
 
-def _reshaped(track: Track, tracker: Tracker, before: Tensor, shape: Tensor) -> Track:
+def _reshaped(track: Track, tracker: Tracker, before: Tensor, fitted: FittedShape) -> Track:
     """A track of one camera with the hands of another shape in the place of its own."""
     kinematics, [camera], rows = tracker.kinematics, tracker.own_cameras, np.flatnonzero(track.has_hand)
     pose, keypoints = track.pose.copy(), track.keypoints3d.copy()
     poses = torch.from_numpy(pose[rows]).to(tracker.device)
-    moved = reshaped_poses(poses, tracker.parts.motion, kinematics, before, shape)
-    pose[rows], keypoints[rows] = read_back(moved), read_back(kinematics(moved, shape).keypoints)
+    moved = reshaped_poses(poses, tracker.parts.motion, kinematics, before, fitted.shape)
+    pose[rows], keypoints[rows] = read_back(moved), read_back(kinematics(moved, fitted.shape).keypoints)
     in_picture = camera.to(device=HOST).project(torch.from_numpy(keypoints)).numpy()
-    return replace(track, pose=pose, keypoints3d=keypoints, keypoints2d=in_picture)
+    covariance = track.keypoints3d_cov + read_back(fitted.keypoints_cov)
+    return replace(track, pose=pose, keypoints3d=keypoints, keypoints2d=in_picture, keypoints3d_cov=covariance)
 
 
-def _follow_back(run: Run, writer: TrackWriter, forward: Track, shape: Tensor, say: Say) -> dict[int, Alternatives]:
+def _follow_back(
+    run: Run, writer: TrackWriter, forward: Track, fitted: FittedShape | None, say: Say
+) -> dict[int, Alternatives]:
     """Writes the second pass; hands that explain the pictures about as well, by rows, where others were looked for."""
     assert run.state is not None
-    recording, follower = run.recording, BackwardPass(run.tracker, run.state, shape=shape)
+    recording, follower = run.recording, BackwardPass(run.tracker, run.state, fitted=fitted)
     names = [camera.name for camera in recording.cameras]
     rows = {int(frame): row for row, frame in enumerate(forward.frame)}
     has_hand, alternatives = forward.has_hand, dict[int, Alternatives]()

@@ -15,7 +15,7 @@ from torchhand.track.alternatives import SAME_M, Alternatives, TiltAlternatives
 from torchhand.track.belief import FollowedHand
 from torchhand.track.knowledge import Estimate, TrackerState
 from torchhand.track.paths import MOTION_NATS
-from torchhand.track.proportions import reshaped_poses
+from torchhand.track.proportions import FittedShape, reshaped_poses
 from torchhand.track.scene import (
     Scene,
     SceneKeypoints,
@@ -61,17 +61,19 @@ class BackwardPass:
     no hand it takes that of the first pass; where that has none either, nothing is looked for: the first pass did.
     """
 
-    def __init__(self, tracker: Tracker, state: TrackerState, *, shape: Float[Tensor, "shape"] | None = None) -> None:
-        """state: of the tracker after the last frame of the first pass. shape: proportions of the hand that is followed
-        back, where they are not those of the first pass. Raises ValueError where the state knows no proportions, which
-        is where no hand was ever found."""
+    def __init__(self, tracker: Tracker, state: TrackerState, *, fitted: FittedShape | None = None) -> None:
+        """state: of the tracker after the last frame of the first pass. fitted: proportions of the hand that is
+        followed back, where they are not those of the first pass. Raises ValueError where the state knows no
+        proportions, which is where no hand was ever found."""
         if state.shape is None:
             raise ValueError("state: expected one of a tracker that has found a hand")
         self._tracker = tracker = tracker.at(state)
         self._shape_before, self._last = state.shape, state.hand
-        self._shape = state.shape if shape is None else shape
+        self._shape = state.shape if fitted is None else fitted.shape
+        if fitted is not None:
+            state = replace(state, shape=fitted.shape, shape_cov=fitted.keypoints_cov)
         mirrored = tuple(replace(one, time_s=-one.time_s) for one in state.keyframes)
-        self._state = replace(state, time_s=None, hand=None, last_seen=None, keyframes=mirrored, shape=self._shape)
+        self._state = replace(state, time_s=None, hand=None, last_seen=None, keyframes=mirrored)
         self._tilts = TiltAlternatives(tracker, self._state) if TiltAlternatives.can_tilt(tracker) else None
         self._frames_to_look = 0
         self._odds: tuple[Tensor, Tensor] | None = None

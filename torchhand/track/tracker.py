@@ -875,6 +875,7 @@ class Tracker:
         posed = posed_belief(
             found.hand, self.parts.motion, self.kinematics, state.shape, overconfidence=factor, frames=found.frames
         )
+        covariance = posed.keypoints_cov + scale_covariance(posed.keypoints, self._scale_std)
         estimate = Estimate(
             status=status,
             time_s=scene.time_s,
@@ -882,7 +883,7 @@ class Tracker:
             pose_std=posed.pose_std,
             keypoints=posed.keypoints,
             keypoints_px=torch.stack([camera.project(posed.keypoints) for camera in self.own_cameras]),
-            keypoints_cov=posed.keypoints_cov + scale_covariance(posed.keypoints, self._scale_std),
+            keypoints_cov=covariance if state.shape_cov is None else covariance + state.shape_cov,
             overlaps=found.agreement.overlaps,
             overlap=found.overlap,
             unexplained=found.agreement.most_unexplained,

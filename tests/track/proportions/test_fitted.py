@@ -12,7 +12,11 @@ def fitted(more: list[float]) -> FittedShape:
     """Proportions with which frames cost so much more than with those before."""
     before = torch.tensor([40.0, 52.0, 33.0, 60.0, 45.0], dtype=torch.float64)[: len(more)]
     return FittedShape(
-        shape=NOTHING, shape_std=NOTHING, costs=before + torch.tensor(more, dtype=torch.float64), costs_before=before
+        shape=NOTHING,
+        shape_std=NOTHING,
+        keypoints_cov=torch.zeros(21, 3, 3, dtype=torch.float64),
+        costs=before + torch.tensor(more, dtype=torch.float64),
+        costs_before=before,
     )
 
 

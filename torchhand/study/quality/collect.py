@@ -17,6 +17,7 @@ from torchhand.study.quality.sequences import FPS, SimulatedSequence, sequence
 from torchhand.track import (
     BackwardPass,
     Estimate,
+    FittedShape,
     FollowedFrame,
     Tracker,
     TrackerSettings,
@@ -104,14 +105,14 @@ def _tracked(own: SimulatedSequence, tracker: Tracker) -> Iterator[tuple[Estimat
         yield estimate, frame.keypoints
     if state is None or state.shape is None:
         return
-    back = BackwardPass(tracker, state, shape=_fitted_shape(own, tracker, state, forward))
+    back = BackwardPass(tracker, state, fitted=_fitted_shape(own, tracker, state, forward))
     for frame, before in zip(reversed(own.frames), reversed(forward), strict=True):
         yield back.step(frame.views, before.time_s, before.pose).estimate, frame.keypoints
 
 
 def _fitted_shape(
     own: SimulatedSequence, tracker: Tracker, state: TrackerState, forward: Sequence[Estimate]
-) -> Float[Tensor, "shape"] | None:
+) -> FittedShape | None:
     """Proportions that the frames tell in which the hand is followed at least as well as in half of them; None where
     they tell none that are better than those before."""
     if not can_tell_shape(tracker):
@@ -122,7 +123,7 @@ def _fitted_shape(
     rows = spread_frames(poses, overlaps >= overlaps.nanmedian(), tracker.settings.shape_frames)
     frames = [FollowedFrame(views=own.frames[row].views, time_s=forward[row].time_s, pose=poses[row]) for row in rows]
     found = recorded_shape(tracker, state, frames)
-    return None if found is None or found.is_contradicted else found.shape
+    return None if found is None or found.is_contradicted else found
 
 
 def _sample(

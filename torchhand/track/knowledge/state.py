@@ -71,6 +71,8 @@ class TrackerState:
     """The hand that is followed; None while there is none."""
     shape: Float[Tensor, "shape"] | None = None
     """The proportions; None until they are known."""
+    shape_cov: Float[Tensor, "21 3 3"] | None = None
+    """What their uncertainty adds to the keypoints' covariances, tracker's world, m²; None where that is not known."""
     expected: Float[Tensor, "3"] | None = None
     """Where the followed hand was expected at that time, world frame, metres: about there the hull of the next frame is
     carved. None where no hand was followed, or no hull is used."""
@@ -124,11 +126,18 @@ class TrackerState:
         return any(self.shape_fitted_to < wanted <= count for wanted in counts)
 
     def with_shape(
-        self, shape: Float[Tensor, "shape"], frames: tuple[ShapeFrame, ...], *, is_last: bool
+        self,
+        shape: Float[Tensor, "shape"],
+        frames: tuple[ShapeFrame, ...],
+        *,
+        is_last: bool,
+        keypoints_cov: Float[Tensor, "21 3 3"] | None = None,
     ) -> "TrackerState":
-        """The state with proportions that are fitted to its frames, with which these go on, or which stand."""
+        """The state with proportions that are fitted to its frames, with which these go on, or which stand.
+
+        keypoints_cov: what their uncertainty adds to the keypoints' covariances, where that is known."""
         kept, count = (None, 0) if is_last else (frames, len(frames))
-        return replace(self, shape=shape, shape_frames=kept, shape_fitted_to=count)
+        return replace(self, shape=shape, shape_cov=keypoints_cov, shape_frames=kept, shape_fitted_to=count)
 
 
 @dataclass(frozen=True, kw_only=True)

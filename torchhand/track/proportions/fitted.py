@@ -15,7 +15,9 @@ from torchhand.devices import read_back
 from torchhand.fit import (
     GaussianPrior,
     Problem,
+    SharedSolution,
     SharedUnknowns,
+    SolveStatus,
     Stage,
     solve,
     solve_shared,
@@ -25,6 +27,8 @@ from torchhand.hand import (
     Anthropometry,
     HandKinematics,
     HandPose,
+    PoseJacobian,
+    ShapeJacobian,
     named_pose_space,
 )
 from torchhand.numerics import RobustLoss
@@ -49,6 +53,9 @@ class FittedShape:
     shape: Float[Tensor, "shape"]
     shape_std: Float[Tensor, "shape"]
     """Standard deviations; 0 for the hand's length, which one camera cannot tell from its distance."""
+    keypoints_cov: Float[Tensor, "21 3 3"]
+    """What that uncertainty adds to the covariances of keypoints, camera's frame, m²: hands of other proportions, each
+    where it explains the frames best, mean over these."""
     costs: Float[Tensor, "held_out"]
     """Nats of each frame that was held out, its pose free."""
     costs_before: Float[Tensor, "held_out"]
@@ -93,7 +100,22 @@ def fitted_shape(fit: FrameFit, frames: Sequence[SeenFrame], overconfidence: flo
     for shape in (fit.shape, found.shape):
         alone = replace(fit.problem(held_out), shape=shape)
         costs.append(solve(alone, _starts(held_out), fit.schedule).cost)
-    return FittedShape(shape=found.shape, shape_std=found.shape_std, costs=costs[1], costs_before=costs[0])
+    return FittedShape(
+        shape=found.shape,
+        shape_std=math.sqrt(overconfidence) * found.shape_std,
+        keypoints_cov=overconfidence * _keypoints_cov(fit, found, columns),
+        costs=costs[1],
+        costs_before=costs[0],
+    )
+
+
+def _keypoints_cov(fit: FrameFit, found: SharedSolution, columns: tuple[int, ...]) -> Float[Tensor, "21 3 3"]:
+    """Covariance of keypoints by that of the proportions, the poses following these, mean over the frames."""
+    hands = fit.kinematics(found.pose.dofs, found.shape, root_reference=found.pose.reference)
+    of_pose = PoseJacobian(fit.kinematics)(found.pose.dofs, hands) @ fit.motion.space.basis
+    moved = ShapeJacobian(fit.kinematics, columns)(hands, found.shape) + of_pose @ found.follow[:, None]
+    is_sound = (found.frame_status != SolveStatus.FAILED.value).to(moved)[:, None, None, None]
+    return (is_sound * (moved @ found.shared_covariance @ moved.mT)).sum(0) / is_sound.sum().clamp_min(1)
 
 
 def reshaped_poses(

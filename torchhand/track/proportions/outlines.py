@@ -68,13 +68,13 @@ class OutlineShape:
         scenes = [self.segmentation.scene((self._whole(one),), state.appearance, one.time_s) for one in frames]
         seen = [fit.seen(scene, one.pose) for scene, one in zip(scenes, frames, strict=True)]
         found = fitted_shape(fit, [one for one in seen if one is not None], self.overconfidence)
-        is_last, shape = len(frames) >= self.count, before
+        is_last, shape, cov = len(frames) >= self.count, before, state.shape_cov
         if found is not None and not found.is_contradicted:
-            shape = found.shape
+            shape, cov = found.shape, found.keypoints_cov
             poses = torch.stack([one.pose.vector for one in frames])
             moved = HandPose.of(reshaped_poses(poses, fit.motion, fit.kinematics, before, shape)).normalized()
             frames = tuple(replace(one, pose=moved[row]) for row, one in enumerate(frames))
-        return state.with_shape(shape, frames, is_last=is_last)
+        return state.with_shape(shape, frames, is_last=is_last, keypoints_cov=cov)
 
     def _about(self, pose: HandPose, shape: Tensor, view: View) -> tuple[View, tuple[int, int]]:
         """The part of a view about a hand, and the row and column at which it begins: states are saved and sent, and
