@@ -1,8 +1,11 @@
 """The second pass over a recording that was tracked: from the last frame to the first, then one result from both."""
 
+import json
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import torch
@@ -10,8 +13,8 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from torchhand.devices import HOST, read_back, sent_to
-from torchhand.files import Track, TrackWriter, load_track
-from torchhand.files.results import BACKWARD_NAME, JSONL_NAME
+from torchhand.files import FrameRecord, Track, TrackWriter, load_track
+from torchhand.files.results import BACKWARD_NAME, JSONL_NAME, track_of
 from torchhand.runs.keypoint_tracks import with_keypoints
 from torchhand.runs.progress import progress
 from torchhand.runs.recordings import reversed_frames
@@ -31,6 +34,7 @@ from torchhand.track import (
     BackwardPass,
     FittedShape,
     FollowedFrame,
+    TiltAlternatives,
     Tracker,
     can_tell_shape,
     recorded_shape,
@@ -46,25 +50,36 @@ def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
     that is stopped here and resumed does the second pass anew and ends with the same.
     """
     forward = load_track(writer.folder / JSONL_NAME)
-    before = None if run.state is None else run.state.shape
-    if before is None or not forward.has_hand.any():
+    state, before = run.state, None if run.state is None else run.state.shape
+    if state is None or before is None or not forward.has_hand.any():
         return
     writer.keep_forward()
     fitted = _adopted_shape(run, forward, say)
-    shape = before if fitted is None else fitted.shape
     say("second pass: the hand is followed back from the last frame to the first (--causal does without)")
-    alternatives = _follow_back(run, writer, forward, fitted, say)
+    alternatives = _follow(run, writer, forward, BackwardPass(run.tracker, state, fitted=fitted), say)
     if fitted is not None:
         forward = _reshaped(forward, run.tracker, before, fitted)
-    passes = TwoPasses.of(forward, load_track(writer.folder / BACKWARD_NAME), begins_at=run.begins_at)
-    cameras = sent_to(run.tracker.own_cameras, HOST)
-    camera = cameras[0] if len(cameras) == 1 else None
-    joined = list(joined_records(passes, run.kinematics, shape.to(HOST), camera))
+        state = replace(state, shape=fitted.shape, shape_cov=fitted.keypoints_cov)
+    joined = _joined(run, writer, forward)
+    if run.keypoints is None and TiltAlternatives.can_tilt(run.tracker):
+        say("third pass: the hand is followed once more, from the first frame to the last")
+        both = track_of(forward.header, (json.loads(record.as_json()) for record in joined))
+        follower = BackwardPass(run.tracker, state, is_forward=True)
+        alternatives = _follow(run, writer, both, follower, say, is_forward=True)
+        joined = _joined(run, writer, both)
     for record in widened(joined, alternatives):
         writer.correct(record)
     if fitted is not None:
         run.save_hand(writer.folder)
     writer.drop(BACKWARD_NAME)
+
+
+def _joined(run: Run, writer: TrackWriter, before: Track) -> list[FrameRecord]:
+    """The records of what a track was before a pass, and of that pass."""
+    passes = TwoPasses.of(before, load_track(writer.folder / BACKWARD_NAME), begins_at=run.begins_at)
+    cameras, shape = sent_to(run.tracker.own_cameras, HOST), run.shape
+    assert shape is not None
+    return list(joined_records(passes, run.kinematics, shape, cameras[0] if len(cameras) == 1 else None))
 
 
 def _adopted_shape(run: Run, forward: Track, say: Say) -> FittedShape | None:
@@ -122,26 +137,29 @@ def _reshaped(track: Track, tracker: Tracker, before: Tensor, fitted: FittedShap
     return replace(track, pose=pose, keypoints3d=keypoints, keypoints2d=in_picture, keypoints3d_cov=covariance)
 
 
-def _follow_back(
-    run: Run, writer: TrackWriter, forward: Track, fitted: FittedShape | None, say: Say
+def _follow(
+    run: Run, writer: TrackWriter, before: Track, follower: BackwardPass, say: Say, *, is_forward: bool = False
 ) -> dict[int, Alternatives]:
-    """Writes the second pass; hands that explain the pictures about as well, by rows, where others were looked for."""
-    assert run.state is not None
-    recording, follower = run.recording, BackwardPass(run.tracker, run.state, fitted=fitted)
+    """Writes another pass; hands that explain the pictures about as well, by rows, where others were looked for.
+
+    before: the track so far. is_forward: whether the frames come in their order.
+    """
+    recording, has_hand = run.recording, before.has_hand
     names = [camera.name for camera in recording.cameras]
-    rows = {int(frame): row for row, frame in enumerate(forward.frame)}
-    has_hand, alternatives = forward.has_hand, dict[int, Alternatives]()
+    rows, alternatives = {int(frame): row for row, frame in enumerate(before.frame)}, dict[int, Alternatives]()
     count = int(np.flatnonzero(has_hand)[-1]) + 1  # nothing is followed back from a later frame
     if run.keypoints is not None:
         run.keypoints.rewind()
+    told = recording.name if is_forward else f"{recording.name}, backwards"
     with (
         writer.lines_beside(BACKWARD_NAME) as lines,
-        progress(f"{recording.name}, backwards", count, say) as bar,
+        progress(told, count, say) as bar,
+        recording.opened(0) if is_forward else nullcontext(reversed_frames(recording, count)) as frames,
     ):
-        for frame in reversed_frames(recording, count):
+        for frame in islice(frames, count):
             started, row = time.perf_counter(), rows[frame.index]
             views = with_keypoints(frame, run.keypoints, None).views
-            pose = torch.from_numpy(forward.pose[row]) if has_hand[row] else None
+            pose = torch.from_numpy(before.pose[row]) if has_hand[row] else None
             second = follower.step(views, frame.time_s, pose)
             seconds = time.perf_counter() - started
             record = record_of(frame.index, second.estimate, names, seconds=seconds)

@@ -11,7 +11,7 @@ from types import ModuleType
 from typing import Any
 
 from torchhand.track.ahead import ScenesAhead, scenes_ahead
-from torchhand.track.alternatives import Alternatives
+from torchhand.track.alternatives import Alternatives, TiltAlternatives
 from torchhand.track.backward import BackwardPass
 from torchhand.track.beside import STILL_SEARCHED, SearchBeside, opened_tracker
 from torchhand.track.knowledge import Estimate, Keyframe, TrackerState, restored_state, saved_state
@@ -42,6 +42,7 @@ __all__ = [
     "ScenesAhead",
     "SearchBeside",
     "Smoother",
+    "TiltAlternatives",
     "Tracker",
     "TrackerSettings",
     "TrackerState",

@@ -61,10 +61,13 @@ class BackwardPass:
     no hand it takes that of the first pass; where that has none either, nothing is looked for: the first pass did.
     """
 
-    def __init__(self, tracker: Tracker, state: TrackerState, *, fitted: FittedShape | None = None) -> None:
+    def __init__(
+        self, tracker: Tracker, state: TrackerState, *, fitted: FittedShape | None = None, is_forward: bool = False
+    ) -> None:
         """state: of the tracker after the last frame of the first pass. fitted: proportions of the hand that is
-        followed back, where they are not those of the first pass. Raises ValueError where the state knows no
-        proportions, which is where no hand was ever found."""
+        followed back, where they are not those of the first pass. is_forward: whether frames come in their order, in a
+        pass after one that went back. Raises ValueError where the state knows no proportions, which is where no hand
+        was ever found."""
         if state.shape is None:
             raise ValueError("state: expected one of a tracker that has found a hand")
         self._tracker = tracker = tracker.at(state)
@@ -72,7 +75,8 @@ class BackwardPass:
         self._shape = state.shape if fitted is None else fitted.shape
         if fitted is not None:
             state = replace(state, shape=fitted.shape, shape_cov=fitted.keypoints_cov)
-        mirrored = tuple(replace(one, time_s=-one.time_s) for one in state.keyframes)
+        self._sign = 1.0 if is_forward else -1.0
+        mirrored = tuple(replace(one, time_s=self._sign * one.time_s) for one in state.keyframes)
         self._state = replace(state, time_s=None, hand=None, last_seen=None, keyframes=mirrored)
         self._tilts = TiltAlternatives(tracker, self._state) if TiltAlternatives.can_tilt(tracker) else None
         self._frames_to_look = 0
@@ -91,7 +95,7 @@ class BackwardPass:
             if before is None:
                 return SecondEstimate(estimate=Estimate(status="no_hand", time_s=time_s, reason="nothing to follow"))
             self._state = replace(self._state, hand=self._begun(self._reshaped(before)), time_s=None)
-        self._state, estimate = self._tracker.step(self._state, views, -time_s)
+        self._state, estimate = self._tracker.step(self._state, views, self._sign * time_s)
         estimate = replace(estimate, time_s=time_s)
         other, estimate = self._other_tilts(estimate, before, views, time_s)
         if estimate.keypoints is None or estimate.pose is None or before is None:
@@ -99,7 +103,7 @@ class BackwardPass:
         keypoints = estimate.keypoints.to(device)
         if float((keypoints - self._keypoints(before, self._shape_before)).norm(dim=-1).mean()) < _SAME_M:
             return SecondEstimate(estimate=estimate, evidence=0.0, evidence_before=0.0, alternatives=other)
-        scene = self._tracker.scene(self._state, views, -time_s)
+        scene = self._tracker.scene(self._state, views, self._sign * time_s)
         here, there = self._evidence([HandPose.of(estimate.pose.to(device)).normalized(), before], scene)
         return SecondEstimate(estimate=estimate, evidence=here, evidence_before=there, alternatives=other)
 
@@ -113,7 +117,7 @@ class BackwardPass:
             return None, estimate
         self._frames_to_look = _LOOK_EVERY
         device = self._tracker.device
-        scene = self._tracker.scene(self._state, views, -time_s)
+        scene = self._tracker.scene(self._state, views, self._sign * time_s)
         hands = [HandPose.of(estimate.pose.to(device)).normalized()]
         hands += [] if before is None else [self._reshaped(before)]
         found = self._tilts(scene, hands)

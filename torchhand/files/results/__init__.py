@@ -45,6 +45,7 @@ from torchhand.files.results.track_record import (
     FrameStatus,
     Track,
     TrackHeader,
+    track_of,
 )
 
 __all__ = [
@@ -86,5 +87,6 @@ __all__ = [
     "finish_replacement",
     "load_track",
     "replace_result",
+    "track_of",
     "write_npz",
 ]
