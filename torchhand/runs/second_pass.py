@@ -2,10 +2,9 @@
 
 import json
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from itertools import islice
+from functools import partial
 
 import numpy as np
 import torch
@@ -14,10 +13,11 @@ from torch import Tensor
 
 from torchhand.devices import HOST, read_back, sent_to
 from torchhand.files import FrameRecord, Track, TrackWriter, load_track
+from torchhand.files.disk import LineFile
 from torchhand.files.results import BACKWARD_NAME, JSONL_NAME, track_of
 from torchhand.runs.keypoint_tracks import with_keypoints
 from torchhand.runs.progress import progress
-from torchhand.runs.recordings import reversed_frames
+from torchhand.runs.recordings import RecordedFrame, reversed_frames
 from torchhand.runs.records import (
     EVIDENCE,
     EVIDENCE_BEFORE,
@@ -36,6 +36,7 @@ from torchhand.track import (
     FollowedFrame,
     TiltAlternatives,
     Tracker,
+    TrackerState,
     can_tell_shape,
     recorded_shape,
     reshaped_poses,
@@ -56,17 +57,18 @@ def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
     writer.keep_forward()
     fitted = _adopted_shape(run, forward, say)
     say("second pass: the hand is followed back from the last frame to the first (--causal does without)")
-    alternatives = _follow(run, writer, forward, BackwardPass(run.tracker, state, fitted=fitted), say)
+    alternatives = _follow_back(run, writer, forward, BackwardPass(run.tracker, state, fitted=fitted), say)
     if fitted is not None:
         forward = _reshaped(forward, run.tracker, before, fitted)
         state = replace(state, shape=fitted.shape, shape_cov=fitted.keypoints_cov)
-    joined = _joined(run, writer, forward)
-    if run.keypoints is None and TiltAlternatives.can_tilt(run.tracker):
-        say("third pass: the hand is followed once more, from the first frame to the last")
+    passes = _passes(run, writer, forward)
+    joined = _joined(run, passes)
+    if run.keypoints is None and TiltAlternatives.can_tilt(run.tracker) and (is_open := passes.is_open()).any():
+        say(f"third pass: {int(is_open.sum())} frames in which these two differ, from the first to the last")
         both = track_of(forward.header, (json.loads(record.as_json()) for record in joined))
-        follower = BackwardPass(run.tracker, state, is_forward=True)
-        alternatives = _follow(run, writer, both, follower, say, is_forward=True)
-        joined = _joined(run, writer, both)
+        again = _follow_again(run, writer, both, is_open, partial(_again, run.tracker, state), say)
+        alternatives = {row: found for row, found in alternatives.items() if not is_open[row]} | again
+        joined = _joined(run, _passes(run, writer, both))
     for record in widened(joined, alternatives):
         writer.correct(record)
     if fitted is not None:
@@ -74,12 +76,19 @@ def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
     writer.drop(BACKWARD_NAME)
 
 
-def _joined(run: Run, writer: TrackWriter, before: Track) -> list[FrameRecord]:
-    """The records of what a track was before a pass, and of that pass."""
-    passes = TwoPasses.of(before, load_track(writer.folder / BACKWARD_NAME), begins_at=run.begins_at)
+def _passes(run: Run, writer: TrackWriter, before: Track) -> TwoPasses:
+    """What a track was before the pass that was written last, and that pass."""
+    return TwoPasses.of(before, load_track(writer.folder / BACKWARD_NAME), begins_at=run.begins_at)
+
+
+def _joined(run: Run, passes: TwoPasses) -> list[FrameRecord]:
     cameras, shape = sent_to(run.tracker.own_cameras, HOST), run.shape
     assert shape is not None
     return list(joined_records(passes, run.kinematics, shape, cameras[0] if len(cameras) == 1 else None))
+
+
+def _again(tracker: Tracker, state: TrackerState) -> BackwardPass:
+    return BackwardPass(tracker, state, is_forward=True)
 
 
 def _adopted_shape(run: Run, forward: Track, say: Say) -> FittedShape | None:
@@ -137,40 +146,78 @@ def _reshaped(track: Track, tracker: Tracker, before: Tensor, fitted: FittedShap
     return replace(track, pose=pose, keypoints3d=keypoints, keypoints2d=in_picture, keypoints3d_cov=covariance)
 
 
-def _follow(
-    run: Run, writer: TrackWriter, before: Track, follower: BackwardPass, say: Say, *, is_forward: bool = False
+def _follow_back(
+    run: Run, writer: TrackWriter, before: Track, follower: BackwardPass, say: Say
 ) -> dict[int, Alternatives]:
-    """Writes another pass; hands that explain the pictures about as well, by rows, where others were looked for.
-
-    before: the track so far. is_forward: whether the frames come in their order.
-    """
-    recording, has_hand = run.recording, before.has_hand
-    names = [camera.name for camera in recording.cameras]
-    rows, alternatives = {int(frame): row for row, frame in enumerate(before.frame)}, dict[int, Alternatives]()
-    count = int(np.flatnonzero(has_hand)[-1]) + 1  # nothing is followed back from a later frame
-    if run.keypoints is not None:
-        run.keypoints.rewind()
-    told = recording.name if is_forward else f"{recording.name}, backwards"
+    """Writes the second pass; hands that explain the pictures about as well, by rows, where others were looked for.
+    before: the first one."""
+    alternatives = dict[int, Alternatives]()
+    count = int(np.flatnonzero(before.has_hand)[-1]) + 1  # nothing is followed back from a later frame
     with (
         writer.lines_beside(BACKWARD_NAME) as lines,
-        progress(told, count, say) as bar,
-        recording.opened(0) if is_forward else nullcontext(reversed_frames(recording, count)) as frames,
+        progress(f"{run.recording.name}, backwards", count, say) as bar,
     ):
-        for frame in islice(frames, count):
-            started, row = time.perf_counter(), rows[frame.index]
-            views = with_keypoints(frame, run.keypoints, None).views
-            pose = torch.from_numpy(before.pose[row]) if has_hand[row] else None
-            second = follower.step(views, frame.time_s, pose)
-            seconds = time.perf_counter() - started
-            record = record_of(frame.index, second.estimate, names, seconds=seconds)
-            own = {
-                EVIDENCE: second.evidence,
-                EVIDENCE_BEFORE: second.evidence_before,
-                IS_NEW: second.estimate.is_new,
-                IS_SURE: run.tracker.is_sure(second.estimate),
-            }
-            lines.append(record.with_measures(own).as_json())
-            if second.alternatives is not None:
-                alternatives[row] = sent_to(second.alternatives, HOST)
+        for frame in _with_keypoints(run, reversed_frames(run.recording, count)):
+            _write_step(run, lines, frame, before, follower, alternatives)
             bar.update()
     return alternatives
+
+
+def _follow_again(
+    run: Run,
+    writer: TrackWriter,
+    before: Track,
+    is_open: Bool[np.ndarray, " t"],
+    begun: Callable[[], BackwardPass],
+    say: Say,
+) -> dict[int, Alternatives]:
+    """The same for some frames in their order; begun: what follows the hand through frames that follow one another.
+    before: the track by both passes."""
+    alternatives, wanted = dict[int, Alternatives](), {int(frame) for frame in before.frame[is_open]}
+    follower: BackwardPass | None = None
+    with (
+        writer.lines_beside(BACKWARD_NAME) as lines,
+        progress(f"{run.recording.name}, again", len(wanted), say) as bar,
+        run.recording.opened(0) as frames,
+    ):
+        for frame in frames:
+            if frame.index > max(wanted):
+                break
+            if frame.index not in wanted:
+                follower = None
+                continue
+            follower = begun() if follower is None else follower
+            _write_step(run, lines, frame, before, follower, alternatives)
+            bar.update()
+    return alternatives
+
+
+def _with_keypoints(run: Run, frames: Iterator[RecordedFrame]) -> Iterator[RecordedFrame]:
+    if run.keypoints is not None:
+        run.keypoints.rewind()
+    return (with_keypoints(frame, run.keypoints, None) for frame in frames)
+
+
+def _write_step(
+    run: Run,
+    lines: LineFile,
+    frame: RecordedFrame,
+    before: Track,
+    follower: BackwardPass,
+    alternatives: dict[int, Alternatives],
+) -> None:
+    """One step of another pass."""
+    started, row = time.perf_counter(), int(np.searchsorted(before.frame, frame.index))
+    pose = torch.from_numpy(before.pose[row]) if before.has_hand[row] else None
+    second = follower.step(frame.views, frame.time_s, pose)
+    names = [camera.name for camera in run.recording.cameras]
+    record = record_of(frame.index, second.estimate, names, seconds=time.perf_counter() - started)
+    own = {
+        EVIDENCE: second.evidence,
+        EVIDENCE_BEFORE: second.evidence_before,
+        IS_NEW: second.estimate.is_new,
+        IS_SURE: run.tracker.is_sure(second.estimate),
+    }
+    lines.append(record.with_measures(own).as_json())
+    if second.alternatives is not None:
+        alternatives[row] = sent_to(second.alternatives, HOST)

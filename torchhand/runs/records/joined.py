@@ -22,6 +22,9 @@ hand was found otherwise than by following it; whether so much is explained that
 
 _APART_M = 0.020  # mean distance of keypoints beyond which the hand that is followed back is not the one of the track
 _MAX_UNSURE = 3  # frames in a row in which that hand may be borne out less
+_OPEN_M, _AROUND = 0.008, 8
+"""Mean distance of keypoints, their common shift left out, beyond which two passes tell different hands; and frames
+before and after these that a third pass begins and ends with."""
 _DROP = 0.15  # overlap by which a hand that fills a loss may have less than where the loss ends
 
 
@@ -56,6 +59,14 @@ class TwoPasses:
     def has_hands(self) -> tuple[Bool[np.ndarray, " t"], Bool[np.ndarray, " t"]]:
         """Forwards and backwards."""
         return self.forward.has_hand, self.backward.has_hand
+
+    def is_open(self) -> Bool[np.ndarray, " t"]:
+        """Frames in which the passes tell different hands, or one of them none, and those about them."""
+        missed = self.forward.keypoints3d - self.backward.keypoints3d
+        apart = np.linalg.norm(missed - missed.mean(1, keepdims=True), axis=-1).mean(-1)
+        was, then = self.has_hands
+        differ = (was | then) & ~(apart <= _OPEN_M)
+        return np.convolve(differ, np.ones(2 * _AROUND + 1), "full")[_AROUND : _AROUND + len(differ)] > 0
 
     def weights(self) -> Float[Tensor, "t 2"]:
         """How far each pass is believed; 0 for both where there is no hand.
