@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -435,6 +436,28 @@ def test_a_run_that_is_stopped_in_either_pass_ends_as_if_it_had_not_been(
     assert run(clip.frames, "--out", out, "--resume", *clip.with_second_pass).code == 0
     assert {path.name for path in out.iterdir()} == {path.name for path in smoothed.iterdir()}
     assert _lines_without_seconds(out) == _lines_without_seconds(smoothed)
+
+
+def test_frames_in_which_the_passes_differ_are_followed_once_more_and_again_where_that_is_stopped(
+    clip: Clip, smoothed: Path, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only of hands that are tilted, and without a detector; this one is not, and is taken for one that is."""
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    monkeypatch.setattr("torchhand.runs.records.joined._OPEN_M", 0.0)
+    assert "third pass" not in run(clip.frames, "--out", tmp_path / "out", *clip.with_second_pass).err
+    monkeypatch.setattr("torchhand.runs.second_pass.TiltAlternatives", SimpleNamespace(can_tilt=lambda tracker: True))
+    outcome = run(clip.frames, "--out", whole, *clip.with_second_pass)
+    assert f"third pass: {FRAMES} frames" in outcome.err
+    assert {path.name for path in whole.iterdir()} == {path.name for path in smoothed.iterdir()}
+    twice, track = load_track(smoothed), load_track(whole)
+    off = np.linalg.norm(track.keypoints3d - twice.keypoints3d, axis=-1).mean(-1)
+    assert (off > 0).any()
+    assert np.median(off) < 0.005
+    with monkeypatch.context() as patch:
+        _stop_after(patch, 2 * FRAMES + 4, KeyboardInterrupt())
+        assert run(clip.frames, "--out", parts, *clip.with_second_pass).code == 130
+    assert run(clip.frames, "--out", parts, "--resume", *clip.with_second_pass).code == 0
+    assert _lines_without_seconds(parts) == _lines_without_seconds(whole)
 
 
 def test_a_finished_run_of_two_passes_goes_on_further(clip: Clip, smoothed: Path, run: Run, tmp_path: Path) -> None:

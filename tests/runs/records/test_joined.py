@@ -61,6 +61,18 @@ def _joined(kinematics: HandKinematics, forward: Track, backward: Track) -> list
     return list(joined_records(TwoPasses.of(forward, backward), kinematics, kinematics.default_shape, None))
 
 
+def test_frames_in_which_the_passes_differ_and_those_about_them_are_open(
+    kinematics: HandKinematics, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("torchhand.runs.records.joined._AROUND", 1)
+    forward, other = _track(kinematics, 0.2, lost=(0,)), _track(kinematics, 1.6)
+    second = _second(kinematics, 0.2, lost=(0, 6))
+    second.keypoints3d[3] = other.keypoints3d[3]
+    second.keypoints3d[1] += (0.0, 0.0, 0.02)  # a hand that is farther off is no other one
+    assert np.flatnonzero(TwoPasses.of(forward, second).is_open()).tolist() == [2, 3, 4, 5, 6, 7]
+    assert not TwoPasses.of(forward, _second(kinematics, 0.2, lost=(0,))).is_open().any()
+
+
 def test_the_pass_that_the_views_bear_out_is_believed(kinematics: HandKinematics) -> None:
     forward = _track(kinematics, 0.2, score=0.8, nis=0.1)
     for evidence, expected in ((5.0, 1.6), (-5.0, 0.2)):
