@@ -64,7 +64,7 @@ def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
     passes = _passes(run, writer, forward)
     joined = _joined(run, passes)
     if run.keypoints is None and TiltAlternatives.can_tilt(run.tracker) and (is_open := passes.is_open()).any():
-        say(f"third pass: {int(is_open.sum())} frames in which these two differ, from the first to the last")
+        say(f"third pass: {int(is_open.sum())} frames in and about which these two differ, from the first to the last")
         both = track_of(forward.header, (json.loads(record.as_json()) for record in joined))
         again = _follow_again(run, writer, both, is_open, partial(_again, run.tracker, state), say)
         alternatives = {row: found for row, found in alternatives.items() if not is_open[row]} | again
