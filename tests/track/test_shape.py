@@ -119,7 +119,7 @@ def test_frames_that_are_independent_tell_the_proportions_of_the_person(
 def test_errors_that_all_frames_share_leave_proportions_less_sure(
     studio: Studio, kinematics: HandKinematics, person: Tensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Four times as overconfident a rule makes a standard deviation nothing but larger, and no more than four times."""
+    """Standard deviations of a rule sixteen times as overconfident are larger, and none larger than people's."""
     monkeypatch.setattr("torchhand.track.shape.SCHEDULE", (Stage(gross_m=0.0075, rounds=1, iterations=1),))
     frames, found = frames_of(studio, person), []
     for factor in (1.0, 16.0):

@@ -1,10 +1,10 @@
-"""The second pass over a recording that was tracked: from the last frame to the first, then one result from both."""
+"""Further passes over a recording that was tracked, and one result from all: from the last frame to the first, and
+forwards once more where these differ."""
 
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import torch
@@ -47,8 +47,8 @@ from torchhand.track import (
 def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
     """Estimate the frames of a finished forward pass again, by those that come after them too.
 
-    What the second pass finds grows in a file of its own; the forward pass is kept beside the result, so that a run
-    that is stopped here and resumed does the second pass anew and ends with the same.
+    What another pass finds grows in a file of its own; the forward pass is kept beside the result, so that a run that
+    is stopped here and resumed does the others anew and ends with the same.
     """
     forward = load_track(writer.folder / JSONL_NAME)
     state, before = run.state, None if run.state is None else run.state.shape
@@ -60,13 +60,13 @@ def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
     alternatives = _follow_back(run, writer, forward, BackwardPass(run.tracker, state, fitted=fitted), say)
     if fitted is not None:
         forward = _reshaped(forward, run.tracker, before, fitted)
-        state = replace(state, shape=fitted.shape, shape_cov=fitted.keypoints_cov)
+        state = replace(state, shape=fitted.shape, shape_keypoints_cov=fitted.keypoints_cov)
     passes = _passes(run, writer, forward)
     joined = _joined(run, passes)
     if run.keypoints is None and TiltAlternatives.can_tilt(run.tracker) and (is_open := passes.is_open()).any():
         say(f"third pass: {int(is_open.sum())} frames in and about which these two differ, from the first to the last")
         both = track_of(forward.header, (json.loads(record.as_json()) for record in joined))
-        again = _follow_again(run, writer, both, is_open, partial(_again, run.tracker, state), say)
+        again = _follow_again(run, writer, both, is_open, state, say)
         alternatives = {row: found for row, found in alternatives.items() if not is_open[row]} | again
         joined = _joined(run, _passes(run, writer, both))
     for record in widened(joined, alternatives):
@@ -85,10 +85,6 @@ def _joined(run: Run, passes: TwoPasses) -> list[FrameRecord]:
     cameras, shape = sent_to(run.tracker.own_cameras, HOST), run.shape
     assert shape is not None
     return list(joined_records(passes, run.kinematics, shape, cameras[0] if len(cameras) == 1 else None))
-
-
-def _again(tracker: Tracker, state: TrackerState) -> BackwardPass:
-    return BackwardPass(tracker, state, is_forward=True)
 
 
 def _adopted_shape(run: Run, forward: Track, say: Say) -> FittedShape | None:
@@ -168,25 +164,25 @@ def _follow_again(
     writer: TrackWriter,
     before: Track,
     is_open: Bool[np.ndarray, " t"],
-    begun: Callable[[], BackwardPass],
+    state: TrackerState,
     say: Say,
 ) -> dict[int, Alternatives]:
-    """The same for some frames in their order; begun: what follows the hand through frames that follow one another.
-    before: the track by both passes."""
+    """The same of a third pass over some frames in their order, begun anew wherever frames are left out. before: the
+    track by both passes. state: of the tracker after the first one, with the track's proportions."""
     alternatives, wanted = dict[int, Alternatives](), {int(frame) for frame in before.frame[is_open]}
-    follower: BackwardPass | None = None
+    last, follower = max(wanted), None
     with (
         writer.lines_beside(BACKWARD_NAME) as lines,
         progress(f"{run.recording.name}, again", len(wanted), say) as bar,
         run.recording.opened(0) as frames,
     ):
         for frame in frames:
-            if frame.index > max(wanted):
+            if frame.index > last:
                 break
             if frame.index not in wanted:
                 follower = None
                 continue
-            follower = begun() if follower is None else follower
+            follower = follower or BackwardPass(run.tracker, state, is_forward=True)
             _write_step(run, lines, frame, before, follower, alternatives)
             bar.update()
     return alternatives
@@ -208,8 +204,8 @@ def _write_step(
 ) -> None:
     """One step of another pass."""
     started, row = time.perf_counter(), int(np.searchsorted(before.frame, frame.index))
-    pose = torch.from_numpy(before.pose[row]) if before.has_hand[row] else None
-    second = follower.step(frame.views, frame.time_s, pose)
+    pose = torch.from_numpy(before.pose[row])
+    second = follower.step(frame.views, frame.time_s, pose if bool(pose.isfinite().all()) else None)
     names = [camera.name for camera in run.recording.cameras]
     record = record_of(frame.index, second.estimate, names, seconds=time.perf_counter() - started)
     own = {

@@ -1,4 +1,5 @@
-"""The second pass over a recording: the hand of the first one, followed from the last frame to the first."""
+"""A further pass over a recording: the hand of the one before, followed from the last frame to the first, or once more
+from the first to the last."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -43,38 +44,38 @@ _HELD = 1e-6  # radians and metres by which a pose may differ from what a track 
 
 @dataclass(frozen=True, kw_only=True)
 class SecondEstimate:
-    """One frame of the second pass."""
+    """One frame of a further pass."""
 
     estimate: Estimate
     evidence: float | None = None
     """How far the views bear out the hand, nats; None where nothing is compared."""
     evidence_before: float | None = None
-    """The same of the hand of the first pass, in the same scene."""
+    """The same of the hand of the pass before, in the same scene."""
     alternatives: Alternatives | None = None
     """Hands that explain the picture, where others were looked for."""
 
 
 class BackwardPass:
-    """Follows a hand through the frames of a recording in reverse order.
+    """Follows a hand through the frames of a recording in reverse order; or, after such a pass, in their order again.
 
     The tracker steps as it does forwards, with keypoints, network and proposals, and time runs backwards. Where it has
-    no hand it takes that of the first pass; where that has none either, nothing is looked for: the first pass did.
+    no hand it takes that of the pass before; where that has none either, nothing is looked for: the first pass did.
     """
 
     def __init__(
         self, tracker: Tracker, state: TrackerState, *, fitted: FittedShape | None = None, is_forward: bool = False
     ) -> None:
         """state: of the tracker after the last frame of the first pass. fitted: proportions of the hand that is
-        followed back, where they are not those of the first pass. is_forward: whether frames come in their order, in a
-        pass after one that went back. Raises ValueError where the state knows no proportions, which is where no hand
-        was ever found."""
+        followed back, where they are not those of the first pass. is_forward: whether frames come in their order, after
+        a pass that went back. Raises ValueError where the state knows no proportions, which is where no hand was ever
+        found."""
         if state.shape is None:
             raise ValueError("state: expected one of a tracker that has found a hand")
         self._tracker = tracker = tracker.at(state)
         self._shape_before, self._last = state.shape, state.hand
         self._shape = state.shape if fitted is None else fitted.shape
         if fitted is not None:
-            state = replace(state, shape=fitted.shape, shape_cov=fitted.keypoints_cov)
+            state = replace(state, shape=fitted.shape, shape_keypoints_cov=fitted.keypoints_cov)
         self._sign = 1.0 if is_forward else -1.0
         mirrored = tuple(replace(one, time_s=self._sign * one.time_s) for one in state.keyframes)
         self._state = replace(state, time_s=None, hand=None, last_seen=None, keyframes=mirrored)

@@ -883,7 +883,7 @@ class Tracker:
             pose_std=posed.pose_std,
             keypoints=posed.keypoints,
             keypoints_px=torch.stack([camera.project(posed.keypoints) for camera in self.own_cameras]),
-            keypoints_cov=covariance if state.shape_cov is None else covariance + state.shape_cov,
+            keypoints_cov=covariance if state.shape_keypoints_cov is None else covariance + state.shape_keypoints_cov,
             overlaps=found.agreement.overlaps,
             overlap=found.overlap,
             unexplained=found.agreement.most_unexplained,

@@ -103,9 +103,10 @@ def test_proportions_of_the_person_are_found_and_stand(
     assert last is not None
     assert states[2].shape is not None
     assert torch.equal(states[2].shape, default)  # what nothing judges is not believed
-    assert states[2].shape_cov is None
-    assert states[-1].shape_cov is not None
-    across, along = states[-1].shape_cov.diagonal(dim1=-2, dim2=-1).sqrt().split((2, 1), -1)  # the line of sight
+    assert states[2].shape_keypoints_cov is None
+    left_open = states[-1].shape_keypoints_cov
+    assert left_open is not None
+    across, along = left_open.diagonal(dim1=-2, dim2=-1).sqrt().split((2, 1), -1)  # the line of sight
     assert bool((along > across).all())  # what outlines hold is across it
     assert 5e-4 < float(across.mean()) < 5e-3
     is_radius = torch.tensor([name.endswith(("pip_radius", "dip_radius")) for name in space.names])

@@ -71,7 +71,7 @@ class TrackerState:
     """The hand that is followed; None while there is none."""
     shape: Float[Tensor, "shape"] | None = None
     """The proportions; None until they are known."""
-    shape_cov: Float[Tensor, "21 3 3"] | None = None
+    shape_keypoints_cov: Float[Tensor, "21 3 3"] | None = None
     """What their uncertainty adds to the keypoints' covariances, tracker's world, m²; None where that is not known."""
     expected: Float[Tensor, "3"] | None = None
     """Where the followed hand was expected at that time, world frame, metres: about there the hull of the next frame is
@@ -137,7 +137,7 @@ class TrackerState:
 
         keypoints_cov: what their uncertainty adds to the keypoints' covariances, where that is known."""
         kept, count = (None, 0) if is_last else (frames, len(frames))
-        return replace(self, shape=shape, shape_cov=keypoints_cov, shape_frames=kept, shape_fitted_to=count)
+        return replace(self, shape=shape, shape_keypoints_cov=keypoints_cov, shape_frames=kept, shape_fitted_to=count)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,8 +27,8 @@ from torchhand.hand import (
     Anthropometry,
     HandKinematics,
     HandPose,
-    PoseJacobian,
     ShapeJacobian,
+    keypoint_jacobian,
     named_pose_space,
 )
 from torchhand.numerics import RobustLoss
@@ -112,7 +112,7 @@ def fitted_shape(fit: FrameFit, frames: Sequence[SeenFrame], overconfidence: flo
 def _keypoints_cov(fit: FrameFit, found: SharedSolution, columns: tuple[int, ...]) -> Float[Tensor, "21 3 3"]:
     """Covariance of keypoints by that of the proportions, the poses following these, mean over the frames."""
     hands = fit.kinematics(found.pose.dofs, found.shape, root_reference=found.pose.reference)
-    of_pose = PoseJacobian(fit.kinematics)(found.pose.dofs, hands) @ fit.motion.space.basis
+    of_pose = keypoint_jacobian(fit.kinematics, found.pose.dofs, hands, basis=fit.motion.space.basis)
     moved = ShapeJacobian(fit.kinematics, columns)(hands, found.shape) + of_pose @ found.follow[:, None]
     is_sound = (found.frame_status != SolveStatus.FAILED.value).to(moved)[:, None, None, None]
     return (is_sound * (moved @ found.shared_covariance @ moved.mT)).sum(0) / is_sound.sum().clamp_min(1)

@@ -68,7 +68,7 @@ class OutlineShape:
         scenes = [self.segmentation.scene((self._whole(one),), state.appearance, one.time_s) for one in frames]
         seen = [fit.seen(scene, one.pose) for scene, one in zip(scenes, frames, strict=True)]
         found = fitted_shape(fit, [one for one in seen if one is not None], self.overconfidence)
-        is_last, shape, cov = len(frames) >= self.count, before, state.shape_cov
+        is_last, shape, cov = len(frames) >= self.count, before, state.shape_keypoints_cov
         if found is not None and not found.is_contradicted:
             shape, cov = found.shape, found.keypoints_cov
             poses = torch.stack([one.pose.vector for one in frames])
