@@ -16,10 +16,12 @@ import yaml
 
 from tests.live_pictures import delivered_as_tracked
 from torchhand.cli.track_multiview import main
+from torchhand.detect import HandDetector
 from torchhand.errors import InputError
 from torchhand.files import (
     Frame,
     FrameSource,
+    HandDetection,
     load_cameras,
     load_hand_model,
     load_track,
@@ -172,6 +174,50 @@ def test_the_first_hand_is_looked_for_where_cameras_without_distortion_see_its_p
         for view, camera in zip(views, bare, strict=True):
             assert view.keypoints is not None
             torch.testing.assert_close(view.keypoints.points_px, camera.project(truth[frame]), rtol=0, atol=0.01)
+
+
+class _Looking:
+    """Finds a hand at as many pixels as it has seen pictures (`Landmarker`, `Landmarks`)."""
+
+    name = "looking"
+
+    def __init__(self) -> None:
+        self.seen = 0
+
+    def open(self, hands: int) -> "_Looking":
+        return self
+
+    def detect(self, image: torch.Tensor) -> list[HandDetection]:
+        self.seen += 1
+        points = np.full((21, 2), float(self.seen))
+        return [HandDetection(picture=points, space=None, confidence=None, label="right", score=0.9)]
+
+    def close(self) -> None: ...
+
+
+def test_a_detector_that_runs_along_sees_the_pictures_of_the_start(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[_Looking] = []
+    told: list[list[float]] = []
+
+    def detector(**options: Any) -> HandDetector:
+        made.append(_Looking())
+        return HandDetector(side=options["side"], landmarker=made[-1])
+
+    def asked(hand: Hand, silhouettes: ViewSilhouettes, frames: Iterable, *_: Any, **__: Any) -> Initialization:
+        for _, views in frames:
+            told.append([float(view.keypoints.points_px[0, 0]) for view in views])
+        raise InputError("seen enough")
+
+    monkeypatch.setattr("torchhand.runs.request.HandDetector", detector)
+    monkeypatch.setattr("torchhand.runs.tracking.initialize", asked)
+    assert run(recording, tmp_path / "out", "--keypoints", "mediapipe") == 2
+    assert told == [[2 * count] * 4 for count in range(1, len(told) + 1)]  # each is looked at twice
+    assert len(told) == 1  # rig.shape_frames
+    own, other = made[:4], made[4:]
+    assert [one.seen for one in own] == [0] * 4  # those of the run have yet to see its first picture
+    assert [one.seen for one in other] == [2 * len(told)] * 4
 
 
 def test_skin_in_place_of_masks_and_videos_in_place_of_pictures(recording: Path, tmp_path: Path) -> None:

@@ -133,6 +133,33 @@ def test_a_detector_is_silent_where_it_finds_no_hand_and_has_seen_none_of_the_ot
         assert [view.is_detector_silent for view in views] == told
 
 
+def test_a_hand_is_found_anew_in_pictures_that_do_not_follow_one_another() -> None:
+    class Following(Counting):
+        """Looks where a hand was first, and elsewhere in the picture after one without a hand."""
+
+        def open(self, hands: int) -> Landmarks:
+            class Seen:
+                place: int | None = None
+
+                def detect(self, image: Tensor) -> Sequence[HandDetection]:
+                    here = int(image.max())
+                    if self.place is not None and self.place != here:
+                        self.place = None
+                        return ()
+                    self.place = here
+                    points = np.full((21, 2), float(here))
+                    return [HandDetection(picture=points, space=None, confidence=None, label="right", score=0.9)]
+
+                def close(self) -> None: ...
+
+            return Seen()
+
+    frames = [frame for level in (10, 20, 30) for frame in _frames(1, brightness=level)]
+    for is_sample, expected in ((False, [10, None, 30]), (True, [10, 20, 30])):
+        tracks = DetectedTracks([HandDetector(landmarker=Following())], is_sample=is_sample)
+        assert [_points(frame, tracks) for frame in frames] == expected
+
+
 @pytest.mark.parametrize("texts", [["mediapipe", "one.npz"], ["one.npz", "mediapipe"]])
 def test_the_detector_is_for_all_cameras_or_none(texts: list[str]) -> None:
     with pytest.raises(InputError, match=r"expected mediapipe alone \(for all cameras\) or files"):

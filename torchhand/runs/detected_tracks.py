@@ -18,9 +18,13 @@ from torchhand.track import HandKeypoints
 class DetectedTracks:
     """One detector per view (`KeypointSource`)."""
 
-    def __init__(self, detectors: Sequence[HandDetector], log: DetectionLog | None = None) -> None:
-        """log: what an earlier run found, which is not detected again, and where all that is found is kept."""
+    def __init__(
+        self, detectors: Sequence[HandDetector], log: DetectionLog | None = None, *, is_sample: bool = False
+    ) -> None:
+        """log: what an earlier run found, which is not detected again, and where all that is found is kept. is_sample:
+        whether the frames do not follow one another: a hand is then not where it was in the one before."""
         self._detectors, self._log = tuple(detectors), log
+        self._looks = 2 if is_sample else 1  # the second finds a hand anew, or sees the one of the first better
         self._has_found = False
 
     def hands(
@@ -35,7 +39,8 @@ class DetectedTracks:
                 image = frame.views[view].image
                 hand = None
                 if image is not None:
-                    hand = detector.detect(image, None if followed_px is None else followed_px[view])
+                    for _ in range(self._looks):
+                        hand = detector.detect(image, None if followed_px is None else followed_px[view])
                 if self._log is not None:
                     self._log.append(view, frame.index, hand, number=frame.number(view))
             found.append(hand_keypoints(hand))

@@ -34,7 +34,7 @@ from torchhand.files.results import (
 from torchhand.geometry import Camera, Rig
 from torchhand.hand import Side
 from torchhand.report import load_result, write_report
-from torchhand.runs.detected_tracks import kept_detections
+from torchhand.runs.detected_tracks import DetectedTracks, kept_detections
 from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks, with_keypoints
 from torchhand.runs.overlays import write_overlay, write_views
 from torchhand.runs.recordings import (
@@ -315,11 +315,9 @@ def _hands_of(recording: RigRecording, request: Request, side: Side) -> Mapping[
 class _RigStart:
     """How a hand is found before it is followed: in frames from all over the recording."""
 
-    def __init__(
-        self, recording: RigRecording | LiveRecording, request: Request, keypoints: KeypointTracks | None
-    ) -> None:
-        """keypoints: those of files, which tell of the hand in any frame."""
-        self.keypoints = keypoints
+    def __init__(self, recording: RigRecording | LiveRecording, request: Request, files: KeypointTracks | None) -> None:
+        """files: of keypoints, which tell of the hand in any frame."""
+        self._files = files
         self.recording, self.request, self.settings = recording, request, request.settings
         model = load_hand_model().to(device=request.device)
         self.hand = model.hand(side=request.known_side, dtype=torch.float64)
@@ -358,7 +356,8 @@ class _RigStart:
 
         Raises InputError where the rig's unit is to be fitted and no hand is found.
         """
-        found = self._initialization(recording, say)
+        with self._keypoints_of_samples() as keypoints:
+            found = self._initialization(recording, keypoints, say)
         if self.request.unit == "hand":
             if found.metres is None:
                 raise InputError(f"{recording.folder}: --unit hand: expected a hand in some views, found none")
@@ -377,7 +376,7 @@ class _RigStart:
     def scores(self, recording: RigRecording, wanted: int) -> Mapping[int, float]:
         """How well a hand of the average's proportions explains some frames, by their indices, each searched by itself;
         frames in which none is found are missing."""
-        silhouettes, frames = self._sample(recording, wanted)
+        silhouettes, frames = self._sample(recording, wanted, None)
         rough = replace(self.settings.rig, start=self.settings.rig.start.reduced())
         found = dict[int, float]()
         for frame in frames:
@@ -388,7 +387,7 @@ class _RigStart:
         return found
 
     def _sample(
-        self, recording: RigRecording, wanted: int
+        self, recording: RigRecording, wanted: int, keypoints: KeypointSource | None
     ) -> tuple[ViewSilhouettes, Iterator[tuple[int, tuple[View, ...]]]]:
         """What makes silhouettes, and frames from all over the recording as it takes them."""
         silhouettes = ViewSilhouettes(recording.cameras, self.settings.silhouette, plates=self.plates)
@@ -396,15 +395,25 @@ class _RigStart:
         working = WorkingViews(given, max(camera.width * camera.height for camera in given))
 
         def seen(frame: RecordedFrame) -> tuple[View, ...]:
-            views = with_keypoints(frame, self.keypoints, None).views
+            views = with_keypoints(frame, keypoints, None).views
             return tuple(working.of(view, index, silhouettes.cameras[index]) for index, view in enumerate(views))
 
         return silhouettes, ((self._noted(frame), seen(frame)) for frame in recording.sample(wanted))
 
-    def _initialization(self, recording: RigRecording, say: Say) -> Initialization:
+    @contextlib.contextmanager
+    def _keypoints_of_samples(self) -> Iterator[KeypointSource | None]:
+        """Those of files, or of detectors that have seen no picture and see none of the run's."""
+        detectors = self.request.detectors(self.recording.cameras)
+        try:
+            yield DetectedTracks(detectors, is_sample=True) if detectors else self._files
+        finally:
+            for detector in detectors:
+                detector.close()
+
+    def _initialization(self, recording: RigRecording, keypoints: KeypointSource | None, say: Say) -> Initialization:
         wanted = max(1, self.settings.rig.shape_frames)
         wanted += wanted // 2 if self.request.unit == "hand" else 0  # frames of a bare arm tell a wrong unit
-        silhouettes, frames = self._sample(recording, wanted)
+        silhouettes, frames = self._sample(recording, wanted, keypoints)
         with tqdm(
             total=wanted,
             desc="initializing",

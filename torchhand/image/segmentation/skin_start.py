@@ -154,15 +154,17 @@ def _rim(piece: Tensor) -> Tensor:
 
 
 def _measured(image: Tensor, piece: Tensor, model: SkinModel) -> SkinStart:
-    chroma = _chroma(image).astype(np.float64)
     inside = piece.numpy()
     area = float(inside.mean())
     border = np.concatenate([inside[0], inside[-1], inside[1:-1, 0], inside[1:-1, -1]])
-    skin, contrast, separability = np.array([np.nan, np.nan]), 0.0, 0.0
+    skin, contrast, separability = np.full((2, 1), np.nan), 0.0, 0.0
     if 0.0 < area < 1.0:
-        skin, rest = chroma[inside].mean(axis=0), chroma[~inside].mean(axis=0)
-        contrast = float(np.hypot(*(skin - rest)))
-        spread = np.sqrt(chroma[inside].var(axis=0).sum()) + np.sqrt(chroma[~inside].var(axis=0).sum())
+        chroma = _chroma(image)
+        (skin, skin_std), (rest, rest_std) = (
+            cv2.meanStdDev(chroma, mask=mask.astype(np.uint8)) for mask in (inside, ~inside)
+        )
+        contrast = float(np.hypot(*(skin - rest)[:, 0]))
+        spread = np.linalg.norm(skin_std) + np.linalg.norm(rest_std)
         separability = contrast / max(float(spread), 1e-6)
     start = SkinStart(
         model=model,
@@ -171,7 +173,7 @@ def _measured(image: Tensor, piece: Tensor, model: SkinModel) -> SkinStart:
         reason="",
         separability=separability,
         contrast=contrast,
-        chroma=(float(skin[0]), float(skin[1])),
+        chroma=(float(skin[0, 0]), float(skin[1, 0])),
         area_fraction=area,
         border_fraction=float(border.mean()),
     )
