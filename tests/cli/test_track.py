@@ -445,7 +445,9 @@ def test_frames_in_which_the_passes_differ_are_followed_once_more_and_again_wher
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     monkeypatch.setattr("torchhand.runs.records.joined._OPEN_M", 0.0)
     assert "third pass" not in run(clip.frames, "--out", tmp_path / "out", *clip.with_second_pass).err
-    monkeypatch.setattr("torchhand.runs.second_pass.TiltAlternatives", SimpleNamespace(can_tilt=lambda tracker: True))
+    monkeypatch.setattr(
+        "torchhand.runs.further_passes.TiltAlternatives", SimpleNamespace(can_tilt=lambda tracker: True)
+    )
     outcome = run(clip.frames, "--out", whole, *clip.with_second_pass)
     assert f"third pass: {FRAMES} frames" in outcome.err
     assert {path.name for path in whole.iterdir()} == {path.name for path in smoothed.iterdir()}

@@ -12,7 +12,7 @@ from tests.steps import right_hand, run
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import HandPose, posture
 from torchhand.runs import settings_of
-from torchhand.track import BackwardPass, Tracker, TrackerState, View
+from torchhand.track import FurtherPass, Tracker, TrackerState, View
 from torchhand.track.alternatives import TiltAlternatives
 from torchhand.track.scene import HandKeypoints
 
@@ -79,7 +79,7 @@ def test_the_second_pass_leaves_a_tilt_that_is_less_likely(half_closed: Any) -> 
     """The first pass ended in the tilted hand; the view from which it is followed back shows the true one."""
     tracker, state, view, true, tilted = half_closed
     start = _moved(tracker, true, tilted, state.shape).normalized()
-    second = BackwardPass(tracker, state)
+    second = FurtherPass(tracker, state)
     found = second.step([view], 0.0, start.vector)
     assert found.estimate.pose is not None
     assert found.alternatives is not None

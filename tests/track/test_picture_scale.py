@@ -11,7 +11,7 @@ from torchhand.files import load_hand_model
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.runs import settings_of
 from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
-from torchhand.track import BackwardPass, Tracker, TrackerState, View, restored_state, saved_state
+from torchhand.track import FurtherPass, Tracker, TrackerState, View, restored_state, saved_state
 
 SMALL = assumed_camera(160, 120)
 FRAMES = 4
@@ -76,7 +76,7 @@ def test_a_state_is_of_its_pictures_wherever_it_goes_on(pictures: list[torch.Ten
     assert here.pose is not None
     assert there.pose is not None
     assert torch.equal(here.pose, there.pose)
-    back = BackwardPass(tracker_of(SMALL), own).step(views, 1 / 30, here.pose).estimate
+    back = FurtherPass(tracker_of(SMALL), own).step(views, 1 / 30, here.pose).estimate
     assert back.keypoints_px is not None
     assert here.keypoints_px is not None
     assert float((back.keypoints_px - here.keypoints_px).norm(dim=-1).mean()) < 1.0

@@ -18,10 +18,11 @@ from torchhand.track import (
     TrackerState,
     View,
     can_tell_shape,
+    frames_for_shape,
     recorded_shape,
     reshaped_poses,
-    spread_frames,
 )
+from torchhand.track.shape import spread_frames
 from torchhand.track.unscented import UnscentedUpdate
 
 POSTURES = ("open", "point", "flat", "open")
@@ -70,6 +71,13 @@ def test_chosen_frames_are_good_and_differ_more_than_any_other_choice_one_by_one
     assert {row // 10 for row in rows} >= {0, 2, 3}
     assert len(spread_frames(whole, is_good, 100)) == int(is_good.sum())
     assert spread_frames(whole, torch.zeros_like(is_good), 6) == []
+
+
+def test_frames_in_which_the_hand_is_followed_badly_tell_no_proportions() -> None:
+    poses = torch.arange(6.0, dtype=torch.float64)[:, None].expand(6, 36) * 0.1
+    overlap = torch.tensor([0.9, 0.7, torch.nan, 0.8, 0.95, torch.nan], dtype=torch.float64)
+    assert frames_for_shape(poses, overlap, 6) == [0, 4]  # half of four
+    assert frames_for_shape(poses, torch.full_like(overlap, torch.nan), 6) == []
 
 
 def test_frames_of_a_hand_that_rests_are_spread_over_time() -> None:

@@ -18,9 +18,9 @@ from torchhand.hand import HandPose
 from torchhand.runs import settings_of
 from torchhand.runs.pictures import single_pose_fitter
 from torchhand.track import (
-    BackwardPass,
     Estimate,
     FollowedFrame,
+    FurtherPass,
     Keyframe,
     Tracker,
     TrackerState,
@@ -114,7 +114,7 @@ def test_the_second_pass_and_its_proportions(device: torch.device, film: Any) ->
         ]
         fitted = recorded_shape(tracker, state, [*frames, *frames])
         assert fitted is not None
-        back = BackwardPass(tracker, state, fitted=fitted)
+        back = FurtherPass(tracker, state, fitted=fitted)
         for image, one in zip(reversed(film.images), reversed(found), strict=True):
             second = back.step([View(image=image)], one.time_s, one.pose)
         return fitted.shape.to(CPU), second.estimate

@@ -35,6 +35,7 @@ from torchhand.geometry import Camera, Rig
 from torchhand.hand import Side
 from torchhand.report import load_result, write_report
 from torchhand.runs.detected_tracks import DetectedTracks, kept_detections
+from torchhand.runs.further_passes import smooth_frames
 from torchhand.runs.keypoint_tracks import KeypointSource, KeypointTracks, with_keypoints
 from torchhand.runs.overlays import write_overlay, write_views
 from torchhand.runs.recordings import (
@@ -48,7 +49,6 @@ from torchhand.runs.recordings import (
 )
 from torchhand.runs.request import MEDIAPIPE, Request, check_start_points, plate_of
 from torchhand.runs.run import CHECKPOINT_EVERY, Run, Say, header_of, track_frames
-from torchhand.runs.second_pass import smooth_frames
 from torchhand.runs.watchers import opened_watchers, projector_of
 from torchhand.track import Keyframe, Tracker, TrackerState, opened_tracker, scenes_ahead
 from torchhand.track.multiview import HandInitialization, HandProposer, Initialization, initialize

@@ -12,15 +12,15 @@ from typing import Any
 
 from torchhand.track.ahead import ScenesAhead, scenes_ahead
 from torchhand.track.alternatives import Alternatives, TiltAlternatives
-from torchhand.track.backward import BackwardPass
 from torchhand.track.beside import STILL_SEARCHED, SearchBeside, opened_tracker
+from torchhand.track.further_pass import FurtherPass
 from torchhand.track.knowledge import Estimate, Keyframe, TrackerState, restored_state, saved_state
 from torchhand.track.paths import HandPath, PosedHand, combined_hand, path_weights
 from torchhand.track.proportions import FittedShape, reshaped_poses
 from torchhand.track.proposals import OCCASIONS
 from torchhand.track.scene import ONE_PLACE_M, HandKeypoints, View
 from torchhand.track.settings import DEFAULTS, TrackerSettings
-from torchhand.track.shape import FollowedFrame, can_tell_shape, recorded_shape, spread_frames
+from torchhand.track.shape import FollowedFrame, can_tell_shape, frames_for_shape, recorded_shape
 from torchhand.track.smoothing import PastFrame, Smoother
 from torchhand.track.tracker import Tracker
 
@@ -30,10 +30,10 @@ __all__ = [
     "ONE_PLACE_M",
     "STILL_SEARCHED",
     "Alternatives",
-    "BackwardPass",
     "Estimate",
     "FittedShape",
     "FollowedFrame",
+    "FurtherPass",
     "HandKeypoints",
     "HandPath",
     "Keyframe",
@@ -49,6 +49,7 @@ __all__ = [
     "View",
     "can_tell_shape",
     "combined_hand",
+    "frames_for_shape",
     "opened_tracker",
     "path_weights",
     "recorded_shape",
@@ -56,7 +57,6 @@ __all__ = [
     "restored_state",
     "saved_state",
     "scenes_ahead",
-    "spread_frames",
 ]
 
 

@@ -46,6 +46,12 @@ def spread_frames(poses: Float[Tensor, "frames 36"], is_good: Bool[Tensor, "fram
     return rows[sorted(chosen)].tolist()
 
 
+def frames_for_shape(poses: Float[Tensor, "frames 36"], overlap: Float[Tensor, "frames"], count: int) -> list[int]:
+    """`spread_frames` of those in which a hand is followed at least as well as in half of them. overlap: with the
+    silhouettes, NaN where it is not followed."""
+    return spread_frames(poses, overlap >= overlap.nanquantile(0.5), count)
+
+
 def can_tell_shape(tracker: Tracker) -> bool:
     """Whether a tracker's frames tell the proportions: they are not given, and the fingers flex before one camera."""
     return tracker.known_shape is None and len(tracker.parts.cameras) == 1 and tracker.parts.flexes

@@ -21,7 +21,7 @@ from torchhand.geometry import Camera, assumed_camera
 from torchhand.numerics import Gaussian, Measurement, UnscentedSettings, sigma_points, update
 from torchhand.runs import settings_of
 from torchhand.simulate import SceneSettings, Staging, render_sequence, scripted_motion
-from torchhand.track import BackwardPass, HandKeypoints, Tracker, TrackerState, View
+from torchhand.track import FurtherPass, HandKeypoints, Tracker, TrackerState, View
 
 STATE, OBSERVED, MEASUREMENTS = 81, 27, 800
 FOV_DEG = 48.0
@@ -137,7 +137,7 @@ def _track_all(
         state, estimate = tracker.step(state, [view], index / FRAMES_PER_SECOND)
         found.append(estimate)
     if passes == 2:
-        second = BackwardPass(tracker, state)
+        second = FurtherPass(tracker, state)
         for index in range(len(views), 0, -1):
             second.step(views[index - 1 : index], index / FRAMES_PER_SECOND, found[index - 1].pose)
     spent.append(time.process_time() - began)

@@ -15,16 +15,16 @@ from torchhand.hand import DOFS
 from torchhand.study import seed_of
 from torchhand.study.quality.sequences import FPS, SimulatedSequence, sequence
 from torchhand.track import (
-    BackwardPass,
     Estimate,
     FittedShape,
     FollowedFrame,
+    FurtherPass,
     Tracker,
     TrackerSettings,
     TrackerState,
     can_tell_shape,
+    frames_for_shape,
     recorded_shape,
-    spread_frames,
 )
 from torchhand.track.single import SinglePoseFitter
 
@@ -105,7 +105,7 @@ def _tracked(own: SimulatedSequence, tracker: Tracker) -> Iterator[tuple[Estimat
         yield estimate, frame.keypoints
     if state is None or state.shape is None:
         return
-    back = BackwardPass(tracker, state, fitted=_fitted_shape(own, tracker, state, forward))
+    back = FurtherPass(tracker, state, fitted=_fitted_shape(own, tracker, state, forward))
     for frame, before in zip(reversed(own.frames), reversed(forward), strict=True):
         yield back.step(frame.views, before.time_s, before.pose).estimate, frame.keypoints
 
@@ -120,7 +120,7 @@ def _fitted_shape(
     overlaps = torch.tensor([math.nan if one.overlap is None else one.overlap for one in forward])
     nowhere = torch.full((len(DOFS),), math.nan, dtype=torch.float64)
     poses = torch.stack([nowhere if one.pose is None else one.pose for one in forward])
-    rows = spread_frames(poses, overlaps >= overlaps.nanmedian(), tracker.settings.shape_frames)
+    rows = frames_for_shape(poses, overlaps, tracker.settings.shape_frames)
     frames = [FollowedFrame(views=own.frames[row].views, time_s=forward[row].time_s, pose=poses[row]) for row in rows]
     found = recorded_shape(tracker, state, frames)
     return None if found is None or found.is_contradicted else found

@@ -31,16 +31,16 @@ from torchhand.runs.records import (
 from torchhand.runs.run import Run, Say
 from torchhand.track import (
     Alternatives,
-    BackwardPass,
     FittedShape,
     FollowedFrame,
+    FurtherPass,
     TiltAlternatives,
     Tracker,
     TrackerState,
     can_tell_shape,
+    frames_for_shape,
     recorded_shape,
     reshaped_poses,
-    spread_frames,
 )
 
 
@@ -57,7 +57,7 @@ def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
     writer.keep_forward()
     fitted = _adopted_shape(run, forward, say)
     say("second pass: the hand is followed back from the last frame to the first (--causal does without)")
-    alternatives = _follow_back(run, writer, forward, BackwardPass(run.tracker, state, fitted=fitted), say)
+    alternatives = _follow_back(run, writer, forward, FurtherPass(run.tracker, state, fitted=fitted), say)
     if fitted is not None:
         forward = _reshaped(forward, run.tracker, before, fitted)
         state = replace(state, shape=fitted.shape, shape_keypoints_cov=fitted.keypoints_cov)
@@ -93,7 +93,8 @@ def _adopted_shape(run: Run, forward: Track, say: Say) -> FittedShape | None:
     tracker, state, count = run.tracker, run.state, run.tracker.settings.shape_frames
     if state is None or not count or not can_tell_shape(tracker):
         return None
-    rows = spread_frames(torch.from_numpy(forward.pose), torch.from_numpy(_is_good(forward)), count)
+    overlap = np.where(forward.status == "tracked", forward.measures["overlap"], np.nan)
+    rows = frames_for_shape(torch.from_numpy(forward.pose), torch.from_numpy(overlap), count)
     frames = "1 frame" if len(rows) == 1 else f"{len(rows)} frames"
     say(f"proportions: fitted over {frames} (--set shape_frames=0 keeps those of the first hand)")
     found = recorded_shape(tracker, state, _followed_frames(run, forward, rows))
@@ -108,12 +109,6 @@ def _adopted_shape(run: Run, forward: Track, say: Say) -> FittedShape | None:
         held_out_nats_per_frame={"first_hand": float(found.costs_before.mean()), "this": float(found.costs.mean())},
     )
     return found
-
-
-def _is_good(track: Track) -> Bool[np.ndarray, " t"]:
-    """Frames in which the hand is followed at least as well as in half of them."""
-    overlap = np.where(track.status == "tracked", track.measures["overlap"], np.nan)
-    return overlap >= np.nanmedian(overlap) if np.isfinite(overlap).any() else np.zeros(len(track), dtype=bool)
 
 
 def _followed_frames(run: Run, track: Track, rows: Sequence[int]) -> Iterator[FollowedFrame]:
@@ -143,7 +138,7 @@ def _reshaped(track: Track, tracker: Tracker, before: Tensor, fitted: FittedShap
 
 
 def _follow_back(
-    run: Run, writer: TrackWriter, before: Track, follower: BackwardPass, say: Say
+    run: Run, writer: TrackWriter, before: Track, follower: FurtherPass, say: Say
 ) -> dict[int, Alternatives]:
     """Writes the second pass; hands that explain the pictures about as well, by rows, where others were looked for.
     before: the first one."""
@@ -182,7 +177,7 @@ def _follow_again(
             if frame.index not in wanted:
                 follower = None
                 continue
-            follower = follower or BackwardPass(run.tracker, state, is_forward=True)
+            follower = follower or FurtherPass(run.tracker, state, is_backward=False)
             _write_step(run, lines, frame, before, follower, alternatives)
             bar.update()
     return alternatives
@@ -199,7 +194,7 @@ def _write_step(
     lines: LineFile,
     frame: RecordedFrame,
     before: Track,
-    follower: BackwardPass,
+    follower: FurtherPass,
     alternatives: dict[int, Alternatives],
 ) -> None:
     """One step of another pass."""

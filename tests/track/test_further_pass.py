@@ -11,8 +11,8 @@ from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import HandKinematics
 from torchhand.runs import settings_of
 from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
-from torchhand.track import BackwardPass, Estimate, FittedShape, Tracker, TrackerState, View
-from torchhand.track.backward import is_borne_out
+from torchhand.track import Estimate, FittedShape, FurtherPass, Tracker, TrackerState, View
+from torchhand.track.further_pass import is_borne_out
 
 WIDTH, HEIGHT, FPS, FRAMES = 240, 192, 30.0, 12
 
@@ -55,7 +55,7 @@ def test_a_hand_that_was_lost_early_is_followed_back_from_where_it_was_found(
     tracker: Tracker, scene: tuple, forward: tuple[TrackerState, list[Estimate]]
 ) -> None:
     (views, true_px), (state, found) = scene, forward
-    second = BackwardPass(tracker, state)
+    second = FurtherPass(tracker, state)
     back = [second.step(views[i], i / FPS, found[i].pose if i >= 6 else None) for i in reversed(range(FRAMES))][::-1]
     assert [one.estimate.time_s for one in back] == [i / FPS for i in range(FRAMES)]
     for i, one in enumerate(back):
@@ -71,7 +71,7 @@ def test_a_hand_that_was_lost_early_is_followed_back_from_where_it_was_found(
 def test_nothing_is_looked_for_where_neither_pass_has_a_hand(
     tracker: Tracker, scene: tuple, forward: tuple[TrackerState, list[Estimate]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    second = BackwardPass(tracker, forward[0])
+    second = FurtherPass(tracker, forward[0])
     monkeypatch.setattr(Tracker, "step", lambda *arguments: pytest.fail("a frame was searched"))
     assert second.step(scene[0][-1], 1.0, None).estimate.status == "no_hand"
 
@@ -80,7 +80,7 @@ def test_the_hand_that_the_views_bear_out_has_the_larger_evidence(
     tracker: Tracker, scene: tuple, forward: tuple[TrackerState, list[Estimate]]
 ) -> None:
     state, found = forward
-    second = BackwardPass(tracker, state)
+    second = FurtherPass(tracker, state)
     pose = found[-1].pose
     assert pose is not None
     same = second.step(scene[0][-1], (FRAMES - 1) / FPS, pose)
@@ -109,7 +109,7 @@ def test_what_uncertain_proportions_leave_open_is_in_the_covariances_of_keypoint
         costs_before=nothing,
     )
     known, unsure = (
-        BackwardPass(tracker, state, fitted=own).step(scene[0][-1], 1.0, found[-1].pose).estimate
+        FurtherPass(tracker, state, fitted=own).step(scene[0][-1], 1.0, found[-1].pose).estimate
         for own in (None, fitted)
     )
     assert known.keypoints is not None
@@ -122,7 +122,7 @@ def test_what_uncertain_proportions_leave_open_is_in_the_covariances_of_keypoint
 
 def test_a_tracker_that_never_found_a_hand_has_nothing_to_follow(tracker: Tracker) -> None:
     with pytest.raises(ValueError, match="state: expected one of a tracker that has found a hand"):
-        BackwardPass(tracker, TrackerState())
+        FurtherPass(tracker, TrackerState())
 
 
 def test_time_runs_backwards_for_the_motion_only(
@@ -130,7 +130,7 @@ def test_time_runs_backwards_for_the_motion_only(
 ) -> None:
     """The second pass of a second pass is the first one again, up to what is learned on the way."""
     state, found = forward
-    second = BackwardPass(tracker, state)
+    second = FurtherPass(tracker, state)
     back = [second.step(scene[0][i], i / FPS, found[i].pose).estimate for i in reversed(range(FRAMES))][::-1]
     apart = [
         float((one.keypoints - other.keypoints).norm(dim=-1).mean())

@@ -55,7 +55,7 @@ class SecondEstimate:
     """Hands that explain the picture, where others were looked for."""
 
 
-class BackwardPass:
+class FurtherPass:
     """Follows a hand through the frames of a recording in reverse order; or, after such a pass, in their order again.
 
     The tracker steps as it does forwards, with keypoints, network and proposals, and time runs backwards. Where it has
@@ -63,12 +63,12 @@ class BackwardPass:
     """
 
     def __init__(
-        self, tracker: Tracker, state: TrackerState, *, fitted: FittedShape | None = None, is_forward: bool = False
+        self, tracker: Tracker, state: TrackerState, *, fitted: FittedShape | None = None, is_backward: bool = True
     ) -> None:
         """state: of the tracker after the last frame of the first pass. fitted: proportions of the hand that is
-        followed back, where they are not those of the first pass. is_forward: whether frames come in their order, after
-        a pass that went back. Raises ValueError where the state knows no proportions, which is where no hand was ever
-        found."""
+        followed, where they are not those of the first pass. is_backward: whether frames come from the last one on, as
+        those of a second pass do; else in their order. Raises ValueError where the state knows no proportions, which is
+        where no hand was ever found."""
         if state.shape is None:
             raise ValueError("state: expected one of a tracker that has found a hand")
         self._tracker = tracker = tracker.at(state)
@@ -76,7 +76,7 @@ class BackwardPass:
         self._shape = state.shape if fitted is None else fitted.shape
         if fitted is not None:
             state = replace(state, shape=fitted.shape, shape_keypoints_cov=fitted.keypoints_cov)
-        self._sign = 1.0 if is_forward else -1.0
+        self._sign = -1.0 if is_backward else 1.0
         mirrored = tuple(replace(one, time_s=self._sign * one.time_s) for one in state.keyframes)
         self._state = replace(state, time_s=None, hand=None, last_seen=None, keyframes=mirrored)
         self._tilts = TiltAlternatives(tracker, self._state) if TiltAlternatives.can_tilt(tracker) else None
