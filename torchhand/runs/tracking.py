@@ -25,11 +25,10 @@ from torchhand.files.results import (
     CONFIG_NAME,
     HAND_NAME,
     HEADER_NAME,
-    JSONL_NAME,
     OVERLAY_NAME,
     REPORT_NAME,
     STATUSES,
-    UNFINISHED_NAME,
+    unfinished_run,
 )
 from torchhand.geometry import Camera, Rig
 from torchhand.hand import Side
@@ -131,7 +130,8 @@ def _with_side_before(request: Request, out_dir: Path) -> Request:
     """The request with the side for which the run that is to be resumed has tried hands."""
     if not request.resume or request.side is not None:
         return request
-    folder = out_dir / UNFINISHED_NAME if (out_dir / UNFINISHED_NAME / JSONL_NAME).exists() else out_dir
+    if (folder := unfinished_run(out_dir)) is None:
+        return request
     config, header = folder / CONFIG_NAME, folder / HEADER_NAME
     run = setting_in(config, "run") if config.is_file() and header.is_file() else None
     was_tried = isinstance(run, Mapping) and run.get("side_is") == "tried"
@@ -579,8 +579,7 @@ def resume_option(overwrite: bool) -> str:
 
 def how_to_go_on(out_dir: Path, *, overwrite: bool) -> str:
     """What to tell who has stopped a run."""
-    folder = next((place for place in (out_dir / UNFINISHED_NAME, out_dir) if (place / JSONL_NAME).exists()), None)
-    if folder is None:
+    if (folder := unfinished_run(out_dir)) is None:
         return "stopped by Ctrl-C"
     return (
         f"stopped by Ctrl-C; what is tracked so far is in {folder}, and the same command with"

@@ -16,7 +16,7 @@ import torchhand
 from torchhand.cli.benchmarks.figures import Figure
 from torchhand.evaluate import PROC, time_interleaved, watch_memory
 from torchhand.files import load_track
-from torchhand.files.results import JSONL_NAME, UNFINISHED_NAME
+from torchhand.files.results import JSONL_NAME, unfinished_run
 
 FRAMES_PER_SECOND = 30.0
 MEMORY_SKIP = 100
@@ -111,9 +111,5 @@ def own_environment() -> dict[str, str]:
 
 def _lines_of(out: Path) -> int:
     """Frames that a run has written down."""
-    for folder in (out / UNFINISHED_NAME, out):
-        try:
-            return (folder / JSONL_NAME).read_bytes().count(b"\n")
-        except OSError:
-            continue
-    return 0
+    folder = unfinished_run(out)
+    return 0 if folder is None else (folder / JSONL_NAME).read_bytes().count(b"\n")

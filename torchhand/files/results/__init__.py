@@ -24,6 +24,7 @@ from torchhand.files.results.results import (
     STABILITY_NAME,
     TrackWriter,
     check_output_folder,
+    unfinished_run,
 )
 from torchhand.files.results.track_file import (
     FIT_NAME,
@@ -88,5 +89,6 @@ __all__ = [
     "load_track",
     "replace_result",
     "track_of",
+    "unfinished_run",
     "write_npz",
 ]

@@ -72,6 +72,12 @@ def check_output_folder(out_dir: str | Path, *, resume: bool = False, overwrite:
         )
 
 
+def unfinished_run(out_dir: Path) -> Path | None:
+    """Where the lines of a run that `TrackWriter` goes on from stand: in the sub-folder of one that was to replace an
+    older result, else in the folder itself; None where there are none."""
+    return next((place for place in (out_dir / UNFINISHED_NAME, out_dir) if (place / JSONL_NAME).exists()), None)
+
+
 class TrackWriter:
     """Writes the result folder of one sequence; use it as a context manager around the whole run.
 
@@ -239,9 +245,8 @@ class TrackWriter:
         replace_result(self.out_dir, self.folder, kept, [name for name in TRACK_NAMES if name not in kept])
 
     def _choose_folder(self, resume: bool) -> Path:
-        unfinished = self.out_dir / UNFINISHED_NAME
         if resume:
-            folder = unfinished if (unfinished / JSONL_NAME).exists() else self.out_dir
+            folder = unfinished_run(self.out_dir) or self.out_dir
             entries = [entry.name for entry in folder.iterdir()] if folder.is_dir() else []
             own = _result_names(folder)
             foreign = [name for name in entries if name not in own and not name.startswith(".")]
@@ -249,7 +254,7 @@ class TrackWriter:
                 raise InputError(f"{folder}: cannot be resumed: expected {JSONL_NAME}, found {foreign[0]}")
             return folder
         has_result = any((self.out_dir / name).exists() for name in _result_names(self.out_dir))
-        return unfinished if has_result else self.out_dir
+        return self.out_dir / UNFINISHED_NAME if has_result else self.out_dir
 
     def _remove_unfinished(self) -> None:
         """Take away what an earlier run that never ended has left."""
