@@ -69,8 +69,10 @@ def test_frames_in_which_the_passes_differ_and_those_about_them_are_open(
     second = _second(kinematics, 0.2, lost=(0, 6))
     second.keypoints3d[3] = other.keypoints3d[3]
     second.keypoints3d[1] += (0.0, 0.0, 0.02)  # a hand that is farther off is no other one
-    assert np.flatnonzero(TwoPasses.of(forward, second).is_open()).tolist() == [2, 3, 4, 5, 6, 7]
-    assert not TwoPasses.of(forward, _second(kinematics, 0.2, lost=(0,))).is_open().any()
+    passes, everywhere = TwoPasses.of(forward, second), np.ones(FRAMES, dtype=bool)
+    assert np.flatnonzero(passes.is_open(everywhere)).tolist() == [2, 3, 4, 5, 6, 7]
+    assert np.flatnonzero(passes.is_open(np.arange(FRAMES) >= 4)).tolist() == [5, 6, 7]
+    assert not TwoPasses.of(forward, _second(kinematics, 0.2, lost=(0,))).is_open(everywhere).any()
 
 
 def test_the_pass_that_the_views_bear_out_is_believed(kinematics: HandKinematics) -> None:

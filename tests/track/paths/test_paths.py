@@ -2,13 +2,14 @@
 
 import itertools
 
+import numpy as np
 import pytest
 import torch
 
 from torchhand.track import HandPath, path_weights
 
-MOTION = 100.0
-"""Nats per metre."""
+MOTION, TURN = 100.0, 25.0
+"""Nats per metre, and of half a turn."""
 
 
 def _paths(frames: int, count: int, seed: int = 0) -> list[HandPath]:
@@ -31,8 +32,11 @@ def _enumerated(paths: list[HandPath]) -> torch.Tensor:
             continue
         hands = [paths[own].keypoints[t] for t, own in enumerate(way)]
         moved = sum(float((b - a).norm(dim=-1).mean()) for a, b in itertools.pairwise(hands))
+        facing = [np.cross(hand[5] - hand[0], hand[17] - hand[0]) for hand in hands]
+        cosines = [a @ b / np.linalg.norm(a) / np.linalg.norm(b) for a, b in itertools.pairwise(facing)]
+        turned = sum((1 - float(cosine)) / 2 for cosine in cosines)
         evidence = sum(float(paths[own].evidence[t]) for t, own in enumerate(way))
-        weight = torch.tensor(evidence - MOTION * moved, dtype=torch.float64).exp()
+        weight = torch.tensor(evidence - MOTION * moved - TURN * turned, dtype=torch.float64).exp()
         for t, own in enumerate(way):
             weights[t, own] += weight
     return weights / weights.sum(1, keepdim=True)
@@ -71,6 +75,22 @@ def test_a_frame_is_decided_by_its_neighbours_where_it_tells_nothing_itself() ->
     sure = HandPath(keypoints=still, evidence=evidence)
     other = HandPath(keypoints=still + 0.1, evidence=torch.zeros(5, dtype=torch.float64))
     assert float(path_weights([sure, other])[2, 0]) > 0.99
+
+
+@pytest.mark.parametrize(("wrong", "is_believed"), [(10, False), (40, True)])
+def test_a_hand_turns_over_where_much_speaks_for_it(wrong: int, is_believed: bool) -> None:
+    """Some frames of a path from its other side, which is a bit likelier in each."""
+    generator = torch.Generator().manual_seed(3)
+    still = (0.02 * torch.randn(21, 3, generator=generator, dtype=torch.float64)).expand(60, 21, 3)
+    turned = still.clone()
+    rows = slice(10, 10 + wrong)
+    turned[rows] = turned[rows] * torch.tensor((-1.0, 1.0, -1.0), dtype=torch.float64)
+    nothing = torch.zeros(60, dtype=torch.float64)
+    evidence = nothing.clone()
+    evidence[rows] = 2.0
+    weights = path_weights([HandPath(keypoints=still, evidence=nothing), HandPath(keypoints=turned, evidence=evidence)])
+    assert bool((weights[rows, 1] > 0.8).all()) is is_believed
+    assert bool((weights[rows, 1] < 0.1).all()) is not is_believed
 
 
 def test_evidence_is_wanted_of_every_hand() -> None:

@@ -60,13 +60,13 @@ class TwoPasses:
         """Forwards and backwards."""
         return self.forward.has_hand, self.backward.has_hand
 
-    def is_open(self) -> Bool[np.ndarray, " t"]:
-        """Frames in which the passes tell different hands, or one of them none, and those about them."""
+    def is_open(self, among: Bool[np.ndarray, " t"]) -> Bool[np.ndarray, " t"]:
+        """Of some frames those in which the passes tell different hands, or one of them none, and those about them."""
         missed = self.forward.keypoints3d - self.backward.keypoints3d
         apart = np.linalg.norm(missed - missed.mean(1, keepdims=True), axis=-1).mean(-1)
         was, then = self.has_hands
-        differ = (was | then) & ~(apart <= _OPEN_M)
-        return np.convolve(differ, np.ones(2 * _AROUND + 1), "full")[_AROUND : _AROUND + len(differ)] > 0
+        differ = (was | then) & ~(apart <= _OPEN_M) & among
+        return among & (np.convolve(differ, np.ones(2 * _AROUND + 1), "full")[_AROUND : _AROUND + len(differ)] > 0)
 
     def weights(self) -> Float[Tensor, "t 2"]:
         """How far each pass is believed; 0 for both where there is no hand.

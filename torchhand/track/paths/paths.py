@@ -9,6 +9,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 MOTION_NATS = 100.0  # nats that a metre of motion costs from one frame to the next, in the mean over the keypoints
+_TURN_NATS = 25.0
+"""Nats that turning over costs from one frame to the next, besides. No hand does; a path that does has mistaken its
+side, which the outline of a frame hardly tells, before or after."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +32,7 @@ def path_weights(paths: Sequence[HandPath]) -> Float[Tensor, "frames paths"]:
     """Probability that the hand is on each path, all frames considered; 0 where a path has no hand.
 
     A hidden Markov model: in every frame the hand is on one of the paths that have one, the evidence is what speaks for
-    it, and a change costs the more, the farther the hand would have to move at once.
+    it, and a change costs the more, the farther the hand would have to move and to turn at once.
     """
     keypoints = torch.stack([path.keypoints for path in paths], 1)
     has_hand = torch.stack([path.has_hand for path in paths], 1)
@@ -39,7 +42,7 @@ def path_weights(paths: Sequence[HandPath]) -> Float[Tensor, "frames paths"]:
     is_empty = ~has_hand.any(1, keepdim=True)
     local = torch.where(has_hand, evidence, torch.where(is_empty, 0.0, -math.inf))
     moved = (keypoints[1:, None] - keypoints[:-1, :, None]).norm(dim=-1).mean(-1)  # (frames - 1, from, to)
-    change = -MOTION_NATS * moved.nan_to_num(0.0)
+    change = -(MOTION_NATS * moved + _TURN_NATS * _turned(keypoints)).nan_to_num(0.0)
     before, after = [local[:1]], [torch.zeros_like(local[:1])]
     for here, step in zip(local[1:, None], change, strict=True):
         before.append(here + (before[-1].mT + step).logsumexp(0, keepdim=True))
@@ -47,3 +50,10 @@ def path_weights(paths: Sequence[HandPath]) -> Float[Tensor, "frames paths"]:
         after.append((step + later + after[-1]).logsumexp(1)[None])
     total = torch.cat(before) + torch.cat(after[::-1])
     return torch.where(has_hand, total.softmax(1), 0.0)
+
+
+def _turned(keypoints: Float[Tensor, "frames paths 21 3"]) -> Float[Tensor, "before paths paths"]:
+    """From every path to every other in the next frame, 0 where the palm faces the same way, 1 where it turns over."""
+    wrist, index, little = (keypoints[:, :, row] for row in (0, 5, 17))
+    facing = torch.nn.functional.normalize(torch.linalg.cross(index - wrist, little - wrist), dim=-1)
+    return 0.5 * (1 - (facing[1:, None] * facing[:-1, :, None]).sum(-1))
