@@ -46,8 +46,7 @@ from torchhand.track import (
 )
 
 _LOOKING_AGAIN = (("third", False), ("fourth", True))
-"""Passes over frames in which the two before differ, and whether they go back. On ten forms of sequences that open and
-close all fingers, and of one in which everything moves, tips over 20 mm off in TODO."""
+"""Passes over frames in which the two before differ, and whether they go back; a fifth gains little (docs/tried.md)."""
 
 
 def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
