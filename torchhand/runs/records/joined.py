@@ -24,7 +24,7 @@ _APART_M = 0.020  # mean distance of keypoints beyond which the hand that is fol
 _MAX_UNSURE = 3  # frames in a row in which that hand may be borne out less
 _OPEN_M, _AROUND = 0.008, 8
 """Mean distance of keypoints, their common shift left out, beyond which two passes tell different hands; and frames
-before and after these that a third pass begins and ends with."""
+before and after these that another pass begins and ends with."""
 _DROP = 0.15  # overlap by which a hand that fills a loss may have less than where the loss ends
 
 
