@@ -23,7 +23,7 @@ from tests.live_pictures import delivered_as_tracked
 from tests.report.reading import video_of
 from torchhand.cli.command import threads
 from torchhand.cli.track import main
-from torchhand.cluster import can_copy_process
+from torchhand.cluster import Copies, can_copy_process, copies_for
 from torchhand.devices import HOST
 from torchhand.export import clip_of_stream
 from torchhand.files import (
@@ -463,6 +463,29 @@ def test_frames_in_which_the_passes_differ_are_followed_once_more_and_again_wher
             assert run(clip.frames, "--out", out, *clip.with_second_pass).code == 130
         assert run(clip.frames, "--out", out, "--resume", *clip.with_second_pass).code == 0
         assert _lines_without_seconds(out) == _lines_without_seconds(whole)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not copy processes")
+def test_shares_of_a_pass_give_the_same_in_any_number_of_processes(
+    clip: Clip, smoothed: Path, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in (("_SIZE", 3), ("_WITHIN", 1), ("RUN_IN", 1)):
+        monkeypatch.setattr(f"torchhand.runs.recordings.shares.{name}", value)
+    asked = list[tuple[int, int]]()
+
+    def counted(count: int, workers: int, device: torch.device) -> Copies | None:
+        asked.append((count, workers))
+        return copies_for(count, workers, device)
+
+    monkeypatch.setattr("torchhand.runs.further_passes.copies_for", counted)
+    for workers in (1, 2):
+        out = tmp_path / str(workers)
+        assert run(clip.frames, "--out", out, "--workers", workers, *clip.with_second_pass).code == 0
+    assert asked == [(FRAMES // 3, 1), (FRAMES // 3, 2)]
+    assert _lines_without_seconds(tmp_path / "1") == _lines_without_seconds(tmp_path / "2")
+    whole, cut = load_track(smoothed), load_track(tmp_path / "1")
+    assert len(cut) == FRAMES
+    assert np.linalg.norm(cut.keypoints3d - whole.keypoints3d, axis=-1).mean() < 0.002
 
 
 def test_a_finished_run_of_two_passes_goes_on_further(clip: Clip, smoothed: Path, run: Run, tmp_path: Path) -> None:

@@ -127,8 +127,8 @@ class Arguments(OnDevice):
     threads: int = 1
     """Threads of one tracker; its tensors are small, and more than one is slower."""
     workers: Annotated[int | None, arg(metavar="N")] = None
-    """Videos of a folder that are tracked side by side, in copies of this program (on Linux): as many as there are
-    cores if not given. The results are the same."""
+    """Videos of a folder that are tracked side by side, or parts of a long one's further passes, in copies of this
+    program (on Linux): as many as there are cores if not given. The results are the same."""
     ray: Annotated[tuple[str, ...] | None, arg(metavar="[ADDRESS]")] = None
     """Track the videos of a folder side by side, in the processes of a Ray cluster (extra `cluster`): of the one at
     ADDRESS, such as auto or HOST:6379, where the paths must lead to the same files, or, without one, on all cores of
@@ -167,7 +167,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise InputError(f"--ray: expected a folder of videos with it, got {arguments.input}")
         with Cluster(one_address(arguments.ray)) as cluster:
             return _track_side_by_side(cluster, arguments, request, videos)
-    copies = copies_for(len(videos), workers_of(arguments.workers, arguments.threads), request.device)
+    copies = copies_for(len(videos), request.workers, request.device)
     if copies is not None:
         _say(f"{len(videos)} videos, {copies.processes} at a time, each told of when done (--workers 1: frames too)")
         return _track_side_by_side(copies, arguments, request, videos)
@@ -259,6 +259,7 @@ def _request(arguments: Arguments) -> Request:
         has_overlay=arguments.overlay,
         has_report=arguments.report,
         seed=arguments.seed,
+        workers=workers_of(arguments.workers, arguments.threads),
         device=device_named(arguments.device),
     )
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from tqdm import tqdm
 from tyro.conf import Positional, UseAppendAction, arg
 
-from torchhand.cli.command import DONE, STOPPED_BY_USER, OnDevice, command, parse, threads
+from torchhand.cli.command import DONE, STOPPED_BY_USER, OnDevice, command, parse, threads, workers_of
 from torchhand.devices import device_named
 from torchhand.errors import InputError
 from torchhand.files import offsets_of
@@ -150,6 +150,7 @@ def _request(arguments: Arguments) -> Request:
         keeps_checkpoint=arguments.keep_checkpoint,
         has_overlay=arguments.overlay,
         has_report=arguments.report,
+        workers=workers_of(None, arguments.threads),
         device=device_named(arguments.device),
     )
 

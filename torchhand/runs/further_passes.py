@@ -3,9 +3,10 @@ where these differ forwards and back once more."""
 
 import contextlib
 import json
+import pickle
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 
@@ -14,13 +15,13 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
+from torchhand.cluster import copies_for
 from torchhand.devices import HOST, read_back, sent_to
 from torchhand.files import FrameRecord, Track, TrackWriter, load_track
-from torchhand.files.disk import LineFile
 from torchhand.files.results import BACKWARD_NAME, JSONL_NAME, track_of
 from torchhand.runs.keypoint_tracks import with_keypoints
 from torchhand.runs.progress import progress
-from torchhand.runs.recordings import RecordedFrame, reversed_frames
+from torchhand.runs.recordings import RecordedFrame, Share, reversed_frames, shares
 from torchhand.runs.records import (
     EVIDENCE,
     EVIDENCE_BEFORE,
@@ -49,9 +50,10 @@ _LOOKING_AGAIN = (("third", False), ("fourth", True))
 """Passes over frames in which the two before differ, and whether they go back; a fifth gains little (docs/tried.md)."""
 
 
-def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
+def smooth_frames(run: Run, writer: TrackWriter, say: Say, *, workers: int) -> None:
     """Estimate the frames of a finished forward pass again, by those that come after them too.
 
+    workers: processes that share a pass over many frames, at most; whatever their number, the results are the same.
     What another pass finds grows in a file of its own; the forward pass is kept beside the result, so that a run that
     is stopped here and resumed does the others anew and ends with the same.
     """
@@ -64,7 +66,8 @@ def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
     say("second pass: the hand is followed back from the last frame to the first (--causal does without)")
     with_hand = np.arange(len(forward)) <= np.flatnonzero(forward.has_hand)[-1]  # nothing is followed from a later one
     begun = partial(FurtherPass, run.tracker, state, fitted=fitted)
-    alternatives = _follow(run, writer, forward, with_hand, begun, say)
+    second = _Pass(run=run, before=forward, is_wanted=with_hand, begun=begun)
+    alternatives = _follow(second, writer, say, workers)
     if fitted is not None:
         forward = _reshaped(forward, run.tracker, before, fitted)
         state = replace(state, shape=fitted.shape, shape_keypoints_cov=fitted.keypoints_cov)
@@ -77,7 +80,12 @@ def smooth_frames(run: Run, writer: TrackWriter, say: Say) -> None:
         say(f"{name} pass: {int(is_open.sum())} frames in and about which the last two differ")
         both = track_of(forward.header, (json.loads(record.as_json()) for record in joined))
         begun = partial(FurtherPass, run.tracker, state, is_backward=is_backward)
-        again = _follow(run, writer, both, is_open, begun, say, is_backward=is_backward, called="again")
+        again = _follow(
+            _Pass(run=run, before=both, is_wanted=is_open, begun=begun, is_backward=is_backward, called="again"),
+            writer,
+            say,
+            workers,
+        )
         alternatives = {row: found for row, found in alternatives.items() if not is_open[row]} | again
         passes = _passes(run, writer, both)
         joined = _joined(run, passes)
@@ -149,69 +157,104 @@ def _reshaped(track: Track, tracker: Tracker, before: Tensor, fitted: FittedShap
     return replace(track, pose=pose, keypoints3d=keypoints, keypoints2d=in_picture, keypoints3d_cov=covariance)
 
 
-def _follow(
-    run: Run,
-    writer: TrackWriter,
-    before: Track,
-    is_wanted: Bool[np.ndarray, " t"],
-    begun: Callable[[], FurtherPass],
-    say: Say,
-    *,
-    is_backward: bool = True,
-    called: str = "backwards",
-) -> dict[int, Alternatives]:
-    """Writes another pass over some frames, begun anew wherever frames are left out; hands that explain the pictures
-    about as well, by rows, where others were looked for. before: the track by the passes before."""
-    alternatives, wanted = dict[int, Alternatives](), {int(frame) for frame in before.frame[is_wanted]}
-    count, follower = int(np.flatnonzero(is_wanted)[-1]) + 1, None
-    with (
-        writer.lines_beside(BACKWARD_NAME) as lines,
-        progress(f"{run.recording.name}, {called}", len(wanted), say) as bar,
-    ):
-        for frame in _frames(run, count, is_backward=is_backward):
-            if frame.index not in wanted:
+@dataclass(frozen=True, kw_only=True)
+class _Step:
+    """One frame of another pass."""
+
+    row: int
+    line: str
+    """Its record."""
+    alternatives: Alternatives | None
+    """Hands that explain the picture about as well, where others were looked for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Pass:
+    """Another pass over some frames, begun anew wherever frames are left out."""
+
+    run: Run
+    before: Track
+    """By the passes before."""
+    is_wanted: Bool[np.ndarray, " t"]
+    begun: Callable[[], FurtherPass]
+    is_backward: bool = True
+    called: str = "backwards"
+
+    @property
+    def shares(self) -> tuple[Share, ...]:
+        """What can be worked on side by side."""
+        overlap = np.where(self.before.has_hand, self.before.measures["overlap"], np.nan)
+        return shares(overlap, self.is_wanted, is_backward=self.is_backward)
+
+    def steps(self, share: Share) -> Iterator[_Step]:
+        """A share, frame by frame as they are done."""
+        follower = None
+        for frame in _frames(self.run, share.followed, is_backward=self.is_backward):
+            row = int(np.searchsorted(self.before.frame, frame.index))
+            if not self.is_wanted[row]:
                 follower = None
                 continue
-            follower = follower or begun()
-            _write_step(run, lines, frame, before, follower, alternatives)
+            follower = follower or self.begun()
+            step = self._step(follower, frame, row)
+            if row in share.told:
+                yield step
+
+    def _step(self, follower: FurtherPass, frame: RecordedFrame, row: int) -> _Step:
+        started, run = time.perf_counter(), self.run
+        pose = torch.from_numpy(self.before.pose[row])
+        second = follower.step(frame.views, frame.time_s, pose if bool(pose.isfinite().all()) else None)
+        names = [camera.name for camera in run.recording.cameras]
+        record = record_of(frame.index, second.estimate, names, seconds=time.perf_counter() - started)
+        own = {
+            EVIDENCE: second.evidence,
+            EVIDENCE_BEFORE: second.evidence_before,
+            IS_NEW: second.estimate.is_new,
+            IS_SURE: run.tracker.is_sure(second.estimate),
+        }
+        others = None if second.alternatives is None else sent_to(second.alternatives, HOST)
+        return _Step(row=row, line=record.with_measures(own).as_json(), alternatives=others)
+
+
+def _follow(one: _Pass, writer: TrackWriter, say: Say, workers: int) -> dict[int, Alternatives]:
+    """Writes another pass; hands that explain the pictures about as well, by rows, where others were looked for."""
+    if one.run.keypoints is not None:
+        one.run.keypoints.rewind()
+    alternatives = dict[int, Alternatives]()
+    with (
+        writer.lines_beside(BACKWARD_NAME) as lines,
+        progress(f"{one.run.recording.name}, {one.called}", int(one.is_wanted.sum()), say) as bar,
+    ):
+        for step in _all_steps(one, workers):
+            lines.append(step.line)
+            if step.alternatives is not None:
+                alternatives[step.row] = step.alternatives
             bar.update()
     return alternatives
 
 
-def _frames(run: Run, count: int, *, is_backward: bool) -> Iterator[RecordedFrame]:
-    """The first frames of a recording, so many, with what a detector found in them."""
-    if run.keypoints is not None:
-        run.keypoints.rewind()
+def _all_steps(one: _Pass, workers: int) -> Iterator[_Step]:
+    """Those of all shares, which copies of this process work on where these can be made; then a share's all at once, in
+    no order."""
+    copies = copies_for(len(one.shares), workers, one.run.tracker.device)
+    if copies is None:
+        for share in one.shares:
+            yield from one.steps(share)
+        return
+
+    def work(share: Share) -> bytes:
+        return pickle.dumps(list(one.steps(share)), pickle.HIGHEST_PROTOCOL)  # tensors by their values
+
+    for _, found in copies.done(lambda: work, one.shares):
+        yield from pickle.loads(found)
+
+
+def _frames(run: Run, rows: range, *, is_backward: bool) -> Iterator[RecordedFrame]:
+    """Frames of a recording by their places in it, with what a detector found in them."""
     with contextlib.ExitStack() as stack:
         frames = (
-            reversed_frames(run.recording, count)
+            reversed_frames(run.recording, rows)
             if is_backward
-            else islice(stack.enter_context(run.recording.opened(0)), count)
+            else islice(stack.enter_context(run.recording.opened(rows.start)), len(rows))
         )
         for frame in frames:
             yield with_keypoints(frame, run.keypoints, None)
-
-
-def _write_step(
-    run: Run,
-    lines: LineFile,
-    frame: RecordedFrame,
-    before: Track,
-    follower: FurtherPass,
-    alternatives: dict[int, Alternatives],
-) -> None:
-    """One step of another pass."""
-    started, row = time.perf_counter(), int(np.searchsorted(before.frame, frame.index))
-    pose = torch.from_numpy(before.pose[row])
-    second = follower.step(frame.views, frame.time_s, pose if bool(pose.isfinite().all()) else None)
-    names = [camera.name for camera in run.recording.cameras]
-    record = record_of(frame.index, second.estimate, names, seconds=time.perf_counter() - started)
-    own = {
-        EVIDENCE: second.evidence,
-        EVIDENCE_BEFORE: second.evidence_before,
-        IS_NEW: second.estimate.is_new,
-        IS_SURE: run.tracker.is_sure(second.estimate),
-    }
-    lines.append(record.with_measures(own).as_json())
-    if second.alternatives is not None:
-        alternatives[row] = sent_to(second.alternatives, HOST)

@@ -87,6 +87,8 @@ class Request:
     has_overlay: bool = True
     has_report: bool = True
     seed: int = 0
+    workers: int = 1
+    """Processes that share what can be worked on side by side."""
     device: torch.device = HOST
     """Device of the tracker; decoding and drawing are the processor's."""
 

@@ -159,7 +159,7 @@ def _track_one(run: Run, recording: OneCamera, writer: TrackWriter, request: Req
     _follow(run, recording, writer, done, request, say)
     if not request.is_causal:
         _log.debug("forward pass done")
-        smooth_frames(run, writer, say)
+        smooth_frames(run, writer, say, workers=request.workers)
 
 
 def _may_begin_later(run: Run, request: Request) -> bool:
@@ -277,7 +277,7 @@ def _track_all(start: "_RigStart", keypoints: KeypointSource | None, writer: Tra
     with scenes_ahead(start.make(run.metres), run.tracker, left) as run.ahead:
         _track_rest(run, keypoints, writer, done, request, say)
     if not request.is_causal and not request.settings.smoothing_window_s:
-        smooth_frames(run, writer, say)
+        smooth_frames(run, writer, say, workers=request.workers)
     return run
 
 

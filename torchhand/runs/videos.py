@@ -55,7 +55,7 @@ def track_videos(
     A video that is wrong is told of in its report. Raises DiskError where the disk is full, and InputError where a copy
     is lost.
     """
-    return workers.done(functools.partial(_worker, request, max_megapixels), videos)
+    return workers.done(functools.partial(_worker, replace(request, workers=1), max_megapixels), videos)
 
 
 def with_own_keypoints(videos: Sequence[Video], keypoints: Sequence[Path]) -> list[Video]:

@@ -44,9 +44,10 @@ class _Recording:
 def test_every_frame_comes_once_the_last_one_first(held: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("torchhand.runs.recordings.recording._MEMORY_BYTES", held * 3 * WIDTH * HEIGHT)
     recording = _Recording(9)
-    frames = [frame.index for frame in reversed_frames(recording, 7)]
+    frames = [frame.index for frame in reversed_frames(recording, range(7))]
     assert frames == [11, 10, 9, 8, 7, 6, 5]
     assert len(recording.opened_at) == -(-7 // held)  # as many pictures at once as the memory holds
+    assert [frame.index for frame in reversed_frames(recording, range(2, 5))] == [9, 8, 7]
 
 
 def test_frames_have_the_times_of_the_video_wherever_reading_starts(tmp_path: Path) -> None:
@@ -58,5 +59,5 @@ def test_frames_have_the_times_of_the_video_wherever_reading_starts(tmp_path: Pa
     for done in (0, 3):
         with recording.opened(done) as frames:
             assert [frame.time_s for frame in frames] == pytest.approx(times_s[done:], abs=2e-5)
-    backwards = [frame.time_s for frame in reversed_frames(recording, len(times_s))]
+    backwards = [frame.time_s for frame in reversed_frames(recording, range(len(times_s)))]
     assert backwards == pytest.approx(times_s[::-1], abs=2e-5)

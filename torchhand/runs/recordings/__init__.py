@@ -11,6 +11,7 @@ from torchhand.runs.recordings.recording import (
     reversed_frames,
     rig_plates,
 )
+from torchhand.runs.recordings.shares import Share, shares
 
 __all__ = [
     "ASSUMED_CAMERA",
@@ -20,7 +21,9 @@ __all__ = [
     "RecordedFrame",
     "Recording",
     "RigRecording",
+    "Share",
     "first_open_hand",
     "reversed_frames",
     "rig_plates",
+    "shares",
 ]
