@@ -21,7 +21,7 @@ from torchhand.files import FrameRecord, Track, TrackWriter, load_track
 from torchhand.files.results import BACKWARD_NAME, JSONL_NAME, track_of
 from torchhand.runs.keypoint_tracks import with_keypoints
 from torchhand.runs.progress import progress
-from torchhand.runs.recordings import RecordedFrame, Share, reversed_frames, shares
+from torchhand.runs.recordings import RecordedFrame, Share, reversed_frames, shares_of
 from torchhand.runs.records import (
     EVIDENCE,
     EVIDENCE_BEFORE,
@@ -184,7 +184,7 @@ class _Pass:
     def shares(self) -> tuple[Share, ...]:
         """What can be worked on side by side."""
         overlap = np.where(self.before.has_hand, self.before.measures["overlap"], np.nan)
-        return shares(overlap, self.is_wanted, is_backward=self.is_backward)
+        return shares_of(overlap, self.is_wanted, is_backward=self.is_backward)
 
     def steps(self, share: Share) -> Iterator[_Step]:
         """A share, frame by frame as they are done."""

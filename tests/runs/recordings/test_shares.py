@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from torchhand.runs.recordings.shares import RUN_IN, shares
+from torchhand.runs.recordings.shares import RUN_IN, shares_of
 
 
 @pytest.mark.parametrize("is_backward", [True, False])
@@ -12,7 +12,7 @@ def test_every_wanted_frame_is_told_of_once(frames: int, is_backward: bool) -> N
     generator = np.random.default_rng(frames)
     is_wanted = generator.random(frames) > 0.1
     is_wanted[0] = True
-    found = shares(generator.random(frames), is_wanted, is_backward=is_backward)
+    found = shares_of(generator.random(frames), is_wanted, is_backward=is_backward)
     told = [place for one in found for place in one.told]
     assert told == list(range(np.flatnonzero(is_wanted)[-1] + 1))
     assert len(found) == min(16, max(1, int(is_wanted.sum()) // 100))
@@ -26,7 +26,7 @@ def test_every_wanted_frame_is_told_of_once(frames: int, is_backward: bool) -> N
 def test_a_share_begins_where_the_hand_is_explained_best(is_backward: bool) -> None:
     overlap = np.full(200, 0.8)
     overlap[[85, 111, 130]] = 0.9, 0.95, 0.99  # the last one is too far from the middle
-    first, second = shares(overlap, np.ones(200, dtype=bool), is_backward=is_backward)
+    first, second = shares_of(overlap, np.ones(200, dtype=bool), is_backward=is_backward)
     assert (first.followed.stop - 1 if is_backward else second.followed.start) == 111 - is_backward
 
 
@@ -34,11 +34,11 @@ def test_a_share_begins_after_frames_that_are_not_wanted_where_there_are_some() 
     is_wanted = np.ones(220, dtype=bool)
     is_wanted[95:99] = False
     overlap = np.linspace(0.5, 0.9, 220)
-    assert shares(overlap, is_wanted, is_backward=False)[1].followed.start == 95
+    assert shares_of(overlap, is_wanted, is_backward=False)[1].followed.start == 95
 
 
 def test_a_pass_is_not_cut_where_no_hand_is_followed() -> None:
     overlap = np.full(300, 0.8)
     overlap[70:250] = np.nan
-    (share,) = shares(overlap, np.ones(300, dtype=bool), is_backward=True)
+    (share,) = shares_of(overlap, np.ones(300, dtype=bool), is_backward=True)
     assert share.told == share.followed == range(300)

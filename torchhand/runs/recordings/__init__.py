@@ -11,7 +11,7 @@ from torchhand.runs.recordings.recording import (
     reversed_frames,
     rig_plates,
 )
-from torchhand.runs.recordings.shares import Share, shares
+from torchhand.runs.recordings.shares import Share, shares_of
 
 __all__ = [
     "ASSUMED_CAMERA",
@@ -25,5 +25,5 @@ __all__ = [
     "first_open_hand",
     "reversed_frames",
     "rig_plates",
-    "shares",
+    "shares_of",
 ]

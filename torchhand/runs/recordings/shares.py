@@ -22,7 +22,7 @@ class Share:
     """Those of which it tells: after a cut, others lead to them."""
 
 
-def shares(
+def shares_of(
     overlap: Float[np.ndarray, " t"], is_wanted: Bool[np.ndarray, " t"], *, is_backward: bool
 ) -> tuple[Share, ...]:
     """What can be followed side by side, in the order of the frames; together they tell of every frame that is wanted
