@@ -15,7 +15,7 @@ from torchhand.errors import InputError
 from torchhand.files import HandDetection, save_cameras
 from torchhand.geometry import assumed_camera
 from torchhand.hand import Side
-from torchhand.runs.pictures.inputs import PictureDetector, PictureKeypointsFile, cameras_of, mask_of, pictures_in
+from torchhand.runs.pictures.inputs import KeypointsFile, PictureDetector, cameras_of, mask_of, pictures_in
 
 IMAGE = torch.zeros(480, 640, 3, dtype=torch.uint8)
 MATRIX = np.array(((480.0, 0.0, 31.0), (0.0, 470.0, 23.0), (0.0, 0.0, 1.0)))
@@ -70,14 +70,14 @@ def keypoints(path: Path, **own: np.ndarray) -> Path:
 def test_keypoints_are_matched_by_name_and_tell_the_side(tmp_path: Path) -> None:
     names, labels = np.array(["a.png", "b.png", "c.png"]), np.array(["Left", "Right", ""])
     path = keypoints(tmp_path / "mp.npz", image=names, label=labels)
-    file = PictureKeypointsFile(path, side=None, pictures=names.tolist())
+    file = KeypointsFile(path, side=None, pictures=names.tolist())
     found = file.hand(4, "b.png", IMAGE)
     assert found.keypoints is not None
     assert found.side == "left"  # MediaPipe's name of a hand in a picture that is no mirror image
     assert found.keypoints.points_px[0].tolist() == [42.0, 43.0]
     assert found.keypoints.score == pytest.approx(0.8)
     assert file.hand(0, "a.png", IMAGE).side == "right"
-    only = PictureKeypointsFile(path, side="right", pictures=names.tolist())
+    only = KeypointsFile(path, side="right", pictures=names.tolist())
     assert only.hand(1, "b.png", IMAGE).keypoints is None
 
 
@@ -89,18 +89,18 @@ def test_a_file_is_silent_where_it_tells_of_no_hand_in_a_picture(tmp_path: Path,
         told = dict(stored)
     told["points_px"][2] = np.nan
     np.savez(path, **told)
-    file = PictureKeypointsFile(path, side=side, pictures=names.tolist())
+    file = KeypointsFile(path, side=side, pictures=names.tolist())
     silent = {name: file.hand(0, name, IMAGE).is_silent for name in ("a.png", "b.png", "c.png", "missing.png")}
     assert silent == {"a.png": False, "b.png": False, "c.png": True, "missing.png": False}
 
 
 def test_keypoints_without_names_are_in_the_pictures_order(tmp_path: Path) -> None:
     path = keypoints(tmp_path / "mp.npz")
-    found = PictureKeypointsFile(path, side=None, pictures=["a", "b", "c"]).hand(2, "any.png", IMAGE)
+    found = KeypointsFile(path, side=None, pictures=["a", "b", "c"]).hand(2, "any.png", IMAGE)
     assert found.keypoints is not None
     assert found.side is None
     with pytest.raises(InputError, match="one row for each of 2 pictures"):
-        PictureKeypointsFile(path, side=None, pictures=["a", "b"])
+        KeypointsFile(path, side=None, pictures=["a", "b"])
 
 
 def _detected(x: float, side: Side, score: float) -> HandDetection:
@@ -133,9 +133,9 @@ class Following:
 def test_keypoints_of_other_pictures_are_refused(tmp_path: Path) -> None:
     names = np.array(["a.png", "b.png", "c.png"])
     path = keypoints(tmp_path / "mp.npz", image=names)
-    assert PictureKeypointsFile(path, side=None, pictures=["c.png", "d.png"]).hand(0, "c.png", IMAGE).keypoints
+    assert KeypointsFile(path, side=None, pictures=["c.png", "d.png"]).hand(0, "c.png", IMAGE).keypoints
     with pytest.raises(InputError, match=r"image: expected names of the pictures, such as d\.png, got a\.png"):
-        PictureKeypointsFile(path, side=None, pictures=["d.png", "e.png"])
+        KeypointsFile(path, side=None, pictures=["d.png", "e.png"])
 
 
 def test_a_file_of_several_cameras_is_refused_before_any_picture(tmp_path: Path) -> None:

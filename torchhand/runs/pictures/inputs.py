@@ -143,7 +143,7 @@ class PictureHand:
 
 
 @runtime_checkable
-class PictureKeypoints(Protocol):
+class KeypointsOfPictures(Protocol):
     """Detected keypoints of single pictures, and which hand they are of."""
 
     def hand(self, number: int, name: str, image: UInt8[Tensor, "height width 3"]) -> PictureHand:
@@ -176,8 +176,8 @@ class PictureDetector:
         return PictureHand(keypoints=hand_keypoints(chosen), side=side, is_silent=not hands)
 
 
-class PictureKeypointsFile:
-    """Keypoints from a file, as `PictureKeypoints`."""
+class KeypointsFile:
+    """Keypoints from a file, as `KeypointsOfPictures`."""
 
     def __init__(self, path: Path, *, side: Side | None, pictures: Sequence[str]) -> None:
         """side: of the hands; those of the other hand are left out. None takes what the detector says. pictures: their

@@ -32,10 +32,10 @@ from torchhand.runs import record_of, undetermined_fingers
 from torchhand.runs.pictures.bounded import BoundedView
 from torchhand.runs.pictures.inputs import (
     CameraOf,
+    KeypointsFile,
+    KeypointsOfPictures,
     PictureDetector,
     PictureHand,
-    PictureKeypoints,
-    PictureKeypointsFile,
     cameras_of,
     mask_of,
     pictures_in,
@@ -85,9 +85,9 @@ class _Pictures:
         self.overlay_names = unique_names(self.paths)
         names = [path.name for path in self.paths]
         self.camera: CameraOf = cameras_of(request.camera, names)
-        self._stored: PictureKeypoints | None = None
+        self._stored: KeypointsOfPictures | None = None
         if request.keypoints and not request.has_detector:
-            self._stored = PictureKeypointsFile(request.keypoints[0], side=request.side, pictures=names)
+            self._stored = KeypointsFile(request.keypoints[0], side=request.side, pictures=names)
         if request.masks is not None and not request.masks.is_dir():
             raise InputError(f"--masks: expected a folder of silhouettes, got {request.masks}")
 
@@ -97,7 +97,7 @@ class _Pictures:
         return PictureDetector(side=self.request.side, hand_model=self.request.hand_model)
 
     @property
-    def keypoints(self) -> PictureKeypoints | None:
+    def keypoints(self) -> KeypointsOfPictures | None:
         return self._detector if self.request.has_detector else self._stored
 
     def detector_name(self, copies: Copies | None) -> str | None:

@@ -54,7 +54,8 @@ class RigSettings:
     """Method of the fit: least squares on both sides of skin and hull with prediction and filter, or the torques of
     Ueda et al. (2003)."""
     pose_space: str = "dof28"
-    """Free DOFs: a name of torchhand.hand.POSE_SPACES."""
+    """Free DOFs of the hands that are proposed to other update rules, a name of torchhand.hand.POSE_SPACES; a hand that
+    is followed in the hull has those of the tracker's `pose_space`."""
     octree: HullOctreeSettings = field(default_factory=HullOctreeSettings)
     hull: HullSettings = field(default_factory=lambda: HullSettings(rigidity_exponent=1.5))
     """Weights and sizes of the fit by least squares."""
