@@ -224,28 +224,29 @@ def _follow(one: _Pass, writer: TrackWriter, say: Say, workers: int) -> dict[int
         writer.lines_beside(BACKWARD_NAME) as lines,
         progress(f"{one.run.recording.name}, {one.called}", int(one.is_wanted.sum()), say) as bar,
     ):
-        for step in _all_steps(one, workers):
-            lines.append(step.line)
-            if step.alternatives is not None:
-                alternatives[step.row] = step.alternatives
-            bar.update()
+        for steps in _all_steps(one, workers):
+            for step in steps:
+                lines.append(step.line)
+                if step.alternatives is not None:
+                    alternatives[step.row] = step.alternatives
+            bar.update(frames=len(steps))
     return alternatives
 
 
-def _all_steps(one: _Pass, workers: int) -> Iterator[_Step]:
-    """Those of all shares, which copies of this process work on where these can be made; then a share's all at once, in
-    no order."""
+def _all_steps(one: _Pass, workers: int) -> Iterator[Sequence[_Step]]:
+    """Those of all shares as they are done: one by one; where copies of this process can be made, which work on shares,
+    a share's at a time, in no order."""
     copies = copies_for(len(one.shares), workers, one.run.tracker.device)
     if copies is None:
         for share in one.shares:
-            yield from one.steps(share)
+            yield from ([step] for step in one.steps(share))
         return
 
     def work(share: Share) -> bytes:
         return pickle.dumps(list(one.steps(share)), pickle.HIGHEST_PROTOCOL)  # tensors by their values
 
     for _, found in copies.done(lambda: work, one.shares):
-        yield from pickle.loads(found)
+        yield pickle.loads(found)
 
 
 def _frames(run: Run, rows: range, *, is_backward: bool) -> Iterator[RecordedFrame]:

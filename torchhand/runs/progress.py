@@ -21,13 +21,13 @@ class Progress:
         self._count, self._started_s = 0, time.monotonic()
         self._said_s = self._started_s
 
-    def update(self, counts: Mapping[Any, int] | None = None) -> None:
-        """One more is done. counts: what there was, by name."""
-        self._count += 1
+    def update(self, counts: Mapping[Any, int] | None = None, *, frames: int = 1) -> None:
+        """So many more are done. counts: what there was, by name."""
+        self._count += frames
         told = {name: count for name, count in (counts or {}).items() if count}
         if self._bar is not None:
             self._bar.set_postfix(told, refresh=False)
-            self._bar.update()
+            self._bar.update(frames)
             return
         now_s = time.monotonic()
         if _is_told.get() and now_s - self._said_s >= _EVERY_S:
