@@ -469,7 +469,7 @@ def test_frames_in_which_the_passes_differ_are_followed_once_more_and_again_wher
 def test_shares_of_a_pass_give_the_same_in_any_number_of_processes(
     clip: Clip, smoothed: Path, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name, value in (("_SIZE", 3), ("_WITHIN", 1), ("RUN_IN", 1)):
+    for name, value in (("_OF_TWO", 2), ("_WITHIN", 1), ("RUN_IN", 1)):
         monkeypatch.setattr(f"torchhand.runs.recordings.shares.{name}", value)
     asked = list[tuple[int, int]]()
 
@@ -481,7 +481,7 @@ def test_shares_of_a_pass_give_the_same_in_any_number_of_processes(
     for workers in (1, 2):
         out = tmp_path / str(workers)
         assert run(clip.frames, "--out", out, "--workers", workers, *clip.with_second_pass).code == 0
-    assert asked == [(FRAMES // 3, 1), (FRAMES // 3, 2)]
+    assert asked == [(4, 1), (4, 2)]
     assert _lines_without_seconds(tmp_path / "1") == _lines_without_seconds(tmp_path / "2")
     whole, cut = load_track(smoothed), load_track(tmp_path / "1")
     assert len(cut) == FRAMES

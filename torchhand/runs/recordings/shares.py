@@ -1,5 +1,6 @@
 """A pass over a recording, cut into shares that processes can follow side by side."""
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -8,8 +9,8 @@ from jaxtyping import Bool, Float
 
 RUN_IN = 15
 """Frames that a share follows before those that it tells of: three looks at other tilts."""
-_SIZE, _MOST = 100, 16
-"""Frames of a share at least; and shares at most, for each reads the recording up to its frames."""
+_OF_TWO, _MOST = 100, 16
+"""Fewest frames that are cut into two shares; and shares at most, for each reads the recording up to its frames."""
 _WITHIN = 20  # frames from an even share, within which the one that is explained best is where a share begins
 
 
@@ -44,9 +45,13 @@ def shares_of(
 
 
 def _edges(overlap: Float[np.ndarray, " t"], is_wanted: Bool[np.ndarray, " t"]) -> list[int]:
-    """Places between shares: where no frame is wanted, else where the hand explains most, never where there is none."""
+    """Places between shares: where no frame is wanted, else where the hand explains most, never where there is none.
+
+    An even number, as of cores; twice as many where there are four times as many frames, so that run-ins, which take
+    longer the more shares there are, stay about a tenth.
+    """
     wanted = np.flatnonzero(is_wanted)
-    count = min(_MOST, max(1, len(wanted) // _SIZE))
+    count = max(1, min(_MOST, 2 * math.isqrt(len(wanted) // _OF_TWO)))
     fitness = np.where(is_wanted, np.nan_to_num(overlap, nan=-1.0), np.inf)
     edges = [int(wanted[0])]
     for even in (int(wanted[place * len(wanted) // count]) for place in range(1, count)):
