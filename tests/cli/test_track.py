@@ -469,7 +469,7 @@ def test_frames_in_which_the_passes_differ_are_followed_once_more_and_again_wher
 def test_shares_of_a_pass_give_the_same_in_any_number_of_processes(
     clip: Clip, smoothed: Path, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name, value in (("_OF_TWO", 2), ("_WITHIN", 1), ("RUN_IN", 1)):
+    for name, value in (("_SMALLEST", 2), ("_WITHIN", 1), ("RUN_IN", 1)):
         monkeypatch.setattr(f"torchhand.runs.recordings.shares.{name}", value)
     asked = list[tuple[int, int]]()
 

@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float
 
 RUN_IN = 15
 """Frames that a share follows before those that it tells of: three looks at other tilts."""
-_OF_TWO, _MOST = 100, 16
-"""Fewest frames that are cut into two shares; and shares at most, for each reads the recording up to its frames."""
+_SMALLEST, _MOST = 100, 16
+"""Frames of each of two shares, at least; and shares at most, for each reads the recording up to its frames."""
 _WITHIN = 20  # frames from an even share, within which the one that is explained best is where a share begins
 
 
@@ -51,7 +51,8 @@ def _edges(overlap: Float[np.ndarray, " t"], is_wanted: Bool[np.ndarray, " t"]) 
     longer the more shares there are, stay about a tenth.
     """
     wanted = np.flatnonzero(is_wanted)
-    count = max(1, min(_MOST, 2 * math.isqrt(len(wanted) // _OF_TWO)))
+    is_long = len(wanted) >= 2 * _SMALLEST
+    count = min(_MOST, 2 * math.isqrt(len(wanted) // _SMALLEST)) if is_long else 1
     fitness = np.where(is_wanted, np.nan_to_num(overlap, nan=-1.0), np.inf)
     edges = [int(wanted[0])]
     for even in (int(wanted[place * len(wanted) // count]) for place in range(1, count)):
