@@ -25,7 +25,7 @@ def test_every_wanted_frame_is_told_of_once(frames: int, is_backward: bool) -> N
 @pytest.mark.parametrize("is_backward", [True, False])
 def test_a_share_begins_where_the_hand_is_explained_best(is_backward: bool) -> None:
     overlap = np.full(220, 0.8)
-    overlap[[85, 111, 130]] = 0.9, 0.95, 0.99  # the last one is too far from the middle
+    overlap[[85, 111, 135]] = 0.9, 0.95, 0.99  # the last one is too far from the middle
     first, second = shares_of(overlap, np.ones(220, dtype=bool), is_backward=is_backward)
     assert (first.followed.stop - 1 if is_backward else second.followed.start) == 111 - is_backward
 
