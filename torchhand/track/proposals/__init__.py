@@ -5,7 +5,7 @@ from torchhand.track.proposals.keypoints import KeypointHand, KeypointStart
 from torchhand.track.proposals.learned import LearnedHands
 from torchhand.track.proposals.posture_search import PostureSearch
 from torchhand.track.proposals.protocol import OCCASIONS, Occasion, Proposals, ProposalSource, Proposed
-from torchhand.track.proposals.tilted import TiltedHands, tilted_hands
+from torchhand.track.proposals.tilted import TiltedHands, digits_outside, tilted_hands
 
 __all__ = [
     "OCCASIONS",
@@ -18,6 +18,7 @@ __all__ = [
     "Proposals",
     "Proposed",
     "TiltedHands",
+    "digits_outside",
     "hull_sources",
     "tilted_hands",
 ]

@@ -62,6 +62,16 @@ class TiltedHands:
             return Proposals()
         return self._registered(seen, self._starts(best, seen, shape), shape)
 
+    def away(self, best: Candidate | None, scene: Scene, shape: Float[Tensor, "shape"] | None) -> tuple[bool, ...]:
+        """Digits of a followed hand that lie outside the silhouette; empty where nothing tells."""
+        if best is None or best.keypoints is not None or shape is None:
+            return ()
+        seen = seen_silhouette(scene, self.camera)
+        return () if seen is None else tuple(self._outside(best.pose.normalized(), seen, shape).tolist())
+
+    def _outside(self, pose: HandPose, seen: Silhouette, shape: Float[Tensor, "shape"]) -> Bool[Tensor, "5"]:
+        return digits_outside(self.kinematics, self.camera, pose, shape, seen.mask) > _AWAY
+
     def turned_back(self, scene: Scene, shape: Float[Tensor, "shape"], turned: Candidate) -> Proposals:
         """What explains a picture as well as a hand that is turned over, from the side that was known: its other side
         in its place, each finger as the one that it takes the place of, and as a network sees it, in all tilts."""
@@ -94,10 +104,21 @@ class TiltedHands:
         joints = [own.dofs[-len(JOINT_DOFS) :]]
         joints += [] if best.learned is None else [best.learned.joints]
         tilted = tilted_hands(own, joints, self.kinematics, shape)
-        keypoints = self.kinematics(own.dofs, shape, root_reference=own.reference).keypoints
-        away = outside(self.camera.project(keypoints.to(self.camera.intrinsics)), seen.mask) > _AWAY
-        bent = bent_hands(own, away)
+        bent = bent_hands(own, self._outside(own, seen, shape))
         return tilted if bent is None else HandPose.cat((tilted, bent))
+
+
+def digits_outside(
+    kinematics: HandKinematics,
+    camera: Camera,
+    pose: HandPose,
+    shape: Float[Tensor, "shape"],
+    mask: Bool[Tensor, "height width"],
+) -> Float[Tensor, "5"]:
+    """Share of each digit of a hand () beyond its first joint that lies outside a silhouette in the camera's picture;
+    the camera is the world."""
+    keypoints = kinematics(pose.dofs, shape, root_reference=pose.reference).keypoints
+    return outside(camera.project(keypoints.to(camera.intrinsics)), mask)
 
 
 def outside(points_px: Float[Tensor, "21 2"], mask: Bool[Tensor, "height width"]) -> Float[Tensor, "5"]:
