@@ -12,10 +12,12 @@ from tests.steps import right_hand, run
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import FINGERS, JOINT_DOFS, HandPose, posture
 from torchhand.runs import settings_of
-from torchhand.track import Tracker, TrackerState, View
+from torchhand.track import FurtherPass, Tracker, TrackerState, View
 from torchhand.track.proposals import Proposals, Proposed, TiltedHands
-from torchhand.track.proposals.tilted import bent_hands, exchanged_fingers, outside
+from torchhand.track.proposals.tilted import bent_hands, digits_outside, exchanged_fingers, outside
 from torchhand.track.scene import Candidate, Scene
+
+INDEX = torch.tensor([name.startswith("index") for name in JOINT_DOFS])
 
 
 def _turned_deg(one: Tensor, other: Tensor) -> float:
@@ -60,31 +62,75 @@ def test_the_tilt_is_among_those_that_are_proposed(half_closed: Any) -> None:
     assert min(_turned_deg(one.pose.rotation, true.rotation) for one in proposals.hands) < 12
 
 
-def test_a_finger_outside_the_silhouette_is_proposed_bent(studio: Any) -> None:
-    """The index bends between two pictures: the straight one that was followed lies beside the hand."""
+@pytest.fixture(scope="module")
+def folded(studio: Any) -> tuple[Any, Tracker, TrackerState, Tensor, HandPose]:
+    """A hand whose index bends between two pictures: it in the first, a tracker without a network's posture, its state
+    after that, the second picture, and the hand in it."""
     placed = studio.placed(size=0.7, view="palm", camera=studio.camera(320, 240))
     opened, fist = (posture(name, dtype=torch.float64)[6:] for name in ("open", "fist"))
-    index = torch.tensor([name.startswith("index") for name in JOINT_DOFS])
     straight, bent = placed.pose.clone(), placed.pose.clone()
-    straight[6:], bent[6:] = opened, torch.where(index, 0.7 * fist, opened)
+    straight[6:], bent[6:] = opened, torch.where(INDEX, 0.7 * fist, opened)
     placed = replace(placed, pose=straight)
-    tracker = Tracker(right_hand(), placed.camera, settings_of("contour_full"), shape=placed.shape)
+    settings = replace(settings_of("contour_full"), learned_posture=False)
+    tracker = Tracker(right_hand(), placed.camera, settings, shape=placed.shape)
     state, _ = run(tracker, [placed.picture(seed=0)])
     picture = replace(placed, pose=bent).picture(seed=1)
+    return placed, tracker, state, picture, HandPose(dofs=bent, reference=placed.root_reference)
+
+
+def test_a_finger_outside_the_silhouette_is_proposed_bent(folded: Any) -> None:
+    """The straight one that was followed lies beside the hand."""
+    placed, tracker, state, picture, true = folded
     scene = tracker.scene(state, [View(image=picture)], 1.0)
-    followed = HandPose(dofs=straight, reference=placed.root_reference).normalized()
+    followed = HandPose(dofs=placed.pose, reference=placed.root_reference).normalized()
     best = _followed(tracker, scene, followed, placed.shape)
     plane = scene.plane(0)
     assert plane is not None
-    keypoints = tracker.kinematics(straight, placed.shape, root_reference=placed.root_reference).keypoints
-    away = outside(placed.camera.project(keypoints), plane > 0.5)
+    away = digits_outside(tracker.kinematics, placed.camera, followed, placed.shape, plane > 0.5)
     assert away[1] > 0.5
     assert away[[0, 2, 3, 4]].max() < 0.2
     with torch.inference_mode():
+        assert _source(tracker).away(best, scene, placed.shape) == (False, True, False, False, False)
+        assert _source(tracker).away(None, scene, placed.shape) == ()
         proposals = _source(tracker)(scene, state, best)
-    bends = HandPose.stack([one.pose for one in proposals.hands]).dofs[:, 6:][:, index].sum(-1)
-    assert float((bends - bent[6:][index].sum()).abs().min()) < math.radians(60)
+    bends = HandPose.stack([one.pose for one in proposals.hands]).dofs[:, 6:][:, INDEX].sum(-1)
+    assert float((bends - true.dofs[6:][INDEX].sum()).abs().min()) < math.radians(60)
     assert float(bends.min()) < math.radians(60)  # others are there as well
+
+
+@pytest.mark.parametrize("since", [0, 5])
+def test_a_finger_that_comes_to_lie_outside_is_tried_bent_at_once(folded: Any, since: int) -> None:
+    """Whatever else was tried in vain, but for the last frames."""
+    _, tracker, state, picture, true = folded
+    state = replace(state, frames_since_refit=since, refit_after=1000)
+    assert state.time_s is not None
+    after, estimate = tracker.step(state, [View(image=picture)], state.time_s + 0.04)
+    assert after.frames_since_refit == (0 if since else 1)
+    assert estimate.pose is not None
+    off = float((estimate.pose[6:][INDEX] - true.dofs[6:][INDEX]).sum().abs())
+    assert (off < math.radians(60)) == bool(since)
+    assert after.digits_tried == (False, bool(since), False, False, False)
+
+
+def test_a_finger_that_stays_outside_is_tried_once(folded: Any) -> None:
+    _, tracker, state, picture, _ = folded
+    state = replace(state, frames_since_refit=5, refit_after=1000, digits_tried=(False, True, False, False, False))
+    after, _ = tracker.step(state, [View(image=picture)], state.time_s + 0.04)
+    assert after.frames_since_refit == 6
+
+
+def test_a_finger_outside_the_silhouette_counts_against_a_hand(folded: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    placed, tracker, state, picture, _ = folded
+    before = HandPose(dofs=placed.pose, reference=placed.root_reference).normalized()
+    found = []
+    for nats in (0.0, 4.5):
+        monkeypatch.setattr("torchhand.track.further_pass._OUTSIDE_NATS", nats)
+        second = FurtherPass(tracker, replace(state, frames_since_refit=5)).step(
+            [View(image=picture)], 1.0, before.vector
+        )
+        assert second.evidence_before is not None
+        found.append(second.evidence_before)
+    assert found[0] - found[1] == pytest.approx(4.5)
 
 
 def test_digits_are_bent_each_by_itself_and_all_together() -> None:
