@@ -236,16 +236,17 @@ def _follow(one: _Pass, writer: TrackWriter, say: Say, workers: int) -> dict[int
 def _all_steps(one: _Pass, workers: int) -> Iterator[Sequence[_Step]]:
     """Those of all shares as they are done: one by one; where copies of this process can be made, which work on shares,
     a share's at a time, in no order."""
-    copies = copies_for(len(one.shares), workers, one.run.tracker.device)
+    shares = one.shares
+    copies = copies_for(len(shares), workers, one.run.tracker.device)
     if copies is None:
-        for share in one.shares:
+        for share in shares:
             yield from ([step] for step in one.steps(share))
         return
 
     def work(share: Share) -> bytes:
         return pickle.dumps(list(one.steps(share)), pickle.HIGHEST_PROTOCOL)  # tensors by their values
 
-    for _, found in copies.done(lambda: work, one.shares):
+    for _, found in copies.done(lambda: work, shares):
         yield pickle.loads(found)
 
 
