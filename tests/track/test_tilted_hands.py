@@ -12,11 +12,14 @@ from tests.steps import right_hand, run
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import FINGERS, JOINT_DOFS, HandPose, posture
 from torchhand.runs import settings_of
-from torchhand.track import FurtherPass, Tracker, TrackerState, View
+from torchhand.track import FurtherPass, TiltAlternatives, Tracker, TrackerState, View
+from torchhand.track.alternatives import misplaced_nats
 from torchhand.track.proposals import Proposals, Proposed, TiltedHands
-from torchhand.track.proposals.tilted import bent_hands, digits_outside, exchanged_fingers, outside
+from torchhand.track.proposals.digits import LeftOut, digits_outside, moved_digits, outside
+from torchhand.track.proposals.tilted import exchanged_fingers
 from torchhand.track.scene import Candidate, Scene
 
+INDEX_ALONE, NO_DIGIT = (False, True, False, False, False), (False,) * 5
 INDEX = torch.tensor([name.startswith("index") for name in JOINT_DOFS])
 
 
@@ -90,8 +93,8 @@ def test_a_finger_outside_the_silhouette_is_proposed_bent(folded: Any) -> None:
     assert away[1] > 0.5
     assert away[[0, 2, 3, 4]].max() < 0.2
     with torch.inference_mode():
-        assert _source(tracker).away(best, scene, placed.shape) == (False, True, False, False, False)
-        assert _source(tracker).away(None, scene, placed.shape) == ()
+        assert _source(tracker).misplaced(best, scene, placed.shape) == (*INDEX_ALONE, *NO_DIGIT)
+        assert _source(tracker).misplaced(None, scene, placed.shape) == ()
         proposals = _source(tracker)(scene, state, best)
     bends = HandPose.stack([one.pose for one in proposals.hands]).dofs[:, 6:][:, INDEX].sum(-1)
     assert float((bends - true.dofs[6:][INDEX].sum()).abs().min()) < math.radians(60)
@@ -109,12 +112,12 @@ def test_a_finger_that_comes_to_lie_outside_is_tried_bent_at_once(folded: Any, s
     assert estimate.pose is not None
     off = float((estimate.pose[6:][INDEX] - true.dofs[6:][INDEX]).sum().abs())
     assert (off < math.radians(60)) == bool(since)
-    assert after.digits_tried == (False, bool(since), False, False, False)
+    assert after.digits_tried == ((*INDEX_ALONE, *NO_DIGIT) if since else (False,) * 10)
 
 
 def test_a_finger_that_stays_outside_is_tried_once(folded: Any) -> None:
     _, tracker, state, picture, _ = folded
-    state = replace(state, frames_since_refit=5, refit_after=1000, digits_tried=(False, True, False, False, False))
+    state = replace(state, frames_since_refit=5, refit_after=1000, digits_tried=(*INDEX_ALONE, *NO_DIGIT))
     after, _ = tracker.step(state, [View(image=picture)], state.time_s + 0.04)
     assert after.frames_since_refit == 6
 
@@ -124,7 +127,7 @@ def test_a_finger_outside_the_silhouette_counts_against_a_hand(folded: Any, monk
     before = HandPose(dofs=placed.pose, reference=placed.root_reference).normalized()
     found = []
     for nats in (0.0, 4.5):
-        monkeypatch.setattr("torchhand.track.further_pass._OUTSIDE_NATS", nats)
+        monkeypatch.setattr("torchhand.track.alternatives._OUTSIDE_NATS", nats)
         second = FurtherPass(tracker, replace(state, frames_since_refit=5)).step(
             [View(image=picture)], 1.0, before.vector
         )
@@ -133,23 +136,105 @@ def test_a_finger_outside_the_silhouette_counts_against_a_hand(folded: Any, monk
     assert found[0] - found[1] == pytest.approx(4.5)
 
 
-def test_digits_are_bent_each_by_itself_and_all_together() -> None:
-    pose = HandPose(dofs=posture("open", dtype=torch.float64), reference=torch.eye(3, dtype=torch.float64))
-    fist = posture("fist", dtype=torch.float64)
-    assert bent_hands(pose, torch.zeros(5, dtype=torch.bool)) is None
-    bent = bent_hands(pose, torch.tensor((False, True, False, True, False)))
-    assert bent is not None
-    assert bent.dofs.shape == (6, 36)
-    assert bent.reference.shape == (6, 3, 3)
-    is_bent = (bent.dofs != pose.dofs)[:, 6:].unflatten(1, (5, 6)).any(-1)
-    alone, other, both = (
+@pytest.fixture(scope="module")
+def stretched(studio: Any) -> tuple[Any, Tracker, TrackerState, Tensor, HandPose]:
+    """A hand whose index is stretched between two pictures, as `folded`; and it as it was followed, bent."""
+    placed = studio.placed(size=0.7, view="palm", camera=studio.camera(320, 240))
+    opened, fist = (posture(name, dtype=torch.float64)[6:] for name in ("open", "fist"))
+    straight, bent = placed.pose.clone(), placed.pose.clone()
+    straight[6:], bent[6:] = opened, torch.where(INDEX, fist, opened)
+    settings = replace(settings_of("contour_full"), learned_posture=False)
+    tracker = Tracker(right_hand(), placed.camera, settings, shape=placed.shape)
+    state, _ = run(tracker, [replace(placed, pose=straight).picture(seed=0)])
+    picture = replace(placed, pose=straight).picture(seed=1)
+    own = HandPose(dofs=bent, reference=placed.root_reference).normalized()
+    return replace(placed, pose=straight), tracker, state, picture, own
+
+
+def test_a_finger_that_is_left_out_of_the_silhouette_is_proposed_straight(stretched: Any) -> None:
+    """The bent one that was followed covers nothing of it."""
+    placed, tracker, state, picture, own = stretched
+    scene = tracker.scene(state, [View(image=picture)], 1.0)
+    best = _followed(tracker, scene, own, placed.shape)
+    with torch.inference_mode():
+        misplaced = _source(tracker).misplaced(best, scene, placed.shape)
+        assert misplaced[:5] == NO_DIGIT
+        assert misplaced[6]
+        proposals = _source(tracker)(scene, state, best)
+    bends = HandPose.stack([one.pose for one in proposals.hands]).dofs[:, 6:][:, INDEX].sum(-1)
+    true = placed.pose[6:][INDEX].sum()
+    assert float((own.dofs[6:][INDEX].sum() - true).abs()) > math.radians(150)
+    assert float((bends - true).abs().min()) < math.radians(60)
+
+
+def test_what_a_hand_leaves_out_counts_against_it(stretched: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, tracker, state, picture, own = stretched
+    found = []
+    for nats in (0.0, 4.5):
+        monkeypatch.setattr("torchhand.track.alternatives._LEFT_OUT_NATS", nats)
+        second = FurtherPass(tracker, replace(state, frames_since_refit=5)).step([View(image=picture)], 1.0, own.vector)
+        assert second.evidence_before is not None
+        found.append(second.evidence_before)
+    assert found[0] - found[1] == pytest.approx(4.5)
+
+
+def test_hands_are_weighed_by_digits_outside_as_well(folded: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Among those that are registered on a picture; the straight finger stays where nothing is solved."""
+    placed, tracker, state, picture, true = folded
+    scene = tracker.scene(state, [View(image=picture)], 1.0)
+    straight = HandPose(dofs=placed.pose, reference=placed.root_reference)
+    hands = HandPose.stack([true.normalized(), straight.normalized()])
+    with torch.inference_mode():
+        assert misplaced_nats(tracker, scene, hands, placed.shape).tolist() == [0.0, 4.5]
+        assert misplaced_nats(tracker, scene, hands[:0], placed.shape).shape == (0,)
+        beside = replace(scene, probabilities=(None,), masks=(None,))
+        assert misplaced_nats(tracker, beside, hands, placed.shape).tolist() == [0.0, 0.0]
+        costs = []
+        for nats in (0.0, 1e6):
+            monkeypatch.setattr("torchhand.track.alternatives._OUTSIDE_NATS", nats)
+            found = TiltAlternatives(tracker, state)(scene, [true.normalized(), straight.normalized()])
+            assert found is not None
+            costs.append(found.cost.max())
+    assert costs[1] - costs[0] > 1e5
+
+
+def test_nothing_is_left_out_by_a_hand_in_its_place_nor_where_its_palm_is_seen_edge_on(stretched: Any) -> None:
+    placed, tracker, state, picture, own = stretched
+    scene = tracker.scene(state, [View(image=picture)], 1.0)
+    plane = scene.plane(0)
+    assert plane is not None
+    edge = rotation_from_vector(torch.tensor((math.pi / 2, 0.0, 0.0)).double())
+    true = HandPose(dofs=placed.pose, reference=placed.root_reference).normalized()
+    turned = HandPose(dofs=own.dofs, reference=edge @ own.reference)
+    hands = HandPose.stack([true, own, turned])
+    left = LeftOut(tracker.kinematics, placed.camera, own, placed.shape, plane > 0.5)
+    assert left.is_any(hands).tolist() == [False, True, False]
+    assert not left.digits(true).any()
+    nothing = LeftOut(tracker.kinematics, placed.camera, own, placed.shape, torch.zeros_like(plane, dtype=torch.bool))
+    assert not nothing.is_any(hands).any()
+    behind = replace(own, dofs=torch.cat((own.dofs[:2], -own.dofs[2:3], own.dofs[3:])))
+    beyond = LeftOut(tracker.kinematics, placed.camera, behind, placed.shape, plane > 0.5)
+    assert not beyond.is_any(hands).any()
+
+
+@pytest.mark.parametrize(("before", "towards"), [("open", "fist"), ("fist", "open")])
+def test_digits_are_moved_each_by_itself_and_all_together(before: str, towards: str) -> None:
+    pose = HandPose(dofs=posture(before, dtype=torch.float64), reference=torch.eye(3, dtype=torch.float64))
+    other = posture(towards, dtype=torch.float64)
+    assert moved_digits(pose, torch.zeros(5, dtype=torch.bool), towards) is None
+    moved = moved_digits(pose, torch.tensor((False, True, False, True, False)), towards)
+    assert moved is not None
+    assert moved.dofs.shape == (6, 36)
+    assert moved.reference.shape == (6, 3, 3)
+    is_moved = (moved.dofs != pose.dofs)[:, 6:].unflatten(1, (5, 6)).any(-1)
+    alone, beside, both = (
         [False, True, False, False, False],
         [False, False, False, True, False],
         [False, True, False, True, False],
     )
-    assert is_bent.tolist() == [alone, alone, other, other, both, both]
-    torch.testing.assert_close(bent.dofs[1, 12:18], fist[12:18])
-    torch.testing.assert_close(bent.dofs[0, 12:18], 0.5 * fist[12:18])
+    assert is_moved.tolist() == [alone, alone, beside, beside, both, both]
+    torch.testing.assert_close(moved.dofs[1, 12:18], other[12:18])
+    torch.testing.assert_close(moved.dofs[0, 12:18], 0.5 * (other + pose.dofs)[12:18])
 
 
 def test_fingers_are_exchanged_with_those_that_lie_in_their_places() -> None:

@@ -12,12 +12,11 @@ from torchhand.fit.keypoints import PostureKeypoints
 from torchhand.geometry import cosine_between
 from torchhand.hand import HandPose
 from torchhand.numerics import single_threaded
-from torchhand.track.alternatives import SAME_M, Alternatives, TiltAlternatives
+from torchhand.track.alternatives import SAME_M, Alternatives, TiltAlternatives, misplaced_nats
 from torchhand.track.belief import FollowedHand
 from torchhand.track.knowledge import Estimate, TrackerState
 from torchhand.track.paths import MOTION_NATS
 from torchhand.track.proportions import FittedShape, reshaped_poses
-from torchhand.track.proposals import digits_outside
 from torchhand.track.scene import (
     Scene,
     SceneKeypoints,
@@ -25,7 +24,6 @@ from torchhand.track.scene import (
     View,
     learned_observations,
     seen_posture,
-    seen_silhouette,
 )
 from torchhand.track.tracker import Tracker
 
@@ -36,10 +34,6 @@ passes lead to different ones (`rom_back`, `rom_side`, `rom_palm`, `free`, `flex
 keypoints: 20 to 90). Half as much changes no flexion error there by more than 0.3°."""
 _OVERLAP_NATS = 80.0
 """The same in the overlap with the silhouettes (there 0 to 50; it decides where the network is misled)."""
-_OUTSIDE_NATS, _OUTSIDE = 4.5, 0.3
-"""Nats against a hand for each digit of which a larger share lies outside the silhouette: among 3,008 digits that are
-right in either pass 1 in 1,500, among 166 whose tips are 20 mm off 1 in 17 (`rom_back`, `rom_side`, `rom_palm`,
-`free`)."""
 _SAME_M = 0.003  # mean distance of keypoints, up to which two hands are taken for one: no pass is better
 _NEAR_M = 0.01  # mean distance of keypoints, up to which a view of one hand shows another as well
 _LOOK_EVERY = 5  # frames from one look at other tilts to the next
@@ -189,17 +183,10 @@ class FurtherPass:
             shares = [one.agreement(pose, shape) for one in told]
             told_nats = _NATS * sum(share for share in shares if share is not None)
             overlap_nats = _OVERLAP_NATS * comparison(pose, scene).overlap
-            found.append(overlap_nats + told_nats - self._outside_nats(pose, shape, scene))
+            found.append(
+                overlap_nats + told_nats - float(misplaced_nats(self._tracker, scene, HandPose.stack([pose]), shape))
+            )
         return found
-
-    def _outside_nats(self, pose: HandPose, shape: Float[Tensor, "shape"], scene: Scene) -> float:
-        """What speaks against a hand whose digits lie outside the silhouette, where one camera tells."""
-        parts = self._tracker.parts
-        seen = None if parts.tilts is None else seen_silhouette(scene, parts.cameras[0])
-        if seen is None:
-            return 0.0
-        share = digits_outside(parts.kinematics, parts.cameras[0], pose, shape, seen.mask)
-        return _OUTSIDE_NATS * int((share > _OUTSIDE).sum())
 
     def _postures(self, poses: Sequence[HandPose], scene: Scene) -> Iterator[PostureKeypoints]:
         """What the network sees where each of some hands is; those near the first one are seen in the same view."""

@@ -53,7 +53,7 @@ _DECLINE = 0.03  # score less than at best, from which on a followed hand is fit
 _SURE_EDGES = 0.85  # share of the edges that a whole hand explains at least
 _TOLD = 0.01  # score that a hand may have less which the network bears out
 _VAIN_REFIT_EVERY = 40  # the same where they keep bringing nothing better
-_SOON = 3  # the same where a digit has come to lie outside the silhouette
+_SOON = 3  # the same where a digit has come to be misplaced
 _FASTEST_M_PER_S, _JUMP_M = 5.0, 0.2
 """How fast a hand moves at most, and how far off its place before a camera may be besides: what is found elsewhere once
 the hand is lost is another thing."""
@@ -571,13 +571,13 @@ class Tracker:
             return state, replace(search, reason=_SILENCE)
         asked: dict[type, Candidate | None] = {}
         tried = self._tried(search.best, scene, state)
-        away = () if self.parts.tilts is None else self.parts.tilts.away(search.best, scene, state.shape)
-        known = state.digits_tried or (False,) * len(away)
-        state = replace(state, digits_tried=tuple(one and was for one, was in zip(away, known, strict=False)))
-        sticks_out = away != state.digits_tried and state.frames_since_refit >= _SOON
+        misplaced = () if self.parts.tilts is None else self.parts.tilts.misplaced(search.best, scene, state.shape)
+        known = state.digits_tried or (False,) * len(misplaced)
+        state = replace(state, digits_tried=tuple(one and was for one, was in zip(misplaced, known, strict=False)))
+        is_misplaced = misplaced != state.digits_tried and state.frames_since_refit >= _SOON
         for source in self.parts.sources:
             kind = type(source)
-            is_due = self._is_due(source, search.best, scene, state, is_tried=kind in tried, sticks_out=sticks_out)
+            is_due = self._is_due(source, search.best, scene, state, is_tried=kind in tried, is_misplaced=is_misplaced)
             if not is_due or (kind in asked and asked[kind] is search.best):
                 continue
             if source.occasion not in occasions:
@@ -594,7 +594,7 @@ class Tracker:
             elif source.occasion == "declining":
                 is_vain = search.best is before
                 after = min(2 * state.refit_after, _VAIN_REFIT_EVERY) if is_vain else REFIT_EVERY
-                state = replace(state, frames_since_refit=0, refit_after=after, digits_tried=away)
+                state = replace(state, frames_since_refit=0, refit_after=after, digits_tried=misplaced)
         return state if search.is_doubted else self._after_alternatives(state, search, tried), search
 
     def _with_other(
@@ -671,19 +671,19 @@ class Tracker:
         state: TrackerState,
         *,
         is_tried: bool,
-        sticks_out: bool,
+        is_misplaced: bool,
     ) -> bool:
-        """is_tried: whether it may be asked about a degraded hand in this frame. sticks_out: whether a digit lies
-        outside the silhouette that was not tried bent."""
+        """is_tried: whether it may be asked about a degraded hand in this frame. is_misplaced: whether a digit
+        lies outside the silhouette, or leaves a part of it out, that was not tried elsewhere."""
         health, occasion = self.parts.health, source.occasion
-        is_refit_due = sticks_out or state.frames_since_refit >= state.refit_after
+        is_refit_due = is_misplaced or state.frames_since_refit >= state.refit_after
         if occasion == "always":
             return True
         if type(source) not in self._kinds(best, scene):
             return False
         if not health.is_degraded(best, state.usual_score):
             is_declining = best is not None and health.score(best) < state.best_score - _DECLINE
-            is_declining |= sticks_out
+            is_declining |= is_misplaced
             return occasion == "declining" and is_declining and is_refit_due
         if not is_tried or (occasion == "declining" and not self._is_budgeted and not is_refit_due):
             return False

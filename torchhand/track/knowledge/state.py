@@ -100,7 +100,8 @@ class TrackerState:
     refit_after: int = REFIT_EVERY
     """Frames after which such a fit is due."""
     digits_tried: tuple[bool, ...] = ()
-    """Digits that have lain outside the silhouette of one camera since they were last tried bent; empty for none."""
+    """Digits that have lain outside the silhouette of one camera since they were last tried bent, and those that might
+    have covered what is left out of it since they were last tried straight; empty for none."""
     frames_since_alternatives: int = 0
     """Frames since other hands were tried in the place of a degraded one."""
     alternatives_after: int = 0

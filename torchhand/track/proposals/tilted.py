@@ -1,5 +1,5 @@
-"""One camera: the followed hand tilted otherwise, its fingers as they are or as a network sees them; and with fingers
-bent that stick out of the silhouette."""
+"""One camera: the followed hand tilted otherwise, its fingers as they are or as a network sees them; with fingers bent
+that stick out of the silhouette; and with those straightened that may cover a part of it which it leaves out."""
 
 import itertools
 import math
@@ -18,15 +18,14 @@ from torchhand.geometry import Camera, rotation_from_vector
 from torchhand.hand import FINGERS, JOINT_DOFS, HandKinematics, HandPose, posture
 from torchhand.propose import Silhouette, palm_middle
 from torchhand.track.knowledge import TrackerState
+from torchhand.track.proposals.digits import LeftOut, digits_outside, moved_digits
 from torchhand.track.proposals.protocol import Occasion, Proposals, Proposed
 from torchhand.track.scene import Candidate, Scene, seen_silhouette
 
 _TILTS = (-math.radians(30.0), 0.0, math.radians(30.0))
 """About either axis of the picture, and none: as far off as the network's view of a direction is."""
 _COUNT = 4  # registered hands that the followed one is compared with
-_BENDS = (0.5, 1.0)  # of a fist, of digits that are bent
 _AWAY = 0.4  # share of a digit beyond its first joint that lies outside the silhouette where it is elsewhere
-_BETWEEN = 4  # points that are looked at from one keypoint of a digit to the next
 _BENDING = [
     JOINT_DOFS.index(f"index_{name}") - JOINT_DOFS.index("index_cmc_fe") for name in ("mcp_fe", "pip_fe", "dip_fe")
 ]
@@ -40,7 +39,8 @@ class TiltedHands:
 
     Where fingers bend, tilt and flexion change an outline alike: a hand that is followed may slide into a tilt from
     which no small step leads back. Nor does one from a finger that was straight and lies outside the silhouette: bent
-    a little it is as long. Turned over a hand explains outlines as well: that is a search's matter.
+    a little it is as long; nor from a bent one to its place in the silhouette. Turned over a hand explains outlines as
+    well: that is a search's matter.
     """
 
     occasion: ClassVar[Occasion] = "declining"
@@ -62,15 +62,22 @@ class TiltedHands:
             return Proposals()
         return self._registered(seen, self._starts(best, seen, shape), shape)
 
-    def away(self, best: Candidate | None, scene: Scene, shape: Float[Tensor, "shape"] | None) -> tuple[bool, ...]:
-        """Digits of a followed hand that lie outside the silhouette; empty where nothing tells."""
+    def misplaced(self, best: Candidate | None, scene: Scene, shape: Float[Tensor, "shape"] | None) -> tuple[bool, ...]:
+        """Digits of a followed hand that lie outside the silhouette, and those that may cover a part of it which the
+        hand leaves out, 10 in all; empty where nothing tells."""
         if best is None or best.keypoints is not None or shape is None:
             return ()
         seen = seen_silhouette(scene, self.camera)
-        return () if seen is None else tuple(self._outside(best.pose.normalized(), seen, shape).tolist())
+        if seen is None:
+            return ()
+        own = best.pose.normalized()
+        return (*self._outside(own, seen, shape).tolist(), *self._left_out(own, seen, shape).tolist())
 
     def _outside(self, pose: HandPose, seen: Silhouette, shape: Float[Tensor, "shape"]) -> Bool[Tensor, "5"]:
         return digits_outside(self.kinematics, self.camera, pose, shape, seen.mask) > _AWAY
+
+    def _left_out(self, pose: HandPose, seen: Silhouette, shape: Float[Tensor, "shape"]) -> Bool[Tensor, "5"]:
+        return LeftOut(self.kinematics, self.camera, pose, shape, seen.mask).digits(pose)
 
     def turned_back(self, scene: Scene, shape: Float[Tensor, "shape"], turned: Candidate) -> Proposals:
         """What explains a picture as well as a hand that is turned over, from the side that was known: its other side
@@ -99,56 +106,14 @@ class TiltedHands:
 
     def _starts(self, best: Candidate, seen: Silhouette, shape: Float[Tensor, "shape"]) -> HandPose:
         """The followed hand tilted, with its own fingers and with those a network sees, and as it is with those digits
-        bent that lie outside the silhouette."""
+        bent that lie outside the silhouette, and those straightened that may cover what it leaves out."""
         own = best.pose.normalized()
         joints = [own.dofs[-len(JOINT_DOFS) :]]
         joints += [] if best.learned is None else [best.learned.joints]
-        tilted = tilted_hands(own, joints, self.kinematics, shape)
-        bent = bent_hands(own, self._outside(own, seen, shape))
-        return tilted if bent is None else HandPose.cat((tilted, bent))
-
-
-def digits_outside(
-    kinematics: HandKinematics,
-    camera: Camera,
-    pose: HandPose,
-    shape: Float[Tensor, "shape"],
-    mask: Bool[Tensor, "height width"],
-) -> Float[Tensor, "5"]:
-    """Share of each digit of a hand () beyond its first joint that lies outside a silhouette in the camera's picture;
-    the camera is the world."""
-    keypoints = kinematics(pose.dofs, shape, root_reference=pose.reference).keypoints
-    return outside(camera.project(keypoints.to(camera.intrinsics)), mask)
-
-
-def outside(points_px: Float[Tensor, "21 2"], mask: Bool[Tensor, "height width"]) -> Float[Tensor, "5"]:
-    """Share of each digit beyond its first joint that lies outside a silhouette in its picture."""
-    chains = points_px[1:].unflatten(0, (len(FINGERS), -1))[:, 1:]
-    share = torch.arange(_BETWEEN, device=chains.device) / _BETWEEN
-    way = torch.lerp(chains[:, :-1, None], chains[:, 1:, None], share[:, None].to(chains))
-    places = torch.cat((way.flatten(1, 2), chains[:, -1:]), 1).nan_to_num(nan=-1.0).round().long()
-    x, y = places.unbind(-1)
-    height, width = mask.shape
-    is_in_picture = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    is_covered = mask[y.clamp(0, height - 1), x.clamp(0, width - 1)]
-    return (is_in_picture & ~is_covered).to(points_px).mean(-1)
-
-
-def bent_hands(pose: HandPose, digits: Bool[Tensor, "5"]) -> HandPose | None:
-    """A hand () with some of its digits bent half and wholly to a fist's: each by itself, and all together. None where
-    none is to be bent."""
-    chosen = digits.nonzero().squeeze(-1).tolist()
-    sets = [[one] for one in chosen] + ([chosen] if len(chosen) > 1 else [])
-    if not sets:
-        return None
-    fist, size = posture("fist", dtype=pose.dofs.dtype).to(pose.dofs.device), len(JOINT_DOFS) // len(FINGERS)
-    dofs = []
-    for some, bend in itertools.product(sets, _BENDS):
-        one = pose.dofs.clone()
-        joints, folded = (x[-len(JOINT_DOFS) :].unflatten(0, (len(FINGERS), size)) for x in (one, fist))
-        joints[some] = bend * folded[some]
-        dofs.append(one)
-    return HandPose(dofs=torch.stack(dofs), reference=pose.reference.expand(len(dofs), 3, 3))
+        bent = moved_digits(own, self._outside(own, seen, shape), "fist")
+        straight = moved_digits(own, self._left_out(own, seen, shape), "open")
+        found = (tilted_hands(own, joints, self.kinematics, shape), bent, straight)
+        return HandPose.cat(tuple(one for one in found if one is not None))
 
 
 def exchanged_fingers(joints: Float[Tensor, "30"]) -> list[Float[Tensor, "30"]]:

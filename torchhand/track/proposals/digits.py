@@ -1,0 +1,145 @@
+"""Digits and the silhouette of one camera, which is the world: those of a hand that lie outside it, parts of it as
+thick as a digit that no digit of the hand covers, and the hand with such digits bent or straightened."""
+
+import itertools
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchhand.geometry import Camera
+from torchhand.hand import FINGERS, JOINT_DOFS, HandKinematics, HandPose, posture
+from torchhand.image import depth_map
+
+_BENDS = (0.5, 1.0)  # of the way to a fist, or to an open hand
+_BETWEEN = 4  # points that are looked at from one keypoint of a digit to the next
+_DIGITS = tuple((1 + 4 * digit + bone, 2 + 4 * digit + bone) for digit in range(len(FINGERS)) for bone in range(3))
+_PALM = (*((0, knuckle) for knuckle in (1, 5, 9, 13, 17)), (1, 2), (1, 5), (2, 5), (5, 9), (9, 13), (13, 17))
+_DIGIT_REACH, _PALM_REACH = 0.075, 0.12  # hand lengths from the bones, beyond which nothing is a hand's
+_THICK = 0.02  # hand lengths from its edge to the middle of what is as thick as a digit
+_STEP = 0.01  # hand lengths between the points of a silhouette that are looked at
+_REGION = 1.3  # hand lengths from the wrist, towards the fingers
+_BEYOND_WRIST = 0.15  # hand lengths: an arm ends there
+_STEEP = 0.125  # a palm seen shorter than this, hand lengths, has no direction in the picture
+_NEAR = 0.5  # hand lengths from its first joint to what a digit may cover
+_KNUCKLES = (2, 5, 9, 13, 17)
+
+
+def digits_outside(
+    kinematics: HandKinematics,
+    camera: Camera,
+    pose: HandPose,
+    shape: Float[Tensor, "shape"],
+    mask: Bool[Tensor, "height width"],
+) -> Float[Tensor, "*batch 5"]:
+    """Share of each digit of hands (*batch) beyond its first joint that lies outside a silhouette."""
+    keypoints = kinematics(pose.dofs, shape, root_reference=pose.reference).keypoints
+    return outside(camera.project(keypoints.to(camera.intrinsics)), mask)
+
+
+def outside(points_px: Float[Tensor, "*batch 21 2"], mask: Bool[Tensor, "height width"]) -> Float[Tensor, "*batch 5"]:
+    """Share of each digit beyond its first joint that lies outside a silhouette in its picture."""
+    chains = points_px[..., 1:, :].unflatten(-2, (len(FINGERS), -1))[..., 1:, :]
+    share = torch.arange(_BETWEEN, device=chains.device) / _BETWEEN
+    way = torch.lerp(chains[..., :-1, None, :], chains[..., 1:, None, :], share[:, None].to(chains))
+    places = torch.cat((way.flatten(-3, -2), chains[..., -1:, :]), -2).nan_to_num(nan=-1.0).round().long()
+    x, y = places.unbind(-1)
+    height, width = mask.shape
+    is_in_picture = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    is_covered = mask[y.clamp(0, height - 1), x.clamp(0, width - 1)]
+    return (is_in_picture & ~is_covered).to(points_px).mean(-1)
+
+
+class LeftOut:
+    """What hands in about one place leave out of a silhouette."""
+
+    def __init__(
+        self,
+        kinematics: HandKinematics,
+        camera: Camera,
+        pose: HandPose,
+        shape: Float[Tensor, "shape"],
+        mask: Bool[Tensor, "height width"],
+    ) -> None:
+        """pose: one of the hands (), with a zero rotation vector."""
+        self._kinematics, self._camera, self._shape = kinematics, camera, shape
+        self._points_px = points_px = self._projected(pose)
+        focal_px = 0.5 * float(camera.intrinsics[0, 0] + camera.intrinsics[1, 1])
+        depth = float(pose.dofs[2]) if camera.kind == "pinhole" else 1.0
+        length = float(shape[kinematics.shape_space.names.index("hand_length")])
+        self.length_px = focal_px * length / depth if depth > 0 else 0.0
+        self._inner = _inner_points(mask, points_px[0], self.length_px)
+
+    def _projected(self, pose: HandPose) -> Float[Tensor, "*batch 21 2"]:
+        found = self._kinematics(pose.dofs, self._shape, root_reference=pose.reference).keypoints
+        return self._camera.project(found.to(self._camera.intrinsics))
+
+    def is_any(self, pose: HandPose) -> Bool[Tensor, "*batch"]:
+        """Whether hands (*batch) leave out a part as thick as a digit, beyond the wrist."""
+        return self._is_left_out(self._projected(pose)).any(-1)
+
+    def _is_left_out(self, points_px: Float[Tensor, "*batch 21 2"]) -> Bool[Tensor, "*batch points"]:
+        wrist, away = points_px[..., 0, :], points_px[..., 9, :] - points_px[..., 0, :]
+        seen_px = away.norm(dim=-1, keepdim=True)
+        off = self._inner - wrist[..., None, :]
+        along = (off * (away / seen_px)[..., None, :]).sum(-1)
+        is_near = (along > _BEYOND_WRIST * self.length_px) & (off.norm(dim=-1) < _REGION * self.length_px)
+        is_near &= seen_px > _STEEP * self.length_px
+        for bones, reach in ((_DIGITS, _DIGIT_REACH), (_PALM, _PALM_REACH)):
+            is_near &= (_distances(self._inner, points_px, bones) > reach * self.length_px).all(-1)
+        return is_near
+
+    def digits(self, pose: HandPose) -> Bool[Tensor, "5"]:
+        """Those of a hand () that may cover what it leaves out."""
+        points_px = self._projected(pose)
+        left = self._inner[self._is_left_out(points_px)]
+        if not len(left):
+            return torch.zeros(len(FINGERS), dtype=torch.bool, device=left.device)
+        return torch.cdist(points_px[list(_KNUCKLES)], left).amin(-1) < _NEAR * self.length_px
+
+
+def _inner_points(
+    mask: Bool[Tensor, "height width"], wrist: Float[Tensor, "2"], length_px: float
+) -> Float[Tensor, "points 2"]:
+    """Points of a silhouette about a wrist, px, in whose place it is as thick as a digit."""
+    nothing = wrist.new_zeros(0, 2)
+    if not 0 < length_px < float("inf") or not bool(wrist.isfinite().all()):
+        return nothing
+    reach = round((_REGION + _THICK) * length_px) + 1
+    x, y = (round(value) for value in wrist.tolist())
+    left, top = max(0, x - reach), max(0, y - reach)
+    part = mask[top : max(0, y + reach + 1), left : max(0, x + reach + 1)]
+    if not part.numel() or not bool(part.any()):
+        return nothing
+    step = max(1, round(_STEP * length_px))
+    thick = depth_map(part)[::step, ::step] > _THICK * length_px
+    return step * thick.nonzero().flip(-1).to(wrist) + wrist.new_tensor((left, top))
+
+
+def _distances(
+    places: Float[Tensor, "points 2"], points_px: Float[Tensor, "*batch 21 2"], bones: Sequence[tuple[int, int]]
+) -> Float[Tensor, "*batch points bones"]:
+    """From places to bones in the picture, px."""
+    first, last = (points_px[..., [bone[end] for bone in bones], :] for end in (0, 1))
+    along = last - first
+    off = places[:, None] - first[..., None, :, :]
+    share = (off * along[..., None, :, :]).sum(-1) / along.square().sum(-1).clamp_min(1e-9)[..., None, :]
+    return (off - share.clamp(0, 1)[..., None] * along[..., None, :, :]).norm(dim=-1)
+
+
+def moved_digits(pose: HandPose, digits: Bool[Tensor, "5"], towards: str) -> HandPose | None:
+    """A hand () with some of its digits moved half and wholly to those of a posture: each by itself, and all together.
+    None where none is to be moved."""
+    chosen = digits.nonzero().squeeze(-1).tolist()
+    sets = [[one] for one in chosen] + ([chosen] if len(chosen) > 1 else [])
+    if not sets:
+        return None
+    known, size = posture(towards, dtype=pose.dofs.dtype).to(pose.dofs.device), len(JOINT_DOFS) // len(FINGERS)
+    dofs = []
+    for some, share in itertools.product(sets, _BENDS):
+        one = pose.dofs.clone()
+        own, other = (x[-len(JOINT_DOFS) :].unflatten(0, (len(FINGERS), size)) for x in (one, known))
+        own[some] = own[some].lerp(other[some], share)
+        dofs.append(one)
+    return HandPose(dofs=torch.stack(dofs), reference=pose.reference.expand(len(dofs), 3, 3))
