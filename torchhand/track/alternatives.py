@@ -81,8 +81,11 @@ class TiltAlternatives:
             told = learned_observations(seen, followed)
             observations += [one for one in told if isinstance(one, PostureKeypoints)]
             joints.append(seen.joints)
-        tilted = tilted_hands(followed, joints, parts.kinematics, shape)
-        starts = HandPose.stack([*hands, *(tilted[row] for row in range(len(tilted.dofs)))])
+        silhouette = seen_silhouette(scene, parts.cameras[0])
+        others = [tilted_hands(followed, joints, parts.kinematics, shape)]
+        if parts.tilts is not None and silhouette is not None:
+            others += parts.tilts.with_digits_elsewhere(followed, silhouette, shape)
+        starts = HandPose.cat((HandPose.stack(hands), *others))
         found = solve(self._fit.hypotheses(observations), starts, QUICK_SEARCH)
         found = replace(found, pose=found.pose.normalized())
         if seen is not None:

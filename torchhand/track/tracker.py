@@ -53,7 +53,7 @@ _DECLINE = 0.03  # score less than at best, from which on a followed hand is fit
 _SURE_EDGES = 0.85  # share of the edges that a whole hand explains at least
 _TOLD = 0.01  # score that a hand may have less which the network bears out
 _VAIN_REFIT_EVERY = 40  # the same where they keep bringing nothing better
-_SOON = 3  # the same where a digit has come to be misplaced
+_SOON = 3  # frames from one look for misplaced digits to the next, and from such a fit to the first
 _FASTEST_M_PER_S, _JUMP_M = 5.0, 0.2
 """How fast a hand moves at most, and how far off its place before a camera may be besides: what is found elsewhere once
 the hand is lost is another thing."""
@@ -571,10 +571,8 @@ class Tracker:
             return state, replace(search, reason=_SILENCE)
         asked: dict[type, Candidate | None] = {}
         tried = self._tried(search.best, scene, state)
-        misplaced = () if self.parts.tilts is None else self.parts.tilts.misplaced(search.best, scene, state.shape)
-        known = state.digits_tried or (False,) * len(misplaced)
-        state = replace(state, digits_tried=tuple(one and was for one, was in zip(misplaced, known, strict=False)))
-        is_misplaced = misplaced != state.digits_tried and state.frames_since_refit >= _SOON
+        state, misplaced = self._with_misplaced(search.best, scene, state)
+        is_misplaced = misplaced != state.digits_tried
         for source in self.parts.sources:
             kind = type(source)
             is_due = self._is_due(source, search.best, scene, state, is_tried=kind in tried, is_misplaced=is_misplaced)
@@ -596,6 +594,19 @@ class Tracker:
                 after = min(2 * state.refit_after, _VAIN_REFIT_EVERY) if is_vain else REFIT_EVERY
                 state = replace(state, frames_since_refit=0, refit_after=after, digits_tried=misplaced)
         return state if search.is_doubted else self._after_alternatives(state, search, tried), search
+
+    def _with_misplaced(
+        self, best: Candidate | None, scene: Scene, state: TrackerState
+    ) -> tuple[TrackerState, tuple[bool, ...]]:
+        """Digits of one camera's hand that are misplaced, and the state without those tried that no longer are; every
+        few frames, in others those that were tried."""
+        since, tilts = state.frames_since_refit, self.parts.tilts
+        if tilts is None or since == 0 or since % _SOON:
+            return state, state.digits_tried
+        misplaced = tilts.misplaced(best, scene, state.shape)
+        known = state.digits_tried or (False,) * len(misplaced)
+        tried = tuple(one and was for one, was in zip(misplaced, known, strict=False))
+        return replace(state, digits_tried=tried), misplaced
 
     def _with_other(
         self, search: _Search, other: TrackerState, facing: Tensor | None, scene: Scene, state: TrackerState

@@ -73,7 +73,7 @@ class LeftOut:
 
     def _projected(self, pose: HandPose) -> Float[Tensor, "*batch 21 2"]:
         found = self._kinematics(pose.dofs, self._shape, root_reference=pose.reference).keypoints
-        return self._camera.project(found.to(self._camera.intrinsics))
+        return self._camera.project(found.to(self._camera.intrinsics)).float()
 
     def is_any(self, pose: HandPose) -> Bool[Tensor, "*batch"]:
         """Whether hands (*batch) leave out a part as thick as a digit, beyond the wrist."""
@@ -84,10 +84,10 @@ class LeftOut:
         seen_px = away.norm(dim=-1, keepdim=True)
         off = self._inner - wrist[..., None, :]
         along = (off * (away / seen_px)[..., None, :]).sum(-1)
-        is_near = (along > _BEYOND_WRIST * self.length_px) & (off.norm(dim=-1) < _REGION * self.length_px)
+        is_near = (along > _BEYOND_WRIST * self.length_px) & (off.square().sum(-1) < (_REGION * self.length_px) ** 2)
         is_near &= seen_px > _STEEP * self.length_px
         for bones, reach in ((_DIGITS, _DIGIT_REACH), (_PALM, _PALM_REACH)):
-            is_near &= (_distances(self._inner, points_px, bones) > reach * self.length_px).all(-1)
+            is_near &= _squared_distances(self._inner, points_px, bones).amin(-1) > (reach * self.length_px) ** 2
         return is_near
 
     def digits(self, pose: HandPose) -> Bool[Tensor, "5"]:
@@ -110,22 +110,24 @@ def _inner_points(
     x, y = (round(value) for value in wrist.tolist())
     left, top = max(0, x - reach), max(0, y - reach)
     part = mask[top : max(0, y + reach + 1), left : max(0, x + reach + 1)]
-    if not part.numel() or not bool(part.any()):
+    if not part.numel():
         return nothing
     step = max(1, round(_STEP * length_px))
-    thick = depth_map(part)[::step, ::step] > _THICK * length_px
+    thick = step * depth_map(part[::step, ::step]) > _THICK * length_px
     return step * thick.nonzero().flip(-1).to(wrist) + wrist.new_tensor((left, top))
 
 
-def _distances(
+def _squared_distances(
     places: Float[Tensor, "points 2"], points_px: Float[Tensor, "*batch 21 2"], bones: Sequence[tuple[int, int]]
 ) -> Float[Tensor, "*batch points bones"]:
-    """From places to bones in the picture, px."""
+    """From places to bones in the picture, px²."""
     first, last = (points_px[..., [bone[end] for bone in bones], :] for end in (0, 1))
     along = last - first
-    off = places[:, None] - first[..., None, :, :]
-    share = (off * along[..., None, :, :]).sum(-1) / along.square().sum(-1).clamp_min(1e-9)[..., None, :]
-    return (off - share.clamp(0, 1)[..., None] * along[..., None, :, :]).norm(dim=-1)
+    squared = along.square().sum(-1)[..., None, :].clamp_min(1e-9)
+    off = places @ along.mT - (first * along).sum(-1)[..., None, :]
+    share = (off / squared).clamp_(0, 1)
+    from_first = places.square().sum(-1)[:, None] - 2 * places @ first.mT + first.square().sum(-1)[..., None, :]
+    return from_first + share * (share * squared - 2 * off)
 
 
 def moved_digits(pose: HandPose, digits: Bool[Tensor, "5"], towards: str) -> HandPose | None:

@@ -105,15 +105,22 @@ class TiltedHands:
         return Proposals(hands=tuple(Proposed(pose=found.pose[row]) for row in chosen), has_foreground=True)
 
     def _starts(self, best: Candidate, seen: Silhouette, shape: Float[Tensor, "shape"]) -> HandPose:
-        """The followed hand tilted, with its own fingers and with those a network sees, and as it is with those digits
-        bent that lie outside the silhouette, and those straightened that may cover what it leaves out."""
+        """The followed hand tilted, with its own fingers and with those a network sees, and as it is with misplaced
+        digits elsewhere."""
         own = best.pose.normalized()
         joints = [own.dofs[-len(JOINT_DOFS) :]]
         joints += [] if best.learned is None else [best.learned.joints]
-        bent = moved_digits(own, self._outside(own, seen, shape), "fist")
-        straight = moved_digits(own, self._left_out(own, seen, shape), "open")
-        found = (tilted_hands(own, joints, self.kinematics, shape), bent, straight)
-        return HandPose.cat(tuple(one for one in found if one is not None))
+        tilted = tilted_hands(own, joints, self.kinematics, shape)
+        return HandPose.cat((tilted, *self.with_digits_elsewhere(own, seen, shape)))
+
+    def with_digits_elsewhere(
+        self, pose: HandPose, seen: Silhouette, shape: Float[Tensor, "shape"]
+    ) -> tuple[HandPose, ...]:
+        """A hand () with a zero rotation vector with those digits bent that lie outside the silhouette, and with those
+        straightened that may cover what it leaves out."""
+        bent = moved_digits(pose, self._outside(pose, seen, shape), "fist")
+        straight = moved_digits(pose, self._left_out(pose, seen, shape), "open")
+        return tuple(one for one in (bent, straight) if one is not None)
 
 
 def exchanged_fingers(joints: Float[Tensor, "30"]) -> list[Float[Tensor, "30"]]:
