@@ -101,7 +101,7 @@ def test_a_finger_outside_the_silhouette_is_proposed_bent(folded: Any) -> None:
     assert float(bends.min()) < math.radians(60)  # others are there as well
 
 
-@pytest.mark.parametrize("since", [0, 6])
+@pytest.mark.parametrize("since", [0, 5])
 def test_a_finger_that_comes_to_lie_outside_is_tried_bent_at_once(folded: Any, since: int) -> None:
     """Whatever else was tried in vain, but for the last frames."""
     _, tracker, state, picture, true = folded
@@ -117,9 +117,9 @@ def test_a_finger_that_comes_to_lie_outside_is_tried_bent_at_once(folded: Any, s
 
 def test_a_finger_that_stays_outside_is_tried_once(folded: Any) -> None:
     _, tracker, state, picture, _ = folded
-    state = replace(state, frames_since_refit=6, refit_after=1000, digits_tried=(*INDEX_ALONE, *NO_DIGIT))
+    state = replace(state, frames_since_refit=5, refit_after=1000, digits_tried=(*INDEX_ALONE, *NO_DIGIT))
     after, _ = tracker.step(state, [View(image=picture)], state.time_s + 0.04)
-    assert after.frames_since_refit == 7
+    assert after.frames_since_refit == 6
 
 
 def test_a_finger_outside_the_silhouette_counts_against_a_hand(folded: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -128,7 +128,7 @@ def test_a_finger_outside_the_silhouette_counts_against_a_hand(folded: Any, monk
     found = []
     for nats in (0.0, 4.5):
         monkeypatch.setattr("torchhand.track.alternatives._OUTSIDE_NATS", nats)
-        second = FurtherPass(tracker, replace(state, frames_since_refit=6)).step(
+        second = FurtherPass(tracker, replace(state, frames_since_refit=5)).step(
             [View(image=picture)], 1.0, before.vector
         )
         assert second.evidence_before is not None
@@ -172,7 +172,7 @@ def test_what_a_hand_leaves_out_counts_against_it(stretched: Any, monkeypatch: p
     found = []
     for nats in (0.0, 4.5):
         monkeypatch.setattr("torchhand.track.alternatives._LEFT_OUT_NATS", nats)
-        second = FurtherPass(tracker, replace(state, frames_since_refit=6)).step([View(image=picture)], 1.0, own.vector)
+        second = FurtherPass(tracker, replace(state, frames_since_refit=5)).step([View(image=picture)], 1.0, own.vector)
         assert second.evidence_before is not None
         found.append(second.evidence_before)
     assert found[0] - found[1] == pytest.approx(4.5)
