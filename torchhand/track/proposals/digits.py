@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.fit.contour import hand_length_px
 from torchhand.geometry import Camera
 from torchhand.hand import FINGERS, JOINT_DOFS, HandKinematics, HandPose, posture
 from torchhand.image import depth_map
@@ -64,12 +65,9 @@ class LeftOut:
     ) -> None:
         """pose: one of the hands (), with a zero rotation vector."""
         self._kinematics, self._camera, self._shape = kinematics, camera, shape
-        self._points_px = points_px = self._projected(pose)
-        focal_px = 0.5 * float(camera.intrinsics[0, 0] + camera.intrinsics[1, 1])
-        depth = float(pose.dofs[2]) if camera.kind == "pinhole" else 1.0
-        length = float(shape[kinematics.shape_space.names.index("hand_length")])
-        self.length_px = focal_px * length / depth if depth > 0 else 0.0
-        self._inner = _inner_points(mask, points_px[0], self.length_px)
+        length_px = 0.0 if pose.dofs[2] <= 0 else hand_length_px(camera, kinematics, pose.dofs, shape)
+        self._length_px = length_px
+        self._inner = _inner_points(mask, self._projected(pose)[0], length_px)
 
     def _projected(self, pose: HandPose) -> Float[Tensor, "*batch 21 2"]:
         found = self._kinematics(pose.dofs, self._shape, root_reference=pose.reference).keypoints
@@ -84,10 +82,10 @@ class LeftOut:
         seen_px = away.norm(dim=-1, keepdim=True)
         off = self._inner - wrist[..., None, :]
         along = (off * (away / seen_px)[..., None, :]).sum(-1)
-        is_near = (along > _BEYOND_WRIST * self.length_px) & (off.square().sum(-1) < (_REGION * self.length_px) ** 2)
-        is_near &= seen_px > _STEEP * self.length_px
+        is_near = (along > _BEYOND_WRIST * self._length_px) & (off.square().sum(-1) < (_REGION * self._length_px) ** 2)
+        is_near &= seen_px > _STEEP * self._length_px
         for bones, reach in ((_DIGITS, _DIGIT_REACH), (_PALM, _PALM_REACH)):
-            is_near &= _squared_distances(self._inner, points_px, bones).amin(-1) > (reach * self.length_px) ** 2
+            is_near &= _squared_distances(self._inner, points_px, bones).amin(-1) > (reach * self._length_px) ** 2
         return is_near
 
     def digits(self, pose: HandPose) -> Bool[Tensor, "5"]:
@@ -96,7 +94,7 @@ class LeftOut:
         left = self._inner[self._is_left_out(points_px)]
         if not len(left):
             return torch.zeros(len(FINGERS), dtype=torch.bool, device=left.device)
-        return torch.cdist(points_px[list(_KNUCKLES)], left).amin(-1) < _NEAR * self.length_px
+        return torch.cdist(points_px[list(_KNUCKLES)], left).amin(-1) < _NEAR * self._length_px
 
 
 def _inner_points(
