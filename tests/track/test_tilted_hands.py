@@ -15,7 +15,7 @@ from torchhand.runs import settings_of
 from torchhand.track import FurtherPass, TiltAlternatives, Tracker, TrackerState, View
 from torchhand.track.alternatives import misplaced_nats
 from torchhand.track.proposals import Proposals, Proposed, TiltedHands
-from torchhand.track.proposals.digits import LeftOut, digits_outside, moved_digits, outside
+from torchhand.track.proposals.digits import PlacedDigits, moved_digits, outside
 from torchhand.track.proposals.tilted import exchanged_fingers
 from torchhand.track.scene import Candidate, Scene
 
@@ -89,7 +89,8 @@ def test_a_finger_outside_the_silhouette_is_proposed_bent(folded: Any) -> None:
     best = _followed(tracker, scene, followed, placed.shape)
     plane = scene.plane(0)
     assert plane is not None
-    away = digits_outside(tracker.kinematics, placed.camera, followed, placed.shape, plane > 0.5)
+    hands = HandPose.stack([followed])
+    (away,) = PlacedDigits(tracker.kinematics, placed.camera, hands, placed.shape, plane > 0.5).outside()
     assert away[1] > 0.5
     assert away[[0, 2, 3, 4]].max() < 0.2
     with torch.inference_mode():
@@ -206,15 +207,16 @@ def test_nothing_is_left_out_by_a_hand_in_its_place_nor_where_its_palm_is_seen_e
     edge = rotation_from_vector(torch.tensor((math.pi / 2, 0.0, 0.0)).double())
     true = HandPose(dofs=placed.pose, reference=placed.root_reference).normalized()
     turned = HandPose(dofs=own.dofs, reference=edge @ own.reference)
-    hands = HandPose.stack([true, own, turned])
-    left = LeftOut(tracker.kinematics, placed.camera, own, placed.shape, plane > 0.5)
-    assert left.is_any(hands).tolist() == [False, True, False]
-    assert not left.digits(true).any()
-    nothing = LeftOut(tracker.kinematics, placed.camera, own, placed.shape, torch.zeros_like(plane, dtype=torch.bool))
-    assert not nothing.is_any(hands).any()
     behind = replace(own, dofs=torch.cat((own.dofs[:2], -own.dofs[2:3], own.dofs[3:])))
-    beyond = LeftOut(tracker.kinematics, placed.camera, behind, placed.shape, plane > 0.5)
-    assert not beyond.is_any(hands).any()
+
+    def digits(*hands: HandPose, mask: torch.Tensor = plane > 0.5) -> PlacedDigits:
+        return PlacedDigits(tracker.kinematics, placed.camera, HandPose.stack(hands), placed.shape, mask)
+
+    assert digits(own, true, turned).leave_out().tolist() == [True, False, False]
+    assert digits(own).near_left_out().any()
+    assert not digits(true).near_left_out().any()
+    assert not digits(own, mask=torch.zeros_like(plane, dtype=torch.bool)).leave_out().any()
+    assert not digits(behind, own).leave_out().any()
 
 
 @pytest.mark.parametrize(("before", "towards"), [("open", "fist"), ("fist", "open")])

@@ -18,7 +18,7 @@ from torchhand.hand import JOINT_DOFS, HandPose
 from torchhand.numerics import single_threaded
 from torchhand.track.knowledge import TrackerState
 from torchhand.track.proportions import contour_settings
-from torchhand.track.proposals import LeftOut, digits_outside, tilted_hands
+from torchhand.track.proposals import PlacedDigits, tilted_hands
 from torchhand.track.scene import Scene, learned_observations, seen_posture, seen_silhouette
 from torchhand.track.tracker import Tracker
 
@@ -133,7 +133,6 @@ def misplaced_nats(
     seen = None if parts.tilts is None else seen_silhouette(scene, parts.cameras[0])
     if seen is None or not len(poses):
         return poses.dofs.new_zeros(len(poses))
-    share = digits_outside(parts.kinematics, parts.cameras[0], poses, shape, seen.mask)
-    left = LeftOut(parts.kinematics, parts.cameras[0], poses[0], shape, seen.mask)
-    outside = _OUTSIDE_NATS * (share > _OUTSIDE).sum(-1)
-    return (outside + _LEFT_OUT_NATS * left.is_any(poses)).to(poses.dofs)
+    placed = PlacedDigits(parts.kinematics, parts.cameras[0], poses, shape, seen.mask)
+    outside = _OUTSIDE_NATS * (placed.outside() > _OUTSIDE).sum(-1)
+    return (outside + _LEFT_OUT_NATS * placed.leave_out()).to(poses.dofs)

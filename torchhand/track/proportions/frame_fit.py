@@ -110,10 +110,14 @@ class FrameFit:
             shape=self.shape,
             observations=observations,
             priors=(
-                ConstraintPrior(constraints=PoseConstraints(self.kinematics.skeleton), has_ties=False),
+                ConstraintPrior(constraints=self._constraints, has_ties=False),
                 PosturePrior(postures=self._postures),
             ),
         )
+
+    @cached_property
+    def _constraints(self) -> PoseConstraints:
+        return PoseConstraints(self.kinematics.skeleton)
 
     @cached_property
     def _postures(self) -> PostureResiduals:

@@ -1,6 +1,6 @@
 """Proposals: other hands that may explain a scene, by the shape of a posture, of a hull, by turns and fingers."""
 
-from torchhand.track.proposals.digits import LeftOut, digits_outside
+from torchhand.track.proposals.digits import PlacedDigits
 from torchhand.track.proposals.hull import hull_sources
 from torchhand.track.proposals.keypoints import KeypointHand, KeypointStart
 from torchhand.track.proposals.learned import LearnedHands
@@ -13,14 +13,13 @@ __all__ = [
     "KeypointHand",
     "KeypointStart",
     "LearnedHands",
-    "LeftOut",
     "Occasion",
+    "PlacedDigits",
     "PostureSearch",
     "ProposalSource",
     "Proposals",
     "Proposed",
     "TiltedHands",
-    "digits_outside",
     "hull_sources",
     "tilted_hands",
 ]

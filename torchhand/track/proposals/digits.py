@@ -3,6 +3,7 @@ thick as a digit that no digit of the hand covers, and the hand with such digits
 
 import itertools
 from collections.abc import Sequence
+from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float
@@ -27,18 +28,6 @@ _NEAR = 0.5  # hand lengths from its first joint to what a digit may cover
 _KNUCKLES = (2, 5, 9, 13, 17)
 
 
-def digits_outside(
-    kinematics: HandKinematics,
-    camera: Camera,
-    pose: HandPose,
-    shape: Float[Tensor, "shape"],
-    mask: Bool[Tensor, "height width"],
-) -> Float[Tensor, "*batch 5"]:
-    """Share of each digit of hands (*batch) beyond its first joint that lies outside a silhouette."""
-    keypoints = kinematics(pose.dofs, shape, root_reference=pose.reference).keypoints
-    return outside(camera.project(keypoints.to(camera.intrinsics)), mask)
-
-
 def outside(points_px: Float[Tensor, "*batch 21 2"], mask: Bool[Tensor, "height width"]) -> Float[Tensor, "*batch 5"]:
     """Share of each digit beyond its first joint that lies outside a silhouette in its picture."""
     chains = points_px[..., 1:, :].unflatten(-2, (len(FINGERS), -1))[..., 1:, :]
@@ -52,49 +41,56 @@ def outside(points_px: Float[Tensor, "*batch 21 2"], mask: Bool[Tensor, "height 
     return (is_in_picture & ~is_covered).to(points_px).mean(-1)
 
 
-class LeftOut:
-    """What hands in about one place leave out of a silhouette."""
+class PlacedDigits:
+    """How the digits of hands in about one place lie in a silhouette."""
 
     def __init__(
         self,
         kinematics: HandKinematics,
         camera: Camera,
-        pose: HandPose,
+        poses: HandPose,
         shape: Float[Tensor, "shape"],
         mask: Bool[Tensor, "height width"],
     ) -> None:
-        """pose: one of the hands (), with a zero rotation vector."""
-        self._kinematics, self._camera, self._shape = kinematics, camera, shape
-        length_px = 0.0 if pose.dofs[2] <= 0 else hand_length_px(camera, kinematics, pose.dofs, shape)
-        self._length_px = length_px
-        self._inner = _inner_points(mask, self._projected(pose)[0], length_px)
+        """poses: of the hands (k), one at least, with zero rotation vectors."""
+        keypoints = kinematics(poses.dofs, shape, root_reference=poses.reference).keypoints
+        self._points_px = camera.project(keypoints.to(camera.intrinsics))
+        is_before = bool(poses.dofs[0, 2] > 0)
+        self._length_px = hand_length_px(camera, kinematics, poses.dofs[0], shape) if is_before else 0.0
+        self._mask = mask
 
-    def _projected(self, pose: HandPose) -> Float[Tensor, "*batch 21 2"]:
-        found = self._kinematics(pose.dofs, self._shape, root_reference=pose.reference).keypoints
-        return self._camera.project(found.to(self._camera.intrinsics)).float()
+    def outside(self) -> Float[Tensor, "k 5"]:
+        """Share of each digit beyond its first joint that lies outside the silhouette."""
+        return outside(self._points_px, self._mask)
 
-    def is_any(self, pose: HandPose) -> Bool[Tensor, "*batch"]:
-        """Whether hands (*batch) leave out a part as thick as a digit, beyond the wrist."""
-        return self._is_left_out(self._projected(pose)).any(-1)
+    def leave_out(self) -> Bool[Tensor, "k"]:
+        """Whether the hands leave out a part as thick as a digit, beyond the wrist."""
+        return self._left_out.any(-1)
 
-    def _is_left_out(self, points_px: Float[Tensor, "*batch 21 2"]) -> Bool[Tensor, "*batch points"]:
-        wrist, away = points_px[..., 0, :], points_px[..., 9, :] - points_px[..., 0, :]
+    def near_left_out(self) -> Bool[Tensor, "5"]:
+        """Digits of the first hand that may cover what it leaves out."""
+        left = self._inner[self._left_out[0]]
+        if not len(left):
+            return torch.zeros(len(FINGERS), dtype=torch.bool, device=left.device)
+        knuckles = self._points_px[0, list(_KNUCKLES)].float()
+        return torch.cdist(knuckles, left).amin(-1) < _NEAR * self._length_px
+
+    @cached_property
+    def _inner(self) -> Float[Tensor, "points 2"]:
+        return _inner_points(self._mask, self._points_px[0, 0].float(), self._length_px)
+
+    @cached_property
+    def _left_out(self) -> Bool[Tensor, "k points"]:
+        points_px = self._points_px.float()
+        wrist, away = points_px[:, 0], points_px[:, 9] - points_px[:, 0]
         seen_px = away.norm(dim=-1, keepdim=True)
-        off = self._inner - wrist[..., None, :]
-        along = (off * (away / seen_px)[..., None, :]).sum(-1)
+        off = self._inner - wrist[:, None]
+        along = (off * (away / seen_px)[:, None]).sum(-1)
         is_near = (along > _BEYOND_WRIST * self._length_px) & (off.square().sum(-1) < (_REGION * self._length_px) ** 2)
         is_near &= seen_px > _STEEP * self._length_px
         for bones, reach in ((_DIGITS, _DIGIT_REACH), (_PALM, _PALM_REACH)):
             is_near &= _squared_distances(self._inner, points_px, bones).amin(-1) > (reach * self._length_px) ** 2
         return is_near
-
-    def digits(self, pose: HandPose) -> Bool[Tensor, "5"]:
-        """Those of a hand () that may cover what it leaves out."""
-        points_px = self._projected(pose)
-        left = self._inner[self._is_left_out(points_px)]
-        if not len(left):
-            return torch.zeros(len(FINGERS), dtype=torch.bool, device=left.device)
-        return torch.cdist(points_px[list(_KNUCKLES)], left).amin(-1) < _NEAR * self._length_px
 
 
 def _inner_points(
@@ -116,8 +112,8 @@ def _inner_points(
 
 
 def _squared_distances(
-    places: Float[Tensor, "points 2"], points_px: Float[Tensor, "*batch 21 2"], bones: Sequence[tuple[int, int]]
-) -> Float[Tensor, "*batch points bones"]:
+    places: Float[Tensor, "points 2"], points_px: Float[Tensor, "k 21 2"], bones: Sequence[tuple[int, int]]
+) -> Float[Tensor, "k points bones"]:
     """From places to bones in the picture, px²."""
     first, last = (points_px[..., [bone[end] for bone in bones], :] for end in (0, 1))
     along = last - first

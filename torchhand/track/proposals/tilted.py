@@ -18,7 +18,7 @@ from torchhand.geometry import Camera, rotation_from_vector
 from torchhand.hand import FINGERS, JOINT_DOFS, HandKinematics, HandPose, posture
 from torchhand.propose import Silhouette, palm_middle
 from torchhand.track.knowledge import TrackerState
-from torchhand.track.proposals.digits import LeftOut, digits_outside, moved_digits
+from torchhand.track.proposals.digits import PlacedDigits, moved_digits
 from torchhand.track.proposals.protocol import Occasion, Proposals, Proposed
 from torchhand.track.scene import Candidate, Scene, seen_silhouette
 
@@ -71,13 +71,14 @@ class TiltedHands:
         if seen is None:
             return ()
         own = best.pose.normalized()
-        return (*self._outside(own, seen, shape).tolist(), *self._left_out(own, seen, shape).tolist())
+        return tuple(torch.cat(self._misplaced(own, seen, shape)).tolist())
 
-    def _outside(self, pose: HandPose, seen: Silhouette, shape: Float[Tensor, "shape"]) -> Bool[Tensor, "5"]:
-        return digits_outside(self.kinematics, self.camera, pose, shape, seen.mask) > _AWAY
-
-    def _left_out(self, pose: HandPose, seen: Silhouette, shape: Float[Tensor, "shape"]) -> Bool[Tensor, "5"]:
-        return LeftOut(self.kinematics, self.camera, pose, shape, seen.mask).digits(pose)
+    def _misplaced(
+        self, pose: HandPose, seen: Silhouette, shape: Float[Tensor, "shape"]
+    ) -> tuple[Bool[Tensor, "5"], Bool[Tensor, "5"]]:
+        """Digits of a hand () that lie outside the silhouette, and those that may cover what it leaves out."""
+        placed = PlacedDigits(self.kinematics, self.camera, HandPose.stack([pose]), shape, seen.mask)
+        return placed.outside()[0] > _AWAY, placed.near_left_out()
 
     def turned_back(self, scene: Scene, shape: Float[Tensor, "shape"], turned: Candidate) -> Proposals:
         """What explains a picture as well as a hand that is turned over, from the side that was known: its other side
@@ -118,9 +119,9 @@ class TiltedHands:
     ) -> tuple[HandPose, ...]:
         """A hand () with a zero rotation vector with those digits bent that lie outside the silhouette, and with those
         straightened that may cover what it leaves out."""
-        bent = moved_digits(pose, self._outside(pose, seen, shape), "fist")
-        straight = moved_digits(pose, self._left_out(pose, seen, shape), "open")
-        return tuple(one for one in (bent, straight) if one is not None)
+        outside, near_left_out = self._misplaced(pose, seen, shape)
+        moved = (moved_digits(pose, outside, "fist"), moved_digits(pose, near_left_out, "open"))
+        return tuple(one for one in moved if one is not None)
 
 
 def exchanged_fingers(joints: Float[Tensor, "30"]) -> list[Float[Tensor, "30"]]:
