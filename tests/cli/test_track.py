@@ -28,6 +28,7 @@ from torchhand.devices import HOST
 from torchhand.export import clip_of_stream
 from torchhand.files import (
     Frame,
+    FrameRecord,
     FrameSource,
     TrackWriter,
     load_cameras,
@@ -40,10 +41,11 @@ from torchhand.files import (
     save_hand,
     write_video,
 )
+from torchhand.files.results import track_of
 from torchhand.fit import Stage
 from torchhand.geometry import Camera, assumed_camera
 from torchhand.hand import DOFS
-from torchhand.runs import settings_of
+from torchhand.runs import settings_of, summary_of
 from torchhand.simulate import SceneSettings, render_sequence, scripted_motion
 from torchhand.track import DEFAULTS, Tracker, TrackerSettings
 
@@ -195,6 +197,24 @@ def test_the_last_line_sums_up(clip: Clip, run: Run, tmp_path: Path) -> None:
         assert words in outcome.out
     assert str(tmp_path / "out") in outcome.out
     assert not (tmp_path / "out" / "overlay.mp4").exists()
+
+
+@pytest.mark.parametrize(
+    ("quality", "words"),
+    [
+        ((0.2, 0.3), "median quality 0.25, so in most of them a fingertip is probably off by more than 20 mm; saved"),
+        ((0.9, np.nan), "median quality 0.90; saved"),
+        ((np.nan, np.nan), "median overlap 0.80; saved"),
+    ],
+)
+def test_the_last_line_tells_a_hand_that_is_hardly_borne_out(quality: tuple[float, ...], words: str) -> None:
+    records = (
+        FrameRecord.empty(row, "lost", dofs=len(DOFS), seconds=0.1, measures={"overlap": 0.8, "quality": one})
+        for row, one in enumerate(quality)
+    )
+    rows = (json.loads(one.as_json()) for one in records)
+    header = {"dof_names": DOFS, "units": "m, rad", "convention": "opencv"}
+    assert words in summary_of("frames", track_of(header, rows), Path("out"))
 
 
 def test_an_assumed_camera_is_said_once_and_saved(clip: Clip, run: Run, tmp_path: Path) -> None:

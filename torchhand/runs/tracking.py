@@ -23,6 +23,7 @@ from torchhand.files.disk import read_json
 from torchhand.files.pictures import file_identity, input_identity, is_webcam, shown_address
 from torchhand.files.results import (
     CONFIG_NAME,
+    DETERMINED,
     HAND_NAME,
     HEADER_NAME,
     OVERLAY_NAME,
@@ -566,9 +567,12 @@ def summary_of(name: str, track: Track, out_dir: Path) -> str:
     parts = [f"{name}: {len(track)} frames ({counts})"]
     if len(track):
         parts.append(f"median {1e3 * float(np.median(track.seconds)):.1f} ms per frame")
-    overlaps = track.measures.get("overlap", np.empty(0))
-    if np.isfinite(overlaps).any():
-        parts.append(f"median overlap {float(np.nanmedian(overlaps)):.2f}")
+    for measure in ("overlap", "quality"):
+        known = track.measures.get(measure, np.empty(0))
+        if np.isfinite(known).any():
+            parts.append(f"median {measure} {(median := float(np.nanmedian(known))):.2f}")
+            if measure == "quality" and median < DETERMINED:
+                parts[-1] += ", so in most of them a fingertip is probably off by more than 20 mm"
     return f"{'; '.join(parts)}; saved in {out_dir}"
 
 
