@@ -9,12 +9,9 @@ from jaxtyping import Bool, Float
 
 RUN_IN = 15
 """Frames that a share follows before those that it tells of: three looks at other tilts."""
-_SMALLEST, _LARGE, _MOST = 40, 100, 16
-"""Frames of each of two shares, and of each of four, at least; and shares at most, for each reads the recording up to
-its frames."""
-_WITHIN, _WITHIN_SHARE = 20, 5
-"""Frames from an even share at most, within which the one that is explained best is where a share begins; and that part
-of a share."""
+_SMALLEST, _MOST = 100, 16
+"""Frames of each of two shares, at least; and shares at most, for each reads the recording up to its frames."""
+_WITHIN = 20  # frames from an even share, within which the one that is explained best is where a share begins
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,17 +47,16 @@ def shares_of(
 def _edges(overlap: Float[np.ndarray, " t"], is_wanted: Bool[np.ndarray, " t"]) -> list[int]:
     """Places between shares: where no frame is wanted, else where the hand explains most, never where there is none.
 
-    An even number, as of cores; of many frames twice as many where there are four times as many, so that run-ins, which
-    take longer the more shares there are, stay about a tenth.
+    An even number, as of cores; twice as many where there are four times as many frames, so that run-ins, which take
+    longer the more shares there are, stay about a tenth.
     """
     wanted = np.flatnonzero(is_wanted)
-    is_cut = len(wanted) >= 2 * _SMALLEST
-    count = min(_MOST, max(2, 2 * math.isqrt(len(wanted) // _LARGE))) if is_cut else 1
+    is_long = len(wanted) >= 2 * _SMALLEST
+    count = min(_MOST, 2 * math.isqrt(len(wanted) // _SMALLEST)) if is_long else 1
     fitness = np.where(is_wanted, np.nan_to_num(overlap, nan=-1.0), np.inf)
-    within = min(_WITHIN, len(wanted) // (count * _WITHIN_SHARE))
     edges = [int(wanted[0])]
     for even in (int(wanted[place * len(wanted) // count]) for place in range(1, count)):
-        near = fitness[even - within : even + within + 1]
+        near = fitness[even - _WITHIN : even + _WITHIN + 1]
         if near.max() >= 0:
-            edges.append(even - within + int(near.argmax()))
+            edges.append(even - _WITHIN + int(near.argmax()))
     return [*edges, int(wanted[-1]) + 1]
