@@ -61,13 +61,15 @@ def test_a_hand_that_another_tracker_followed_takes_the_place_of_a_lost_one(film
 
 
 def test_a_hand_is_found_while_steps_go_on(film: Any) -> None:
-    """The first update, after the time that the search took, may leave it a centimetre off, the next ones do not."""
+    """The first update, after the time that the search took, may leave it a centimetre off, the next ones do not. On a
+    busy machine that time may be so long that a hand is lost again and searched anew."""
     make = partial(Tracker, right_hand(), film.camera, settings_of("contour_planar"))
     _, expected = make().step(None, [View(image=film.images[0])], 0.0)
     assert expected.keypoints is not None
     with SearchBeside(make) as beside:
         state, estimates = _until_tracked(beside, film)
-        assert {(one.status, one.reason) for one in estimates[:-1]} == {("no_hand", STILL_SEARCHED)}
+        assert {one.status for one in estimates[:-1]} == {"no_hand"}
+        assert estimates[0].reason == STILL_SEARCHED
         found = estimates[-1]
         for index in range(3):
             state, found = beside.step(state, [View(image=film.images[0])], FRAME_S * (1 + len(estimates) + index))
