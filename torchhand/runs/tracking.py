@@ -567,12 +567,11 @@ def summary_of(name: str, track: Track, out_dir: Path) -> str:
     parts = [f"{name}: {len(track)} frames ({counts})"]
     if len(track):
         parts.append(f"median {1e3 * float(np.median(track.seconds)):.1f} ms per frame")
-    for measure in ("overlap", "quality"):
-        known = track.measures.get(measure, np.empty(0))
-        if np.isfinite(known).any():
-            parts.append(f"median {measure} {(median := float(np.nanmedian(known))):.2f}")
-            if measure == "quality" and median < DETERMINED:
-                parts[-1] += ", so in most of them a fingertip is probably off by more than 20 mm"
+    known = {name: track.measures.get(name, np.empty(0)) for name in ("overlap", "quality")}
+    medians = {name: float(np.nanmedian(values)) for name, values in known.items() if np.isfinite(values).any()}
+    parts += [f"median {name} {median:.2f}" for name, median in medians.items()]
+    if medians.get("quality", 1.0) < DETERMINED:
+        parts[-1] += ", so in most of them a fingertip is probably off by more than 20 mm"
     return f"{'; '.join(parts)}; saved in {out_dir}"
 
 
