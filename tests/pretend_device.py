@@ -4,6 +4,7 @@ Whatever would fail on an accelerator because tensors of two devices meet, or be
 cannot see, fails here too, on any machine; and what comes out is what the processor computes.
 """
 
+import inspect
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
@@ -151,15 +152,20 @@ class _Pretence(TorchDispatchMode):
         return _called(func, args, kwargs or {})
 
 
+def _forget_constants() -> None:
+    known: Any = inspect.getattr_static(devices.constant_tensor, "__wrapped__")
+    known.cache_clear()
+
+
 @contextmanager
 def pretended() -> Iterator[torch.device]:
     """Within the block the device holds numbers; tensors of it live no longer than the block."""
     before = torch._C._only_lift_cpu_tensors()
     torch._C._set_only_lift_cpu_tensors(True)
-    devices.constant_tensor.cache_clear()
+    _forget_constants()
     try:
         with _Pretence():
             yield torch.device(NAME, 0)
     finally:
         torch._C._set_only_lift_cpu_tensors(before)
-        devices.constant_tensor.cache_clear()
+        _forget_constants()

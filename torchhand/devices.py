@@ -10,7 +10,7 @@ once.
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
 from functools import lru_cache, wraps
-from typing import Any, Protocol, TypeVar, cast, runtime_checkable
+from typing import Any, Generic, ParamSpec, Protocol, TypeVar, cast, overload, runtime_checkable
 
 import numpy as np
 import torch
@@ -39,6 +39,8 @@ class _Moved(Protocol):
 
 
 _Record = TypeVar("_Record")
+_Given = ParamSpec("_Given")
+_Made = TypeVar("_Made")
 _Work = TypeVar("_Work", bound=Callable[..., Any])
 
 
@@ -73,11 +75,59 @@ def rows_where(flags: np.ndarray, device: torch.device) -> Int[Tensor, "some"]:
     return torch.from_numpy(np.flatnonzero(flags)).to(device)
 
 
-@lru_cache(maxsize=512)
+def kept(count: int) -> Callable[[Callable[_Given, _Made]], Callable[_Given, _Made]]:
+    """Decorates a function of which as many results are kept, for callers in any of torch's modes; where torch
+    compiles they are made anew: it knows nothing of caches."""
+
+    def decorated(make: Callable[_Given, _Made]) -> Callable[_Given, _Made]:
+        known = lru_cache(maxsize=count)(torch.inference_mode(False)(make))
+
+        @wraps(known)
+        def called(*args: _Given.args, **kwargs: _Given.kwargs) -> _Made:
+            return (make if torch.compiler.is_compiling() else known)(*args, **kwargs)
+
+        return called
+
+    return decorated
+
+
+@kept(512)
 def constant_tensor(values: Any, dtype: torch.dtype, device: torch.device) -> Tensor:
     """Numbers in a tuple, or a tuple of tuples, as a tensor that was sent to the device once; not to be changed."""
-    with torch.inference_mode(False):  # kept for callers in any mode
-        return torch.tensor(values, dtype=dtype, device=device)
+    return torch.tensor(values, dtype=dtype, device=device)
+
+
+class kept_property(Generic[_Made]):
+    """A property that is made once for an object, and anew where torch compiles: `functools.cached_property`, whose
+    lock (Python 3.11) no compiler takes."""
+
+    def __init__(self, make: Callable[[Any], _Made]) -> None:
+        self.make = make
+        self.__doc__ = make.__doc__
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    @overload
+    def __get__(self, instance: None, owner: type | None = None) -> "kept_property[_Made]": ...
+
+    @overload
+    def __get__(self, instance: object, owner: type | None = None) -> _Made: ...
+
+    def __get__(self, instance: object | None, owner: type | None = None) -> "kept_property[_Made] | _Made":
+        if instance is None:
+            return self
+        if torch.compiler.is_compiling():
+            return self.make(instance)
+        made = instance.__dict__[self.name] = self.make(instance)  # found before this from then on
+        return made
+
+
+def is_without_derivatives() -> bool:
+    """Whether nobody can ask for the derivative of what is computed now; False where torch compiles."""
+    if torch.compiler.is_compiling():
+        return False
+    return torch.is_inference_mode_enabled() and not torch._C._are_functorch_transforms_active()
 
 
 def sent_to(record: _Record, device: torch.device) -> _Record:

@@ -6,6 +6,7 @@ Compilers cannot trace the tests' own type checks: these tests run in a call of 
 import os
 import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -14,9 +15,10 @@ from torch import Tensor
 from torch._dynamo.testing import CompileCounter
 
 from torchhand.files import load_hand_model
-from torchhand.geometry import rotation_from_vector
+from torchhand.geometry import Camera, assumed_camera, rotation_from_vector
 from torchhand.hand import Hand, HandState
-from torchhand.hand.kinematics import place_chain_plainly
+from torchhand.hand.kinematics import Side, place_chain_plainly
+from torchhand.losses import keypoint_loss, penetration_loss, prior_loss
 
 pytestmark = [
     pytest.mark.skipif(
@@ -103,6 +105,55 @@ def test_transforms_can_be_compiled(generator: torch.Generator) -> None:
     for function in (torch.vmap(points), torch.vmap(torch.func.jacrev(points))):
         found = torch.compile(function, fullgraph=True, backend="aot_eager")(pose)
         torch.testing.assert_close(found, function(pose), atol=1e-12, rtol=0)
+
+
+@pytest.mark.parametrize(("side", "distortion"), [("right", ()), ("left", (0.1, -0.05, 0.001, 0.002))])
+def test_losses_can_be_compiled(side: Side, distortion: tuple[float, ...], generator: torch.Generator) -> None:
+    """What a network learns from, of hands seen by one camera with a lens or without, on pixels and on rays."""
+    model = load_hand_model()
+    hand, prior = model.hand(side=side, dtype=torch.float64), model.prior(dtype=torch.float64)
+    camera = replace(assumed_camera(64, 48), distortion=torch.tensor(distortion, dtype=torch.float64))
+    pose, shape = _inputs(hand, generator, 3)
+    pose[:, :3] = torch.tensor((0.0, 0.0, 0.5))
+    target = camera.project(hand(pose + 0.05).keypoints)
+
+    def loss(pose: Tensor, shape: Tensor) -> Tensor:
+        state = hand(pose)
+        pixels = camera.project(state.keypoints)
+        misfit = keypoint_loss(pixels, target, std=2.0) + camera.plane_from_pixels(pixels).square().sum()
+        return misfit + penetration_loss(state.primitives) + prior_loss(prior, pose, shape)
+
+    compiled = torch.compile(loss, fullgraph=True, backend="eager")
+    leaves = [x.detach().requires_grad_() for x in (pose, shape)]
+    found, expected = compiled(*leaves), loss(*leaves)
+    torch.testing.assert_close(found, expected, atol=0, rtol=1e-12)
+    assert float(penetration_loss(hand(pose).primitives)) > 0
+    of_found, of_expected = (torch.autograd.grad(x, leaves) for x in (found, expected))
+    for one, other in zip(of_found, of_expected, strict=True):
+        torch.testing.assert_close(one, other, atol=1e-9, rtol=1e-9)
+
+
+def test_log_probabilities_can_be_compiled(generator: torch.Generator) -> None:
+    """Also of hands that cannot be."""
+    prior = load_hand_model().prior(dtype=torch.float64)
+    poses, shapes = prior.sample(2, generator)
+    poses = torch.cat((poses, poses + 0.5))
+    compiled = torch.compile(prior.log_prob, fullgraph=True, backend="eager")
+    expected = prior.log_prob(poses, shapes.repeat(2, 1))
+    torch.testing.assert_close(compiled(poses, shapes.repeat(2, 1)), expected, atol=0, rtol=1e-12)
+    assert expected.isfinite().tolist() == [True, True, False, False]
+
+
+def test_one_graph_serves_cameras_with_a_lens_and_without(generator: torch.Generator) -> None:
+    """The compiler is told no value of a coefficient: none may be taken for the next camera's."""
+    counter = CompileCounter()
+    compiled = torch.compile(Camera.project, fullgraph=True, backend=counter)
+    points = torch.randn(5, 3, generator=generator, dtype=torch.float64) + torch.tensor((0.0, 0.0, 5.0))
+    for factor in (0.0, 0.1):
+        coefficients = torch.full((4,), factor, dtype=torch.float64)
+        camera = replace(assumed_camera(64, 48), distortion=coefficients)
+        torch.testing.assert_close(compiled(camera, points), camera.project(points), atol=1e-10, rtol=0)
+    assert counter.frame_count == 1
 
 
 @pytest.mark.parametrize("start", [lambda pose: pose, torch.zeros_like])

@@ -2,12 +2,12 @@
 
 import math
 from dataclasses import dataclass, fields
-from functools import lru_cache
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchhand.devices import kept
 from torchhand.hand import DOFS, JOINT_DOFS, PoseConstraints
 from torchhand.hand.limits import ABDUCTIONS, FLEXIONS, TIES
 
@@ -105,7 +105,6 @@ class _Constants:
         return _Constants(**{name: x.to(dtype) if x.is_floating_point() else x for name, x in tensors.items()})
 
 
-@lru_cache(maxsize=8)
+@kept(8)
 def _constants_of(constraints: PoseConstraints, dtype: torch.dtype, device: torch.device) -> _Constants:
-    with torch.inference_mode(False):  # kept for callers in any mode
-        return _Constants.of(constraints).to(dtype, device)
+    return _Constants.of(constraints).to(dtype, device)

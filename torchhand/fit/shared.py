@@ -2,14 +2,13 @@
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchhand.devices import HOST, constant_tensor, sent_to
+from torchhand.devices import HOST, constant_tensor, kept, sent_to
 from torchhand.hand import Anthropometry
 from torchhand.numerics.least_squares import NormalEquations
 
@@ -85,27 +84,26 @@ class _Population:
     """Standard deviation of every constraint."""
 
 
-@lru_cache(maxsize=8)
+@kept(8)
 def _constants_of(population: Anthropometry, dtype: torch.dtype, device: torch.device) -> _Population:
     """Sent to a device once."""
-    with torch.inference_mode(False):  # kept for callers in any mode
-        space, count = population.space, len(population.space.names)
-        length, breadth = (space.names.index(name) for name in ("hand_length", "hand_breadth"))
-        rho = population.settings.length_breadth_correlation
-        rows = torch.eye(count, dtype=dtype)
-        rows[breadth] /= math.sqrt(1 - rho * rho)
-        rows[breadth, length] = -rho / math.sqrt(1 - rho * rho)
-        spread = population.spread.to(dtype, copy=True)
-        spread[-1] *= float(space.default[length])
-        found = _Population(
-            mean=space.default.to(dtype),
-            std=space.std.to(dtype),
-            rows=rows,
-            matrix=population.matrix[2 * count :].to(dtype),
-            bound=population.bound[2 * count :].to(dtype),
-            scale=population.settings.softness * torch.cat((spread, spread)),
-        )
-        return sent_to(found, device)
+    space, count = population.space, len(population.space.names)
+    length, breadth = (space.names.index(name) for name in ("hand_length", "hand_breadth"))
+    rho = population.settings.length_breadth_correlation
+    rows = torch.eye(count, dtype=dtype)
+    rows[breadth] /= math.sqrt(1 - rho * rho)
+    rows[breadth, length] = -rho / math.sqrt(1 - rho * rho)
+    spread = population.spread.to(dtype, copy=True)
+    spread[-1] *= float(space.default[length])
+    found = _Population(
+        mean=space.default.to(dtype),
+        std=space.std.to(dtype),
+        rows=rows,
+        matrix=population.matrix[2 * count :].to(dtype),
+        bound=population.bound[2 * count :].to(dtype),
+        scale=population.settings.softness * torch.cat((spread, spread)),
+    )
+    return sent_to(found, device)
 
 
 @dataclass(frozen=True, kw_only=True)

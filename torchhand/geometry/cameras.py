@@ -56,12 +56,24 @@ class Camera:
         if self.kind == "orthographic" and self.has_distortion:
             raise ValueError("distortion: an orthographic camera has none")
 
-    @cached_property
+    @property
     def has_distortion(self) -> bool:
+        """Whether any coefficient is not 0. Where torch compiles it knows no values: whether there are coefficients."""
+        if torch.compiler.is_compiling():
+            return self.distortion.shape[-1] > 0
+        return self._has_distortion
+
+    @property
+    def has_skew(self) -> bool:
+        """Whether a pixel's column depends on y, or its row on x. Where torch compiles: as if they did."""
+        return torch.compiler.is_compiling() or self._has_skew
+
+    @cached_property
+    def _has_distortion(self) -> bool:
         return self.distortion.shape[-1] > 0 and bool((self.distortion != 0).any())
 
     @cached_property
-    def has_skew(self) -> bool:
+    def _has_skew(self) -> bool:
         return bool((self.intrinsics[..., 0, 1] != 0).any() or (self.intrinsics[..., 1, 0] != 0).any())
 
     def to(self, *, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> "Camera":

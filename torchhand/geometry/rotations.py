@@ -1,11 +1,10 @@
 """Rotation vectors and matrices: exponential, logarithm, left Jacobian; exact and smooth at zero."""
 
-from functools import lru_cache
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.devices import kept
 from torchhand.precision import own_precision
 
 _SMALL_ANGLE_SQUARED = 1e-8  # below it the series is exact to float64 rounding in its first two terms
@@ -53,7 +52,11 @@ def _third_coefficient(angle_squared: Tensor, is_small: Tensor, safe: Tensor, an
 @own_precision
 def rotation_from_vector(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """Rotation by |vector| radians about vector (Rodrigues); smooth everywhere, zero included."""
-    if torch.is_inference_mode_enabled() and not torch._C._are_functorch_transforms_active():
+    if (
+        not torch.compiler.is_compiling()
+        and torch.is_inference_mode_enabled()
+        and not torch._C._are_functorch_transforms_active()
+    ):
         return _rotation_without_derivative(vector)
     squared = (vector * vector).sum(-1)
     is_small, safe, angle = _safe_angle(squared)
@@ -83,18 +86,16 @@ def rodrigues_matrix(like: Tensor) -> Float[Tensor, "9 12"]:
     return torch.cat((of_vector, of_products), 1)
 
 
-@lru_cache(maxsize=16)
+@kept(16)
 def _kept_rodrigues(dtype: torch.dtype, device: torch.device) -> tuple[Float[Tensor, "9"], Float[Tensor, "12 9"]]:
-    with torch.inference_mode(False):  # kept for callers in any mode
-        like = torch.zeros((), dtype=dtype, device=device)
-        return torch.eye(3, dtype=dtype, device=device).flatten(), rodrigues_matrix(like).T.contiguous()
+    like = torch.zeros((), dtype=dtype, device=device)
+    return torch.eye(3, dtype=dtype, device=device).flatten(), rodrigues_matrix(like).T.contiguous()
 
 
-@lru_cache(maxsize=16)
+@kept(16)
 def _quaternion_products(dtype: torch.dtype, device: torch.device) -> Tensor:
     """Affine map (1 + 9, 16) from the entries of a rotation to four times the products of its quaternion's parts."""
-    with torch.inference_mode(False):  # kept for callers in any mode
-        return _quaternion_table().to(dtype=dtype, device=device)
+    return _quaternion_table().to(dtype=dtype, device=device)
 
 
 def _quaternion_table() -> Tensor:

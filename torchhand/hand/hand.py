@@ -1,12 +1,12 @@
 """The hand as one module: a pose in, bones, keypoints, skin and primitives out."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from torchhand.devices import kept_property
 from torchhand.errors import require_kind
 from torchhand.geometry import batch_last, common_shape
 from torchhand.hand.kinematics import DOFS, HandFrames, HandKinematics, ShapeSpace, Side, Skeleton
@@ -39,7 +39,7 @@ class HandState:
         """The 21 keypoints."""
         return self.frames.keypoints
 
-    @cached_property
+    @kept_property
     def primitives(self) -> Primitives:
         """The 37 truncated quadrics, made when they are first asked for."""
         return place_primitives(self.frames, primitive_sizes(self.shape_space, self.shape), is_left=self.is_left)

@@ -1,10 +1,10 @@
 """What the network sees of a view: the silhouette, the relief inside it, and what lies outside the picture."""
 
-from functools import lru_cache
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
+
+from torchhand.devices import kept
 
 CHANNELS = 3
 _SIGMA_PX = 5.0  # neighbourhood in which grey levels are compared
@@ -53,14 +53,13 @@ def gaussian_blur_of(pictures: Float[Tensor, "n c side side"], sigma_px: float) 
     return band @ pictures @ band.T
 
 
-@lru_cache(maxsize=16)
+@kept(16)
 def _blur_band(side: int, sigma_px: float, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "side side"]:
     """The blur along one axis as a matrix."""
-    with torch.inference_mode(False):  # kept for callers in any mode
-        reach = max(1, round(2.5 * sigma_px))
-        steps = torch.arange(-reach, reach + 1, dtype=dtype, device=device)
-        kernel = torch.exp(-0.5 * (steps / sigma_px).square())
-        kernel = kernel / kernel.sum()
-        rows = torch.arange(side, device=device)
-        offset = rows[:, None] - rows + reach
-        return torch.where((offset >= 0) & (offset <= 2 * reach), kernel[offset.clamp(0, 2 * reach)], 0.0)
+    reach = max(1, round(2.5 * sigma_px))
+    steps = torch.arange(-reach, reach + 1, dtype=dtype, device=device)
+    kernel = torch.exp(-0.5 * (steps / sigma_px).square())
+    kernel = kernel / kernel.sum()
+    rows = torch.arange(side, device=device)
+    offset = rows[:, None] - rows + reach
+    return torch.where((offset >= 0) & (offset <= 2 * reach), kernel[offset.clamp(0, 2 * reach)], 0.0)

@@ -2,12 +2,12 @@
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.devices import kept
 from torchhand.geometry import cosine_between, rotation_from_vector, vector_from_rotation
 from torchhand.hand import JOINT_DOFS, HandKinematics, HandPose
 from torchhand.propose.hypotheses import Silhouette, mirrored_hands, sampled_channels, views_of_hands
@@ -121,11 +121,10 @@ def channels_about(
     return (channels.flip(-1) if kinematics.side == "left" else channels), views
 
 
-@lru_cache(maxsize=1)
+@kept(1)
 def _error_variance() -> Float[Tensor, "30"]:
     std = []
     for name in JOINT_DOFS:
         ending = name if name in _STD_DEG else name[name.index("_") :]
         std.append(_STD_DEG.get(ending, _OTHER_STD_DEG))
-    with torch.inference_mode(False):  # kept for callers in any mode
-        return torch.deg2rad(torch.tensor(std, dtype=torch.float64)).square()
+    return torch.deg2rad(torch.tensor(std, dtype=torch.float64)).square()

@@ -6,13 +6,13 @@ direction is a force there, and the derivative in an angle is the force's torque
 """
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchhand.devices import are_equal
+from torchhand.devices import are_equal, kept
 from torchhand.fit import PosedHands
 from torchhand.geometry import left_jacobian
 from torchhand.hand import Hand, HandPose
@@ -221,14 +221,13 @@ def _gathered(parts: Float[Tensor, "hands 20 *more"]) -> Float[Tensor, "hands 20
     return parts
 
 
-@lru_cache(maxsize=8)
+@kept(8)
 def _faces_around(faces: Int[Tensor, "faces 3"], count: int) -> Int[Tensor, "places"]:
     """The faces at each vertex, the first of every vertex, then the second; where it has no more, one past the last."""
-    with torch.inference_mode(False):  # kept for callers in any mode
-        corners = faces.flatten().cpu()
-        order = corners.argsort(stable=True)
-        owner = corners[order]
-        place = torch.arange(len(owner)) - torch.searchsorted(owner, owner)
-        around = torch.full((int(place.max()) + 1, count), len(faces))
-        around[place, owner] = order // 3
-        return around.flatten().to(faces.device)
+    corners = faces.flatten().cpu()
+    order = corners.argsort(stable=True)
+    owner = corners[order]
+    place = torch.arange(len(owner)) - torch.searchsorted(owner, owner)
+    around = torch.full((int(place.max()) + 1, count), len(faces))
+    around[place, owner] = order // 3
+    return around.flatten().to(faces.device)

@@ -10,12 +10,13 @@ import copy
 import itertools
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchhand.devices import kept
 from torchhand.fit import Solutions, Stage
 from torchhand.fit.hull.coverage import TURN_M
 from torchhand.fit.hull.fitter import HullFitter
@@ -182,11 +183,10 @@ class _Work:
         return starts[_distinct(cost, starts, count)]
 
 
-@lru_cache(maxsize=2)
+@kept(2)
 def _in_single(hand: Hand) -> Hand:
     """The hand in single precision; made once."""
-    with torch.inference_mode(False):  # kept for callers in any mode
-        return copy.deepcopy(hand).to(torch.float32)
+    return copy.deepcopy(hand).to(torch.float32)
 
 
 def _of_size(

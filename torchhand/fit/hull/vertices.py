@@ -1,14 +1,14 @@
 """Vertices spread over the skin of a hand, and what each of them counts in a fit."""
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchhand.devices import read_back
+from torchhand.devices import kept, read_back
 from torchhand.fit.hull.settings import HullSettings
 from torchhand.fit.hull.skin import SkinPoints, WeightedVertices
 from torchhand.hand import Hand
@@ -48,13 +48,12 @@ def spread_vertices(hand: Hand, count: int) -> tuple[Int[Tensor, "points"], Floa
     return _spread(hand, count, hand.shape.dtype, hand.shape.device)
 
 
-@lru_cache(maxsize=16)
+@kept(16)
 def _spread(
     hand: Hand, count: int, dtype: torch.dtype, device: torch.device
 ) -> tuple[Int[Tensor, "points"], Float[Tensor, "points"]]:
     """dtype, device: the hand's, as a module may be moved."""
-    with torch.inference_mode(False):  # kept for callers in any mode
-        return _farthest(hand, count)
+    return _farthest(hand, count)
 
 
 def _farthest(hand: Hand, count: int) -> tuple[Int[Tensor, "points"], Float[Tensor, "points"]]:

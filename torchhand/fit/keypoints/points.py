@@ -1,13 +1,13 @@
 """Keypoints of posed hands as a detector defines them, their derivatives, and the cost of points that missed them."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.devices import constant_tensor, read_back
+from torchhand.devices import constant_tensor, kept, read_back
 from torchhand.errors import require
 from torchhand.fit import Equations, PosedHands, Stage
 from torchhand.hand import KEYPOINT_BONES, KEYPOINTS, HandFrames, HandKinematics, PoseJacobian, ShapeJacobian
@@ -145,11 +145,10 @@ def _keypoint_bones(frames: HandFrames) -> Float[Tensor, "k 21 3 3"]:
     return rotation.index_select(1, constant_tensor(KEYPOINT_BONES, torch.long, rotation.device))
 
 
-@lru_cache(maxsize=8)
+@kept(8)
 def _known_detector(dtype: torch.dtype, device: torch.device) -> Detector:
-    with torch.inference_mode(False):  # kept for callers in any mode
-        nothing = torch.zeros(_POINTS, 3, dtype=dtype, device=device)
-        return Detector(log_scale=nothing.new_zeros(()), offsets=nothing)
+    nothing = torch.zeros(_POINTS, 3, dtype=dtype, device=device)
+    return Detector(log_scale=nothing.new_zeros(()), offsets=nothing)
 
 
 def equations_of_points(
@@ -205,15 +204,13 @@ def pose_jacobian(kinematics: HandKinematics, hands: PosedHands) -> Float[Tensor
     )
 
 
-@lru_cache(maxsize=8)
+@kept(8)
 def pose_jacobian_of(kinematics: HandKinematics) -> PoseJacobian:
     """The Jacobian in all DOFs; laid out once for each kinematics module."""
-    with torch.inference_mode(False):  # kept for callers in any mode
-        return PoseJacobian(kinematics)
+    return PoseJacobian(kinematics)
 
 
-@lru_cache(maxsize=8)
+@kept(8)
 def shape_jacobian_of(kinematics: HandKinematics, columns: tuple[int, ...]) -> ShapeJacobian:
     """The Jacobian in some shape parameters; laid out once for each kinematics module."""
-    with torch.inference_mode(False):
-        return ShapeJacobian(kinematics, columns)
+    return ShapeJacobian(kinematics, columns)

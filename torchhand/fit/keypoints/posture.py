@@ -8,14 +8,14 @@ are read as a posture once, and hands are compared with the posture.
 import json
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchhand.devices import constant_tensor, read_back
+from torchhand.devices import constant_tensor, kept, read_back
 from torchhand.fit import Equations, Explained, PosedHands, Stage
 from torchhand.fit.keypoints.points import KeypointSettings
 from torchhand.fit.keypoints.prior import missing_fraction, natural_posture
@@ -169,12 +169,11 @@ class PostureKeypointFactor:
         )
 
 
-@lru_cache(maxsize=8)
+@kept(8)
 def _natural_keypoints(kinematics: HandKinematics) -> Float[Tensor, "21 3"]:
     """Keypoints of the half-open hand of default proportions, which all pictures' points are first compared with."""
-    with torch.inference_mode(False):  # kept for callers in any mode
-        like = kinematics.default_shape
-        return kinematics(natural_posture(dtype=like.dtype, device=like.device).mean).keypoints
+    like = kinematics.default_shape
+    return kinematics(natural_posture(dtype=like.dtype, device=like.device).mean).keypoints
 
 
 def _by_finger(values: Tensor) -> Tensor:

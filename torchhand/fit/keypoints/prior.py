@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchhand.devices import kept
 from torchhand.fit import Equations, OwnFactor, PosedHands
 from torchhand.hand import DOFS, FINGERS, JOINT_DOFS, KEYPOINTS, Skeleton
 
@@ -73,11 +74,10 @@ class NaturalPrior(OwnFactor):
         )
 
 
-@lru_cache(maxsize=4)
+@kept(4)
 def natural_posture(*, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu") -> NaturalPosture:
     """Half-open, with independent angles but for the end joints of the fingers, which follow the middle ones."""
-    with torch.inference_mode(False):  # kept for callers in any mode
-        return _natural_posture(dtype, device)
+    return _natural_posture(dtype, device)
 
 
 def _natural_posture(dtype: torch.dtype, device: torch.device | str) -> NaturalPosture:
@@ -124,9 +124,8 @@ def missing_fraction(confidence: Float[Tensor, "*frames 21"]) -> Float[Tensor, "
     return torch.nn.functional.pad(joints, (_ROOT, 0))
 
 
-@lru_cache(maxsize=1)
+@kept(1)
 def _needed_points() -> Int[Tensor, "30 4"]:
     """`points_of_dofs` of the joint angles as one table; where there are fewer, the last one stands several times."""
     table = [(*points, *points[-1:] * (4 - len(points))) for points in points_of_dofs()[_ROOT:]]
-    with torch.inference_mode(False):
-        return torch.tensor(table)
+    return torch.tensor(table)

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch._C._functorch import TransformType, get_interpreter_stack
 
+from torchhand.devices import is_without_derivatives
 from torchhand.geometry import compose, cross, exponential_coefficients, turn
 from torchhand.hand.kinematics.compiled import place_chain_compiled, place_chain_plainly
 from torchhand.hand.kinematics.constants import HINGES, ChainConstants
@@ -39,7 +40,7 @@ def place_chain(
     """
     if torch.compiler.is_compiling():
         return place_chain_compiled(pose, reference, levers, constants)
-    if torch.is_inference_mode_enabled() and not torch._C._are_functorch_transforms_active():
+    if is_without_derivatives():
         return _Chain.forward(pose, reference, levers, constants)  # no derivative can be asked for
     if _forward_modes() > 1:
         return place_chain_plainly(pose, reference, levers, constants)

@@ -2,12 +2,12 @@
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchhand.devices import kept
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand.kinematics.skeleton import DOFS, FINGERS, JOINT_DOFS, ROOT_DOFS
 from torchhand.precision import own_precision
@@ -91,21 +91,19 @@ def pose_space(
     return PoseSpace(name=name, free_names=free, basis=basis, constant=constant)
 
 
-@lru_cache(maxsize=64)
+@kept(64)
 def _rows_of(free_names: tuple[str, ...]) -> Int[Tensor, "free"]:
     """The DOFs that parameters are named after. Raises ValueError for one that no DOF is named after."""
     for name in free_names:
         if name not in DOFS:
             raise ValueError(f"free parameter {name!r} is not named after a DOF; allowed: {', '.join(DOFS)}")
-    with torch.inference_mode(False):  # kept for callers in any mode
-        return torch.tensor([DOFS.index(name) for name in free_names])
+    return torch.tensor([DOFS.index(name) for name in free_names])
 
 
-@lru_cache(maxsize=16)
+@kept(16)
 def _pseudo_inverse(basis: Float[Tensor, "36 free"]) -> Float[Tensor, "free 36"]:
     """Computed once for a basis, which all spaces through other poses have in common."""
-    with torch.inference_mode(False):
-        return torch.linalg.pinv(basis)
+    return torch.linalg.pinv(basis)
 
 
 def _unknown(dof: str) -> ValueError:

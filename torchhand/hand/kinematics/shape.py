@@ -2,12 +2,12 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.devices import kept_property
 from torchhand.errors import require_kind
 from torchhand.hand.kinematics.skeleton import FINGERS
 from torchhand.precision import own_precision
@@ -90,7 +90,7 @@ class ShapeSpace:
         if shape.ndim != 1:
             raise ValueError(f"shape: expected that of one hand, ({len(self.names)},), got {tuple(shape.shape)}")
 
-    @cached_property
+    @kept_property
     def _unit_index(self) -> Tensor:
         with torch.inference_mode(False):  # kept for callers in any mode
             return torch.tensor([_UNITS.index(unit) for unit in self.units], device=self.default.device)

@@ -2,12 +2,12 @@
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.devices import kept
 from torchhand.geometry import tapered_capsule_depth
 from torchhand.hand.kinematics import FINGERS
 from torchhand.hand.primitives.primitives import CONE_NAMES, ELLIPSOID_NAMES, Primitives
@@ -96,7 +96,7 @@ def energy_of(depths: Penetration, settings: PenetrationSettings) -> Float[Tenso
     return 0.5 * (depths.excess / settings.softness).square().sum(-1)
 
 
-@lru_cache(maxsize=8)
+@kept(8)
 def digit_pairs(settings: PenetrationSettings, device: torch.device) -> tuple[tuple[str, ...], Tensor, Tensor, Tensor]:
     """The pairs of digits' segments: names, both places among the cones after the palm's, overlap allowed in metres."""
     names, first, second, slack = [], [], [], []
@@ -112,9 +112,8 @@ def digit_pairs(settings: PenetrationSettings, device: torch.device) -> tuple[tu
             first.append(i)
             second.append(j)
             slack.append(settings.neighbour_slack if are_neighbours else settings.slack)
-    with torch.inference_mode(False):  # kept for callers in any mode
-        one, other = (torch.tensor(x, device=device) for x in (first, second))
-        return tuple(names), one, other, torch.tensor(slack, dtype=torch.float64, device=device)
+    one, other = (torch.tensor(x, device=device) for x in (first, second))
+    return tuple(names), one, other, torch.tensor(slack, dtype=torch.float64, device=device)
 
 
 _OUTER_SEGMENTS = ("thumb_distal", *(f"{finger}_{bone}" for finger in FINGERS[1:] for bone in ("middle", "distal")))

@@ -1,12 +1,12 @@
 """The hand of Stenger et al. (2001, section 4.1): 37 truncated quadrics that follow the bones and the shape vector."""
 
 from dataclasses import dataclass, fields, replace
-from functools import cached_property, lru_cache
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.devices import kept, kept_property
 from torchhand.geometry import batch_first, batch_last, compose, cone, ellipsoid, half_space, moved, slab, turn
 from torchhand.hand.kinematics import BONES, FINGERS, HandFrames
 from torchhand.precision import own_precision, record
@@ -53,21 +53,21 @@ class PrimitiveSizes:
     ellipsoid_level: Float[Tensor, "*batch 22"]
     """The part with y >= level · (semi-axis along y) is kept; below -1 all of it."""
 
-    @cached_property
+    @kept_property
     def placement(self) -> tuple[Float[Tensor, "*batch 37 3 3"], Float[Tensor, "*batch 37 3"]]:
         """bone_from_primitive of a right hand, in PRIMITIVE_NAMES order."""
         return torch.cat((self.cone_turn, self.ellipsoid_turn), -3), torch.cat(
             (self.cone_origin, self.ellipsoid_centre), -2
         )
 
-    @cached_property
+    @kept_property
     def mirrored_placement(self) -> tuple[Float[Tensor, "*batch 37 3 3"], Float[Tensor, "*batch 37 3"]]:
         """`placement` of a left hand: mirrored in z = 0. The surfaces themselves are symmetric."""
         turned, origin = self.placement
         mirror = torch.tensor((1.0, 1.0, -1.0), dtype=origin.dtype, device=origin.device)
         return turned * (mirror[:, None] * mirror), origin * mirror
 
-    @cached_property
+    @kept_property
     def form(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Q and the clip of every primitive in its own frame: diagonal (37, 3), slope, low, high (each 37).
 
@@ -192,7 +192,6 @@ def place_primitives(frames: HandFrames, sizes: PrimitiveSizes, *, is_left: bool
     return Primitives(sizes=sizes, rotation=batch_first(rotation, batch), position=batch_first(position, batch))
 
 
-@lru_cache(maxsize=16)
+@kept(16)
 def _bone_index(device: torch.device) -> Tensor:
-    with torch.inference_mode(False):  # kept for callers in any mode
-        return torch.tensor(CONE_BONES + ELLIPSOID_BONES, device=device)
+    return torch.tensor(CONE_BONES + ELLIPSOID_BONES, device=device)

@@ -2,13 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchhand.devices import constant_tensor
+from torchhand.devices import constant_tensor, kept
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand.kinematics import FINGERS, ShapeSpace, linear_map
 from torchhand.hand.primitives.primitives import CONE_NAMES, ELLIPSOID_NAMES, PrimitiveSizes
@@ -99,10 +98,9 @@ def _palm(m: Mapping[str, Tensor]) -> _Palm:
     )
 
 
-@lru_cache(maxsize=16)
+@kept(16)
 def _digit_matrix(names: tuple[str, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
-    with torch.inference_mode(False):  # kept for callers in any mode
-        return linear_map(names, _digit_sizes).to(dtype=dtype, device=device)
+    return linear_map(names, _digit_sizes).to(dtype=dtype, device=device)
 
 
 def _digit_sizes(m: Mapping[str, Tensor]) -> Tensor:

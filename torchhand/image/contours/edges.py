@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Literal
 
 import torch
@@ -10,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import conv1d
 
-from torchhand.devices import is_host
+from torchhand.devices import is_host, kept
 from torchhand.image.contours.sampling import is_inside, sample_bilinear
 
 _STEP_PX = 0.5  # distance of samples along the normal
@@ -148,11 +147,10 @@ def derivative_of_gaussian(sigma_px: float) -> Float[Tensor, " taps"]:
     return kernel / kernel[half_taps + 1 :].sum()
 
 
-@lru_cache(maxsize=256)
+@kept(256)
 def _steps(count: int, dtype: torch.dtype, device: torch.device) -> Tensor:
     """Places along a profile, px."""
-    with torch.inference_mode(False):  # kept for callers in any mode
-        return torch.arange(-count, count + 1, device=device, dtype=dtype) * _STEP_PX
+    return torch.arange(-count, count + 1, device=device, dtype=dtype) * _STEP_PX
 
 
 def _correlated(profile: Tensor, sigma_px: float, positions: int) -> Tensor:
@@ -164,11 +162,10 @@ def _correlated(profile: Tensor, sigma_px: float, positions: int) -> Tensor:
     return conv1d(profile.flatten(0, -2)[:, None], kernel[None, None]).reshape(*profile.shape[:-1], positions)
 
 
-@lru_cache(maxsize=256)
+@kept(256)
 def _correlation(sigma_px: float, positions: int, dtype: torch.dtype, device: torch.device) -> Tensor:
     """Band matrix of the kernel; a tracker asks for the same few again and again."""
-    with torch.inference_mode(False):  # kept for callers in any mode
-        return _band(derivative_of_gaussian(sigma_px), positions).to(dtype=dtype, device=device)
+    return _band(derivative_of_gaussian(sigma_px), positions).to(dtype=dtype, device=device)
 
 
 def _band(kernel: Tensor, positions: int) -> Tensor:

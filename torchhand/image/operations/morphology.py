@@ -8,7 +8,6 @@ a quarter of a second for it.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -16,6 +15,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from torchhand.devices import kept
 from torchhand.image.operations.backends import suits_opencv
 
 Kernel = Bool[Tensor, "rows columns"]
@@ -30,20 +30,18 @@ _BINOMIAL = (0.25, 0.5, 0.25)
 # ---------------------------------------------------------------- structuring elements
 
 
-@lru_cache(maxsize=256)
+@kept(256)
 def disc_kernel(radius_px: int) -> Kernel:
     """All neighbours within a radius: the ellipse of OpenCV, whose half width in each row is rounded."""
     reach = range(-radius_px, radius_px + 1)
-    with torch.inference_mode(False):  # kept for callers in any mode
-        half = torch.tensor([round(math.sqrt(radius_px**2 - y * y)) for y in reach])
-        return half[:, None] >= torch.tensor(reach).abs()
+    half = torch.tensor([round(math.sqrt(radius_px**2 - y * y)) for y in reach])
+    return half[:, None] >= torch.tensor(reach).abs()
 
 
-@lru_cache(maxsize=256)
+@kept(256)
 def square_kernel(radius_px: int) -> Kernel:
     """All neighbours within a distance along rows and columns."""
-    with torch.inference_mode(False):
-        return torch.ones(2 * radius_px + 1, 2 * radius_px + 1, dtype=torch.bool)
+    return torch.ones(2 * radius_px + 1, 2 * radius_px + 1, dtype=torch.bool)
 
 
 # ---------------------------------------------------------------- morphology

@@ -1,13 +1,12 @@
 """Pictures made smaller by the mean over the area that each new pixel covers, and masks made larger again."""
 
-from functools import lru_cache
-
 import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.devices import kept
 from torchhand.image.operations.backends import suits_opencv
 
 _HALF = 0.499  # of a pixel's area, less what rounding may take away
@@ -52,11 +51,10 @@ def _check(plane: Tensor, height: int, width: int) -> None:
         raise ValueError(f"size: expected 1 to {tuple(plane.shape)}, got {(height, width)}")
 
 
-@lru_cache(maxsize=64)
+@kept(64)
 def _fractions(size: int, reduced_size: int) -> Float[Tensor, "reduced_size size"]:
     """Share of each old pixel in each new one, along one dimension; float64."""
-    with torch.inference_mode(False):  # kept for callers in any mode
-        edges = torch.arange(reduced_size + 1, dtype=torch.float64) * (size / reduced_size)
-        places = torch.arange(size, dtype=torch.float64)
-        ends = torch.minimum(edges[1:, None], places + 1), torch.maximum(edges[:-1, None], places)
-        return (ends[0] - ends[1]).clamp_min(0.0) * (reduced_size / size)
+    edges = torch.arange(reduced_size + 1, dtype=torch.float64) * (size / reduced_size)
+    places = torch.arange(size, dtype=torch.float64)
+    ends = torch.minimum(edges[1:, None], places + 1), torch.maximum(edges[:-1, None], places)
+    return (ends[0] - ends[1]).clamp_min(0.0) * (reduced_size / size)

@@ -1,12 +1,11 @@
 """From a belief to what is told of a frame: pose, keypoints and their covariances."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.devices import kept
 from torchhand.geometry import Camera
 from torchhand.hand import (
     DOFS,
@@ -91,11 +90,10 @@ def posed_gaussian(
     )
 
 
-@lru_cache(maxsize=8)
+@kept(8)
 def _jacobian_of(kinematics: HandKinematics) -> PoseJacobian:
     """Jacobian in all DOFs; laid out once for each kinematics module."""
-    with torch.inference_mode(False):  # kept for callers in any mode
-        return PoseJacobian(kinematics)
+    return PoseJacobian(kinematics)
 
 
 def unknown_scale_std(space: ShapeSpace, camera: Camera, *, is_shape_known: bool) -> float:

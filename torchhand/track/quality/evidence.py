@@ -3,13 +3,12 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchhand.devices import are_equal, sent_to
+from torchhand.devices import are_equal, kept, sent_to
 from torchhand.fit.contour import hand_length_px, is_in_picture, is_outer
 from torchhand.geometry import Camera
 from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, FINGERS, JOINT_DOFS, HandKinematics, HandPose
@@ -241,32 +240,28 @@ def _finger_of(name: str) -> int | None:
     return FINGERS.index(finger) if finger in FINGERS and part in parts else None
 
 
-@lru_cache(maxsize=4)
+@kept(4)
 def _curls(device: torch.device) -> Int[Tensor, "5 2"]:
     """Places of the last two joints' flexions among the joint angles."""
-    with torch.inference_mode(False):  # kept for callers in any mode
-        places = [[JOINT_DOFS.index(f"{finger}_{joint}_fe") for joint in last] for finger, last in _CURLS.items()]
-        return sent_to(torch.tensor(places), device)
+    places = [[JOINT_DOFS.index(f"{finger}_{joint}_fe") for joint in last] for finger, last in _CURLS.items()]
+    return sent_to(torch.tensor(places), device)
 
 
-@lru_cache(maxsize=4)
+@kept(4)
 def _table(device: torch.device) -> OutlineTable:
     """Points of the fingers' last two phalanges alone."""
-    with torch.inference_mode(False):  # kept for callers in any mode
-        names = (*CONE_NAMES, *ELLIPSOID_NAMES)
-        without = tuple(name for name in names if _finger_of(name) is None)
-        return sent_to(outline_table(8, 10, without=without), device)
+    names = (*CONE_NAMES, *ELLIPSOID_NAMES)
+    without = tuple(name for name in names if _finger_of(name) is None)
+    return sent_to(outline_table(8, 10, without=without), device)
 
 
-@lru_cache(maxsize=4)
+@kept(4)
 def _finger_of_point(device: torch.device) -> Int[Tensor, "points"]:
-    with torch.inference_mode(False):
-        fingers = [_finger_of(name) for name in (*CONE_NAMES, *ELLIPSOID_NAMES)]
-        return torch.tensor([-1 if one is None else one for one in fingers], device=device)[_table(device).primitive]
+    fingers = [_finger_of(name) for name in (*CONE_NAMES, *ELLIPSOID_NAMES)]
+    return torch.tensor([-1 if one is None else one for one in fingers], device=device)[_table(device).primitive]
 
 
-@lru_cache(maxsize=4)
+@kept(4)
 def _points_of_fingers(device: torch.device) -> Float[Tensor, "5"]:
     """Number of points that each finger has at all."""
-    with torch.inference_mode(False):
-        return torch.bincount(_finger_of_point(device), minlength=len(FINGERS)).double()
+    return torch.bincount(_finger_of_point(device), minlength=len(FINGERS)).double()

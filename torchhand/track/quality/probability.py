@@ -6,7 +6,6 @@ how well they tell right fingers from wrong ones there.
 
 import json
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,6 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.devices import kept
 from torchhand.track.quality.evidence import EVIDENCE
 
 Method = Literal["contour", "distance", "rig", "single"]
@@ -79,11 +79,10 @@ def qualities(evidence: Float[Tensor, "5 evidence"], method: Method) -> tuple[fl
     return float(hand(hand_evidence(evidence, fingers))), fingers
 
 
-@lru_cache(maxsize=4)
+@kept(4)
 def _models(method: Method) -> tuple[LogisticModel, LogisticModel]:
     table = json.loads(_TABLE.read_text(encoding="utf-8"))[method]
-    with torch.inference_mode(False):  # kept for callers in any mode
-        return (
-            LogisticModel.of_json(table["finger"], EVIDENCE),
-            LogisticModel.of_json(table["hand"], HAND_EVIDENCE),
-        )
+    return (
+        LogisticModel.of_json(table["finger"], EVIDENCE),
+        LogisticModel.of_json(table["hand"], HAND_EVIDENCE),
+    )

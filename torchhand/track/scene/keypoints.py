@@ -2,13 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from torchhand.devices import constant_tensor
+from torchhand.devices import constant_tensor, kept
 from torchhand.fit import PosedHands, Stage
 from torchhand.fit.keypoints import KeypointSettings, PictureKeypoints, PostureKeypoints, keep_frames, place_hand
 from torchhand.geometry import Camera
@@ -109,15 +108,14 @@ def _rms(values: Float[Tensor, "k n"]) -> Float[Tensor, "k"]:
     return values.square().nanmean(-1).sqrt()
 
 
-@lru_cache(maxsize=8)
+@kept(8)
 def parts_of(dofs: tuple[str, ...], device: torch.device) -> Int[Tensor, "dofs"]:
     """Which part of the hand (as `SceneKeypoints.deviation` has them) a degree of freedom moves: 0 the whole, then
     digits."""
     names = [name.split("_")[0] for name in dofs]
-    with torch.inference_mode(False):  # kept for callers in any mode
-        return torch.tensor(
-            [1 + FINGERS.index(name) if name in FINGERS else 0 for name in names], dtype=torch.long, device=device
-        )
+    return torch.tensor(
+        [1 + FINGERS.index(name) if name in FINGERS else 0 for name in names], dtype=torch.long, device=device
+    )
 
 
 def scene_keypoints(

@@ -1,11 +1,10 @@
 """The posture and the direction that a trained network sees in one camera's picture of a hand near a known place."""
 
-from functools import lru_cache
-
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from torchhand.devices import kept
 from torchhand.files import load_presence_network, load_proposal_network
 from torchhand.fit import GaussianPrior, Observation
 from torchhand.fit.keypoints import PostureKeypoints
@@ -87,9 +86,8 @@ def credible_posture(
     return HandPose(dofs=torch.cat((pose.dofs[: -len(JOINT_DOFS)], seen.joints)), reference=pose.reference), is_put
 
 
-@lru_cache(maxsize=4)
+@kept(4)
 def _space(device: torch.device) -> tuple[PoseSpace, list[int]]:
     """The space in which a direction is told, and the places of the root's rotation in it."""
-    with torch.inference_mode(False):  # kept for callers in any mode
-        space = named_pose_space("dof27").to(device=device)
+    space = named_pose_space("dof27").to(device=device)
     return space, [space.free_names.index(name) for name in ("root_rx", "root_ry", "root_rz")]

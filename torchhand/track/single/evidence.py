@@ -8,7 +8,6 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -17,7 +16,7 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from torchhand.devices import read_back
+from torchhand.devices import kept, read_back
 from torchhand.fit.contour import hand_length_px
 from torchhand.geometry import Camera
 from torchhand.hand import HandKinematics
@@ -75,15 +74,14 @@ def counted(
     return torch.minimum(torch.where(evidence.isfinite(), evidence, usual), usual)
 
 
-@lru_cache(maxsize=1)
+@kept(1)
 def hand_odds() -> HandOdds:
     """The model of evidence.json."""
     table = json.loads(_TABLE.read_text(encoding="utf-8"))
-    with torch.inference_mode(False):  # kept for callers in any mode
-        return HandOdds(
-            model=LogisticModel.of_json(table, EVIDENCE),
-            usual=torch.tensor([table["usual"][name] for name in EVIDENCE], dtype=torch.float64),
-        )
+    return HandOdds(
+        model=LogisticModel.of_json(table, EVIDENCE),
+        usual=torch.tensor([table["usual"][name] for name in EVIDENCE], dtype=torch.float64),
+    )
 
 
 def evidence_for(

@@ -1,7 +1,6 @@
 """A hand before a camera: pose in, outline points, contours with visibility, and silhouettes in pixels out."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -9,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.devices import sent_to
+from torchhand.devices import kept, sent_to
 from torchhand.geometry import Camera, batch_first
 from torchhand.hand import (
     CONE_NAMES,
@@ -227,17 +226,16 @@ def _inset(polygons: np.ndarray) -> np.ndarray:
     return polygons + _INSET_PX * inwards * normal / np.maximum(length, 1e-9)
 
 
-@lru_cache(maxsize=8)
+@kept(8)
 def _polygon_table(dtype: torch.dtype, device: torch.device) -> OutlineTable:
     """Corners of every primitive's outline in drawing order."""
-    with torch.inference_mode(False):  # kept for callers in any mode
-        arcs = outline_table(1, _ARC_CORNERS, dtype=dtype)
-        cones = torch.arange(len(CONE_NAMES))
-        table = OutlineTable(
-            cone=cones.repeat_interleave(4),
-            cone_side=torch.tensor((0, 0, 1, 1)).repeat(len(cones)),
-            cone_fraction=torch.tensor((0.0, 1.0, 1.0, 0.0), dtype=dtype).repeat(len(cones)),
-            ellipsoid=arcs.ellipsoid,
-            ellipsoid_fraction=arcs.ellipsoid_fraction,
-        )
-        return sent_to(table, device)
+    arcs = outline_table(1, _ARC_CORNERS, dtype=dtype)
+    cones = torch.arange(len(CONE_NAMES))
+    table = OutlineTable(
+        cone=cones.repeat_interleave(4),
+        cone_side=torch.tensor((0, 0, 1, 1)).repeat(len(cones)),
+        cone_fraction=torch.tensor((0.0, 1.0, 1.0, 0.0), dtype=dtype).repeat(len(cones)),
+        ellipsoid=arcs.ellipsoid,
+        ellipsoid_fraction=arcs.ellipsoid_fraction,
+    )
+    return sent_to(table, device)

@@ -1,12 +1,12 @@
 """The truncated quadrics of a hand as closed meshes, differentiable in where they are and how large."""
 
 import math
-from functools import lru_cache
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchhand.devices import kept
 from torchhand.hand import CONE_NAMES, ELLIPSOID_NAMES, Primitives
 from torchhand.precision import own_precision
 
@@ -56,7 +56,7 @@ def _closed(
     return torch.cat((points.flatten(-3, -2), middles), -2)
 
 
-@lru_cache(maxsize=8)
+@kept(8)
 def _faces(device: torch.device) -> Int[Tensor, "faces 3"]:
     """Faces of all cones, then of all ellipsoids."""
     found, before = [], 0
@@ -64,8 +64,7 @@ def _faces(device: torch.device) -> Int[Tensor, "faces 3"]:
         own, points = _faces_of_rings(rings), rings * _SPOKES + 2
         found += [own + before + points * index for index in range(count)]
         before += points * count
-    with torch.inference_mode(False):  # kept for callers in any mode
-        return torch.cat(found).to(device)
+    return torch.cat(found).to(device)
 
 
 def _faces_of_rings(rings: int) -> Int[Tensor, "faces 3"]:
