@@ -12,7 +12,7 @@ from tests.steps import assert_equal, right_hand
 from tests.steps import run as stepped
 from tests.studio import Studio
 from torchhand.errors import InputError
-from torchhand.files import open_source, write_video
+from torchhand.files import open_source, save_cameras, write_video
 from torchhand.geometry import assumed_camera
 from torchhand.runs.pictures import fit_pose
 from torchhand.runs.request import settings_of
@@ -27,14 +27,28 @@ def test_the_estimates_are_those_of_a_tracker_that_steps_through_the_pictures(tm
         for image in film.images:
             video.write(image)
     settings = settings_of("contour_planar")
+    camera = assumed_camera(film.camera.width, film.camera.height)
     found = list(track(path, settings=settings))
-    tracker = Tracker(right_hand(), assumed_camera(film.camera.width, film.camera.height), settings)
+    tracker = Tracker(right_hand(), camera, settings)
     frames = open_source(path)
     _, expected = stepped(tracker, [frame.image for frame in frames])
     frames.close()
     assert [one.status for one in found] == ["tracked"] * 3
     for one, other in zip(found, expected, strict=True):
         assert_equal(one, other)
+    save_cameras([camera], tmp_path / "cameras.json")
+    for given in (camera, tmp_path / "cameras.json", str(tmp_path / "cameras.json")):
+        assert_equal(next(track(path, settings=settings, camera=given)), expected[0])
+
+
+def test_a_camera_is_one_or_its_file_and_of_such_pictures(tmp_path: Path) -> None:
+    grey, other = torch.full((120, 160, 3), 90, dtype=torch.uint8), assumed_camera(320, 240)
+    save_cameras([other], tmp_path / "cameras.json")
+    for fit in (fit_hand, fit_pose):
+        with pytest.raises(InputError, match=r"^camera: expected a camera of 160x120 px.* got 320x240"):
+            fit(grey, camera=other)
+        with pytest.raises(InputError, match=r"cameras.json: expected a camera of 160x120 px.* got 320x240"):
+            fit(grey, camera=tmp_path / "cameras.json")
 
 
 def test_a_picture_without_a_hand_is_refused() -> None:

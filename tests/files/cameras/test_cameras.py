@@ -171,6 +171,13 @@ def test_the_camera_of_a_sequence(tmp_path: Path):
         camera_for(two, 640, 480)
 
 
+def test_a_camera_that_is_given_must_be_one_of_such_pictures(tmp_path: Path):
+    camera = load_cameras(_write(tmp_path / "one.json", ENTRY))[0]
+    assert camera_for(camera, 640, 480) is camera
+    with pytest.raises(InputError, match=r"^camera: expected a camera of 320x240 px.* got 640x480$"):
+        camera_for(camera, 320, 240)
+
+
 def test_without_a_file_a_field_of_view_is_assumed():
     camera = camera_for(None, 640, 426)
     assert camera.is_assumed

@@ -1,12 +1,13 @@
 """cameras.json: calibrated cameras to and from a file."""
 
 import json
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from torchhand.errors import InputError
+from torchhand.errors import InputError, require_kind
 from torchhand.files.disk import read_json, read_numbers, short, suggestion, write_text
 from torchhand.geometry import DISTORTION_LENGTHS, Camera, assumed_camera
 
@@ -71,17 +72,21 @@ def only_camera(path: str | Path) -> Camera:
     return cameras[0]
 
 
-def camera_for(path: str | Path | None, width: int, height: int) -> Camera:
-    """The camera of pictures of the given size (px): the only one of the file; without a file an assumed one.
+def camera_for(given: Camera | str | Path | None, width: int, height: int) -> Camera:
+    """The camera of pictures of the given size (px): the one that is given, or the only one of a file; an assumed one
+    where nothing is given.
 
-    Raises InputError if the file holds more than one camera or one of another picture size.
+    Raises InputError if a file holds more than one camera, and for a camera of another picture size; TypeError for what
+    is neither.
     """
-    if path is None:
+    if given is None:
         return assumed_camera(width, height)
-    camera = only_camera(path)
+    require_kind("camera", given, Camera, str, PathLike)
+    is_file = not isinstance(given, Camera)
+    camera = only_camera(given) if is_file else given
     if (camera.width, camera.height) != (width, height):
         raise InputError(
-            f"{path}: expected a camera of {width}x{height} px, the size of the pictures,"
+            f"{given if is_file else 'camera'}: expected a camera of {width}x{height} px, the size of the pictures,"
             f" got {camera.width}x{camera.height}"
         )
     return camera

@@ -94,8 +94,11 @@ class _Live:
 class LiveCamera(_Live):
     """One webcam, stream, video file or folder of pictures as if live (`Recording`)."""
 
-    def __init__(self, source: str | Path, camera: Path | None, *, max_frames: int | None = None) -> None:
-        """source: as `open_source` takes it. camera: a file of its calibration; a field of view is assumed without one.
+    def __init__(
+        self, source: str | Path, camera: Camera | str | Path | None, *, max_frames: int | None = None
+    ) -> None:
+        """source: as `open_source` takes it. camera: its own, or a file of its calibration; a field of view is assumed
+        without one.
 
         Raises InputError for a source that cannot be opened, and for a camera that is wrong.
         """

@@ -137,7 +137,7 @@ class OneCameraRecording:
     def __init__(
         self,
         source: str | Path,
-        camera: Path | None,
+        camera: Camera | str | Path | None,
         *,
         start: int = 0,
         max_frames: int | None = None,
