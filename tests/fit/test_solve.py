@@ -208,6 +208,34 @@ def test_single_steps_go_on_until_the_next_one_promises_nothing(points: Points, 
     assert (some.cost < 0.5 * few.cost).all()
 
 
+def test_a_step_that_promises_little_is_the_last_and_believed(
+    generator: torch.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing is associated anew after it, and the cost that is told is nearly that of the hand which it led to."""
+    joints = 0.5 * (MODEL.skeleton.lower + MODEL.skeleton.upper)  # far from the limits
+    true = HandPose.stack([HandPose.of(torch.cat((torch.zeros(6), joints)).double(), torch.eye(3).double())])
+    seen = problem(Points(points=_keypoints(true) + 0.005 * normal(generator, 1, 21, 3)))
+    associations, associated = [], Points.associate
+
+    def counted(self: Points, hands: PosedHands, stage: Stage) -> PointsFactor:
+        associations.append(len(hands))
+        return associated(self, hands, stage)
+
+    monkeypatch.setattr(Points, "associate", counted)
+    stage = Stage(gross_m=0.05, rounds=12, iterations=1, method="gauss_newton", until_arrived=True)
+    single = replace(stage, rounds=1, until_arrived=False)
+    start = solve(seen, true, (replace(single, rounds=4),)).pose
+    of_start = solve(seen, start, (single,)).cost
+    associations.clear()
+    found = solve(seen, start, (stage,))
+    assert associations == [1]
+    assert found.iterations.tolist() == [1]
+    assert found.status.tolist() == [SolveStatus.CONVERGED.value]
+    again = solve(seen, found.pose, (single,))
+    assert float(found.cost) == pytest.approx(float(again.cost), rel=0.01)
+    assert float(again.cost) < float(of_start)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Runaway:
     """Draws the hand along x to a place that is farther away the nearer the hand comes: every step is a loss."""

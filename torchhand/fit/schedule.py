@@ -24,8 +24,8 @@ class Stage:
     association without asking, which is twice as fast and enough near the pose; gradient_descent is for comparison and
     takes ten times the iterations."""
     until_arrived: bool = False
-    """Whether the rounds of gauss_newton are the most that are taken: a hand whose next step promises no noticeable
-    decrease of the cost has arrived, and stays."""
+    """Whether the rounds of gauss_newton are the most that are taken: a hand has arrived after a step that promises no
+    noticeable decrease of the cost, and stays; what that step brings is believed where no hand goes on."""
     pitch_px: int = 1
     """Pixels of the picture per pixel of a distance map; 1 or more."""
     thinning: int = 1

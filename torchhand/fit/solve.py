@@ -33,7 +33,7 @@ _COST_TOLERANCE = 1e-3  # share of the cost below which a step is not worth taki
 _STEP_TOLERANCE = 1e-5
 _DAMPING = 1e-2
 _DESCENT = 10  # iterations of gradient descent for one of Levenberg-Marquardt
-_ARRIVED = 0.02  # share of the cost that the next step promises, below which a fit without line search has converged
+_ARRIVED = 0.04  # share of the cost that a step promises, below which it is the last of a fit without line search
 
 
 _OF_HYPOTHESES = ("cost", "misfit", "status", "covariance")
@@ -184,18 +184,20 @@ def _solved(problem: Problem, start: HandPose, schedule: Schedule) -> Solutions:
     is_evaluated = False  # where the hands are now
     for stage in schedule:
         has_arrived = torch.zeros_like(status, dtype=torch.bool)
-        for number in range(stage.rounds):
+        for _ in range(stage.rounds):
             here = problem.associated(values, reference, stage)
             first = here.here()
             if stage is schedule[-1]:
                 own = _Evaluated.of(here, first)
                 kept = own if kept is None else kept.or_better(own)
             found = _minimised(here, first, stage)
-            if number > 0 and stage.until_arrived and stage.method == "gauss_newton":
+            if stage.until_arrived and stage.method == "gauss_newton":
                 found, has_arrived = _unless_arrived(found, here, has_arrived)
             status, iterations = found.status, iterations + found.iterations
             is_evaluated = stage is schedule[-1] and is_host(values.device) and bool(has_arrived.all())
             if is_evaluated:
+                assert kept is not None
+                kept = kept.after(found, here, first)
                 break
             values, reference = problem.rebased(found.values, reference)
     assert kept is not None
@@ -258,16 +260,15 @@ def _one_step(here: Linearization, first: NormalEquations) -> LeastSquares:
 def _unless_arrived(
     found: LeastSquares, here: Linearization, has_arrived: Bool[Tensor, "k"]
 ) -> tuple[LeastSquares, Bool[Tensor, "k"]]:
-    """A further step of the hypotheses that had not arrived before it, and which have arrived by now: where it promises
-    no noticeable decrease, or cannot be taken, a hypothesis stays for good."""
-    has_arrived = has_arrived | (found.status != Status.STALLED.value)
+    """A further step of the hypotheses that had not arrived before it, and which have arrived with it: where it
+    promises no noticeable decrease, or cannot be taken, it is the last."""
     stays = replace(
         found,
         values=torch.where(has_arrived[:, None], here.values, found.values),
         iterations=torch.where(has_arrived, 0, found.iterations),
         status=torch.where(has_arrived & (found.status == Status.STALLED.value), Status.CONVERGED.value, found.status),
     )
-    return stays, has_arrived
+    return stays, has_arrived | (found.status != Status.STALLED.value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -296,6 +297,13 @@ class _Evaluated:
             matrix=found.matrix,
             explained=explained,
         )
+
+    def after(self, found: LeastSquares, here: Linearization, first: NormalEquations) -> "_Evaluated":
+        """The hands after a last step from where they are the best, its promise believed; what they explain is what
+        they explained before it."""
+        step = torch.where((self.cost == first.cost)[:, None], found.values - here.values, 0.0)
+        promised = -0.5 * (first.gradient * step).sum(-1)
+        return replace(self, values=self.values + step, cost=self.cost - promised, misfit=self.misfit - promised)
 
     def or_better(self, other: "_Evaluated") -> "_Evaluated":
         """The cheaper of the two, hypothesis by hypothesis."""
