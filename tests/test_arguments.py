@@ -64,12 +64,12 @@ TOLD = {
     "first(shape=hand.shape.expand(2, 52))": "ValueError: shape: expected that of one hand, (52,), got (2, 52)",
     "first(shape=np.zeros(52))": "TypeError: shape: expected Tensor, got ndarray",
     "first(settings='contour_full')": "TypeError: settings: expected TrackerSettings, got str",
-    "first(camera=camera)": "TypeError: camera: expected str or PathLike, got Camera",
+    "first(camera=3)": "TypeError: camera: expected Camera or str or PathLike, got int",
     "first(keypoints=points)": "TypeError: keypoints: expected str or PathLike, got Tensor",
     "next(torchhand.track(None))": "TypeError: source: expected str or PathLike or int, got NoneType",
     "fit_pose(picture, shape=torch.zeros(52))": "ValueError: shape: hand_length: expected 0.14 to 0.24 m, got 0",
-    "fit_pose(picture, camera='cameras.json')": "TypeError: camera: expected Camera, got str",
-    "fit_hand(sys.argv[1] + '/0.png', camera='cameras.json')": "TypeError: camera: expected Camera, got str",
+    "fit_pose(picture, camera=3)": "TypeError: camera: expected Camera or str or PathLike, got int",
+    "fit_hand(sys.argv[1] + '/0.png', camera=3)": "TypeError: camera: expected Camera or str or PathLike, got int",
     "fit_keypoints(kinematics, [SeenKeypoints(camera=camera, points_px=points)])": (
         "ValueError: points_px: expected shape (*frames, 21, 2), got (1, 20, 2)"
     ),
