@@ -236,6 +236,20 @@ def test_a_step_that_promises_little_is_the_last_and_believed(
     assert float(again.cost) < float(of_start)
 
 
+def test_a_failed_hypothesis_costs_infinitely_much_where_steps_are_believed(
+    points: Points, generator: torch.Generator
+) -> None:
+    stage = Stage(gross_m=0.05, rounds=12, iterations=1, method="gauss_newton", until_arrived=True)
+    start = hands(generator, 1)
+    broken = replace(start, dofs=torch.full_like(start.dofs, torch.nan))
+    found = solve(problem(points), HandPose.cat([broken, start]), (stage,))
+    alone = solve(problem(points), broken, (stage,))
+    assert found.cost.isinf().tolist() == [True, False]
+    assert found.best == 1
+    assert alone.cost.isinf().tolist() == [True]
+    assert alone.status.tolist() == [SolveStatus.FAILED.value]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Runaway:
     """Draws the hand along x to a place that is farther away the nearer the hand comes: every step is a loss."""

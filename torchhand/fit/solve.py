@@ -301,8 +301,9 @@ class _Evaluated:
     def after(self, found: LeastSquares, here: Linearization, first: NormalEquations) -> "_Evaluated":
         """The hands after a last step from where they are the best, its promise believed; what they explain is what
         they explained before it."""
-        step = torch.where((self.cost == first.cost)[:, None], found.values - here.values, 0.0)
-        promised = -0.5 * (first.gradient * step).sum(-1)
+        is_taken = (self.cost == first.cost) & self.cost.isfinite()
+        step = torch.where(is_taken[:, None], found.values - here.values, 0.0)
+        promised = torch.where(is_taken, -0.5 * (first.gradient * step).sum(-1), 0.0)
         return replace(self, values=self.values + step, cost=self.cost - promised, misfit=self.misfit - promised)
 
     def or_better(self, other: "_Evaluated") -> "_Evaluated":
