@@ -140,7 +140,7 @@ class Run:
         seconds = time.perf_counter() - started
         if self.tracker.settings.smoothing_window_s > 0:
             scene = self.tracker.scene(state, frame.views, frame.time_s)
-            self._smoother.remember(PastFrame.of(scene, estimate.keypoints, estimate.score))
+            self._smoother.remember(PastFrame.of(scene, estimate.keypoints, estimate.score, estimate.pose))
         self._keep_past(frame, seconds)
         self.state = state
         if estimate.keypoints_px is not None:
@@ -182,11 +182,13 @@ class Run:
                 if row < of_this_scale:
                     continue
                 frame = with_keypoints(frame, self.keypoints, self._followed_px)
-                points = torch.from_numpy(track.keypoints3d[row])
+                points, pose = torch.from_numpy(track.keypoints3d[row]), torch.from_numpy(track.pose[row])
                 is_lost = not bool(points.isfinite().all())
                 scene = self.tracker.scene(self.state, frame.views, frame.time_s)
                 score = 0.0 if is_lost else float(track.measures["score"][row])
-                self._smoother.remember(PastFrame.of(scene, None if is_lost else points, score))
+                self._smoother.remember(
+                    PastFrame.of(scene, *((None, score, None) if is_lost else (points, score, pose)))
+                )
                 self._keep_past(frame, float(track.seconds[row]))
 
     def _new_smoother(self, state: TrackerState) -> Smoother:

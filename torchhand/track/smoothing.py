@@ -1,9 +1,13 @@
-"""Backward smoothing: a hand that was found anew, or leapt, is followed back into the frames before.
+"""Backward smoothing: a hand that was found anew, or leapt, is followed back into the frames before; a hand that left
+its path for one frame is looked for on it.
 
 After a fast turn a tracker may hold a hand that explains the silhouettes well enough, until a better one is found. The
 frames before are then estimated again: up to one of them the hand stays as it was followed, and from there on it is the
 one that was found, followed backwards. That frame is where the silhouettes of all are explained best for the least
 motion (the most probable path of two: Viterbi 1967).
+
+A finger that moves fast may also be left behind for a frame, or be mistaken for another in one. The hand of that frame
+is then also begun between those of the frames beside it, and stands there where that explains more for the motion.
 """
 
 import itertools
@@ -17,6 +21,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchhand.hand import HandPose
 from torchhand.track.knowledge import Estimate, TrackerState
 from torchhand.track.multiview import HULL, Hull
 from torchhand.track.scene import PackedMask, Scene, View
@@ -27,7 +32,8 @@ _HOPELESS = 0.1  # gain less than with fewer frames, from which on no more are e
 _IN_VAIN = 8  # frames estimated again after those that explained most, from which on no more are
 _LEAP = 0.015  # metres from one frame to the next, in the mean over the keypoints, that few hands move
 _CLOCK_S = 1e-6  # times are compared to this
-_SAME = 0.002  # metres between two hands, in the same mean, that are one
+_SAME = 0.002  # metres between two hands that are one
+_OFF_PATH = 0.02  # metres of any keypoint from between the frames beside, from which on a hand is begun there as well
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,11 +48,19 @@ class PastFrame:
     """Keypoints of the hand as it was found, metres; None where it was lost."""
     score: float
     """How much of the silhouettes the hand explained, 0 to 1; 0 where it was lost."""
+    pose: Float[Tensor, "36"] | None = None
+    """The hand's pose, with the root's whole rotation vector; None where it was lost or is not known."""
     hull: Hull | None = None
     """Hull of the silhouettes about that hand, where one was carved: most of the time of another estimate."""
 
     @classmethod
-    def of(cls, scene: Scene, keypoints: Float[Tensor, "21 3"] | None, score: float) -> "PastFrame":
+    def of(
+        cls,
+        scene: Scene,
+        keypoints: Float[Tensor, "21 3"] | None,
+        score: float,
+        pose: Float[Tensor, "36"] | None = None,
+    ) -> "PastFrame":
         """The record of a scene and of what was found in it."""
         masks = [
             own if plane is None else plane > 0.5 for own, plane in zip(scene.masks, scene.probabilities, strict=True)
@@ -58,6 +72,7 @@ class PastFrame:
             masks=tuple(None if mask is None else PackedMask.of(mask) for mask in masks),
             keypoints=keypoints,
             score=score,
+            pose=pose,
             hull=None if hull is None else hull.with_observations(()),
         )
 
@@ -92,8 +107,15 @@ class Smoother:
 
         state, estimate: as `Tracker.step` returned them for a frame that is not remembered yet.
         """
-        if self._window_s <= 0 or state.hand is None or estimate.keypoints is None or not self._is_news(estimate):
+        if self._window_s <= 0 or estimate.keypoints is None:
             return []
+        followed = self._followed_back(state, estimate) if self._is_news(estimate) else []
+        return [self._tracker.told(state, one) for one in followed or self._begun_between(state, estimate)]
+
+    def _followed_back(self, state: TrackerState, estimate: Estimate) -> list[FollowedInto]:
+        """The hand of this frame in the frames before which it explains better, the latest first."""
+        assert state.hand is not None
+        assert estimate.keypoints is not None
         hand, now, time_s = self._tracker.at_rest(state.hand), estimate.keypoints, estimate.time_s
         before: list[PastFrame] = []
         after: list[Estimate] = []
@@ -117,9 +139,36 @@ class Smoother:
             gains.append(self._gain(before, after, now))
         changed = max(range(len(gains)), key=gains.__getitem__)
         for place, found in enumerate(after[:changed]):
-            corrected = replace(before[place], keypoints=found.keypoints, score=found.score)
-            self._past[len(self._past) - 1 - place] = corrected
-        return [self._tracker.told(state, followed) for followed in all_followed[:changed]]
+            self._correct(place, found)
+        return all_followed[:changed]
+
+    def _begun_between(self, state: TrackerState, estimate: Estimate) -> list[FollowedInto]:
+        """The hand of the last frame, begun between those of the frames beside it, where it is not near there and is
+        explained better so."""
+        if len(self._past) < 2:
+            return []
+        before, past, now = self._past[-2], self._past[-1], estimate.keypoints
+        if before.pose is None or before.keypoints is None or past.keypoints is None or past.is_told:
+            return []
+        assert now is not None
+        assert estimate.pose is not None
+        share = (past.time_s - before.time_s) / (estimate.time_s - before.time_s)
+        if _largest(past.keypoints, torch.lerp(before.keypoints, now, share)) <= _OFF_PATH:
+            return []
+        begin = HandPose.of(before.pose)
+        between = begin.retract(share * begin.step_to(HandPose.of(estimate.pose)))
+        begun = self._tracker.begun(state, between, past.scene(self._tracker.device))
+        if begun is None or _largest(past.keypoints, begun.estimate.keypoints) < _SAME:
+            return []
+        if self._gain([past], [begun.estimate], now) <= 0:
+            return []
+        self._correct(0, begun.estimate)
+        return [begun]
+
+    def _correct(self, place: int, found: Estimate) -> None:
+        """Remember another hand of a frame. place: how many frames came after it."""
+        index = len(self._past) - 1 - place
+        self._past[index] = replace(self._past[index], keypoints=found.keypoints, score=found.score, pose=found.pose)
 
     def _is_news(self, estimate: Estimate) -> bool:
         if estimate.is_new:
@@ -147,3 +196,7 @@ def _distance(one: Tensor | None, other: Tensor | None) -> float:
     if one is None or other is None:
         return math.inf
     return float((one - other).norm(dim=-1).mean())
+
+
+def _largest(one: Tensor, other: Tensor | None) -> float:
+    return math.inf if other is None else float((one - other).norm(dim=-1).max())

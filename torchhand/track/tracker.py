@@ -304,7 +304,17 @@ class Tracker:
         if state.shape is None:
             return None
         predicted = self.parts.motion.predicted(hand, abs(dt_s))
-        found = self.parts.rule.follow(hand, predicted, scene, state.shape)
+        return self._into(self.parts.rule.follow(hand, predicted, scene, state.shape), scene, state)
+
+    @torch.inference_mode()
+    @single_threaded()
+    def begun(self, state: TrackerState, pose: HandPose, scene: Scene) -> FollowedInto | None:
+        """A hand in another scene near a pose (), with nothing else looked for; None where it does not fit there."""
+        if state.shape is None:
+            return None
+        return self._into(self.parts.rule.begin(pose.normalized(), None, scene, state.shape), scene, state)
+
+    def _into(self, found: Candidate | None, scene: Scene, state: TrackerState) -> FollowedInto | None:
         if found is None or self.parts.health.is_failing(found):
             return None
         estimate, tip_std = self._posed("tracked", found, state, scene)

@@ -38,10 +38,10 @@ def _views(masks):
     return tuple(View(mask=mask) for mask in masks)
 
 
-def _past(masks, frame, keypoints, score):
+def _past(masks, frame, keypoints, score, pose=None):
     masks = tuple(masks)
     scene = Scene(views=_views(masks), masks=masks, probabilities=(None,) * len(masks), time_s=round(frame * STEP_S, 9))
-    return PastFrame.of(scene, keypoints, score)
+    return PastFrame.of(scene, keypoints, score, pose)
 
 
 def _found(tracker, masks, frame, pose):
@@ -110,6 +110,47 @@ def test_frames_with_a_lost_digit_are_corrected_and_those_before_stay(tracker, r
         assert new.evidence is not None  # of the fingers: told of the frames that are corrected alone
         assert bool((torch.linalg.eigvalsh(new.keypoints_cov) > 0).all())
     assert smoother.corrections(*found) == []  # what was corrected is remembered so
+
+
+def _known(rig_hand, masks, poses, wrong):
+    """The frames before the last as they were followed, the thumb folded in one of them."""
+    hands = [_with_thumb_folded(pose) if frame == wrong else pose for frame, pose in enumerate(poses[:-1])]
+    return [
+        _past(masks[frame], frame, _points(rig_hand, hand), 0.93 if frame == wrong else 0.96, HandPose.of(*hand).vector)
+        for frame, hand in enumerate(hands)
+    ]
+
+
+def _followed(tracker, masks, poses):
+    """State and estimate of the last frame, whose hand was followed there from the frame before."""
+    state, _ = _found(tracker, masks, FRAMES - 2, poses[-2])
+    state, estimate = tracker.step(state, _views(masks[FRAMES - 1]), round((FRAMES - 1) * STEP_S, 9))
+    assert not estimate.is_new
+    return state, estimate
+
+
+@pytest.mark.parametrize(("wrong", "corrected"), [(3, [3]), (2, []), (None, [])])
+def test_last_hand_that_left_its_path_is_begun_on_it(wrong, corrected, tracker, rig_hand, poses, masks):
+    smoother = Smoother(tracker, WINDOW_S)
+    for one in _known(rig_hand, masks, poses, wrong):
+        smoother.remember(one)
+    found = _followed(tracker, masks, poses)
+    better = smoother.corrections(*found)
+    assert _frames(better) == corrected
+    for new in better:
+        assert float((new.keypoints - _points(rig_hand, poses[3])).norm(dim=-1).max()) < 0.01
+        assert new.evidence is not None
+    assert smoother.corrections(*found) == []  # what was corrected is remembered so
+
+
+def test_hand_that_truly_left_its_path_stays(tracker, rig_hand, poses, masks, masks_of):
+    folded = _with_thumb_folded(poses[3])
+    masks = [*masks[:3], masks_of(folded), masks[4]]
+    smoother = Smoother(tracker, WINDOW_S)
+    for one in _known(rig_hand, masks, poses, wrong=3):
+        smoother.remember(one)
+    state, estimate = _found(tracker, masks, FRAMES - 1, poses[-1])
+    assert smoother.corrections(state, replace(estimate, is_new=False)) == []
 
 
 def _detected(past, rig, keypoints, count):
