@@ -107,7 +107,7 @@ class Smoother:
 
         state, estimate: as `Tracker.step` returned them for a frame that is not remembered yet.
         """
-        if self._window_s <= 0 or estimate.keypoints is None:
+        if self._window_s <= 0 or state.hand is None or estimate.keypoints is None:
             return []
         followed = self._followed_back(state, estimate) if self._is_news(estimate) else []
         return [self._tracker.told(state, one) for one in followed or self._begun_between(state, estimate)]

@@ -312,7 +312,8 @@ class Tracker:
         """A hand in another scene near a pose (), with nothing else looked for; None where it does not fit there."""
         if state.shape is None:
             return None
-        return self._into(self.parts.rule.begin(pose.normalized(), None, scene, state.shape), scene, state)
+        pose = pose.to(state.shape).normalized()
+        return self._into(self.parts.rule.begin(pose, None, scene, state.shape), scene, state)
 
     def _into(self, found: Candidate | None, scene: Scene, state: TrackerState) -> FollowedInto | None:
         if found is None or self.parts.health.is_failing(found):
