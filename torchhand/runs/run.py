@@ -186,9 +186,8 @@ class Run:
                 is_lost = not bool(points.isfinite().all())
                 scene = self.tracker.scene(self.state, frame.views, frame.time_s)
                 score = 0.0 if is_lost else float(track.measures["score"][row])
-                self._smoother.remember(
-                    PastFrame.of(scene, *((None, score, None) if is_lost else (points, score, pose)))
-                )
+                past = PastFrame.of(scene, None if is_lost else points, score, None if is_lost else pose)
+                self._smoother.remember(past)
                 self._keep_past(frame, float(track.seconds[row]))
 
     def _new_smoother(self, state: TrackerState) -> Smoother:

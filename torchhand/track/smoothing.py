@@ -176,7 +176,7 @@ class Smoother:
         return len(self._past) > 0 and _distance(self._past[-1].keypoints, estimate.keypoints) > _LEAP
 
     def _gain(self, before: list[PastFrame], after: list[Estimate], now: Tensor) -> float:
-        """Score by which the last frames are explained better by the hand that was followed back through them."""
+        """Score by which the last frames are explained better by other hands, the latest first, for their motion."""
         was = [now, *(past.keypoints for past in before)]
         then = [now, *(found.keypoints for found in after)]
         if len(self._past) > len(before):

@@ -112,11 +112,13 @@ def test_frames_with_a_lost_digit_are_corrected_and_those_before_stay(tracker, r
     assert smoother.corrections(*found) == []  # what was corrected is remembered so
 
 
-def _known(rig_hand, masks, poses, wrong):
-    """The frames before the last as they were followed, the thumb folded in one of them."""
+def _known(rig_hand, masks, poses, wrong, score=0.93):
+    """The frames before the last as they were followed, the thumb folded in one of them, which explains so much."""
     hands = [_with_thumb_folded(pose) if frame == wrong else pose for frame, pose in enumerate(poses[:-1])]
     return [
-        _past(masks[frame], frame, _points(rig_hand, hand), 0.93 if frame == wrong else 0.96, HandPose.of(*hand).vector)
+        _past(
+            masks[frame], frame, _points(rig_hand, hand), score if frame == wrong else 0.96, HandPose.of(*hand).vector
+        )
         for frame, hand in enumerate(hands)
     ]
 
@@ -141,6 +143,19 @@ def test_last_hand_that_left_its_path_is_begun_on_it(wrong, corrected, tracker, 
         assert float((new.keypoints - _points(rig_hand, poses[3])).norm(dim=-1).max()) < 0.01
         assert new.evidence is not None
     assert smoother.corrections(*found) == []  # what was corrected is remembered so
+
+
+def _grown(masks, pixels):
+    return [max_pool2d(mask[None].double(), 2 * pixels + 1, 1, pixels)[0] > 0 for mask in masks]
+
+
+def test_hand_that_explains_more_off_its_path_stays(tracker, rig_hand, poses, masks):
+    masks = [*masks[:3], _grown(masks[3], 4), masks[4]]
+    smoother = Smoother(tracker, WINDOW_S)
+    for one in _known(rig_hand, masks, poses, wrong=3, score=0.96):
+        smoother.remember(one)
+    state, estimate = _found(tracker, masks, FRAMES - 1, poses[-1])
+    assert smoother.corrections(state, replace(estimate, is_new=False)) == []
 
 
 def test_hand_that_truly_left_its_path_stays(tracker, rig_hand, poses, masks, masks_of):
@@ -184,9 +199,7 @@ def test_frame_in_which_the_hand_was_lost_is_filled_in(pictures, tracker, rig, r
 @pytest.mark.parametrize(("grown_px", "filled"), [(1, [3]), (2, []), (4, [])])
 def test_lost_frame_is_filled_in_only_where_a_hand_could_be_found(grown_px, filled, tracker, rig_hand, poses, masks):
     seen = _seen(rig_hand, masks, poses, wrong=set())
-    side = 2 * grown_px + 1
-    grown = [max_pool2d(mask[None].double(), side, 1, grown_px)[0] > 0 for mask in masks[3]]
-    seen[3] = _past(grown, 3, None, 0.0)
+    seen[3] = _past(_grown(masks[3], grown_px), 3, None, 0.0)
     better, _, _ = _corrected(tracker, masks, seen, poses[-1])
     assert _frames(better) == filled
 
