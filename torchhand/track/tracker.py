@@ -599,7 +599,8 @@ class Tracker:
             if source.occasion == "search":
                 has_found &= search.best is not before
                 after = health.settings.next_search(state.search_after, has_found=has_found)
-                state = replace(state, frames_since_search=0, search_after=after)
+                in_vain = 0 if has_found else state.searches_in_vain + 1
+                state = replace(state, frames_since_search=0, search_after=after, searches_in_vain=in_vain)
             elif source.occasion == "declining":
                 is_vain = search.best is before
                 after = min(2 * state.refit_after, _VAIN_REFIT_EVERY) if is_vain else REFIT_EVERY

@@ -190,3 +190,48 @@ def test_a_gloved_hand_is_found_before_a_screen_or_a_known_scene(method: Any, st
     hidden = _find(empty, placed, studio, **known)
     assert isinstance(hidden, NoStart)
     assert not hidden.has_foreground
+
+
+def _beside_a_face(placed: Any, *, of_other_colour: bool = False) -> torch.Tensor:
+    """The placed hand, and an oval of its colours that is larger."""
+    picture = placed.picture(SceneSettings(supersampling=2, background="wall"), seed=1)
+    y, x = torch.meshgrid(torch.arange(240.0), torch.arange(320.0), indexing="ij")
+    face = ((x - 255) / 60).square() + ((y - 120) / 100).square() < 1
+    skin = picture[placed.mask].float().mean(0) + (torch.tensor((12.0, 8.0, 4.0)) if of_other_colour else 0.0)
+    noise = 3 * torch.randn(240, 320, 3, generator=torch.Generator().manual_seed(0))
+    return torch.where(face[..., None], (skin + noise).round().clamp(0, 255).to(torch.uint8), picture)
+
+
+@pytest.mark.parametrize("of_other_colour", [False, True])
+def test_a_hand_beside_a_larger_face_is_found(of_other_colour: bool, studio: Any) -> None:
+    placed = studio.placed(at=(-0.22, 0.0), size=0.5, camera=studio.camera(320, 240))
+    image = _beside_a_face(placed, of_other_colour=of_other_colour)
+    segmented, _ = segment_hand(image, None)
+    assert not bool((segmented & placed.mask).any())  # the face is the likeliest piece
+    assert isinstance(_find(image, placed, studio, looks_elsewhere=False), NoStart)
+    start = _find(image, placed, studio)
+    assert _error(start, placed) < 0.05
+    assert isinstance(start, Start)
+    assert start.overlap > 0.9
+
+
+def test_a_face_alone_is_no_hand(studio: Any) -> None:
+    placed = studio.placed(at=(-0.22, 0.0), size=0.5, camera=studio.camera(320, 240))
+    image = _beside_a_face(placed)
+    image[:, :190] = image[0, 0]
+    assert isinstance(_find(image, placed, studio), NoStart)
+
+
+def test_a_hand_of_known_colours_is_found_again_beside_a_larger_face(studio: Any) -> None:
+    placed = studio.placed(at=(-0.22, 0.0), size=0.5, camera=studio.camera(320, 240))
+    image = _beside_a_face(placed)
+    face = torch.zeros_like(placed.mask)
+    face[:, 190:] = True
+    appearance = learn_appearance(image, placed.mask, ~(placed.mask | face), 2)
+    assert appearance is not None
+    options: dict[str, Any] = {"appearance": appearance, "fit_shape": False}
+    assert isinstance(_find(image, placed, studio, looks_elsewhere=False, **options), NoStart)
+    start = _find(image, placed, studio, **options)
+    assert _error(start, placed) < 0.05
+    assert isinstance(start, Start)
+    assert start.appearance is appearance

@@ -1,7 +1,9 @@
 """Finds a hand in a single picture and fits it: the start of a track, and its restart after a loss."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeGuard
 
 import torch
 from jaxtyping import Bool, Float, UInt8
@@ -20,11 +22,17 @@ from torchhand.image import (
     SilhouetteSettings,
     bootstrap_skin,
     clean,
+    components,
+    enlarged_mask,
     fill_holes,
     hand_region,
     intersection_over_union,
+    label_pieces,
     largest_component,
     segment,
+    skin_candidates,
+    skin_probability,
+    touching,
 )
 from torchhand.view import HandProjector, OutlineTable
 
@@ -38,6 +46,10 @@ _GOOD = 0.93  # overlap at which no other start is tried
 _NEAR = 0.65  # overlap below which other abductions are not tried: the hand has another posture or is elsewhere
 _MIN_FOUND = 0.8  # share of the fitted contour that must lie on edges
 _MIN_INSIDE = 0.8  # share of the keypoints that must lie in the picture
+_WORST_OTHER = 0.30  # alignments with other pieces than the likeliest above it are not worth fitting
+_GOOD_OTHER = 0.85  # overlap of a hand found in one of these, and share of its contour on edges, at least
+_MOST_OTHERS = 2  # pieces of the hand's colours beside the largest that are looked at
+_SAME_PIECE = 0.9  # intersection over union of two pieces that are one
 _MIN_AREA_FRACTION = 0.004  # share of the picture that a silhouette fills at least
 
 
@@ -105,6 +117,32 @@ class NoStart:
     """Whether something hand-coloured of a believable size is there."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Piece:
+    """A part of a picture that may be the hand."""
+
+    image: UInt8[Tensor, "height width 3"]
+    mask: Bool[Tensor, "height width"]
+    rest: Bool[Tensor, "height width"]
+    """What is neither the hand nor like it."""
+    alignments: Sequence[Alignment]
+    """Placements of the posture over it that are worth fitting, the best first."""
+
+    @classmethod
+    def of(cls, image: Tensor, mask: Tensor, rest: Tensor, posture: Tensor, fitter: ContourFitter) -> "_Piece":
+        """None of the placements over a piece that is too small for a hand is worth fitting."""
+        found: list[Alignment] = []
+        if float(mask.float().mean()) >= _MIN_AREA_FRACTION:
+            found = align_posture(mask, fitter.camera, fitter.kinematics, fitter.shape, posture)
+        worth = [one for one in found if one.cost < _WORST_COST]
+        return cls(image=image, mask=mask, rest=rest, alignments=worth[:_TRIES])
+
+    @property
+    def cost(self) -> float:
+        """Of the best placement; infinite where none is worth fitting."""
+        return min((one.cost for one in self.alignments), default=math.inf)
+
+
 @on_host
 def segment_hand(
     image: UInt8[Tensor, "height width 3"],
@@ -128,6 +166,38 @@ def segment_hand(
 
 
 @on_host
+def other_pieces(
+    image: UInt8[Tensor, "height width 3"],
+    mask: Bool[Tensor, "height width"],
+    appearance: Appearance | None,
+    silhouette: SilhouetteSettings | None = None,
+) -> list[Bool[Tensor, "height width"]]:
+    """Pieces of a picture that may be the hand where `segment_hand` took another one for it, `mask`.
+
+    The largest other pieces of its colours, by learned ones or those of the likeliest piece, and without learned ones
+    what may be skin otherwise (`skin_candidates`, rough outlines). None by a plate or a screen.
+    """
+    if appearance is not None:
+        return _apart(appearance.probability(image) > 0.5, mask)
+    if silhouette is not None and silhouette.method != "skin":
+        return []
+    skin = bootstrap_skin(image)
+    found = _apart(skin_probability(image, skin.model) > 0.5, mask) if skin.has_skin else []
+    for piece in skin_candidates(image):
+        whole = enlarged_mask(piece, *mask.shape)
+        if all(float(intersection_over_union(whole, one, empty=0.0)) < _SAME_PIECE for one in (mask, *found)):
+            found.append(whole)
+    return found
+
+
+def _apart(alike: Tensor, mask: Tensor) -> list[Tensor]:
+    """The largest pieces of what has some colours, beside one of them, `mask`."""
+    others = clean(alike) & ~mask
+    labels, least = label_pieces(others).labels, max(1, round(_MIN_AREA_FRACTION * mask.numel()))
+    return [fill_holes(labels == one.label) for one in components(others, least)[:_MOST_OTHERS]]
+
+
+@on_host
 def find_hand(
     image: UInt8[Tensor, "height width 3"],
     posture: Float[Tensor, "36"],
@@ -137,24 +207,33 @@ def find_hand(
     min_overlap: float = 0.75,
     silhouette: SilhouetteSettings | None = None,
     plate: BackgroundPlate | None = None,
+    looks_elsewhere: bool = True,
 ) -> Start | NoStart:
-    """Segments the picture, lays the posture over the silhouette, fits pose and shape, and judges the result."""
+    """Segments the picture, lays the posture over the silhouette, fits pose and shape, and judges the result.
+
+    The likeliest piece of the picture is looked at first (`segment_hand`). looks_elsewhere: whether, where that shows
+    no hand, the one of the others is looked at on which the posture lies best (`other_pieces`): a face is often the
+    larger one.
+    """
     mask, reason = segment_hand(image, appearance, silhouette, plate)
+    first = _Piece.of(image, mask, ~mask, posture, fitter)
+    best = _start_in(first, fitter, appearance)
+    if _is_found(best, min_overlap):
+        return best
+    if looks_elsewhere:
+        pieces = other_pieces(image, mask, appearance, silhouette)
+        rest = ~torch.stack((mask, *pieces)).any(0)
+        others = [_Piece.of(image, piece, rest, posture, fitter) for piece in pieces]
+        likeliest = min(others, key=lambda one: one.cost, default=first)
+        other = None
+        if likeliest.cost < min(first.cost, _WORST_OTHER):
+            other = _start_in(likeliest, fitter, appearance)
+        if other is not None and _is_found(other := _sharpened(image, other, fitter), _GOOD_OTHER, _GOOD_OTHER):
+            return other
     if float(mask.float().mean()) < _MIN_AREA_FRACTION:
         return NoStart(reason=reason or "too little of the picture has the hand's colours", has_foreground=False)
-    where = (fitter.camera, fitter.kinematics, fitter.shape)
-    alignments = [a for a in align_posture(mask, *where, posture) if a.cost < _WORST_COST]
-    best, facing = _best_start(image, mask, alignments[:_TRIES], fitter, appearance, None)
-    if best is not None and best.overlap >= _NEAR:
-        near = [one for one in alignments[:_TRIES] if one.facing == facing]
-        others = [_spread(one, factor) for factor in _SPREADS for one in near]
-        best, _ = _best_start(image, mask, others, fitter, appearance, best)
-    if best is None or best.overlap < min_overlap or best.fit.found_fraction < _MIN_FOUND:
-        got = (
-            f"best overlap {best.overlap:.2f}, edges on {best.fit.found_fraction:.0%}" if best else "no placement fits"
-        )
-        return NoStart(reason=f"no hand in the posture of the start ({got})", has_foreground=True)
-    return best
+    got = f"best overlap {best.overlap:.2f}, edges on {best.fit.found_fraction:.0%}" if best else "no placement fits"
+    return NoStart(reason=f"no hand in the posture of the start ({got})", has_foreground=True)
 
 
 @on_host
@@ -213,6 +292,30 @@ def start_at_keypoints(
     return Start(fit=placed, appearance=CutAtKeypoints(), overlap=fitter.overlap(mask, placed))
 
 
+def _start_in(piece: _Piece, fitter: ContourFitter, appearance: Appearance | None) -> Start | None:
+    """The best hand in one piece."""
+    best, facing = _best_start(piece, piece.alignments, fitter, appearance, None)
+    if best is not None and best.overlap >= _NEAR:
+        near = [one for one in piece.alignments if one.facing == facing]
+        others = [_spread(one, factor) for factor in _SPREADS for one in near]
+        best, _ = _best_start(piece, others, fitter, appearance, best)
+    return best
+
+
+def _is_found(start: Start | None, min_overlap: float, min_found: float = _MIN_FOUND) -> TypeGuard[Start]:
+    return start is not None and start.overlap >= min_overlap and start.fit.found_fraction >= min_found
+
+
+def _sharpened(image: Tensor, start: Start, fitter: ContourFitter) -> Start:
+    """A hand that was fitted to a rough outline, fitted to that by its colours."""
+    assert isinstance(start.appearance, Appearance)
+    projector = HandProjector(fitter.kinematics, fitter.camera, start.fit.shape)
+    model = projector.silhouette(start.fit.pose, start.fit.root_reference)
+    mask = touching(fill_holes(clean(start.appearance.probability(image) > 0.5)), model)
+    fit = fitter.fitted(mask, start.fit)
+    return replace(start, fit=fit, overlap=fitter.overlap(mask, fit))
+
+
 def _spread(alignment: Alignment, factor: float) -> Alignment:
     """The alignment with its abductions wider or narrower: a finger that slid onto its neighbour tries again."""
     is_spread = torch.tensor([name.endswith("_aa") for name in DOFS])
@@ -220,8 +323,7 @@ def _spread(alignment: Alignment, factor: float) -> Alignment:
 
 
 def _best_start(
-    image: Tensor,
-    mask: Tensor,
+    piece: _Piece,
     alignments: Sequence[Alignment],
     fitter: ContourFitter,
     appearance: Appearance | None,
@@ -229,27 +331,26 @@ def _best_start(
 ) -> tuple[Start | None, str]:
     """The best hand of those fitted from some alignments and of `best`, as soon as one is good; and which side of it
     faces the camera, where it is one of the former."""
-    facing, fits = "", fitter.fitted_each(mask, alignments)
+    facing, fits = "", fitter.fitted_each(piece.mask, alignments)
     for alignment in alignments:
         if best is not None and best.overlap > _GOOD:
             break
-        start = _started(image, mask, next(fits), fitter, appearance)
+        start = _started(piece, next(fits), fitter, appearance)
         if start is not None and (best is None or start.quality > best.quality):
             best, facing = start, alignment.facing
     return best, facing
 
 
-def _started(
-    image: Tensor, mask: Tensor, fit: Fit, fitter: ContourFitter, appearance: Appearance | None
-) -> Start | None:
+def _started(piece: _Piece, fit: Fit, fitter: ContourFitter, appearance: Appearance | None) -> Start | None:
     """A fitted hand as a start; None where much of it lies outside the picture, or teaches no colours."""
     camera = fitter.camera
     frames = fitter.kinematics(fit.pose, fit.shape, root_reference=fit.root_reference)
     if float(is_in_picture(camera.project(frames.keypoints), camera).double().mean()) < _MIN_INSIDE:
         return None
-    quality = fitter.overlap(mask, fit)
+    quality = fitter.overlap(piece.mask, fit)
     if appearance is None:
-        appearance = learn_appearance(image, mask, ~mask, max(1, round(0.01 * fitter.length_px(fit))))
+        margin = max(1, round(0.01 * fitter.length_px(fit)))
+        appearance = learn_appearance(piece.image, piece.mask, piece.rest, margin)
     return None if appearance is None else Start(fit=fit, appearance=appearance, overlap=quality)
 
 

@@ -95,6 +95,8 @@ class TrackerState:
     frames_since_search: int = 0
     search_after: int = 0
     """Frames after which a search without any guess is due."""
+    searches_in_vain: int = 0
+    """Searches without any guess that found no hand since one did."""
     frames_since_refit: int = 0
     """Frames since a followed hand was fitted once more with larger steps."""
     refit_after: int = REFIT_EVERY

@@ -14,12 +14,15 @@ from torchhand.track.knowledge import TrackerState
 from torchhand.track.proposals.protocol import Occasion, Proposals, Proposed
 from torchhand.track.scene import Candidate, Scene
 
+_ELSEWHERE_EVERY = 5  # searches in vain from one in which other pieces are looked at to the next
+
 
 @dataclass(frozen=True, kw_only=True)
 class PostureSearch:
     """Segments the picture, lays the posture over the silhouette and fits it (`find_hand`).
 
-    The first hand ever brings its proportions and its colours.
+    The first hand ever brings its proportions and its colours. Where no hand is followed, other pieces of the picture
+    than the likeliest are looked at too, every few searches: that takes as long again.
     """
 
     occasion: ClassVar[Occasion] = "search"
@@ -38,7 +41,9 @@ class PostureSearch:
         image = scene.views[0].image
         if image is None:
             return Proposals(reason="the picture is missing")
-        found = self._found(image, state)
+        found = self._found(
+            image, state, looks_elsewhere=best is None and state.searches_in_vain % _ELSEWHERE_EVERY == 0
+        )
         if isinstance(found, NoStart):
             return Proposals(reason=found.reason, has_foreground=found.has_foreground)
         fit, is_first = found.fit, not state.has_started
@@ -47,7 +52,7 @@ class PostureSearch:
         proposed = Proposed(pose=pose, shape=shape, appearance=found.appearance if is_first else None)
         return Proposals(hands=(proposed,), has_foreground=True)
 
-    def _found(self, image: Tensor, state: TrackerState) -> Start | NoStart:
+    def _found(self, image: Tensor, state: TrackerState, *, looks_elsewhere: bool) -> Start | NoStart:
         first, is_first = self.fitter, not state.has_started
         if is_first and self.start_points is not None:
             return start_at_points(image, self.start_points, posture(self.posture, dtype=torch.float64), first)
@@ -61,4 +66,5 @@ class PostureSearch:
             min_overlap=self.min_overlap,
             silhouette=self.silhouette,
             plate=self.plate,
+            looks_elsewhere=looks_elsewhere,
         )
