@@ -235,3 +235,11 @@ def test_a_hand_of_known_colours_is_found_again_beside_a_larger_face(studio: Any
     assert _error(start, placed) < 0.05
     assert isinstance(start, Start)
     assert start.appearance is appearance
+
+
+def test_two_fingers_beside_a_face_are_no_open_hand(studio: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    placed = studio.placed(at=(-0.22, 0.0), size=0.5, posed="victory", camera=studio.camera(320, 240))
+    image = _beside_a_face(placed)
+    assert isinstance(_find(image, placed, studio), NoStart)
+    monkeypatch.setattr("torchhand.fit.detect.start._APART", 0.0)
+    assert isinstance(_find(image, placed, studio), Start)  # its outline is that of an open hand with fingers on others

@@ -48,6 +48,8 @@ _MIN_FOUND = 0.8  # share of the fitted contour that must lie on edges
 _MIN_INSIDE = 0.8  # share of the keypoints that must lie in the picture
 _WORST_OTHER = 0.30  # alignments with other pieces than the likeliest above it are not worth fitting
 _GOOD_OTHER = 0.85  # overlap of a hand found in one of these, and share of its contour on edges, at least
+_TIPS = (4, 8, 12, 16, 20)
+_APART = 0.5  # of the distance between two fingertips in the posture
 _MOST_OTHERS = 2  # pieces of the hand's colours beside the largest that are looked at
 _SAME_PIECE = 0.9  # intersection over union of two pieces that are one
 _MIN_AREA_FRACTION = 0.004  # share of the picture that a silhouette fills at least
@@ -228,7 +230,8 @@ def find_hand(
         other = None
         if likeliest.cost < min(first.cost, _WORST_OTHER):
             other = _start_in(likeliest, fitter, appearance)
-        if other is not None and _is_found(other := _sharpened(image, other, fitter), _GOOD_OTHER, _GOOD_OTHER):
+        other = None if other is None else _sharpened(image, other, fitter)
+        if _is_found(other, _GOOD_OTHER, _GOOD_OTHER) and _has_tips_apart(other.fit, posture, fitter):
             return other
     if float(mask.float().mean()) < _MIN_AREA_FRACTION:
         return NoStart(reason=reason or "too little of the picture has the hand's colours", has_foreground=False)
@@ -314,6 +317,19 @@ def _sharpened(image: Tensor, start: Start, fitter: ContourFitter) -> Start:
     mask = touching(fill_holes(clean(start.appearance.probability(image) > 0.5)), model)
     fit = fitter.fitted(mask, start.fit)
     return replace(start, fit=fit, overlap=fitter.overlap(mask, fit))
+
+
+def _has_tips_apart(fit: Fit, posture: Tensor, fitter: ContourFitter) -> bool:
+    """Whether the fingertips lie about as far apart in the picture as a posture has them: two fingers that stretch look
+    like an open hand on whose fingers others lie."""
+    held = torch.cat((torch.zeros_like(posture[:6]), posture[6:])).to(fit.shape)
+    wanted, found = (
+        fitter.kinematics(pose, fit.shape, root_reference=reference).keypoints[list(_TIPS)]
+        for pose, reference in ((held, None), (fit.pose, fit.root_reference))
+    )
+    length = fitter.kinematics.shape_space.metric(fit.shape)["hand_length"] / fitter.length_px(fit)
+    apart = length * torch.pdist(fitter.camera.project(found))
+    return bool((apart > _APART * torch.pdist(wanted)).all())
 
 
 def _spread(alignment: Alignment, factor: float) -> Alignment:
