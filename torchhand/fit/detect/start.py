@@ -231,7 +231,8 @@ def find_hand(
         if likeliest.cost < min(first.cost, _WORST_OTHER):
             other = _start_in(likeliest, fitter, appearance)
         other = None if other is None else _sharpened(image, other, fitter)
-        if _is_found(other, _GOOD_OTHER, _GOOD_OTHER) and _has_tips_apart(other.fit, posture, fitter):
+        least = max(min_overlap, _GOOD_OTHER)
+        if _is_found(other, least, _GOOD_OTHER) and _has_tips_apart(other.fit, posture, fitter):
             return other
     if float(mask.float().mean()) < _MIN_AREA_FRACTION:
         return NoStart(reason=reason or "too little of the picture has the hand's colours", has_foreground=False)
