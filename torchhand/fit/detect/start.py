@@ -16,13 +16,12 @@ from torchhand.fit.detect.alignment import Alignment, align_points, align_postur
 from torchhand.fit.detect.edge_fit import Fit, FitSettings, fit_contour, fit_contours
 from torchhand.fit.detect.keypoint_cut import CutAtKeypoints, cut_at_keypoints
 from torchhand.geometry import Camera
-from torchhand.hand import DOFS, HandKinematics, HandPose
+from torchhand.hand import DOFS, TIPS, HandKinematics, HandPose
 from torchhand.image import (
     BackgroundPlate,
     SilhouetteSettings,
     bootstrap_skin,
     clean,
-    components,
     enlarged_mask,
     fill_holes,
     hand_region,
@@ -48,7 +47,6 @@ _MIN_FOUND = 0.8  # share of the fitted contour that must lie on edges
 _MIN_INSIDE = 0.8  # share of the keypoints that must lie in the picture
 _WORST_OTHER = 0.30  # alignments with other pieces than the likeliest above it are not worth fitting
 _GOOD_OTHER = 0.85  # overlap of a hand found in one of these, and share of its contour on edges, at least
-_TIPS = (4, 8, 12, 16, 20)
 _APART = 0.5  # of the distance between two fingertips in the posture
 _MOST_OTHERS = 2  # pieces of the hand's colours beside the largest that are looked at
 _SAME_PIECE = 0.9  # intersection over union of two pieces that are one
@@ -194,9 +192,9 @@ def other_pieces(
 
 def _apart(alike: Tensor, mask: Tensor) -> list[Tensor]:
     """The largest pieces of what has some colours, beside one of them, `mask`."""
-    others = clean(alike) & ~mask
-    labels, least = label_pieces(others).labels, max(1, round(_MIN_AREA_FRACTION * mask.numel()))
-    return [fill_holes(labels == one.label) for one in components(others, least)[:_MOST_OTHERS]]
+    found, least = label_pieces(clean(alike) & ~mask), _MIN_AREA_FRACTION * mask.numel()
+    largest = found.areas.argsort(descending=True, stable=True)[:_MOST_OTHERS].tolist()
+    return [fill_holes(found.labels == number + 1) for number in largest if int(found.areas[number]) >= least]
 
 
 @on_host
@@ -321,12 +319,11 @@ def _sharpened(image: Tensor, start: Start, fitter: ContourFitter) -> Start:
 
 
 def _has_tips_apart(fit: Fit, posture: Tensor, fitter: ContourFitter) -> bool:
-    """Whether the fingertips lie about as far apart in the picture as a posture has them: two fingers that stretch look
-    like an open hand on whose fingers others lie."""
-    held = torch.cat((torch.zeros_like(posture[:6]), posture[6:])).to(fit.shape)
+    """Whether the fingertips lie at least half as far apart in the picture as a posture has them in space: two fingers
+    that stretch look like an open hand on whose fingers others lie."""
     wanted, found = (
-        fitter.kinematics(pose, fit.shape, root_reference=reference).keypoints[list(_TIPS)]
-        for pose, reference in ((held, None), (fit.pose, fit.root_reference))
+        fitter.kinematics(pose, fit.shape, root_reference=reference).keypoints[list(TIPS)]
+        for pose, reference in ((posture.to(fit.shape), None), (fit.pose, fit.root_reference))
     )
     length = fitter.kinematics.shape_space.metric(fit.shape)["hand_length"] / fitter.length_px(fit)
     apart = length * torch.pdist(fitter.camera.project(found))
